@@ -1,0 +1,139 @@
+"""From YAML files to frozen dataclasses and back. Unknown keys are refused and the nearest known one is named."""
+
+import dataclasses
+from collections.abc import Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import yaml
+
+from aerial_gym.errors import ConfigError
+
+T = TypeVar("T")
+
+CONFIG_DIR = Path(__file__).parent
+"""Folder of the configurations that come with the package."""
+
+
+def read_yaml(path: str | Path) -> dict[str, object]:
+    """Return the mapping in a YAML file; raise ``ConfigError`` that names the file if there is none."""
+    path = Path(path)
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error})") from None
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from None
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}: must hold a mapping of fields, found {type(data).__name__}")
+    return data
+
+
+def load(cls: type[T], path: str | Path) -> T:
+    """Return the dataclass ``cls`` filled from a YAML file."""
+    return build(cls, read_yaml(path), where=str(path))
+
+
+def build(cls: type[T], data: Mapping[str, object], *, where: str) -> T:
+    """Return the frozen dataclass ``cls`` filled from nested mappings.
+
+    Args:
+        cls: A dataclass whose fields are numbers, strings, tuples, mappings, optional values or such dataclasses.
+        data: Values by field name, as YAML gives them.
+        where: Named at the start of every error message: a file, or the call.
+
+    Raises:
+        ConfigError: If a key is unknown or missing, a type does not fit, or the dataclass refuses a value.
+    """
+    if not isinstance(data, Mapping):
+        raise ConfigError(f"{where}: must be a mapping of the fields of {cls.__name__}, found {data!r}")
+    hints = get_type_hints(cls)
+    known = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    for key in data:
+        if key not in known:
+            near = get_close_matches(str(key), known, n=1)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            raise ConfigError(f"{where}: unknown field {key!r}.{hint} Known: {', '.join(known)}")
+    values = {key: _convert(hints[key], value, f"{where}: {key}") for key, value in data.items()}
+    for name, field in known.items():
+        required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        if required and name not in values:
+            raise ConfigError(f"{where}: field {name!r} is missing")
+    try:
+        return cls(**values)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+
+
+def to_mapping(config: object) -> dict[str, Any]:
+    """Return the nested mapping from which ``build`` makes the same dataclass again, ready for YAML."""
+    return {f.name: _plain(getattr(config, f.name)) for f in dataclasses.fields(config)}  # type: ignore[arg-type]
+
+
+def dump_yaml(config: object) -> str:
+    """Return a dataclass as YAML text."""
+    return yaml.safe_dump(to_mapping(config), sort_keys=False, allow_unicode=True, width=120)
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        return to_mapping(value)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, (tuple, list)) else value
+
+
+def _convert(hint: Any, value: Any, where: str) -> Any:
+    origin, args = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return _convert_optional(args, value, where)
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        return value if isinstance(value, hint) else build(hint, value, where=where)
+    if origin is tuple:
+        return _convert_tuple(args, value, where)
+    if origin in (dict, Mapping) or (isinstance(origin, type) and issubclass(origin, Mapping)):
+        if not isinstance(value, Mapping):
+            raise ConfigError(f"{where} = {value!r}: must be a mapping")
+        return {_convert(args[0], k, where): _convert(args[1], v, f"{where}.{k}") for k, v in value.items()}
+    return _convert_scalar(hint, value, where)
+
+
+def _convert_optional(args: tuple[Any, ...], value: Any, where: str) -> Any:
+    if value is None and NoneType in args:
+        return None
+    rest = [arg for arg in args if arg is not NoneType]
+    return _convert(rest[0], value, where)
+
+
+def _convert_tuple(args: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
+    if not isinstance(value, (list, tuple)):
+        raise ConfigError(f"{where} = {value!r}: must be a list")
+    if len(args) == 2 and args[1] is Ellipsis:
+        return tuple(_convert(args[0], item, f"{where}[{i}]") for i, item in enumerate(value))
+    if len(value) != len(args):
+        raise ConfigError(f"{where} = {value!r}: must have {len(args)} entries")
+    return tuple(_convert(arg, item, f"{where}[{i}]") for i, (arg, item) in enumerate(zip(args, value, strict=True)))
+
+
+def _convert_scalar(hint: Any, value: Any, where: str) -> Any:
+    if hint is float and isinstance(value, str):
+        value = _number_in_text(value)
+    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        return float(value)
+    if hint is int and isinstance(value, int) and not isinstance(value, bool):
+        return value
+    if hint in (str, bool) and isinstance(value, hint):
+        return value
+    raise ConfigError(f"{where} = {value!r}: must be {getattr(hint, '__name__', hint)}")
+
+
+def _number_in_text(value: str) -> float | str:
+    """YAML 1.1 reads ``1e-5`` as text; take it as the number that it is."""
+    try:
+        return float(value)
+    except ValueError:
+        return value

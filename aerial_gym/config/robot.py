@@ -1,0 +1,288 @@
+"""What a robot file holds: body, rotors, mounts, collision shapes, initial state, randomisation, sensors, effects.
+
+Frames: body is x forward, y left, z up, with its origin at the point that a log or a motion capture system tracks.
+SI units throughout; rotor speeds in rad/s.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import inf, isfinite
+
+import numpy as np
+
+from aerial_gym.errors import ConfigError
+
+Vec3 = tuple[float, float, float]
+
+
+def require_positive(config: object, *names: str) -> None:
+    """Raise ``ConfigError`` unless the named fields are finite and > 0 (NaN fails as well)."""
+    for name in names:
+        value = getattr(config, name)
+        if not 0.0 < value < inf:
+            raise ConfigError(f"{type(config).__name__}.{name} = {value!r}: must be > 0 and finite")
+
+
+def require_finite(config: object, *names: str) -> None:
+    """Raise ``ConfigError`` unless the named numbers or nested tuples of numbers are finite."""
+    for name in names:
+        value = getattr(config, name)
+        if not np.all(np.isfinite(np.asarray(value, dtype=float))):
+            raise ConfigError(f"{type(config).__name__}.{name} = {value!r}: must be finite")
+
+
+def require_ordered(config: object, low: str, high: str) -> None:
+    """Raise ``ConfigError`` unless every entry of field ``low`` is at most its partner in field ``high``."""
+    a, b = np.asarray(getattr(config, low), dtype=float), np.asarray(getattr(config, high), dtype=float)
+    if not np.all(a <= b):
+        raise ConfigError(f"{type(config).__name__}: {low} = {a.tolist()} must not exceed {high} = {b.tolist()}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyCfg:
+    """Mass and inertia of the whole vehicle, rotors included."""
+
+    mass: float
+    """Mass [kg], > 0."""
+
+    inertia: tuple[Vec3, Vec3, Vec3]
+    """Inertia about the composite centre of mass [kg m²], body axes; symmetric, positive definite, and each principal
+    moment at most the sum of the others (no real body violates this)."""
+
+    com: Vec3 = (0.0, 0.0, 0.0)
+    """Centre of mass from the body origin [m], body axes."""
+
+    source: str
+    """Where the numbers come from."""
+
+    def __post_init__(self) -> None:
+        require_positive(self, "mass")
+        require_finite(self, "inertia", "com")
+        matrix = np.asarray(self.inertia, dtype=float)
+        if not np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9 * np.abs(matrix).max()):
+            raise ConfigError(f"BodyCfg.inertia = {self.inertia!r}: must be symmetric")
+        moments = np.linalg.eigvalsh(matrix)
+        if moments[0] <= 0.0:
+            raise ConfigError(f"BodyCfg.inertia: principal moments {moments.tolist()} must be positive")
+        if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
+            raise ConfigError(
+                f"BodyCfg.inertia: principal moments {moments.tolist()} violate the triangle inequality; "
+                "the largest must not exceed the sum of the others"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorCfg:
+    """Thrust curve, drag torque, lag and limits of one rotor type."""
+
+    thrust_map: Vec3
+    """Thrust c0 + c1 w + c2 w² [N] of the speed w [rad/s]; c2 > 0."""
+
+    torque_ratio: float | None = None
+    """Drag torque per thrust [m], >= 0. Exactly one of this and ``torque_map`` is given."""
+
+    torque_map: Vec3 | None = None
+    """Drag torque q0 + q1 w + q2 w² [N m] of the speed w [rad/s]."""
+
+    time_constant_up: float
+    """First-order lag of a rising speed [s], > 0."""
+
+    time_constant_down: float
+    """First-order lag of a falling speed [s], > 0."""
+
+    thrust_range: tuple[float, float]
+    """Lowest and highest thrust [N] that may be commanded, 0 <= low < high < inf."""
+
+    source: str
+    """Where the numbers come from."""
+
+    def __post_init__(self) -> None:
+        require_positive(self, "time_constant_up", "time_constant_down")
+        require_finite(self, "thrust_map", "thrust_range")
+        if self.thrust_map[2] <= 0.0:
+            raise ConfigError(f"RotorCfg.thrust_map = {self.thrust_map!r}: the coefficient of w² must be > 0")
+        if (self.torque_ratio is None) == (self.torque_map is None):
+            raise ConfigError("RotorCfg: give exactly one of torque_ratio and torque_map")
+        if self.torque_ratio is not None and not 0.0 <= self.torque_ratio < inf:
+            raise ConfigError(f"RotorCfg.torque_ratio = {self.torque_ratio!r}: must be >= 0 and finite")
+        if self.torque_map is not None:
+            require_finite(self, "torque_map")
+        low, high = self.thrust_range
+        if not 0.0 <= low < high:
+            raise ConfigError(f"RotorCfg.thrust_range = {self.thrust_range!r}: needs 0 <= low < high < inf")
+
+    def speed_at(self, thrust: float) -> float:
+        """Return the speed [rad/s] that gives a thrust [N]: the larger root of the thrust map."""
+        c0, c1, c2 = self.thrust_map
+        return (-c1 + max(c1 * c1 + 4.0 * c2 * (thrust - c0), 0.0) ** 0.5) / (2.0 * c2)
+
+    @property
+    def torque_coefficients(self) -> Vec3:
+        """Drag torque polynomial [N m] of the speed [rad/s], whichever way it was given."""
+        if self.torque_map is not None:
+            return self.torque_map
+        c0, c1, c2 = self.thrust_map
+        ratio = self.torque_ratio or 0.0
+        return ratio * c0, ratio * c1, ratio * c2
+
+
+@dataclass(frozen=True, kw_only=True)
+class MountCfg:
+    """Place of one rotor."""
+
+    position: Vec3
+    """Hub from the body origin [m], body axes."""
+
+    axis: Vec3 = (0.0, 0.0, 1.0)
+    """Direction of positive thrust, body axes; made unit length."""
+
+    spin: int
+    """+1 if the rotor turns positively about its axis, -1 if negatively. The body feels ``-spin`` times the torque."""
+
+    def __post_init__(self) -> None:
+        require_finite(self, "position", "axis")
+        if sum(a * a for a in self.axis) < 1e-12:
+            raise ConfigError(f"MountCfg.axis = {self.axis!r}: must not be zero")
+        if self.spin not in (-1, 1):
+            raise ConfigError(f"MountCfg.spin = {self.spin!r}: must be 1 or -1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MountsCfg:
+    """Places of all rotors, in the order of commands and logs."""
+
+    layout: tuple[MountCfg, ...]
+    """At least one."""
+
+    source: str
+    """Where the numbers come from."""
+
+    def __post_init__(self) -> None:
+        if not self.layout:
+            raise ConfigError("MountsCfg.layout: needs at least one rotor")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SphereCfg:
+    """A collision sphere."""
+
+    center: Vec3
+    """From the body origin [m], body axes."""
+
+    radius: float
+    """Radius [m], > 0."""
+
+    def __post_init__(self) -> None:
+        require_finite(self, "center")
+        require_positive(self, "radius")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollisionCfg:
+    """Shapes that must not touch the scene."""
+
+    spheres: tuple[SphereCfg, ...] = ()
+    """Union of spheres."""
+
+    source: str
+    """Where the numbers come from."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InitialStateCfg:
+    """Uniform ranges from which a reset draws."""
+
+    position_ratio_low: Vec3 = (0.1, 0.15, 0.15)
+    """Lowest position as a share of the environment's bounds (0 lower face, 1 upper face)."""
+
+    position_ratio_high: Vec3 = (0.2, 0.85, 0.85)
+    """Highest position, likewise."""
+
+    euler_low: Vec3 = (0.0, 0.0, -0.5235988)
+    """Lowest ZYX roll, pitch, yaw [rad]."""
+
+    euler_high: Vec3 = (0.0, 0.0, 0.5235988)
+    """Highest roll, pitch, yaw [rad]."""
+
+    lin_vel_low: Vec3 = (-0.2, -0.2, -0.2)
+    """Lowest velocity [m/s], world."""
+
+    lin_vel_high: Vec3 = (0.2, 0.2, 0.2)
+    """Highest velocity [m/s], world."""
+
+    ang_vel_low: Vec3 = (-0.2, -0.2, -0.2)
+    """Lowest angular velocity [rad/s], body."""
+
+    ang_vel_high: Vec3 = (0.2, 0.2, 0.2)
+    """Highest angular velocity [rad/s], body."""
+
+    def __post_init__(self) -> None:
+        for name in ("position_ratio", "euler", "lin_vel", "ang_vel"):
+            require_finite(self, f"{name}_low", f"{name}_high")
+            require_ordered(self, f"{name}_low", f"{name}_high")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomizationCfg:
+    """Factors drawn uniformly per environment at reset, unknown to the controllers; (1, 1) leaves the value alone."""
+
+    mass_scale: tuple[float, float] = (1.0, 1.0)
+    """Factor on mass and inertia."""
+
+    thrust_scale: tuple[float, float] = (1.0, 1.0)
+    """Factor on thrust and drag torque, drawn per rotor."""
+
+    time_constant_scale: tuple[float, float] = (1.0, 1.0)
+    """Factor on both rotor time constants, drawn per rotor."""
+
+    def __post_init__(self) -> None:
+        for name in ("mass_scale", "thrust_scale", "time_constant_scale"):
+            low, high = getattr(self, name)
+            if not 0.0 < low <= high < inf:
+                raise ConfigError(f"RandomizationCfg.{name} = {(low, high)!r}: needs 0 < low <= high < inf")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotCfg:
+    """A multirotor."""
+
+    summary: str
+    """One line for people who choose a robot."""
+
+    body: BodyCfg
+    """Mass and inertia."""
+
+    rotor: RotorCfg
+    """The rotor type, the same for all mounts."""
+
+    mounts: MountsCfg
+    """Where the rotors are."""
+
+    collision: CollisionCfg
+    """Collision shapes."""
+
+    initial_state: InitialStateCfg = InitialStateCfg()
+    """What a reset draws from."""
+
+    randomization: RandomizationCfg = RandomizationCfg()
+    """What differs between environments."""
+
+    sensors: tuple[str, ...] = ()
+    """Names of registered sensors on board."""
+
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Physical effects beyond rigid body and rotors: parameters by effect name (``aerial-gym list effects``)."""
+
+    effects_source: str = ""
+    """Where the numbers of the effects come from; needed where there are effects."""
+
+    @property
+    def num_rotors(self) -> int:
+        """Number of rotors R."""
+        return len(self.mounts.layout)
+
+    def __post_init__(self) -> None:
+        for effect, params in self.effects.items():
+            for name, value in params.items():
+                if not isfinite(value):
+                    raise ConfigError(f"RobotCfg.effects.{effect}.{name} = {value!r}: must be finite")

@@ -1,0 +1,32 @@
+"""Time step, gravity and numerical method of a simulation."""
+
+from dataclasses import dataclass
+
+from aerial_gym.config.robot import require_finite, require_positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimCfg:
+    """How time advances."""
+
+    summary: str
+    """One line for people who choose a sim."""
+
+    dt: float
+    """Physics step [s], > 0; the controller runs at this rate."""
+
+    gravity: float = 9.81
+    """Downward acceleration of free fall [m/s²]."""
+
+    integrator: str = "euler"
+    """Stepper: ``euler`` (semi-implicit, order 1) or ``rk4`` (order 4)."""
+
+    backend: str = "auto"
+    """Name of a physics backend; ``auto`` takes the fastest that is registered."""
+
+    source: str
+    """Where the numbers come from."""
+
+    def __post_init__(self) -> None:
+        require_positive(self, "dt")
+        require_finite(self, "gravity")

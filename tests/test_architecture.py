@@ -1,0 +1,67 @@
+"""The direction of imports: a package imports itself and what stands further left, nothing else."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent / "aerial_gym"
+GROUPS = (
+    ("errors", "interop", "math"),
+    ("config", "registry"),
+    ("physics", "assets"),
+    ("control", "sensors"),
+    ("robots",),
+    ("env_manager",),
+    ("task",),
+    ("rl_training", "sim2real", "viewer"),
+    ("cli",),
+)
+RANK = {name: rank for rank, group in enumerate(GROUPS) for name in group}
+
+
+def imports_of(path: Path) -> set[str]:
+    """Return the first-level packages of aerial_gym that a file imports."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module]
+            if node.module == "aerial_gym":
+                names = [f"aerial_gym.{alias.name}" for alias in node.names]
+        found |= {name.split(".")[1] for name in names if name.startswith("aerial_gym.")}
+    return found
+
+
+@pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=lambda p: str(p.relative_to(ROOT)))
+def test_imports_point_left(path: Path) -> None:
+    package = path.relative_to(ROOT).parts[0].removesuffix(".py")
+    if package == "__init__":
+        return
+    for other in imports_of(path) - {package}:
+        if other in RANK:
+            assert RANK[other] < RANK[package], f"{package} must not import {other}"
+
+
+def test_undeclared_plant_shares_no_code_with_the_package() -> None:
+    for path in (ROOT.parent / "benchmarks" / "undeclared").glob("*.py"):
+        assert "aerial_gym" not in {n.split(".")[0] for n in _all_imports(path)}, path
+
+
+def _all_imports(path: Path) -> set[str]:
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module)
+    return found
+
+
+def test_importing_the_package_starts_nothing() -> None:
+    """No torch, no Warp, no optional dependency is loaded by ``import aerial_gym``."""
+    code = "import sys, aerial_gym; print([m for m in ('torch', 'warp', 'pandas', 'rl_games') if m in sys.modules])"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
