@@ -1,0 +1,1 @@
+"""Rotations and random draws as pure functions of tensors."""

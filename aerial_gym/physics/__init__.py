@@ -1,0 +1,30 @@
+"""Rigid body, rotors, effects, and the backends that advance them."""
+
+from aerial_gym.physics.backend import BACKENDS, Capabilities, ControlLaw, PhysicsBackend
+from aerial_gym.physics.effects import EFFECTS
+from aerial_gym.physics.integrators import INTEGRATORS
+from aerial_gym.physics.model import Model, build_model, effects_from_config
+from aerial_gym.physics.rigid_body import Accelerations, accelerations
+from aerial_gym.physics.state import BodyState, state_at_rest
+from aerial_gym.physics.torch_backend import TorchBackend, advance
+from aerial_gym.physics.vehicle import Vehicle, vehicle_from_config
+
+__all__ = [
+    "BACKENDS",
+    "EFFECTS",
+    "INTEGRATORS",
+    "Accelerations",
+    "BodyState",
+    "Capabilities",
+    "ControlLaw",
+    "Model",
+    "PhysicsBackend",
+    "TorchBackend",
+    "Vehicle",
+    "accelerations",
+    "advance",
+    "build_model",
+    "effects_from_config",
+    "state_at_rest",
+    "vehicle_from_config",
+]

@@ -1,0 +1,70 @@
+"""The contract of a physics backend, and the registry in which backends stand by name."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from aerial_gym.physics.model import Model
+from aerial_gym.physics.state import BodyState
+from aerial_gym.registry import Registry
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capabilities:
+    """What a backend can do."""
+
+    devices: tuple[str, ...]
+    """Types of device, ``cpu`` or ``cuda``."""
+
+    dtypes: tuple[torch.dtype, ...]
+    """Float types of the state."""
+
+    integrators: tuple[str, ...]
+    """Names of steppers."""
+
+    differentiable: bool
+    """Whether gradients flow through a rollout."""
+
+    effects: tuple[str, ...] | None
+    """Names of effects it can run; None for every one that has a torch formula."""
+
+
+class ControlLaw(Protocol):
+    """What turns an action into rotor commands, once per physics step. The controllers fulfil it."""
+
+    def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
+        """Return commanded rotor speeds [rad/s], (E, R), for actions (E, number of actions)."""
+        ...
+
+
+class PhysicsBackend(Protocol):
+    """Advances a batch of multirotors. ``step`` works in place, so that its tensors can be captured in a graph."""
+
+    capabilities: Capabilities
+
+    def allocate(self, model: Model, control: ControlLaw, *, integrator: str) -> None:
+        """Take model, control law and stepper, and make all buffers.
+
+        Raises:
+            CapabilityError: If the backend cannot run what is asked, by name.
+        """
+        ...
+
+    def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
+        """Advance ``state`` in place by ``substeps`` of ``dt`` [s] with the action ``command`` (E, n) held."""
+        ...
+
+    def reset(self, mask: Tensor) -> None:
+        """Forget what the backend remembers of the environments in ``mask``, bool (E,)."""
+        ...
+
+    def set_model(self, model: Model) -> None:
+        """Take other parameters of the same shapes: after a randomised reset."""
+        ...
+
+
+BACKENDS: Registry[Callable[[], PhysicsBackend]] = Registry("physics backend")
+"""Constructors of backends by name."""

@@ -1,0 +1,131 @@
+"""What every physical effect states: the hinge between simulation and identification.
+
+An effect is one file. It gives its parameters with unit, bounds and neutral value, what it acts on, what must vary in a
+flight for it to be seen, what it can be confused with, and its formula once. Simulation and identification call the same
+methods, so that they cannot drift apart. Parameters are per environment, (E, P).
+Frames: body is x forward, y left, z up; world is z up.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics.vehicle import Vehicle
+
+ActsOn = Literal["rotor", "actuation", "wrench", "inertia", "environment", "sensor"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One number of an effect."""
+
+    name: str
+    """Short name, as in robot files and verdicts."""
+
+    unit: str
+    """SI unit."""
+
+    low: float
+    """Lowest value that is physically possible."""
+
+    high: float
+    """Highest value that is physically possible."""
+
+    scale: float
+    """A change that one would call moderate: the step of numerical derivatives and fits."""
+
+    meaning: str
+    """One line."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Condition:
+    """The instant at which a force is asked for."""
+
+    position: Tensor
+    """Centre of mass [m], world, (E, 3)."""
+
+    attitude: Tensor
+    """Body to world, xyzw, (E, 4)."""
+
+    air_velocity: Tensor
+    """Velocity of the centre of mass through the air [m/s], body axes, (E, 3)."""
+
+    ang_vel: Tensor
+    """Angular velocity [rad/s], body, (E, 3)."""
+
+    rotor_speed: Tensor
+    """Rotor speeds [rad/s], (E, R)."""
+
+    rotor_thrust: Tensor
+    """Rotor thrusts [N], (E, R)."""
+
+
+class Effect(ABC):
+    """A named physical effect. Subclasses say where they act: ``VehicleEffect``, ``WindEffect``, ``WrenchEffect``."""
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    acts_on: ClassVar[ActsOn]
+    parameters: ClassVar[tuple[Parameter, ...]]
+    excitation: ClassVar[str]
+    """What must vary in a flight for the effect to be visible."""
+    confused_with: ClassVar[tuple[str, ...]]
+    """Names of effects that can look alike, and so must be weighed against this one."""
+
+    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
+        """Return the parameters with which the robot behaves as declared; zeros unless a subclass says otherwise."""
+        del robot
+        return (0.0,) * len(self.parameters)
+
+    def params_from(self, values: Mapping[str, float]) -> tuple[float, ...]:
+        """Return the parameters in order; raise ``ConfigError`` if one is unknown, missing or out of bounds."""
+        known = [parameter.name for parameter in self.parameters]
+        if set(values) != set(known):
+            raise ConfigError(f"effect {self.name}: parameters {sorted(values)} given, needs exactly {known}")
+        for parameter in self.parameters:
+            value = values[parameter.name]
+            if not parameter.low <= value <= parameter.high:
+                raise ConfigError(
+                    f"effect {self.name}.{parameter.name} = {value!r}: "
+                    f"must lie in [{parameter.low:g}, {parameter.high:g}] {parameter.unit}"
+                )
+        return tuple(float(values[name]) for name in known)
+
+
+class VehicleEffect(Effect):
+    """An effect that is a change of the vehicle's parameters: it costs nothing in a step."""
+
+    @abstractmethod
+    def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
+        """Return the vehicle with the effect in it. ``params`` is (E, P)."""
+
+
+class WindEffect(Effect):
+    """An effect that moves the air."""
+
+    acts_on = "environment"
+
+    @abstractmethod
+    def wind(self, position: Tensor, params: Tensor) -> Tensor:
+        """Return the velocity of the air [m/s], world, (E, 3), at ``position`` [m], world, (E, 3)."""
+
+
+class WrenchEffect(Effect):
+    """A force and torque on the body that is linear in its parameters."""
+
+    acts_on = "wrench"
+
+    @abstractmethod
+    def regressor(self, condition: Condition) -> Tensor:
+        """Return the matrix (E, 6, P) that maps parameters to force [N] and torque about the centre of mass [N m], body."""
+
+    def wrench(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return force and torque (E, 6), body axes: the regressor times the parameters (E, P)."""
+        return torch.einsum("eip,ep->ei", self.regressor(condition), params)

@@ -1,0 +1,32 @@
+"""The centre of mass is not where it was declared; the inertia about it is unchanged.
+
+The rotors then act with other levers, ``tau = sum (r - c) x f``, and a point fixed to the body feels
+``alpha x r + w x (w x r)`` from its distance to the centre of mass.
+Source: Derived: Newton-Euler equations about the centre of mass, e.g. Featherstone (2008), Rigid Body Dynamics
+Algorithms, section 2.15.
+"""
+
+from dataclasses import replace
+
+from torch import Tensor
+
+from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.vehicle import Vehicle
+
+
+class ComOffset(VehicleEffect):
+    """A shift of the centre of mass."""
+
+    name = "com_offset"
+    summary = "the centre of mass is shifted from its declared place"
+    acts_on = "inertia"
+    parameters = tuple(
+        Parameter(name=axis, unit="m", low=-0.5, high=0.5, scale=0.005, meaning=f"shift along body {axis}")
+        for axis in "xyz"
+    )
+    excitation = "x and y: any thrust; z: angular acceleration or rate together with the accelerometer"
+    confused_with = ("weak_motor", "motor_tilt", "imu_bias")
+
+    def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
+        """Return the vehicle with the shifted centre of mass."""
+        return replace(vehicle, com=vehicle.com + params)

@@ -1,0 +1,36 @@
+"""All rotors give a fixed multiple of the declared thrust and drag torque: air density, other propellers, wear.
+
+``T = k T_declared`` and ``q = k q_declared`` at every speed: both are proportional to the density of the air.
+Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.2.5: thrust and torque coefficient.
+"""
+
+from dataclasses import replace
+
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.vehicle import Vehicle
+
+
+class ThrustCoefficient(VehicleEffect):
+    """One factor on thrust and drag torque of all rotors."""
+
+    name = "thrust_coefficient"
+    summary = "one factor on thrust and drag torque of all rotors"
+    acts_on = "rotor"
+    parameters = (
+        Parameter(name="scale", unit="-", low=0.3, high=3.0, scale=0.05, meaning="true thrust per declared thrust"),
+    )
+    excitation = "thrust, as any flight has; a wrong mass looks the same in the force and differs only in the torque"
+    confused_with = ("payload_mass", "weak_motor", "battery_sag")
+
+    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
+        """Return 1: thrust as declared."""
+        del robot
+        return (1.0,)
+
+    def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
+        """Return the vehicle with scaled thrust and torque maps."""
+        scale = params[:, :1].unsqueeze(-1)
+        return replace(vehicle, thrust_map=scale * vehicle.thrust_map, torque_map=scale * vehicle.torque_map)

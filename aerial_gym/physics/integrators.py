@@ -1,0 +1,131 @@
+"""Steppers of the equations of motion. The rotors follow their exact solution in each of them.
+
+The state is that of the centre of mass (``MassState``), where Newton's and Euler's equations decouple; ``to_mass_state``
+and ``to_body_state`` go from and to the body origin. Letters: E environments, R rotors.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize, quat_rotate
+from aerial_gym.physics.model import Model
+from aerial_gym.physics.rigid_body import angular_acceleration, body_wrench, com_acceleration
+from aerial_gym.physics.rotors import lag_speed
+from aerial_gym.physics.state import BodyState
+
+
+@dataclass(frozen=True, kw_only=True)
+class MassState:
+    """Motion of the centre of mass."""
+
+    position: Tensor
+    """Centre of mass [m], world, (E, 3)."""
+
+    attitude: Tensor
+    """Body to world, unit, xyzw, (E, 4)."""
+
+    lin_vel: Tensor
+    """Velocity of the centre of mass [m/s], world, (E, 3)."""
+
+    ang_vel: Tensor
+    """Angular velocity [rad/s], body, (E, 3)."""
+
+    rotor_speed: Tensor
+    """Rotor speeds [rad/s], (E, R)."""
+
+
+Stepper = Callable[[Model, MassState, Tensor, float], MassState]
+"""``(model, state, rotor_command (E, R) [rad/s], dt [s]) -> state after dt``."""
+
+
+def to_mass_state(model: Model, state: BodyState) -> MassState:
+    """Return the motion of the centre of mass: ``p_c = p_o + R c``, ``v_c = v_o + R (w x c)``."""
+    com = model.vehicle.com
+    return MassState(
+        position=state.position + quat_rotate(state.attitude, com),
+        attitude=state.attitude,
+        lin_vel=state.lin_vel + quat_rotate(state.attitude, torch.linalg.cross(state.ang_vel, com)),
+        ang_vel=state.ang_vel,
+        rotor_speed=state.rotor_speed,
+    )
+
+
+def to_body_state(model: Model, state: MassState) -> BodyState:
+    """Return the motion of the body origin, the inverse of ``to_mass_state``."""
+    com = model.vehicle.com
+    return BodyState(
+        position=state.position - quat_rotate(state.attitude, com),
+        attitude=state.attitude,
+        lin_vel=state.lin_vel - quat_rotate(state.attitude, torch.linalg.cross(state.ang_vel, com)),
+        ang_vel=state.ang_vel,
+        rotor_speed=state.rotor_speed,
+    )
+
+
+def _rotor_speed_after(model: Model, speed: Tensor, command: Tensor, dt: float) -> Tensor:
+    vehicle = model.vehicle
+    return lag_speed(speed, command, vehicle.time_constant_up, vehicle.time_constant_down, dt)
+
+
+def _derivative(model: Model, state: MassState) -> tuple[Tensor, Tensor]:
+    position, attitude, lin_vel, ang_vel, rotor_speed = vars(state).values()
+    force, torque = body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed)
+    return com_acceleration(model, attitude, force), angular_acceleration(model, ang_vel, torque)
+
+
+def semi_implicit_euler(model: Model, state: MassState, rotor_command: Tensor, dt: float) -> MassState:
+    """Return the state after one step of order 1: velocities first, then positions with the new velocities.
+
+    The attitude is turned by the exact rotation ``exp(w dt)``. Source: Hairer, Lubich, Wanner (2006), Geometric Numerical
+    Integration, I.1.2 (symplectic Euler).
+    """
+    rotor_speed = _rotor_speed_after(model, state.rotor_speed, rotor_command, dt)
+    acc, ang_acc = _derivative(model, MassState(**{**vars(state), "rotor_speed": rotor_speed}))
+    lin_vel, ang_vel = state.lin_vel + dt * acc, state.ang_vel + dt * ang_acc
+    return MassState(
+        position=state.position + dt * lin_vel,
+        attitude=quat_normalize(quat_multiply(state.attitude, quat_exp(dt * ang_vel))),
+        lin_vel=lin_vel,
+        ang_vel=ang_vel,
+        rotor_speed=rotor_speed,
+    )
+
+
+def rk4(model: Model, state: MassState, rotor_command: Tensor, dt: float) -> MassState:
+    """Return the state after one classical Runge-Kutta step of order 4; rotor speeds are exact at every stage.
+
+    Source: Hairer, Norsett, Wanner (1993), Solving Ordinary Differential Equations I, table II.1.2.
+    """
+    half = _rotor_speed_after(model, state.rotor_speed, rotor_command, 0.5 * dt)
+    end = _rotor_speed_after(model, state.rotor_speed, rotor_command, dt)
+    slopes, stage = [], state
+    for speed, weight in ((state.rotor_speed, 0.5), (half, 0.5), (half, 1.0), (end, 0.0)):
+        stage = MassState(**{**vars(stage), "rotor_speed": speed})
+        acc, ang_acc = _derivative(model, stage)
+        slopes.append((stage.lin_vel, _attitude_rate(stage.attitude, stage.ang_vel), acc, ang_acc))
+        stage = _advance(state, slopes[-1], weight * dt)
+    mean = [(a + 2.0 * b + 2.0 * c + d) / 6.0 for a, b, c, d in zip(*slopes, strict=True)]
+    final = _advance(state, mean, dt)
+    return MassState(**{**vars(final), "attitude": quat_normalize(final.attitude), "rotor_speed": end})
+
+
+def _attitude_rate(attitude: Tensor, ang_vel: Tensor) -> Tensor:
+    """Return ``q' = q (w, 0) / 2``."""
+    return 0.5 * quat_multiply(attitude, torch.cat((ang_vel, torch.zeros_like(ang_vel[:, :1])), dim=-1))
+
+
+def _advance(state: MassState, slope: tuple[Tensor, ...] | list[Tensor], dt: float) -> MassState:
+    return MassState(
+        position=state.position + dt * slope[0],
+        attitude=state.attitude + dt * slope[1],
+        lin_vel=state.lin_vel + dt * slope[2],
+        ang_vel=state.ang_vel + dt * slope[3],
+        rotor_speed=state.rotor_speed,
+    )
+
+
+INTEGRATORS: dict[str, Stepper] = {"euler": semi_implicit_euler, "rk4": rk4}
+"""Steppers by the name that a user chooses."""

@@ -1,0 +1,85 @@
+"""A vehicle with its effects: everything that decides how it accelerates.
+
+Frames: body is x forward, y left, z up; world is z up. Letters: E environments, R rotors, P parameters of an effect.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ShapeError
+from aerial_gym.physics.effects import EFFECTS, Effect, VehicleEffect, WindEffect, WrenchEffect
+from aerial_gym.physics.vehicle import Vehicle
+
+STANDARD_GRAVITY = 9.81
+"""Gravity of the registered sims [m/s²]."""
+
+EffectParams = tuple[Effect, Tensor]
+"""An effect and its parameters, (E, P)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """The vehicle as it really is, and the forces beside its rotors."""
+
+    vehicle: Vehicle
+    """With the effects on its parameters applied."""
+
+    inertia_inverse: Tensor
+    """Inverse of the inertia [1/(kg m²)], (E, 3, 3)."""
+
+    winds: tuple[tuple[WindEffect, Tensor], ...]
+    """Effects that move the air."""
+
+    wrenches: tuple[tuple[WrenchEffect, Tensor], ...]
+    """Effects that push and turn the body."""
+
+    gravity: float
+    """Downward acceleration of free fall [m/s²]."""
+
+
+def build_model(vehicle: Vehicle, effects: Sequence[EffectParams] = (), *, gravity: float = STANDARD_GRAVITY) -> Model:
+    """Return the model of a declared vehicle with effects added; differentiable in vehicle and parameters.
+
+    Raises:
+        ShapeError: If the parameters of an effect are not (E, P).
+    """
+    for effect, params in effects:
+        expected = (vehicle.num_envs, len(effect.parameters))
+        if tuple(params.shape) != expected:
+            raise ShapeError(f"effect {effect.name}: parameters have shape {tuple(params.shape)}, expected {expected}")
+        if isinstance(effect, VehicleEffect):
+            vehicle = effect.adjust(vehicle, params)
+    return Model(
+        vehicle=vehicle,
+        inertia_inverse=torch.linalg.inv(vehicle.inertia),
+        winds=tuple((effect, params) for effect, params in effects if isinstance(effect, WindEffect)),
+        wrenches=tuple((effect, params) for effect, params in effects if isinstance(effect, WrenchEffect)),
+        gravity=gravity,
+    )
+
+
+def effects_from_config(
+    effects: Mapping[str, Mapping[str, float]], *, num_envs: int, device: torch.device, dtype: torch.dtype
+) -> list[EffectParams]:
+    """Return the effects named in a robot file with their parameters in every environment.
+
+    Raises:
+        UnknownNameError: If an effect is not registered.
+        ConfigError: If a parameter is unknown, missing or out of bounds.
+    """
+    found = []
+    for name, values in effects.items():
+        effect = EFFECTS.get(name)
+        row = torch.tensor(effect.params_from(values), dtype=dtype, device=device)
+        found.append((effect, row.expand(num_envs, -1).clone()))
+    return found
+
+
+def check_effects(robot: RobotCfg) -> None:
+    """Raise the errors of ``effects_from_config`` without making a tensor."""
+    for name, values in robot.effects.items():
+        EFFECTS.get(name).params_from(values)

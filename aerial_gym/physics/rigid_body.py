@@ -1,0 +1,100 @@
+"""Newton-Euler equations of a multirotor about its centre of mass, and what an accelerometer at the origin feels.
+
+Pure functions of tensors. Frames: body is x forward, y left, z up; world is z up.
+Letters: E environments, R rotors. Subscripts: o body origin, c centre of mass.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
+from aerial_gym.physics.effects import Condition
+from aerial_gym.physics.model import Model
+from aerial_gym.physics.rotors import evaluate_map, rotor_wrench
+from aerial_gym.physics.state import BodyState
+
+
+def multiply_rows(matrix: Tensor, vector: Tensor) -> Tensor:
+    """Return ``A v`` row by row: (E, 3, 3) times (E, 3) gives (E, 3)."""
+    return (matrix * vector.unsqueeze(-2)).sum(-1)
+
+
+def air_velocity(model: Model, position: Tensor, attitude: Tensor, com_vel: Tensor) -> Tensor:
+    """Return the velocity of the centre of mass through the air [m/s], body, (E, 3): ``R^T (v_c - wind)``."""
+    for effect, params in model.winds:
+        com_vel = com_vel - effect.wind(position, params)
+    return quat_rotate_inverse(attitude, com_vel)
+
+
+def body_wrench(
+    model: Model, position: Tensor, attitude: Tensor, com_vel: Tensor, ang_vel: Tensor, rotor_speed: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return all force but gravity [N] and torque about the centre of mass [N m], body, each (E, 3).
+
+    Args:
+        model: Vehicle and effects.
+        position: Centre of mass [m], world, (E, 3).
+        attitude: Body to world, xyzw, (E, 4).
+        com_vel: Velocity of the centre of mass [m/s], world, (E, 3).
+        ang_vel: Angular velocity [rad/s], body, (E, 3).
+        rotor_speed: Rotor speeds [rad/s], (E, R).
+    """
+    vehicle = model.vehicle
+    thrust = evaluate_map(vehicle.thrust_map, rotor_speed)
+    force, torque = rotor_wrench(vehicle, thrust, evaluate_map(vehicle.torque_map, rotor_speed))
+    if not model.wrenches:
+        return force, torque
+    condition = Condition(
+        position=position,
+        attitude=attitude,
+        air_velocity=air_velocity(model, position, attitude, com_vel),
+        ang_vel=ang_vel,
+        rotor_speed=rotor_speed,
+        rotor_thrust=thrust,
+    )
+    for effect, params in model.wrenches:
+        wrench = effect.wrench(condition, params)
+        force, torque = force + wrench[:, :3], torque + wrench[:, 3:]
+    return force, torque
+
+
+def angular_acceleration(model: Model, ang_vel: Tensor, torque: Tensor) -> Tensor:
+    """Return ``J^-1 (tau - w x J w)`` [rad/s²], body, (E, 3): Euler's equation about the centre of mass."""
+    momentum = multiply_rows(model.vehicle.inertia, ang_vel)
+    return multiply_rows(model.inertia_inverse, torque - torch.linalg.cross(ang_vel, momentum))
+
+
+def com_acceleration(model: Model, attitude: Tensor, force: Tensor) -> Tensor:
+    """Return ``R f / m + g`` [m/s²], world, (E, 3): Newton's equation of the centre of mass."""
+    ax, ay, az = quat_rotate(attitude, force / model.vehicle.mass.unsqueeze(-1)).unbind(-1)
+    return torch.stack((ax, ay, az - model.gravity), dim=-1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accelerations:
+    """What inertial sensors at the body origin measure, without their errors."""
+
+    specific_force: Tensor
+    """Specific force at the body origin [m/s²], body, (E, 3): +g on z at hover."""
+
+    ang_acc: Tensor
+    """Angular acceleration [rad/s²], body, (E, 3)."""
+
+
+def accelerations(model: Model, state: BodyState) -> Accelerations:
+    """Return specific force and angular acceleration in a state; each row may be a moment of a flight log.
+
+    ``f_o = F / m - alpha x c - w x (w x c)`` with c from the origin to the centre of mass.
+
+    Source:
+        Derived: acceleration of two points of a rigid body, ``a_c = a_o + alpha x c + w x (w x c)``.
+    """
+    com, ang_vel = model.vehicle.com, state.ang_vel
+    position = state.position + quat_rotate(state.attitude, com)
+    com_vel = state.lin_vel + quat_rotate(state.attitude, torch.linalg.cross(ang_vel, com))
+    force, torque = body_wrench(model, position, state.attitude, com_vel, ang_vel, state.rotor_speed)
+    ang_acc = angular_acceleration(model, ang_vel, torque)
+    lever = torch.linalg.cross(ang_acc, com) + torch.linalg.cross(ang_vel, torch.linalg.cross(ang_vel, com))
+    return Accelerations(specific_force=force / model.vehicle.mass.unsqueeze(-1) - lever, ang_acc=ang_acc)

@@ -1,0 +1,89 @@
+"""Rotor lag, thrust and drag torque of spinning rotors.
+
+Pure functions of tensors: no state, no allocation that outlives the call, no device choice.
+Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
+"""
+
+import torch
+from torch import Tensor
+
+from aerial_gym.physics.vehicle import Vehicle
+
+
+def lag_speed(speed: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, dt: float) -> Tensor:
+    """Return the rotor speed after ``dt`` under a held command, ``w_c + (w - w_c) exp(-dt / tau)``.
+
+    The exact solution of ``tau dw/dt = w_c - w``: the result does not depend on how a span is divided into steps. Which
+    time constant holds cannot change on the way, because the speed approaches the command from one side.
+
+    Args:
+        speed: Rotor speeds w [rad/s], (E, R).
+        command: Commanded speeds w_c [rad/s], (E, R).
+        tau_up: Time constant where the command is above the speed [s], (E, R). Zero follows at once.
+        tau_down: Time constant where it is below [s], (E, R).
+        dt: Span [s].
+
+    Returns:
+        Rotor speeds [rad/s], (E, R).
+
+    Source:
+        Derived: linear first-order equation with constant input.
+    """
+    tau = torch.where(command > speed, tau_up, tau_down)
+    return command + (speed - command) * torch.exp(-dt / tau)
+
+
+def evaluate_map(coefficients: Tensor, speed: Tensor) -> Tensor:
+    """Return ``c0 + c1 w + c2 w²``: thrust [N] or drag torque [N m].
+
+    Args:
+        coefficients: c0, c1, c2, (E, R, 3).
+        speed: Rotor speeds w [rad/s], (E, R).
+
+    Returns:
+        Values, (E, R).
+
+    Source:
+        Static propeller data fit a quadratic with linear term, e.g. Foerster (2015), System identification of the
+        Crazyflie 2.0, section 3.2.
+    """
+    c0, c1, c2 = coefficients.unbind(-1)
+    return c0 + speed * (c1 + speed * c2)
+
+
+def speed_for_thrust(coefficients: Tensor, thrust: Tensor) -> Tensor:
+    """Return the speed [rad/s] that gives a thrust: the larger root of ``c0 + c1 w + c2 w² = T``, or its vertex.
+
+    Args:
+        coefficients: c0, c1, c2 with c2 > 0, (E, R, 3).
+        thrust: Thrusts T [N], (E, R).
+
+    Returns:
+        Rotor speeds [rad/s], (E, R).
+
+    Source:
+        Derived: quadratic formula; a thrust below the minimum of the map gives the speed of that minimum.
+    """
+    c0, c1, c2 = coefficients.unbind(-1)
+    root = (c1 * c1 + 4.0 * c2 * (thrust - c0)).clamp_min(0.0).sqrt()
+    return (root - c1) / (2.0 * c2)
+
+
+def rotor_wrench(vehicle: Vehicle, thrust: Tensor, torque: Tensor) -> tuple[Tensor, Tensor]:
+    """Return force and torque of all rotors on the body, ``sum T a`` and ``sum (r - c) x T a - s q a``.
+
+    Args:
+        vehicle: Gives hubs r, axes a, spins s and the centre of mass c.
+        thrust: Thrusts T [N], (E, R).
+        torque: Magnitudes q of the drag torques [N m], (E, R).
+
+    Returns:
+        Force [N] and torque about the centre of mass [N m], body, each (E, 3).
+
+    Source:
+        Mahony, Kumar, Corke (2012), Multirotor Aerial Vehicles, eq. 6-8, for arbitrary axes.
+    """
+    force = thrust.unsqueeze(-1) * vehicle.rotor_axis
+    lever = vehicle.rotor_position - vehicle.com.unsqueeze(1)
+    reaction = (vehicle.rotor_spin * torque).unsqueeze(-1) * vehicle.rotor_axis
+    return force.sum(1), (torch.linalg.cross(lever, force) - reaction).sum(1)

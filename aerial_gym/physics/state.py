@@ -1,0 +1,57 @@
+"""The state of a batch of multirotors.
+
+Letters: E environments, R rotors.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyState:
+    """Motion of the body origin and speeds of the rotors, all at the same instant."""
+
+    position: Tensor
+    """Body origin [m], world, (E, 3)."""
+
+    attitude: Tensor
+    """Body to world, unit, xyzw, (E, 4)."""
+
+    lin_vel: Tensor
+    """Velocity of the body origin [m/s], world, (E, 3)."""
+
+    ang_vel: Tensor
+    """Angular velocity [rad/s], body, (E, 3)."""
+
+    rotor_speed: Tensor
+    """Rotor speeds [rad/s], (E, R)."""
+
+    @property
+    def num_envs(self) -> int:
+        """Number of environments E."""
+        return self.position.shape[0]
+
+    def tensors(self) -> tuple[Tensor, ...]:
+        """Return the tensors in the order of the fields."""
+        return self.position, self.attitude, self.lin_vel, self.ang_vel, self.rotor_speed
+
+    def copy_(self, other: "BodyState") -> None:
+        """Write the values of ``other`` into these tensors."""
+        for mine, theirs in zip(self.tensors(), other.tensors(), strict=True):
+            mine.copy_(theirs)
+
+
+def state_at_rest(num_envs: int, num_rotors: int, *, device: torch.device, dtype: torch.dtype) -> BodyState:
+    """Return E bodies at the world origin, level, still, with still rotors."""
+    zeros = torch.zeros(num_envs, 3, device=device, dtype=dtype)
+    attitude = torch.zeros(num_envs, 4, device=device, dtype=dtype)
+    attitude[:, 3] = 1.0
+    return BodyState(
+        position=zeros,
+        attitude=attitude,
+        lin_vel=zeros.clone(),
+        ang_vel=zeros.clone(),
+        rotor_speed=torch.zeros(num_envs, num_rotors, device=device, dtype=dtype),
+    )

@@ -1,0 +1,69 @@
+"""The readable reference backend in torch: any float type, CPU or GPU, differentiable through a whole rollout."""
+
+import torch
+from torch import Tensor
+
+from aerial_gym.errors import CapabilityError
+from aerial_gym.physics.backend import BACKENDS, Capabilities, ControlLaw
+from aerial_gym.physics.integrators import INTEGRATORS, Stepper, to_body_state, to_mass_state
+from aerial_gym.physics.model import Model
+from aerial_gym.physics.state import BodyState
+
+
+def advance(
+    model: Model, stepper: Stepper, control: ControlLaw, state: BodyState, command: Tensor, dt: float, substeps: int
+) -> BodyState:
+    """Return the state after ``substeps`` of ``dt`` [s]; the control law runs before each. Differentiable.
+
+    Args:
+        model: Vehicle and effects.
+        stepper: One of ``INTEGRATORS``.
+        control: Turns the action into rotor commands.
+        state: Motion of the body origin and rotor speeds.
+        command: Action, held, (E, number of actions).
+        dt: Length of one substep [s].
+        substeps: How many.
+    """
+    for _ in range(substeps):
+        rotor_command = control.rotor_command(state, command)
+        state = to_body_state(model, stepper(model, to_mass_state(model, state), rotor_command, dt))
+    return state
+
+
+class TorchBackend:
+    """Physics in plain torch operations."""
+
+    capabilities = Capabilities(
+        devices=("cpu", "cuda"),
+        dtypes=(torch.float32, torch.float64),
+        integrators=tuple(INTEGRATORS),
+        differentiable=True,
+        effects=None,
+    )
+
+    _model: Model
+    _control: ControlLaw
+    _stepper: Stepper
+
+    def allocate(self, model: Model, control: ControlLaw, *, integrator: str) -> None:
+        """Take model, control law and stepper by name."""
+        if integrator not in INTEGRATORS:
+            raise CapabilityError(f"backend torch: no integrator {integrator!r}. Known: {', '.join(INTEGRATORS)}")
+        self._stepper, self._control = INTEGRATORS[integrator], control
+        self.set_model(model)
+
+    def set_model(self, model: Model) -> None:
+        """Take other parameters."""
+        self._model = model
+
+    @torch.no_grad()
+    def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
+        """Advance ``state`` in place; ``advance`` is the same with gradients."""
+        state.copy_(advance(self._model, self._stepper, self._control, state, command, dt, substeps))
+
+    def reset(self, mask: Tensor) -> None:
+        """Nothing to forget: all memory is in the state."""
+        del mask
+
+
+BACKENDS.register("torch", TorchBackend)
