@@ -1,0 +1,48 @@
+"""From a wanted body wrench to rotor commands.
+
+The matrix is derived from the rotors of the *declared* vehicle: an autopilot does not know the effects it lacks.
+Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
+"""
+
+import torch
+from torch import Tensor
+
+from aerial_gym.physics.rotors import evaluate_map, speed_for_thrust
+from aerial_gym.physics.vehicle import Vehicle
+
+
+def allocation_matrix(vehicle: Vehicle, gravity: float) -> Tensor:
+    """Return the matrix that maps rotor thrusts to force and torque about the centre of mass, (E, 6, R).
+
+    A column is ``[a; (r - c) x a - s k a]`` with axis a, hub r, centre of mass c, spin s and torque per thrust k, taken
+    at the hover thrust ``m g / R`` where the two polynomials are not proportional.
+
+    Source:
+        Mahony, Kumar, Corke (2012), Multirotor Aerial Vehicles, eq. 8, for arbitrary axes.
+    """
+    hover = (vehicle.mass * gravity / vehicle.num_rotors).unsqueeze(-1).expand(-1, vehicle.num_rotors)
+    speed = speed_for_thrust(vehicle.thrust_map, hover)
+    torque_ratio = evaluate_map(vehicle.torque_map, speed) / evaluate_map(vehicle.thrust_map, speed)
+    lever = vehicle.rotor_position - vehicle.com.unsqueeze(1)
+    reaction = (vehicle.rotor_spin * torque_ratio).unsqueeze(-1) * vehicle.rotor_axis
+    torque = torch.linalg.cross(lever, vehicle.rotor_axis) - reaction
+    return torch.cat((vehicle.rotor_axis, torque), dim=-1).transpose(1, 2)
+
+
+class Allocation:
+    """Pseudo-inverse allocation with clamping to the rotors' limits."""
+
+    def __init__(self, vehicle: Vehicle, gravity: float) -> None:
+        """Take the declared vehicle and gravity [m/s²]."""
+        self._inverse = torch.linalg.pinv(allocation_matrix(vehicle, gravity))  # (E, R, 6)
+        self._thrust_map = vehicle.thrust_map
+        self._low = evaluate_map(vehicle.thrust_map, vehicle.speed_low)
+        self._high = evaluate_map(vehicle.thrust_map, vehicle.speed_high)
+
+    def thrust(self, wrench: Tensor) -> Tensor:
+        """Return unclamped rotor thrusts [N], (E, R), of least norm for a wrench [N, N m], body, (E, 6)."""
+        return (self._inverse * wrench.unsqueeze(1)).sum(-1)
+
+    def speed(self, thrust: Tensor) -> Tensor:
+        """Return rotor speeds [rad/s], (E, R), that give the thrusts [N] after clamping to the limits."""
+        return speed_for_thrust(self._thrust_map, torch.clamp(thrust, self._low, self._high))

@@ -1,0 +1,41 @@
+"""Every control law by the name that a controller configuration uses."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from aerial_gym.control.lee import (
+    LeeGains,
+    acceleration_control,
+    attitude_control,
+    position_control,
+    rates_control,
+    velocity_control,
+)
+from aerial_gym.physics.state import BodyState
+
+
+@dataclass(frozen=True, kw_only=True)
+class Law:
+    """A geometric law and the meaning of its action."""
+
+    wrench: Callable[[BodyState, Tensor, LeeGains], Tensor]
+    """State, action (E, 4) and gains to the wanted wrench (E, 6), body."""
+
+    action: tuple[str, ...]
+    """What each entry of the action is, with its unit."""
+
+
+LAWS: dict[str, Law] = {
+    "position": Law(wrench=position_control, action=("x [m]", "y [m]", "z [m]", "yaw [rad]")),
+    "velocity": Law(wrench=velocity_control, action=("vx [m/s]", "vy [m/s]", "vz [m/s]", "yaw rate [rad/s]")),
+    "acceleration": Law(
+        wrench=acceleration_control, action=("ax [m/s²]", "ay [m/s²]", "az [m/s²]", "yaw rate [rad/s]")
+    ),
+    "attitude": Law(
+        wrench=attitude_control, action=("thrust - 1 [weights]", "roll [rad]", "pitch [rad]", "yaw rate [rad/s]")
+    ),
+    "rates": Law(wrench=rates_control, action=("thrust - 1 [weights]", "p [rad/s]", "q [rad/s]", "r [rad/s]")),
+}
+"""The geometric laws. ``thrust`` and ``rotor_speed`` need none: the action goes to the rotors."""

@@ -1,0 +1,190 @@
+"""Geometric control of multirotors on SE(3): pure functions from state and command to a body wrench.
+
+Source: Lee, Leok, McClamroch (2010), Geometric tracking control of a quadrotor UAV on SE(3), eq. 10-16; the split into
+position, velocity, acceleration, attitude and rate control and the command conventions follow the Aerial Gym Simulator.
+Frames: world z up, body x forward, y left, z up; the *vehicle* frame is the world turned by the yaw alone.
+Letters: E environments.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_to_matrix, quat_yaw
+from aerial_gym.physics.state import BodyState
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeeGains:
+    """Gains of every environment and what the autopilot believes of its vehicle."""
+
+    position: Tensor
+    """[1/s²], (E, 3)."""
+
+    velocity: Tensor
+    """[1/s], (E, 3)."""
+
+    attitude: Tensor
+    """[N m/rad], (E, 3)."""
+
+    rate: Tensor
+    """[N m s/rad], (E, 3)."""
+
+    mass: Tensor
+    """Declared mass [kg], (E,)."""
+
+    inertia: Tensor
+    """Declared inertia [kg m²], (E, 3, 3)."""
+
+    gravity: float
+    """[m/s²]."""
+
+    max_yaw_rate: float
+    """[rad/s]."""
+
+    max_inclination: float
+    """[rad]."""
+
+
+def attitude_error(rotation: Tensor, desired: Tensor) -> Tensor:
+    """Return ``vee(Rd^T R - R^T Rd) / 2`` [rad for small errors], body, (E, 3). Source: Lee (2010), eq. 10."""
+    product = desired.transpose(1, 2) @ rotation
+    skew = 0.5 * (product - product.transpose(1, 2))
+    return torch.stack((skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]), dim=-1)
+
+
+def body_rates_of_yaw_rate(euler: Tensor, yaw_rate: Tensor) -> Tensor:
+    """Return the body rates [rad/s], (E, 3), of a yaw rate (E,) with roll and pitch held.
+
+    Source: Diebel (2006), Representing Attitude, eq. 287: ``w = psi' (-sin th, sin ph cos th, cos ph cos th)``.
+    """
+    roll, pitch = euler[:, 0], euler[:, 1]
+    return yaw_rate.unsqueeze(-1) * torch.stack(
+        (-torch.sin(pitch), torch.sin(roll) * torch.cos(pitch), torch.cos(roll) * torch.cos(pitch)), dim=-1
+    )
+
+
+def attitude_from_force(force: Tensor, yaw: Tensor) -> Tensor:
+    """Return the rotation with body z along ``force`` (E, 3) and body x nearest to heading ``yaw`` (E,), (E, 3, 3).
+
+    Source: Lee (2010), eq. 12 and the text after it.
+    """
+    b3 = force / force.norm(dim=-1, keepdim=True)
+    heading = torch.stack((torch.cos(yaw), torch.sin(yaw), torch.zeros_like(yaw)), dim=-1)
+    b2 = torch.linalg.cross(b3, heading)
+    b2 = b2 / b2.norm(dim=-1, keepdim=True)
+    return torch.stack((torch.linalg.cross(b2, b3), b2, b3), dim=-1)
+
+
+def attitude_torque(gains: LeeGains, rotation: Tensor, desired: Tensor, ang_vel: Tensor, rate: Tensor) -> Tensor:
+    """Return ``-K_R e_R - K_w e_w + w x J w`` [N m], body, (E, 3). Source: Lee (2010), eq. 16 without feed-forward.
+
+    Args:
+        gains: Gains and inertia.
+        rotation: Body to world R, (E, 3, 3).
+        desired: Wanted body to world Rd, (E, 3, 3).
+        ang_vel: Angular velocity w [rad/s], body, (E, 3).
+        rate: Wanted angular velocity [rad/s], in the wanted body frame, (E, 3).
+    """
+    wanted = (rotation.transpose(1, 2) @ desired @ rate.unsqueeze(-1)).squeeze(-1)
+    error = attitude_error(rotation, desired)
+    return rate_torque(gains, ang_vel, wanted) - gains.attitude * error
+
+
+def rate_torque(gains: LeeGains, ang_vel: Tensor, rate: Tensor) -> Tensor:
+    """Return ``-K_w (w - w_d) + w x J w`` [N m], body, (E, 3)."""
+    momentum = (gains.inertia * ang_vel.unsqueeze(1)).sum(-1)
+    return torch.linalg.cross(ang_vel, momentum) - gains.rate * (ang_vel - rate)
+
+
+def limit_inclination(force: Tensor, minimum: Tensor, max_inclination: float) -> Tensor:
+    """Return the force (E, 3) with z at least ``minimum`` (E,) [N] and tilted at most ``max_inclination`` [rad]."""
+    up = torch.maximum(force[:, 2], minimum)
+    lateral = force[:, :2]
+    largest = up * torch.tan(torch.as_tensor(max_inclination, dtype=up.dtype))
+    shrink = torch.clamp(largest / lateral.norm(dim=-1).clamp_min(1e-9), max=1.0)
+    return torch.cat((lateral * shrink.unsqueeze(-1), up.unsqueeze(-1)), dim=-1)
+
+
+def acceleration_wrench(state: BodyState, acceleration: Tensor, yaw: Tensor, rate: Tensor, gains: LeeGains) -> Tensor:
+    """Return the wrench (E, 6), body, that gives an acceleration: ``F = m (a - g)``, thrust ``F . b3``, attitude along F.
+
+    Args:
+        state: Measured motion.
+        acceleration: Wanted acceleration [m/s²], world, (E, 3).
+        yaw: Wanted heading [rad], (E,).
+        rate: Wanted body rates [rad/s], (E, 3).
+        gains: Gains and declared vehicle.
+    """
+    weight = gains.mass * gains.gravity
+    lateral, up = acceleration[:, :2], acceleration[:, 2:] + gains.gravity
+    force = gains.mass.unsqueeze(-1) * torch.cat((lateral, up), dim=-1)
+    force = limit_inclination(force, 0.1 * weight, gains.max_inclination)
+    rotation = quat_to_matrix(state.attitude)
+    thrust = (force * rotation[:, :, 2]).sum(-1)
+    torque = attitude_torque(gains, rotation, attitude_from_force(force, yaw), state.ang_vel, rate)
+    return wrench_from(thrust, torque)
+
+
+def wrench_from(thrust: Tensor, torque: Tensor) -> Tensor:
+    """Return the wrench (E, 6) of a thrust (E,) along body z and a torque (E, 3)."""
+    zero = torch.zeros_like(thrust)
+    return torch.cat((torch.stack((zero, zero, thrust), dim=-1), torque), dim=-1)
+
+
+def position_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
+    """Return the wrench for x, y, z [m, world] and yaw [rad], action (E, 4): ``a = K_p e_p + K_v e_v``."""
+    acceleration = gains.position * (action[:, :3] - state.position) - gains.velocity * state.lin_vel
+    return acceleration_wrench(state, acceleration, action[:, 3], torch.zeros_like(state.ang_vel), gains)
+
+
+def velocity_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
+    """Return the wrench for vx, vy, vz [m/s, vehicle frame] and yaw rate [rad/s], action (E, 4)."""
+    wanted = quat_rotate(quat_yaw(state.attitude), action[:, :3])
+    return _with_yaw_rate(state, gains.velocity * (wanted - state.lin_vel), action[:, 3], gains)
+
+
+def acceleration_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
+    """Return the wrench for ax, ay, az [m/s², world] and yaw rate [rad/s], action (E, 4)."""
+    return _with_yaw_rate(state, action[:, :3], action[:, 3], gains)
+
+
+def _with_yaw_rate(state: BodyState, acceleration: Tensor, yaw_rate: Tensor, gains: LeeGains) -> Tensor:
+    euler = euler_from_quat(state.attitude)
+    rate = body_rates_of_yaw_rate(euler, yaw_rate.clamp(-gains.max_yaw_rate, gains.max_yaw_rate))
+    return acceleration_wrench(state, acceleration, euler[:, 2], rate, gains)
+
+
+def attitude_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
+    """Return the wrench for thrust [multiples of weight, 0 is hover], roll, pitch [rad], yaw rate [rad/s], action (E, 4)."""
+    euler = euler_from_quat(state.attitude)
+    yaw_rate = action[:, 3].clamp(-gains.max_yaw_rate, gains.max_yaw_rate)
+    desired = _matrix_from_euler(action[:, 1], action[:, 2], euler[:, 2])
+    rate = body_rates_of_yaw_rate(euler, yaw_rate)
+    torque = attitude_torque(gains, quat_to_matrix(state.attitude), desired, state.ang_vel, rate)
+    return wrench_from((action[:, 0] + 1.0) * gains.mass * gains.gravity, torque)
+
+
+def rates_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
+    """Return the wrench for thrust [multiples of weight, 0 is hover] and body rates p, q, r [rad/s], action (E, 4)."""
+    torque = rate_torque(gains, state.ang_vel, action[:, 1:4])
+    return wrench_from((action[:, 0] + 1.0) * gains.mass * gains.gravity, torque)
+
+
+def _matrix_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
+    """Return ``Rz(yaw) Ry(pitch) Rx(roll)``, (E, 3, 3). Source: Diebel (2006), eq. 67."""
+    sr, cr, sp, cp = torch.sin(roll), torch.cos(roll), torch.sin(pitch), torch.cos(pitch)
+    sy, cy = torch.sin(yaw), torch.cos(yaw)
+    rows = (
+        cy * cp,
+        cy * sp * sr - sy * cr,
+        cy * sp * cr + sy * sr,
+        sy * cp,
+        sy * sp * sr + cy * cr,
+        sy * sp * cr - cy * sr,
+        -sp,
+        cp * sr,
+        cp * cr,
+    )
+    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
