@@ -1,0 +1,19 @@
+"""Every robot that comes with the package, in one table."""
+
+from dataclasses import replace
+
+from aerial_gym.config import CONFIG_DIR, load
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.registry import Registry
+
+ROBOTS: Registry[RobotCfg] = Registry("robot")
+
+_FOLDER = CONFIG_DIR / "robots"
+_BASE = load(RobotCfg, _FOLDER / "base_quadrotor.yaml")
+
+ROBOTS.register("base_quadrotor", _BASE)
+ROBOTS.register(
+    "base_quadrotor_with_camera",
+    replace(_BASE, summary="base_quadrotor with a depth and segmentation camera", sensors=("base_depth_camera",)),
+)
+ROBOTS.register("tinyprop", load(RobotCfg, _FOLDER / "tinyprop.yaml"))
