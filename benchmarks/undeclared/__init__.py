@@ -1,0 +1,9 @@
+"""Truth plant: flight logs of a quadrotor in which a physical effect is present but not declared.
+
+Referee of the system identification: shares no code with the package it judges. See README.md for the equations.
+"""
+
+from benchmarks.undeclared.cases import CaseFiles, make_case
+from benchmarks.undeclared.effects import EFFECTS, SIZES
+
+__all__ = ["EFFECTS", "SIZES", "CaseFiles", "make_case"]

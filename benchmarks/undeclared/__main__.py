@@ -1,0 +1,63 @@
+"""Command line: ``python -m benchmarks.undeclared --out DIR --effect com_offset --size moderate --seed 3``."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from benchmarks.undeclared import EFFECTS, SIZES, make_case
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.undeclared", description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, help="folder of the case")
+    parser.add_argument("--effect", action="append", default=[], choices=tuple(EFFECTS), help="hidden; may repeat")
+    parser.add_argument("--size", default="moderate", choices=SIZES, help="size of every --effect")
+    parser.add_argument(
+        "--param", action="append", default=[], metavar="EFFECT.KEY=VALUE", help="explicit value, SI; may repeat"
+    )
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--num-train", type=int, default=4)
+    parser.add_argument("--num-test", type=int, default=3)
+    parser.add_argument("--duration-s", type=float, default=16.0)
+    parser.add_argument("--rate-hz", type=int, default=400)
+    parser.add_argument("--nuisance", action="store_true", help="make mass, rotors, inertia and sensors slightly off")
+    return parser
+
+
+def _requested(sized: list[str], size: str, params: list[str]) -> dict[str, str | dict[str, float]]:
+    """Return the effects of the flags; an explicit value replaces the size of its effect."""
+    effects: dict[str, str | dict[str, float]] = dict.fromkeys(sized, size)
+    for text in params:
+        name, _, number = text.partition("=")
+        effect, _, key = name.partition(".")
+        values = effects.get(effect)
+        if not isinstance(values, dict):
+            values = effects[effect] = {}
+        values[key] = float(number)
+    return effects
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Make the case that the flags ask for; return the exit status."""
+    args = _parser().parse_args(argv)
+    try:
+        files = make_case(
+            args.out,
+            effects=_requested(args.effect, args.size, args.param),
+            seed=args.seed,
+            num_train=args.num_train,
+            num_test=args.num_test,
+            duration_s=args.duration_s,
+            nuisance=args.nuisance,
+            rate_hz=args.rate_hz,
+        )
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 2
+    for path in (*files.train, *files.test, files.robot, files.truth):
+        print(path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

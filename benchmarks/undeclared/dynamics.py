@@ -1,0 +1,137 @@
+"""Newton-Euler equations of a quadrotor about its centre of mass, and a classical Runge-Kutta step.
+
+The attitude is a rotation matrix R (body to world). One state is a row of 22 numbers, one flight per row:
+position of the centre of mass (3, world), its velocity (3, world), R (9, row by row), angular velocity (3, body),
+rotor speeds (4). Letters: F flights.
+
+Not modelled, on purpose: rotor inertia and gyroscopic torque, thrust that depends on inflow, ground, flexible parts.
+"""
+
+import numpy as np
+
+from benchmarks.undeclared.vehicle import GRAVITY, Array, Vehicle
+
+POS, VEL, ROT, RATE, ROTOR = slice(0, 3), slice(3, 6), slice(6, 15), slice(15, 18), slice(18, 22)
+STATE_SIZE = 22
+
+_HAT = np.zeros((3, 9))
+"""Maps w to the nine numbers of [w]x, the matrix with ``[w]x a = w x a``."""
+for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    _HAT[_i, 3 * _k + _j], _HAT[_i, 3 * _j + _k] = 1.0, -1.0
+
+
+def hat(vector: Array) -> Array:
+    """Return [w]x of each row, (F, 3) to (F, 3, 3)."""
+    return (vector @ _HAT).reshape(-1, 3, 3)
+
+
+def rotation(state: Array) -> Array:
+    """Return R, body to world, (F, 3, 3); a view."""
+    return state[:, ROT].reshape(-1, 3, 3)
+
+
+def wrench_map(vehicle: Vehicle) -> Array:
+    """Return the matrix (4, 6) from squared rotor speeds to force and torque about the centre of mass, body frame.
+
+    Rotor i gives the force ``f = c_i w^2 a`` at its hub and feels the drag torque ``k |f|`` against its spin, which the
+    body takes up: ``torque = (r - c) x f - spin k c_i w^2 a``.
+    """
+    force = vehicle.thrust_coeff[:, None] * vehicle.rotor_axis
+    torque = np.cross(vehicle.rotor_position - vehicle.com, force)
+    torque -= vehicle.rotor_spin[:, None] * vehicle.torque_ratio * force
+    return np.hstack((force, torque))
+
+
+class Plant:
+    """Equations of motion of one vehicle; states of several flights go in as rows."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.vehicle = vehicle
+        self._wrench_map = wrench_map(vehicle)
+        self._inertia = vehicle.inertia
+        self._inverse = np.linalg.inv(vehicle.inertia)
+        self._gravity = np.array([0.0, 0.0, -GRAVITY])
+        self._has_quadratic = bool(np.any(vehicle.quadratic_drag))
+
+    def body_force(self, state: Array) -> Array:
+        """Return thrust plus drag [N], body frame, (F, 3): all but gravity."""
+        return (state[:, ROTOR] ** 2 @ self._wrench_map)[:, :3] + self._drag(state)
+
+    def _drag(self, state: Array) -> Array:
+        """Return ``-(d1 + d2 |u|) u`` with the airspeed u of the centre of mass in body axes, (F, 3)."""
+        air = ((state[:, VEL] - self.vehicle.wind_world)[:, None, :] @ rotation(state))[:, 0]
+        if not self._has_quadratic:
+            return -self.vehicle.linear_drag * air
+        speed = np.sqrt((air * air).sum(axis=1, keepdims=True))
+        return -(self.vehicle.linear_drag + self.vehicle.quadratic_drag * speed) * air
+
+    def derivative(self, state: Array, command: Array) -> Array:
+        """Return the time derivative of each state, (F, 22).
+
+        ``p' = v``, ``m v' = R f + m g``, ``R' = R [w]x``, ``I w' = torque - w x I w``, ``n' = (n_cmd - n) / tau``.
+
+        Args:
+            state: States, (F, 22).
+            command: Commanded rotor speeds [rad/s], (F, 4).
+        """
+        out = np.empty_like(state)
+        rot, rate, rotor = rotation(state), state[:, RATE], state[:, ROTOR]
+        turn = hat(rate)
+        wrench = rotor * rotor @ self._wrench_map
+        force = (wrench[:, :3] + self._drag(state))[:, :, None]
+        momentum = (rate @ self._inertia)[:, :, None]  # the inertia is symmetric
+        error = command - rotor
+        out[:, POS] = state[:, VEL]
+        out[:, VEL] = (rot @ force)[:, :, 0] / self.vehicle.mass + self._gravity
+        out[:, ROT] = (rot @ turn).reshape(-1, 9)
+        out[:, RATE] = (wrench[:, 3:] - (turn @ momentum)[:, :, 0]) @ self._inverse
+        out[:, ROTOR] = error / np.where(error > 0.0, self.vehicle.tau_up, self.vehicle.tau_down)
+        return out
+
+    def step(self, state: Array, command: Array, dt: float) -> Array:
+        """Return the states after ``dt`` [s] under a held command: the classical fourth order Runge-Kutta step."""
+        k1 = self.derivative(state, command)
+        k2 = self.derivative(state + (0.5 * dt) * k1, command)
+        k3 = self.derivative(state + (0.5 * dt) * k2, command)
+        k4 = self.derivative(state + dt * k3, command)
+        return state + (dt / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+
+    def origin_position(self, state: Array) -> Array:
+        """Return the position of the body origin [m], ``p - R c``, world, (F, 3)."""
+        return state[:, POS] - rotation(state) @ self.vehicle.com
+
+    def origin_velocity(self, state: Array) -> Array:
+        """Return the velocity of the body origin [m/s], ``v - R (w x c)``, world, (F, 3)."""
+        lever = hat(state[:, RATE]) @ self.vehicle.com
+        return state[:, VEL] - (rotation(state) @ lever[:, :, None])[:, :, 0]
+
+    def specific_force(self, state: Array) -> Array:
+        """Return what an ideal accelerometer at the body origin reads [m/s²], body frame, (F, 3).
+
+        Derived: ``R^T (a_O - g)`` with ``a_O = a_C - R (w' x c + w x (w x c))`` and ``m (a_C - g) = R f``.
+        """
+        rate, com = state[:, RATE], self.vehicle.com
+        rate_dot = self.derivative(state, state[:, ROTOR])[:, RATE]
+        turn = hat(rate)
+        return self.body_force(state) / self.vehicle.mass - hat(rate_dot) @ com - (turn @ turn) @ com
+
+
+def orthonormalise(state: Array) -> None:
+    """Pull R back to a rotation in place, one Newton step ``R (3 - R^T R) / 2`` of the polar decomposition.
+
+    Source: N. Higham, "Computing the polar decomposition", 1986, the Newton-Schulz variant.
+    """
+    rot = rotation(state)
+    gram = rot.transpose(0, 2, 1) @ rot
+    state[:, ROT] = (0.5 * rot @ (3.0 * np.eye(3) - gram)).reshape(-1, 9)
+
+
+def rest_state(vehicle: Vehicle, origin: Array, yaw: Array) -> Array:
+    """Return level states at rest with the rotors at hover speed, from origin positions (F, 3) and headings (F,)."""
+    state = np.zeros((len(origin), STATE_SIZE))
+    rot = rotation(state)
+    rot[:, 0, 0] = rot[:, 1, 1] = np.cos(yaw)
+    rot[:, 1, 0], rot[:, 0, 1], rot[:, 2, 2] = np.sin(yaw), -np.sin(yaw), 1.0
+    state[:, POS] = origin + rot @ vehicle.com
+    state[:, ROTOR] = vehicle.hover_speed()
+    return state

@@ -1,0 +1,75 @@
+"""Write flight logs, the declared robot and the truth."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation
+
+from benchmarks.undeclared.simulate import CONTROL_RATE, Record
+from benchmarks.undeclared.vehicle import SOURCE, Array, Vehicle
+
+BATTERY_VOLTAGE = 16.0
+"""Constant in every log [V]: the plant has no battery."""
+
+COLUMNS = (
+    *("t", "p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w", "v_x", "v_y", "v_z"),
+    *("omega_x", "omega_y", "omega_z", "acc_x", "acc_y", "acc_z"),
+    *(f"{name}_{number}" for name in ("rotor", "cmd") for number in (1, 2, 3, 4)),
+    "vbat",
+)
+_DIGITS = ["%.6f"] * 4 + ["%.8f"] * 4 + ["%.6f"] * 9 + ["%.4f"] * 8 + ["%.2f"]
+
+
+def quaternion(matrix: Array) -> Array:
+    """Return xyzw of each matrix (T, 3, 3), without jumps of sign from row to row; the first has w >= 0."""
+    quat = Rotation.from_matrix(matrix).as_quat()
+    flips = np.cumprod(np.where((quat[1:] * quat[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
+    sign = np.concatenate(([1.0], flips)) * (1.0 if quat[0, 3] >= 0.0 else -1.0)
+    return quat * sign[:, None]
+
+
+def write_log(path: Path, record: Record, flight: int, *, first: int, every: int) -> None:
+    """Write one flight from sample ``first`` on, each ``every``-th sample; t starts at 0."""
+    rows = slice(first, None, every)
+    seen = {name: values[rows, flight] for name, values in record.measured.items()}
+    time = np.arange(len(seen["rate"]))[:, None] * (every / CONTROL_RATE)
+    battery = np.full_like(time, BATTERY_VOLTAGE)
+    parts = (time, seen["position"], quaternion(seen["rotation"]), seen["velocity"], seen["rate"], seen["acc"])
+    table = np.hstack((*parts, seen["rotor"], record.command[rows, flight], battery))
+    np.savetxt(path, table, fmt=_DIGITS, delimiter=",", header=",".join(COLUMNS), comments="")
+
+
+def robot_document(vehicle: Vehicle) -> dict[str, object]:
+    """Return the declared robot as plain data; the centre of mass is declared at the body origin."""
+    hubs = zip(vehicle.rotor_position.tolist(), vehicle.rotor_axis.tolist(), vehicle.rotor_spin, strict=True)
+    drag = {key: float(d) for key, d in zip(("dx", "dy", "dz"), vehicle.linear_drag, strict=True)}
+    return {
+        "summary": "Quadrotor of the undeclared-effect benchmark, as its maker declares it",
+        "body": {"mass": vehicle.mass, "inertia": vehicle.inertia.tolist(), "source": SOURCE},
+        "rotor": {
+            "thrust_map": [0.0, 0.0, float(vehicle.thrust_coeff.mean())],
+            "torque_ratio": vehicle.torque_ratio,
+            "time_constant_up": vehicle.tau_up,
+            "time_constant_down": vehicle.tau_down,
+            "thrust_range": list(vehicle.thrust_range),
+            "source": SOURCE,
+        },
+        "mounts": {
+            "layout": [{"position": r, "axis": a, "spin": int(spin)} for r, a, spin in hubs],
+            "source": SOURCE,
+        },
+        "collision": {"spheres": [{"center": [0.0, 0.0, 0.0], "radius": 0.2}], "source": SOURCE},
+        "effects": {"rotor_drag": drag} if np.any(vehicle.linear_drag) else {},
+    }
+
+
+def write_robot(path: Path, vehicle: Vehicle) -> None:
+    """Write the declared robot as YAML."""
+    path.write_text(yaml.safe_dump(robot_document(vehicle), sort_keys=False, default_flow_style=None, width=120))
+
+
+def vehicle_document(vehicle: Vehicle) -> dict[str, object]:
+    """Return every number of a vehicle as plain data."""
+    return {key: v.tolist() if isinstance(v, np.ndarray) else v for key, v in asdict(vehicle).items()}

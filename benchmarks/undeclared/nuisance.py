@@ -1,0 +1,76 @@
+"""Small errors that every real vehicle has: nothing that an identification should call an effect."""
+
+from collections.abc import Container
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.undeclared.vehicle import Array, Vehicle
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nuisance:
+    """Standard deviations; draws are normal, cut at two of them."""
+
+    mass: float = 0.003
+    """Relative."""
+
+    thrust_coeff: float = 0.004
+    """Relative, each rotor by itself."""
+
+    inertia: float = 0.02
+    """Relative, each axis by itself."""
+
+    tau: float = 0.03
+    """Relative, one factor for up and down."""
+
+    com: float = 0.0003
+    """Each axis [m]."""
+
+    acc_bias: float = 0.02
+    """Each axis [m/s²]."""
+
+    gyro_bias: float = 0.002
+    """Each axis [rad/s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bias:
+    """Constant sensor errors of the whole case, body frame."""
+
+    acc: Array
+    """Accelerometer [m/s²], (3,)."""
+
+    gyro: Array
+    """Gyro [rad/s], (3,)."""
+
+
+NO_BIAS = Bias(acc=np.zeros(3), gyro=np.zeros(3))
+
+
+def disturb(true: Vehicle, cfg: Nuisance, *, hidden: Container[str], seed: int) -> tuple[Vehicle, Bias]:
+    """Return the vehicle with small errors, and the sensor biases.
+
+    A parameter that a hidden effect states exactly (``com``, ``tau``) keeps that value; the draws of the others do not
+    depend on it. The inertia becomes ``S I S`` with a diagonal S, which stays positive definite.
+    """
+    rng = np.random.default_rng([seed, 2])
+
+    def draw(std: float, count: int) -> Array:
+        return std * np.clip(rng.standard_normal(count), -2.0, 2.0)
+
+    mass, coeff, inertia = draw(cfg.mass, 1), draw(cfg.thrust_coeff, 4), draw(cfg.inertia, 3)
+    tau, com = draw(cfg.tau, 1), draw(cfg.com, 3)
+    bias = Bias(acc=draw(cfg.acc_bias, 3), gyro=draw(cfg.gyro_bias, 3))
+    stretch = np.sqrt(1.0 + inertia)
+    factor = 1.0 if "motor_time_constant" in hidden else 1.0 + float(tau[0])
+    vehicle = replace(
+        true,
+        mass=true.mass * (1.0 + float(mass[0])),
+        thrust_coeff=true.thrust_coeff * (1.0 + coeff),
+        inertia=true.inertia * np.outer(stretch, stretch),
+        tau_up=true.tau_up * factor,
+        tau_down=true.tau_down * factor,
+        com=true.com if "com_offset" in hidden else true.com + com,
+    )
+    return vehicle, bias

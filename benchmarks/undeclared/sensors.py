@@ -1,0 +1,84 @@
+"""Sensor noise, and one sample of all sensors.
+
+The autopilot flies on the same noisy samples that are logged, so that command and noise are correlated as on a real
+vehicle. Letters: F flights, T samples.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.undeclared.dynamics import RATE, ROTOR, Plant, hat, rotation
+from benchmarks.undeclared.nuisance import Bias
+from benchmarks.undeclared.vehicle import Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """Standard deviation of the white noise of one sample, each axis."""
+
+    acc: float = 0.07
+    """Accelerometer [m/s²]."""
+
+    gyro: float = 0.003
+    """Gyro [rad/s]."""
+
+    attitude: float = float(np.deg2rad(0.05))
+    """Rotation vector of the attitude error, body frame [rad]."""
+
+    position: float = 0.001
+    """Position [m]."""
+
+    velocity: float = 0.005
+    """Velocity [m/s]."""
+
+    rotor: float = 0.003
+    """Rotor speed, relative."""
+
+
+NOISELESS = Noise(acc=0.0, gyro=0.0, attitude=0.0, position=0.0, velocity=0.0, rotor=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sample:
+    """What the sensors say at one instant."""
+
+    position: Array
+    """Body origin [m], world, (F, 3)."""
+
+    velocity: Array
+    """Of the body origin [m/s], world, (F, 3)."""
+
+    rotation: Array
+    """Body to world, (F, 3, 3)."""
+
+    rate: Array
+    """Angular velocity [rad/s], body, (F, 3)."""
+
+    acc: Array
+    """Specific force at the body origin [m/s²], body, (F, 3)."""
+
+    rotor: Array
+    """Rotor speeds [rad/s], (F, 4)."""
+
+
+class Sensors:
+    """Draws the noise of all flights at construction, each flight from its own generator."""
+
+    def __init__(self, noise: Noise, bias: Bias, generators: list[np.random.Generator], num_samples: int) -> None:
+        self._bias = bias
+        scale = (noise.position, noise.velocity, noise.attitude, noise.gyro, noise.acc)
+        scale19 = np.concatenate((np.repeat(scale, 3), np.full(4, noise.rotor)))
+        self._draws = np.stack([rng.standard_normal((num_samples, 19)) for rng in generators], axis=1) * scale19
+
+    def sample(self, index: int, plant: Plant, state: Array) -> Sample:
+        """Return sample ``index`` of every flight, for states (F, 22)."""
+        draw = self._draws[index]
+        return Sample(
+            position=plant.origin_position(state) + draw[:, 0:3],
+            velocity=plant.origin_velocity(state) + draw[:, 3:6],
+            rotation=rotation(state) @ (np.eye(3) + hat(draw[:, 6:9])),
+            rate=state[:, RATE] + draw[:, 9:12] + self._bias.gyro,
+            acc=plant.specific_force(state) + draw[:, 12:15] + self._bias.acc,
+            rotor=state[:, ROTOR] * (1.0 + draw[:, 15:19]),
+        )

@@ -1,0 +1,94 @@
+"""Fly several references with one true vehicle in one batch, and record what the sensors say.
+
+Letters: F flights, T samples (one per autopilot tick).
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from benchmarks.undeclared.autopilot import Autopilot
+from benchmarks.undeclared.dynamics import STATE_SIZE, Plant, orthonormalise, rest_state
+from benchmarks.undeclared.sensors import Sample, Sensors
+from benchmarks.undeclared.trajectories import Reference
+from benchmarks.undeclared.vehicle import Array, Vehicle
+
+CONTROL_RATE = 400
+"""Rate of the autopilot, and the highest rate of a log [Hz]."""
+
+SUBSTEPS = 5
+"""Runge-Kutta steps per autopilot tick: the plant runs at 2000 Hz."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """What happened, with time in the first axis."""
+
+    measured: dict[str, Array]
+    """Fields of Sample by name, each (T, F, ...)."""
+
+    command: Array
+    """Rotor speeds held from each instant on [rad/s], (T, F, 4)."""
+
+    state: Array
+    """True states, as in dynamics.py, (T, F, 22)."""
+
+    position: Array
+    """True position of the body origin [m], world, (T, F, 3)."""
+
+
+def fly(*, true: Vehicle, declared: Vehicle, reference: Reference, sensors: Sensors) -> Record:
+    """Return the record of all flights of ``reference``; the autopilot is built from ``declared`` alone."""
+    num_samples, num_flights = reference.yaw.shape
+    plant, dt = Plant(true), 1.0 / CONTROL_RATE
+    autopilot = Autopilot(declared, num_flights, dt)
+    state = rest_state(declared, reference.position[0], reference.yaw[0])
+    samples: list[Sample] = []
+    command = np.empty((num_samples, num_flights, 4))
+    states = np.empty((num_samples, num_flights, STATE_SIZE))
+    for index in range(num_samples):
+        sample = sensors.sample(index, plant, state)
+        samples.append(sample)
+        states[index] = state
+        command[index] = autopilot.command(sample, reference, index)
+        for _ in range(SUBSTEPS):
+            state = plant.step(state, command[index], dt / SUBSTEPS)
+        orthonormalise(state)
+    measured = {f.name: np.stack([getattr(s, f.name) for s in samples]) for f in fields(Sample)}
+    position = plant.origin_position(states.reshape(-1, STATE_SIZE)).reshape(num_samples, num_flights, 3)
+    return Record(measured=measured, command=command, state=states, position=position)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """How well one flight went, over the logged part."""
+
+    rms_position_error: float
+    """Root mean square of the distance to the reference [m]."""
+
+    top_speed: float
+    """[m/s]."""
+
+    top_tilt: float
+    """[rad]."""
+
+    saturated_share: float
+    """Share of rotor commands at a limit."""
+
+
+def summarise(record: Record, reference: Reference, *, declared: Vehicle, first: int) -> list[Summary]:
+    """Return one summary per flight, from sample ``first`` on."""
+    low, high = declared.speed_range()
+    error = np.linalg.norm(record.position - reference.position, axis=2)[first:]
+    speed = np.linalg.norm(record.state[first:, :, 3:6], axis=2)
+    tilt = np.arccos(np.clip(record.state[first:, :, 14], -1.0, 1.0))
+    at_limit = (record.command[first:] <= low * 1.0001) | (record.command[first:] >= high * 0.9999)
+    return [
+        Summary(
+            rms_position_error=float(np.sqrt((error[:, i] ** 2).mean())),
+            top_speed=float(speed[:, i].max()),
+            top_tilt=float(tilt[:, i].max()),
+            saturated_share=float(at_limit[:, i].mean()),
+        )
+        for i in range(error.shape[1])
+    ]

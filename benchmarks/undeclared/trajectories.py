@@ -1,0 +1,223 @@
+"""Reference flights: families of smooth paths, seeded at random.
+
+A family gives the shape: position relative to the start, yaw and excitation on a time grid. ``plan`` scales it to a
+top speed, differentiates it and lifts it off the ground. Every path starts at rest. Letters: T times.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from benchmarks.undeclared.vehicle import Array
+
+MAX_ACCELERATION = 6.5
+"""Largest acceleration of a reference [m/s²]: 33 degrees of tilt in level flight."""
+
+MAX_YAW_RATE = 2.0
+"""Largest yaw rate of a reference [rad/s]."""
+
+LOWEST_HEIGHT = 5.0
+"""Lowest point of a reference [m]: far from any ground effect."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """What a family draws."""
+
+    path: Array
+    """Position, world, (T, 3); scaled afterwards."""
+
+    yaw: Array
+    """Heading [rad], (T,)."""
+
+    excite: Array
+    """Added to the commands: angular rate [rad/s] (3) and vertical acceleration [m/s²] (1), body, (T, 4)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reference:
+    """What the autopilot follows; the first axis is time."""
+
+    position: Array
+    """[m], world, (T, 3)."""
+
+    velocity: Array
+    """[m/s], world, (T, 3)."""
+
+    acceleration: Array
+    """[m/s²], world, (T, 3)."""
+
+    jerk: Array
+    """[m/s³], world, (T, 3)."""
+
+    yaw: Array
+    """[rad], not wrapped, (T,)."""
+
+    yaw_rate: Array
+    """[rad/s], (T,)."""
+
+    excite: Array
+    """As in Shape, (T, 4)."""
+
+
+def smooth_step(x: Array) -> Array:
+    """Return ``35 x^4 - 84 x^5 + 70 x^6 - 20 x^7`` of x held in [0, 1]: three derivatives vanish at both ends."""
+    x = np.clip(x, 0.0, 1.0)
+    return x**4 * (35.0 + x * (-84.0 + x * (70.0 - 20.0 * x)))
+
+
+def _multisine(t: Array, rng: np.random.Generator, *, low: float, high: float, count: int, slope: float) -> Array:
+    """Return ``count`` sines between ``low`` and ``high`` [Hz], amplitude f^-slope, largest value 1, (T,)."""
+    edges = np.geomspace(low, high, count + 1)
+    freq, phase = rng.uniform(edges[:-1], edges[1:]), rng.uniform(0.0, 2.0 * np.pi, count)
+    wave = np.sin(2.0 * np.pi * np.outer(t, freq) + phase) @ freq**-slope
+    return wave / np.abs(wave).max()
+
+
+def _excitation(t: Array, rng: np.random.Generator, *, rate: float, yaw_rate: float, acceleration: float) -> Array:
+    """Return multisines of 0.8 to 6 Hz in the commands, (T, 4)."""
+    waves = [_multisine(t, rng, low=0.8, high=6.0, count=10, slope=0.3) for _ in range(4)]
+    return np.stack(waves, axis=1) * (rate, rate, yaw_rate, acceleration) * smooth_step(t / 1.0)[:, None]
+
+
+def _moves(t: Array, rng: np.random.Generator, targets: Callable[[int], Array], *, move: float, hold: float) -> Array:
+    """Return smooth moves between targets: leg k ends at ``targets(k)`` after ``move`` s, then rests ``hold`` s."""
+    path, here = np.zeros((len(t), len(targets(0)))), np.zeros(len(targets(0)))
+    start, leg = 0.2 * rng.uniform(), 0
+    while start < t[-1]:
+        goal = targets(leg)
+        path += smooth_step((t - start) / move)[:, None] * (goal - here)
+        here, start, leg = goal, start + move + hold, leg + 1
+    return path
+
+
+def _ramped_phase(t: Array, rate: float) -> Array:
+    """Return a phase [rad] that starts at rest and runs at ``rate`` [rad/s] after 1.5 s."""
+    speed = smooth_step(t / 1.5)
+    step = np.diff(t, prepend=t[0])
+    return rate * np.cumsum(0.5 * (speed + np.concatenate(([0.0], speed[:-1]))) * step)
+
+
+def multisine(t: Array, rng: np.random.Generator) -> Shape:
+    """Sines in all axes and in yaw, with excitation of the commands on top."""
+    start = smooth_step(t / 1.5)[:, None]
+    path = [_multisine(t, rng, low=0.12, high=0.7, count=7, slope=1.3) * size for size in (1.0, 1.0, 0.5)]
+    yaw = 2.0 * start[:, 0] * _multisine(t, rng, low=0.06, high=0.5, count=6, slope=1.0)
+    excite = _excitation(t, rng, rate=1.2, yaw_rate=0.8, acceleration=2.0)
+    return Shape(path=start * np.stack(path, axis=1), yaw=yaw, excite=excite)
+
+
+def waypoints(t: Array, rng: np.random.Generator) -> Shape:
+    """A quintic spline through random points 1.7 s apart, with the heading going its own way."""
+    knots = np.arange(0.0, t[-1] + 1.7 + 1e-9, 1.7)
+    if len(knots) < 3:
+        knots = np.linspace(0.0, 2.0 * t[-1], 3)
+    points = rng.uniform((-3.5, -3.5, -1.5, -2.5), (3.5, 3.5, 1.5, 2.5), (len(knots), 4))
+    points[0] = 0.0
+    rest = [(1, np.zeros(4)), (2, np.zeros(4))]
+    curve = make_interp_spline(knots, points, k=5, bc_type=(rest, rest))(t)
+    return Shape(path=curve[:, :3], yaw=curve[:, 3], excite=np.zeros((len(t), 4)))
+
+
+def vertical(t: Array, rng: np.random.Generator) -> Shape:
+    """Climbs and descents of several lengths, drifting sideways, with the heading turning all round."""
+    height = _moves(t, rng, lambda k: rng.uniform((1.5,), (3.5,)) * (1 - k % 2), move=1.5, hold=0.3)
+    drift = [smooth_step(t / 1.5) * _multisine(t, rng, low=0.1, high=0.4, count=4, slope=1.0) for _ in range(2)]
+    yaw = _ramped_phase(t, rng.choice((-0.8, 0.8)))
+    excite = _excitation(t, rng, rate=0.4, yaw_rate=0.4, acceleration=1.5)
+    return Shape(path=np.stack((*drift, height[:, 0]), axis=1), yaw=yaw, excite=excite)
+
+
+def hover_steps(t: Array, rng: np.random.Generator) -> Shape:
+    """Hover with short moves and turns between rests, and excitation of the commands."""
+    corner = (-1.3, -1.3, -0.8, -1.2)
+    curve = _moves(t, rng, lambda _: rng.uniform(corner, np.negative(corner)), move=1.2, hold=0.8)
+    excite = _excitation(t, rng, rate=0.8, yaw_rate=0.6, acceleration=1.0)
+    return Shape(path=curve[:, :3], yaw=curve[:, 3], excite=excite)
+
+
+def figure_eight(t: Array, rng: np.random.Generator) -> Shape:
+    """A lying eight with changing height, in a random direction, the heading swinging to both sides."""
+    phase, turn = _ramped_phase(t, rng.uniform(1.1, 1.4)), rng.uniform(-np.pi, np.pi)
+    along, across = np.sin(phase), 0.5 * np.sin(2.0 * phase)
+    x, y = np.cos(turn) * along - np.sin(turn) * across, np.sin(turn) * along + np.cos(turn) * across
+    yaw = rng.uniform(1.5, 2.5) * np.sin(0.6 * phase)
+    return Shape(path=np.stack((x, y, 0.25 * np.sin(1.5 * phase)), axis=1), yaw=yaw, excite=np.zeros((len(t), 4)))
+
+
+def square(t: Array, rng: np.random.Generator) -> Shape:
+    """Fast legs from corner to corner at two heights; the heading turns by a quarter at each."""
+    side, sense = 4.0 * np.array([[1, 0, 0.2], [1, 1, 0], [0, 1, 0.2], [0, 0, 0]]), rng.choice((-1.0, 1.0))
+    corner = side * (1.0, sense, 1.0)
+    path = _moves(t, rng, lambda k: np.array([*corner[k % 4], 0.5 * np.pi * sense * (k + 1)]), move=2.1, hold=0.25)
+    return Shape(path=path[:, :3], yaw=path[:, 3], excite=np.zeros((len(t), 4)))
+
+
+def lissajous(t: Array, rng: np.random.Generator) -> Shape:
+    """Three sines whose frequencies have no common multiple; the heading turns steadily."""
+    phase, ratio = _ramped_phase(t, rng.uniform(1.0, 1.3)), rng.uniform((1.15, 0.6), (1.35, 0.8))
+    path = np.stack((np.sin(phase), 1.0 - np.cos(ratio[0] * phase), 0.4 * np.sin(ratio[1] * phase)), axis=1)
+    return Shape(path=path, yaw=rng.choice((-0.6, 0.6)) * phase, excite=np.zeros((len(t), 4)))
+
+
+Family = Callable[[Array, np.random.Generator], Shape]
+TOP_SPEED: dict[str, tuple[float, float]] = {
+    "multisine": (3.0, 4.0),
+    "waypoints": (4.0, 5.0),
+    "vertical": (2.5, 3.0),
+    "hover_steps": (1.5, 2.0),
+    "figure_eight": (3.5, 5.0),
+    "square": (3.5, 4.5),
+    "lissajous": (3.0, 4.5),
+}
+"""Range from which the top speed of a flight is drawn [m/s]."""
+
+FAMILIES: dict[str, Family] = {
+    f.__name__: f for f in (multisine, waypoints, vertical, hover_steps, figure_eight, square, lissajous)
+}
+TRAIN_FAMILIES = ("multisine", "waypoints", "vertical", "hover_steps")
+TEST_FAMILIES = ("figure_eight", "square", "lissajous")
+
+
+def plan(family: str, *, duration: float, rate: float, settle: float, rng: np.random.Generator) -> Reference:
+    """Return a flight of ``duration`` [s] at ``rate`` [Hz], after ``settle`` [s] of hover at its start.
+
+    The path is scaled to a drawn top speed, or less where that would exceed ``MAX_ACCELERATION``.
+    """
+    t = np.arange(round(duration * rate) + 1) / rate
+    shape = FAMILIES[family](t, rng)
+    speed, acceleration = _largest(shape.path, 1, rate), _largest(shape.path, 2, rate)
+    path = shape.path * min(rng.uniform(*TOP_SPEED[family]) / speed, MAX_ACCELERATION / acceleration)
+    yaw = shape.yaw * min(1.0, MAX_YAW_RATE / max(_largest(shape.yaw[:, None], 1, rate), 1e-9))
+    path[:, 2] += LOWEST_HEIGHT - path[:, 2].min()
+    rows = round(settle * rate)
+    position, heading, excite = (_hold_first(x, rows) for x in (path, yaw + rng.uniform(-np.pi, np.pi), shape.excite))
+    velocity = np.gradient(position, 1.0 / rate, axis=0)
+    acceleration = np.gradient(velocity, 1.0 / rate, axis=0)
+    return Reference(
+        position=position,
+        velocity=velocity,
+        acceleration=acceleration,
+        jerk=np.gradient(acceleration, 1.0 / rate, axis=0),
+        yaw=heading,
+        yaw_rate=np.gradient(heading, 1.0 / rate),
+        excite=excite,
+    )
+
+
+def _largest(path: Array, order: int, rate: float) -> float:
+    """Return the largest norm of a derivative of ``path``, by differences."""
+    return float(np.linalg.norm(np.diff(path, n=order, axis=0), axis=1).max() * rate**order)
+
+
+def _hold_first(values: Array, rows: int) -> Array:
+    """Return ``values`` with its first row repeated ``rows`` more times in front."""
+    return np.concatenate((np.repeat(values[:1], rows, axis=0), values))
+
+
+def stack(references: list[Reference]) -> Reference:
+    """Return the references of F flights as one, with shapes (T, F, ...)."""
+    names = Reference.__dataclass_fields__
+    return Reference(**{name: np.stack([getattr(r, name) for r in references], axis=1) for name in names})
