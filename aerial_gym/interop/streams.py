@@ -1,17 +1,46 @@
-"""Warp launches on torch's current stream, so that both see each other's work in order."""
+"""Warp's start, and Warp launches on torch's current stream, so that both see each other's work in order."""
 
+import os
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
+import torch
 import warp as wp
 from torch import Tensor
+
+
+def start_warp() -> None:
+    """Initialise Warp without its banner; a log level that the user chose stays.
+
+    Without a GPU, Warp's native library writes a warning about a missing driver, past Python, that nobody can act on: the
+    process's stderr is closed to it meanwhile.
+    """
+    if wp.config.log_level == wp.LOG_INFO:
+        wp.config.log_level = wp.LOG_WARNING
+    with nullcontext() if torch.cuda.is_available() else _silent_stderr():
+        wp.init()
+
+
+@contextmanager
+def _silent_stderr() -> Iterator[None]:
+    sys.stderr.flush()
+    kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nothing)
 
 
 @contextmanager
 def on_torch_stream(tensor: Tensor) -> Iterator[None]:
     """Run the Warp launches inside on the torch stream of ``tensor``'s device; on the CPU there is nothing to join."""
-    if tensor.device.type == "cuda":
-        with wp.ScopedStream(wp.stream_from_torch(tensor.device)):
-            yield
-    else:
+    if tensor.device.type != "cuda":
+        yield
+        return
+    stream = wp.stream_from_torch(torch.cuda.current_stream(tensor.device))
+    with wp.ScopedStream(stream, sync_enter=False):  # no event on Warp's own stream: a capture would refuse it
         yield

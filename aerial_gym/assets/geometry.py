@@ -1,0 +1,179 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
+# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
+"""Rays against shapes and distances to shapes, as Warp functions that the ray caster and the collision test share.
+
+Everything here is in the shape's own frame: centred on the origin, axis of symmetry along z, lengths in metres. Ray
+directions are unit vectors. Along a ray a convex solid is one interval ``(near, far)`` of distances, which is empty if
+``near > far`` and may begin behind the origin; shapes are built by intersecting or joining such intervals.
+"""
+
+import warp as wp
+
+BOX = wp.constant(0)
+SPHERE = wp.constant(1)
+CYLINDER = wp.constant(2)
+CAPSULE = wp.constant(3)
+MESH = wp.constant(4)
+
+TINY = wp.constant(1.0e-20)
+"""Stands for a direction component of 0, so that dividing by it stays finite."""
+
+
+@wp.struct
+class Shape:
+    """One row of the shape table."""
+
+    mesh: wp.uint64  # Warp mesh id; 0 unless kind is MESH
+    kind: wp.int32  # BOX, SPHERE, CYLINDER, CAPSULE or MESH
+    radius: wp.float32  # of the bounding sphere about the shape's origin [m]
+    size: wp.vec3  # box: half edges; else: radius, half height along z, 0 [m]
+
+
+@wp.func
+def slab_interval(origin: float, direction: float, half: float) -> wp.vec2:
+    """Return the interval in which ``|origin + t direction| <= half``."""
+    inverse = 1.0 / wp.where(wp.abs(direction) > TINY, direction, TINY)
+    a = (-half - origin) * inverse
+    b = (half - origin) * inverse
+    return wp.vec2(wp.min(a, b), wp.max(a, b))
+
+
+@wp.func
+def box_interval(origin: wp.vec3, direction: wp.vec3, half: wp.vec3) -> wp.vec2:
+    """Return the interval inside a box: where the three slabs overlap."""
+    x = slab_interval(origin[0], direction[0], half[0])
+    y = slab_interval(origin[1], direction[1], half[1])
+    z = slab_interval(origin[2], direction[2], half[2])
+    return wp.vec2(wp.max(wp.max(x[0], y[0]), z[0]), wp.min(wp.min(x[1], y[1]), z[1]))
+
+
+@wp.func
+def sphere_interval(origin: wp.vec3, direction: wp.vec3, radius: float) -> wp.vec2:
+    """Return the interval inside a sphere about the origin.
+
+    Source: Haines et al. (2019), Ray Tracing Gems, chapter 7: the squared distance of the line is taken from the vector to
+    its nearest point, which does not cancel for small spheres far away.
+    """
+    middle = -wp.dot(origin, direction)
+    nearest = origin + middle * direction
+    square = radius * radius - wp.dot(nearest, nearest)
+    if square < 0.0:
+        return wp.vec2(wp.inf, -wp.inf)
+    half = wp.sqrt(square)
+    return wp.vec2(middle - half, middle + half)
+
+
+@wp.func
+def cylinder_interval(origin: wp.vec3, direction: wp.vec3, radius: float, half_height: float) -> wp.vec2:
+    """Return the interval inside a capped cylinder: the slab in z and the disc in x, y, as for the sphere."""
+    slab = slab_interval(origin[2], direction[2], half_height)
+    across = wp.max(direction[0] * direction[0] + direction[1] * direction[1], TINY)
+    middle = -(origin[0] * direction[0] + origin[1] * direction[1]) / across
+    x = origin[0] + middle * direction[0]
+    y = origin[1] + middle * direction[1]
+    square = radius * radius - x * x - y * y
+    if square < 0.0:
+        return wp.vec2(wp.inf, -wp.inf)
+    half = wp.sqrt(square / across)
+    return wp.vec2(wp.max(slab[0], middle - half), wp.min(slab[1], middle + half))
+
+
+@wp.func
+def capsule_interval(origin: wp.vec3, direction: wp.vec3, radius: float, half_height: float) -> wp.vec2:
+    """Return the interval inside a capsule: a cylinder and two spheres, joined.
+
+    A capsule is convex, so what its parts cover along a line is one interval, from the first entry to the last exit.
+    """
+    up = wp.vec3(0.0, 0.0, half_height)
+    body = cylinder_interval(origin, direction, radius, half_height)
+    top = sphere_interval(origin - up, direction, radius)
+    bottom = sphere_interval(origin + up, direction, radius)
+    near = float(wp.inf)
+    far = float(-wp.inf)
+    if body[0] <= body[1]:
+        near = body[0]
+        far = body[1]
+    return wp.vec2(wp.min(near, wp.min(top[0], bottom[0])), wp.max(far, wp.max(top[1], bottom[1])))
+
+
+@wp.func
+def ray_distance(shape: Shape, origin: wp.vec3, direction: wp.vec3, limit: float) -> float:
+    """Return the distance to the first surface along the ray [m], or ``limit`` if there is none before it.
+
+    Surfaces are seen from both sides: a ray that starts inside a solid ends where it leaves.
+    """
+    if shape.kind == MESH:
+        query = wp.mesh_query_ray(shape.mesh, origin, direction, limit)
+        return wp.where(query.result, query.t, limit)
+    inside = wp.vec2(wp.inf, -wp.inf)
+    if shape.kind == BOX:
+        inside = box_interval(origin, direction, shape.size)
+    elif shape.kind == SPHERE:
+        inside = sphere_interval(origin, direction, shape.size[0])
+    elif shape.kind == CYLINDER:
+        inside = cylinder_interval(origin, direction, shape.size[0], shape.size[1])
+    elif shape.kind == CAPSULE:
+        inside = capsule_interval(origin, direction, shape.size[0], shape.size[1])
+    first = wp.where(inside[0] >= 0.0, inside[0], inside[1])
+    if inside[0] <= inside[1] and first >= 0.0 and first < limit:
+        return first
+    return limit
+
+
+@wp.func
+def box_distance(point: wp.vec3, half: wp.vec3) -> float:
+    """Return the signed distance of a point to a box [m]."""
+    x = wp.abs(point[0]) - half[0]
+    y = wp.abs(point[1]) - half[1]
+    z = wp.abs(point[2]) - half[2]
+    outside = wp.length(wp.vec3(wp.max(x, 0.0), wp.max(y, 0.0), wp.max(z, 0.0)))
+    return outside + wp.min(wp.max(x, wp.max(y, z)), 0.0)
+
+
+@wp.func
+def cylinder_distance(point: wp.vec3, radius: float, half_height: float) -> float:
+    """Return the signed distance of a point to a capped cylinder [m]: a box in the half plane (radius, z)."""
+    across = wp.sqrt(point[0] * point[0] + point[1] * point[1]) - radius
+    along = wp.abs(point[2]) - half_height
+    outside = wp.length(wp.vec2(wp.max(across, 0.0), wp.max(along, 0.0)))
+    return outside + wp.min(wp.max(across, along), 0.0)
+
+
+@wp.func
+def capsule_distance(point: wp.vec3, radius: float, half_height: float) -> float:
+    """Return the signed distance of a point to a capsule [m]: to its middle segment, less the radius."""
+    along = wp.clamp(point[2], -half_height, half_height)
+    return wp.length(wp.vec3(point[0], point[1], point[2] - along)) - radius
+
+
+@wp.func
+def mesh_distance(mesh: wp.uint64, point: wp.vec3, reach: float) -> float:
+    """Return the signed distance of a point to a mesh [m]; ``reach`` must exceed it, or it is what is returned.
+
+    Inside is where the winding number is above 1/2, so an open sheet has no inside. Source: Barill et al. (2018), Fast
+    winding numbers for soups and clouds.
+    """
+    query = wp.mesh_query_point_sign_winding_number(mesh, point, reach)
+    if not query.result:
+        return reach
+    closest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
+    return query.sign * wp.length(point - closest)
+
+
+@wp.func
+def signed_distance(shape: Shape, point: wp.vec3) -> float:
+    """Return the distance of a point to the surface of a shape [m], negative inside."""
+    distance = 0.0
+    if shape.kind == BOX:
+        distance = box_distance(point, shape.size)
+    elif shape.kind == SPHERE:
+        distance = wp.length(point) - shape.size[0]
+    elif shape.kind == CYLINDER:
+        distance = cylinder_distance(point, shape.size[0], shape.size[1])
+    elif shape.kind == CAPSULE:
+        distance = capsule_distance(point, shape.size[0], shape.size[1])
+    elif shape.kind == MESH:
+        # No point of the surface is farther than this; the margin keeps the bound strict in float32.
+        distance = mesh_distance(shape.mesh, point, 1.01 * (wp.length(point) + shape.radius))
+    return distance

@@ -1,0 +1,77 @@
+"""The scene: shapes are shared, transforms are per environment.
+
+A scene holds A instances in each of E environments. An instance is a row of the shape table, a pose and a semantic id.
+Poses are strided views of a tensor that belongs to the caller, so moving an obstacle is writing that tensor: nothing is
+rebuilt or refitted, and the next ray and the next collision test see it.
+
+An instance is absent while it is parked: z = ``PARKED_Z``. Whatever lies below ``ABSENT_BELOW`` is skipped with one
+comparison.
+
+Frames: each environment has its own world frame, z up. Letters: E environments, A instances.
+"""
+
+from collections.abc import Sequence
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.assets.scene_arrays import SceneArrays
+from aerial_gym.assets.shapes import ShapeTable
+from aerial_gym.assets.views import check_tensor, vector_view
+from aerial_gym.config.environment import ShapeCfg
+from aerial_gym.errors import ShapeError
+from aerial_gym.interop import on_torch_stream, start_warp
+
+PARKED_Z = -1000.0
+"""Height of an absent instance [m]. Source: Aerial Gym parks its obstacles there (parity 4.8)."""
+
+
+class Scene:
+    """Instances of shared shapes in E environments."""
+
+    def __init__(
+        self, shapes: Sequence[ShapeCfg], *, shape_index: Tensor, semantic_id: Tensor, asset_state: Tensor
+    ) -> None:
+        """Read the shapes and take views of the poses.
+
+        Args:
+            shapes: The shape table.
+            shape_index: Row of the shape table, integer, (E, A), or (A,) if all environments have the same.
+            semantic_id: What segmentation shows, integer, (E, A) or (A,).
+            asset_state: The caller's poses and velocities, float32, (E, A, 13): position [m], attitude xyzw (shape to
+                world, unit), velocity, angular velocity; world. May be strided, but for the last axis. Kept.
+
+        Raises:
+            ShapeError: If shapes do not fit, or if an index has no row.
+            ConfigError: If a mesh file cannot be used.
+        """
+        if asset_state.dim() != 3 or asset_state.shape[-1] != 13:
+            raise ShapeError(f"asset_state has shape {tuple(asset_state.shape)}, expected (E, A, 13)")
+        start_warp()
+        self.asset_state = asset_state
+        self.num_envs, self.num_instances = asset_state.shape[:2]
+        self.device = asset_state.device
+        with on_torch_stream(asset_state):
+            self.shape_table = ShapeTable(shapes, device=self.device)
+        self.shape_index = self._per_instance("shape_index", shape_index)
+        self.semantic_id = self._per_instance("semantic_id", semantic_id)
+        if self.num_instances and not 0 <= int(self.shape_index.min()) <= int(self.shape_index.max()) < len(shapes):
+            raise ShapeError(f"shape_index must lie in 0 to {len(shapes) - 1}, the rows of the shape table")
+        self._radius = self.shape_table.radius[self.shape_index.long()]
+        size = (self.num_envs, self.num_instances)
+        self.arrays = SceneArrays()
+        self.arrays.shapes = self.shape_table.array
+        self.arrays.shape_index = wp.from_torch(self.shape_index)
+        self.arrays.semantic_id = wp.from_torch(self.semantic_id)
+        self.arrays.radius = wp.from_torch(self._radius)
+        self.arrays.position = vector_view("position", asset_state[..., 0:3], (*size, 3), device=self.device)
+        self.arrays.attitude = vector_view("attitude", asset_state[..., 3:7], (*size, 4), device=self.device)
+
+    def _per_instance(self, name: str, values: Tensor) -> Tensor:
+        shape = (self.num_envs, self.num_instances)
+        if tuple(values.shape) not in (shape, shape[1:]):
+            raise ShapeError(f"{name} has shape {tuple(values.shape)}, expected (E, A) = {shape} or (A,) = {shape[1:]}")
+        values = values.to(device=self.device, dtype=torch.int32).expand(shape).contiguous()
+        check_tensor(name, values, shape, device=self.device, dtype=torch.int32)
+        return values

@@ -1,0 +1,105 @@
+"""The shape table: every distinct shape once, analytic or as one Warp mesh, however many instances use it."""
+
+from collections.abc import Sequence
+from math import hypot
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+import warp as wp
+
+from aerial_gym.assets.geometry import BOX, CAPSULE, CYLINDER, MESH, SPHERE, Shape
+from aerial_gym.config.environment import ShapeCfg
+from aerial_gym.errors import ConfigError
+
+if TYPE_CHECKING:
+    import trimesh
+
+_KINDS = {"box": BOX, "sphere": SPHERE, "cylinder": CYLINDER, "capsule": CAPSULE, "mesh": MESH}
+
+_MARGIN = 1.0 + 1e-5
+"""Bounding spheres are larger by this factor, so that float32 rounding (6e-8) never rejects a shape that is hit."""
+
+
+class ShapeTable:
+    """Shapes on a device, in the order of their configurations."""
+
+    def __init__(self, shapes: Sequence[ShapeCfg], *, device: torch.device) -> None:
+        """Read the meshes and fill the table.
+
+        Raises:
+            ConfigError: If a mesh file is missing, unreadable, empty or not finite.
+        """
+        self.shapes = tuple(shapes)
+        self._device = wp.device_from_torch(device)
+        self._meshes: dict[tuple[str, float], tuple[wp.Mesh, float]] = {}
+        rows = np.zeros(len(self.shapes), dtype=Shape.numpy_dtype())  # type: ignore[call-overload]
+        for row, cfg in zip(rows, self.shapes, strict=True):
+            row["kind"] = _KINDS[cfg.kind]
+            row["size"] = _half_size(cfg)
+            row["radius"] = _MARGIN * _bounding_radius(cfg)
+            if cfg.kind == "mesh":
+                mesh, radius = self._mesh(cfg)
+                row["mesh"], row["radius"] = mesh.id, _MARGIN * radius
+        self.array = wp.array(rows, dtype=Shape, device=self._device)
+        self.radius = torch.tensor(rows["radius"], device=device)
+
+    def __len__(self) -> int:
+        return len(self.shapes)
+
+    @property
+    def num_meshes(self) -> int:
+        """Number of distinct meshes on the device."""
+        return len(self._meshes)
+
+    def _mesh(self, cfg: ShapeCfg) -> tuple[wp.Mesh, float]:
+        key = (str(cfg.path), cfg.scale)
+        if key not in self._meshes:
+            surface = load_mesh(key[0], scale=cfg.scale)
+            mesh = wp.Mesh(
+                points=wp.array(surface.vertices.astype(np.float32), dtype=wp.vec3, device=self._device),
+                indices=wp.array(surface.faces.astype(np.int32).ravel(), dtype=wp.int32, device=self._device),
+                support_winding_number=True,
+            )
+            self._meshes[key] = mesh, float(np.linalg.norm(surface.vertices, axis=1).max())
+        return self._meshes[key]
+
+
+def load_mesh(path: str | Path, *, scale: float) -> "trimesh.Trimesh":
+    """Return the triangles of a mesh file, scaled about its origin; a closed mesh is turned right side out.
+
+    Raises:
+        ConfigError: If the file is missing, unreadable, without a triangle, or holds a coordinate that is not finite.
+    """
+    import trimesh
+
+    if not Path(path).is_file():
+        raise ConfigError(f"mesh {path}: no such file")
+    try:
+        mesh = trimesh.load_mesh(path, process=False)
+    except Exception as error:  # trimesh's readers raise whatever their format's library raises
+        raise ConfigError(f"mesh {path}: cannot be read ({error})") from None
+    if len(mesh.faces) == 0:
+        raise ConfigError(f"mesh {path}: holds no triangle")
+    if not np.isfinite(mesh.vertices).all():
+        raise ConfigError(f"mesh {path}: a vertex is not finite")
+    mesh.apply_scale(scale)
+    merged = mesh.copy()
+    merged.merge_vertices()
+    if merged.is_watertight and merged.volume < 0.0:
+        mesh.invert()
+    return mesh
+
+
+def _half_size(cfg: ShapeCfg) -> tuple[float, float, float]:
+    if cfg.size is not None:
+        return 0.5 * cfg.size[0], 0.5 * cfg.size[1], 0.5 * cfg.size[2]
+    return cfg.radius or 0.0, 0.5 * (cfg.height or 0.0), 0.0
+
+
+def _bounding_radius(cfg: ShapeCfg) -> float:
+    a, b, c = _half_size(cfg)
+    if cfg.kind == "box":
+        return hypot(a, b, c)
+    return hypot(a, b) if cfg.kind == "cylinder" else a + b

@@ -1,0 +1,193 @@
+"""What an environment file holds: bounds, and the obstacles that are placed inside them at every reset.
+
+Frames: the environment's own world frame, z up; lengths in metres, angles in radians.
+"""
+
+from dataclasses import dataclass, replace
+from math import inf, pi
+from pathlib import Path
+
+from aerial_gym.config.loader import load
+from aerial_gym.config.robot import Vec3, require_finite, require_ordered
+from aerial_gym.errors import ConfigError
+
+FIRST_INSTANCE_ID = 100
+"""Instance ids start here, so that the semantic ids 0 to 99 never meet one. Source: parity with Aerial Gym (3.5)."""
+
+_FIELDS_OF_KIND = {
+    "box": ("size",),
+    "sphere": ("radius",),
+    "cylinder": ("radius", "height"),
+    "capsule": ("radius", "height"),
+    "mesh": ("path",),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeCfg:
+    """A rigid shape in its own frame: centred on the origin, axis of symmetry along z; a mesh keeps its own origin."""
+
+    kind: str
+    """``box`` (needs size), ``sphere`` (radius), ``cylinder`` and ``capsule`` (radius, height), ``mesh`` (path)."""
+
+    size: Vec3 | None = None
+    """Edge lengths of a box [m], each > 0."""
+
+    radius: float | None = None
+    """Radius [m], > 0."""
+
+    height: float | None = None
+    """Length of the cylindrical part along z [m], > 0; a capsule is longer by twice its radius."""
+
+    path: str | None = None
+    """Mesh file that trimesh reads; ``load_environment`` takes it relative to the environment's own file."""
+
+    scale: float = 1.0
+    """Factor on the coordinates of a mesh, > 0; 1 for every other kind."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in _FIELDS_OF_KIND:
+            raise ConfigError(f"ShapeCfg.kind = {self.kind!r}: must be one of {', '.join(_FIELDS_OF_KIND)}")
+        needed = _FIELDS_OF_KIND[self.kind]
+        for name in ("size", "radius", "height", "path"):
+            value = getattr(self, name)
+            if name in needed and value is None:
+                raise ConfigError(f"ShapeCfg.{name}: a {self.kind} needs it")
+            if name not in needed and value is not None:
+                raise ConfigError(f"ShapeCfg.{name} = {value!r}: a {self.kind} has none. It needs {', '.join(needed)}")
+            for length in value if isinstance(value, tuple) else (value,):
+                if isinstance(length, (int, float)) and not 0.0 < length < inf:
+                    raise ConfigError(f"ShapeCfg.{name} = {value!r}: must be > 0 and finite")
+        if not 0.0 < self.scale < inf:
+            raise ConfigError(f"ShapeCfg.scale = {self.scale!r}: must be > 0 and finite")
+        if self.scale != 1.0 and self.kind != "mesh":
+            raise ConfigError(
+                f"ShapeCfg.scale = {self.scale!r}: only a mesh is scaled; change the size of a {self.kind}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssetCfg:
+    """One kind of obstacle: its shapes, how many, and where a reset puts them."""
+
+    name: str
+    """What messages call it; unique in its environment."""
+
+    shapes: tuple[ShapeCfg, ...]
+    """Each instance is one of these, drawn once at construction with equal chances."""
+
+    count: int
+    """Instances in every environment, >= 1."""
+
+    keep: bool = False
+    """Whether it is always present; the others can be reduced in number (curriculum)."""
+
+    semantic_id: int = -1
+    """What segmentation shows, 0 to 99; -1 for the instance's own id (100 + its row in the environment)."""
+
+    position_ratio_low: Vec3
+    """Lowest position of the shape's origin as a share of the bounds (0 lower face, 1 upper face)."""
+
+    position_ratio_high: Vec3
+    """Highest position, likewise."""
+
+    offset: Vec3 = (0.0, 0.0, 0.0)
+    """Added to the position [m], world. A wall whose ratio puts its centre on a face of the bounds has half its
+    thickness along the outward normal here, so that its inner face lies exactly on the bound."""
+
+    euler_low: Vec3 = (0.0, 0.0, 0.0)
+    """Lowest ZYX roll, pitch, yaw [rad], within +-2 pi."""
+
+    euler_high: Vec3 = (0.0, 0.0, 0.0)
+    """Highest roll, pitch, yaw [rad], within +-2 pi."""
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise ConfigError("AssetCfg.name: must not be empty")
+        if not self.shapes:
+            raise ConfigError(f"AssetCfg {self.name!r}: shapes needs at least one entry")
+        if self.count < 1:
+            raise ConfigError(f"AssetCfg {self.name!r}: count = {self.count!r} must be >= 1")
+        if not -1 <= self.semantic_id < FIRST_INSTANCE_ID:
+            raise ConfigError(
+                f"AssetCfg {self.name!r}: semantic_id = {self.semantic_id!r} must be 0 to {FIRST_INSTANCE_ID - 1}, "
+                "or -1 for the instance's own id"
+            )
+        require_finite(self, "offset")
+        for name in ("position_ratio", "euler"):
+            require_finite(self, f"{name}_low", f"{name}_high")
+            require_ordered(self, f"{name}_low", f"{name}_high")
+        if any(abs(angle) > 2.0 * pi for angle in (*self.euler_low, *self.euler_high)):
+            raise ConfigError(
+                f"AssetCfg {self.name!r}: euler_low = {self.euler_low}, euler_high = {self.euler_high} must lie within "
+                "+-2 pi. Angles are in radians"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvironmentCfg:
+    """A box of space and what stands in it. Each environment draws its bounds uniformly at reset."""
+
+    summary: str
+    """One line for people who choose an environment."""
+
+    physics_steps_per_env_step: int
+    """Physics steps for which an action is held, >= 1."""
+
+    bounds_lower_low: Vec3
+    """Lowest lower corner of the bounds [m], world."""
+
+    bounds_lower_high: Vec3
+    """Highest lower corner [m], world; below ``bounds_upper_low`` on every axis."""
+
+    bounds_upper_low: Vec3
+    """Lowest upper corner [m], world."""
+
+    bounds_upper_high: Vec3
+    """Highest upper corner [m], world."""
+
+    assets: tuple[AssetCfg, ...] = ()
+    """Obstacles; an empty list is open space."""
+
+    source: str
+    """Where the numbers come from."""
+
+    def __post_init__(self) -> None:
+        if self.physics_steps_per_env_step < 1:
+            raise ConfigError(
+                f"EnvironmentCfg.physics_steps_per_env_step = {self.physics_steps_per_env_step!r}: must be >= 1"
+            )
+        for name in ("bounds_lower", "bounds_upper"):
+            require_finite(self, f"{name}_low", f"{name}_high")
+            require_ordered(self, f"{name}_low", f"{name}_high")
+        if any(low >= high for low, high in zip(self.bounds_lower_high, self.bounds_upper_low, strict=True)):
+            raise ConfigError(
+                f"EnvironmentCfg: bounds_lower_high = {self.bounds_lower_high} must lie below "
+                f"bounds_upper_low = {self.bounds_upper_low} on every axis"
+            )
+        names = [asset.name for asset in self.assets]
+        for name in names:
+            if names.count(name) > 1:
+                raise ConfigError(f"EnvironmentCfg.assets: two are called {name!r}. Give each its own name")
+
+    @property
+    def num_assets(self) -> int:
+        """Number of instances A in every environment."""
+        return sum(asset.count for asset in self.assets)
+
+    @property
+    def num_kept(self) -> int:
+        """Number of instances that are always present."""
+        return sum(asset.count for asset in self.assets if asset.keep)
+
+
+def load_environment(path: str | Path) -> EnvironmentCfg:
+    """Return the environment in a YAML file; its mesh paths are taken relative to that file."""
+    folder = Path(path).resolve().parent
+    cfg = load(EnvironmentCfg, path)
+    return replace(cfg, assets=tuple(_with_absolute_paths(asset, folder) for asset in cfg.assets))
+
+
+def _with_absolute_paths(asset: AssetCfg, folder: Path) -> AssetCfg:
+    shapes = (replace(shape, path=str(folder / shape.path)) if shape.path else shape for shape in asset.shapes)
+    return replace(asset, shapes=tuple(shapes))

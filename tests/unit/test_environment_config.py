@@ -1,0 +1,189 @@
+"""Environment, shape and camera configurations: shipped values, and what is refused with which words."""
+
+from dataclasses import replace
+from math import inf, nan, pi, radians
+
+import pytest
+import trimesh
+
+from aerial_gym.assets import ENVIRONMENTS, load_mesh
+from aerial_gym.config import build, to_mapping
+from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, ShapeCfg, load_environment
+from aerial_gym.config.sensor import CameraCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.sensors import SENSORS
+
+ASSET = AssetCfg(
+    name="ball",
+    shapes=(ShapeCfg(kind="sphere", radius=0.5),),
+    count=1,
+    position_ratio_low=(0.0, 0.0, 0.0),
+    position_ratio_high=(1.0, 1.0, 1.0),
+)
+CAMERA = SENSORS.get("depth_camera_64")
+
+
+def test_shipped_environments_hold_the_values_of_aerial_gym() -> None:
+    """Bounds, counts, sizes and ids of parity.md 2.2."""
+    empty = ENVIRONMENTS.get("empty_env")
+    assert (empty.physics_steps_per_env_step, ENVIRONMENTS.get("empty_env_2ms").physics_steps_per_env_step) == (1, 5)
+    assert empty.bounds_lower_low == empty.bounds_lower_high == (-1.0, -1.0, -1.0)
+    assert empty.bounds_upper_low == empty.bounds_upper_high == (1.0, 1.0, 1.0)
+    assert empty.num_assets == 0
+    env = ENVIRONMENTS.get("env_with_obstacles")
+    assert env.physics_steps_per_env_step == 10
+    assert (env.bounds_lower_low, env.bounds_lower_high) == ((-2.0, -4.0, -3.0), (-1.0, -2.5, -2.0))
+    assert (env.bounds_upper_low, env.bounds_upper_high) == ((9.0, 2.5, 2.0), (10.0, 4.0, 3.0))
+    assert (env.num_assets, env.num_kept) == (44, 9)
+    panels, objects, *walls = env.assets
+    assert (panels.count, panels.keep, panels.shapes[0].size) == (3, True, (0.1, 1.2, 3.0))
+    assert panels.euler_high == pytest.approx((0.0, 0.0, radians(60.0)))
+    assert (objects.count, objects.keep, len(objects.shapes)) == (35, False, 4)
+    assert objects.euler_low == pytest.approx((-pi, -pi, -pi))
+    assert {wall.name: wall.semantic_id for wall in walls} == {
+        "front_wall": 9,
+        "back_wall": 10,
+        "left_wall": 11,
+        "right_wall": 12,
+        "bottom_wall": 13,
+        "top_wall": 14,
+    }
+
+
+def test_shipped_cameras_hold_the_values_of_aerial_gym() -> None:
+    base = SENSORS.get("base_depth_camera")
+    assert (base.height, base.width, base.hfov_deg, base.min_range, base.max_range) == (135, 240, 87.0, 0.2, 10.0)
+    assert (CAMERA.height, CAMERA.width, CAMERA.hfov_deg) == (64, 64, 90.0)
+
+
+@pytest.mark.parametrize("name", ENVIRONMENTS.names())
+def test_an_environment_survives_the_way_to_yaml_and_back(name: str) -> None:
+    cfg = ENVIRONMENTS.get(name)
+    assert build(EnvironmentCfg, to_mapping(cfg), where="test") == cfg
+
+
+def test_out_of_range_pixels_are_those_of_aerial_gym() -> None:
+    """parity.md 3.4: -1 and -1 in metres; normalised, 1 for too far and -1 for too near."""
+    assert (CAMERA.far_pixel, CAMERA.near_pixel) == (-1.0, -1.0)
+    normalised = replace(CAMERA, normalize=True)
+    assert (normalised.far_pixel, normalised.near_pixel) == (1.0, -1.0)
+    assert replace(normalised, far_out_of_range_value=20.0).far_pixel == 2.0
+
+
+def test_unknown_keys_name_the_nearest_known_one() -> None:
+    data = to_mapping(ENVIRONMENTS.get("empty_env"))
+    with pytest.raises(ConfigError, match="my.yaml: unknown field 'bounds_lower_lo'. Did you mean 'bounds_lower_low'"):
+        build(EnvironmentCfg, {**data, "bounds_lower_lo": [0, 0, 0]}, where="my.yaml")
+    with pytest.raises(ConfigError, match="unknown field 'hfov'. Did you mean 'hfov_deg'"):
+        build(CameraCfg, {**to_mapping(CAMERA), "hfov": 1.5}, where="my.yaml")
+    asset = {**to_mapping(ASSET), "shapes": [{"kind": "sphere", "radios": 1.0}]}
+    with pytest.raises(ConfigError, match=r"assets\[0\]: shapes\[0\]: unknown field 'radios'. Did you mean 'radius'"):
+        build(EnvironmentCfg, {**data, "assets": [asset]}, where="my.yaml")
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"width": 0}, r"CameraCfg.width = 0: must be at least 1 pixel"),
+        ({"height": -3}, r"CameraCfg.height = -3: must be at least 1 pixel"),
+        ({"hfov_deg": 180.0}, r"CameraCfg.hfov_deg = 180.0: must lie between 0 and 180 degrees"),
+        ({"hfov_deg": 0.0}, r"CameraCfg.hfov_deg = 0.0"),
+        ({"hfov_deg": nan}, r"CameraCfg.hfov_deg = nan"),
+        ({"min_range": 10.0}, r"needs 0 <= min_range < max_range < inf"),
+        ({"min_range": -0.1}, r"needs 0 <= min_range < max_range < inf"),
+        ({"max_range": inf}, r"needs 0 <= min_range < max_range < inf"),
+        ({"kind": "depht"}, r"CameraCfg.kind = 'depht': must be one of depth, range"),
+        ({"euler": (0.0, 90.0, 0.0)}, r"must lie within \+-2 pi. Angles are in radians"),
+        ({"euler": (0.0, nan, 0.0)}, r"CameraCfg.euler = .*: must be finite"),
+        ({"position": (inf, 0.0, 0.0)}, r"CameraCfg.position = .*: must be finite"),
+        ({"far_out_of_range_value": nan}, r"CameraCfg.far_out_of_range_value = nan: must be finite"),
+    ],
+)
+def test_impossible_cameras_are_refused(fields: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        replace(CAMERA, **fields)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        (
+            {"kind": "cone", "radius": 1.0},
+            r"ShapeCfg.kind = 'cone': must be one of box, sphere, cylinder, capsule, mesh",
+        ),
+        ({"kind": "box"}, r"ShapeCfg.size: a box needs it"),
+        ({"kind": "box", "size": (1.0, 0.0, 1.0)}, r"ShapeCfg.size = .*: must be > 0 and finite"),
+        ({"kind": "sphere", "radius": nan}, r"ShapeCfg.radius = nan: must be > 0 and finite"),
+        ({"kind": "capsule", "radius": 1.0}, r"ShapeCfg.height: a capsule needs it"),
+        ({"kind": "sphere", "radius": 1.0, "height": 2.0}, r"ShapeCfg.height = 2.0: a sphere has none"),
+        ({"kind": "mesh", "path": "a.obj", "scale": 0.0}, r"ShapeCfg.scale = 0.0: must be > 0 and finite"),
+        ({"kind": "sphere", "radius": 1.0, "scale": 2.0}, r"only a mesh is scaled"),
+    ],
+)
+def test_impossible_shapes_are_refused(fields: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        ShapeCfg(**fields)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"count": 0}, r"AssetCfg 'ball': count = 0 must be >= 1"),
+        ({"shapes": ()}, r"AssetCfg 'ball': shapes needs at least one entry"),
+        ({"name": ""}, r"AssetCfg.name: must not be empty"),
+        ({"semantic_id": 100}, r"semantic_id = 100 must be 0 to 99, or -1"),
+        ({"euler_high": (0.0, 0.0, 180.0)}, r"must lie within \+-2 pi. Angles are in radians"),
+        ({"euler_low": (0.0, 0.0, 1.0)}, r"euler_low = .* must not exceed euler_high"),
+        ({"position_ratio_low": (0.0, nan, 0.0)}, r"AssetCfg.position_ratio_low = .*: must be finite"),
+        ({"position_ratio_low": (0.0, 1.5, 0.0)}, r"position_ratio_low = .* must not exceed position_ratio_high"),
+        ({"offset": (0.0, inf, 0.0)}, r"AssetCfg.offset = .*: must be finite"),
+    ],
+)
+def test_impossible_assets_are_refused(fields: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        replace(ASSET, **fields)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"physics_steps_per_env_step": 0}, r"physics_steps_per_env_step = 0: must be >= 1"),
+        ({"bounds_lower_high": (-1.0, 2.0, -1.0)}, r"bounds_lower_high = .* must lie below bounds_upper_low"),
+        ({"bounds_upper_high": (1.0, 0.5, 1.0)}, r"bounds_upper_low = .* must not exceed bounds_upper_high"),
+        ({"bounds_lower_low": (-inf, -1.0, -1.0)}, r"bounds_lower_low = .*: must be finite"),
+        ({"assets": (ASSET, ASSET)}, r"two are called 'ball'. Give each its own name"),
+    ],
+)
+def test_impossible_environments_are_refused(fields: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        replace(ENVIRONMENTS.get("empty_env"), **fields)
+
+
+def test_mesh_files_are_found_beside_the_environment_file(tmp_path) -> None:
+    """A relative path in a user's YAML file means the folder of that file, and the mesh there can be loaded."""
+    trimesh.creation.box((1.0, 2.0, 3.0)).export(tmp_path / "rock.stl")
+    (tmp_path / "env.yaml").write_text(
+        "summary: a rock\nphysics_steps_per_env_step: 1\nsource: test\n"
+        "bounds_lower_low: [-1, -1, -1]\nbounds_lower_high: [-1, -1, -1]\n"
+        "bounds_upper_low: [1, 1, 1]\nbounds_upper_high: [1, 1, 1]\n"
+        "assets:\n- {name: rock, count: 1, shapes: [{kind: mesh, path: rock.stl, scale: 0.5}],\n"
+        "   position_ratio_low: [0, 0, 0], position_ratio_high: [1, 1, 1]}\n"
+    )
+    shape = load_environment(tmp_path / "env.yaml").assets[0].shapes[0]
+    assert shape.path == str(tmp_path / "rock.stl")
+    assert load_mesh(shape.path or "", scale=shape.scale).extents == pytest.approx([0.5, 1.0, 1.5])
+
+
+def test_mesh_files_that_cannot_be_used_are_named(tmp_path) -> None:
+    with pytest.raises(ConfigError, match=r"none.obj: no such file"):
+        load_mesh(tmp_path / "none.obj", scale=1.0)
+    for name, text, message in (
+        ("empty.obj", "", "empty.obj: holds no triangle"),
+        ("points.obj", "v 0 0 1\nv 1 0 0\n", "points.obj: holds no triangle"),
+        ("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "nan.obj: a vertex is not finite"),
+        ("inf.obj", "v 0 0 inf\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "inf.obj: a vertex is not finite"),
+        ("mesh.unknown", "?", "mesh.unknown: cannot be read"),
+    ):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(ConfigError, match=message):
+            load_mesh(tmp_path / name, scale=1.0)
