@@ -1,0 +1,7 @@
+"""Simulations: built by ``SimBuilder``, run by ``EnvManager``."""
+
+from aerial_gym.env_manager.catalog import SIMS
+from aerial_gym.env_manager.env_manager import EnvManager
+from aerial_gym.env_manager.sim_builder import SimBuilder, robot_by_name
+
+__all__ = ["SIMS", "EnvManager", "SimBuilder", "robot_by_name"]

@@ -1,0 +1,152 @@
+"""The order of a step, and nothing else.
+
+``act -> [control -> allocate -> rotors -> effects -> integrate -> collide] x K -> clocks``, then, when the task has seen
+the result, ``reset by mask -> sense``. Letters: E environments, A obstacles.
+"""
+
+import torch
+from torch import Tensor
+
+from aerial_gym.assets import AssetManager, CollisionTest, draw_bounds
+from aerial_gym.config.controller import ControllerCfg
+from aerial_gym.config.environment import EnvironmentCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import SimCfg
+from aerial_gym.control import make_controller
+from aerial_gym.errors import ConfigError
+from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+from aerial_gym.robots import RobotManager
+from aerial_gym.sensors import SENSORS, SensorManager
+
+
+class EnvManager:
+    """A batch of environments: obstacles, one robot each, sensors, and the Global Tensor Dictionary they share."""
+
+    def __init__(
+        self,
+        *,
+        sim: SimCfg,
+        env: EnvironmentCfg,
+        robot: RobotCfg,
+        controller: ControllerCfg,
+        num_envs: int,
+        device: torch.device,
+        seed: int,
+    ) -> None:
+        """Build everything; call ``reset`` before the first ``step``. ``SimBuilder.build_env`` resolves names.
+
+        Raises:
+            ConfigError: If ``num_envs`` is not positive.
+        """
+        if num_envs < 1:
+            raise ConfigError(f"num_envs = {num_envs!r}: must be at least 1")
+        self.cfg, self.sim_cfg, self.num_envs, self.device = env, sim, num_envs, device
+        self.generator = torch.Generator(device=device).manual_seed(seed)
+        sizes = {"E": num_envs, "A": env.num_assets, "R": robot.num_rotors}
+        self.gtd = GlobalTensorDictionary(device=device, sizes=sizes)
+        self._declare(env.num_assets)
+        root, bounds = self.gtd["vec_root_tensor"], (self.gtd["env_bounds_min"], self.gtd["env_bounds_max"])
+        self.asset_manager = AssetManager(
+            env,
+            self.gtd,
+            num_envs=num_envs,
+            device=device,
+            generator=self.generator,
+            bounds_min=bounds[0],
+            bounds_max=bounds[1],
+            asset_state=root[:, 1:],
+        )
+        self.robot_manager = RobotManager(
+            robot, sim, self.gtd, root_state=root[:, 0], bounds=bounds, generator=self.generator
+        )
+        self.robot_manager.attach(make_controller(controller, self.robot_manager.declared, sim.gravity))
+        pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
+        cameras = {name: SENSORS.get(name) for name in robot.sensors}
+        scene = self.asset_manager.scene
+        self.sensor_manager = SensorManager(cameras, self.gtd, scene, num_envs=num_envs, device=device, **pose)
+        self._touching = torch.zeros(num_envs, dtype=torch.bool, device=device)
+        self._collision = CollisionTest(
+            scene,
+            robot.collision.spheres,
+            distance_out=self.gtd["robot_clearance"],
+            crashes_out=self._touching,
+            **pose,
+        )
+        self._all = torch.ones(num_envs, dtype=torch.bool, device=device)
+
+    def _declare(self, num_assets: int) -> None:
+        declare = self.gtd.declare
+        declare(TensorSpec(
+            key="vec_root_tensor", shape=("E", 1 + num_assets, 13), unit="m, -, m/s, rad/s", frame="world",
+            owner="physics, assets", meaning="position, xyzw, velocity, angular velocity; row 0 is the robot",
+        ))  # fmt: skip
+        for key, meaning in (("env_bounds_min", "lower corner"), ("env_bounds_max", "upper corner")):
+            declare(TensorSpec(key=key, shape=("E", 3), unit="m", frame="world", owner="env", meaning=meaning))
+        declare(TensorSpec(
+            key="robot_clearance", shape=("E",), unit="m", frame="-", owner="env",
+            meaning="signed distance of the robot's collision spheres to the scene; inf where there is nothing",
+        ))  # fmt: skip
+        for key, dtype, meaning in (
+            ("crashes", torch.bool, "the robot touched something in this step, or the task calls it crashed"),
+            ("truncations", torch.bool, "the task ends the episode without a crash"),
+            ("sim_steps", torch.int32, "environment steps since the last reset"),
+        ):
+            declare(TensorSpec(
+                key=key, shape=("E",), dtype=dtype, unit="-", frame="-", owner="env, task", meaning=meaning
+            ))  # fmt: skip
+
+    @property
+    def dt(self) -> float:
+        """Length of an environment step [s]."""
+        return self.sim_cfg.dt * self.cfg.physics_steps_per_env_step
+
+    def step(self, actions: Tensor) -> None:
+        """Hold an action, (E, U), for one environment step; nothing is reset, no sensor is read."""
+        gtd = self.gtd
+        gtd["crashes"].zero_()
+        gtd["truncations"].zero_()
+        self.robot_manager.act(actions)
+        self._advance()
+        self.robot_manager.refresh()
+        gtd["sim_steps"].add_(1)
+
+    def _advance(self) -> None:
+        """Advance the physics; where there are obstacles, look for contact after every physics step."""
+        steps = self.cfg.physics_steps_per_env_step
+        if self.cfg.num_assets == 0:
+            self.robot_manager.advance(steps)
+            return
+        for _ in range(steps):
+            self.robot_manager.advance(1)
+            self._collision.measure()
+            self.gtd["crashes"].logical_or_(self._touching)
+
+    def reset(self, mask: Tensor | None = None) -> None:
+        """Start the environments in ``mask``, bool (E,), anew; all of them without a mask. Others stay bit for bit."""
+        mask = self._all if mask is None else mask
+        self._draw_bounds(mask)
+        self.asset_manager.reset(mask)
+        self.robot_manager.reset(mask)
+        self.sensor_manager.reset(mask)
+        self.robot_manager.refresh()
+        self._collision.measure()
+        for key in ("crashes", "truncations", "sim_steps"):
+            self.gtd[key].masked_fill_(mask, 0)
+
+    def post_reward_calculation_step(self) -> None:
+        """Reset the crashed and truncated environments, then read the sensors: images belong to the new episodes."""
+        self.reset(self.gtd["crashes"] | self.gtd["truncations"])
+        self.render()
+
+    def render(self) -> None:
+        """Read every sensor at the states of this instant."""
+        self.sensor_manager.capture()
+
+    def close(self) -> None:
+        """Drop what holds device memory."""
+        del self.asset_manager, self.robot_manager, self.sensor_manager, self._collision
+
+    def _draw_bounds(self, mask: Tensor) -> None:
+        draws = draw_bounds(self.cfg, num_envs=self.num_envs, device=self.device, generator=self.generator)
+        for key, draw in zip(("env_bounds_min", "env_bounds_max"), draws, strict=True):
+            self.gtd[key].copy_(torch.where(mask.unsqueeze(-1), draw, self.gtd[key]))

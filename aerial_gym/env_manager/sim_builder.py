@@ -1,0 +1,69 @@
+"""From registered names, or files, to a running simulation."""
+
+from pathlib import Path
+
+import torch
+
+from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config import load
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.env_manager.catalog import SIMS
+from aerial_gym.env_manager.env_manager import EnvManager
+from aerial_gym.errors import ConfigError
+from aerial_gym.interop import resolve_device
+from aerial_gym.robots import ROBOTS
+
+
+def robot_by_name(name: str | Path) -> RobotCfg:
+    """Return a registered robot, or the one in a robot file if ``name`` ends in ``.yaml``."""
+    if str(name).endswith((".yaml", ".yml")):
+        return load(RobotCfg, name)
+    return ROBOTS.get(str(name))
+
+
+def _device(name: str | torch.device) -> torch.device:
+    try:
+        return resolve_device(name)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+
+
+class SimBuilder:
+    """Builds an ``EnvManager`` from names."""
+
+    def build_env(
+        self,
+        *,
+        sim_name: str,
+        env_name: str,
+        robot_name: str | Path,
+        controller_name: str,
+        num_envs: int,
+        device: str | torch.device = "auto",
+        seed: int = 0,
+    ) -> EnvManager:
+        """Return a simulation, built and not yet reset.
+
+        Args:
+            sim_name: Registered sim.
+            env_name: Registered environment.
+            robot_name: Registered robot, or path of a robot file (``close-loop`` writes such files).
+            controller_name: Registered controller.
+            num_envs: Environments side by side.
+            device: Torch device; ``auto`` takes the GPU if there is one.
+            seed: Seed of every random number.
+
+        Raises:
+            UnknownNameError: If a name is not registered; the message lists what is.
+            ConfigError: If a number is impossible.
+        """
+        return EnvManager(
+            sim=SIMS.get(sim_name),
+            env=ENVIRONMENTS.get(env_name),
+            robot=robot_by_name(robot_name),
+            controller=CONTROLLERS.get(controller_name),
+            num_envs=num_envs,
+            device=_device(device),
+            seed=seed,
+        )

@@ -1,0 +1,225 @@
+"""The order of a step, reset by mask, and what stands in the Global Tensor Dictionary."""
+
+import pytest
+import torch
+
+from aerial_gym import SimBuilder
+from aerial_gym.env_manager import EnvManager
+from aerial_gym.errors import ConfigError, ShapeError, UnknownNameError
+from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse
+
+
+def build(num_envs: int = 4, *, seed: int = 0, **changes: str) -> EnvManager:
+    names = {
+        "sim_name": "base_sim",
+        "env_name": "empty_env",
+        "robot_name": "base_quadrotor",
+        "controller_name": "lee_velocity_control",
+    }
+    return SimBuilder().build_env(**{**names, **changes}, num_envs=num_envs, device="cpu", seed=seed)
+
+
+def fly(env: EnvManager, steps: int = 5) -> None:
+    env.reset()
+    for i in range(steps):
+        env.step(torch.tensor([1.0, 0.2 * i, 0.1, 0.3]).expand(env.num_envs, 4))
+
+
+@pytest.mark.parametrize("env_name", ["empty_env", "empty_env_2ms", "env_with_obstacles"])
+def test_all_states_belong_to_the_same_instant(env_name: str) -> None:
+    """After a step and a reset by mask, body velocities and angles follow from the pose and world velocities."""
+    env = build(env_name=env_name)
+    fly(env)
+    env.reset(torch.tensor([True, False, False, True]))
+    gtd = env.gtd
+    q = gtd["robot_orientation"]
+    torch.testing.assert_close(gtd["robot_body_linvel"], quat_rotate_inverse(q, gtd["robot_linvel"]))
+    torch.testing.assert_close(gtd["robot_angvel"], quat_rotate(q, gtd["robot_body_angvel"]))
+    torch.testing.assert_close(gtd["robot_euler_angles"], euler_from_quat(q))
+    heading = quat_rotate(gtd["robot_vehicle_orientation"], torch.tensor([1.0, 0.0, 0.0]).expand(4, 3))
+    yaw = gtd["robot_euler_angles"][:, 2]
+    torch.testing.assert_close(heading, torch.stack((yaw.cos(), yaw.sin(), 0 * yaw), dim=-1))
+    torch.testing.assert_close(
+        gtd["robot_vehicle_linvel"], quat_rotate_inverse(gtd["robot_vehicle_orientation"], gtd["robot_linvel"])
+    )
+    assert torch.equal(gtd["robot_state_tensor"], gtd["vec_root_tensor"][:, 0])
+    assert torch.equal(gtd["robot_state_tensor"][:, 10:], gtd["robot_angvel"])
+
+
+def test_step_keeps_time_and_does_not_reset() -> None:
+    env = build(env_name="empty_env_2ms", sim_name="base_sim_2ms")
+    assert env.dt == pytest.approx(0.01)
+    fly(env, 7)
+    assert env.gtd["sim_steps"].tolist() == [7] * 4
+
+
+def test_reset_by_mask_leaves_other_rows_bit_for_bit() -> None:
+    env = build(5, env_name="env_with_obstacles")
+    fly(env)
+    before = {key: tensor.clone() for key, tensor in env.gtd.items()}
+    mask = torch.tensor([False, True, False, False, True])
+    env.reset(mask)
+    skip = {"num_obstacles_in_env", "robot_clearance"}
+    for key, tensor in env.gtd.items():
+        if key not in skip:
+            assert torch.equal(tensor[~mask], before[key][~mask]), key
+    assert (env.gtd["robot_position"][mask] != before["robot_position"][mask]).all()
+    assert env.gtd["sim_steps"].tolist() == [5, 0, 5, 5, 0]
+
+
+def test_reset_draws_inside_the_declared_ranges() -> None:
+    env = build(512)
+    env.reset()
+    gtd = env.gtd
+    ratio = (gtd["robot_position"] - gtd["env_bounds_min"]) / (gtd["env_bounds_max"] - gtd["env_bounds_min"])
+    low, high = torch.tensor([0.1, 0.15, 0.15]), torch.tensor([0.2, 0.85, 0.85])
+    assert ((ratio >= low - 1e-6) & (ratio <= high + 1e-6)).all()
+    torch.testing.assert_close(ratio.mean(0), 0.5 * (low + high), atol=0.05, rtol=0)
+    assert gtd["robot_linvel"].abs().max() <= 0.2
+    assert gtd["robot_euler_angles"][:, :2].abs().max() < 1e-6
+    assert gtd["robot_euler_angles"][:, 2].abs().max() <= 0.53
+
+
+def test_same_seed_same_flight_and_another_seed_another() -> None:
+    a, b, c = build(seed=1), build(seed=1), build(seed=2)
+    for env in (a, b, c):
+        fly(env)
+    assert torch.equal(a.gtd["robot_state_tensor"], b.gtd["robot_state_tensor"])
+    assert not torch.equal(a.gtd["robot_state_tensor"], c.gtd["robot_state_tensor"])
+
+
+def test_two_environments_of_different_size_do_not_disturb_each_other() -> None:
+    alone = build(3, seed=5)
+    fly(alone)
+    first, second = build(3, seed=5), build(7, env_name="env_with_obstacles", seed=9)
+    second.reset()
+    first.reset()
+    for i in range(5):
+        second.step(torch.zeros(7, 4))
+        first.step(torch.tensor([1.0, 0.2 * i, 0.1, 0.3]).expand(3, 4))
+    assert torch.equal(first.gtd["robot_state_tensor"], alone.gtd["robot_state_tensor"])
+
+
+def test_environment_of_a_batch_is_the_same_alone_in_physics() -> None:
+    """Row i of a batch, copied into a batch of one, flies the same flight."""
+    batch, single = build(6), build(1)
+    batch.reset()
+    single.reset()
+    for mine, theirs in zip(
+        single.robot_manager.tensors.state.tensors(), batch.robot_manager.tensors.state.tensors(), strict=True
+    ):
+        mine.copy_(theirs[4:5])
+    for _ in range(50):
+        batch.step(torch.tensor([0.5, -0.2, 0.1, 0.3]).expand(6, 4))
+        single.step(torch.tensor([[0.5, -0.2, 0.1, 0.3]]))
+    torch.testing.assert_close(
+        single.gtd["robot_state_tensor"], batch.gtd["robot_state_tensor"][4:5], atol=1e-5, rtol=1e-5
+    )
+
+
+def test_actions_are_kept_at_the_rate_of_environment_steps() -> None:
+    env = build(env_name="env_with_obstacles")
+    env.reset()
+    first, second = torch.full((4, 4), 0.1), torch.full((4, 4), 0.2)
+    env.step(first)
+    env.step(second)
+    assert torch.equal(env.gtd["robot_actions"], second)
+    assert torch.equal(env.gtd["robot_prev_actions"], first)
+
+
+def test_flying_into_a_wall_is_a_crash_and_clearance_tells_how_far() -> None:
+    """Flying forward without end must hit something; before the hit the clearance is positive."""
+    env = build(8, env_name="env_with_obstacles")
+    env.reset()
+    crashed = torch.zeros(8, dtype=torch.bool)
+    for _ in range(200):
+        env.step(torch.tensor([2.0, 0.0, 0.0, 0.0]).expand(8, 4))
+        assert torch.equal(env.gtd["crashes"] | (env.gtd["robot_clearance"] >= 0), torch.ones(8, dtype=torch.bool))
+        crashed |= env.gtd["crashes"]
+        env.post_reward_calculation_step()
+    assert crashed.all()
+
+
+def test_effect_parameters_written_to_the_gtd_change_the_flight() -> None:
+    from dataclasses import replace
+
+    from aerial_gym.assets import ENVIRONMENTS
+    from aerial_gym.control import CONTROLLERS
+    from aerial_gym.env_manager import SIMS
+    from aerial_gym.robots import ROBOTS
+
+    robot = replace(ROBOTS.get("tinyprop"), effects={"rotor_drag": {"dx": 0.0, "dy": 0.0, "dz": 0.0}})
+    env = EnvManager(
+        sim=SIMS.get("base_sim"),
+        env=ENVIRONMENTS.get("empty_env"),
+        robot=robot,
+        controller=CONTROLLERS.get("no_control"),
+        num_envs=2,
+        device=torch.device("cpu"),
+        seed=0,
+    )
+    env.reset()
+    for tensor in env.robot_manager.tensors.state.tensors():
+        tensor.copy_(tensor[:1].expand_as(tensor))
+    env.robot_manager.tensors.state.lin_vel.copy_(torch.tensor([2.0, 0.0, 0.0]))
+    env.gtd["effect_rotor_drag"][1] = 0.5
+    env.robot_manager.refresh_model()
+    for _ in range(20):
+        env.step(torch.full((2, 4), 0.373 * 9.81 / 4))
+    slow, fast = env.gtd["robot_linvel"][1].norm(), env.gtd["robot_linvel"][0].norm()
+    assert slow < fast - 0.1
+
+
+def test_randomised_parameters_stay_in_range_and_change_only_in_the_mask() -> None:
+    from dataclasses import replace
+
+    from aerial_gym.assets import ENVIRONMENTS
+    from aerial_gym.config.robot import RandomizationCfg
+    from aerial_gym.control import CONTROLLERS
+    from aerial_gym.env_manager import SIMS
+    from aerial_gym.robots import ROBOTS
+
+    randomization = RandomizationCfg(mass_scale=(0.9, 1.1), thrust_scale=(0.95, 1.05), time_constant_scale=(0.8, 1.2))
+    robot = replace(ROBOTS.get("base_quadrotor"), randomization=randomization)
+    env = EnvManager(
+        sim=SIMS.get("base_sim"),
+        env=ENVIRONMENTS.get("empty_env"),
+        robot=robot,
+        controller=CONTROLLERS.get("lee_position_control"),
+        num_envs=64,
+        device=torch.device("cpu"),
+        seed=0,
+    )
+    env.reset()
+    mass = env.gtd["robot_mass"].clone()
+    assert ((mass > 0.9 * 0.25) & (mass < 1.1 * 0.25)).all()
+    assert mass.std() > 0.005
+    torch.testing.assert_close(env.gtd["robot_inertia"][:, 0, 0] / mass, torch.full((64,), 8.45e-4 / 0.25))
+    mask = torch.arange(64) < 10
+    env.reset(mask)
+    assert torch.equal(env.gtd["robot_mass"][~mask], mass[~mask])
+    assert (env.gtd["robot_mass"][mask] != mass[mask]).all()
+    thrust_scale = env.robot_manager.model.vehicle.thrust_map[..., 2] / env.robot_manager.declared.thrust_map[..., 2]
+    assert ((thrust_scale > 0.95) & (thrust_scale < 1.05)).all()
+
+
+def test_wrong_requests_are_refused_by_name() -> None:
+    with pytest.raises(UnknownNameError, match="no sim 'base_simm'. Did you mean 'base_sim'"):
+        build(sim_name="base_simm")
+    with pytest.raises(UnknownNameError, match="no robot 'base_quad'"):
+        build(robot_name="base_quad")
+    with pytest.raises(ConfigError, match="num_envs = 0: must be at least 1"):
+        build(0)
+    with pytest.raises(ConfigError, match="device 'gpu': must be auto, cpu, cuda or cuda:N"):
+        SimBuilder().build_env(
+            sim_name="base_sim",
+            env_name="empty_env",
+            robot_name="base_quadrotor",
+            controller_name="no_control",
+            num_envs=1,
+            device="gpu",
+        )
+    env = build()
+    env.reset()
+    with pytest.raises(ShapeError, match=r"actions has shape \(4, 3\), expected \(E, U\) = \(4, 4\): vx \[m/s\]"):
+        env.step(torch.zeros(4, 3))
