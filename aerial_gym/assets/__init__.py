@@ -3,7 +3,7 @@
 from aerial_gym.assets.asset_manager import AssetManager
 from aerial_gym.assets.catalog import ENVIRONMENTS
 from aerial_gym.assets.collision import CollisionTest
-from aerial_gym.assets.placement import draw_bounds
+from aerial_gym.assets.placement import bounds_ranges, draw_bounds
 from aerial_gym.assets.scene import PARKED_Z, Scene
 from aerial_gym.assets.shapes import load_mesh
 
@@ -13,6 +13,7 @@ __all__ = [
     "AssetManager",
     "CollisionTest",
     "Scene",
+    "bounds_ranges",
     "draw_bounds",
     "load_mesh",
 ]

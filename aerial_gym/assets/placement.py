@@ -33,17 +33,17 @@ class PlacementRanges:
     """Highest roll, pitch, yaw [rad], (E, A, 3)."""
 
 
-def draw_bounds(
-    cfg: EnvironmentCfg, *, num_envs: int, device: torch.device, generator: torch.Generator
-) -> tuple[Tensor, Tensor]:
-    """Return lower and upper corners [m], world, each (E, 3), uniform between the limits of the configuration."""
+def bounds_ranges(cfg: EnvironmentCfg, *, device: torch.device) -> Tensor:
+    """Return the limits of the bounds [m], world, (2, 2, 3): lower and upper corner, each from lowest to highest."""
+    lower = (cfg.bounds_lower_low, cfg.bounds_lower_high)
+    return torch.tensor((lower, (cfg.bounds_upper_low, cfg.bounds_upper_high)), device=device)
 
-    def corner(low: tuple[float, ...], high: tuple[float, ...]) -> Tensor:
-        ends = torch.tensor((low, high), device=device)
-        return uniform(ends[0], ends[1], (num_envs, 3), generator=generator)
 
-    lower = corner(cfg.bounds_lower_low, cfg.bounds_lower_high)
-    return lower, corner(cfg.bounds_upper_low, cfg.bounds_upper_high)
+def draw_bounds(ranges: Tensor, *, num_envs: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Return lower and upper corners [m], world, each (E, 3), uniform within ``bounds_ranges``."""
+    shape = (num_envs, 3)
+    lower = uniform(ranges[0, 0], ranges[0, 1], shape, generator=generator)
+    return lower, uniform(ranges[1, 0], ranges[1, 1], shape, generator=generator)
 
 
 def draw_kinds(assets: tuple[AssetCfg, ...], *, num_envs: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:

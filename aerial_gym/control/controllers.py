@@ -18,6 +18,8 @@ from aerial_gym.math.random import uniform
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
 
+_GAINS = ("position", "velocity", "attitude", "rate")
+
 
 class Controller(Protocol):
     """What a robot needs of a controller."""
@@ -81,6 +83,7 @@ class LeeController:
         self.action_names, self._wrench = law.action, law.wrench
         self._cfg, self._allocation = cfg.gains, Allocation(vehicle, gravity)
         self.gains = _middle_gains(cfg.gains, vehicle, gravity)
+        self._ranges = {name: _range(cfg.gains, name, vehicle.com) for name in _GAINS}
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
         """Return the speeds that give the wrench of the law, within the rotors' limits."""
@@ -90,9 +93,8 @@ class LeeController:
         """Draw gains for the environments in ``mask`` if the configuration randomises them."""
         if not self._cfg.randomize:
             return
-        for name in ("position", "velocity", "attitude", "rate"):
+        for name, (low, high) in self._ranges.items():
             gain = getattr(self.gains, name)
-            low, high = _range(self._cfg, name, gain)
             draw = uniform(low, high, tuple(gain.shape), generator=generator)
             gain.copy_(torch.where(mask.unsqueeze(-1), draw, gain))
 
@@ -114,7 +116,7 @@ def _middle_gains(cfg: LeeGainsCfg, vehicle: Vehicle, gravity: float) -> LeeGain
         max_yaw_rate=cfg.max_yaw_rate,
         max_inclination=cfg.max_inclination,
     )
-    ranges = {name: _range(cfg, name, empty) for name in ("position", "velocity", "attitude", "rate")}
+    ranges = {name: _range(cfg, name, empty) for name in _GAINS}
     middle = {name: (0.5 * (low + high)).expand_as(empty).clone() for name, (low, high) in ranges.items()}
     return replace(gains, **middle)
 

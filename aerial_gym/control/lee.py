@@ -7,6 +7,7 @@ Letters: E environments.
 """
 
 from dataclasses import dataclass
+from math import tan
 
 import torch
 from torch import Tensor
@@ -102,7 +103,7 @@ def limit_inclination(force: Tensor, minimum: Tensor, max_inclination: float) ->
     """Return the force (E, 3) with z at least ``minimum`` (E,) [N] and tilted at most ``max_inclination`` [rad]."""
     up = torch.maximum(force[:, 2], minimum)
     lateral = force[:, :2]
-    largest = up * torch.tan(torch.as_tensor(max_inclination, dtype=up.dtype))
+    largest = up * tan(max_inclination)
     shrink = torch.clamp(largest / lateral.norm(dim=-1).clamp_min(1e-9), max=1.0)
     return torch.cat((lateral * shrink.unsqueeze(-1), up.unsqueeze(-1)), dim=-1)
 

@@ -7,7 +7,7 @@ the result, ``reset by mask -> sense``. Letters: E environments, A obstacles.
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import AssetManager, CollisionTest, draw_bounds
+from aerial_gym.assets import AssetManager, CollisionTest, bounds_ranges, draw_bounds
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.robot import RobotCfg
@@ -72,6 +72,7 @@ class EnvManager:
             crashes_out=self._touching,
             **pose,
         )
+        self._bounds_ranges = bounds_ranges(env, device=device)
         self._all = torch.ones(num_envs, dtype=torch.bool, device=device)
 
     def _declare(self, num_assets: int) -> None:
@@ -147,6 +148,6 @@ class EnvManager:
         del self.asset_manager, self.robot_manager, self.sensor_manager, self._collision
 
     def _draw_bounds(self, mask: Tensor) -> None:
-        draws = draw_bounds(self.cfg, num_envs=self.num_envs, device=self.device, generator=self.generator)
+        draws = draw_bounds(self._bounds_ranges, num_envs=self.num_envs, generator=self.generator)
         for key, draw in zip(("env_bounds_min", "env_bounds_max"), draws, strict=True):
             self.gtd[key].copy_(torch.where(mask.unsqueeze(-1), draw, self.gtd[key]))

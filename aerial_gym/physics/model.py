@@ -55,7 +55,9 @@ def build_model(vehicle: Vehicle, effects: Sequence[EffectParams] = (), *, gravi
             vehicle = effect.adjust(vehicle, params)
     return Model(
         vehicle=vehicle,
-        inertia_inverse=torch.linalg.inv(vehicle.inertia),
+        inertia_inverse=torch.linalg.inv_ex(
+            vehicle.inertia
+        ).inverse,  # inv would wait for the GPU to say that it exists
         winds=tuple((effect, params) for effect, params in effects if isinstance(effect, WindEffect)),
         wrenches=tuple((effect, params) for effect, params in effects if isinstance(effect, WrenchEffect)),
         gravity=gravity,

@@ -86,6 +86,10 @@ class RobotManager:
             "thrust_scale": torch.ones(self._num_envs, robot.num_rotors, device=gtd.device),
             "time_constant_scale": torch.ones(self._num_envs, robot.num_rotors, device=gtd.device),
         }
+        ranges = {name: torch.tensor(getattr(robot.randomization, name), device=gtd.device) for name in self._factors}
+        self._randomized = {
+            name: (r[0], r[1]) for name, r in ranges.items() if getattr(robot.randomization, name) != (1.0, 1.0)
+        }
         self._root_state = root_state
         self.backend = choose_backend(sim.backend)
         check_capabilities(self.backend, robot, gtd.device)
@@ -174,15 +178,11 @@ class RobotManager:
         self.backend.reset(mask)
 
     def _randomize(self, rows: Tensor) -> None:
-        changed = False
-        for name, factor in self._factors.items():
-            low, high = getattr(self.cfg.randomization, name)
-            if low < high or low != 1.0:
-                bounds = factor.new_tensor((low, high))
-                draw = uniform(bounds[0], bounds[1], tuple(factor.shape), generator=self._generator)
-                factor.copy_(torch.where(rows, draw, factor))
-                changed = True
-        if changed:
+        for name, (low, high) in self._randomized.items():
+            factor = self._factors[name]
+            draw = uniform(low, high, tuple(factor.shape), generator=self._generator)
+            factor.copy_(torch.where(rows, draw, factor))
+        if self._randomized:
             self.refresh_model()
 
 

@@ -6,6 +6,7 @@ Letters: E environments, R rotors, U entries of an action.
 
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse, quat_yaw
@@ -19,6 +20,9 @@ class RobotTensors:
 
     state: BodyState
     """Written by the physics."""
+
+    root_state: Tensor
+    """(E, 13)."""
 
     ang_vel_world: Tensor
     """(E, 3)."""
@@ -47,46 +51,35 @@ def _spec(key: str, width: int | str, unit: str, frame: str, owner: str, meaning
 
 
 def declare_robot_tensors(gtd: GlobalTensorDictionary, root_state: Tensor) -> RobotTensors:
-    """Declare every key of a robot; ``root_state`` is its row (E, 13) of ``vec_root_tensor``."""
-    view, new = gtd.declare, gtd.declare
-    view(
-        _spec(
-            "robot_state_tensor",
-            13,
-            "m, -, m/s, rad/s",
-            "world",
-            "physics",
-            "position, xyzw, velocity, angular velocity",
-        ),
-        view=root_state,
-    )
-    position = view(_spec("robot_position", 3, "m", "world", "physics", "body origin"), view=root_state[:, 0:3])
-    attitude = view(
-        _spec("robot_orientation", 4, "-", "world", "physics", "body to world, xyzw"), view=root_state[:, 3:7]
-    )
-    lin_vel = view(
-        _spec("robot_linvel", 3, "m/s", "world", "physics", "velocity of the origin"), view=root_state[:, 7:10]
-    )
-    world = view(_spec("robot_angvel", 3, "rad/s", "world", "robot", "angular velocity"), view=root_state[:, 10:13])
-    attitude[:, 3] = 1.0
+    """Declare every key of a robot; ``root_state`` is its row (E, 13) of ``vec_root_tensor``.
+
+    The physics works on tensors of its own for each quantity: rows of 13 numbers would halve its speed on a GPU, where
+    neighbouring threads then touch memory 52 bytes apart (``docs/results/performance.md``).
+    """
+
+    def new(key: str, width: int | str, unit: str, frame: str, owner: str, meaning: str) -> Tensor:
+        return gtd.declare(_spec(key, width, unit, frame, owner, meaning))
+
+    rows = "copy of position, xyzw, velocity, angular velocity; row 0 of vec_root_tensor"
+    gtd.declare(_spec("robot_state_tensor", 13, "m, -, m/s, rad/s", "world", "robot", rows), view=root_state)
     state = BodyState(
-        position=position,
-        attitude=attitude,
-        lin_vel=lin_vel,
-        ang_vel=new(_spec("robot_body_angvel", 3, "rad/s", "body", "physics", "angular velocity")),
-        rotor_speed=new(_spec("rotor_speed", "R", "rad/s", "-", "physics", "speed of each rotor")),
+        position=new("robot_position", 3, "m", "world", "physics", "body origin"),
+        attitude=new("robot_orientation", 4, "-", "world", "physics", "body to world, xyzw"),
+        lin_vel=new("robot_linvel", 3, "m/s", "world", "physics", "velocity of the origin"),
+        ang_vel=new("robot_body_angvel", 3, "rad/s", "body", "physics", "angular velocity"),
+        rotor_speed=new("rotor_speed", "R", "rad/s", "-", "physics", "speed of each rotor"),
     )
+    state.attitude[:, 3] = 1.0
     return RobotTensors(
         state=state,
-        ang_vel_world=world,
-        lin_vel_body=new(_spec("robot_body_linvel", 3, "m/s", "body", "robot", "velocity of the origin")),
-        vehicle_attitude=new(_spec("robot_vehicle_orientation", 4, "-", "world", "robot", "yaw alone, xyzw")),
-        vehicle_lin_vel=new(_spec("robot_vehicle_linvel", 3, "m/s", "vehicle", "robot", "velocity of the origin")),
-        euler=new(_spec("robot_euler_angles", 3, "rad", "-", "robot", "ZYX roll, pitch, yaw in (-pi, pi]")),
-        actions=new(_spec("robot_actions", "U", "see controller", "-", "robot", "last action")),
-        prev_actions=new(
-            _spec("robot_prev_actions", "U", "see controller", "-", "robot", "action before, at the step rate")
-        ),
+        root_state=root_state,
+        ang_vel_world=new("robot_angvel", 3, "rad/s", "world", "robot", "angular velocity"),
+        lin_vel_body=new("robot_body_linvel", 3, "m/s", "body", "robot", "velocity of the origin"),
+        vehicle_attitude=new("robot_vehicle_orientation", 4, "-", "world", "robot", "yaw alone, xyzw"),
+        vehicle_lin_vel=new("robot_vehicle_linvel", 3, "m/s", "vehicle", "robot", "velocity of the origin"),
+        euler=new("robot_euler_angles", 3, "rad", "-", "robot", "ZYX roll, pitch, yaw in (-pi, pi]"),
+        actions=new("robot_actions", "U", "see controller", "-", "robot", "last action"),
+        prev_actions=new("robot_prev_actions", "U", "see controller", "-", "robot", "action before, at the step rate"),
     )
 
 
@@ -99,3 +92,4 @@ def refresh_derived(tensors: RobotTensors) -> None:
     tensors.vehicle_attitude.copy_(vehicle)
     tensors.vehicle_lin_vel.copy_(quat_rotate_inverse(vehicle, state.lin_vel))
     tensors.euler.copy_(euler_from_quat(state.attitude))
+    tensors.root_state.copy_(torch.cat((state.position, state.attitude, state.lin_vel, tensors.ang_vel_world), dim=-1))

@@ -161,6 +161,15 @@ def test_positive_roll_command_speeds_up_the_left_rotors(name: str, action: list
     assert speed[2:].min() > speed[:2].max()
 
 
+def test_a_dive_keeps_a_tenth_of_the_weight_as_thrust() -> None:
+    """Below that the direction of the thrust, and so the attitude, would be undefined."""
+    controller = controller_for("lee_acceleration_control", "base_quadrotor", 1)
+    state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
+    speed = controller.rotor_command(state, torch.tensor([[0.0, 0.0, -30.0, 0.0]], dtype=F64))
+    thrust = ROBOTS.get("base_quadrotor").rotor.thrust_map[2] * (speed**2).sum()
+    torch.testing.assert_close(thrust, torch.tensor(0.1 * 0.25 * 9.81, dtype=F64))
+
+
 def test_yaw_rate_command_is_clamped_and_left_alone() -> None:
     controller = controller_for("lee_velocity_control", "base_quadrotor", 1)
     state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)

@@ -58,6 +58,11 @@ def test_exp_is_the_matrix_exponential_and_log_its_inverse(size: float) -> None:
     torch.testing.assert_close(qm.quat_log(q), rotation, atol=1e-13, rtol=1e-12)
 
 
+def test_log_takes_the_shorter_turn_for_both_signs() -> None:
+    rotation = torch.tensor([[0.3, -0.2, 0.9]], dtype=F64)
+    torch.testing.assert_close(qm.quat_log(-qm.quat_exp(rotation)), rotation, atol=1e-14, rtol=0)
+
+
 def test_exp_gradient_is_finite_at_zero() -> None:
     rotation = torch.zeros(1, 3, dtype=F64, requires_grad=True)
     assert torch.autograd.gradcheck(qm.quat_exp, (rotation,))

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse, quat_to_matrix
-from aerial_gym.physics import INTEGRATORS, BodyState, accelerations, advance, build_model, vehicle_from_config
+from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, accelerations, advance, build_model, vehicle_from_config
 from aerial_gym.physics.integrators import to_body_state, to_mass_state
 from aerial_gym.physics.model import Model
 from tests.physics.vehicles import F64, lopsided_robot, random_state
@@ -101,9 +101,11 @@ def test_mass_state_and_body_state_are_inverse() -> None:
 
 
 def test_specific_force_is_the_measured_acceleration_of_the_origin() -> None:
-    """f = R^T (dv/dt - g) and alpha = dw/dt, against central differences of an RK4 flight, error O(h²)."""
-    model, state = model_of(16), random_state(16, seed=2)
-    h = 1e-4
+    """f = R^T (dv/dt - g) and alpha = dw/dt, against central differences of an RK4 flight with drag, error O(h²)."""
+    drag = (EFFECTS.get("rotor_drag"), torch.tensor([0.9, 0.7, 0.5], dtype=F64).expand(16, 3))
+    vehicle = vehicle_from_config(lopsided_robot(com=(0.1, -0.2, 0.3)), num_envs=16, dtype=F64)
+    model, state = build_model(vehicle, [drag]), random_state(16, seed=2)
+    h = 1e-5
     ahead = run(model, state, state.rotor_speed, "rk4", h, 1)
     behind = run(model, state, state.rotor_speed, "rk4", -h, 1)
     acc = (ahead.lin_vel - behind.lin_vel) / (2 * h)
@@ -111,9 +113,9 @@ def test_specific_force_is_the_measured_acceleration_of_the_origin() -> None:
     found = accelerations(model, state)
     gravity = torch.tensor([0.0, 0.0, -9.81], dtype=F64)
     torch.testing.assert_close(
-        found.specific_force, quat_rotate_inverse(state.attitude, acc - gravity), atol=1e-4, rtol=1e-6
+        found.specific_force, quat_rotate_inverse(state.attitude, acc - gravity), atol=1e-5, rtol=1e-6
     )
-    torch.testing.assert_close(found.ang_acc, ang_acc, atol=1e-4, rtol=1e-6)
+    torch.testing.assert_close(found.ang_acc, ang_acc, atol=1e-5, rtol=1e-6)
 
 
 def test_hover_feels_plus_g_on_z() -> None:

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import ENVIRONMENTS, PARKED_Z, AssetManager, draw_bounds
+from aerial_gym.assets import ENVIRONMENTS, PARKED_Z, AssetManager, bounds_ranges, draw_bounds
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, ShapeCfg
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import euler_from_quat
@@ -31,7 +31,7 @@ def make_manager(
 ) -> tuple[AssetManager, GlobalTensorDictionary, tuple[Tensor, Tensor]]:
     generator = torch.Generator(device=device).manual_seed(seed)
     gtd = GlobalTensorDictionary(device=device, sizes={"E": num_envs})
-    lower, upper = draw_bounds(cfg, num_envs=num_envs, device=device, generator=generator)
+    lower, upper = draw_bounds(bounds_ranges(cfg, device=device), num_envs=num_envs, generator=generator)
     manager = AssetManager(
         cfg,
         gtd,
