@@ -161,7 +161,7 @@ def attitude_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tenso
     """Return the wrench for thrust [multiples of weight, 0 is hover], roll, pitch [rad], yaw rate [rad/s], action (E, 4)."""
     euler = euler_from_quat(state.attitude)
     yaw_rate = action[:, 3].clamp(-gains.max_yaw_rate, gains.max_yaw_rate)
-    desired = _matrix_from_euler(action[:, 1], action[:, 2], euler[:, 2])
+    desired = matrix_from_euler(action[:, 1], action[:, 2], euler[:, 2])
     rate = body_rates_of_yaw_rate(euler, yaw_rate)
     torque = attitude_torque(gains, quat_to_matrix(state.attitude), desired, state.ang_vel, rate)
     return wrench_from((action[:, 0] + 1.0) * gains.mass * gains.gravity, torque)
@@ -173,7 +173,7 @@ def rates_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
     return wrench_from((action[:, 0] + 1.0) * gains.mass * gains.gravity, torque)
 
 
-def _matrix_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
+def matrix_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
     """Return ``Rz(yaw) Ry(pitch) Rx(roll)``, (E, 3, 3). Source: Diebel (2006), eq. 67."""
     sr, cr, sp, cp = torch.sin(roll), torch.cos(roll), torch.sin(pitch), torch.cos(pitch)
     sy, cy = torch.sin(yaw), torch.cos(yaw)

@@ -7,7 +7,13 @@ import torch
 
 from aerial_gym.control import CONTROLLERS, Controller, make_controller
 from aerial_gym.control.allocation import Allocation, allocation_matrix
-from aerial_gym.control.lee import attitude_error, attitude_from_force, body_rates_of_yaw_rate, limit_inclination
+from aerial_gym.control.lee import (
+    attitude_error,
+    attitude_from_force,
+    body_rates_of_yaw_rate,
+    limit_inclination,
+    matrix_from_euler,
+)
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import euler_from_quat, quat_exp, quat_from_euler, quat_multiply, quat_to_matrix
 from aerial_gym.physics import (
@@ -81,6 +87,19 @@ def test_body_rates_of_a_yaw_rate_turn_the_yaw_and_nothing_else() -> None:
     turned = quat_multiply(quat_from_euler(euler), quat_exp(h * body_rates_of_yaw_rate(euler, rate)))
     change = (euler_from_quat(turned) - euler) / h
     torch.testing.assert_close(change, torch.tensor([[0.0, 0.0, 0.8]], dtype=F64), atol=1e-5, rtol=0)
+
+
+def test_attitude_command_is_zyx_euler_at_any_heading() -> None:
+    angles = torch.tensor([[0.4, -0.3, 2.2], [-1.0, 0.5, -0.7]], dtype=F64)
+    matrix = matrix_from_euler(*angles.unbind(-1))
+    torch.testing.assert_close(matrix, quat_to_matrix(quat_from_euler(angles)), atol=1e-14, rtol=0)
+
+
+def test_gains_are_the_middle_of_their_ranges() -> None:
+    gains = controller_for("lee_position_control", "tinyprop", 3).gains
+    torch.testing.assert_close(gains.position, torch.tensor([2.5, 2.5, 1.5], dtype=F64).expand(3, 3))
+    torch.testing.assert_close(gains.attitude, torch.tensor([1.0, 1.0, 0.5], dtype=F64).expand(3, 3))
+    torch.testing.assert_close(gains.rate, torch.tensor([0.15, 0.15, 0.15], dtype=F64).expand(3, 3))
 
 
 def test_limit_inclination_keeps_direction_and_height() -> None:
