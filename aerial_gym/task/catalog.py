@@ -1,0 +1,59 @@
+"""Every task that comes with the package, and the registry that builds them."""
+
+from dataclasses import replace
+
+import torch
+
+from aerial_gym.config import CONFIG_DIR, load
+from aerial_gym.config.task import TaskCfg
+from aerial_gym.env_manager import SimBuilder
+from aerial_gym.registry import Registry
+from aerial_gym.task.task import Task
+
+
+class TaskRegistry(Registry[TaskCfg]):
+    """Tasks by name; ``make_task`` builds one."""
+
+    def make_task(
+        self,
+        name: str,
+        *,
+        num_envs: int | None = None,
+        device: str | torch.device = "auto",
+        seed: int = 0,
+        robot: str | None = None,
+        controller: str | None = None,
+    ) -> Task:
+        """Return a task, built and not yet reset.
+
+        Args:
+            name: Registered task.
+            num_envs: Number of environments; the task's own default if not given.
+            device: Torch device; ``auto`` takes the GPU if there is one.
+            seed: Seed of every random number of this task.
+            robot: Registered robot, or a robot file, in place of the task's own.
+            controller: Registered controller in place of the task's own.
+
+        Raises:
+            UnknownNameError: If a name is not registered.
+            ConfigError: If a number is impossible.
+        """
+        cfg = self.get(name)
+        changes = {"num_envs": num_envs, "robot": robot, "controller": controller}
+        cfg = replace(cfg, **{key: value for key, value in changes.items() if value is not None})
+        env = SimBuilder().build_env(
+            sim_name=cfg.sim,
+            env_name=cfg.env,
+            robot_name=cfg.robot,
+            controller_name=cfg.controller,
+            num_envs=cfg.num_envs,
+            device=device,
+            seed=seed,
+        )
+        return Task(cfg, env)
+
+
+task_registry = TaskRegistry("task")
+
+for _name in ("position_setpoint_task",):
+    task_registry.register(_name, load(TaskCfg, CONFIG_DIR / "tasks" / f"{_name}.yaml"))
