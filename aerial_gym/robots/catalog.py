@@ -16,4 +16,5 @@ ROBOTS.register(
     "base_quadrotor_with_camera",
     replace(_BASE, summary="base_quadrotor with a depth and segmentation camera", sensors=("base_depth_camera",)),
 )
-ROBOTS.register("tinyprop", load(RobotCfg, _FOLDER / "tinyprop.yaml"))
+for _name in ("tinyprop", "crazyflie_21_brushless"):
+    ROBOTS.register(_name, load(RobotCfg, _FOLDER / f"{_name}.yaml"))
