@@ -1,0 +1,280 @@
+"""Is this log what it claims to be: units, frames, order of the quaternion, sign of gravity, frozen rows.
+
+Each check compares two things that were measured independently, and refuses only what no real vehicle could do.
+Letters: T rows.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import DataError
+from aerial_gym.physics.model import STANDARD_GRAVITY
+from aerial_gym.sim2real.flight_log import FlightLog
+from aerial_gym.sim2real.mapping import UNITS
+from aerial_gym.sim2real.signals import lowpass
+
+Array = NDArray[np.float64]
+
+SHORTEST_S = 2.0
+LOWEST_RATE_HZ = 20.0
+CHECK_BANDWIDTH_HZ = 4.0
+"""Comparisons are made below this: slow enough for every log, fast enough for every flight."""
+
+WORST_AGREEMENT = 0.7
+"""Two sensors that differ by more than this share of their signal do not measure the same thing."""
+
+QUIET_RATE = 0.1
+"""Below this rms angular velocity [rad/s] a comparison with the attitude says nothing."""
+
+QUIET_SPEED = 0.3
+"""Likewise for velocity [m/s]."""
+
+LONGEST_FROZEN_S = 0.25
+"""A run of equal rows longer than this, while the vehicle moves, is a frozen log."""
+
+
+def check_log(log: FlightLog, robot: RobotCfg) -> list[str]:
+    """Raise ``DataError`` for a log that is not what it claims to be; return notes about lesser defects."""
+    _check_size(log, robot)
+    _check_quaternion_norm(log)
+    _check_constant_columns(log)
+    notes = _check_frozen_rows(log)
+    attitude = Rotation.from_quat(log.attitude)
+    _check_attitude_against_rate(log, attitude)
+    _check_gravity(log, attitude)
+    _check_velocity(log, attitude)
+    _check_force_frame(log, attitude)
+    _check_rotor_unit(log, robot)
+    return notes
+
+
+def rate_of(log: FlightLog) -> float:
+    """Return the rows per second [Hz]."""
+    return (log.time.size - 1) / float(log.time[-1] - log.time[0])
+
+
+def _check_size(log: FlightLog, robot: RobotCfg) -> None:
+    span = float(log.time[-1] - log.time[0]) if log.time.size > 1 else 0.0
+    if span < SHORTEST_S:
+        raise DataError(f"{log.path}: lasts {span:.3g} s, needs at least {SHORTEST_S:g} s; is t in seconds?")
+    if rate_of(log) < LOWEST_RATE_HZ:
+        raise DataError(
+            f"{log.path}: has {rate_of(log):.3g} rows per second, needs at least {LOWEST_RATE_HZ:g}; "
+            "log faster, and check that t is in seconds"
+        )
+    if log.num_rotors != robot.num_rotors:
+        raise DataError(
+            f"{log.path}: has {log.num_rotors} rotor columns, the robot has {robot.num_rotors} rotors; "
+            "give the robot that flew, or correct the columns"
+        )
+
+
+def _check_quaternion_norm(log: FlightLog) -> None:
+    norm = np.linalg.norm(log.attitude, axis=1)
+    off = np.flatnonzero(np.abs(norm - 1.0) > 0.05)
+    if off.size:
+        row = int(off[0])
+        raise DataError(
+            f"{log.where(row)}: the attitude quaternion {np.round(log.attitude[row], 4).tolist()} has norm "
+            f"{norm[row]:.4g}, must be 1; check that q_x, q_y, q_z, q_w hold a quaternion"
+        )
+
+
+def _check_constant_columns(log: FlightLog) -> None:
+    for name in ("ang_vel", "specific_force", "rotor_speed", "rotor_command"):
+        values = getattr(log, name)
+        if values is None:
+            continue
+        still = np.flatnonzero(np.ptp(values, axis=0) == 0.0)
+        if still.size:
+            raise DataError(
+                f"{log.path}: {name} {still[0] + 1} is {values[0, still[0]]:.6g} in every row; "
+                "leave a sensor that did not work empty in all its columns"
+            )
+
+
+def _check_frozen_rows(log: FlightLog) -> list[str]:
+    parts = [log.attitude, log.position, log.lin_vel, log.ang_vel, log.specific_force, log.rotor_speed]
+    table = np.concatenate([part for part in parts if part is not None], axis=1)
+    same = np.concatenate(([False], np.all(table[1:] == table[:-1], axis=1)))
+    moving = np.zeros(log.time.size, dtype=bool)
+    for values, least in ((log.lin_vel, 0.1), (log.ang_vel, 0.1)):
+        if values is not None:
+            moving |= np.linalg.norm(values, axis=1) > least
+    same &= moving
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], same.astype(int), [0]))))
+    starts, stops = edges[::2], edges[1::2]
+    lasting = log.time[np.minimum(stops, log.time.size - 1)] - log.time[starts - 1] if starts.size else np.zeros(0)
+    if lasting.size and lasting.max() > LONGEST_FROZEN_S:
+        first = int(np.argmax(lasting))
+        raise DataError(
+            f"{log.where(int(starts[first]))}: {stops[first] - starts[first]} rows repeat the one before while the vehicle "
+            "moves; the log was frozen, cut it there"
+        )
+    share = float(same.mean())
+    if share > 0.5:
+        raise DataError(f"{log.path}: {share:.0%} of the rows repeat the one before; write each sample once, at its own t")
+    return [f"{share:.1%} of the rows repeat the one before"] if share > 0.005 else []
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(np.square(values), axis=-1))))
+
+
+def _inner(values: Array, log: FlightLog) -> Array:
+    edge = round(0.5 * rate_of(log))
+    return values[edge:-edge]
+
+
+def _slow(values: Array, log: FlightLog, *, derivative: bool = False) -> Array:
+    return lowpass(values, rate_of(log), CHECK_BANDWIDTH_HZ, derivative=derivative)
+
+
+def body_rate_of(attitude: Array, rate: float, bandwidth: float) -> Array:
+    """Return the angular velocity [rad/s], body, (T, 3), of quaternions (T, 4): ``2 q* q'`` (Sola 2017, eq. 198)."""
+    smooth = lowpass(attitude, rate, bandwidth)
+    x, y, z, w = smooth.T
+    dx, dy, dz, dw = lowpass(attitude, rate, bandwidth, derivative=True).T
+    rows = (
+        w * dx - x * dw - y * dz + z * dy,
+        w * dy - y * dw - z * dx + x * dz,
+        w * dz - z * dw - x * dy + y * dx,
+    )
+    return 2.0 * np.stack(rows, axis=1) / (smooth * smooth).sum(axis=1, keepdims=True)
+
+
+READINGS: dict[str, Callable[[Array], Array]] = {
+    "the quaternion is stored w first": lambda q: q[:, [1, 2, 3, 0]],
+    "the quaternion turns world into body": lambda q: q * (-1.0, -1.0, -1.0, 1.0),
+    "the quaternion is stored w first and turns world into body": lambda q: (
+        q[:, [1, 2, 3, 0]] * (-1.0, -1.0, -1.0, 1.0)
+    ),
+}
+"""Other readings of four columns that users mix up."""
+
+
+def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
+    """Compare the derivative of the attitude with the gyro."""
+    if log.ang_vel is None:
+        return
+    measured = _inner(_slow(log.ang_vel, log), log)
+    size = _rms(measured)
+    if size < QUIET_RATE:
+        return
+
+    def differs(quaternion: Array) -> tuple[float, Array]:
+        rate = _inner(body_rate_of(quaternion, rate_of(log), CHECK_BANDWIDTH_HZ), log)
+        return _rms(rate - measured) / max(size, _rms(rate)), rate
+
+    miss, rate = differs(log.attitude)
+    if miss < WORST_AGREEMENT:
+        return
+    others = {text: differs(read(log.attitude))[0] for text, read in READINGS.items()}
+    slope = float((rate * measured).sum() / (measured * measured).sum())
+    degrees = UNITS["deg/s"]
+    if _rms(rate - degrees * measured) < 0.5 * _rms(rate) and abs(slope / degrees - 1.0) < 0.5:
+        others["omega is in degrees per second"] = 0.0
+    others["omega is in world axes"] = _rms(_inner(attitude.apply(_full(rate, log)), log) - measured) / size
+    others["omega is in axes x forward, y right, z down"] = _rms(rate * (1.0, -1.0, -1.0) - measured) / size
+    best = min(others, key=lambda text: others[text])
+    guess = f"it looks as if {best}" if others[best] < 0.6 * miss else "check order, direction, axes and units of both"
+    raise DataError(
+        f"{log.path}: attitude (q_x, q_y, q_z, q_w) and omega contradict each other by {miss:.0%} of their size; "
+        f"{guess}; correct the columns or say so in a mapping file"
+    )
+
+
+def _full(inner: Array, log: FlightLog) -> Array:
+    """Return ``inner`` with zeros for the rows that ``_inner`` removed."""
+    edge = round(0.5 * rate_of(log))
+    return np.pad(inner, ((edge, edge), (0, 0)))
+
+
+def _check_gravity(log: FlightLog, attitude: Rotation) -> None:
+    """The mean specific force of a flight in world axes is +g on z, up to the gain of velocity over the flight."""
+    if log.specific_force is None:
+        return
+    mean = attitude.apply(log.specific_force).mean(axis=0)
+    norm = float(np.linalg.norm(log.specific_force, axis=1).mean())
+    if 0.5 * STANDARD_GRAVITY < mean[2] < 2.0 * STANDARD_GRAVITY:
+        return
+    start = f"{log.path}: mean specific force (acc_x, acc_y, acc_z) in world axes is {np.round(mean, 2).tolist()} m/s²"
+    rule = "a flight has about [0, 0, +9.81]"
+    body_z = float(log.specific_force[:, 2].mean())
+    for text, read in READINGS.items():
+        other = Rotation.from_quat(read(log.attitude)).apply(log.specific_force).mean(axis=0)
+        if body_z > 0.0 and 0.8 * STANDARD_GRAVITY < other[2] < 1.2 * STANDARD_GRAVITY:
+            raise DataError(f"{start}, {rule}; it looks as if {text}; reorder the columns q_x, q_y, q_z, q_w")
+    if 0.8 < norm < 1.5:
+        guess = "it looks like multiples of g: multiply by 9.81, or give unit: g in a mapping file"
+    elif norm < 0.5 * STANDARD_GRAVITY:
+        guess = "gravity was taken out: log the accelerometer itself, which reads +9.81 on z at hover"
+    elif mean[2] < 0.0:
+        guess = (
+            "gravity has the wrong sign: an accelerometer reads +9.81 on z at hover with z up; "
+            "turn the signs, or give body_frame: frd in a mapping file"
+        )
+    else:
+        guess = "check unit and axes of acc and the order of the quaternion"
+    raise DataError(f"{start}, {rule}; {guess}")
+
+
+def _check_velocity(log: FlightLog, attitude: Rotation) -> None:
+    """Compare velocity with the derivative of position."""
+    if log.lin_vel is None or log.position is None:
+        return
+    velocity = _inner(_slow(log.lin_vel, log), log)
+    derived = _inner(_slow(log.position, log, derivative=True), log)
+    size = max(_rms(velocity), _rms(derived))
+    if size < QUIET_SPEED or (miss := _rms(velocity - derived) / size) < WORST_AGREEMENT:
+        return
+    turned = _inner(_slow(attitude.apply(log.lin_vel), log), log)
+    guess = "check units and axes of both"
+    if _rms(turned - derived) < 0.5 * miss * size:
+        guess = "it looks as if v is in body axes: turn it into world axes"
+    raise DataError(
+        f"{log.path}: velocity (v_x, v_y, v_z) and the derivative of position (p_x, p_y, p_z) differ by {miss:.0%} of "
+        f"their size; {guess}"
+    )
+
+
+def _check_force_frame(log: FlightLog, attitude: Rotation) -> None:
+    """Tell an accelerometer in world axes from one in body axes by the derivative of velocity."""
+    if log.lin_vel is None or log.specific_force is None:
+        return
+    world = _inner(_slow(log.lin_vel, log, derivative=True), log) + (0.0, 0.0, STANDARD_GRAVITY)
+    as_body = _inner(_slow(attitude.apply(log.specific_force), log), log)
+    as_world = _inner(_slow(log.specific_force, log), log)
+    if _rms(as_body - as_world) > 0.5 and _rms(as_world - world) < 0.4 * _rms(as_body - world):
+        raise DataError(
+            f"{log.path}: specific force (acc_x, acc_y, acc_z) agrees with the motion in world axes, not in body axes; "
+            "turn it into body axes with the inverse of the attitude"
+        )
+
+
+def _check_rotor_unit(log: FlightLog, robot: RobotCfg) -> None:
+    """The declared thrust at the logged speeds must carry the vehicle, give or take a factor of three."""
+    c0, c1, c2 = robot.rotor.thrust_map
+    for name, values in (("rotor", log.rotor_speed), ("cmd", log.rotor_command)):
+        if values is None:
+            continue
+        thrust = float((c0 + c1 * values + c2 * values**2).sum(axis=1).mean())
+        ratio = thrust / (robot.body.mass * STANDARD_GRAVITY)
+        if 1.0 / 3.0 < ratio < 3.0:
+            continue
+        speed = float(np.median(values))
+        guess = "check the unit (rad/s) and the robot"
+        for unit in ("rpm", "rev/s"):
+            scaled = UNITS[unit] * values
+            if 0.5 < float((c0 + c1 * scaled + c2 * scaled**2).sum(axis=1).mean()) * ratio / thrust < 2.0:
+                guess = f"it looks like {unit}: convert to rad/s, or give unit: {unit} in a mapping file"
+        if np.all((values >= 0.0) & (values <= 1.0)):
+            guess = "it looks like a fraction of full throttle: leave these columns out, or convert them to rad/s"
+        raise DataError(
+            f"{log.path}: {name}_1..{values.shape[1]} (median {speed:.4g}) would give {ratio:.3g} times the weight of the "
+            f"declared robot; {guess}"
+        )

@@ -1,0 +1,257 @@
+"""The closed loop: flights against the declared model, a named cause for what differs, a corrected robot file.
+
+``close_loop`` reads and judges; ``judge_flights`` does the same for flights in memory.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.config import dump_yaml
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.env_manager.sim_builder import robot_by_name
+from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.model import check_effects
+from aerial_gym.sim2real.evaluation import evaluate, floor_of
+from aerial_gym.sim2real.fit import best_step, params_of, scales, with_params
+from aerial_gym.sim2real.flights import Flight, load_flights
+from aerial_gym.sim2real.mapping import find_mapping
+from aerial_gym.sim2real.prediction import Channel, Point, Predictor, declared_point, find_channels
+from aerial_gym.sim2real.runtime import check_out_dir, one_thread, whole_folder, write_record
+from aerial_gym.sim2real.selection import Criteria, Progress, Selection, Selector
+from aerial_gym.sim2real.stand_ins import STAND_INS
+from aerial_gym.sim2real.structure import Structure, find_structure
+from aerial_gym.sim2real.tolerances import Tolerances
+from aerial_gym.sim2real.verdict import Verdict, decide, material_remains, named_effects
+
+Array = NDArray[np.float64]
+
+HIGHEST_BAND = 0.2
+"""The comparison reaches at most to this share of the slowest log's rate."""
+
+SIGNIFICANT_DIGITS = 6
+"""Of parameters in the corrected robot file."""
+
+
+def silent(stage: str, share: float) -> None:
+    """Report no progress."""
+    del stage, share
+
+
+@dataclass(frozen=True, kw_only=True)
+class Analysis:
+    """Everything that a report shows."""
+
+    robot: RobotCfg
+    corrected: RobotCfg
+    train: tuple[Flight, ...]
+    test: tuple[Flight, ...]
+    channels: tuple[Channel, ...]
+    bandwidth: float
+    selection: Selection
+    declared: Point
+    final: Point
+    train_predictor: Predictor
+    test_predictor: Predictor
+    verdict: Verdict
+
+
+def close_loop(
+    robot: str | Path,
+    train: Sequence[str | Path],
+    test: Sequence[str | Path],
+    out_dir: str | Path,
+    *,
+    mapping: str | Path | None = None,
+    bandwidth: float = 10.0,
+    seed: int = 0,
+    criteria: Criteria | None = None,
+    tolerances: Tolerances | None = None,
+    progress: Progress = silent,
+) -> Verdict:
+    """Find what the declared robot lacks, and write verdict.json, robot.yaml, report.html, report.md, residuals.csv.
+
+    Args:
+        robot: Registered robot, or a robot file.
+        train: Logs to fit on.
+        test: Logs to judge on; no fit sees them.
+        out_dir: Folder of the results; it appears when all is done, and not at all if something fails.
+        mapping: Name or file of a log mapping; None for logs of this package's layout.
+        bandwidth: Residuals are compared below it [Hz].
+        seed: Of the bootstrap.
+        criteria: When an effect is accepted.
+        tolerances: How well the robot is declared.
+        progress: Told what is being done.
+
+    Raises:
+        DataError: If a log cannot be used.
+        ConfigError, UnknownNameError: If robot or mapping cannot.
+    """
+    from aerial_gym.sim2real.report import write_report  # matplotlib is slow to import
+
+    out_dir = Path(out_dir)
+    check_out_dir(out_dir)
+    declared = robot_by_name(robot)
+    with one_thread():
+        flights = load_train_and_test(declared, train, test, mapping, bandwidth, progress)
+        analysis = judge_flights(
+            declared, *flights, bandwidth=bandwidth, seed=seed, criteria=criteria, tolerances=tolerances, progress=progress
+        )
+        progress("writing the report", 0.97)
+        config = {
+            "command": "close-loop",
+            "robot": str(robot),
+            "train": [str(path) for path in train],
+            "test": [str(path) for path in test],
+            "mapping": None if mapping is None else str(mapping),
+            "bandwidth_hz": bandwidth,
+            "seed": seed,
+            "criteria": vars(analysis.selection.criteria),
+            "tolerances": vars(analysis.train_predictor.tolerances),
+        }
+        with whole_folder(out_dir) as folder:
+            text = json.dumps(analysis.verdict.as_mapping(), indent=1, ensure_ascii=False, allow_nan=False)
+            (folder / "verdict.json").write_text(text + "\n", encoding="utf-8")
+            (folder / "robot.yaml").write_text(dump_yaml(analysis.corrected), encoding="utf-8")
+            write_report(folder, analysis)
+            write_record(folder, config, [*train, *test])
+    progress("done", 1.0)
+    return analysis.verdict
+
+
+def load_train_and_test(
+    robot: RobotCfg,
+    train: Sequence[str | Path],
+    test: Sequence[str | Path],
+    mapping: str | Path | None,
+    bandwidth: float,
+    progress: Progress,
+) -> tuple[list[Flight], list[Flight]]:
+    """Return training and test flights; no file may be both."""
+    if not train or not test:
+        raise DataError("needs at least one flight to train on (--train) and another one to test on (--test)")
+    if not 0.5 <= bandwidth <= 100.0:
+        raise ConfigError(f"bandwidth_hz = {bandwidth!r}: must lie in [0.5, 100] Hz")
+    progress("reading flights", 0.0)
+    layout = None if mapping is None else find_mapping(mapping)
+    flights = load_flights([*train, *test], robot, mapping=layout, bandwidth=bandwidth)
+    return flights[: len(train)], flights[len(train) :]
+
+
+def judge_flights(
+    robot: RobotCfg,
+    train: Sequence[Flight],
+    test: Sequence[Flight],
+    *,
+    bandwidth: float = 10.0,
+    seed: int = 0,
+    criteria: Criteria | None = None,
+    tolerances: Tolerances | None = None,
+    progress: Progress = silent,
+) -> Analysis:
+    """Return the analysis of flights in memory; arguments as for ``close_loop``."""
+    check_effects(robot)
+    tolerances = tolerances or Tolerances()
+    flights = [*train, *test]
+    band = min(bandwidth, HIGHEST_BAND * min(flight.rate for flight in flights))
+    channels = find_channels(flights)
+    train_predictor, test_predictor = (
+        Predictor(robot, part, bandwidth=band, channels=channels, tolerances=tolerances) for part in (train, test)
+    )
+    declared = declared_point(robot)
+    selector = Selector(
+        train_predictor, declared, criteria or Criteria(), lambda stage, share: progress(stage, 0.05 + 0.6 * share)
+    )
+    selection = selector.run()
+    final = rounded(selection.final.fit.point, selection.accepted)
+    progress("rollouts of the declared and the corrected model", 0.7)
+    floor = floor_of(robot, test, final, channels, band)
+    before = evaluate(robot, test, test_predictor, declared, floor=floor, seed=seed)
+    progress("rollouts of the corrected model", 0.85)
+    after = evaluate(robot, test, test_predictor, final, floor=floor, seed=seed) if selection.accepted else before
+    within = best_within_tolerances(selection)
+    left = test_predictor.residuals(within)
+    rms = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
+    rms = np.minimum(rms, [channel.value for channel in after.residual])  # tolerances only ever explain
+    remaining = material_remains(rms, floor, selector.tolerated)
+    structure = Structure()
+    if remaining.any():
+        both = [*train_predictor.residuals(within), *left]
+        times = [*train_predictor.times, *test_predictor.times]
+        structure = find_structure(flights, times, both, channels, np.flatnonzero(remaining).tolist())
+    remains = tuple(channel.name for channel, some in zip(channels, remaining, strict=True) if some)
+    kind, reason, candidates = decide(selection, remains, floor is not None)
+    notes = [f"{flight.name}: {note}" for flight in flights for note in flight.notes]
+    if band < bandwidth:
+        notes.append(f"compared below {band:.3g} Hz: the slowest log has {min(f.rate for f in flights):.4g} rows per second")
+    if len(train) < 3:
+        notes.append(f"only {len(train)} training flights: intervals rest on blocks of time, not on the spread of flights")
+    verdict = Verdict(
+        verdict=kind,
+        reason=reason,
+        effects=named_effects(selection),
+        candidates=candidates,
+        not_testable=not_testable(selection),
+        structure=structure,
+        before=before,
+        after=after,
+        remains=remains,
+        notes=tuple(notes),
+    )
+    return Analysis(
+        robot=robot,
+        corrected=corrected_robot(robot, final, selection.accepted, [flight.name for flight in train]),
+        train=tuple(train),
+        test=tuple(test),
+        channels=channels,
+        bandwidth=band,
+        selection=selection,
+        declared=declared,
+        final=final,
+        train_predictor=train_predictor,
+        test_predictor=test_predictor,
+        verdict=verdict,
+    )
+
+
+def best_within_tolerances(selection: Selection) -> Point:
+    """Return the final model with the deviations within the tolerances that fit the training flights best."""
+    fit = selection.final.fit
+    step = best_step(fit, selection.weights.weight, fit.free_all)
+    values = params_of(fit.point, fit.effects) + scales(fit.effects) * step[: fit.num_effect_params]
+    return replace(with_params(fit.point, fit.effects, values), deviation=step[fit.num_effect_params :])
+
+
+def not_testable(selection: Selection) -> dict[str, str]:
+    """Return what the flights cannot show: registered effects without excitation, and look-alikes without a model."""
+    found = dict(selection.not_testable)
+    for name in selection.accepted:
+        for other in EFFECTS.get(name).confused_with:
+            if other not in EFFECTS and other not in STAND_INS:
+                found.setdefault(other, f"looks like {name}; there is no registered effect of this name to weigh it")
+    return found
+
+
+def rounded(point: Point, effects: Sequence[str]) -> Point:
+    """Return the point with the parameters as the robot file will hold them."""
+    values = np.array([float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in params_of(point, effects)])
+    return with_params(point, effects, values)
+
+
+def corrected_robot(robot: RobotCfg, final: Point, accepted: Sequence[str], flights: Sequence[str]) -> RobotCfg:
+    """Return the declared robot with the accepted effects in it."""
+    if not accepted:
+        return robot
+    effects = {
+        name: {p.name: float(v) for p, v in zip(EFFECTS.get(name).parameters, params, strict=True)}
+        for name, params in final.effects.items()
+    }
+    source = f"{', '.join(accepted)}: aerial-gym close-loop on the flights {', '.join(flights)}"
+    if robot.effects_source:
+        source = f"{source}; before: {robot.effects_source}"
+    return replace(robot, effects=effects, effects_source=source)

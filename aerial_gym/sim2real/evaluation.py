@@ -1,0 +1,109 @@
+"""How well a model predicts flights: residuals of each channel and open-loop rollouts, each with a 95 % interval."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.sim2real.fit import BLOCK_S
+from aerial_gym.sim2real.flights import Flight
+from aerial_gym.sim2real.intervals import Rms, rms_with_interval
+from aerial_gym.sim2real.noise import noise_floor
+from aerial_gym.sim2real.prediction import Channel, Point, Predictor
+from aerial_gym.sim2real.rollout import QUANTITIES, RolloutErrors, roll_out
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """One model on the test flights."""
+
+    channels: tuple[Channel, ...]
+    residual: tuple[Rms, ...]
+    """Of each channel, in the band."""
+
+    floor: tuple[float, ...] | None
+    """Noise floor (rms) of each channel; None where the logs are too slow to tell."""
+
+    rollouts: dict[str, RolloutErrors]
+    """By variant: free, given_attitude."""
+
+    rollout: dict[str, dict[str, dict[float, Rms]]]
+    """Rms by variant, quantity and horizon [s]."""
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        result: dict[str, object] = {}
+        for place, (channel, rms) in enumerate(zip(self.channels, self.residual, strict=True)):
+            entry = rms.as_mapping()
+            if self.floor is not None:
+                entry["noise_floor"] = self.floor[place]
+            kind = result.setdefault(channel.kind, {"unit": channel.unit})
+            assert isinstance(kind, dict)
+            kind[channel.axis] = entry
+        for variant, quantities in self.rollout.items():
+            horizons: dict[str, dict[str, object]] = {}
+            for quantity, values in quantities.items():
+                for horizon, rms in values.items():
+                    entry = {"unit": QUANTITIES[quantity], **rms.as_mapping()}
+                    horizons.setdefault(f"{horizon:g}", {})[quantity] = entry
+            name = "rollout" if variant == "free" else f"rollout_{variant}"
+            result[name] = {"driven_by": self.rollouts[variant].driven_by, **horizons}
+        return result
+
+
+def evaluate(
+    robot: RobotCfg,
+    flights: Sequence[Flight],
+    predictor: Predictor,
+    point: Point,
+    *,
+    floor: Array | None,
+    seed: int,
+) -> Evaluation:
+    """Return residuals and rollouts of a model on flights that were not used for its fit."""
+    residuals = predictor.residuals(point)
+    group = time_groups(predictor.times)
+    rollouts: dict[str, RolloutErrors] = {}
+    if any(flight.lin_vel is not None for flight in flights):
+        rollouts = {
+            "free": roll_out(robot, flights, point),
+            "given_attitude": roll_out(robot, flights, point, given_attitude=True),
+        }
+    return Evaluation(
+        channels=predictor.channels,
+        residual=tuple(rms_with_interval(np.concatenate(residuals), group, seed=seed)),
+        floor=None if floor is None else tuple(floor.tolist()),
+        rollouts=rollouts,
+        rollout={name: _rollout_rms(errors, seed) for name, errors in rollouts.items()},
+    )
+
+
+def time_groups(times: Sequence[Array]) -> NDArray[np.int64]:
+    """Return a number per row that is the same within a block of a flight, all flights in a row."""
+    parts, start = [], 0
+    for time in times:
+        part = ((time - time[0]) / BLOCK_S).astype(int) + start
+        parts.append(part)
+        start = int(part[-1]) + 1
+    return np.concatenate(parts)
+
+
+def floor_of(
+    robot: RobotCfg, flights: Sequence[Flight], point: Point, channels: Sequence[Channel], bandwidth: float
+) -> Array | None:
+    """Return the noise floor of each channel."""
+    return noise_floor(robot, flights, point, channels, bandwidth=bandwidth)
+
+
+def _rollout_rms(errors: RolloutErrors, seed: int) -> dict[str, dict[float, Rms]]:
+    result = {}
+    for quantity in QUANTITIES:
+        values = getattr(errors, quantity)
+        if values is not None:
+            found = rms_with_interval(values, errors.windows.cluster, seed=seed)
+            result[quantity] = dict(zip(errors.horizons, found, strict=True))
+    return result

@@ -1,0 +1,348 @@
+"""Least squares through the physics of the simulator: effects and tolerances jointly, from sums over blocks of time.
+
+The residual of a model is linearised in its parameters by differences of whole predictions. Everything after that
+(fits without a flight, scores, standard errors) needs only sums over blocks: squares, gradients and products.
+Letters: B blocks, C channels, K parameters (those of effects in units of their scale, then N tolerances in deviations).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.prediction import Point, Predictor
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+BLOCK_S = 2.0
+"""Length of a block [s]: several times longer than residuals remember."""
+
+STEP = 1e-3
+"""Difference step in units of a parameter's scale or of a tolerance."""
+
+WEAK_PRIOR = 100.0
+"""Standard deviation of the effects' parameters in units of their scale: keeps a fit solvable where data are silent."""
+
+FARTHEST_DEVIATION = 3.0
+"""No tolerance is taken to be off by more standard deviations than this."""
+
+MOST_STEPS = 8
+CONVERGED = 0.02
+"""A step is the last one if the linear model misses by less than this share of the residual."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moments:
+    """Sums over blocks of time; residual r, its derivative J in the parameters of the prediction."""
+
+    count: Array
+    """Rows, (B,)."""
+
+    square: Array
+    """``sum r²``, (B, C)."""
+
+    gradient: Array
+    """``sum J r``, (B, C, K)."""
+
+    product: Array
+    """``sum J J^T``, (B, C, K, K)."""
+
+    flight: Indices
+    """Which flight a block is from, (B,)."""
+
+    def squares_after(self, step: Array) -> Array:
+        """Return ``sum (r - J d)²`` of each block, (B, C), for a step d of the parameters: (K,), or (B, K) one per block."""
+        steps = np.broadcast_to(step, (self.count.size, self.gradient.shape[2]))
+        linear = np.einsum("bck,bk->bc", self.gradient, steps)
+        return self.square - 2.0 * linear + np.einsum("bckl,bk,bl->bc", self.product, steps, steps)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weighting:
+    """What a channel counts in a fit."""
+
+    variance: Array
+    """Mean square of the residual with every effect fitted, (C,)."""
+
+    effective: Array
+    """Independent samples per row: neighbours of a low-passed or coloured residual say the same, (C,)."""
+
+    @property
+    def weight(self) -> Array:
+        """Return the weight of one row, (C,)."""
+        return self.effective / self.variance
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """A fitted model with its linearisation."""
+
+    effects: tuple[str, ...]
+    """Names, in the order of the parameters."""
+
+    point: Point
+    """Where it is linearised: the best fit, with no deviation."""
+
+    moments: Moments
+    """At that point."""
+
+    low: Array
+    """Lowest possible step of each parameter, (K,)."""
+
+    high: Array
+    """Highest, (K,)."""
+
+    num_effect_params: int
+    """The first so many of the K parameters belong to effects."""
+
+    frozen: tuple[int, ...] = ()
+    """Parameters that the flights do not show; they stay where they are."""
+
+    @property
+    def free_effects(self) -> Indices:
+        """Return the parameters of effects that are fitted."""
+        return np.array([k for k in range(self.num_effect_params) if k not in self.frozen], dtype=int)
+
+    @property
+    def free_all(self) -> Indices:
+        """Return these and the tolerances."""
+        return np.concatenate((self.free_effects, np.arange(self.num_effect_params, self.low.size)))
+
+    def columns_of(self, effect: str) -> Indices:
+        """Return the places of an effect's parameters."""
+        start = 0
+        for name in self.effects:
+            size = len(EFFECTS.get(name).parameters)
+            if name == effect:
+                return np.arange(start, start + size)
+            start += size
+        raise KeyError(effect)
+
+
+def scales(effects: Sequence[str]) -> Array:
+    """Return the scale of each parameter of some effects."""
+    return np.array([parameter.scale for name in effects for parameter in EFFECTS.get(name).parameters])
+
+
+def params_of(point: Point, effects: Sequence[str]) -> Array:
+    """Return the parameters of some effects in a row."""
+    return np.concatenate([point.effects[name] for name in effects]) if effects else np.zeros(0)
+
+
+def with_params(point: Point, effects: Sequence[str], values: Array) -> Point:
+    """Return the point with other parameters, held within their bounds."""
+    start = 0
+    for name in effects:
+        known = EFFECTS.get(name).parameters
+        low, high = [p.low for p in known], [p.high for p in known]
+        point = point.with_effect(name, np.clip(values[start : start + len(known)], low, high))
+        start += len(known)
+    return point
+
+
+def effect_jacobian(predictor: Predictor, point: Point, effects: Sequence[str], base: list[Array]) -> list[Array]:
+    """Return the derivative of the prediction by the effects' parameters, per scale, each (rows, C, P)."""
+    here, scale = params_of(point, effects), scales(effects)
+    highest = np.array([p.high for name in effects for p in EFFECTS.get(name).parameters])
+    columns = []
+    for k in range(here.size):
+        step = STEP * scale[k] if here[k] + STEP * scale[k] <= highest[k] else -STEP * scale[k]
+        there = here.copy()
+        there[k] += step
+        moved = predictor.predict(with_params(point, effects, there))
+        columns.append([(m - b) * (scale[k] / step) for m, b in zip(moved, base, strict=True)])
+    return [
+        np.stack([c[i] for c in columns], axis=2) if columns else np.zeros((*base[i].shape, 0)) for i in range(len(base))
+    ]
+
+
+def tolerance_jacobian(predictor: Predictor, point: Point, base: list[Array]) -> list[Array]:
+    """Return the derivative of the prediction by the deviations, each (rows, C, N)."""
+    columns = []
+    for k in range(predictor.num_tolerances):
+        deviation = np.zeros(predictor.num_tolerances)
+        deviation[k] = STEP
+        moved = predictor.predict(replace(point, deviation=deviation))
+        columns.append([(m - b) / STEP for m, b in zip(moved, base, strict=True)])
+    return [np.stack([c[i] for c in columns], axis=2) for i in range(len(base))]
+
+
+def block_moments(times: list[Array], residuals: list[Array], jacobians: list[Array]) -> Moments:
+    """Return the sums over blocks of about BLOCK_S, none of which spans two flights."""
+    parts = []
+    for flight, (time, r, j) in enumerate(zip(times, residuals, jacobians, strict=True)):
+        blocks = max(1, round(float(time[-1] - time[0]) / BLOCK_S))
+        for rows in np.array_split(np.arange(time.size), blocks):
+            rb, jb = r[rows], j[rows]
+            by_channel = jb.transpose(1, 2, 0)  # (C, K, rows)
+            gradient = by_channel @ rb.T[:, :, None]
+            parts.append((rows.size, (rb**2).sum(0), gradient[:, :, 0], by_channel @ by_channel.transpose(0, 2, 1), flight))
+    count, square, gradient, product, flights = zip(*parts, strict=True)
+    return Moments(
+        count=np.array(count, dtype=float),
+        square=np.stack(square),
+        gradient=np.stack(gradient),
+        product=np.stack(product),
+        flight=np.array(flights),
+    )
+
+
+def prior_precision(fit: Fit, released: Indices | None = None) -> Array:
+    """Return the inverse prior variance of each parameter, (K,): one for tolerances, almost none for effects.
+
+    ``released`` are places of tolerances that are free, as if they were effects.
+    """
+    precision = np.ones(fit.low.size)
+    precision[: fit.num_effect_params] = WEAK_PRIOR**-2
+    if released is not None:
+        precision[released] = (100.0 * WEAK_PRIOR) ** -2
+    return precision
+
+
+def normal_equations(fit: Fit, weight: Array, blocks: Indices | None = None) -> tuple[Array, Array]:
+    """Return ``sum w J J^T`` (K, K) and ``sum w J r`` (K,) over some blocks."""
+    chosen = slice(None) if blocks is None else blocks
+    product = np.einsum("c,bckl->kl", weight, fit.moments.product[chosen])
+    return product, np.einsum("c,bck->k", weight, fit.moments.gradient[chosen])
+
+
+def best_step(
+    fit: Fit, weight: Array, free: Indices, blocks: Indices | None = None, released: Indices | None = None
+) -> Array:
+    """Return the step (K,) that minimises the weighted squares plus the prior, within the bounds; 0 where not free.
+
+    ``released`` are tolerances without prior and bounds.
+    """
+    step = np.zeros(fit.low.size)
+    if free.size == 0:
+        return step
+    product, gradient = normal_equations(fit, weight, blocks)
+    a = product[np.ix_(free, free)] + np.diag(prior_precision(fit, released)[free])
+    b = gradient[free]
+    found = np.linalg.solve(a, b)
+    low, high = fit.low.copy(), fit.high.copy()
+    if released is not None:
+        low[released], high[released] = -np.inf, np.inf
+    low, high = low[free], high[free]
+    if np.any(found < low) or np.any(found > high):
+        root = np.linalg.cholesky(a).T
+        open_low, open_high = np.minimum(low, -1e-12), np.maximum(high, 1e-12)
+        found = lsq_linear(root, np.linalg.solve(root.T, b), bounds=(open_low, open_high)).x
+    step[free] = found
+    return step
+
+
+def linearise(
+    predictor: Predictor, effects: tuple[str, ...], point: Point, tolerance: list[Array], *, base: list[Array] | None = None
+) -> tuple[Fit, list[Array], list[Array]]:
+    """Return the model at a point, the residuals there, and their derivatives (rows, C, K)."""
+    predicted = predictor.predict(point) if base is None else base
+    residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
+    effect = effect_jacobian(predictor, point, effects, predicted)
+    jacobians = [np.concatenate((e, t), axis=2) for e, t in zip(effect, tolerance, strict=True)]
+    return _fit_at(predictor, effects, point, residuals, jacobians), residuals, jacobians
+
+
+def _fit_at(
+    predictor: Predictor, effects: tuple[str, ...], point: Point, residuals: list[Array], jacobians: list[Array]
+) -> Fit:
+    here, scale = params_of(point, effects), scales(effects)
+    known = [p for name in effects for p in EFFECTS.get(name).parameters]
+    farthest = np.full(jacobians[0].shape[2] - here.size, FARTHEST_DEVIATION)
+    return Fit(
+        effects=effects,
+        point=point,
+        moments=block_moments(predictor.times, residuals, jacobians),
+        low=np.concatenate((np.array([p.low for p in known]) / scale - here / scale, -farthest)),
+        high=np.concatenate((np.array([p.high for p in known]) / scale - here / scale, farthest)),
+        num_effect_params=here.size,
+    )
+
+
+def fit_effects(
+    predictor: Predictor,
+    effects: tuple[str, ...],
+    start: Point,
+    tolerance: list[Array],
+    weight: Array,
+    *,
+    frozen: tuple[int, ...] = (),
+    with_tolerances: bool = False,
+) -> Fit:
+    """Return the model with some effects fitted by Gauss-Newton steps, until it is as good as linear.
+
+    Args:
+        predictor: Training flights.
+        effects: Effects whose parameters are free; all must be in ``start``.
+        start: First guess.
+        tolerance: Derivatives by the deviations (``tolerance_jacobian``), taken as constant.
+        weight: Of one row of each channel, (C,).
+        frozen: Places of parameters that stay as they are.
+        with_tolerances: Whether deviations within the tolerances may take their share while the effects are fitted.
+    """
+    fit, residuals, jacobians = linearise(predictor, effects, start, tolerance)
+    for _ in range(MOST_STEPS):
+        fit = replace(fit, frozen=frozen)
+        step = best_step(fit, weight, fit.free_all if with_tolerances else fit.free_effects)
+        own = step[: fit.num_effect_params]
+        if not np.any(own):
+            return fit
+        values = params_of(fit.point, effects) + scales(effects) * own
+        point = with_params(fit.point, effects, values)
+        predicted = predictor.predict(point)
+        moved = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
+        linear = [r - j[:, :, : own.size] @ own for r, j in zip(residuals, jacobians, strict=True)]
+        miss = sum(float((weight * (m - expected) ** 2).sum()) for m, expected in zip(moved, linear, strict=True))
+        size = sum(float((weight * m**2).sum()) for m in moved)
+        if miss <= CONVERGED**2 * size:
+            return replace(_fit_at(predictor, effects, point, moved, jacobians), frozen=frozen)
+        fit, residuals, jacobians = linearise(predictor, effects, point, tolerance, base=predicted)
+    return replace(fit, frozen=frozen)
+
+
+def effective_share(residual: Array) -> Array:
+    """Return the independent samples per row of each channel, (C,): one over twice the summed autocorrelation.
+
+    The sum ends where pairs of neighbouring lags turn negative. Source: Geyer (1992), Practical Markov chain Monte Carlo,
+    section 3.3, initial positive sequence.
+    """
+    rows = residual.shape[0]
+    centred = residual - residual.mean(axis=0)
+    spectrum = np.fft.rfft(centred, n=2 * rows, axis=0)
+    covariance = np.fft.irfft(np.abs(spectrum) ** 2, axis=0)[: rows // 2]
+    correlation = covariance / np.maximum(covariance[0], 1e-300)
+    pairs = correlation[0 : len(correlation) // 2 * 2 : 2] + correlation[1::2][: len(correlation) // 2]
+    positive = np.cumprod(pairs > 0.0, axis=0)
+    return 1.0 / np.maximum(2.0 * (pairs * positive).sum(axis=0) - 1.0, 1.0)
+
+
+def weighting(predictor: Predictor, start: Point, effects: tuple[str, ...], tolerance: list[Array]) -> Weighting:
+    """Return the weights of the channels from what no candidate effect explains.
+
+    All effects and tolerances are fitted together, three times, each time weighted by what the fit before left over.
+    """
+    residuals = predictor.residuals(start)
+    point = start
+    for name in effects:
+        if name not in point.effects:
+            point = point.with_effect(name, np.array(EFFECTS.get(name).neutral(predictor.robot)))
+    found = _weights_from(residuals)
+    for _ in range(3):
+        fit, residuals, jacobians = linearise(predictor, effects, point, tolerance)
+        step = best_step(fit, found.weight, fit.free_all)
+        left = [r - j @ step for r, j in zip(residuals, jacobians, strict=True)]
+        found = _weights_from(left)
+        point = with_params(point, effects, params_of(point, effects) + scales(effects) * step[: fit.num_effect_params])
+    return found
+
+
+def _weights_from(residuals: list[Array]) -> Weighting:
+    rows = np.array([r.shape[0] for r in residuals], dtype=float)
+    shares = np.stack([effective_share(r) for r in residuals])
+    total = sum((r**2).sum(axis=0) for r in residuals)
+    variance = np.maximum(np.asarray(total) / rows.sum(), 1e-12)
+    return Weighting(variance=variance, effective=(rows[:, None] * shares).sum(axis=0) / rows.sum())

@@ -1,0 +1,256 @@
+"""One flight as arrays, and the reader of flight logs in CSV files.
+
+World is ENU (z up), body is x forward, y left, z up, quaternions are xyzw, body to world, SI units. Letters: T rows, R rotors.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.mapping import UNITS, ColumnsCfg, LogMapping, find_mapping, mapping_names
+
+Array = NDArray[np.float64]
+
+HEADER_LINES = 1
+FLIP = np.array([1.0, -1.0, -1.0])
+"""From body frd to body flu."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightLog:
+    """What was measured in one flight; None: not in the log."""
+
+    path: str
+    """File, as error messages and reports call it."""
+
+    time: Array
+    """[s], increasing, (T,)."""
+
+    attitude: Array
+    """Body to world, xyzw, as in the file: not yet made unit, (T, 4)."""
+
+    position: Array | None = None
+    """Body origin [m], world, (T, 3)."""
+
+    lin_vel: Array | None = None
+    """Of the body origin [m/s], world, (T, 3)."""
+
+    ang_vel: Array | None = None
+    """[rad/s], body, (T, 3)."""
+
+    specific_force: Array | None = None
+    """At the body origin [m/s²], body: +9.81 on z at hover, (T, 3)."""
+
+    rotor_speed: Array | None = None
+    """Measured [rad/s], (T, R)."""
+
+    rotor_command: Array | None = None
+    """Speeds commanded from each row on [rad/s], (T, R)."""
+
+    notes: tuple[str, ...] = ()
+    """What was done to the log, for the report."""
+
+    @property
+    def name(self) -> str:
+        """File name without folder and ending."""
+        return Path(self.path).stem
+
+    @property
+    def num_rotors(self) -> int:
+        """Number of rotors R in the log."""
+        rotors = self.rotor_speed if self.rotor_speed is not None else self.rotor_command
+        return 0 if rotors is None else rotors.shape[1]
+
+    def where(self, row: int) -> str:
+        """Return how messages name a row: file, line and time."""
+        return f"{self.path}, line {row + 1 + HEADER_LINES} (t = {self.time[row]:.6g} s)"
+
+
+def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None) -> FlightLog:
+    """Return the flight in a CSV file with one header line.
+
+    Args:
+        path: The file.
+        mapping: Layout; None takes that of this package.
+
+    Raises:
+        DataError: If file, columns or fields cannot be used; the message names file, row or column and the way out.
+    """
+    layout = mapping or find_mapping("aerial_gym")
+    table = _read_table(Path(path), layout)
+    time = _time(table, layout, str(path))
+    values: dict[str, Array] = {}
+    notes: list[str] = []
+    for name, quantity in layout.quantities().items():
+        if name == "time":
+            continue
+        columns = _columns(table, quantity, name, str(path))
+        if columns:
+            values[name] = _fields(table, columns, quantity, time, str(path), notes) * UNITS[quantity.unit]
+    _require(values, layout, list(table.columns), str(path))
+    return FlightLog(path=str(path), time=time, notes=tuple(notes), **_to_package_frames(values, layout))
+
+
+def _read_table(path: Path, layout: LogMapping) -> pd.DataFrame:
+    """Return the file as text and numbers: empty fields are NaN, and only they."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: cannot be read as text ({error}); give a CSV file with one header line") from None
+    lines = text.rstrip().splitlines()
+    if len(lines) < 2:
+        raise DataError(f"{path}: holds no rows; a flight log has one header line and one line per sample")
+    width = lines[0].count(",")
+    for number, line in enumerate(lines, start=1):
+        if line.count(",") != width:
+            fields = line.count(",") + 1
+            raise DataError(
+                f"{path}, line {number}: has {fields} fields, the header has {width + 1}; "
+                "remove the line if the log was cut off there"
+            )
+    names = [name.strip() for name in lines[0].split(",")]
+    wanted = {name for q in layout.quantities().values() for name in _names(q, names)}
+    twice = sorted(name for name in wanted if names.count(name) > 1)
+    if twice:
+        raise DataError(f"{path}: column {twice[0]!r} appears twice in the header; rename or remove one of them")
+    table = pd.read_csv(path, encoding="utf-8-sig", keep_default_na=False, na_values=[""], skipinitialspace=True)
+    table.columns = names
+    return table
+
+
+def _names(quantity: ColumnsCfg, known: Sequence[str]) -> list[str]:
+    """Return the column names of a quantity, with ``{n}`` counted up as far as the file goes."""
+    if len(quantity.columns) > 1 or "{n}" not in quantity.columns[0]:
+        return list(quantity.columns)
+    pattern, found = quantity.columns[0], []
+    while (name := pattern.replace("{n}", str(len(found) + 1))) in known:
+        found.append(name)
+    return found
+
+
+def _columns(table: pd.DataFrame, quantity: ColumnsCfg, name: str, path: str) -> list[str]:
+    """Return the columns of a quantity; none if the file has none of them, or only empty ones."""
+    names = _names(quantity, list(table.columns))
+    present = [column for column in names if column in table.columns and not bool(table[column].isna().all())]
+    missing = [column for column in names if column not in present]
+    if present and missing:
+        raise DataError(
+            f"{path}: column {missing[0]!r} is missing or empty while {present[0]!r} is there; "
+            f"add it, or remove every column of {name}"
+        )
+    return present
+
+
+def _time(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
+    """Return the time [s]; refuse a missing column and time that stands still or runs back."""
+    column = layout.time.columns[0]
+    if column not in table.columns:
+        raise DataError(_missing(column, list(table.columns), path))
+    strict = ColumnsCfg(columns=(column,))
+    time = _fields(table, [column], strict, np.zeros(len(table)), path, [])[:, 0] * UNITS[layout.time.unit]
+    back = np.flatnonzero(np.diff(time) <= 0.0)
+    if back.size:
+        row = int(back[0]) + 1
+        raise DataError(
+            f"{path}, line {row + 1 + HEADER_LINES}: {column} = {time[row]:.6g} s does not increase "
+            f"(row before: {time[row - 1]:.6g} s); sort the rows and remove repeated ones"
+        )
+    return time
+
+
+def _fields(
+    table: pd.DataFrame, columns: list[str], quantity: ColumnsCfg, time: Array, path: str, notes: list[str]
+) -> Array:
+    """Return numbers (T, columns) with short gaps filled where the mapping allows it."""
+    found, filled = np.empty((len(table), len(columns))), 0
+    for index, column in enumerate(columns):
+        numbers = pd.to_numeric(table[column], errors="coerce").to_numpy(dtype=float)
+        bad = np.flatnonzero(table[column].notna().to_numpy() & ~np.isfinite(numbers))
+        if bad.size:
+            raise DataError(
+                f"{path}, line {bad[0] + 1 + HEADER_LINES}: {column} = {table[column].iloc[bad[0]]!s} is no finite "
+                "number; cut the flight there, or leave the whole column empty if it was not measured"
+            )
+        found[:, index] = _fill(numbers, quantity, time, f"{path}, line {{line}}: {column}")
+        filled += int(np.isnan(numbers).sum())
+    if filled:
+        notes.append(f"{filled} empty fields of {columns[0]} to {columns[-1]} filled by straight lines")
+    return found
+
+
+def _fill(numbers: Array, quantity: ColumnsCfg, time: Array, where: str) -> Array:
+    """Return ``numbers`` without NaN: short runs become straight lines, long ones are refused."""
+    empty = np.isnan(numbers)
+    if not empty.any():
+        return numbers
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], empty.astype(int), [0]))))
+    full_time = np.concatenate(([time[0]], time, [time[-1]]))
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        gap = float(full_time[stop + 1] - full_time[start])
+        if gap > quantity.fill_gap_s or quantity.fill_gap_s == 0.0:
+            raise DataError(
+                where.format(line=start + 1 + HEADER_LINES)
+                + f" is empty (NaN) for {stop - start} rows while other rows have it; cut the flight there, fill the gap, "
+                "or let a mapping file allow it (fill_gap_s)"
+            )
+    return np.interp(time, time[~empty], numbers[~empty])
+
+
+def _require(values: dict[str, Array], layout: LogMapping, known: list[str], path: str) -> None:
+    """Raise ``DataError`` unless the log has what every use of it needs."""
+    if "attitude" not in values:
+        column = next((name for name in layout.attitude.columns if name not in known), layout.attitude.columns[0])
+        raise DataError(_missing(column, known, path))
+    for one, other in (("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")):
+        if one in values or other in values:
+            continue
+        options = [q.columns for key, q in layout.quantities().items() if key in (one, other)]
+        wanted = " or ".join(", ".join(columns) for columns in options) or f"{one} or {other} in the mapping"
+        raise DataError(f"{path}: needs the columns {wanted}; they are missing or empty.{_mapping_hint(known)}")
+    if "rotor_speed" in values and "rotor_command" in values:
+        speeds, commands = values["rotor_speed"].shape[1], values["rotor_command"].shape[1]
+        if speeds != commands:
+            raise DataError(f"{path}: has {speeds} rotor speeds and {commands} commands; both need one column per rotor")
+
+
+def _missing(column: str, known: list[str], path: str) -> str:
+    near = get_close_matches(column, known, n=1)
+    hint = f" Did you mean {near[0]!r}?" if near else ""
+    return f"{path}: column {column!r} is missing or empty.{hint}{_mapping_hint(known)}"
+
+
+def _mapping_hint(known: list[str]) -> str:
+    """Return the advice to use a mapping, naming one that fits the columns if there is one."""
+    for name in mapping_names():
+        layout = find_mapping(name)
+        if name != "aerial_gym" and {*layout.time.columns, *layout.attitude.columns} <= set(known):
+            return f" The columns look like the mapping {name!r}: give --mapping {name}."
+    return " Rename the columns, or describe them in a mapping file (--mapping FILE.yaml)."
+
+
+def _to_package_frames(values: dict[str, Array], layout: LogMapping) -> dict[str, Array]:
+    """Return the quantities in world ENU and body FLU, with the quaternion from body to world."""
+    result = dict(values)
+    if layout.attitude_direction == "world_to_body":
+        result["attitude"] = result["attitude"] * (-1.0, -1.0, -1.0, 1.0)
+    if layout.world_frame == "ned":
+        for name in ("position", "lin_vel"):
+            if name in result:
+                result[name] = result[name][:, [1, 0, 2]] * (1.0, 1.0, -1.0)
+        x, y, z, w = result["attitude"].T  # q_ned_to_enu q with q_ned_to_enu = (1, 1, 0, 0) / sqrt(2), xyzw
+        result["attitude"] = np.stack((w + z, w - z, y - x, -x - y), axis=1) / np.sqrt(2.0)
+    if layout.body_frame == "frd":
+        for name in ("ang_vel", "specific_force"):
+            if name in result:
+                result[name] = result[name] * FLIP
+        x, y, z, w = result["attitude"].T  # q q_flu_to_frd with q_flu_to_frd = (1, 0, 0, 0), xyzw
+        result["attitude"] = np.stack((w, z, -y, -x), axis=1)
+    return result

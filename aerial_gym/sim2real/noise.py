@@ -1,0 +1,82 @@
+"""The noise floor: how small a residual could be if the model were perfect.
+
+Sensor noise is white, so its level shows where the vehicle hardly moves: above the band of the comparison. There the
+spectrum of the residual is fitted by a level, and a part that grows with the square of the frequency (a differentiated
+signal); both are carried down through the low-pass. Vibration above the band makes the floor too high, never too low.
+Letters: C channels.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+from scipy.optimize import nnls
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.sim2real.flights import Flight
+from aerial_gym.sim2real.prediction import Channel, Point, Predictor
+from aerial_gym.sim2real.signals import lowpass_gain
+from aerial_gym.sim2real.tolerances import Tolerances
+
+Array = NDArray[np.float64]
+
+WIDE_BAND = 0.4
+"""The residual is taken up to this share of the rate,"""
+
+FIT_FROM = 1.5
+"""and fitted from this multiple of the bandwidth"""
+
+FIT_TO = 0.32
+"""to this share of the rate."""
+
+SEGMENT_S = 2.0
+"""Length of a segment of Welch's spectrum [s]."""
+
+FEWEST_LINES = 4
+"""Fewer spectral lines than this give no floor."""
+
+
+def noise_floor(
+    robot: RobotCfg, flights: Sequence[Flight], point: Point, channels: Sequence[Channel], *, bandwidth: float
+) -> Array | None:
+    """Return the floor (rms) of each channel below ``bandwidth`` [Hz], (C,); None where a log is too slow to tell."""
+    found = [_floor_of(robot, flight, point, channels, bandwidth) for flight in flights]
+    known = [floor for floor in found if floor is not None]
+    return np.sqrt(np.mean(np.square(known), axis=0)) if known else None
+
+
+def _floor_of(
+    robot: RobotCfg, flight: Flight, point: Point, channels: Sequence[Channel], bandwidth: float
+) -> Array | None:
+    wide = WIDE_BAND * flight.rate
+    predictor = Predictor(
+        robot, [flight], bandwidth=wide, channels=channels, tolerances=Tolerances(), every_row=True
+    )
+    residual = predictor.residuals(point)[0]
+    length = min(residual.shape[0], round(SEGMENT_S * flight.rate))
+    frequency, density = signal.welch(residual, flight.rate, nperseg=length, detrend="linear", axis=0)
+    chosen = (frequency >= FIT_FROM * bandwidth) & (frequency <= FIT_TO * flight.rate)
+    if chosen.sum() < FEWEST_LINES:
+        return None
+    flat = density[chosen] / lowpass_gain(frequency[chosen], wide)[:, None] ** 2
+    square = (2.0 * np.pi * frequency) ** 2
+    below = lowpass_gain(frequency, bandwidth) ** 2
+    spacing = frequency[1] - frequency[0]
+    floors = []
+    for line in flat.T:
+        level, growth = _level_and_growth(line, square[chosen])
+        floors.append(np.sqrt((below * (level + growth * square)).sum() * spacing))
+    return np.array(floors)
+
+
+def _level_and_growth(density: Array, square: Array) -> tuple[float, float]:
+    """Return a and b >= 0 of ``a + b (2 pi f)²``, fitted with the relative scatter that spectral lines have."""
+    weight = 1.0 / np.maximum(density, 1e-300)
+    for _ in range(5):
+        columns = np.stack((np.ones_like(square), square), axis=1) * weight[:, None]
+        size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        (level, growth), _ = nnls(columns / size, density * weight)
+        level, growth = level / size[0], growth / size[1]
+        weight = 1.0 / np.maximum(level + growth * square, 1e-300)
+    return float(level), float(growth)

@@ -1,0 +1,256 @@
+"""What a model predicts for every row of a flight, beside what was measured, both in the same band.
+
+Each row is one environment of the simulator: the specific force and angular acceleration of a measured state come from
+``physics.accelerations``, the rotor speeds from ``physics.lag_speed`` and the commands. One thing is measured where the
+simulator would predict it: the angular acceleration in the lever arm of the accelerometer.
+Channels: specific force x, y, z; angular acceleration x, y, z; speed of each rotor. Letters: E rows, C channels, R rotors.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import DataError
+from aerial_gym.physics import EFFECTS, BodyState, Vehicle, accelerations, build_model, vehicle_from_config
+from aerial_gym.sim2real.flights import Flight
+from aerial_gym.sim2real.rotor_replay import RotorReplay
+from aerial_gym.sim2real.signals import edge_rows, lowpass
+from aerial_gym.sim2real.tolerances import Tolerances, accelerometer_bias, command_shift, deviate
+
+Array = NDArray[np.float64]
+
+ROWS_PER_BAND = 10.0
+"""Rows are evaluated at this many times the bandwidth."""
+
+PREFILTER = 0.35
+"""Before, they are low-passed at this share of that rate: 1 - 4e-5 of the amplitude at the bandwidth is left."""
+
+SAMPLES_PER_BAND = 3.0
+"""Residuals are kept at this many times the bandwidth."""
+
+SETTLE_S = 0.5
+"""Dropped at the start where rotor speeds are simulated from commands [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Channel:
+    """One compared quantity."""
+
+    kind: str
+    """specific_force, angular_acceleration or rotor_speed."""
+
+    axis: str
+    """x, y, z, or the number of the rotor."""
+
+    @property
+    def unit(self) -> str:
+        """SI unit."""
+        return {"specific_force": "m/s²", "angular_acceleration": "rad/s²", "rotor_speed": "rad/s"}[self.kind]
+
+    @property
+    def name(self) -> str:
+        """Unique name."""
+        return f"{self.kind}.{self.axis}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Point:
+    """A model: effects with their parameters, and deviations within the tolerances."""
+
+    effects: dict[str, Array] = field(default_factory=dict)
+    """Parameters by effect name, each (P,); an effect that is not here is not in the model."""
+
+    deviation: Array | None = None
+    """In standard deviations of the tolerances, (N,); None: exactly as declared."""
+
+    def with_effect(self, name: str, params: Array) -> "Point":
+        """Return the point with one effect added or replaced."""
+        return replace(self, effects={**self.effects, name: params})
+
+
+def declared_point(robot: RobotCfg) -> Point:
+    """Return the model that the robot file declares."""
+    return Point(effects={n: np.array(EFFECTS.get(n).params_from(values)) for n, values in robot.effects.items()})
+
+
+def find_channels(flights: Sequence[Flight]) -> tuple[Channel, ...]:
+    """Return the channels that every flight has.
+
+    Raises:
+        DataError: If there are none.
+    """
+    found: list[Channel] = []
+    if all(flight.specific_force is not None for flight in flights):
+        found += [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
+    if all(flight.gyro for flight in flights):
+        found += [Channel(kind="angular_acceleration", axis=axis) for axis in "xyz"]
+    if all(flight.rotor_speed is not None and flight.rotor_command is not None for flight in flights):
+        found += [Channel(kind="rotor_speed", axis=str(n + 1)) for n in range(flights[0].num_rotors)]
+    if not found:
+        raise DataError("the flights have no quantity in common that can be compared; log acc or omega in all of them")
+    return tuple(found)
+
+
+def expand_rows(vehicle: Vehicle, rows: int) -> Vehicle:
+    """Return the vehicle of one environment in every row, without copies."""
+    return Vehicle(**{f.name: (v := getattr(vehicle, f.name)).expand(rows, *v.shape[1:]) for f in fields(Vehicle)})
+
+
+class Predictor:
+    """Measured channels of some flights, and the predictions of any model for them."""
+
+    def __init__(
+        self,
+        robot: RobotCfg,
+        flights: Sequence[Flight],
+        *,
+        bandwidth: float,
+        channels: Sequence[Channel],
+        tolerances: Tolerances,
+        every_row: bool = False,
+    ) -> None:
+        """Take the flights; ``every_row`` keeps all rows of the log instead of thinning them to the band."""
+        self.robot, self.flights, self.bandwidth = robot, tuple(flights), bandwidth
+        self.channels, self.tolerances = tuple(channels), tolerances
+        self._declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+        self._replay = RotorReplay(flights)
+        self._stride = [1 if every_row else max(1, int(f.rate / (ROWS_PER_BAND * bandwidth))) for f in flights]
+        self._kept = [self._kept_rows(f, s, every_row) for f, s in zip(flights, self._stride, strict=True)]
+        self.measured = [self._measure(index) for index in range(len(flights))]
+        self.times = [flight.time[kept] for flight, kept in zip(flights, self._kept, strict=True)]
+        states = [self._state_rows(index) for index in range(len(flights))]
+        self._state = {name: torch.cat([state[name] for state in states]) for name in states[0]}
+        ends = np.cumsum([0, *(state["attitude"].shape[0] for state in states)])
+        self._spans = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        simulated = [flight.rotor_speed is None for flight in flights]
+        if any(simulated) and not all(simulated):
+            raise DataError("some flights have measured rotor speeds and some have not; give flights of one kind")
+        self._simulated = all(simulated)
+        self._measured_speed = None if self._simulated else torch.cat([self._thin(i, "rotor_speed") for i in range(len(flights))])
+
+        self._measured_ang_acc = torch.cat([self._turning(index) for index in range(len(flights))])
+
+    @property
+    def num_tolerances(self) -> int:
+        """Number N of tolerances."""
+        return len(self.tolerances.names(self.robot.num_rotors))
+
+    def predict(self, point: Point) -> list[Array]:
+        """Return the predicted channels of each flight, (rows kept, C)."""
+        vehicle, deviation = self._vehicle(point)
+        lag = build_model(vehicle, self._effects(point, 1)).vehicle
+        speeds: list[Array | None] | None = None
+        if self._simulated or any(channel.kind == "rotor_speed" for channel in self.channels):
+            speeds = self._replay.speeds(
+                lag.time_constant_up[0], lag.time_constant_down[0], command_shift(self.tolerances, deviation)
+            )
+        if not any(channel.kind != "rotor_speed" for channel in self.channels):
+            rows = None
+        else:
+            rows = self._accelerations(point, vehicle, deviation, speeds)
+        return [self._band(index, rows, speeds) for index in range(len(self.flights))]
+
+    def residuals(self, point: Point) -> list[Array]:
+        """Return measured minus predicted channels of each flight, (rows kept, C)."""
+        return [m - p for m, p in zip(self.measured, self.predict(point), strict=True)]
+
+    def _vehicle(self, point: Point) -> tuple[Vehicle, Tensor]:
+        if point.deviation is None:
+            return self._declared, torch.zeros(self.num_tolerances, dtype=torch.float64)
+        deviation = torch.from_numpy(point.deviation)
+        return deviate(self._declared, self.tolerances, deviation), deviation
+
+    @staticmethod
+    def _effects(point: Point, rows: int) -> list:
+        return [
+            (EFFECTS.get(name), torch.from_numpy(np.asarray(params, dtype=float)).expand(rows, -1))
+            for name, params in point.effects.items()
+        ]
+
+    def _accelerations(
+        self, point: Point, vehicle: Vehicle, deviation: Tensor, speeds: list[Array | None] | None
+    ) -> Array:
+        """Return specific force and angular acceleration of every row, (E, 6)."""
+        rows = self._state["attitude"].shape[0]
+        speed = self._measured_speed
+        if speed is None:
+            assert speeds is not None
+            speed = torch.cat([self._thin_values(i, s) for i, s in enumerate(speeds) if s is not None])
+        model = build_model(expand_rows(vehicle, rows), self._effects(point, rows))
+        found = accelerations(model, BodyState(rotor_speed=speed, **self._state))
+        force = found.specific_force + accelerometer_bias(self.tolerances, deviation)
+        # The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
+        force = force + torch.linalg.cross(found.ang_acc - self._measured_ang_acc, model.vehicle.com)
+        return torch.cat((force, found.ang_acc), dim=1).numpy()
+
+    def _band(self, index: int, rows: Array | None, speeds: list[Array | None] | None) -> Array:
+        """Return the predicted channels of a flight in the band, (rows kept, C)."""
+        flight, stride, parts = self.flights[index], self._stride[index], []
+        columns = [
+            3 * (channel.kind == "angular_acceleration") + "xyz".index(channel.axis)
+            for channel in self.channels
+            if channel.kind != "rotor_speed"
+        ]
+        if rows is not None:
+            slow = lowpass(rows[self._spans[index]][:, columns], flight.rate / stride, self.bandwidth)
+            parts.append(slow[self._kept[index] // stride])
+        if len(columns) < len(self.channels):
+            assert speeds is not None
+            speed = speeds[index]
+            assert speed is not None
+            parts.append(lowpass(speed, flight.rate, self.bandwidth)[self._kept[index]])
+        return np.concatenate(parts, axis=1)
+
+    def _measure(self, index: int) -> Array:
+        """Return the measured channels of a flight in the band, (rows kept, C)."""
+        flight = self.flights[index]
+        sources = {
+            "specific_force": (flight.specific_force, False),
+            "angular_acceleration": (flight.ang_vel, True),
+            "rotor_speed": (flight.rotor_speed, False),
+        }
+        parts = []
+        for kind in dict.fromkeys(channel.kind for channel in self.channels):
+            values, derivative = sources[kind]
+            assert values is not None
+            parts.append(lowpass(values, flight.rate, self.bandwidth, derivative=derivative)[self._kept[index]])
+        return np.concatenate(parts, axis=1)
+
+    def _kept_rows(self, flight: Flight, stride: int, every_row: bool) -> NDArray[np.int64]:
+        """Return the rows of the log at which residuals are kept: multiples of the stride, without the ends."""
+        edge = edge_rows(flight.rate, self.bandwidth)
+        start = edge if flight.rotor_command is None else max(edge, round(SETTLE_S * flight.rate))
+        step = 1 if every_row else stride * max(1, int(flight.rate / stride / (SAMPLES_PER_BAND * self.bandwidth)))
+        return np.arange(-(-start // step) * step, flight.num_rows - edge, step)
+
+    def _state_rows(self, index: int) -> dict[str, Tensor]:
+        attitude = self._thin(index, "attitude")
+        return {
+            "position": self._thin(index, "position"),
+            "attitude": attitude / attitude.norm(dim=1, keepdim=True),
+            "lin_vel": self._thin(index, "lin_vel"),
+            "ang_vel": self._thin(index, "ang_vel"),
+        }
+
+    def _thin(self, index: int, name: str) -> Tensor:
+        values = getattr(self.flights[index], name)
+        return self._thin_values(index, np.zeros((self.flights[index].num_rows, 3)) if values is None else values)
+
+    def _turning(self, index: int) -> Tensor:
+        """Return the derivative of the angular velocity [rad/s²] at the rows of a flight, (E, 3)."""
+        flight, stride = self.flights[index], self._stride[index]
+        band = PREFILTER * flight.rate / stride if flight.gyro else self.bandwidth
+        slow = lowpass(flight.ang_vel, flight.rate, band, derivative=True)
+        return torch.from_numpy(np.ascontiguousarray(slow[::stride]))
+
+    def _thin_values(self, index: int, values: Array) -> Tensor:
+        """Return every n-th row of values that were low-passed below half of that rate."""
+        stride = self._stride[index]
+        if stride > 1:
+            values = lowpass(values, self.flights[index].rate, PREFILTER * self.flights[index].rate / stride)[::stride]
+        return torch.from_numpy(np.ascontiguousarray(values))

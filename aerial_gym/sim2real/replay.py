@@ -1,0 +1,141 @@
+"""A declared model against flights, nothing fitted: residuals, rollouts, a page with plots."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.env_manager.sim_builder import robot_by_name
+from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.physics.model import check_effects
+from aerial_gym.sim2real.close_loop import HIGHEST_BAND, silent
+from aerial_gym.sim2real.evaluation import Evaluation, evaluate, floor_of
+from aerial_gym.sim2real.flights import Flight, load_flights
+from aerial_gym.sim2real.mapping import find_mapping
+from aerial_gym.sim2real.prediction import Point, Predictor, declared_point, find_channels
+from aerial_gym.sim2real.runtime import check_out_dir, one_thread, whole_folder, write_record
+from aerial_gym.sim2real.selection import Progress
+from aerial_gym.sim2real.tolerances import Tolerances
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replay:
+    """A model and how well it predicts flights."""
+
+    robot: RobotCfg
+    flights: tuple[Flight, ...]
+    predictor: Predictor
+    point: Point
+    bandwidth: float
+    evaluation: Evaluation
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return the figures for JSON."""
+        notes = [f"{flight.name}: {note}" for flight in self.flights for note in flight.notes]
+        return {
+            "flights": [flight.path for flight in self.flights],
+            "bandwidth_hz": self.bandwidth,
+            "replay": self.evaluation.as_mapping(),
+            "notes": notes,
+        }
+
+
+def replay(
+    robot: str | Path,
+    flights: Sequence[str | Path],
+    out_dir: str | Path | None = None,
+    *,
+    mapping: str | Path | None = None,
+    bandwidth: float = 10.0,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> Replay:
+    """Return how well a robot as declared predicts flights; with ``out_dir``, write replay.json, report.html, residuals.csv.
+
+    Args:
+        robot: Registered robot, or a robot file.
+        flights: Logs.
+        out_dir: Folder of the results; it appears when all is done.
+        mapping: Name or file of a log mapping; None for logs of this package's layout.
+        bandwidth: Residuals are compared below it [Hz].
+        seed: Of the bootstrap.
+        progress: Told what is being done.
+
+    Raises:
+        DataError: If a log cannot be used.
+        ConfigError, UnknownNameError: If robot or mapping cannot.
+    """
+    if not flights:
+        raise DataError("needs at least one flight to replay")
+    if not 0.5 <= bandwidth <= 100.0:
+        raise ConfigError(f"bandwidth_hz = {bandwidth!r}: must lie in [0.5, 100] Hz")
+    if out_dir is not None:
+        check_out_dir(Path(out_dir))
+    declared = robot_by_name(robot)
+    check_effects(declared)
+    progress("reading flights", 0.0)
+    layout = None if mapping is None else find_mapping(mapping)
+    with one_thread():
+        found = load_flights(flights, declared, mapping=layout, bandwidth=bandwidth)
+        progress("predicting every row, rolling out every window", 0.3)
+        result = replay_flights(declared, found, bandwidth=bandwidth, seed=seed)
+        if out_dir is not None:
+            progress("writing the report", 0.9)
+            config = {"command": "replay", "robot": str(robot), "flights": [str(path) for path in flights]}
+            config |= {"mapping": mapping and str(mapping), "bandwidth_hz": bandwidth, "seed": seed}
+            with whole_folder(Path(out_dir)) as folder:
+                _write(folder, result)
+                write_record(folder, config, flights)
+    progress("done", 1.0)
+    return result
+
+
+def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: float, seed: int = 0) -> Replay:
+    """Return the replay of flights in memory."""
+    band = min(bandwidth, HIGHEST_BAND * min(flight.rate for flight in flights))
+    channels = find_channels(flights)
+    predictor = Predictor(robot, flights, bandwidth=band, channels=channels, tolerances=Tolerances())
+    point = declared_point(robot)
+    floor = floor_of(robot, flights, point, channels, band)
+    return Replay(
+        robot=robot,
+        flights=tuple(flights),
+        predictor=predictor,
+        point=point,
+        bandwidth=band,
+        evaluation=evaluate(robot, flights, predictor, point, floor=floor, seed=seed),
+    )
+
+
+def _write(folder: Path, result: Replay) -> None:
+    from aerial_gym.sim2real import plots  # matplotlib is slow to import
+    from aerial_gym.sim2real.report import VARIANTS, channel_rows, interval, render, write_residuals
+    from aerial_gym.sim2real.rollout import QUANTITIES
+
+    text = json.dumps(result.as_mapping(), indent=1, ensure_ascii=False, allow_nan=False)
+    (folder / "replay.json").write_text(text + "\n", encoding="utf-8")
+    write_residuals(folder / "residuals.csv", {"replay": result.predictor}, result.point, None)
+    figures = [{"title": "Residuals", "image": plots.residual_bars(result.evaluation, None)}]
+    for variant, title in VARIANTS.items():
+        if variant in result.evaluation.rollout:
+            figures.append({"title": title, "image": plots.rollout_bars(result.evaluation, None, variant)})
+    for kind in dict.fromkeys(channel.kind for channel in result.predictor.channels):
+        image = plots.residuals_over_time(result.predictor, result.point, None, kind)
+        figures.append({"title": f"Residual of the {kind.replace('_', ' ')}", "image": image})
+    rollouts = [
+        {"variant": variant, "quantity": f"{name} [{QUANTITIES[name]}]", "horizon": f"{h:g}", "rms": interval(rms)}
+        for variant, quantities in result.evaluation.rollout.items()
+        for name, horizons in quantities.items()
+        for h, rms in horizons.items()
+    ]
+    context = {
+        "robot": result.robot,
+        "flights": [flight.name for flight in result.flights],
+        "bandwidth": result.bandwidth,
+        "channels": channel_rows(result.evaluation, None),
+        "rollouts": rollouts,
+        "figures": figures,
+        "notes": result.as_mapping()["notes"],
+    }
+    (folder / "report.html").write_text(render("replay.html", context), encoding="utf-8")

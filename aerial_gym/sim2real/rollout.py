@@ -1,0 +1,229 @@
+"""Open-loop rollouts: every window of the flights is one environment of the simulator, released at a measured state.
+
+The rotors follow the logged commands through the lag of the model; without commands they turn as measured. A second
+variant is given the measured attitude, so that it shows forces alone. Letters: W windows (environments), R rotors.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.math.quaternion import quat_conjugate, quat_log, quat_multiply
+from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, advance, build_model, vehicle_from_config
+from aerial_gym.sim2real.flights import Flight
+from aerial_gym.sim2real.prediction import Point, expand_rows
+
+Array = NDArray[np.float64]
+
+HORIZONS_S = (0.1, 0.5, 1.0, 2.0)
+"""When a rollout is compared with the flight [s]."""
+
+STEP_S = 0.005
+"""Longest step of the integrator [s]; Runge-Kutta of order 4 is exact to 1e-6 there."""
+
+WINDOW_EVERY_S = 0.5
+"""Between the starts of two windows [s]."""
+
+MOST_WINDOWS = 600
+"""Windows are spread over all flights if there were more."""
+
+CLUSTER_S = 4.0
+"""Windows that start within such a span of a flight count as one draw in the intervals [s]."""
+
+QUANTITIES: dict[str, str] = {"position": "m", "velocity": "m/s", "attitude": "rad"}
+"""Compared quantities and their units."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Windows:
+    """Where rollouts start."""
+
+    flight: NDArray[np.int64]
+    """Index of the flight, (W,)."""
+
+    row: NDArray[np.int64]
+    """Row of the log, (W,)."""
+
+    cluster: NDArray[np.int64]
+    """Windows of one cluster overlap or follow each other, (W,)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RolloutErrors:
+    """Distance between rollout and flight at each horizon: one row per window."""
+
+    windows: Windows
+    horizons: tuple[float, ...]
+    """[s]."""
+
+    position: Array | None
+    """[m], (W, horizons); None if the log has no position."""
+
+    velocity: Array | None
+    """[m/s], (W, horizons)."""
+
+    attitude: Array | None
+    """Angle of the turn between them [rad], (W, horizons); None where the attitude was given."""
+
+    driven_by: str
+    """commands or measured rotor speeds."""
+
+
+class _Straight:
+    """The control law of a replay: the action is the rotor speed command."""
+
+    def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
+        """Return the action."""
+        del state
+        return action
+
+
+def find_windows(flights: Sequence[Flight], horizons: Sequence[float]) -> Windows:
+    """Return the starts of windows that fit the longest horizon, in every flight that is long enough."""
+    spans = [max(0.0, float(f.time[-1]) - max(horizons) - STEP_S) for f in flights]
+    every = max(WINDOW_EVERY_S, sum(spans) / MOST_WINDOWS)
+    parts, cluster = [], 0
+    for index, (flight, span) in enumerate(zip(flights, spans, strict=True)):
+        starts = np.arange(0.0, span, every)
+        rows = np.round(starts * flight.rate).astype(int)
+        groups = (starts / CLUSTER_S).astype(int)
+        parts.append((np.full(rows.size, index), rows, groups + cluster))
+        cluster += int(groups[-1]) + 1 if rows.size else 0
+    flight_index, row, clusters = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return Windows(flight=flight_index, row=row, cluster=clusters)
+
+
+def roll_out(
+    robot: RobotCfg,
+    flights: Sequence[Flight],
+    point: Point,
+    *,
+    horizons: Sequence[float] = HORIZONS_S,
+    given_attitude: bool = False,
+) -> RolloutErrors:
+    """Return the open-loop errors of a model.
+
+    Args:
+        robot: Declared robot.
+        flights: Flights with velocity.
+        point: Effects of the model.
+        horizons: When to compare [s]; those that no flight is long enough for are left out.
+        given_attitude: Whether attitude and angular velocity are set to the measured ones after every step.
+    """
+    longest = max(float(flight.time[-1]) for flight in flights)
+    kept = tuple(h for h in horizons if h + 2.0 * STEP_S < longest)
+    windows = find_windows(flights, kept)
+    commanded = all(flight.rotor_command is not None for flight in flights)
+    rows = {rate: np.flatnonzero([flights[f].rate == rate for f in windows.flight]) for rate in {f.rate for f in flights}}
+    shape = (windows.row.size, len(kept))
+    errors = {name: np.full(shape, np.nan) for name in QUANTITIES}
+    for rate, members in rows.items():
+        if members.size:
+            run = _Run(robot, flights, point, windows, members, rate, commanded=commanded)
+            for name, values in run.errors(kept, given_attitude=given_attitude).items():
+                errors[name][members] = values
+    return RolloutErrors(
+        windows=windows,
+        horizons=kept,
+        position=errors["position"] if all(f.position is not None for f in flights) else None,
+        velocity=errors["velocity"] if all(f.lin_vel is not None for f in flights) else None,
+        attitude=None if given_attitude else errors["attitude"],
+        driven_by="commands" if commanded else "measured rotor speeds",
+    )
+
+
+class _Run:
+    """The windows of flights with one rate, side by side."""
+
+    def __init__(
+        self,
+        robot: RobotCfg,
+        flights: Sequence[Flight],
+        point: Point,
+        windows: Windows,
+        members: NDArray[np.int64],
+        rate: float,
+        *,
+        commanded: bool,
+    ) -> None:
+        self._flights, self._rate, self._commanded = flights, rate, commanded
+        self._flight, self._row = windows.flight[members], windows.row[members]
+        self._stride = max(1, int(STEP_S * rate + 1e-9))
+        self._substeps = max(1, round(self._stride / (STEP_S * rate)))
+        vehicle = expand_rows(vehicle_from_config(robot, num_envs=1, dtype=torch.float64), members.size)
+        if not commanded:  # the speeds are what they were: the rotors follow at once
+            zero = torch.zeros_like(vehicle.time_constant_up)
+            vehicle = replace(vehicle, time_constant_up=zero, time_constant_down=zero)
+        used = {name: p for name, p in point.effects.items() if commanded or EFFECTS.get(name).acts_on != "actuation"}
+        effects = [(EFFECTS.get(n), torch.from_numpy(np.asarray(p)).expand(members.size, -1)) for n, p in used.items()]
+        self._model = build_model(vehicle, effects)
+
+    def errors(self, horizons: Sequence[float], *, given_attitude: bool) -> dict[str, Array]:
+        """Return the errors of each quantity, (W, horizons)."""
+        at = {round(h * self._rate / self._stride): place for place, h in enumerate(horizons)}
+        found = {name: np.zeros((self._row.size, len(horizons))) for name in QUANTITIES}
+        state = self._measured(0)
+        span = self._stride / self._rate
+        for step in range(max(at)):
+            action = self._action(step)
+            state = advance(
+                self._model, INTEGRATORS["rk4"], _Straight(), state, action, span / self._substeps, self._substeps
+            )
+            if given_attitude or step + 1 in at:
+                truth = self._measured(step + 1)
+                if step + 1 in at:
+                    for name, values in _distances(state, truth).items():
+                        found[name][:, at[step + 1]] = values
+                if given_attitude:
+                    state = replace(state, attitude=truth.attitude, ang_vel=truth.ang_vel)
+        return found
+
+    def _measured(self, step: int) -> BodyState:
+        """Return the state that was measured ``step`` steps after each start."""
+        rows = self._row + step * self._stride
+        return BodyState(
+            position=self._gather("position", rows),
+            attitude=self._gather("attitude", rows),
+            lin_vel=self._gather("lin_vel", rows),
+            ang_vel=self._gather("ang_vel", rows),
+            rotor_speed=self._gather("rotor_speed", rows, instead="rotor_command"),
+        )
+
+    def _action(self, step: int) -> Tensor:
+        """Return the mean command over a step, or the mean measured speed."""
+        first = self._row + step * self._stride
+        name = "rotor_command" if self._commanded else "rotor_speed"
+        values = [self._gather(name, first + k) for k in range(self._stride)]
+        if not self._commanded:  # between rows a speed runs in a straight line
+            values += [0.5 * (self._gather(name, first + self._stride) - values[0])]
+            return sum(values[:-1], values[-1]) / self._stride
+        return sum(values[1:], values[0]) / self._stride
+
+    def _gather(self, name: str, rows: NDArray[np.int64], *, instead: str | None = None) -> Tensor:
+        columns = 4 if name == "attitude" else 3 if name in ("position", "lin_vel", "ang_vel") else None
+        result = None
+        for index in np.unique(self._flight):
+            values = getattr(self._flights[index], name)
+            if values is None and instead is not None:
+                values = getattr(self._flights[index], instead)
+            chosen = self._flight == index
+            width = columns or values.shape[1]
+            result = np.zeros((rows.size, width)) if result is None else result
+            if values is not None:
+                result[chosen] = values[np.minimum(rows[chosen], values.shape[0] - 1)]
+        assert result is not None
+        return torch.from_numpy(result)
+
+
+def _distances(state: BodyState, truth: BodyState) -> dict[str, Array]:
+    turn = quat_log(quat_multiply(quat_conjugate(truth.attitude), state.attitude))
+    return {
+        "position": (state.position - truth.position).norm(dim=1).numpy(),
+        "velocity": (state.lin_vel - truth.lin_vel).norm(dim=1).numpy(),
+        "attitude": turn.norm(dim=1).numpy(),
+    }

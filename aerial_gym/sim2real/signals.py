@@ -1,0 +1,179 @@
+"""Zero-phase low-pass, derivatives, uniform time and the clock of the rotor log.
+
+Everything here uses future samples: it is for logs, not for flight. Letters: T rows.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.flight_log import FlightLog
+
+Array = NDArray[np.float64]
+
+FILTER_ORDER = 4
+"""Order of the Butterworth low-pass that is run forwards and backwards."""
+
+LONGEST_GAP_ROWS = 5
+"""A gap of more rows than this, and of more than LONGEST_GAP_S, ends a flight."""
+
+LONGEST_GAP_S = 0.1
+"""[s]."""
+
+LARGEST_SHIFT_S = 0.05
+"""Clock offsets of the rotor log are looked for up to this [s]; measured_data.md 2: 0 to 0.03 s."""
+
+LEAST_SHIFT_GAIN = 0.3
+"""A shift must take this share off the variance that is left, else the clock is believed. One row of a 100 Hz log or
+vertical drag takes off less; a lead of two rows takes off half (seen on the IDSIA flights)."""
+
+
+def lowpass_gain(frequency: Array, bandwidth: float) -> Array:
+    """Return the gain ``1 / (1 + (f / b)^8)`` of a Butterworth low-pass of order 4 run forwards and backwards.
+
+    Source: Oppenheim, Schafer (2010), Discrete-Time Signal Processing, B.1: the squared magnitude of a Butterworth filter.
+    """
+    return 1.0 / (1.0 + (frequency / bandwidth) ** (2 * FILTER_ORDER))
+
+
+def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = False) -> Array:
+    """Return ``values`` low-passed without phase, or their time derivative in the same band.
+
+    The ends are continued by point reflection over three filter lengths, as in Gustafsson (1996), so that a level or a
+    slope does not ring; rows within ``edge_rows`` of an end should not be used all the same.
+
+    Args:
+        values: Samples at equal steps, (T, ...).
+        rate: Samples per second [Hz].
+        bandwidth: Frequency of half gain [Hz].
+        derivative: Whether to multiply by ``2 pi i f``.
+    """
+    rows = values.shape[0]
+    pad = min(rows - 1, 3 * edge_rows(rate, bandwidth))
+    head = 2.0 * values[:1] - values[pad:0:-1]
+    tail = 2.0 * values[-1:] - values[-2 : -pad - 2 : -1]
+    longer = np.concatenate((head, values, tail))
+    size = fft.next_fast_len(longer.shape[0] + pad, real=True)
+    # The remaining gap of the circle is closed by a straight line, so that it adds no jump.
+    blend = np.linspace(0.0, 1.0, size - longer.shape[0] + 2)[1:-1].reshape(-1, *(1,) * (values.ndim - 1))
+    circle = np.concatenate((longer, longer[-1:] * (1.0 - blend) + longer[:1] * blend))
+    frequency = fft.rfftfreq(size, 1.0 / rate)
+    gain = lowpass_gain(frequency, bandwidth).astype(complex)
+    if derivative:
+        gain *= 2j * np.pi * frequency
+    spectrum = fft.rfft(circle, axis=0) * gain.reshape(-1, *(1,) * (values.ndim - 1))
+    return fft.irfft(spectrum, n=size, axis=0)[pad : pad + rows]
+
+
+def edge_rows(rate: float, bandwidth: float) -> int:
+    """Return the number of rows at each end that the low-pass may spoil: two periods of its bandwidth."""
+    return round(2.0 * rate / bandwidth) + 1
+
+
+def continuous_quaternion(attitude: Array) -> Array:
+    """Return unit quaternions (T, 4) of the same attitudes without jumps of sign from row to row."""
+    unit = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
+    flips = np.cumprod(np.where((unit[1:] * unit[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
+    return unit * np.concatenate(([1.0], flips))[:, None]
+
+
+def uniform_log(log: FlightLog) -> FlightLog:
+    """Return the log with equal time steps and unit quaternions without jumps of sign; commands stay held.
+
+    Raises:
+        DataError: If rows are missing for longer than can be bridged.
+    """
+    steps = np.diff(log.time)
+    step = float(np.median(steps))
+    gap = int(np.argmax(steps))
+    if steps[gap] > max(LONGEST_GAP_ROWS * step, LONGEST_GAP_S):
+        raise DataError(
+            f"{log.where(gap + 1)}: {steps[gap]:.3g} s after the row before, where {step:.3g} s are usual; "
+            "cut the log there and give both parts as flights"
+        )
+    attitude = continuous_quaternion(log.attitude)
+    if np.abs(steps - step).max() <= 0.1 * step:
+        return replace(log, attitude=attitude)
+    count = int((log.time[-1] - log.time[0]) / step) + 1
+    time = log.time[0] + step * np.arange(count)
+
+    def line(values: Array | None) -> Array | None:
+        if values is None:
+            return None
+        return np.stack([np.interp(time, log.time, column) for column in values.T], axis=1)
+
+    before = np.clip(np.searchsorted(log.time, time, side="right") - 1, 0, None)
+    moved = line(attitude)
+    assert moved is not None
+    return replace(
+        log,
+        time=time,
+        attitude=continuous_quaternion(moved),
+        position=line(log.position),
+        lin_vel=line(log.lin_vel),
+        ang_vel=line(log.ang_vel),
+        specific_force=line(log.specific_force),
+        rotor_speed=line(log.rotor_speed),
+        rotor_command=None if log.rotor_command is None else log.rotor_command[before],
+        notes=(*log.notes, f"unequal time steps ({steps.min():.3g} to {steps.max():.3g} s) resampled to {step:.3g} s"),
+    )
+
+
+def rotor_log_lead(measured: Array, predicted: Array, others: Array, rate: float, bandwidth: float) -> int:
+    """Return by how many rows the rotor log leads the other sensors; 0 unless a shift clearly agrees better.
+
+    Thrust explains the specific force along z up to a factor, drag and a shifted centre of mass up to others; what is
+    left is compared between shifts.
+
+    Args:
+        measured: Specific force along body z [m/s²], (T,).
+        predicted: The same, predicted from the logged rotor speeds, (T,).
+        others: What else may act along z, on the clock of the accelerometer, (T, any): velocity along z, angular acceleration.
+        rate: Rows per second [Hz].
+        bandwidth: The comparison is made below it and above a twentieth of it [Hz].
+    """
+    most = round(LARGEST_SHIFT_S * rate)
+    wave = np.column_stack((measured, predicted, others))
+    wave = lowpass(wave, rate, bandwidth) - lowpass(wave, rate, 0.05 * bandwidth)
+    edge = edge_rows(rate, bandwidth) + most
+    inner = slice(edge, -edge)
+    target = wave[inner, 0]
+    if target.size < 4 * edge or not np.any(target):
+        return 0
+
+    def left(lead: int) -> float:
+        causes = np.column_stack((np.roll(wave[:, 1], lead)[inner], wave[inner, 2:]))
+        gains = np.linalg.lstsq(causes, target, rcond=None)[0]
+        return float(np.sum((target - causes @ gains) ** 2) / np.sum(target**2))
+
+    unmoved = left(0)
+    best = min(range(-most, most + 1), key=left)
+    return best if left(best) < (1.0 - LEAST_SHIFT_GAIN) * unmoved and left(best) < 0.5 else 0
+
+
+def shift_rotor_log(log: FlightLog, lead: int) -> FlightLog:
+    """Return the log with rotor speeds and commands moved to the later by ``lead`` rows, the ends cut off."""
+    if lead == 0:
+        return log
+    rows = log.time.size
+    kept = slice(max(lead, 0), rows + min(lead, 0))
+    moved = slice(max(-lead, 0), rows - max(lead, 0))
+
+    def cut(values: Array | None, part: slice) -> Array | None:
+        return None if values is None else values[part]
+
+    return replace(
+        log,
+        time=log.time[kept],
+        attitude=log.attitude[kept],
+        position=cut(log.position, kept),
+        lin_vel=cut(log.lin_vel, kept),
+        ang_vel=cut(log.ang_vel, kept),
+        specific_force=cut(log.specific_force, kept),
+        rotor_speed=cut(log.rotor_speed, moved),
+        rotor_command=cut(log.rotor_command, moved),
+        notes=(*log.notes, f"rotor log leads the other sensors by {lead} rows and was moved back"),
+    )

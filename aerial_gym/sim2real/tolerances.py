@@ -1,0 +1,84 @@
+"""How well a carefully declared vehicle is known: errors that are no effect, and what they do to a prediction.
+
+A number of a robot file was weighed or measured once, with the standard deviations below. What they can explain is not
+called an effect, and the intervals of the effects carry them. Letters: E environments, R rotors, N tolerances.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.robot import require_positive
+from aerial_gym.physics import Vehicle
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tolerances:
+    """Standard deviations of what is declared, > 0."""
+
+    mass: float = 0.003
+    """Relative: a kitchen scale on a vehicle with its battery."""
+
+    thrust: float = 0.004
+    """Relative, each rotor by itself: thrust and drag torque of propellers of one type."""
+
+    inertia: float = 0.02
+    """Relative, each axis by itself: swinging or computing from parts."""
+
+    time_constant: float = 0.03
+    """Relative, all rotors together: a step on a bench."""
+
+    com: float = 0.0003
+    """Each axis [m]: balancing."""
+
+    acc_bias: float = 0.02
+    """Accelerometer, each axis [m/s²]."""
+
+    command_hold: float = 0.3
+    """How far into the step between two rows the effective command may lie: autopilots run faster than logs are written."""
+
+    def __post_init__(self) -> None:
+        require_positive(self, "mass", "thrust", "inertia", "time_constant", "com", "acc_bias", "command_hold")
+
+    def names(self, num_rotors: int) -> tuple[str, ...]:
+        """Return the names of the N tolerances, in the order of ``Deviation``."""
+        rotors = [f"thrust_{number}" for number in range(1, num_rotors + 1)]
+        axes = [f"{name}_{axis}" for name in ("inertia", "com", "acc_bias") for axis in "xyz"]
+        return ("mass", *rotors, *axes, "time_constant", "command_hold")
+
+
+def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehicle:
+    """Return the vehicle that is off by ``deviation`` standard deviations in each tolerance.
+
+    The inertia becomes ``S J S`` with the diagonal ``S = sqrt(1 + d)``, which stays positive definite.
+
+    Args:
+        vehicle: As declared, one environment.
+        tolerances: Their sizes.
+        deviation: In standard deviations, (N,), in the order of ``Tolerances.names``.
+    """
+    mass, rotors, inertia, com, _, lag, _ = torch.split(deviation, [1, vehicle.num_rotors, 3, 3, 3, 1, 1])
+    factor = (1.0 + tolerances.thrust * rotors).unsqueeze(-1)
+    stretch = (1.0 + tolerances.inertia * inertia).clamp_min(0.01).sqrt()
+    slower = 1.0 + tolerances.time_constant * lag
+    return replace(
+        vehicle,
+        mass=vehicle.mass * (1.0 + tolerances.mass * mass),
+        thrust_map=vehicle.thrust_map * factor,
+        torque_map=vehicle.torque_map * factor,
+        inertia=vehicle.inertia * stretch.unsqueeze(-1) * stretch,
+        com=vehicle.com + tolerances.com * com,
+        time_constant_up=vehicle.time_constant_up * slower,
+        time_constant_down=vehicle.time_constant_down * slower,
+    )
+
+
+def accelerometer_bias(tolerances: Tolerances, deviation: Tensor) -> Tensor:
+    """Return the bias [m/s²], body, (3,)."""
+    return tolerances.acc_bias * deviation[-5:-2]
+
+
+def command_shift(tolerances: Tolerances, deviation: Tensor) -> float:
+    """Return how far the effective command lies towards the next row, in steps; 0: held from its row on."""
+    return float(tolerances.command_hold * deviation[-1])

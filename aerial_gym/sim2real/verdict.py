@@ -1,0 +1,189 @@
+"""The verdict: which effects the flights name, with what certainty, and what remains.
+
+The mapping for ``verdict.json`` is a contract (DESIGN.md, section 4). Letters: C channels.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.evaluation import Evaluation
+from aerial_gym.sim2real.fit import params_of, scales
+from aerial_gym.sim2real.selection import Selection, Trial
+from aerial_gym.sim2real.structure import Structure
+
+Array = NDArray[np.float64]
+
+NEAR_FLOOR = 2.0
+"""A mean square of less than this many times the floor's is near the noise floor."""
+
+TOLERATED = 0.5
+"""What remains above the floor is immaterial below this share of what the vehicle's tolerances may cause."""
+
+MOST_CONFIDENT = 0.9999
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedEffect:
+    """An effect that the flights ask for."""
+
+    name: str
+    params: dict[str, float]
+    """Fitted totals, as in robot files."""
+
+    std: dict[str, float]
+    """Standard deviations: 1.96 of them make the 95 % interval, with few flights and the tolerances in them."""
+
+    noise_std: dict[str, float]
+    """The part of ``std`` that more flights would make smaller."""
+
+    frozen: tuple[str, ...]
+    """Parameters that these flights do not show; they keep their neutral value."""
+
+    confidence: float
+    """Probability that it is this effect: one minus the larger chance of no effect and of the best rival."""
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        interval = {
+            key: [value - 1.96 * self.std[key], value + 1.96 * self.std[key]]
+            for key, value in self.params.items()
+            if key in self.std
+        }
+        return {
+            "name": self.name,
+            "params": self.params,
+            "std": self.std,
+            "interval": interval,
+            "noise_std": self.noise_std,
+            "frozen": list(self.frozen),
+            "confidence": self.confidence,
+            "material": True,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What the flights say about the declared model."""
+
+    verdict: str
+    """explained, none, unexplained or ambiguous."""
+
+    reason: str
+    """One sentence."""
+
+    effects: tuple[NamedEffect, ...]
+    """In the order in which they were named."""
+
+    candidates: tuple[str, ...]
+    """These and what cannot be told from them."""
+
+    not_testable: dict[str, str]
+    """Effects that the flights cannot show, and why."""
+
+    structure: Structure
+    before: Evaluation
+    after: Evaluation
+    remains: tuple[str, ...]
+    """Channels with material structure after the correction."""
+
+    notes: tuple[str, ...] = field(default=())
+    """What was done to the logs, and other things to know."""
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return the contract for JSON."""
+        return {
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "effects": [effect.as_mapping() for effect in self.effects],
+            "candidates": list(self.candidates),
+            "not_testable": list(self.not_testable),
+            "not_testable_because": self.not_testable,
+            "structure": self.structure.as_mapping(),
+            "remains": list(self.remains),
+            "before": self.before.as_mapping(),
+            "after": self.after.as_mapping(),
+            "notes": list(self.notes),
+        }
+
+
+def named_effects(selection: Selection) -> tuple[NamedEffect, ...]:
+    """Return the accepted effects with parameters, spread and confidence."""
+    fit, spread = selection.final.fit, selection.final.spread
+    values, scale = params_of(fit.point, fit.effects), scales(fit.effects)
+    std = dict(zip(fit.free_effects.tolist(), spread.std, strict=True))
+    noise = dict(zip(fit.free_effects.tolist(), np.sqrt(np.diag(spread.blocks)), strict=True))
+    found = []
+    for name in fit.effects:
+        own = dict(zip((p.name for p in EFFECTS.get(name).parameters), fit.columns_of(name).tolist(), strict=True))
+        found.append(
+            NamedEffect(
+                name=name,
+                params={key: float(values[k]) for key, k in own.items()},
+                std={key: float(std[k] * scale[k]) for key, k in own.items() if k in std},
+                noise_std={key: float(noise[k] * scale[k]) for key, k in own.items() if k in noise},
+                frozen=tuple(key for key, k in own.items() if k not in std),
+                confidence=_confidence(name, selection),
+            )
+        )
+    return tuple(found)
+
+
+def serious_rivals(name: str, selection: Selection) -> list[Trial]:
+    """Return the effects that could stand in the place of an accepted one without any objection."""
+    return [trial for trial in selection.rivals[name] if not trial.objections]
+
+
+def _confidence(name: str, selection: Selection) -> float:
+    own = selection.acceptance[name]
+    doubts = [own.probability, own.gain.chance if own.gain else 1.0]
+    doubts += [trial.gain.chance for trial in serious_rivals(name, selection) if trial.gain]
+    return float(min(1.0 - max(doubts), MOST_CONFIDENT))
+
+
+def tied_rivals(name: str, selection: Selection) -> list[str]:
+    """Return the registered effects that cannot be told from an accepted one."""
+    limit = selection.criteria.rival_significance
+    return [t.effect for t in serious_rivals(name, selection) if t.gain and t.gain.chance > limit]
+
+
+def material_remains(rms: Array, floor: Array | None, tolerated: Array) -> NDArray[np.bool_]:
+    """Return in which channels more remains than noise and tolerances, (C,); all False where no floor is known.
+
+    Args:
+        rms: Residual with effects and with the deviations that fit best within the tolerances, (C,).
+        floor: Noise floor, (C,).
+        tolerated: Residual that the tolerances of the vehicle cause, (C,).
+    """
+    if floor is None:
+        return np.zeros(rms.size, dtype=bool)
+    excess = np.sqrt(np.maximum(rms**2 - floor**2, 0.0))
+    return (rms**2 > NEAR_FLOOR * floor**2) & (excess > TOLERATED * tolerated)
+
+
+def decide(selection: Selection, remains: tuple[str, ...], floor_known: bool) -> tuple[str, str, tuple[str, ...]]:
+    """Return verdict, reason and candidates."""
+    tied = {name: tied_rivals(name, selection) for name in selection.accepted}
+    candidates = list(selection.accepted)
+    for name in selection.accepted:
+        candidates += [*tied[name], *selection.acceptance[name].doubles]
+    overruled = [trial for trial in selection.rounds[-1] if trial.better or trial.as_good]
+    for trial in overruled:
+        candidates += [*([trial.effect] if trial.as_good else []), *trial.better, *trial.as_good]
+    names = ", ".join(selection.accepted)
+    unique = tuple(dict.fromkeys(candidates))
+    if any(tied.values()):
+        rivals = ", ".join(rival for rivals in tied.values() for rival in rivals)
+        return "ambiguous", f"{names} cannot be told from {rivals} on flights left out", unique
+    if any(trial.as_good and not trial.better for trial in overruled):
+        pairs = "; ".join(f"{t.effect} or {', '.join(t.as_good)}" for t in overruled if t.as_good)
+        return "ambiguous", f"two explanations do equally well: {pairs}", unique
+    if remains:
+        start = f"{names} found, but" if names else "no registered effect explains it:"
+        return "unexplained", f"{start} more than noise and tolerances remains in {', '.join(remains)}", unique
+    if not selection.accepted:
+        return "none", "the declared model explains the flights within noise and tolerances", unique
+    rest = "what remains is near the noise floor" if floor_known else "the logs are too slow to show a noise floor"
+    return "explained", f"the flights show {names}; {rest}", unique
