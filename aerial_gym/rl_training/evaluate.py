@@ -1,0 +1,118 @@
+"""How well a policy flies to its target: a pure function of policy and task.
+
+Letters: E environments, O entries of an observation, U entries of an action.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.task import Task
+
+SUCCESS_RADIUS_M = 0.1
+"""A flight succeeds, and has settled, within this distance of the target [m]: the bar of the position task."""
+
+FINAL_SPAN_S = 1.0
+"""The final error is the mean distance over this last part of an episode [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """Figures over the first episode of every environment. Errors and settling are of the flights without a crash."""
+
+    num_starts: int
+    """Random starts E."""
+
+    episode_s: float
+    """Length of an episode [s]."""
+
+    success_rate: float
+    """Share of flights without a crash whose final error is below the success radius."""
+
+    crash_rate: float
+    """Share of flights that ended early."""
+
+    final_error_mean_m: float | None
+    """Mean over flights of the mean distance over the last second [m]; None if all crashed."""
+
+    final_error_p95_m: float | None
+    """95th percentile of it [m]."""
+
+    final_error_max_m: float | None
+    """Largest of it [m]."""
+
+    settled_rate: float
+    """Share of flights that came within the success radius and stayed."""
+
+    settling_time_mean_s: float | None
+    """Mean time from which a flight stays within the success radius [s], of those that settled."""
+
+    settling_time_p95_s: float | None
+    """95th percentile of it [s]."""
+
+    return_mean: float
+    """Mean sum of rewards."""
+
+    success_radius_m: float
+    """The radius [m]."""
+
+
+@torch.no_grad()
+def evaluate(
+    policy: Callable[[Tensor], Tensor],
+    task: Task,
+    *,
+    success_radius: float = SUCCESS_RADIUS_M,
+    on_step: Callable[[int, int], None] | None = None,
+) -> Evaluation:
+    """Return the figures of one episode in every environment of ``task``, which is reset first.
+
+    Args:
+        policy: Observations (E, O) to actions (E, U).
+        task: Where to fly; its seed decides the starts.
+        success_radius: Distance that counts as there [m].
+        on_step: Called with the number of the step and of all steps.
+    """
+    steps, dt = task.cfg.episode_len_steps, task.env.dt
+    final_steps = min(steps, max(1, round(FINAL_SPAN_S / dt)))
+    observation, _ = task.reset()
+    flying = torch.ones(task.num_envs, dtype=torch.bool, device=task.device)
+    crashed = torch.zeros_like(flying)
+    total, error_sum = torch.zeros(task.num_envs, device=task.device), torch.zeros(task.num_envs, device=task.device)
+    outside_until = torch.zeros(task.num_envs, dtype=torch.int64, device=task.device)
+    for step in range(1, steps + 1):
+        observation, reward, terminated, _, info = task.step(policy(observation["observations"]))
+        distance = info["distance"]
+        total += torch.where(flying, reward, 0.0)
+        crashed |= flying & terminated
+        flying &= ~terminated
+        outside_until = torch.where(distance < success_radius, outside_until, step)
+        if step > steps - final_steps:
+            error_sum += distance
+        if on_step is not None:
+            on_step(step, steps)
+    error, settling = (error_sum / final_steps)[~crashed], (outside_until * dt)[~crashed & (outside_until < steps)]
+    return Evaluation(
+        num_starts=task.num_envs,
+        episode_s=steps * dt,
+        success_rate=float((error < success_radius).sum()) / task.num_envs,
+        crash_rate=float(crashed.float().mean()),
+        final_error_mean_m=_mean(error),
+        final_error_p95_m=_percentile95(error),
+        final_error_max_m=float(error.max()) if error.numel() else None,
+        settled_rate=settling.numel() / task.num_envs,
+        settling_time_mean_s=_mean(settling),
+        settling_time_p95_s=_percentile95(settling),
+        return_mean=float(total.mean()),
+        success_radius_m=success_radius,
+    )
+
+
+def _mean(values: Tensor) -> float | None:
+    return float(values.double().mean()) if values.numel() else None
+
+
+def _percentile95(values: Tensor) -> float | None:
+    return float(torch.quantile(values.double(), 0.95)) if values.numel() else None

@@ -1,0 +1,128 @@
+"""Progress of a training: one bar on stderr, the learning curve, and the decision to end.
+
+Both trainers call ``Progress.update`` after each of their updates. Time counts from the start of the command.
+"""
+
+import csv
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn
+from rich.progress import Progress as Bar
+
+from aerial_gym.rl_training.settings import TrainingCfg
+
+CURVE_COLUMNS = ("time_s", "env_steps", "reward_per_step", "episode_return", "episode_length", "env_steps_per_s")
+"""Columns of ``curve.csv``: time [s] in all sessions, steps in all sessions, means over the episodes that ended since."""
+
+REPORT_INTERVAL_S = 1.0
+"""Least time between two lines of the learning curve [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """What a trainer knows after an update."""
+
+    env_steps: int
+    """Environment steps in all sessions."""
+
+    episode_return: float | None
+    """Mean return of recent episodes; None before the first has ended."""
+
+    episode_length: float | None
+    """Mean length of them [steps]."""
+
+
+class Progress:
+    """Bar, curve and limits of one session; a context manager."""
+
+    def __init__(self, cfg: TrainingCfg, curve_file: Path, *, started: float, show: bool) -> None:
+        """Take the limits of ``cfg``, the file of the curve, the time of ``time.perf_counter`` at the start."""
+        self._cfg, self._started = cfg, started
+        self._first_steps: int | None = None
+        self._first_time = self._last_line = 0.0
+        self.env_steps, self.steps_per_s, self.share = 0, 0.0, 0.0
+        self.last: Report | None = None
+        self._past_s = _last_time(curve_file)
+        new = not curve_file.exists()
+        self._file = curve_file.open("a", encoding="utf-8", newline="", buffering=1)
+        self._curve = csv.writer(self._file)
+        if new:
+            self._curve.writerow(CURVE_COLUMNS)
+        text = "{task.description} return {task.fields[reward]} {task.fields[rate]} steps/s {task.fields[left]} left"
+        self._bar = Bar(
+            TextColumn("{task.fields[name]}"),
+            BarColumn(),
+            TextColumn(text),
+            console=Console(file=sys.stderr),
+            disable=not show,
+            redirect_stdout=False,
+            redirect_stderr=False,
+            refresh_per_second=2,
+        )
+        self._task = self._bar.add_task("", total=1.0, name=cfg.trainer, reward="-", rate="-", left="-")
+
+    def elapsed_s(self) -> float:
+        """Return the time since the start of this session [s]."""
+        return time.perf_counter() - self._started
+
+    def update(self, report: Report) -> bool:
+        """Show and record a report; return whether the training must end now."""
+        now = self.elapsed_s()
+        if self._first_steps is None:
+            self._first_steps, self._first_time = report.env_steps, now
+        self.env_steps, self.last = report.env_steps, report
+        self.steps_per_s = (report.env_steps - self._first_steps) / max(now - self._first_time, 1e-9)
+        share = self.share = max(now / (self._cfg.max_time_s or 1e18), report.env_steps / (self._cfg.max_env_steps or 1e18))
+        self._show(report, share, now)
+        if now - self._last_line >= REPORT_INTERVAL_S or share >= 1.0:
+            self._last_line = now
+            self._write(report, now)
+        return share >= 1.0
+
+    def _show(self, report: Report, share: float, now: float) -> None:
+        left = self._time_left(report, now)
+        self._bar.update(
+            self._task,
+            completed=min(share, 1.0),
+            reward="-" if report.episode_return is None else f"{report.episode_return:.0f}",
+            rate=f"{self.steps_per_s:,.0f}",
+            left=f"{int(left) // 60}:{int(left) % 60:02d}",
+        )
+
+    def _time_left(self, report: Report, now: float) -> float:
+        times = []
+        if self._cfg.max_time_s is not None:
+            times.append(self._cfg.max_time_s - now)
+        if self._cfg.max_env_steps is not None and self.steps_per_s > 0.0:
+            times.append((self._cfg.max_env_steps - report.env_steps) / self.steps_per_s)
+        return max(min(times, default=0.0), 0.0)
+
+    def _write(self, report: Report, now: float) -> None:
+        known = report.episode_return is not None and report.episode_length
+        per_step = f"{report.episode_return / report.episode_length:.5g}" if known else ""
+        values = ("" if v is None else f"{v:.6g}" for v in (report.episode_return, report.episode_length))
+        self._curve.writerow([f"{self._past_s + now:.2f}", report.env_steps, per_step, *values, f"{self.steps_per_s:.0f}"])
+
+    def __enter__(self) -> "Progress":
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()
+        self._file.close()
+
+
+def _last_time(curve_file: Path) -> float:
+    """Return the time of the last line of a learning curve [s], 0 if there is none."""
+    if not curve_file.exists():
+        return 0.0
+    with curve_file.open(encoding="utf-8", newline="") as file:
+        times = [row["time_s"] for row in csv.DictReader(file)]
+    return float(times[-1]) if times else 0.0

@@ -1,0 +1,198 @@
+"""Training with rl-games: a task as its ``IVecEnv``, run by ``rl_games.torch_runner.Runner``.
+
+Letters: E environments, O entries of an observation, U entries of an action.
+"""
+
+import math
+import time
+from pathlib import Path
+
+import torch
+from gymnasium import spaces
+from rl_games.algos_torch.a2c_continuous import A2CAgent
+from rl_games.common.algo_observer import AlgoObserver
+from rl_games.common.ivecenv import IVecEnv
+from rl_games.torch_runner import Runner
+from torch import Tensor
+
+from aerial_gym.rl_training.progress import Progress, Report
+from aerial_gym.rl_training.run_folder import RunFolder
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.task import Task
+
+OFF = 10**12
+"""A count that is never reached: switches a feature of the library off."""
+
+
+class TaskVecEnv(IVecEnv):
+    """A task as rl-games sees it: done is terminated or truncated, and ``time_outs`` lets it bootstrap the value."""
+
+    def __init__(self, task: Task) -> None:
+        """Take a built task."""
+        self._task = task
+
+    def reset(self) -> Tensor:
+        """Start all episodes anew, at random ages; return observations (E, O)."""
+        observation, _ = self._task.reset()
+        self._task.stagger()
+        return observation["observations"]
+
+    def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, dict[str, Tensor]]:
+        """Advance by actions (E, U); return observations (E, O), rewards (E,), done (E,) bool, infos."""
+        observation, reward, terminated, truncated, info = self._task.step(actions)
+        return observation["observations"], reward, terminated | truncated, {"time_outs": info["time_outs"]}
+
+    def get_number_of_agents(self) -> int:
+        """Return the agents per environment: one."""
+        return 1
+
+    def get_env_info(self) -> dict[str, object]:
+        """Return spaces of a single environment."""
+        space = self._task.observation_space
+        assert isinstance(space, spaces.Dict)
+        return {"observation_space": space["observations"], "action_space": self._task.action_space, "agents": 1}
+
+
+class ResumableAgent(A2CAgent):
+    """PPO whose ``restore`` also restores the adapted learning rate, reads any device and executes nothing in the file."""
+
+    def restore(self, fn: str, set_epoch: bool = True) -> None:
+        """Continue from a checkpoint."""
+        state = torch.load(fn, map_location=self.ppo_device, weights_only=True)
+        self.set_full_state_weights(state, set_epoch=set_epoch)
+        self.last_lr = self.optimizer.param_groups[0]["lr"]
+
+
+class _Observer(AlgoObserver):
+    """Reports after every update, saves from time to time, and tells the agent to end."""
+
+    def __init__(self, cfg: TrainingCfg, progress: Progress, checkpoint: Path) -> None:
+        self._cfg, self._progress, self._checkpoint = cfg, progress, checkpoint
+        self._saved = time.perf_counter()
+        self.algo: A2CAgent | None = None
+
+    def after_init(self, algo: A2CAgent) -> None:
+        self.algo = algo
+
+    def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
+        del frame, total_time
+        algo = self.algo
+        assert algo is not None
+        known = algo.game_rewards.current_size > 0
+        report = Report(
+            env_steps=int(algo.frame),
+            episode_return=float(algo.game_rewards.get_mean()[0]) if known else None,
+            episode_length=float(algo.game_lengths.get_mean().item()) if known else None,
+        )
+        if self._progress.update(report):
+            algo.max_epochs = epoch_num  # the agent ends after this epoch
+        elif time.perf_counter() - self._saved > self._cfg.checkpoint_every_s:
+            self.save()
+        limit = self._cfg.ppo.max_learning_rate_at(self._progress.share)
+        algo.scheduler.max_lr, algo.last_lr = limit, min(algo.last_lr, limit)
+
+    def save(self) -> None:
+        if self.algo is not None:
+            self.algo.save(str(self._checkpoint.with_suffix("")))  # the library adds .pth
+            self._saved = time.perf_counter()
+
+
+def run(cfg: TrainingCfg, task: Task, folder: RunFolder, progress: Progress, *, checkpoint: Path | None) -> bool:
+    """Train until a limit of ``cfg`` is reached or the user interrupts; return whether it was interrupted.
+
+    Args:
+        cfg: Settings.
+        task: Built task, reset by the trainer.
+        folder: Receives checkpoints and TensorBoard files.
+        progress: Told after every update.
+        checkpoint: Where to continue, if anywhere.
+    """
+    observer = _Observer(cfg, progress, folder.path / "rl_games" / "nn" / "last.pth")
+    runner = Runner(observer)
+    runner.algo_factory.register_builder("a2c_continuous", lambda **kwargs: ResumableAgent(**kwargs))
+    runner.load_config(library_params(cfg, TaskVecEnv(task), folder.path, device=str(task.device)))
+    interrupted = False
+    try:
+        runner.run({"train": True, "play": False, "checkpoint": None if checkpoint is None else str(checkpoint)})
+    except KeyboardInterrupt:
+        interrupted = True
+    observer.save()
+    if observer.algo is not None and observer.algo.writer is not None:
+        observer.algo.writer.close()
+    return interrupted
+
+
+def library_params(cfg: TrainingCfg, env: TaskVecEnv, out: Path, *, device: str) -> dict[str, object]:
+    """Return the settings as rl-games names them."""
+    ppo = cfg.ppo
+    return {
+        "seed": cfg.seed,
+        "torch_threads": 0,  # set by the caller
+        "algo": {"name": "a2c_continuous"},
+        "model": {"name": "continuous_a2c_logstd"},
+        "network": {
+            "name": "actor_critic",
+            "separate": ppo.separate_value_network,
+            "space": {
+                "continuous": {
+                    "mu_activation": "None",
+                    "sigma_activation": "None",
+                    "mu_init": {"name": "variance_scaling_initializer", "scale": ppo.head_variance},
+                    "sigma_init": {"name": "const_initializer", "val": math.log(ppo.initial_std)},
+                    "fixed_sigma": True,
+                }
+            },
+            "mlp": {
+                "units": list(ppo.hidden_layers),
+                "activation": ppo.activation,
+                "d2rl": False,
+                "initializer": {"name": "default"},
+                "regularizer": {"name": "None"},
+            },
+        },
+        "config": {
+            **_library_run(cfg, env, out, device),
+            "gamma": ppo.discount,
+            "tau": ppo.gae_lambda,
+            "learning_rate": ppo.learning_rate,
+            "lr_schedule": "adaptive",
+            "schedule_type": "standard",
+            "kl_threshold": ppo.kl_threshold,
+            "e_clip": ppo.clip_range,
+            "clip_value": ppo.clip_value,
+            "critic_coef": ppo.value_coef,
+            "entropy_coef": ppo.entropy_coef,
+            "bounds_loss_coef": ppo.bound_coef,
+            "truncate_grads": True,
+            "grad_norm": ppo.max_grad_norm,
+            "normalize_input": ppo.normalize_observation,
+            "normalize_value": ppo.normalize_value,
+            "normalize_advantage": True,
+            "value_bootstrap": True,
+            "horizon_length": ppo.horizon,
+            "minibatch_size": cfg.num_envs * ppo.horizon // ppo.num_minibatches,
+            "mini_epochs": ppo.num_epochs,
+            "reward_shaper": {"scale_value": ppo.reward_scale},
+        },
+    }
+
+
+def _library_run(cfg: TrainingCfg, env: TaskVecEnv, out: Path, device: str) -> dict[str, object]:
+    """Return the settings that are not about learning: names, folders, limits, the environment."""
+    return {
+        "name": cfg.task,
+        "full_experiment_name": "rl_games",
+        "train_dir": str(out),
+        "env_name": cfg.task,
+        "vec_env": env,
+        "env_info": env.get_env_info(),
+        "num_actors": cfg.num_envs,
+        "device": device,
+        "ppo": True,
+        "mixed_precision": False,
+        "torch_compile": False,
+        "print_stats": False,
+        "max_epochs": OFF,
+        "save_best_after": OFF,
+        "save_frequency": 0,
+    }

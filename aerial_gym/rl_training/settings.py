@@ -1,0 +1,200 @@
+"""What a training needs to know: task, trainer, limits, and the numbers of PPO that both trainers share.
+
+One set of names for both libraries; ``rl_games.py`` and ``sample_factory.py`` translate them. Letters: E environments.
+"""
+
+from dataclasses import dataclass
+from math import inf
+from pathlib import Path
+
+from aerial_gym.config import CONFIG_DIR, load
+from aerial_gym.config.robot import require_positive
+from aerial_gym.errors import ConfigError, UnknownNameError
+
+TRAINERS = ("rl_games", "sample_factory")
+"""Libraries that can train, by the name a user chooses."""
+
+TRAINING_CONFIGS = CONFIG_DIR / "training"
+"""Folder of the settings that come with the package: ``TRAINER_TASK.yaml``, the task without its ``_task``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PpoCfg:
+    """Numbers of Proximal Policy Optimisation and of its network, a multi-layer perceptron."""
+
+    hidden_layers: tuple[int, ...]
+    """Widths of the hidden layers, each >= 1."""
+
+    separate_value_network: bool = False
+    """Whether the value has hidden layers of its own instead of sharing those of the policy."""
+
+    activation: str = "elu"
+    """``elu``, ``relu`` or ``tanh``."""
+
+    initial_std: float = 1.0
+    """Standard deviation of the actions before learning, in units of the action, > 0."""
+
+    head_variance: float = 1.0
+    """Variance of the first weights of the layer that gives the actions, times its width, > 0; small: learning starts with
+    actions near zero."""
+
+    horizon: int
+    """Steps of every environment per update, >= 1."""
+
+    num_minibatches: int
+    """Parts into which the horizon times E samples are split; must divide them, >= 1."""
+
+    num_epochs: int
+    """Passes over the samples per update, >= 1."""
+
+    discount: float
+    """Discount gamma, 0 < gamma < 1."""
+
+    gae_lambda: float
+    """Weight lambda of generalised advantage estimation, 0 <= lambda <= 1."""
+
+    learning_rate: float
+    """Step of Adam at first, > 0; it adapts to ``kl_threshold``, up to the following."""
+
+    max_learning_rate: float
+    """Largest learning rate at first, > 0; it falls linearly with the share of the time or steps that is used."""
+
+    end_learning_rate: float
+    """Largest learning rate at the end, > 0."""
+
+    kl_threshold: float
+    """Divergence between old and new policy about which the learning rate adapts [nat], > 0."""
+
+    clip_range: float = 0.2
+    """Range of the probability ratio, > 0."""
+
+    clip_value: bool = False
+    """Whether the change of the value is clipped to ``clip_range`` as well."""
+
+    value_coef: float
+    """Weight of the value loss as the library defines it, > 0."""
+
+    entropy_coef: float = 0.0
+    """Weight of the entropy bonus, >= 0."""
+
+    bound_coef: float = 0.0
+    """Weight of the penalty on action means outside [-1.1, 1.1]; rl-games only, >= 0."""
+
+    max_grad_norm: float = 1.0
+    """Largest norm of the gradient, > 0."""
+
+    reward_scale: float = 1.0
+    """Factor on the reward that the learner sees, > 0."""
+
+    normalize_observation: bool = True
+    """Whether observations are normalised by their running mean and deviation."""
+
+    normalize_value: bool = True
+    """Whether returns are normalised by their running mean and deviation."""
+
+    def __post_init__(self) -> None:
+        require_positive(
+            self, "initial_std", "head_variance", "learning_rate", "max_learning_rate", "end_learning_rate", "kl_threshold", "clip_range", "value_coef", "max_grad_norm", "reward_scale"
+        )
+        for name in ("horizon", "num_minibatches", "num_epochs"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"PpoCfg.{name} = {getattr(self, name)!r}: must be >= 1")
+        for name in ("entropy_coef", "bound_coef"):
+            if not 0.0 <= getattr(self, name) < inf:
+                raise ConfigError(f"PpoCfg.{name} = {getattr(self, name)!r}: must be >= 0 and finite")
+        if not 0.0 < self.discount < 1.0:
+            raise ConfigError(f"PpoCfg.discount = {self.discount!r}: must be between 0 and 1")
+        if not 0.0 <= self.gae_lambda <= 1.0:
+            raise ConfigError(f"PpoCfg.gae_lambda = {self.gae_lambda!r}: must be from 0 to 1")
+        if self.activation not in ("elu", "relu", "tanh"):
+            raise ConfigError(f"PpoCfg.activation = {self.activation!r}: must be elu, relu or tanh")
+        if not self.hidden_layers or min(self.hidden_layers) < 1:
+            raise ConfigError(f"PpoCfg.hidden_layers = {self.hidden_layers!r}: needs widths >= 1")
+
+    def max_learning_rate_at(self, share: float) -> float:
+        """Return the largest learning rate after a share, 0 to 1, of the training."""
+        return self.max_learning_rate + (self.end_learning_rate - self.max_learning_rate) * min(max(share, 0.0), 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingCfg:
+    """One training: written as ``config.yaml`` into its run folder, from which it can be repeated."""
+
+    summary: str = ""
+    """One line for people who choose settings."""
+
+    task: str
+    """Registered task."""
+
+    trainer: str
+    """``rl_games`` or ``sample_factory``."""
+
+    num_envs: int
+    """Environments side by side, >= 1."""
+
+    device: str = "auto"
+    """Torch device; auto takes the GPU if there is one."""
+
+    seed: int = 0
+    """Seed of the task and of the trainer, >= 0."""
+
+    robot: str | None = None
+    """Registered robot, or a robot file, in place of the task's own."""
+
+    controller: str | None = None
+    """Registered controller in place of the task's own."""
+
+    torch_threads: int | None = None
+    """Threads of torch on the CPU, >= 1; None leaves torch's own choice."""
+
+    max_time_s: float | None = None
+    """The training ends after this time, start-up included [s], > 0."""
+
+    max_env_steps: int | None = None
+    """The training ends after this many environment steps in all sessions together, >= 1."""
+
+    checkpoint_every_s: float = 30.0
+    """Time between checkpoints [s], > 0."""
+
+    ppo: PpoCfg
+    """Numbers of the learner."""
+
+    source: str
+    """Where the numbers come from."""
+
+    def __post_init__(self) -> None:
+        require_positive(self, "checkpoint_every_s")
+        if self.trainer not in TRAINERS:
+            raise UnknownNameError(f"no trainer {self.trainer!r}. Known: {', '.join(TRAINERS)}")
+        for name in ("max_time_s", "max_env_steps", "torch_threads"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < inf:
+                raise ConfigError(f"TrainingCfg.{name} = {value!r}: must be > 0 and finite")
+        if self.max_time_s is None and self.max_env_steps is None:
+            raise ConfigError("TrainingCfg: give max_time_s, max_env_steps or both, or the training never ends")
+        if self.num_envs < 1 or self.seed < 0:
+            raise ConfigError(f"TrainingCfg: num_envs = {self.num_envs!r} must be >= 1 and seed = {self.seed!r} >= 0")
+        samples, parts = self.num_envs * self.ppo.horizon, self.ppo.num_minibatches
+        if samples % parts:
+            raise ConfigError(
+                f"TrainingCfg: num_envs * horizon = {samples} samples cannot be split into num_minibatches = {parts}"
+            )
+
+
+def settings_for(trainer: str, task: str) -> Path:
+    """Return the file of settings that come with the package for a trainer and a task.
+
+    A task without settings of its own gets those of the position task; the file's name is printed with the run.
+
+    Raises:
+        UnknownNameError: If there is no such trainer.
+    """
+    if trainer not in TRAINERS:
+        raise UnknownNameError(f"no trainer {trainer!r}. Known: {', '.join(TRAINERS)}")
+    own = TRAINING_CONFIGS / f"{trainer}_{task.removesuffix('_task')}.yaml"
+    return own if own.exists() else TRAINING_CONFIGS / f"{trainer}_position_setpoint.yaml"
+
+
+def load_settings(path: str | Path) -> TrainingCfg:
+    """Return the training in a YAML file."""
+    return load(TrainingCfg, path)

@@ -1,0 +1,132 @@
+"""Training: settings to a run folder, by either trainer. The libraries' global settings are put back afterwards."""
+
+import contextlib
+import importlib
+import importlib.util
+import json
+import random
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from aerial_gym.errors import MissingDependencyError
+from aerial_gym.rl_training.progress import Progress
+from aerial_gym.rl_training.run_folder import RunFolder
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.task import task_registry
+
+NEEDED = {"rl_games": "rl_games", "sample_factory": "sample_factory"}
+"""Package that each trainer needs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingResult:
+    """What a session of training did."""
+
+    trainer: str
+    """Which library."""
+
+    checkpoint: str
+    """The last checkpoint."""
+
+    env_steps: int
+    """Environment steps in all sessions."""
+
+    time_s: float
+    """Length of this session, start-up included [s]."""
+
+    env_steps_per_s: float
+    """Environment steps per second of this session, learning included, start-up not."""
+
+    episode_return: float | None
+    """Mean return of the last episodes, with exploration."""
+
+    episode_length: float | None
+    """Mean length of them [steps]."""
+
+    interrupted: bool
+    """Whether the user ended it."""
+
+
+def train(cfg: TrainingCfg, out: str | Path, *, resume: bool = False, show_progress: bool = True) -> TrainingResult:
+    """Train a policy and leave a run folder; seeds the global random generators while it runs.
+
+    Args:
+        cfg: Settings; of a resumed run the limits may differ from those of the first session.
+        out: Run folder, new unless ``resume``.
+        resume: Whether to continue from the folder's last checkpoint.
+        show_progress: Whether to draw a bar on stderr.
+
+    Raises:
+        ConfigError: If the folder holds a run and ``resume`` is off, or the other way round.
+        UnknownNameError: If the task is not registered.
+        MissingDependencyError: If the trainer's package is not installed.
+    """
+    started = time.perf_counter()
+    task_registry.get(cfg.task)
+    require_trainer(cfg.trainer)
+    folder = RunFolder(out)
+    checkpoint = folder.last_checkpoint() if resume else None
+    if not resume:
+        folder.create(cfg)
+    with _restored_globals(cfg), Progress(cfg, folder.curve_file, started=started, show=show_progress) as progress:
+        with folder.captured_output():
+            interrupted = _run(cfg, folder, progress, checkpoint)
+    last = progress.last
+    result = TrainingResult(
+        trainer=cfg.trainer,
+        checkpoint=str(folder.last_checkpoint()),
+        env_steps=progress.env_steps,
+        time_s=progress.elapsed_s(),
+        env_steps_per_s=progress.steps_per_s,
+        episode_return=last.episode_return if last else None,
+        episode_length=last.episode_length if last else None,
+        interrupted=interrupted,
+    )
+    folder.result_file.write_text(json.dumps(asdict(result), indent=1) + "\n", encoding="utf-8")
+    return result
+
+
+def _run(cfg: TrainingCfg, folder: RunFolder, progress: Progress, checkpoint: Path | None) -> bool:
+    adapter = importlib.import_module(f"aerial_gym.rl_training.{cfg.trainer}")
+    torch.manual_seed(cfg.seed)
+    np.random.seed(cfg.seed)
+    random.seed(cfg.seed)
+    with task_registry.make_task(
+        cfg.task, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed, robot=cfg.robot, controller=cfg.controller
+    ) as task:
+        folder.add_session(cfg, str(task.device))
+        return adapter.run(cfg, task, folder, progress, checkpoint=checkpoint)
+
+
+def require_trainer(trainer: str) -> None:
+    """Raise ``MissingDependencyError`` if the package of a trainer is not installed."""
+    package = NEEDED[trainer]
+    if importlib.util.find_spec(package) is None:
+        raise MissingDependencyError(f"trainer {trainer!r} needs the package {package!r}: pip install 'aerial-gym[rl]'")
+
+
+@contextlib.contextmanager
+def _restored_globals(cfg: TrainingCfg) -> Iterator[None]:
+    """Set torch's threads, and put back what the libraries change for the whole process."""
+    threads, precision = torch.get_num_threads(), torch.get_float32_matmul_precision()
+    cudnn = torch.backends.cudnn.benchmark, torch.backends.cudnn.allow_tf32, torch.backends.cuda.matmul.allow_tf32
+    sharing, numpy_state, python_state = torch.multiprocessing.get_sharing_strategy(), np.random.get_state(), random.getstate()
+    devices = range(torch.cuda.device_count()) if torch.cuda.is_available() else ()
+    if cfg.torch_threads is not None:
+        torch.set_num_threads(cfg.torch_threads)
+    try:
+        with torch.random.fork_rng(devices=list(devices)):
+            yield
+    finally:
+        torch.set_num_threads(threads)
+        torch.set_float32_matmul_precision(precision)
+        torch.backends.cudnn.benchmark, torch.backends.cudnn.allow_tf32, torch.backends.cuda.matmul.allow_tf32 = cudnn
+        torch.multiprocessing.set_sharing_strategy(sharing)
+        np.random.set_state(numpy_state)
+        random.setstate(python_state)
+        torch.set_printoptions(profile="default")
