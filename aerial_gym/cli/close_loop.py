@@ -1,0 +1,94 @@
+"""``aerial-gym close-loop``: flights in, a named effect and a corrected robot file out."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+
+from aerial_gym.cli.progress import progress_bar
+
+if TYPE_CHECKING:
+    from aerial_gym.sim2real import Verdict
+
+
+@dataclass(frozen=True, kw_only=True)
+class CloseLoopCmd:
+    """Find what a declared robot lacks in measured flights, and write the corrected robot."""
+
+    robot: str
+    """Registered robot, or a robot file (.yaml)."""
+
+    train: tuple[Path, ...]
+    """Flight logs to fit on; four or more with different motions are best."""
+
+    test: tuple[Path, ...]
+    """Flight logs to judge on; nothing is fitted to them."""
+
+    out: Path
+    """Folder of the results: verdict.json, robot.yaml, report.html, report.md, residuals.csv. New, or of an earlier run."""
+
+    mapping: str | None = None
+    """Layout of the logs: a name (idsia_nanodrone) or a mapping file (.yaml); the package's own layout if not given."""
+
+    bandwidth_hz: float = 10.0
+    """Measured and predicted are compared below this frequency [Hz]; at most a fifth of the logs' rate is used."""
+
+    seed: int = 0
+    """Seed of the resampling behind the 95 % intervals."""
+
+    json: bool = False
+    """Print verdict.json on stdout instead of tables."""
+
+    def run(self) -> int:
+        """Run the loop and print the verdict; return the exit status."""
+        from aerial_gym.sim2real import close_loop
+
+        with progress_bar() as progress:
+            verdict = close_loop(
+                self.robot,
+                self.train,
+                self.test,
+                self.out,
+                mapping=self.mapping,
+                bandwidth=self.bandwidth_hz,
+                seed=self.seed,
+                progress=progress,
+            )
+        if self.json:
+            print(json.dumps(verdict.as_mapping(), ensure_ascii=False))
+        else:
+            _print_verdict(verdict, self.out)
+        return 0
+
+
+def _print_verdict(verdict: "Verdict", out: Path) -> None:
+    from aerial_gym.sim2real.report import channel_rows, rollout_rows
+
+    console = Console(markup=False)
+    console.print(f"{verdict.verdict}: {verdict.reason}")
+    for effect in verdict.effects:
+        parts = [
+            f"{key} = {value:.4g}" + (f" ± {1.96 * effect.std[key]:.2g}" if key in effect.std else " (not shown)")
+            for key, value in effect.params.items()
+        ]
+        console.print(f"  {effect.name}: {', '.join(parts)}; confidence {effect.confidence:.4g}")
+    after = verdict.after if verdict.effects else None
+    table = Table(title="residual on the test flights (rms, 95 % interval)", box=None, pad_edge=False)
+    for head in ("channel", "declared", "corrected", "change", "noise floor"):
+        table.add_column(head)
+    for row in channel_rows(verdict.before, after):
+        table.add_row(*(str(row[key]) for key in ("name", "before", "after", "change", "floor")))
+    console.print(table)
+    for variant in verdict.before.rollout:
+        table = Table(title=f"open-loop error, {variant.replace('_', ' ')}", box=None, pad_edge=False)
+        for head in ("quantity", "after [s]", "declared", "corrected"):
+            table.add_column(head)
+        for row in rollout_rows(verdict, variant):
+            table.add_row(row["quantity"], row["horizon"], row["before"], row["after"])
+        console.print(table)
+    if verdict.not_testable:
+        console.print(f"not testable: {', '.join(verdict.not_testable)}")
+    console.print(f"written: {out}/report.html, report.md, verdict.json, robot.yaml, residuals.csv")

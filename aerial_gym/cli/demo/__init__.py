@@ -1,0 +1,1 @@
+"""``aerial-gym demo``: the whole story in one page."""

@@ -1,0 +1,79 @@
+"""The command ``aerial-gym demo``."""
+
+import platform
+import shutil
+import time
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+from rich.console import Console
+
+from aerial_gym.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoCmd:
+    """Show everything in one page: a policy learns, cameras look, a measured flight corrects the model."""
+
+    out: Path = Path("out/demo")
+    """Folder that receives ``index.html``; what an earlier demo left there is replaced."""
+
+    flights: Path | None = None
+    """Folder with the idsia_nanodrone flights; if not given, ``../shared/data/idsia_nanodrone`` where it exists, else
+    flights of the undeclared plant."""
+
+    train_time_s: float = 150.0
+    """Length of the training [s]."""
+
+    seed: int = 1
+    """Seed of everything."""
+
+    def run(self) -> int:
+        """Do the three parts and write the page; return the exit status."""
+        from aerial_gym.cli.demo.page import write_page
+        from aerial_gym.cli.demo.parts import close_the_loop, find_flights, learn, look
+
+        console = Console(stderr=True)
+        started = time.perf_counter()
+        _make_room(self.out)
+        flights = find_flights(self.flights or _shared_flights(), self.out, self.seed)
+        console.print(f"[bold]1/3 look[/]: cameras in the obstacle environment ({_elapsed(started)})")
+        seen = look(self.seed)
+        console.print(
+            f"[bold]2/3 learn[/]: a hover policy from scratch, {self.train_time_s:.0f} s ({_elapsed(started)})"
+        )
+        learned = learn(self.out, self.seed, self.train_time_s)
+        console.print(f"[bold]3/3 measure[/]: {len(flights.train)} + {len(flights.test)} flights ({_elapsed(started)})")
+        measured = close_the_loop(flights, self.out / "loop")
+        page = write_page(
+            self.out / "index.html",
+            seen=seen,
+            learned=learned,
+            measured=measured,
+            machine=f"{platform.platform()}, Python {platform.python_version()}, torch {metadata.version('torch')}",
+            time_s=time.perf_counter() - started,
+        )
+        console.print(f"done after {_elapsed(started)}")
+        print(page)
+        return 0
+
+
+def _elapsed(started: float) -> str:
+    return f"{time.perf_counter() - started:.0f} s"
+
+
+def _shared_flights() -> Path | None:
+    folder = Path("../shared/data/idsia_nanodrone")
+    return folder if folder.is_dir() else None
+
+
+def _make_room(out: Path) -> None:
+    """Remove what an earlier demo left; refuse a folder that holds anything else."""
+    if not out.exists():
+        return
+    known = {"index.html", "training", "loop", "flights"}
+    foreign = sorted(path.name for path in out.iterdir() if path.name not in known) if out.is_dir() else [out.name]
+    if foreign:
+        raise ConfigError(f"--out {out}: holds {foreign[0]!r}, which is not of a demo. Choose another folder")
+    shutil.rmtree(out)

@@ -1,0 +1,164 @@
+"""What the demo does: look, learn, and close the loop. Each part returns what its section of the page shows."""
+
+import subprocess
+import sys
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import Progress
+
+from aerial_gym.cli.demo.figures import as_data_url, camera_figure, flights_figure, learning_figure
+from aerial_gym.cli.demo.loop_figures import residual_figure, residual_rows, rollout_figure
+from aerial_gym.env_manager import SimBuilder
+from aerial_gym.errors import DataError
+from aerial_gym.rl_training.evaluate import evaluate
+from aerial_gym.rl_training.policy import load_policy
+from aerial_gym.rl_training.settings import load_settings, settings_for
+from aerial_gym.rl_training.training import train
+from aerial_gym.sensors import SENSORS
+from aerial_gym.sim2real.close_loop import close_loop
+from aerial_gym.task import task_registry
+
+NUM_PICTURES = 4
+NUM_EVALUATION_STARTS = 512
+NUM_DRAWN_FLIGHTS = 24
+
+TRAIN_PATTERNS = ("square_*.csv", "random*.csv", "multisine_*.csv")
+TEST_PATTERN = "melon_*.csv"
+
+
+def look(seed: int) -> dict[str, str]:
+    """Fly a few steps through the obstacle environment and return a picture of what the cameras see."""
+    env = SimBuilder().build_env(
+        sim_name="base_sim",
+        env_name="env_with_obstacles",
+        robot_name="base_quadrotor_with_camera",
+        controller_name="lee_velocity_control",
+        num_envs=NUM_PICTURES,
+        device="cpu",
+        seed=seed,
+    )
+    env.reset()
+    for _ in range(5):
+        env.step(torch.tensor([0.5, 0.0, 0.0, 0.0]).expand(NUM_PICTURES, 4))
+    env.render()
+    depth, ids = env.gtd["depth_range_pixels"][:, 0].numpy(), env.gtd["segmentation_pixels"][:, 0].numpy()
+    figure = camera_figure(depth, ids, SENSORS.get("base_depth_camera").max_range)
+    return {"picture": as_data_url(figure), "tensors": str(env.gtd)}
+
+
+def learn(out: Path, seed: int, time_s: float) -> dict[str, Any]:
+    """Train a policy from scratch, evaluate it on fresh starts, and return figures and numbers."""
+    cfg = load_settings(settings_for("rl_games", "position_setpoint_task"))
+    result = train(replace(cfg, seed=seed, max_time_s=time_s, device="cpu"), out / "training")
+    policy, _ = load_policy(result.checkpoint)
+    with task_registry.make_task(cfg.task, num_envs=NUM_EVALUATION_STARTS, device="cpu", seed=seed + 1_000_003) as task:
+        evaluation = evaluate(policy, task)
+        paths = _fly(policy, task)
+        figure = flights_figure(paths, task.env.dt)
+    return {
+        "result": asdict(result),
+        "evaluation": asdict(evaluation),
+        "curve": as_data_url(learning_figure(out / "training" / "curve.csv")),
+        "flights": as_data_url(figure),
+    }
+
+
+@torch.no_grad()
+def _fly(policy: Any, task: Any) -> Any:
+    """Return the errors (T, n, 3) [m] of some flights of one episode."""
+    observation, _ = task.reset()
+    rows = []
+    for _ in range(task.cfg.episode_len_steps - 1):
+        rows.append(-observation["observations"][:NUM_DRAWN_FLIGHTS, :3].double().numpy())
+        observation, *_ = task.step(policy(observation["observations"]))
+    return np.stack(rows)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flights:
+    """Logs for the loop, and what to say of them."""
+
+    robot: str
+    """Registered robot or robot file."""
+
+    train: tuple[Path, ...]
+    """Flights that the loop learns from."""
+
+    test: tuple[Path, ...]
+    """Flights that it is scored on."""
+
+    mapping: str | None
+    """Layout of the logs; None for this package's own."""
+
+    story: str
+    """One paragraph for the page."""
+
+
+def find_flights(folder: Path | None, out: Path, seed: int) -> Flights:
+    """Return the measured flights in ``folder``, or flights of the independent plant where there are none.
+
+    Raises:
+        DataError: If a folder was asked for and holds no such flights, or the plant is not there either.
+    """
+    if folder is not None:
+        trains = tuple(sorted(path for pattern in TRAIN_PATTERNS for path in folder.glob(pattern)))
+        tests = tuple(sorted(folder.glob(TEST_PATTERN)))
+        if not trains or not tests:
+            raise DataError(f"{folder}: holds no {', '.join(TRAIN_PATTERNS)} and {TEST_PATTERN}; leave out --flights")
+        story = (
+            "Real flights of a Crazyflie 2.1 Brushless with measured rotor speeds (Busetto et al., arXiv 2512.14450). "
+            f"The loop learns from {len(trains)} flights along squares, random paths and multisines and is scored on "
+            f"{len(tests)} flights along another trajectory. The declared vehicle has no drag."
+        )
+        return Flights(robot="crazyflie_21_brushless", train=trains, test=tests, mapping="idsia_nanodrone", story=story)
+    return _make_flights(out / "flights", seed)
+
+
+def _make_flights(folder: Path, seed: int) -> Flights:
+    root = Path(__file__).parents[3]
+    if not (root / "benchmarks" / "undeclared").is_dir():
+        raise DataError("no measured flights and no benchmarks/undeclared beside the package: give --flights FOLDER")
+    command = [sys.executable, "-m", "benchmarks.undeclared", "--out", str(folder), "--seed", str(seed)]
+    done = subprocess.run(
+        [*command, "--effect", "com_offset", "--nuisance"], cwd=root, capture_output=True, text=True, check=False
+    )
+    if done.returncode != 0:
+        raise DataError(f"the undeclared plant failed: {done.stderr.strip()}")
+    story = (
+        "Flights of an independent simulated plant (benchmarks/undeclared, no shared code) whose centre of mass is not "
+        "where its robot file says, with sensor noise and small errors everywhere else. The loop is not told what is wrong."
+    )
+    return Flights(
+        robot=str(folder / "robot.yaml"),
+        train=tuple(sorted(folder.glob("train_*.csv"))),
+        test=tuple(sorted(folder.glob("test_*.csv"))),
+        mapping=None,
+        story=story,
+    )
+
+
+def close_the_loop(flights: Flights, out: Path) -> dict[str, Any]:
+    """Close the loop on the flights; return the verdict as in ``verdict.json`` and two figures."""
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("closing the loop", total=1.0)
+        verdict = close_loop(
+            flights.robot,
+            flights.train,
+            flights.test,
+            out,
+            mapping=flights.mapping,
+            progress=lambda stage, share: bar.update(task, description=stage, completed=share),
+        )
+    found = verdict.as_mapping()
+    return {
+        "story": flights.story,
+        "verdict": found,
+        "rows": residual_rows(found),
+        "residuals": as_data_url(residual_figure(found)),
+        "rollouts": as_data_url(rollout_figure(found)),
+    }

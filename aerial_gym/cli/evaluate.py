@@ -1,0 +1,64 @@
+"""``aerial-gym evaluate``: how well a trained policy flies from fresh random starts."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from aerial_gym.cli.progress import progress_bar
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateCmd:
+    """Measure success rate, final position error and settling time of a policy."""
+
+    policy: Path
+    """Run folder of a training, of which the last checkpoint is taken, or one checkpoint in it."""
+
+    task: str | None = None
+    """Registered task; that of the training if not given."""
+
+    robot: str | None = None
+    """Registered robot, or a robot file, in place of the training's: a policy on the corrected vehicle."""
+
+    num_envs: int = 512
+    """Random starts."""
+
+    device: str = "cpu"
+    """Torch device; auto takes the GPU if there is one."""
+
+    seed: int = 1_000_003
+    """Seed of the starts; keep it apart from the seeds of trainings."""
+
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        """Fly one episode from every start and print the figures; return the exit status."""
+        from aerial_gym.rl_training.evaluate import evaluate
+        from aerial_gym.rl_training.policy import load_policy
+        from aerial_gym.task import task_registry
+
+        policy, cfg = load_policy(self.policy, device=self.device)
+        with (
+            task_registry.make_task(
+                self.task or cfg.task,
+                num_envs=self.num_envs,
+                device=self.device,
+                seed=self.seed,
+                robot=self.robot or cfg.robot,
+                controller=cfg.controller,
+            ) as task,
+            progress_bar() as progress,
+        ):
+            found = evaluate(policy, task, on_step=lambda step, steps: progress("flying", step / steps))
+        if self.json:
+            print(json.dumps(asdict(found)))
+            return 0
+        table = Table(box=None, pad_edge=False, show_header=False)
+        for name, value in asdict(found).items():
+            table.add_row(name, "-" if value is None else f"{value:.4g}")
+        Console(markup=False).print(table)
+        return 0

@@ -1,0 +1,75 @@
+"""``aerial-gym replay``: the declared model against flights, nothing fitted."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from aerial_gym.cli.progress import progress_bar
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayCmd:
+    """Compare a robot as declared with measured flights: residuals and open-loop rollouts."""
+
+    robot: Annotated[str, tyro.conf.Positional]
+    """Registered robot, or a robot file (.yaml)."""
+
+    flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Flight logs."""
+
+    out: Path | None = None
+    """Folder for replay.json, report.html and residuals.csv; nothing is written if not given."""
+
+    mapping: str | None = None
+    """Layout of the logs: a name (idsia_nanodrone) or a mapping file (.yaml); the package's own layout if not given."""
+
+    bandwidth_hz: float = 10.0
+    """Measured and predicted are compared below this frequency [Hz]; at most a fifth of the logs' rate is used."""
+
+    seed: int = 0
+    """Seed of the resampling behind the 95 % intervals."""
+
+    json: bool = False
+    """Print one JSON object on stdout instead of tables."""
+
+    def run(self) -> int:
+        """Replay the flights and print the figures; return the exit status."""
+        from aerial_gym.sim2real import replay
+        from aerial_gym.sim2real.report import channel_rows, interval
+        from aerial_gym.sim2real.rollout import QUANTITIES
+
+        with progress_bar() as progress:
+            result = replay(
+                self.robot,
+                self.flights,
+                self.out,
+                mapping=self.mapping,
+                bandwidth=self.bandwidth_hz,
+                seed=self.seed,
+                progress=progress,
+            )
+        if self.json:
+            print(json.dumps(result.as_mapping(), ensure_ascii=False))
+            return 0
+        console = Console(markup=False)
+        table = Table(title="measured minus predicted (rms, 95 % interval)", box=None, pad_edge=False)
+        for head in ("channel", "residual", "noise floor"):
+            table.add_column(head)
+        for row in channel_rows(result.evaluation, None):
+            table.add_row(str(row["name"]), str(row["before"]), str(row["floor"]))
+        console.print(table)
+        table = Table(title="open-loop error (rms over windows, 95 % interval)", box=None, pad_edge=False)
+        for head in ("variant", "quantity", "after [s]", "error"):
+            table.add_column(head)
+        for variant, quantities in result.evaluation.rollout.items():
+            for quantity, horizons in quantities.items():
+                for horizon, rms in horizons.items():
+                    name = f"{quantity} [{QUANTITIES[quantity]}]"
+                    table.add_row(variant.replace("_", " "), name, f"{horizon:g}", interval(rms))
+        console.print(table)
+        return 0

@@ -1,0 +1,87 @@
+"""``aerial-gym train``: a policy from scratch, or on from where a run stopped."""
+
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from rich.console import Console
+
+from aerial_gym.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainCmd:
+    """Train a policy with rl-games or Sample Factory."""
+
+    task: str = "position_setpoint_task"
+    """Registered task."""
+
+    trainer: str = "rl_games"
+    """rl_games or sample_factory."""
+
+    out: Path = Path("runs/train")
+    """Run folder: settings, checkpoints, TensorBoard files, learning curve. New, unless --resume."""
+
+    resume: bool = False
+    """Continue the run in --out from its last checkpoint, with its own settings but for the limits given here."""
+
+    config: Path | None = None
+    """Settings in a YAML file, in place of the package's own for this task and trainer."""
+
+    num_envs: int | None = None
+    """Environments side by side."""
+
+    device: str | None = None
+    """Torch device; auto takes the GPU if there is one."""
+
+    seed: int | None = None
+    """Seed of task and trainer."""
+
+    robot: str | None = None
+    """Registered robot, or a robot file such as close-loop writes, in place of the task's own."""
+
+    controller: str | None = None
+    """Registered controller in place of the task's own."""
+
+    max_time_s: float | None = None
+    """End after this time, start-up included [s]."""
+
+    max_env_steps: int | None = None
+    """End after this many environment steps of all sessions together."""
+
+    json: bool = False
+    """Print the result as one JSON object."""
+
+    def run(self) -> int:
+        """Train and print where the policy lies; return the exit status, 1 if it was interrupted."""
+        from aerial_gym.rl_training.run_folder import RunFolder
+        from aerial_gym.rl_training.settings import load_settings, settings_for
+        from aerial_gym.rl_training.training import train
+        from aerial_gym.task import task_registry
+
+        task_registry.get(self.task)
+        if self.resume:
+            cfg = RunFolder(self.out).config()
+            self._refuse_changes()
+        else:
+            cfg = replace(load_settings(self.config or settings_for(self.trainer, self.task)), task=self.task)
+        names = ("num_envs", "device", "seed", "robot", "controller", "max_time_s", "max_env_steps")
+        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        result = train(replace(cfg, **given), self.out, resume=self.resume)
+        if self.json:
+            print(json.dumps(asdict(result)))
+        else:
+            console = Console(markup=False, highlight=False)
+            rate = f"{result.env_steps:,} environment steps, {result.env_steps_per_s:,.0f} per second"
+            console.print(f"{'interrupted' if result.interrupted else 'trained'}: {rate}, {result.time_s:.0f} s")
+            console.print(f"checkpoint: {result.checkpoint}")
+            console.print(f"next: aerial-gym evaluate --policy {self.out}")
+        return 1 if result.interrupted else 0
+
+    def _refuse_changes(self) -> None:
+        for name in ("config", "num_envs", "seed", "robot", "controller"):
+            if getattr(self, name) is not None:
+                flag = name.replace("_", "-")
+                raise ConfigError(
+                    f"--{flag}: a resumed run keeps its own. Leave it out, or start a new run in another --out"
+                )

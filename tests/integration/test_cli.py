@@ -1,0 +1,76 @@
+"""The command line: what it prints, and exit status 2 with one sentence for a wrong request."""
+
+import json
+
+import pytest
+
+from aerial_gym.cli.main import COMMANDS, main
+
+
+def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
+    status = main(argv)
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def test_overview_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "--help")
+    assert status == 0
+    for name in COMMANDS:
+        assert f"\n  {name} " in out
+
+
+@pytest.mark.parametrize("name", list(COMMANDS))
+def test_every_command_explains_its_options(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, name, "--help")
+    assert status == 0
+    assert "usage" in out.lower()
+
+
+def test_list_as_json_holds_every_kind(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "list", "--json")
+    assert status == 0
+    found = json.loads(out)
+    assert {"sims", "environments", "robots", "controllers", "sensors", "effects", "backends", "tasks"} == set(found)
+    assert found["controllers"]["no_control"] == "thrust of each rotor [N]"
+
+
+def test_list_of_one_kind_is_a_table_with_units_intact(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "list", "controllers")
+    assert status == 0
+    assert "lee_position_control" in out
+    assert "[m]" in out
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        (("lst",), "no command 'lst'. Known: list, train"),
+        (("list", "robts"), "no kind 'robts'. Known: sims"),
+        (
+            ("train", "--task", "position_setpoint_tsk"),
+            "no task 'position_setpoint_tsk'. Did you mean 'position_setpoint_task'",
+        ),
+        (("evaluate", "--policy", "nowhere"), "nowhere"),
+        (("replay", "tinyprp", "flight.csv"), "no robot 'tinyprp'. Did you mean 'tinyprop'"),
+        (("replay", "tinyprop", "flight.csv"), "flight.csv: no such file"),
+        (
+            ("close-loop", "--robot", "missing.yaml", "--train", "a.csv", "--test", "b.csv", "--out", "never"),
+            "missing.yaml: no such file",
+        ),
+    ],
+)
+def test_wrong_requests_end_with_status_2_and_one_sentence(
+    argv: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, err = run(capsys, *argv)
+    assert status == 2
+    assert out == ""
+    assert message in err
+    assert "Traceback" not in err
+
+
+def test_unknown_flag_ends_with_status_2(capsys: pytest.CaptureFixture[str]) -> None:
+    status, _, err = run(capsys, "list", "--jsn")
+    assert status == 2
+    assert "--json" in err
