@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.env_manager import robot_by_name
 from aerial_gym.errors import MissingDependencyError
 from aerial_gym.rl_training.progress import Progress
 from aerial_gym.rl_training.run_folder import RunFolder
@@ -67,7 +69,7 @@ def train(cfg: TrainingCfg, out: str | Path, *, resume: bool = False, show_progr
         MissingDependencyError: If the trainer's package is not installed.
     """
     started = time.perf_counter()
-    task_registry.get(cfg.task)
+    _check_names(cfg)
     require_trainer(cfg.trainer)
     folder = RunFolder(out)
     checkpoint = folder.last_checkpoint() if resume else None
@@ -89,6 +91,15 @@ def train(cfg: TrainingCfg, out: str | Path, *, resume: bool = False, show_progr
     )
     folder.result_file.write_text(json.dumps(asdict(result), indent=1) + "\n", encoding="utf-8")
     return result
+
+
+def _check_names(cfg: TrainingCfg) -> None:
+    """Raise the error of an unknown name or an unreadable robot file before anything is written."""
+    task_registry.get(cfg.task)
+    if cfg.robot is not None:
+        robot_by_name(cfg.robot)
+    if cfg.controller is not None:
+        CONTROLLERS.get(cfg.controller)
 
 
 def _run(cfg: TrainingCfg, folder: RunFolder, progress: Progress, checkpoint: Path | None) -> bool:

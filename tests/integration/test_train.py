@@ -1,0 +1,76 @@
+"""Both trainers through the command: run folder, checkpoints, TensorBoard, resume, evaluation."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from aerial_gym.cli.main import main
+
+pytest.importorskip("rl_games", reason="rl-games is not installed: pip install 'aerial-gym[rl]'")
+pytest.importorskip("sample_factory", reason="Sample Factory is not installed: pip install 'aerial-gym[rl]'")
+
+
+def train(out: Path, trainer: str, *more: str) -> int:
+    limits = ("--num-envs", "128", "--device", "cpu", "--seed", "3", "--max-env-steps", "20000", "--max-time-s", "40")
+    return main(["train", "--trainer", trainer, "--out", str(out), *limits, "--json", *more])
+
+
+@pytest.mark.parametrize("trainer", ["rl_games", "sample_factory"])
+def test_a_training_leaves_a_run_that_resumes_and_evaluates(
+    trainer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    assert train(out, trainer) == 0
+    first = json.loads(capsys.readouterr().out)
+    assert first["env_steps"] >= 20000
+    assert Path(first["checkpoint"]).is_file()
+    assert list(out.rglob("events.out.tfevents*"))
+    for name in ("config.yaml", "versions.json", "curve.csv", "result.json"):
+        assert (out / name).is_file(), name
+
+    status = main(["train", "--out", str(out), "--resume", "--max-env-steps", "40000", "--max-time-s", "40", "--json"])
+    second = json.loads(capsys.readouterr().out)
+    assert status == 0
+    assert second["env_steps"] >= 40000
+    with (out / "curve.csv").open() as file:
+        steps = [int(row["env_steps"]) for row in csv.DictReader(file)]
+    assert steps == sorted(steps)
+
+    assert main(["evaluate", "--policy", str(out), "--num-envs", "16", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["num_starts"] == 16
+    assert 0.0 <= found["success_rate"] <= 1.0
+
+    table = tmp_path / "flights.csv"
+    assert main(["play", "--policy", str(out), "--num-steps", "5", "--out", str(table)]) == 0
+    assert len(table.read_text().splitlines()) == 1 + 6 * 4
+
+
+def test_a_run_is_neither_overwritten_nor_resumed_from_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "config.yaml").write_text("")
+    assert train(tmp_path, "rl_games") == 2
+    assert "holds a run already" in capsys.readouterr().err
+    assert main(["train", "--out", str(tmp_path / "new"), "--resume"]) == 2
+    assert "holds no run" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (("--trainer", "rlgames"), "no trainer 'rlgames'. Known: rl_games, sample_factory"),
+        (("--task", "hover"), "no task 'hover'"),
+        (("--robot", "tinyprp"), "no robot 'tinyprp'"),
+        (("--num-envs", "0"), "num_envs"),
+    ],
+)
+def test_wrong_trainings_end_with_status_2_and_leave_nothing(
+    more: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    assert main(["train", "--out", str(out), *more]) == 2
+    assert message in capsys.readouterr().err
+    assert not out.exists()

@@ -1,0 +1,170 @@
+"""Gymnasium semantics of a task, and its reward against numbers worked out by hand."""
+
+from dataclasses import replace
+from math import exp
+
+import pytest
+import torch
+
+from aerial_gym import task_registry
+from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.task import Task
+from aerial_gym.task.observations import TaskState
+from aerial_gym.task.rewards import position_setpoint
+
+
+def make(num_envs: int = 8, *, seed: int = 0, **changes: object) -> Task:
+    task = task_registry.make_task("position_setpoint_task", num_envs=num_envs, device="cpu", seed=seed)
+    return Task(replace(task.cfg, **changes), task.env) if changes else task  # type: ignore[arg-type]
+
+
+def test_spaces_and_shapes() -> None:
+    task = make(5)
+    obs, info = task.reset()
+    assert obs["observations"].shape == (5, 13)
+    assert info == {}
+    assert task.observation_space["observations"].shape == (13,)
+    assert task.action_space.shape == (4,)
+    obs, reward, terminated, truncated, info = task.step(torch.zeros(5, 4))
+    assert obs["observations"].shape == info["final_observation"].shape == (5, 13)
+    assert reward.shape == terminated.shape == truncated.shape == (5,)
+    assert terminated.dtype == truncated.dtype == torch.bool
+
+
+def test_an_episode_lasts_exactly_as_long_as_configured_and_ends_by_time_out() -> None:
+    task = make(4, episode_len_steps=7)
+    task.reset()
+    for step in range(1, 16):
+        _, _, terminated, truncated, info = task.step(torch.zeros(4, 4))
+        assert not terminated.any()
+        assert truncated.all() == (step % 7 == 0)
+        assert torch.equal(info["time_outs"], truncated)
+        assert (info["episode_length"] == (step - 1) % 7 + 1).all()
+
+
+def test_final_observation_is_of_the_old_episode_and_the_observation_of_the_new() -> None:
+    task = make(4, episode_len_steps=5)
+    task.reset()
+    previous = None
+    for _ in range(5):
+        obs, *_, truncated, info = task.step(torch.tensor([0.5, 0.3, 0.0, 0.0]).expand(4, 4))
+        if not truncated.any():
+            torch.testing.assert_close(obs["observations"], info["final_observation"])
+            previous = obs["observations"].clone()
+    assert truncated.all()
+    assert previous is not None
+    assert (info["final_observation"][:, :3] - previous[:, :3]).norm(dim=-1).max() < 0.05
+    assert (obs["observations"][:, :3] - info["final_observation"][:, :3]).norm(dim=-1).min() > 1e-3
+    torch.testing.assert_close(obs["observations"][:, :3], -task.env.gtd["robot_position"])
+
+
+def test_flying_away_is_a_crash_with_its_penalty_and_no_time_out() -> None:
+    task = make(4, max_distance=1.5)
+    task.reset()
+    for _ in range(200):
+        _, reward, terminated, truncated, info = task.step(torch.tensor([0.0, 0.6, 0.0, 0.0]).expand(4, 4))
+        if terminated.any():
+            break
+    assert terminated.any()
+    assert (reward[terminated] == -20.0).all()
+    assert not (terminated & truncated).any()
+    assert not info["time_outs"][terminated].any()
+    far = info["final_observation"][terminated][:, :3].norm(dim=-1)
+    assert (far > 1.5).all()
+
+
+def test_return_and_length_belong_to_the_finished_episode() -> None:
+    task = make(3, episode_len_steps=4)
+    task.reset()
+    total = torch.zeros(3)
+    for _ in range(4):
+        _, reward, _, _, info = task.step(torch.zeros(3, 4))
+        total += reward
+    torch.testing.assert_close(info["episode_return"], total)
+    _, reward, _, _, info = task.step(torch.zeros(3, 4))
+    torch.testing.assert_close(info["episode_return"], reward)
+
+
+def test_same_seed_same_episodes_whatever_else_runs_in_the_process() -> None:
+    first, other, second = make(4, seed=3), make(9, seed=8), make(4, seed=3)
+    a, _ = first.reset()
+    other.reset()
+    b, _ = second.reset()
+    for _ in range(10):
+        a, *_ = first.step(torch.full((4, 4), 0.1))
+        other.step(torch.zeros(9, 4))
+        b, *_ = second.step(torch.full((4, 4), 0.1))
+    assert torch.equal(a["observations"], b["observations"])
+
+
+def test_a_step_neither_keeps_nor_changes_the_action_tensor() -> None:
+    task = make(2)
+    task.reset()
+    actions = torch.full((2, 4), 5.0)
+    task.step(actions)
+    assert (actions == 5.0).all()
+    actions.zero_()
+    assert (task.env.gtd["robot_actions"] == 5.0).all()
+
+
+def state_at(position: list[float], *, attitude: list[float], ang_vel: list[float]) -> TaskState:
+    def row(values: list[float]) -> torch.Tensor:
+        return torch.tensor([values], dtype=torch.float64)
+
+    return TaskState(
+        target=row([0.0, 0.0, 0.0]),
+        position=row(position),
+        attitude=row(attitude),
+        lin_vel=row([0.0] * 3),
+        lin_vel_body=row([0.0] * 3),
+        ang_vel_body=row(ang_vel),
+        actions=row([0.0] * 4),
+        prev_actions=row([0.0] * 4),
+        crashed=torch.zeros(1, dtype=torch.bool),
+    )
+
+
+LEVEL = [0.0, 0.0, 0.0, 1.0]
+ROLLED = [0.5**0.5, 0.0, 0.0, 0.5**0.5]
+"""By 90 degrees: body z is horizontal, R33 = 0."""
+
+
+@pytest.mark.parametrize(
+    ("position", "attitude", "ang_vel", "expected"),
+    [
+        # at the target, level, still: 5 + 20/40 + 5 (0.2/0.1 + 3)
+        ([0.0, 0.0, 0.0], LEVEL, [0.0, 0.0, 0.0], 5.0 + 0.5 + 5.0 * 5.0),
+        # half a metre away: pos = 3 exp(-2) + 2 exp(-1), linear part 19.5/40
+        ([0.3, 0.4, 0.0], LEVEL, [0.0, 0.0, 0.0], (3 * exp(-2) + 2 * exp(-1)) * 6.0 + 19.5 / 40),
+        # on its side: up = 0.2 / 1.1
+        ([0.0, 0.0, 0.0], ROLLED, [0.0, 0.0, 0.0], 5.0 + 0.5 + 5.0 * (0.2 / 1.1 + 3.0)),
+        # turning with |w|² = 2: spin = 1
+        ([0.0, 0.0, 0.0], LEVEL, [1.0, 0.0, -1.0], 5.0 + 0.5 + 5.0 * (2.0 + 1.0)),
+    ],
+)
+def test_reward_is_the_published_formula(
+    position: list[float], attitude: list[float], ang_vel: list[float], expected: float
+) -> None:
+    params = task_registry.get("position_setpoint_task").reward_params
+    state = state_at(position, attitude=attitude, ang_vel=ang_vel)
+    flying = position_setpoint(state, params, torch.tensor([False]))
+    assert flying.item() == pytest.approx(expected, rel=1e-12)
+    assert position_setpoint(state, params, torch.tensor([True])).item() == -20.0
+
+
+def test_wrong_tasks_are_refused_by_name() -> None:
+    with pytest.raises(UnknownNameError, match="no task 'position_task'"):
+        task_registry.make_task("position_task")
+    cfg, env = task_registry.get("position_setpoint_task"), make(1).env
+    with pytest.raises(ConfigError, match="reward position_setpoint: coefficients"):
+        Task(replace(cfg, reward_params={"crash": -1.0}), env)
+    with pytest.raises(UnknownNameError, match="no reward 'hover'"):
+        Task(replace(cfg, reward="hover"), env)
+    with pytest.raises(ConfigError, match="TaskCfg.episode_len_steps = 0: must be > 0"):
+        replace(cfg, episode_len_steps=0)
+
+
+def test_leaving_the_context_releases_the_simulation() -> None:
+    with make(2) as task:
+        task.reset()
+    assert not hasattr(task.env, "robot_manager")
