@@ -37,6 +37,7 @@ class EvaluateCmd:
 
     def run(self) -> int:
         """Fly one episode from every start and print the figures; return the exit status."""
+        from aerial_gym.interop import one_thread
         from aerial_gym.rl_training.evaluate import evaluate
         from aerial_gym.rl_training.policy import load_policy
         from aerial_gym.task import task_registry
@@ -52,6 +53,7 @@ class EvaluateCmd:
                 controller=cfg.controller,
             ) as task,
             progress_bar() as progress,
+            one_thread(),
         ):
             found = evaluate(policy, task, on_step=lambda step, steps: progress("flying", step / steps))
         if self.json:

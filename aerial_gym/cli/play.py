@@ -50,18 +50,22 @@ class PlayCmd:
 
     def run(self) -> int:
         """Fly, and write one row per step and environment: world frame, body rates, SI units."""
+        from aerial_gym.interop import one_thread
         from aerial_gym.rl_training.policy import load_policy
         from aerial_gym.task import task_registry
 
         policy, cfg = load_policy(self.policy)
-        with task_registry.make_task(
-            cfg.task,
-            num_envs=self.num_envs,
-            device="cpu",
-            seed=self.seed,
-            robot=self.robot or cfg.robot,
-            controller=cfg.controller,
-        ) as task:
+        with (
+            task_registry.make_task(
+                cfg.task,
+                num_envs=self.num_envs,
+                device="cpu",
+                seed=self.seed,
+                robot=self.robot or cfg.robot,
+                controller=cfg.controller,
+            ) as task,
+            one_thread(),
+        ):
             rows = _fly(policy, task, self.num_steps)
         if self.out is None:
             _write(rows, sys.stdout)

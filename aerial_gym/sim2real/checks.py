@@ -117,7 +117,9 @@ def _check_frozen_rows(log: FlightLog) -> list[str]:
         )
     share = float(same.mean())
     if share > 0.5:
-        raise DataError(f"{log.path}: {share:.0%} of the rows repeat the one before; write each sample once, at its own t")
+        raise DataError(
+            f"{log.path}: {share:.0%} of the rows repeat the one before; write each sample once, at its own t"
+        )
     return [f"{share:.1%} of the rows repeat the one before"] if share > 0.005 else []
 
 
@@ -246,7 +248,7 @@ def _check_force_frame(log: FlightLog, attitude: Rotation) -> None:
     """Tell an accelerometer in world axes from one in body axes by the derivative of velocity."""
     if log.lin_vel is None or log.specific_force is None:
         return
-    world = _inner(_slow(log.lin_vel, log, derivative=True), log) + (0.0, 0.0, STANDARD_GRAVITY)
+    world = _inner(_slow(log.lin_vel, log, derivative=True), log) + np.array([0.0, 0.0, STANDARD_GRAVITY])
     as_body = _inner(_slow(attitude.apply(log.specific_force), log), log)
     as_world = _inner(_slow(log.specific_force, log), log)
     if _rms(as_body - as_world) > 0.5 and _rms(as_world - world) < 0.4 * _rms(as_body - world):

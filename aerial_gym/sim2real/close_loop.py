@@ -15,15 +15,18 @@ from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.model import check_effects
-from aerial_gym.sim2real.evaluation import evaluate, floor_of
+from aerial_gym.sim2real.evaluation import evaluate
 from aerial_gym.sim2real.fit import best_step, params_of, scales, with_params
 from aerial_gym.sim2real.flights import Flight, load_flights
 from aerial_gym.sim2real.mapping import find_mapping
+from aerial_gym.sim2real.noise import noise_floor
 from aerial_gym.sim2real.prediction import Channel, Point, Predictor, declared_point, find_channels
-from aerial_gym.sim2real.runtime import check_out_dir, one_thread, whole_folder, write_record
-from aerial_gym.sim2real.selection import Criteria, Progress, Selection, Selector
+from aerial_gym.sim2real.runtime import check_out_dir, whole_folder, write_record
+from aerial_gym.sim2real.scoring import Criteria
+from aerial_gym.sim2real.selection import Progress, Selection, select_effects
 from aerial_gym.sim2real.stand_ins import STAND_INS
 from aerial_gym.sim2real.structure import Structure, find_structure
 from aerial_gym.sim2real.tolerances import Tolerances
@@ -100,7 +103,13 @@ def close_loop(
     with one_thread():
         flights = load_train_and_test(declared, train, test, mapping, bandwidth, progress)
         analysis = judge_flights(
-            declared, *flights, bandwidth=bandwidth, seed=seed, criteria=criteria, tolerances=tolerances, progress=progress
+            declared,
+            *flights,
+            bandwidth=bandwidth,
+            seed=seed,
+            criteria=criteria,
+            tolerances=tolerances,
+            progress=progress,
         )
         progress("writing the report", 0.97)
         config = {
@@ -164,13 +173,12 @@ def judge_flights(
         Predictor(robot, part, bandwidth=band, channels=channels, tolerances=tolerances) for part in (train, test)
     )
     declared = declared_point(robot)
-    selector = Selector(
+    selection = select_effects(
         train_predictor, declared, criteria or Criteria(), lambda stage, share: progress(stage, 0.05 + 0.6 * share)
     )
-    selection = selector.run()
     final = rounded(selection.final.fit.point, selection.accepted)
     progress("rollouts of the declared and the corrected model", 0.7)
-    floor = floor_of(robot, test, final, channels, band)
+    floor = noise_floor(robot, test, final, channels, bandwidth=band)
     before = evaluate(robot, test, test_predictor, declared, floor=floor, seed=seed)
     progress("rollouts of the corrected model", 0.85)
     after = evaluate(robot, test, test_predictor, final, floor=floor, seed=seed) if selection.accepted else before
@@ -178,7 +186,7 @@ def judge_flights(
     left = test_predictor.residuals(within)
     rms = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
     rms = np.minimum(rms, [channel.value for channel in after.residual])  # tolerances only ever explain
-    remaining = material_remains(rms, floor, selector.tolerated)
+    remaining = material_remains(rms, floor, selection.left_out.tolerated)
     structure = Structure()
     if remaining.any():
         both = [*train_predictor.residuals(within), *left]
@@ -188,9 +196,13 @@ def judge_flights(
     kind, reason, candidates = decide(selection, remains, floor is not None)
     notes = [f"{flight.name}: {note}" for flight in flights for note in flight.notes]
     if band < bandwidth:
-        notes.append(f"compared below {band:.3g} Hz: the slowest log has {min(f.rate for f in flights):.4g} rows per second")
+        notes.append(
+            f"compared below {band:.3g} Hz: the slowest log has {min(f.rate for f in flights):.4g} rows per second"
+        )
     if len(train) < 3:
-        notes.append(f"only {len(train)} training flights: intervals rest on blocks of time, not on the spread of flights")
+        notes.append(
+            f"only {len(train)} training flights: intervals rest on blocks of time, not on the spread of flights"
+        )
     verdict = Verdict(
         verdict=kind,
         reason=reason,

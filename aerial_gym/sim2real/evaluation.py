@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.sim2real.fit import BLOCK_S
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.intervals import Rms, rms_with_interval
-from aerial_gym.sim2real.noise import noise_floor
+from aerial_gym.sim2real.moments import BLOCK_S
 from aerial_gym.sim2real.prediction import Channel, Point, Predictor
 from aerial_gym.sim2real.rollout import QUANTITIES, RolloutErrors, roll_out
 
@@ -90,13 +89,6 @@ def time_groups(times: Sequence[Array]) -> NDArray[np.int64]:
         parts.append(part)
         start = int(part[-1]) + 1
     return np.concatenate(parts)
-
-
-def floor_of(
-    robot: RobotCfg, flights: Sequence[Flight], point: Point, channels: Sequence[Channel], bandwidth: float
-) -> Array | None:
-    """Return the noise floor of each channel."""
-    return noise_floor(robot, flights, point, channels, bandwidth=bandwidth)
 
 
 def _rollout_rms(errors: RolloutErrors, seed: int) -> dict[str, dict[float, Rms]]:

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.moments import Moments, Weighting, block_moments, weights_from
 from aerial_gym.sim2real.prediction import Point, Predictor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-BLOCK_S = 2.0
-"""Length of a block [s]: several times longer than residuals remember."""
+Frozen = frozenset[tuple[str, int]]
+"""Parameters that stay as they are: effect, and place among its parameters."""
 
 STEP = 1e-3
 """Difference step in units of a parameter's scale or of a tolerance."""
@@ -33,48 +33,6 @@ FARTHEST_DEVIATION = 3.0
 MOST_STEPS = 8
 CONVERGED = 0.02
 """A step is the last one if the linear model misses by less than this share of the residual."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Moments:
-    """Sums over blocks of time; residual r, its derivative J in the parameters of the prediction."""
-
-    count: Array
-    """Rows, (B,)."""
-
-    square: Array
-    """``sum r²``, (B, C)."""
-
-    gradient: Array
-    """``sum J r``, (B, C, K)."""
-
-    product: Array
-    """``sum J J^T``, (B, C, K, K)."""
-
-    flight: Indices
-    """Which flight a block is from, (B,)."""
-
-    def squares_after(self, step: Array) -> Array:
-        """Return ``sum (r - J d)²`` of each block, (B, C), for a step d of the parameters: (K,), or (B, K) one per block."""
-        steps = np.broadcast_to(step, (self.count.size, self.gradient.shape[2]))
-        linear = np.einsum("bck,bk->bc", self.gradient, steps)
-        return self.square - 2.0 * linear + np.einsum("bckl,bk,bl->bc", self.product, steps, steps)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Weighting:
-    """What a channel counts in a fit."""
-
-    variance: Array
-    """Mean square of the residual with every effect fitted, (C,)."""
-
-    effective: Array
-    """Independent samples per row: neighbours of a low-passed or coloured residual say the same, (C,)."""
-
-    @property
-    def weight(self) -> Array:
-        """Return the weight of one row, (C,)."""
-        return self.effective / self.variance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,13 +57,18 @@ class Fit:
     num_effect_params: int
     """The first so many of the K parameters belong to effects."""
 
-    frozen: tuple[int, ...] = ()
+    frozen: Frozen = frozenset()
     """Parameters that the flights do not show; they stay where they are."""
+
+    @property
+    def owners(self) -> list[tuple[str, int]]:
+        """Return effect and place of each parameter of effects."""
+        return [(name, place) for name in self.effects for place in range(len(EFFECTS.get(name).parameters))]
 
     @property
     def free_effects(self) -> Indices:
         """Return the parameters of effects that are fitted."""
-        return np.array([k for k in range(self.num_effect_params) if k not in self.frozen], dtype=int)
+        return np.array([k for k, owner in enumerate(self.owners) if owner not in self.frozen], dtype=int)
 
     @property
     def free_all(self) -> Indices:
@@ -114,13 +77,7 @@ class Fit:
 
     def columns_of(self, effect: str) -> Indices:
         """Return the places of an effect's parameters."""
-        start = 0
-        for name in self.effects:
-            size = len(EFFECTS.get(name).parameters)
-            if name == effect:
-                return np.arange(start, start + size)
-            start += size
-        raise KeyError(effect)
+        return np.array([k for k, (name, _) in enumerate(self.owners) if name == effect], dtype=int)
 
 
 def scales(effects: Sequence[str]) -> Array:
@@ -156,7 +113,8 @@ def effect_jacobian(predictor: Predictor, point: Point, effects: Sequence[str], 
         moved = predictor.predict(with_params(point, effects, there))
         columns.append([(m - b) * (scale[k] / step) for m, b in zip(moved, base, strict=True)])
     return [
-        np.stack([c[i] for c in columns], axis=2) if columns else np.zeros((*base[i].shape, 0)) for i in range(len(base))
+        np.stack([c[i] for c in columns], axis=2) if columns else np.zeros((*base[i].shape, 0))
+        for i in range(len(base))
     ]
 
 
@@ -169,26 +127,6 @@ def tolerance_jacobian(predictor: Predictor, point: Point, base: list[Array]) ->
         moved = predictor.predict(replace(point, deviation=deviation))
         columns.append([(m - b) / STEP for m, b in zip(moved, base, strict=True)])
     return [np.stack([c[i] for c in columns], axis=2) for i in range(len(base))]
-
-
-def block_moments(times: list[Array], residuals: list[Array], jacobians: list[Array]) -> Moments:
-    """Return the sums over blocks of about BLOCK_S, none of which spans two flights."""
-    parts = []
-    for flight, (time, r, j) in enumerate(zip(times, residuals, jacobians, strict=True)):
-        blocks = max(1, round(float(time[-1] - time[0]) / BLOCK_S))
-        for rows in np.array_split(np.arange(time.size), blocks):
-            rb, jb = r[rows], j[rows]
-            by_channel = jb.transpose(1, 2, 0)  # (C, K, rows)
-            gradient = by_channel @ rb.T[:, :, None]
-            parts.append((rows.size, (rb**2).sum(0), gradient[:, :, 0], by_channel @ by_channel.transpose(0, 2, 1), flight))
-    count, square, gradient, product, flights = zip(*parts, strict=True)
-    return Moments(
-        count=np.array(count, dtype=float),
-        square=np.stack(square),
-        gradient=np.stack(gradient),
-        product=np.stack(product),
-        flight=np.array(flights),
-    )
 
 
 def prior_precision(fit: Fit, released: Indices | None = None) -> Array:
@@ -237,7 +175,12 @@ def best_step(
 
 
 def linearise(
-    predictor: Predictor, effects: tuple[str, ...], point: Point, tolerance: list[Array], *, base: list[Array] | None = None
+    predictor: Predictor,
+    effects: tuple[str, ...],
+    point: Point,
+    tolerance: list[Array],
+    *,
+    base: list[Array] | None = None,
 ) -> tuple[Fit, list[Array], list[Array]]:
     """Return the model at a point, the residuals there, and their derivatives (rows, C, K)."""
     predicted = predictor.predict(point) if base is None else base
@@ -270,7 +213,7 @@ def fit_effects(
     tolerance: list[Array],
     weight: Array,
     *,
-    frozen: tuple[int, ...] = (),
+    frozen: Frozen = frozenset(),
     with_tolerances: bool = False,
 ) -> Fit:
     """Return the model with some effects fitted by Gauss-Newton steps, until it is as good as linear.
@@ -281,7 +224,7 @@ def fit_effects(
         start: First guess.
         tolerance: Derivatives by the deviations (``tolerance_jacobian``), taken as constant.
         weight: Of one row of each channel, (C,).
-        frozen: Places of parameters that stay as they are.
+        frozen: Parameters that stay as they are.
         with_tolerances: Whether deviations within the tolerances may take their share while the effects are fitted.
     """
     fit, residuals, jacobians = linearise(predictor, effects, start, tolerance)
@@ -304,22 +247,6 @@ def fit_effects(
     return replace(fit, frozen=frozen)
 
 
-def effective_share(residual: Array) -> Array:
-    """Return the independent samples per row of each channel, (C,): one over twice the summed autocorrelation.
-
-    The sum ends where pairs of neighbouring lags turn negative. Source: Geyer (1992), Practical Markov chain Monte Carlo,
-    section 3.3, initial positive sequence.
-    """
-    rows = residual.shape[0]
-    centred = residual - residual.mean(axis=0)
-    spectrum = np.fft.rfft(centred, n=2 * rows, axis=0)
-    covariance = np.fft.irfft(np.abs(spectrum) ** 2, axis=0)[: rows // 2]
-    correlation = covariance / np.maximum(covariance[0], 1e-300)
-    pairs = correlation[0 : len(correlation) // 2 * 2 : 2] + correlation[1::2][: len(correlation) // 2]
-    positive = np.cumprod(pairs > 0.0, axis=0)
-    return 1.0 / np.maximum(2.0 * (pairs * positive).sum(axis=0) - 1.0, 1.0)
-
-
 def weighting(predictor: Predictor, start: Point, effects: tuple[str, ...], tolerance: list[Array]) -> Weighting:
     """Return the weights of the channels from what no candidate effect explains.
 
@@ -330,19 +257,11 @@ def weighting(predictor: Predictor, start: Point, effects: tuple[str, ...], tole
     for name in effects:
         if name not in point.effects:
             point = point.with_effect(name, np.array(EFFECTS.get(name).neutral(predictor.robot)))
-    found = _weights_from(residuals)
+    found = weights_from(residuals)
     for _ in range(3):
         fit, residuals, jacobians = linearise(predictor, effects, point, tolerance)
         step = best_step(fit, found.weight, fit.free_all)
         left = [r - j @ step for r, j in zip(residuals, jacobians, strict=True)]
-        found = _weights_from(left)
+        found = weights_from(left)
         point = with_params(point, effects, params_of(point, effects) + scales(effects) * step[: fit.num_effect_params])
     return found
-
-
-def _weights_from(residuals: list[Array]) -> Weighting:
-    rows = np.array([r.shape[0] for r in residuals], dtype=float)
-    shares = np.stack([effective_share(r) for r in residuals])
-    total = sum((r**2).sum(axis=0) for r in residuals)
-    variance = np.maximum(np.asarray(total) / rows.sum(), 1e-12)
-    return Weighting(variance=variance, effective=(rows[:, None] * shares).sum(axis=0) / rows.sum())

@@ -1,6 +1,7 @@
 """One flight as arrays, and the reader of flight logs in CSV files.
 
-World is ENU (z up), body is x forward, y left, z up, quaternions are xyzw, body to world, SI units. Letters: T rows, R rotors.
+World is ENU (z up), body is x forward, y left, z up, quaternions are xyzw, body to world, SI units.
+Letters: T rows, R rotors.
 """
 
 from collections.abc import Sequence
@@ -128,9 +129,9 @@ def _read_table(path: Path, layout: LogMapping) -> pd.DataFrame:
 
 def _names(quantity: ColumnsCfg, known: Sequence[str]) -> list[str]:
     """Return the column names of a quantity, with ``{n}`` counted up as far as the file goes."""
-    if len(quantity.columns) > 1 or "{n}" not in quantity.columns[0]:
+    pattern, found = "".join(quantity.columns[:1]), []
+    if len(quantity.columns) > 1 or "{n}" not in pattern:
         return list(quantity.columns)
-    pattern, found = quantity.columns[0], []
     while (name := pattern.replace("{n}", str(len(found) + 1))) in known:
         found.append(name)
     return found
@@ -172,8 +173,8 @@ def _fields(
     """Return numbers (T, columns) with short gaps filled where the mapping allows it."""
     found, filled = np.empty((len(table), len(columns))), 0
     for index, column in enumerate(columns):
-        numbers = pd.to_numeric(table[column], errors="coerce").to_numpy(dtype=float)
-        bad = np.flatnonzero(table[column].notna().to_numpy() & ~np.isfinite(numbers))
+        numbers = np.asarray(pd.to_numeric(table[column], errors="coerce"), dtype=np.float64)
+        bad = np.flatnonzero(np.asarray(table[column].notna()) & ~np.isfinite(numbers))
         if bad.size:
             raise DataError(
                 f"{path}, line {bad[0] + 1 + HEADER_LINES}: {column} = {table[column].iloc[bad[0]]!s} is no finite "
@@ -218,7 +219,9 @@ def _require(values: dict[str, Array], layout: LogMapping, known: list[str], pat
     if "rotor_speed" in values and "rotor_command" in values:
         speeds, commands = values["rotor_speed"].shape[1], values["rotor_command"].shape[1]
         if speeds != commands:
-            raise DataError(f"{path}: has {speeds} rotor speeds and {commands} commands; both need one column per rotor")
+            raise DataError(
+                f"{path}: has {speeds} rotor speeds and {commands} commands; both need one column per rotor"
+            )
 
 
 def _missing(column: str, known: list[str], path: str) -> str:

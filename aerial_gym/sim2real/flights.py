@@ -150,7 +150,7 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = ()) -> Flight:
     if log.lin_vel is None:
         said.append("neither velocity nor position: drag is predicted as if the vehicle stood still")
     elif specific_force is None:
-        acceleration = lowpass(log.lin_vel, rate, band, derivative=True) + (0.0, 0.0, STANDARD_GRAVITY)
+        acceleration = lowpass(log.lin_vel, rate, band, derivative=True) + np.array([0.0, 0.0, STANDARD_GRAVITY])
         specific_force = Rotation.from_quat(log.attitude).apply(acceleration, inverse=True)
         said.append("specific force derived from velocity")
     if ang_vel is None:

@@ -44,6 +44,4 @@ def rms_with_interval(values: Array, group: NDArray[np.int64], *, seed: int) -> 
     means = (draws @ squares) / np.maximum(draws @ counts, 1.0)[:, None]
     low, high = np.quantile(np.sqrt(means), (0.025, 0.975), axis=0)
     value = np.sqrt(squares.sum(axis=0) / counts.sum())
-    return [
-        Rms(value=float(v), low=float(lo), high=float(hi)) for v, lo, hi in zip(value, low, high, strict=True)
-    ]
+    return [Rms(value=float(v), low=float(lo), high=float(hi)) for v, lo, hi in zip(value, low, high, strict=True)]

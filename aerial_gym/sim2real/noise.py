@@ -50,9 +50,7 @@ def _floor_of(
     robot: RobotCfg, flight: Flight, point: Point, channels: Sequence[Channel], bandwidth: float
 ) -> Array | None:
     wide = WIDE_BAND * flight.rate
-    predictor = Predictor(
-        robot, [flight], bandwidth=wide, channels=channels, tolerances=Tolerances(), every_row=True
-    )
+    predictor = Predictor(robot, [flight], bandwidth=wide, channels=channels, tolerances=Tolerances(), every_row=True)
     residual = predictor.residuals(point)[0]
     length = min(residual.shape[0], round(SEGMENT_S * flight.rate))
     frequency, density = signal.welch(residual, flight.rate, nperseg=length, detrend="linear", axis=0)

@@ -126,7 +126,9 @@ def _bars(axis: Axes, labels: Sequence[str], rows: Sequence[Sequence]) -> None:
         height = np.array([value.value for value in values])
         spread = np.array([[v.value - v.low for v in values], [v.high - v.value for v in values]])
         name = ("declared", "corrected")[index]
-        axis.bar(at, height, width, yerr=np.maximum(spread, 0.0), color=color, capsize=2, label=name, error_kw={"lw": 0.8})
+        axis.bar(
+            at, height, width, yerr=np.maximum(spread, 0.0), color=color, capsize=2, label=name, error_kw={"lw": 0.8}
+        )
     axis.set_xticks(np.arange(len(labels)), labels, fontsize=8)
     axis.tick_params(labelsize=7)
     axis.legend(fontsize=7)

@@ -8,6 +8,7 @@ Channels: specific force x, y, z; angular acceleration x, y, z; speed of each ro
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -126,12 +127,14 @@ class Predictor:
         states = [self._state_rows(index) for index in range(len(flights))]
         self._state = {name: torch.cat([state[name] for state in states]) for name in states[0]}
         ends = np.cumsum([0, *(state["attitude"].shape[0] for state in states)])
-        self._spans = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        self._spans = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         simulated = [flight.rotor_speed is None for flight in flights]
         if any(simulated) and not all(simulated):
             raise DataError("some flights have measured rotor speeds and some have not; give flights of one kind")
         self._simulated = all(simulated)
-        self._measured_speed = None if self._simulated else torch.cat([self._thin(i, "rotor_speed") for i in range(len(flights))])
+        self._measured_speed = (
+            None if self._simulated else torch.cat([self._thin(i, "rotor_speed") for i in range(len(flights))])
+        )
 
         self._measured_ang_acc = torch.cat([self._turning(index) for index in range(len(flights))])
 

@@ -8,13 +8,15 @@ from pathlib import Path
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.interop import one_thread
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.close_loop import HIGHEST_BAND, silent
-from aerial_gym.sim2real.evaluation import Evaluation, evaluate, floor_of
+from aerial_gym.sim2real.evaluation import Evaluation, evaluate
 from aerial_gym.sim2real.flights import Flight, load_flights
 from aerial_gym.sim2real.mapping import find_mapping
+from aerial_gym.sim2real.noise import noise_floor
 from aerial_gym.sim2real.prediction import Point, Predictor, declared_point, find_channels
-from aerial_gym.sim2real.runtime import check_out_dir, one_thread, whole_folder, write_record
+from aerial_gym.sim2real.runtime import check_out_dir, whole_folder, write_record
 from aerial_gym.sim2real.selection import Progress
 from aerial_gym.sim2real.tolerances import Tolerances
 
@@ -97,7 +99,7 @@ def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: flo
     channels = find_channels(flights)
     predictor = Predictor(robot, flights, bandwidth=band, channels=channels, tolerances=Tolerances())
     point = declared_point(robot)
-    floor = floor_of(robot, flights, point, channels, band)
+    floor = noise_floor(robot, flights, point, channels, bandwidth=band)
     return Replay(
         robot=robot,
         flights=tuple(flights),

@@ -119,7 +119,9 @@ def roll_out(
     kept = tuple(h for h in horizons if h + 2.0 * STEP_S < longest)
     windows = find_windows(flights, kept)
     commanded = all(flight.rotor_command is not None for flight in flights)
-    rows = {rate: np.flatnonzero([flights[f].rate == rate for f in windows.flight]) for rate in {f.rate for f in flights}}
+    rows = {
+        rate: np.flatnonzero([flights[f].rate == rate for f in windows.flight]) for rate in {f.rate for f in flights}
+    }
     shape = (windows.row.size, len(kept))
     errors = {name: np.full(shape, np.nan) for name in QUANTITIES}
     for rate, members in rows.items():
@@ -151,7 +153,7 @@ class _Run:
         *,
         commanded: bool,
     ) -> None:
-        self._flights, self._rate, self._commanded = flights, rate, commanded
+        self._flights, self._rate, self._commanded, self._rotors = flights, rate, commanded, robot.num_rotors
         self._flight, self._row = windows.flight[members], windows.row[members]
         self._stride = max(1, int(STEP_S * rate + 1e-9))
         self._substeps = max(1, round(self._stride / (STEP_S * rate)))
@@ -205,18 +207,16 @@ class _Run:
         return sum(values[1:], values[0]) / self._stride
 
     def _gather(self, name: str, rows: NDArray[np.int64], *, instead: str | None = None) -> Tensor:
-        columns = 4 if name == "attitude" else 3 if name in ("position", "lin_vel", "ang_vel") else None
-        result = None
+        """Return a quantity at a row of each window's flight, (W, any); zeros where the log lacks it."""
+        width = {"attitude": 4, "rotor_speed": self._rotors, "rotor_command": self._rotors}.get(name, 3)
+        result = np.zeros((rows.size, width))
         for index in np.unique(self._flight):
             values = getattr(self._flights[index], name)
             if values is None and instead is not None:
                 values = getattr(self._flights[index], instead)
-            chosen = self._flight == index
-            width = columns or values.shape[1]
-            result = np.zeros((rows.size, width)) if result is None else result
             if values is not None:
+                chosen = self._flight == index
                 result[chosen] = values[np.minimum(rows[chosen], values.shape[0] - 1)]
-        assert result is not None
         return torch.from_numpy(result)
 
 

@@ -1,4 +1,4 @@
-"""What a run needs around its calculation: one thread, a folder that appears whole, a record of what was run."""
+"""What a run needs around its calculation: a folder that appears whole, a record of what was run."""
 
 import hashlib
 import json
@@ -10,23 +10,10 @@ from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import torch
-
 from aerial_gym.errors import DataError
 
 RECORD = "run.json"
 """Name of the record; it also marks a folder as one of ours."""
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Run torch on one thread inside: batches of 10,000 rows are 20 times slower on two busy cores than on one."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def check_out_dir(out_dir: Path) -> None:

@@ -56,7 +56,7 @@ def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = 
     head = 2.0 * values[:1] - values[pad:0:-1]
     tail = 2.0 * values[-1:] - values[-2 : -pad - 2 : -1]
     longer = np.concatenate((head, values, tail))
-    size = fft.next_fast_len(longer.shape[0] + pad, real=True)
+    size = int(fft.next_fast_len(longer.shape[0] + pad, real=True) or 0)
     # The remaining gap of the circle is closed by a straight line, so that it adds no jump.
     blend = np.linspace(0.0, 1.0, size - longer.shape[0] + 2)[1:-1].reshape(-1, *(1,) * (values.ndim - 1))
     circle = np.concatenate((longer, longer[-1:] * (1.0 - blend) + longer[:1] * blend))
@@ -64,8 +64,8 @@ def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = 
     gain = lowpass_gain(frequency, bandwidth).astype(complex)
     if derivative:
         gain *= 2j * np.pi * frequency
-    spectrum = fft.rfft(circle, axis=0) * gain.reshape(-1, *(1,) * (values.ndim - 1))
-    return fft.irfft(spectrum, n=size, axis=0)[pad : pad + rows]
+    spectrum = np.asarray(fft.rfft(circle, axis=0)) * gain.reshape(-1, *(1,) * (values.ndim - 1))
+    return np.asarray(fft.irfft(spectrum, n=size, axis=0))[pad : pad + rows]
 
 
 def edge_rows(rate: float, bandwidth: float) -> int:
@@ -131,7 +131,7 @@ def rotor_log_lead(measured: Array, predicted: Array, others: Array, rate: float
     Args:
         measured: Specific force along body z [m/s²], (T,).
         predicted: The same, predicted from the logged rotor speeds, (T,).
-        others: What else may act along z, on the clock of the accelerometer, (T, any): velocity along z, angular acceleration.
+        others: What else may act along z, on the clock of the accelerometer, (T, any): velocity, angular acceleration.
         rate: Rows per second [Hz].
         bandwidth: The comparison is made below it and above a twentieth of it [Hz].
     """

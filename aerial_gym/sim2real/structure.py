@@ -22,6 +22,9 @@ LEAST_SHARE = 0.3
 """A kind is named if it explains this share of the residual's variance on flights left out."""
 
 SEGMENT_S = 8.0
+OWN_MOTION = 0.5
+"""A line is no structure of its own if the motion of the flights has this share of it."""
+
 LINE_WIDTH = 2
 """A spectral line spreads over this many neighbours on each side."""
 
@@ -60,6 +63,7 @@ def find_structure(
     world = [_world_forces(f, t, r, channels) for f, t, r in zip(flights, times, residuals, strict=True)]
     found = [Structure()]
     place = [_place_features(f, t) for f, t in zip(flights, times, strict=True)]
+    motion = [_motion(f, t) for f, t in zip(flights, times, strict=True)]
     clock = [np.stack((t, t**2), axis=1) for t in times]
     for index in chosen:
         name = channels[index].name
@@ -69,7 +73,7 @@ def find_structure(
             found.append(Structure(kind="position", channel=name, share=share))
         share = _left_out_share(clock, [r[:, index] for r in residuals])
         found.append(Structure(kind="time", channel=name, share=share))
-        line = _common_line(times, [r[:, index] for r in residuals])
+        line = _common_line(times, [r[:, index] for r in residuals], motion)
         if line is not None:
             found.append(Structure(kind="periodic", channel=name, freq_hz=line[0], share=line[1]))
     best = max(found, key=lambda structure: structure.share)
@@ -124,18 +128,36 @@ def _left_out_share(features: Sequence[Array], values: Sequence[Array]) -> float
     return 1.0 - left / max(total, 1e-300)
 
 
-def _common_line(times: Sequence[Array], values: Sequence[Array]) -> tuple[float, float] | None:
-    """Return frequency [Hz] and share of the variance of a line that every flight has; None if there is none."""
+def _motion(flight: Flight, time: Array) -> Array:
+    """Return how the vehicle moves, (T, 3 or 6): a line that is in here is the flight's own."""
+    rows = np.round(time * flight.rate).astype(int)
+    parts = [part[rows] for part in (flight.ang_vel, flight.lin_vel) if part is not None]
+    return np.concatenate(parts, axis=1)
+
+
+def _common_line(
+    times: Sequence[Array], values: Sequence[Array], motion: Sequence[Array]
+) -> tuple[float, float] | None:
+    """Return frequency [Hz] and share of the variance of a line that every flight has and none flies; None without one."""
     rate = 1.0 / float(np.median(np.diff(times[0])))
     length = min(round(SEGMENT_S * rate), min(v.size for v in values))
-    spectra = []
-    for v in values:
-        frequency, density = signal.welch(v, rate, nperseg=length, detrend="linear")
-        spectra.append(density / max(density.sum(), 1e-300))
+    frequency = np.fft.rfftfreq(length, 1.0 / rate)
+    spectra = [_relative_spectrum(v[:, None], rate, length)[:, 0] for v in values]
     inner = slice(2 * LINE_WIDTH, frequency.size - LINE_WIDTH)
-    mean = np.mean(spectra, axis=0)
-    peak = int(np.argmax(mean[inner])) + 2 * LINE_WIDTH
-    line = slice(peak - LINE_WIDTH, peak + LINE_WIDTH + 1)
-    near = [s[max(peak - 6 * LINE_WIDTH, 0) : peak + 6 * LINE_WIDTH + 1] for s in spectra]
-    shares = [float((s[line] - np.median(n)).sum()) for s, n in zip(spectra, near, strict=True)]
-    return (float(frequency[peak]), min(shares)) if min(shares) > 0.0 else None
+    peak = int(np.argmax(np.mean(spectra, axis=0)[inner])) + 2 * LINE_WIDTH
+    share = min(_line_share(spectrum, peak) for spectrum in spectra)
+    flown = [[_line_share(line, peak) for line in _relative_spectrum(m, rate, length).T] for m in motion]
+    own = float(np.mean(flown, axis=0).max())
+    return (float(frequency[peak]), share) if share > 0.0 and own < OWN_MOTION * share else None
+
+
+def _relative_spectrum(values: Array, rate: float, length: int) -> Array:
+    """Return the share of the variance at each frequency, (lines, columns)."""
+    _, density = signal.welch(values, rate, nperseg=length, detrend="linear", axis=0)
+    return density / np.maximum(density.sum(axis=0), 1e-300)
+
+
+def _line_share(spectrum: Array, peak: int) -> float:
+    """Return what a line and its neighbours hold above the level around it."""
+    near = spectrum[max(peak - 6 * LINE_WIDTH, 0) : peak + 6 * LINE_WIDTH + 1]
+    return float((spectrum[peak - LINE_WIDTH : peak + LINE_WIDTH + 1] - np.median(near)).sum())

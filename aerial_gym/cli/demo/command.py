@@ -33,19 +33,23 @@ class DemoCmd:
         """Do the three parts and write the page; return the exit status."""
         from aerial_gym.cli.demo.page import write_page
         from aerial_gym.cli.demo.parts import close_the_loop, find_flights, learn, look
+        from aerial_gym.interop import one_thread
 
         console = Console(stderr=True)
         started = time.perf_counter()
         _make_room(self.out)
         flights = find_flights(self.flights or _shared_flights(), self.out, self.seed)
-        console.print(f"[bold]1/3 look[/]: cameras in the obstacle environment ({_elapsed(started)})")
-        seen = look(self.seed)
-        console.print(
-            f"[bold]2/3 learn[/]: a hover policy from scratch, {self.train_time_s:.0f} s ({_elapsed(started)})"
-        )
-        learned = learn(self.out, self.seed, self.train_time_s)
-        console.print(f"[bold]3/3 measure[/]: {len(flights.train)} + {len(flights.test)} flights ({_elapsed(started)})")
-        measured = close_the_loop(flights, self.out / "loop")
+        with one_thread():
+            console.print(f"[bold]1/3 look[/]: cameras in the obstacle environment ({_elapsed(started)})")
+            seen = look(self.seed)
+            console.print(
+                f"[bold]2/3 learn[/]: a hover policy from scratch, {self.train_time_s:.0f} s ({_elapsed(started)})"
+            )
+            learned = learn(self.out, self.seed, self.train_time_s)
+            console.print(
+                f"[bold]3/3 measure[/]: {len(flights.train)} + {len(flights.test)} flights ({_elapsed(started)})"
+            )
+            measured = close_the_loop(flights, self.out / "loop")
         page = write_page(
             self.out / "index.html",
             seen=seen,

@@ -1,0 +1,110 @@
+"""Sums over blocks of time: all that fits without a flight, scores and standard errors need of the residuals.
+
+Letters: B blocks, C channels, K parameters.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+BLOCK_S = 2.0
+"""Length of a block [s]: several times longer than residuals remember."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moments:
+    """Sums over blocks of time; residual r, its derivative J in the parameters of the prediction."""
+
+    count: Array
+    """Rows, (B,)."""
+
+    square: Array
+    """``sum r²``, (B, C)."""
+
+    gradient: Array
+    """``sum J r``, (B, C, K)."""
+
+    product: Array
+    """``sum J J^T``, (B, C, K, K)."""
+
+    flight: NDArray[np.int64]
+    """Which flight a block is from, (B,)."""
+
+    def squares_after(self, step: Array) -> Array:
+        """Return ``sum (r - J d)²`` of each block, (B, C), for a step d of the parameters, one per block, (B, K)."""
+        linear = np.einsum("bck,bk->bc", self.gradient, step)
+        return self.square - 2.0 * linear + np.einsum("bckl,bk,bl->bc", self.product, step, step)
+
+
+def block_moments(times: Sequence[Array], residuals: Sequence[Array], jacobians: Sequence[Array]) -> Moments:
+    """Return the sums over blocks of about BLOCK_S, none of which spans two flights.
+
+    Args:
+        times: Of each flight [s], (rows,).
+        residuals: Of each flight, (rows, C).
+        jacobians: Of each flight, (rows, C, K).
+    """
+    counts, squares, gradients, products, flights = [], [], [], [], []
+    for flight, (time, r, j) in enumerate(zip(times, residuals, jacobians, strict=True)):
+        blocks = max(1, round(float(time[-1] - time[0]) / BLOCK_S))
+        for rows in np.array_split(np.arange(time.size), blocks):
+            by_channel = j[rows].transpose(1, 2, 0)  # (C, K, rows)
+            counts.append(float(rows.size))
+            squares.append((r[rows] ** 2).sum(axis=0))
+            gradients.append((by_channel @ r[rows].T[:, :, None])[:, :, 0])
+            products.append(by_channel @ by_channel.transpose(0, 2, 1))
+            flights.append(flight)
+    return Moments(
+        count=np.array(counts),
+        square=np.stack(squares),
+        gradient=np.stack(gradients),
+        product=np.stack(products),
+        flight=np.array(flights),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weighting:
+    """What a channel counts in a fit."""
+
+    variance: Array
+    """Mean square of the residual with every effect fitted, (C,)."""
+
+    effective: Array
+    """Independent samples per row: neighbours of a low-passed or coloured residual say the same, (C,)."""
+
+    @property
+    def weight(self) -> Array:
+        """Return the weight of one row, (C,)."""
+        return self.effective / self.variance
+
+
+def weights_from(residuals: Sequence[Array]) -> Weighting:
+    """Return the weights that fit residuals, each (rows, C)."""
+    rows = np.array([r.shape[0] for r in residuals], dtype=float)
+    shares = np.stack([effective_share(r) for r in residuals])
+    total = np.sum([(r**2).sum(axis=0) for r in residuals], axis=0)
+    return Weighting(
+        variance=np.maximum(total / rows.sum(), 1e-12),
+        effective=(rows[:, None] * shares).sum(axis=0) / rows.sum(),
+    )
+
+
+def effective_share(residual: Array) -> Array:
+    """Return the independent samples per row of each channel, (C,): one over twice the summed autocorrelation.
+
+    The sum ends where pairs of neighbouring lags turn negative. Source: Geyer (1992), Practical Markov chain Monte Carlo,
+    section 3.3, initial positive sequence.
+    """
+    rows = residual.shape[0]
+    centred = residual - residual.mean(axis=0)
+    spectrum = np.fft.rfft(centred, n=2 * rows, axis=0)
+    covariance = np.fft.irfft(np.abs(spectrum) ** 2, axis=0)[: rows // 2]
+    correlation = covariance / np.maximum(covariance[0], 1e-300)
+    pairs = correlation[0 : len(correlation) // 2 * 2 : 2] + correlation[1::2][: len(correlation) // 2]
+    positive = np.cumprod(pairs > 0.0, axis=0)
+    return 1.0 / np.maximum(2.0 * (pairs * positive).sum(axis=0) - 1.0, 1.0)

@@ -1,0 +1,180 @@
+"""How much better one model predicts flights that its fit has not seen, and when that counts.
+
+Letters: B blocks of time, C channels, K parameters.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from aerial_gym.sim2real.fit import Fit, best_step
+from aerial_gym.sim2real.moments import Moments, Weighting
+from aerial_gym.sim2real.prediction import Channel
+from aerial_gym.sim2real.uncertainty import Uncertainty
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+QUARTERS = 4
+"""A single flight is left out in so many parts."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Criteria:
+    """When an effect is accepted."""
+
+    significance: float = 0.001
+    """Largest probability that noise and tolerances alone show such parameters."""
+
+    left_out_significance: float = 0.01
+    """Largest probability that the gain on flights left out is chance."""
+
+    flights_better: float = 0.75
+    """Least share of flights left out that it must predict better, and that it must not harm in any channel."""
+
+    material: float = 0.05
+    """Least relative fall of the left-out residual (rms) in its best channel."""
+
+    visible: float = 0.5
+    """What it takes off that channel must be this share of what the tolerances of the vehicle may add there."""
+
+    harmless: float = 0.02
+    """Largest relative rise of the left-out residual (rms) of a channel that is no harm."""
+
+    rival_significance: float = 0.01
+    """Rivals whose left-out gain differs from the accepted effect's with less certainty cannot be told apart."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scored:
+    """A fitted model and how it predicts flights that it has not seen."""
+
+    fit: Fit
+    spread: Uncertainty
+    left_out: Array
+    """Sums of squares of each block, predicted by the fit without its flight, (B, C)."""
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Return the fitted effects."""
+        return self.fit.effects
+
+    def rms(self) -> Array:
+        """Return the left-out residual of each channel, (C,)."""
+        return np.sqrt(self.left_out.sum(axis=0) / self.fit.moments.count.sum())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gain:
+    """What one model gains over another on flights left out."""
+
+    score: float
+    """In log likelihood."""
+
+    chance: float
+    """Probability that it is chance."""
+
+    flights_better: float
+    """Share of the flights that are predicted better."""
+
+    falls: tuple[float, ...]
+    """Relative fall of the residual (rms) of each channel, over all flights."""
+
+    harmed: tuple[float, ...]
+    """Share of the flights in which the residual of each channel rises."""
+
+    worse: tuple[bool, ...]
+    """Whether the residual of each channel rises over all flights."""
+
+    visible: tuple[bool, ...]
+    """Whether what falls in each channel is more than the tolerances of the vehicle may hide."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeftOut:
+    """Leaves out one flight after the other and compares models by it."""
+
+    moments: Moments
+    """Of any model: rows and flights of the blocks are those of all."""
+
+    weights: Weighting
+    criteria: Criteria
+    channels: tuple[Channel, ...]
+    tolerated: Array
+    """Residual (rms) that the tolerances of the vehicle cause in each channel, (C,)."""
+
+    @property
+    def fold(self) -> Indices:
+        """Return what is left out together: the flight of each block, or the quarter of a single flight, (B,)."""
+        flight = self.moments.flight
+        if flight.max() > 0:
+            return flight
+        parts = min(QUARTERS, flight.size)
+        return np.arange(flight.size) * parts // flight.size
+
+    def squares(self, fit: Fit, released: Indices | None = None) -> Array:
+        """Return the squares (B, C) of each fold under the fit of the others; ``released`` tolerances are fitted too."""
+        free = fit.free_effects if released is None else np.concatenate((fit.free_effects, released))
+        steps, fold = np.zeros((self.fold.size, fit.low.size)), self.fold
+        for left in np.unique(fold):
+            steps[fold == left] = best_step(fit, self.weights.weight, free, np.flatnonzero(fold != left), released)
+        return fit.moments.squares_after(steps)
+
+    def gain(self, less: Array, more: Array) -> Gain:
+        """Return what one set of left-out squares (B, C) gains over another.
+
+        Score: ``sum n_c / 2 log(MS_less / MS_more)`` over channels with n independent samples; its chance from the same
+        sum of each block and the scatter between blocks.
+        """
+        count, effective = self.moments.count, self.weights.effective
+        folds = [self.fold == part for part in np.unique(self.fold)]
+        blocks = (0.5 * count[:, None] * effective * _log_ratio(less, more)).sum(axis=1)
+        spread = blocks.std(ddof=1) / np.sqrt(blocks.size) if blocks.size > 1 else np.inf
+        totals = [self._score(less[part], more[part], count[part]) for part in folds]
+        rises = [self._rises(less[part], more[part], count[part]) for part in folds]
+        fallen = (less - more).sum(axis=0) / count.sum()
+        return Gain(
+            score=self._score(less, more, count),
+            chance=float(stats.t.sf(blocks.mean() / max(spread, 1e-300), max(blocks.size - 1, 1))),
+            flights_better=float(np.mean([total > 0.0 for total in totals])),
+            falls=tuple((1.0 - np.exp(-0.5 * _log_ratio(less.sum(axis=0), more.sum(axis=0)))).tolist()),
+            harmed=tuple(np.mean(rises, axis=0).tolist()),
+            worse=tuple(self._rises(less, more, count).tolist()),
+            visible=tuple((fallen > (self.criteria.visible * self.tolerated) ** 2).tolist()),
+        )
+
+    def objections(self, gain: Gain) -> list[str]:
+        """Return why a gain on flights left out does not count."""
+        rules, found = self.criteria, []
+        if gain.chance > rules.left_out_significance:
+            found.append(f"gain on flights left out may be chance (p = {gain.chance:.2g})")
+        if gain.flights_better < rules.flights_better:
+            found.append(f"predicts only {gain.flights_better:.0%} of the flights left out better")
+        if max(fall * seen for fall, seen in zip(gain.falls, gain.visible, strict=True)) < rules.material:
+            found.append(f"takes at most {max(*gain.falls, 0.0):.1%} off a residual, or less than the tolerances hide")
+        return [*found, *self.harms(gain)]
+
+    def harms(self, gain: Gain) -> list[str]:
+        """Return in which channel a model is worse than the one before."""
+        if any(gain.worse):
+            place = int(np.argmin(np.where(gain.worse, gain.falls, np.inf)))
+            return [f"makes {self.channels[place].name} worse by {-gain.falls[place]:.1%}"]
+        if max(gain.harmed) > 1.0 - self.criteria.flights_better:
+            place = int(np.argmax(gain.harmed))
+            return [f"makes {self.channels[place].name} worse in {gain.harmed[place]:.0%} of the flights left out"]
+        return []
+
+    def _score(self, less: Array, more: Array, count: Array) -> float:
+        samples = count.sum() * self.weights.effective
+        return float((0.5 * samples * _log_ratio(less.sum(axis=0), more.sum(axis=0))).sum())
+
+    def _rises(self, less: Array, more: Array, count: Array) -> NDArray[np.bool_]:
+        """Return in which channels squares (B, C) rise by more than is harmless and than tolerances may cause, (C,)."""
+        before, after = less.sum(axis=0) / count.sum(), more.sum(axis=0) / count.sum()
+        return (after > (1.0 + self.criteria.harmless) ** 2 * before) & (after - before > self.tolerated**2)
+
+
+def _log_ratio(less: Array, more: Array) -> Array:
+    return np.log(np.maximum(less, 1e-300) / np.maximum(more, 1e-300))
