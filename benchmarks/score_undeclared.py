@@ -2,9 +2,9 @@
 
     python -m benchmarks.score_undeclared --seeds 101 102 [--nuisance] [--size moderate] [--json]
 
-One case per effect and seed, and one with nothing hidden. For each: verdict, effects named, the largest distance of a
-parameter from the truth in standard deviations, and the specific force and angular acceleration residual on the test flights as
-multiples of the noise floor, before and after. The plant shares no code with the package.
+One case per effect and seed, and one with nothing hidden. Each row: verdict, effects named, the largest distance of a
+parameter from the truth in standard deviations, and the largest residual of force, angular acceleration or rotor speed on the
+test flights as a multiple of its noise floor, before and after. The plant shares no code with the package.
 """
 
 import argparse

@@ -90,7 +90,10 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
 
     def _numpy_info(self, info: dict[str, Tensor], done: Tensor) -> dict[str, Any]:
         """Return Gymnasium's object arrays: None in the rows of episodes that go on."""
-        told: dict[str, Any] = {"time_outs": info["time_outs"].cpu().numpy(), "_time_outs": np.ones(self.num_envs, bool)}
+        told: dict[str, Any] = {
+            "time_outs": info["time_outs"].cpu().numpy(),
+            "_time_outs": np.ones(self.num_envs, bool),
+        }
         mask = done.cpu().numpy()
         if not mask.any():
             return told

@@ -76,7 +76,9 @@ def policy_from_state(state: Mapping[str, Tensor], cfg: TrainingCfg, *, where: s
     try:
         layers, mean, var = reader(state, len(cfg.ppo.hidden_layers))
     except KeyError as error:
-        raise ConfigError(f"{where}: no {error} in it; it is no {cfg.trainer} checkpoint of {cfg.ppo.hidden_layers}") from None
+        raise ConfigError(
+            f"{where}: no {error} in it; it is no {cfg.trainer} checkpoint of {cfg.ppo.hidden_layers}"
+        ) from None
     num_in = layers[0][0].shape[1]
     if mean is None or var is None:
         mean, std = torch.zeros(num_in), torch.ones(num_in)

@@ -77,7 +77,9 @@ class Progress:
             self._first_steps, self._first_time = report.env_steps, now
         self.env_steps, self.last = report.env_steps, report
         self.steps_per_s = (report.env_steps - self._first_steps) / max(now - self._first_time, 1e-9)
-        share = self.share = max(now / (self._cfg.max_time_s or 1e18), report.env_steps / (self._cfg.max_env_steps or 1e18))
+        share = self.share = max(
+            now / (self._cfg.max_time_s or 1e18), report.env_steps / (self._cfg.max_env_steps or 1e18)
+        )
         self._show(report, share, now)
         if now - self._last_line >= REPORT_INTERVAL_S or share >= 1.0:
             self._last_line = now
@@ -103,10 +105,13 @@ class Progress:
         return max(min(times, default=0.0), 0.0)
 
     def _write(self, report: Report, now: float) -> None:
-        known = report.episode_return is not None and report.episode_length
-        per_step = f"{report.episode_return / report.episode_length:.5g}" if known else ""
+        per_step = ""
+        if report.episode_return is not None and report.episode_length:
+            per_step = f"{report.episode_return / report.episode_length:.5g}"
         values = ("" if v is None else f"{v:.6g}" for v in (report.episode_return, report.episode_length))
-        self._curve.writerow([f"{self._past_s + now:.2f}", report.env_steps, per_step, *values, f"{self.steps_per_s:.0f}"])
+        self._curve.writerow(
+            [f"{self._past_s + now:.2f}", report.env_steps, per_step, *values, f"{self.steps_per_s:.0f}"]
+        )
 
     def __enter__(self) -> "Progress":
         self._bar.start()

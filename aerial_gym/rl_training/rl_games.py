@@ -1,3 +1,6 @@
+# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportCallIssue=false, reportOperatorIssue=false
+# (The library's types say less than its objects are.)
 """Training with rl-games: a task as its ``IVecEnv``, run by ``rl_games.torch_runner.Runner``.
 
 Letters: E environments, O entries of an observation, U entries of an action.
@@ -88,8 +91,14 @@ class _Observer(AlgoObserver):
             algo.max_epochs = epoch_num  # the agent ends after this epoch
         elif time.perf_counter() - self._saved > self._cfg.checkpoint_every_s:
             self.save()
-        limit = self._cfg.ppo.max_learning_rate_at(self._progress.share)
+        self._follow_schedules(algo)
+
+    def _follow_schedules(self, algo: A2CAgent) -> None:
+        ppo, share = self._cfg.ppo, self._progress.share
+        limit = ppo.max_learning_rate_at(share)
         algo.scheduler.max_lr, algo.last_lr = limit, min(algo.last_lr, limit)
+        if ppo.end_std is not None:
+            algo.model.a2c_network.sigma.data.fill_(math.log(ppo.std_at(share)))
 
     def save(self) -> None:
         if self.algo is not None:

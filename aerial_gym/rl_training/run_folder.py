@@ -18,7 +18,7 @@ import os
 import platform
 import sys
 from collections.abc import Iterator
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 
@@ -82,7 +82,7 @@ class RunFolder:
         sessions = json.loads(file.read_text(encoding="utf-8")) if file.exists() else []
         sessions.append(
             {
-                "started": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+                "started": datetime.now(UTC).isoformat(timespec="seconds"),
                 "seed": cfg.seed,
                 "device": device,
                 "versions": {"python": platform.python_version(), **_versions()},

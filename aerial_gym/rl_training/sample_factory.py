@@ -1,3 +1,6 @@
+# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false, reportArgumentType=false
+# pyright: reportCallIssue=false, reportOperatorIssue=false
+# (The library's types say less than its objects are.)
 """Training with Sample Factory (APPO, serial and synchronous): a task as one batched environment of its own runner.
 
 Letters: E environments, O entries of an observation, U entries of an action.
@@ -15,6 +18,7 @@ from pathlib import Path
 import gymnasium
 import torch
 from gymnasium import spaces
+from sample_factory.algo.learning.learner import Learner
 from sample_factory.algo.runners.runner import AlgoObserver, Runner
 from sample_factory.algo.utils.context import global_env_registry, global_model_factory
 from sample_factory.algo.utils.env_info import env_info_cache_filename, extract_env_info
@@ -91,8 +95,14 @@ class _Observer(AlgoObserver):
         )
         if self._progress.update(report):
             runner.total_train_seconds = OFF  # the runner compares it with its limit right after this call
-        learner, limit = runner.learners[0].learner, self._cfg.ppo.max_learning_rate_at(self._progress.share)
+        self._follow_schedules(runner.learners[0].learner)
+
+    def _follow_schedules(self, learner: Learner) -> None:
+        ppo, share = self._cfg.ppo, self._progress.share
+        limit = ppo.max_learning_rate_at(share)
         learner.lr_scheduler.max_lr, learner.curr_lr = limit, min(learner.curr_lr, limit)
+        if ppo.end_std is not None:
+            learner.actor_critic.action_parameterization.learned_stddev.data.fill_(math.log(ppo.std_at(share)))
 
 
 def run(cfg: TrainingCfg, task: Task, folder: RunFolder, progress: Progress, *, checkpoint: Path | None) -> bool:
@@ -127,7 +137,9 @@ def run(cfg: TrainingCfg, task: Task, folder: RunFolder, progress: Progress, *, 
                 worker.learner.save()
         for writer in runner.writers.values():
             writer.close()
-        progress.env_steps = int(runner.env_steps.get(0, progress.env_steps))  # the last update came after the last report
+        progress.env_steps = int(
+            runner.env_steps.get(0, progress.env_steps)
+        )  # the last update came after the last report
     if status not in (ExperimentStatus.SUCCESS, ExperimentStatus.INTERRUPTED):
         raise AerialGymError(f"Sample Factory gave up; {folder.log_file} says why")
     return status == ExperimentStatus.INTERRUPTED
@@ -214,7 +226,7 @@ def _registered(name: str, cfg: TrainingCfg, task: Task) -> Iterator[None]:
     factory = global_model_factory()
     kept = factory.make_actor_critic_func
     factory.register_actor_critic_factory(make_network)
-    register_env(name, lambda *args: TaskBatchedEnv(task))
+    register_env(name, lambda *_: TaskBatchedEnv(task))
     try:
         yield
     finally:
@@ -239,7 +251,7 @@ def _env_info_known(cfg: Config) -> Iterator[None]:
 def _own_log() -> Iterator[None]:
     """Let the library's logger, which writes to the terminal, write to the log of the run (the root's handler)."""
     log = logging.getLogger("rl")
-    kept, log.handlers = log.handlers, [handler for handler in logging.getLogger().handlers]
+    kept, log.handlers = log.handlers, list(logging.getLogger().handlers)
     try:
         yield
     finally:

@@ -75,9 +75,12 @@ def train(cfg: TrainingCfg, out: str | Path, *, resume: bool = False, show_progr
     checkpoint = folder.last_checkpoint() if resume else None
     if not resume:
         folder.create(cfg)
-    with _restored_globals(cfg), Progress(cfg, folder.curve_file, started=started, show=show_progress) as progress:
-        with folder.captured_output():
-            interrupted = _run(cfg, folder, progress, checkpoint)
+    with (
+        _restored_globals(cfg),
+        Progress(cfg, folder.curve_file, started=started, show=show_progress) as progress,
+        folder.captured_output(),
+    ):
+        interrupted = _run(cfg, folder, progress, checkpoint)
     last = progress.last
     result = TrainingResult(
         trainer=cfg.trainer,
@@ -126,7 +129,11 @@ def _restored_globals(cfg: TrainingCfg) -> Iterator[None]:
     """Set torch's threads, and put back what the libraries change for the whole process."""
     threads, precision = torch.get_num_threads(), torch.get_float32_matmul_precision()
     cudnn = torch.backends.cudnn.benchmark, torch.backends.cudnn.allow_tf32, torch.backends.cuda.matmul.allow_tf32
-    sharing, numpy_state, python_state = torch.multiprocessing.get_sharing_strategy(), np.random.get_state(), random.getstate()
+    sharing, numpy_state, python_state = (
+        torch.multiprocessing.get_sharing_strategy(),
+        np.random.get_state(),
+        random.getstate(),
+    )
     devices = range(torch.cuda.device_count()) if torch.cuda.is_available() else ()
     if cfg.torch_threads is not None:
         torch.set_num_threads(cfg.torch_threads)

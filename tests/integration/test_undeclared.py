@@ -1,0 +1,42 @@
+"""The loop on flights of an independent plant that hides one effect (or nothing) from its robot file.
+
+Other seeds than those of any development; ``python -m benchmarks.score_undeclared`` scores longer flights.
+"""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from aerial_gym.sim2real import close_loop
+from benchmarks.undeclared import make_case
+
+SHORT = {"num_train": 4, "num_test": 2, "duration_s": 8.0, "rate_hz": 200}
+EFFECTS = ("rotor_drag", "quadratic_drag", "thrust_coefficient", "com_offset", "motor_time_constant", "constant_wind")
+
+
+def run_case(folder: Path, effects: dict[str, str], seed: int) -> tuple[dict, dict]:
+    files = make_case(folder / "case", effects=effects, seed=seed, **SHORT)
+    close_loop(files.robot, files.train, files.test, folder / "out")
+    return json.loads((folder / "out" / "verdict.json").read_text()), json.loads(Path(files.truth).read_text())
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_the_hidden_effect_is_named_and_measured(effect: str, tmp_path: Path) -> None:
+    """The right name, every parameter within three standard deviations, the residual down to the noise floor."""
+    verdict, truth = run_case(tmp_path, {effect: "moderate"}, 211)
+    assert [found["name"] for found in verdict["effects"]] == [effect]
+    assert verdict["verdict"] == "explained"
+    found = verdict["effects"][0]
+    for name, std in found["std"].items():
+        assert abs(found["params"][name] - truth["effects"][effect][name]) < 3.0 * std, name
+    for kind in ("specific_force", "angular_acceleration", "rotor_speed"):
+        for axis, entry in verdict["after"][kind].items():
+            if axis != "unit":
+                assert entry["rms"] < 1.4 * entry["noise_floor"], (kind, axis)
+
+
+def test_nothing_is_named_where_nothing_is_hidden(tmp_path: Path) -> None:
+    verdict, _ = run_case(tmp_path, {}, 212)
+    assert verdict["verdict"] == "none"
+    assert verdict["effects"] == []

@@ -1,0 +1,91 @@
+"""Exact flights for tests: the rotor speeds that a smooth path needs, from differential flatness.
+
+Independent of the simulator: no equation of motion is integrated. Letters: T rows, R rotors.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from aerial_gym.config.robot import BodyCfg, CollisionCfg, MountCfg, MountsCfg, RobotCfg, RotorCfg
+
+Array = NDArray[np.float64]
+
+GRAVITY = np.array([0.0, 0.0, 9.81])
+ROBOT = RobotCfg(
+    summary="a made-up quadrotor",
+    body=BodyCfg(mass=0.6, inertia=((2e-3, 0.0, 0.0), (0.0, 2.4e-3, 0.0), (0.0, 0.0, 4e-3)), source="invented"),
+    rotor=RotorCfg(
+        thrust_map=(0.0, 0.0, 1.2e-6),
+        torque_ratio=0.015,
+        time_constant_up=0.04,
+        time_constant_down=0.04,
+        thrust_range=(0.05, 5.0),
+        source="invented",
+    ),
+    mounts=MountsCfg(
+        layout=tuple(
+            MountCfg(position=(x, y, 0.01), spin=spin)
+            for x, y, spin in ((0.1, -0.1, 1), (-0.1, -0.1, -1), (-0.1, 0.1, 1), (0.1, 0.1, -1))
+        ),
+        source="invented",
+    ),
+    collision=CollisionCfg(source="none"),
+)
+COLUMNS = (
+    *("t", "p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w", "v_x", "v_y", "v_z", "omega_x", "omega_y", "omega_z"),
+    *("acc_x", "acc_y", "acc_z", "rotor_1", "rotor_2", "rotor_3", "rotor_4"),
+)
+
+
+def sines(time: Array, rng: np.random.Generator, sizes: tuple[float, ...], *, slow: float) -> tuple[Array, ...]:
+    """Return sums of sines (T, columns) with rms about ``sizes`` and their first two derivatives."""
+    frequency = 2.0 * np.pi * slow * rng.uniform(0.5, 2.5, (len(sizes), 5))
+    phase, size = rng.uniform(0.0, 2.0 * np.pi, frequency.shape), np.array(sizes)[:, None] / np.sqrt(2.5)
+    angle = frequency * time[:, None, None] + phase
+    waves = (np.sin(angle), frequency * np.cos(angle), -(frequency**2) * np.sin(angle))
+    return tuple((size * wave).sum(axis=2) for wave in waves)
+
+
+def flight(
+    seed: int, *, drag: float = 0.0, thrust_scale: float = 1.0, noise: float = 0.0, seconds: float = 12.0, rate: float = 200.0
+) -> pd.DataFrame:
+    """Return the log of a flight with linear drag [N s/m] along all axes, in the contract's columns without commands.
+
+    ``noise`` scales: accelerometer 0.05 m/s², gyro 0.003 rad/s, rotors 0.3 %.
+    """
+    rng, body = np.random.default_rng(seed), ROBOT.body
+    time = np.arange(round(seconds * rate)) / rate
+    place, velocity, acceleration = sines(time, rng, (1.2, 1.2, 0.5), slow=0.2)
+    heading = 1.5 * time * rng.choice((-0.3, 0.3)) + sines(time, rng, (0.5,), slow=0.1)[0][:, 0]
+    force = body.mass * (acceleration + GRAVITY) + drag * velocity  # what the rotors give, world: drag is isotropic
+    up = force / np.linalg.norm(force, axis=1, keepdims=True)
+    ahead = np.stack((np.cos(heading), np.sin(heading), np.zeros_like(heading)), axis=1)
+    left = np.cross(up, ahead)
+    left /= np.linalg.norm(left, axis=1, keepdims=True)
+    attitude = Rotation.from_matrix(np.stack((np.cross(left, up), left, up), axis=2))
+    curve = RotationSpline(time, attitude)
+    rate_body, turning = curve(time, 1), curve(time, 2)
+    inertia = np.array(body.inertia)
+    torque = turning @ inertia + np.cross(rate_body, rate_body @ inertia)
+    lift = np.linalg.norm(force, axis=1)
+    hubs = np.array([mount.position for mount in ROBOT.mounts.layout])
+    spin = np.array([mount.spin for mount in ROBOT.mounts.layout])
+    mix = np.stack((np.ones(4), hubs[:, 1], -hubs[:, 0], -spin * 0.015))
+    thrust = np.linalg.solve(mix, np.column_stack((lift, torque)).T).T / thrust_scale
+    speed = np.sqrt(thrust / 1.2e-6)
+    specific = attitude.apply(acceleration + GRAVITY, inverse=True)
+    specific += noise * 0.05 * rng.standard_normal(specific.shape)
+    rate_body = rate_body + noise * 0.003 * rng.standard_normal(rate_body.shape)
+    speed = speed * (1.0 + noise * 0.003 * rng.standard_normal(speed.shape))
+    table = np.column_stack((time, place + [0.0, 0.0, 5.0], attitude.as_quat(), velocity, rate_body, specific, speed))
+    return pd.DataFrame(table, columns=list(COLUMNS))
+
+
+def write(table: pd.DataFrame, path: Path) -> Path:
+    """Write a log and return its path."""
+    table.to_csv(path, index=False)
+    return path

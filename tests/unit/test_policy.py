@@ -1,0 +1,176 @@
+"""A loaded policy against the networks of the libraries, and the figures of an evaluation against a scripted flight."""
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from aerial_gym.errors import ConfigError, MissingDependencyError, UnknownNameError
+from aerial_gym.rl_training import evaluate, load_policy, load_settings, settings_for
+from aerial_gym.rl_training.policy import policy_from_state
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.training import require_trainer
+from aerial_gym.task import task_registry
+
+NETWORKS = [(separate, normalize) for separate in (False, True) for normalize in (False, True)]
+
+
+def settings(trainer: str, *, separate: bool, normalize: bool) -> TrainingCfg:
+    cfg = load_settings(settings_for(trainer, "position_setpoint_task"))
+    ppo = replace(
+        cfg.ppo,
+        hidden_layers=(16, 8),
+        separate_value_network=separate,
+        normalize_observation=normalize,
+        head_variance=9.0,
+    )
+    return replace(cfg, ppo=ppo, num_envs=8, device="cpu")
+
+
+def randomize_(state: dict[str, torch.Tensor]) -> None:
+    """Give the running statistics values that a training could have left."""
+    generator = torch.Generator().manual_seed(1)
+    for key, value in state.items():
+        if key.endswith(("running_mean", "running_var")):
+            value.copy_(0.5 + torch.rand(value.shape, generator=generator, dtype=value.dtype))
+
+
+@pytest.mark.parametrize(("separate", "normalize"), NETWORKS)
+def test_policy_is_the_mean_action_of_the_rl_games_network(separate: bool, normalize: bool, tmp_path: Path) -> None:
+    pytest.importorskip("rl_games", reason="rl-games is not installed")
+    from rl_games.algos_torch.model_builder import ModelBuilder
+
+    from aerial_gym.rl_training.rl_games import TaskVecEnv, library_params
+
+    cfg = settings("rl_games", separate=separate, normalize=normalize)
+    with task_registry.make_task(cfg.task, num_envs=8, device="cpu") as task:
+        params = library_params(cfg, TaskVecEnv(task), tmp_path, device="cpu")
+    model = (
+        ModelBuilder()
+        .load(params)
+        .build(
+            {
+                "actions_num": 4,
+                "input_shape": (13,),
+                "num_seqs": 8,
+                "normalize_value": True,
+                "normalize_input": normalize,
+            }
+        )
+    )
+    randomize_(model.state_dict())
+    model.eval()
+    observation = 3.0 * torch.randn(32, 13, generator=torch.Generator().manual_seed(0))
+    expected = model({"is_train": False, "obs": observation.clone()})["mus"].clamp(-1.0, 1.0)
+    policy = policy_from_state(model.state_dict(), cfg, where="test")
+    torch.testing.assert_close(policy(observation), expected.detach(), atol=1e-6, rtol=1e-6)
+    assert 0.01 < float((expected.abs() == 1.0).float().mean()) < 0.99  # some are clamped and some are not
+
+
+@pytest.mark.parametrize(("separate", "normalize"), NETWORKS)
+def test_policy_is_the_mean_action_of_the_sample_factory_network(
+    separate: bool, normalize: bool, tmp_path: Path
+) -> None:
+    pytest.importorskip("sample_factory", reason="Sample Factory is not installed")
+    from sample_factory.algo.utils.rl_utils import prepare_and_normalize_obs
+    from sample_factory.model.actor_critic import create_actor_critic
+
+    from aerial_gym.rl_training.sample_factory import TaskBatchedEnv, library_config
+
+    cfg = settings("sample_factory", separate=separate, normalize=normalize)
+    with task_registry.make_task(cfg.task, num_envs=8, device="cpu") as task:
+        env = TaskBatchedEnv(task)
+    library_cfg = library_config(cfg, tmp_path, env_name="test", device=torch.device("cpu"))
+    model = create_actor_critic(library_cfg, env.observation_space, env.action_space)
+    randomize_(model.state_dict())
+    torch.nn.init.normal_(model.action_parameterization.distribution_linear.weight, std=1.0)
+    model.eval()
+    observation = 3.0 * torch.randn(32, 13, generator=torch.Generator().manual_seed(0))
+    normalized = prepare_and_normalize_obs(model, {"obs": observation.clone()})
+    model(normalized, torch.zeros(32, 1 + separate))
+    expected = model.action_distribution().means.clamp(-1.0, 1.0)
+    policy = policy_from_state(model.state_dict(), cfg, where="test")
+    torch.testing.assert_close(policy(observation), expected.detach(), atol=1e-6, rtol=1e-6)
+
+
+class ScriptedTask:
+    """Four flights of 3 s at 2 steps a second, with distances that are known."""
+
+    cfg, env = SimpleNamespace(episode_len_steps=6), SimpleNamespace(dt=0.5)
+    num_envs, device = 4, torch.device("cpu")
+    distances = torch.tensor(
+        [
+            [0.9, 0.05, 0.9, 0.05, 0.04, 0.02],  # in, out again, and back after step 3: settles at 1.5 s, error 0.03
+            [0.9, 0.8, 0.7, 0.6, 0.3, 0.1],  # too slow: error 0.2
+            [0.9, 9.0, 0.0, 0.0, 0.0, 0.0],  # crashes in step 2; what follows is another episode
+            [0.01, 0.01, 0.01, 0.01, 0.01, 0.01],  # was there all the time: settles at 0 s, error 0.01
+        ]
+    )
+
+    def reset(self) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
+        self.step_count = 0
+        return {"observations": torch.zeros(4, 2)}, {}
+
+    def step(self, actions: torch.Tensor):
+        assert actions.shape == (4, 1)
+        distance = self.distances[:, self.step_count]
+        self.step_count += 1
+        crash = distance > 8.0
+        return (
+            {"observations": torch.zeros(4, 2)},
+            torch.ones(4),
+            crash,
+            torch.zeros_like(crash),
+            {"distance": distance},
+        )
+
+
+def test_evaluation_of_known_flights() -> None:
+    seen = []
+    found = evaluate(lambda obs: obs[:, :1], ScriptedTask(), on_step=lambda step, steps: seen.append((step, steps)))  # type: ignore[arg-type]
+    assert seen == [(i, 6) for i in range(1, 7)]
+    assert (found.num_starts, found.episode_s) == (4, 3.0)
+    assert found.crash_rate == pytest.approx(1 / 4)
+    assert found.success_rate == pytest.approx(2 / 4)
+    assert found.final_error_mean_m == pytest.approx((0.03 + 0.2 + 0.01) / 3)
+    assert found.final_error_max_m == pytest.approx(0.2)
+    assert found.settled_rate == pytest.approx(2 / 4)
+    assert found.settling_time_mean_s == pytest.approx((1.5 + 0.0) / 2)
+    assert found.return_mean == pytest.approx((6 + 6 + 2 + 6) / 4)
+
+
+def test_a_policy_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="holds no checkpoint"):
+        load_policy(tmp_path)
+    with pytest.raises(ConfigError, match="no such file"):
+        load_policy(tmp_path / "policy.pth")
+    (tmp_path / "policy.pth").write_bytes(b"no checkpoint")
+    with pytest.raises(ConfigError, match="no config.yaml in the folders above it"):
+        load_policy(tmp_path / "policy.pth")
+    cfg = settings("rl_games", separate=True, normalize=False)
+    with pytest.raises(ConfigError, match="is no rl_games checkpoint"):
+        policy_from_state({}, cfg, where="test")
+
+
+def test_settings_refuse_impossible_numbers_and_names() -> None:
+    cfg = settings("rl_games", separate=True, normalize=False)
+    with pytest.raises(UnknownNameError, match="no trainer 'cleanrl'. Known: rl_games, sample_factory"):
+        settings_for("cleanrl", "position_setpoint_task")
+    with pytest.raises(ConfigError, match="or the training never ends"):
+        replace(cfg, max_time_s=None, max_env_steps=None)
+    with pytest.raises(ConfigError, match="cannot be split into num_minibatches = 7"):
+        replace(cfg, ppo=replace(cfg.ppo, num_minibatches=7))
+    with pytest.raises(ConfigError, match=r"PpoCfg.discount = 1.0: must be between 0 and 1"):
+        replace(cfg.ppo, discount=1.0)
+    with pytest.raises(ConfigError, match=r"PpoCfg.learning_rate = nan: must be > 0"):
+        replace(cfg.ppo, learning_rate=float("nan"))
+
+
+def test_a_missing_trainer_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(
+        MissingDependencyError, match=r"trainer 'sample_factory' needs .* pip install 'aerial-gym\[rl\]'"
+    ):
+        require_trainer("sample_factory")
