@@ -40,7 +40,6 @@ LONGEST_FROZEN_S = 0.25
 def check_log(log: FlightLog, robot: RobotCfg) -> list[str]:
     """Raise ``DataError`` for a log that is not what it claims to be; return notes about lesser defects."""
     _check_size(log, robot)
-    _check_quaternion_norm(log)
     _check_constant_columns(log)
     notes = _check_frozen_rows(log)
     attitude = Rotation.from_quat(log.attitude)
@@ -73,7 +72,8 @@ def _check_size(log: FlightLog, robot: RobotCfg) -> None:
         )
 
 
-def _check_quaternion_norm(log: FlightLog) -> None:
+def check_quaternion_norm(log: FlightLog) -> None:
+    """Raise ``DataError`` for quaternions that are none; before anything makes them unit."""
     norm = np.linalg.norm(log.attitude, axis=1)
     off = np.flatnonzero(np.abs(norm - 1.0) > 0.05)
     if off.size:
@@ -213,7 +213,7 @@ def _check_gravity(log: FlightLog, attitude: Rotation) -> None:
             raise DataError(f"{start}, {rule}; it looks as if {text}; reorder the columns q_x, q_y, q_z, q_w")
     if 0.8 < norm < 1.5:
         guess = "it looks like multiples of g: multiply by 9.81, or give unit: g in a mapping file"
-    elif norm < 0.5 * STANDARD_GRAVITY:
+    elif np.linalg.norm(mean) < 0.25 * STANDARD_GRAVITY:
         guess = "gravity was taken out: log the accelerometer itself, which reads +9.81 on z at hover"
     elif mean[2] < 0.0:
         guess = (

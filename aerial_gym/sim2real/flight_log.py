@@ -122,7 +122,14 @@ def _read_table(path: Path, layout: LogMapping) -> pd.DataFrame:
     twice = sorted(name for name in wanted if names.count(name) > 1)
     if twice:
         raise DataError(f"{path}: column {twice[0]!r} appears twice in the header; rename or remove one of them")
-    table = pd.read_csv(path, encoding="utf-8-sig", keep_default_na=False, na_values=[""], skipinitialspace=True)
+    table = pd.read_csv(
+        path,
+        encoding="utf-8-sig",
+        keep_default_na=False,
+        na_values=[""],
+        skipinitialspace=True,
+        float_precision="round_trip",
+    )
     table.columns = names
     return table
 

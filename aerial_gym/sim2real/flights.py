@@ -17,7 +17,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.model import STANDARD_GRAVITY
 from aerial_gym.physics.rotors import evaluate_map, rotor_wrench
-from aerial_gym.sim2real.checks import body_rate_of, check_log, rate_of
+from aerial_gym.sim2real.checks import body_rate_of, check_log, check_quaternion_norm, rate_of
 from aerial_gym.sim2real.flight_log import FlightLog, read_flight_log
 from aerial_gym.sim2real.mapping import LogMapping
 from aerial_gym.sim2real.signals import lowpass, rotor_log_lead, shift_rotor_log, uniform_log
@@ -108,7 +108,9 @@ def load_flights(
 
 def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None, bandwidth: float) -> Flight:
     """Return one flight: read, made uniform, checked, rotor log aligned, missing states derived."""
-    log = uniform_log(read_flight_log(path, mapping=mapping))
+    log = read_flight_log(path, mapping=mapping)
+    check_quaternion_norm(log)
+    log = uniform_log(log)
     notes = check_log(log, robot)
     return complete_flight(align_rotor_log(with_velocity(log), robot, bandwidth), notes)
 

@@ -42,8 +42,8 @@ def lowpass_gain(frequency: Array, bandwidth: float) -> Array:
 def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = False) -> Array:
     """Return ``values`` low-passed without phase, or their time derivative in the same band.
 
-    The ends are continued by point reflection over three filter lengths, as in Gustafsson (1996), so that a level or a
-    slope does not ring; rows within ``edge_rows`` of an end should not be used all the same.
+    The ends are continued by point reflection about the line through the last half period, so that a level or a slope does
+    not ring and noise in the last row does not bend the end; rows within ``edge_rows`` should not be used all the same.
 
     Args:
         values: Samples at equal steps, (T, ...).
@@ -53,8 +53,9 @@ def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = 
     """
     rows = values.shape[0]
     pad = min(rows - 1, 3 * edge_rows(rate, bandwidth))
-    head = 2.0 * values[:1] - values[pad:0:-1]
-    tail = 2.0 * values[-1:] - values[-2 : -pad - 2 : -1]
+    span = min(rows, max(2, round(0.5 * rate / bandwidth)))
+    head = 2.0 * _end_value(values[:span]) - values[pad:0:-1]
+    tail = 2.0 * _end_value(values[: -span - 1 : -1]) - values[-2 : -pad - 2 : -1]
     longer = np.concatenate((head, values, tail))
     size = int(fft.next_fast_len(longer.shape[0] + pad, real=True) or 0)
     # The remaining gap of the circle is closed by a straight line, so that it adds no jump.
@@ -66,6 +67,13 @@ def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = 
         gain *= 2j * np.pi * frequency
     spectrum = np.asarray(fft.rfft(circle, axis=0)) * gain.reshape(-1, *(1,) * (values.ndim - 1))
     return np.asarray(fft.irfft(spectrum, n=size, axis=0))[pad : pad + rows]
+
+
+def _end_value(values: Array) -> Array:
+    """Return the value at the first row of the line fitted through some rows, (1, ...)."""
+    place = np.arange(values.shape[0]) - 0.5 * (values.shape[0] - 1)
+    slope = np.tensordot(place, values, axes=(0, 0)) / (place @ place)
+    return (values.mean(axis=0) + place[0] * slope)[None]
 
 
 def edge_rows(rate: float, bandwidth: float) -> int:

@@ -51,7 +51,13 @@ def sines(time: Array, rng: np.random.Generator, sizes: tuple[float, ...], *, sl
 
 
 def flight(
-    seed: int, *, drag: float = 0.0, thrust_scale: float = 1.0, noise: float = 0.0, seconds: float = 12.0, rate: float = 200.0
+    seed: int,
+    *,
+    drag: float = 0.0,
+    thrust_scale: float = 1.0,
+    noise: float = 0.0,
+    seconds: float = 12.0,
+    rate: float = 200.0,
 ) -> pd.DataFrame:
     """Return the log of a flight with linear drag [N s/m] along all axes, in the contract's columns without commands.
 
@@ -59,7 +65,7 @@ def flight(
     """
     rng, body = np.random.default_rng(seed), ROBOT.body
     time = np.arange(round(seconds * rate)) / rate
-    place, velocity, acceleration = sines(time, rng, (1.2, 1.2, 0.5), slow=0.2)
+    place, velocity, acceleration = sines(time, rng, (0.7, 0.7, 0.4), slow=0.2)
     heading = 1.5 * time * rng.choice((-0.3, 0.3)) + sines(time, rng, (0.5,), slow=0.1)[0][:, 0]
     force = body.mass * (acceleration + GRAVITY) + drag * velocity  # what the rotors give, world: drag is isotropic
     up = force / np.linalg.norm(force, axis=1, keepdims=True)
@@ -81,7 +87,7 @@ def flight(
     specific += noise * 0.05 * rng.standard_normal(specific.shape)
     rate_body = rate_body + noise * 0.003 * rng.standard_normal(rate_body.shape)
     speed = speed * (1.0 + noise * 0.003 * rng.standard_normal(speed.shape))
-    table = np.column_stack((time, place + [0.0, 0.0, 5.0], attitude.as_quat(), velocity, rate_body, specific, speed))
+    table = np.column_stack((time, [*place, 0.0, 0.0, 5.0], attitude.as_quat(), velocity, rate_body, specific, speed))
     return pd.DataFrame(table, columns=list(COLUMNS))
 
 

@@ -50,7 +50,10 @@ def test_empty_columns_are_a_sensor_that_was_not_there(table: pd.DataFrame, tmp_
     ("change", "message"),
     [
         (lambda t: t.drop(columns="t"), r"a\.csv: column 't' is missing or empty"),
-        (lambda t: t.drop(columns="acc_y"), r"column 'acc_y' is missing or empty while 'acc_x' is there; add it, or remove"),
+        (
+            lambda t: t.drop(columns="acc_y"),
+            r"column 'acc_y' is missing or empty while 'acc_x' is there; add it, or remove",
+        ),
         (lambda t: t.drop(columns=["q_x", "q_y", "q_z", "q_w"]), r"column 'q_x' is missing or empty.*mapping"),
         (lambda t: t.rename(columns={"q_w": "qw"}), r"column 'q_w' is missing or empty while 'q_x' is there"),
         (lambda t: t.drop(columns=[f"rotor_{n}" for n in range(1, 5)]), r"needs the columns rotor_\{n\} or cmd_\{n\}"),
@@ -144,7 +147,12 @@ def test_north_east_down_and_forward_right_down_become_ours(table: pd.DataFrame,
     log = read_flight_log(write(other, tmp_path / "a.csv"), mapping=layout)
     ours = Rotation.from_quat(table[["q_x", "q_y", "q_z", "q_w"]])
     assert (Rotation.from_quat(log.attitude).inv() * ours).magnitude().max() < 1e-9
-    for values, prefix in ((log.position, "p"), (log.lin_vel, "v"), (log.ang_vel, "omega"), (log.specific_force, "acc")):
+    for values, prefix in (
+        (log.position, "p"),
+        (log.lin_vel, "v"),
+        (log.ang_vel, "omega"),
+        (log.specific_force, "acc"),
+    ):
         assert values is not None
         np.testing.assert_allclose(values, table[[f"{prefix}_{axis}" for axis in "xyz"]], rtol=1e-12, atol=1e-12)
 

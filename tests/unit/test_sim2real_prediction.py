@@ -1,0 +1,209 @@
+"""Predictions, rollouts and noise floors on exact flights from differential flatness."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.fit import effect_jacobian
+from aerial_gym.sim2real.flight_log import read_flight_log
+from aerial_gym.sim2real.flights import Flight, complete_flight, load_flights
+from aerial_gym.sim2real.noise import noise_floor
+from aerial_gym.sim2real.prediction import Channel, Point, Predictor, declared_point, find_channels
+from aerial_gym.sim2real.rollout import find_windows, roll_out
+from aerial_gym.sim2real.rotor_replay import RotorReplay
+from aerial_gym.sim2real.signals import uniform_log
+from aerial_gym.sim2real.tolerances import Tolerances, deviate
+from tests.unit.flat_flights import ROBOT, flight, write
+
+BAND = 10.0
+
+
+def load(folder: Path, **options: float) -> Flight:
+    path = write(flight(3, **options), folder / "a.csv")  # type: ignore[arg-type]
+    return complete_flight(uniform_log(read_flight_log(path)))
+
+
+def residual(found: Flight, point: Point, **options: bool) -> np.ndarray:
+    channels = find_channels([found])
+    predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances(), **options)
+    return predictor.residuals(point)[0]
+
+
+def test_an_exact_flight_is_predicted_exactly(tmp_path: Path) -> None:
+    """Forces to 2e-3 of g, angular acceleration to 0.5 % of its size: what the filters leave at the ends."""
+    found = load(tmp_path)
+    left = residual(found, declared_point(ROBOT))
+    assert np.abs(left[:, :3]).max() < 0.02
+    assert np.abs(left[:, 3:]).max() < 0.05
+
+
+def test_drag_that_was_flown_is_predicted_by_the_effect_and_by_nothing_else(tmp_path: Path) -> None:
+    found = load(tmp_path, drag=0.25)
+    point = declared_point(ROBOT)
+    without, withdrag = residual(found, point), residual(found, point.with_effect("rotor_drag", np.full(3, 0.25)))
+    assert np.sqrt((without[:, :2] ** 2).mean()) > 0.2
+    assert np.abs(withdrag[:, :3]).max() < 0.02
+
+
+def test_the_thrust_that_was_flown_scales(tmp_path: Path) -> None:
+    found = load(tmp_path, thrust_scale=1.07)
+    left = residual(found, declared_point(ROBOT).with_effect("thrust_coefficient", np.array([1.07])))
+    assert np.abs(left[:, 2]).max() < 0.02
+
+
+def test_a_shifted_centre_of_mass_feels_the_measured_turning(tmp_path: Path) -> None:
+    """Against ``f - alpha x c - w x (w x c)`` and ``J^-1 (r - c) x f`` with numbers of the log, c small."""
+    found = load(tmp_path)
+    shift = np.array([0.004, -0.003, 0.002])
+    predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
+    change = predictor.predict(Point(effects={"com_offset": shift}))[0] - predictor.predict(Point())[0]
+    rows = np.round(predictor.times[0] * found.rate).astype(int)
+    omega = found.ang_vel
+    alpha = np.gradient(omega, 1.0 / found.rate, axis=0)
+    lever = -np.cross(alpha, shift) - np.cross(omega, np.cross(omega, shift))
+    assert np.abs(change[:, :3] - lever[rows]).max() < 0.1 * np.abs(lever[rows]).max()
+    assert found.rotor_speed is not None
+    lift = (1.2e-6 * found.rotor_speed**2).sum(axis=1)[rows]
+    torque = np.cross(-shift, np.stack((0 * lift, 0 * lift, lift), axis=1))
+    expected = torque / np.diag(ROBOT.body.inertia)
+    np.testing.assert_allclose(change[:, 3:], expected, atol=0.02 * np.abs(expected).max())
+
+
+def test_thinned_rows_predict_what_all_rows_do(tmp_path: Path) -> None:
+    found = load(tmp_path, rate=500.0, noise=1.0)
+    channels = find_channels([found])
+    thin = Predictor(ROBOT, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances())
+    full = Predictor(ROBOT, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances(), every_row=True)
+    place = np.round((thin.times[0] - full.times[0][0]) * found.rate).astype(int)
+    for some, every in ((thin.predict(Point())[0], full.predict(Point())[0]), (thin.measured[0], full.measured[0])):
+        np.testing.assert_allclose(some, every[place], atol=2e-3 * np.abs(every).max())
+
+
+def test_the_jacobian_of_a_wrench_effect_is_its_regressor(tmp_path: Path) -> None:
+    """d f / d (drag) = -v_body / m per unit, at any drag; scale 0.1 N s/m."""
+    found = load(tmp_path)
+    predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
+    point = Point(effects={"rotor_drag": np.full(3, 0.2)})
+    jacobian = effect_jacobian(predictor, point, ("rotor_drag",), predictor.predict(point))[0]
+    zero = predictor.predict(Point())[0]
+    one = predictor.predict(Point(effects={"rotor_drag": np.array([0.1, 0.0, 0.0])}))[0]
+    np.testing.assert_allclose(jacobian[:, :, 0], one - zero, atol=1e-8)
+
+
+def test_rollouts_of_an_exact_flight_stay_on_it_and_find_the_error_of_a_wrong_mass(tmp_path: Path) -> None:
+    """Open loop for 1 s: millimetres and milliradians. A vehicle that is 5 % heavier falls behind by g 5 % t² / 2."""
+    found = load(tmp_path, rate=400.0)
+    errors = roll_out(ROBOT, [found], Point(), horizons=(0.1, 0.5, 1.0))
+    assert errors.driven_by == "measured rotor speeds"
+    assert errors.position is not None
+    assert errors.attitude is not None
+    assert errors.position[:, 2].max() < 0.01
+    assert errors.attitude[:, 2].max() < 0.01
+    heavy = replace(ROBOT, body=replace(ROBOT.body, mass=1.05 * ROBOT.body.mass))
+    given = roll_out(heavy, [found], Point(), horizons=(0.1, 0.5, 1.0), given_attitude=True)
+    assert given.attitude is None
+    assert given.position is not None
+    assert np.median(given.position[:, 2]) == pytest.approx(0.5 * 9.81 * (1.0 - 1.0 / 1.05), rel=0.15)
+
+
+def test_windows_cover_every_flight_and_fit_the_longest_horizon(tmp_path: Path) -> None:
+    found = load(tmp_path)
+    windows = find_windows([found, found], (0.1, 2.0))
+    assert set(windows.flight) == {0, 1}
+    assert (windows.row.max() / found.rate) + 2.0 < found.time[-1]
+    assert len(set(windows.cluster)) >= 4
+    assert not set(windows.cluster[windows.flight == 0]) & set(windows.cluster[windows.flight == 1])
+
+
+def test_commands_drive_the_rotors_through_the_lag(tmp_path: Path) -> None:
+    """A step of the command: ``w = w_c + (w_0 - w_c) exp(-t / tau)`` on rows, with the command held from its row on."""
+    found = load(tmp_path, seconds=4.0)
+    rows = found.num_rows
+    step = np.where(np.arange(rows)[:, None] < 100, 900.0, 1100.0).repeat(4, axis=1)
+    driven = replace(found, rotor_command=step, rotor_speed=np.full((rows, 4), 900.0))
+    tau = torch.full((4,), 0.05, dtype=torch.float64)
+    speeds = RotorReplay([driven]).speeds(tau, tau, 0.0)[0]
+    assert speeds is not None
+    time = np.maximum(np.arange(rows) - 100, 0) / found.rate
+    np.testing.assert_allclose(speeds[:, 0], 1100.0 - 200.0 * np.exp(-time / 0.05), rtol=1e-9)
+
+
+def test_flights_with_and_without_measured_rotors_do_not_mix(tmp_path: Path) -> None:
+    found = load(tmp_path)
+    commanded = replace(found, rotor_command=found.rotor_speed, rotor_speed=None)
+    with pytest.raises(DataError, match="some flights have measured rotor speeds and some have not"):
+        Predictor(
+            ROBOT,
+            [found, commanded],
+            bandwidth=BAND,
+            channels=find_channels([found, commanded]),
+            tolerances=Tolerances(),
+        )
+
+
+def test_channels_are_what_every_flight_has(tmp_path: Path) -> None:
+    found = load(tmp_path)
+    assert [channel.kind for channel in find_channels([found])] == ["specific_force"] * 3 + ["angular_acceleration"] * 3
+    blind = replace(found, specific_force=None)
+    assert {channel.kind for channel in find_channels([found, blind])} == {"angular_acceleration"}
+    with pytest.raises(DataError, match="no quantity in common"):
+        find_channels([replace(blind, gyro=False)])
+
+
+def test_missing_sensors_are_derived_or_left_out(tmp_path: Path) -> None:
+    table = flight(4)
+    full = load_flights([write(table, tmp_path / "a.csv")], ROBOT, mapping=None, bandwidth=BAND)[0]
+    rest = [column for column in table if not column.startswith(("v_", "acc_", "omega_"))]
+    bare = complete_flight(
+        uniform_log(read_flight_log(write(table[[*rest, "omega_x", "omega_y", "omega_z"]], tmp_path / "b.csv")))
+    )
+    assert bare.lin_vel is None  # derived only by load_flights
+    poor = table[[*rest, "acc_x", "acc_y", "acc_z"]]
+    found = load_flights([write(poor, tmp_path / "c.csv")], ROBOT, mapping=None, bandwidth=BAND)[0]
+    assert not found.gyro
+    assert found.lin_vel is not None
+    assert full.lin_vel is not None
+    inner = slice(100, -100)
+    np.testing.assert_allclose(found.lin_vel[inner], full.lin_vel[inner], atol=0.01)
+    np.testing.assert_allclose(found.ang_vel[inner], full.ang_vel[inner], atol=0.02)
+    assert any("velocity derived from position" in note for note in found.notes)
+
+
+def test_tolerances_change_what_they_say() -> None:
+    from aerial_gym.physics import vehicle_from_config
+
+    vehicle, tolerances = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64), Tolerances()
+    names = tolerances.names(4)
+    deviation = torch.zeros(len(names), dtype=torch.float64)
+    for name, size in (("mass", 2.0), ("thrust_3", -1.0), ("inertia_y", 1.0), ("com_z", 1.0), ("time_constant", 1.0)):
+        deviation[names.index(name)] = size
+    off = deviate(vehicle, tolerances, deviation)
+    assert float(off.mass[0]) == pytest.approx(0.6 * 1.006)
+    assert float(off.thrust_map[0, 2, 2]) == pytest.approx(1.2e-6 * 0.996)
+    assert float(off.torque_map[0, 2, 2]) == pytest.approx(1.2e-6 * 0.015 * 0.996)
+    assert float(off.thrust_map[0, 0, 2]) == pytest.approx(1.2e-6)
+    assert torch.diagonal(off.inertia[0]).tolist() == pytest.approx([2e-3, 2.4e-3 * 1.02, 4e-3])
+    assert off.com[0].tolist() == pytest.approx([0.0, 0.0, 0.0003])
+    assert off.time_constant_up[0].tolist() == pytest.approx([0.04 * 1.03] * 4)
+
+
+def test_the_noise_floor_is_the_residual_of_a_perfect_model(tmp_path: Path) -> None:
+    """White noise of sensors and rotors through filter and derivative; the exact flight leaves nothing else."""
+    found = load(tmp_path, rate=400.0, noise=1.0, seconds=20.0)
+    channels = find_channels([found])
+    left = residual(found, Point())
+    floor = noise_floor(ROBOT, [found], Point(), channels, bandwidth=BAND)
+    assert floor is not None
+    ratio = np.sqrt((left**2).mean(axis=0)) / floor
+    assert np.all((ratio > 0.7) & (ratio < 1.2)), ratio
+    # Below 10 Hz, white noise of 0.05 m/s² at 400 Hz keeps sqrt(sum H²) of its power: 0.05 sqrt(2 * 0.92 * 10 / 400) = 0.011.
+    assert floor[0] == pytest.approx(0.05 * np.sqrt(2.0 * 0.92 * 10.0 / 400.0), rel=0.1)
+
+
+def test_no_floor_where_the_log_is_too_slow(tmp_path: Path) -> None:
+    found = load(tmp_path, rate=25.0)
+    assert noise_floor(ROBOT, [found], Point(), [Channel(kind="specific_force", axis="x")], bandwidth=8.0) is None
