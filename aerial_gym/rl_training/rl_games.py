@@ -97,8 +97,7 @@ class _Observer(AlgoObserver):
         ppo, share = self._cfg.ppo, self._progress.share
         limit = ppo.max_learning_rate_at(share)
         algo.scheduler.max_lr, algo.last_lr = limit, min(algo.last_lr, limit)
-        if ppo.end_std is not None:
-            algo.model.a2c_network.sigma.data.fill_(math.log(ppo.std_at(share)))
+        algo.model.a2c_network.sigma.data.clamp_(min=math.log(ppo.min_std))
 
     def save(self) -> None:
         if self.algo is not None:

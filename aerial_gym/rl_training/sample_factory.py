@@ -101,8 +101,7 @@ class _Observer(AlgoObserver):
         ppo, share = self._cfg.ppo, self._progress.share
         limit = ppo.max_learning_rate_at(share)
         learner.lr_scheduler.max_lr, learner.curr_lr = limit, min(learner.curr_lr, limit)
-        if ppo.end_std is not None:
-            learner.actor_critic.action_parameterization.learned_stddev.data.fill_(math.log(ppo.std_at(share)))
+        learner.actor_critic.action_parameterization.learned_stddev.data.clamp_(min=math.log(ppo.min_std))
 
 
 def run(cfg: TrainingCfg, task: Task, folder: RunFolder, progress: Progress, *, checkpoint: Path | None) -> bool:

@@ -32,11 +32,11 @@ class PpoCfg:
     """``elu``, ``relu`` or ``tanh``."""
 
     initial_std: float = 1.0
-    """Standard deviation of the actions at first, in units of the action, > 0."""
+    """Standard deviation of the actions before learning, in units of the action, > 0."""
 
-    end_std: float | None = None
-    """The same at the end of the training, > 0: it then falls geometrically with the share of the time or steps that is
-    used. None lets it be learned."""
+    min_std: float = 0.05
+    """Smallest standard deviation to which they may be learned, > 0. Far below 0.05, rl-games measures the divergence of
+    its policies wrongly (it adds 1e-5 to variances), and the learning rate with it."""
 
     head_variance: float = 1.0
     """Variance of the first weights of the layer that gives the actions, times its width, > 0; small: learning starts with
@@ -110,8 +110,6 @@ class PpoCfg:
             "max_grad_norm",
             "reward_scale",
         )
-        if self.end_std is not None:
-            require_positive(self, "end_std")
         for name in ("horizon", "num_minibatches", "num_epochs"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"PpoCfg.{name} = {getattr(self, name)!r}: must be >= 1")
@@ -126,11 +124,6 @@ class PpoCfg:
             raise ConfigError(f"PpoCfg.activation = {self.activation!r}: must be elu, relu or tanh")
         if not self.hidden_layers or min(self.hidden_layers) < 1:
             raise ConfigError(f"PpoCfg.hidden_layers = {self.hidden_layers!r}: needs widths >= 1")
-
-    def std_at(self, share: float) -> float:
-        """Return the scheduled standard deviation of the actions after a share, 0 to 1, of the training."""
-        end = self.initial_std if self.end_std is None else self.end_std
-        return self.initial_std * (end / self.initial_std) ** min(max(share, 0.0), 1.0)
 
     def max_learning_rate_at(self, share: float) -> float:
         """Return the largest learning rate after a share, 0 to 1, of the training."""

@@ -87,7 +87,9 @@ def flight(
     specific += noise * 0.05 * rng.standard_normal(specific.shape)
     rate_body = rate_body + noise * 0.003 * rng.standard_normal(rate_body.shape)
     speed = speed * (1.0 + noise * 0.003 * rng.standard_normal(speed.shape))
-    table = np.column_stack((time, [*place, 0.0, 0.0, 5.0], attitude.as_quat(), velocity, rate_body, specific, speed))
+    table = np.column_stack(
+        (time, place + np.array([0.0, 0.0, 5.0]), attitude.as_quat(), velocity, rate_body, specific, speed)
+    )
     return pd.DataFrame(table, columns=list(COLUMNS))
 
 

@@ -15,6 +15,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real import close_loop, replay
 from aerial_gym.sim2real.prediction import Channel
+from aerial_gym.sim2real.runtime import whole_folder
 from aerial_gym.sim2real.structure import find_structure
 from aerial_gym.sim2real.verdict import material_remains
 from tests.unit.flat_flights import ROBOT, flight, write
@@ -99,8 +100,6 @@ def test_the_command_prints_and_refuses(folder: Path, capsys: pytest.CaptureFixt
     printed = capsys.readouterr().out
     assert "rotor_drag: dx = 0.2" in printed
     assert "specific force x" in printed
-    assert main([*call, "--out", str(out), "--json"]) == 0  # our own folder may be replaced
-    assert json.loads(capsys.readouterr().out)["effects"][0]["name"] == "rotor_drag"
     before = sorted(path.name for path in folder.iterdir())
     bad = pd.read_csv(test)
     bad.loc[100, "omega_y"] = np.nan
@@ -133,18 +132,25 @@ def test_replay_fits_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -
     assert printed["replay"]["specific_force"]["x"]["rms"] == pytest.approx(found.evaluation.residual[0].value)
 
 
-def test_a_failure_while_writing_leaves_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    import aerial_gym.sim2real.report as report
+def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    out = tmp_path / "out"
 
-    def fail(*_: object) -> None:
-        raise OSError("disk full")
+    def run(text: str, *, fail: bool) -> None:
+        with whole_folder(out) as partial:
+            (partial / "run.json").write_text(text)
+            if fail:
+                raise OSError("disk full")
 
-    monkeypatch.setattr(report, "write_residuals", fail)
     with pytest.raises(OSError, match="disk full"):
-        close_loop(
-            folder / "robot.yaml", [folder / f"f{n}.csv" for n in range(3)], [folder / "f3.csv"], tmp_path / "out"
-        )
+        run("first", fail=True)
     assert list(tmp_path.iterdir()) == []
+    run("second", fail=False)
+    with pytest.raises(OSError, match="disk full"):
+        run("third", fail=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert (out / "run.json").read_text() == "second"
+    run("fourth", fail=False)  # our own folder may be replaced
+    assert (out / "run.json").read_text() == "fourth"
 
 
 def test_training_and_testing_need_a_flight_each(folder: Path, tmp_path: Path) -> None:
