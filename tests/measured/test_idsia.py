@@ -47,4 +47,4 @@ def test_the_loop_names_rotor_drag_first_and_takes_three_quarters_off_the_latera
         device="cpu",
     )
     env.reset()
-    assert env.gtd["effect_rotor_drag"][0, 0] == pytest.approx(verdict["effects"][0]["params"]["dx"])
+    assert env.gtd["effect_rotor_drag"][0, 0] == pytest.approx(verdict["effects"][0]["params"]["dx"], rel=1e-5)
