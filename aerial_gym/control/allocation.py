@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.physics.rotors import evaluate_map, speed_for_thrust
-from aerial_gym.physics.vehicle import Vehicle
+from aerial_gym.physics.vehicle import Vehicle, is_shared, share_row
 
 
 def allocation_matrix(vehicle: Vehicle, gravity: float) -> Tensor:
@@ -34,15 +34,19 @@ class Allocation:
 
     def __init__(self, vehicle: Vehicle, gravity: float) -> None:
         """Take the declared vehicle and gravity [m/s²]."""
-        self._inverse = torch.linalg.pinv(allocation_matrix(vehicle, gravity))  # (E, R, 6)
-        self._thrust_map = vehicle.thrust_map
-        self._low = evaluate_map(vehicle.thrust_map, vehicle.speed_low)
-        self._high = evaluate_map(vehicle.thrust_map, vehicle.speed_high)
+        matrix = allocation_matrix(vehicle, gravity)
+        limits = (evaluate_map(vehicle.thrust_map, speed) for speed in (vehicle.speed_low, vehicle.speed_high))
+        self.thrust_map = vehicle.thrust_map
+        if is_shared(vehicle.mass):  # a declared vehicle is the same everywhere
+            self.inverse = share_row(torch.linalg.pinv(matrix[0]), vehicle.num_envs)  # (E, R, 6)
+            self.low, self.high = (share_row(limit[0], vehicle.num_envs) for limit in limits)
+        else:
+            self.inverse, (self.low, self.high) = torch.linalg.pinv(matrix), limits
 
     def thrust(self, wrench: Tensor) -> Tensor:
         """Return unclamped rotor thrusts [N], (E, R), of least norm for a wrench [N, N m], body, (E, 6)."""
-        return (self._inverse * wrench.unsqueeze(1)).sum(-1)
+        return (self.inverse * wrench.unsqueeze(1)).sum(-1)
 
     def speed(self, thrust: Tensor) -> Tensor:
         """Return rotor speeds [rad/s], (E, R), that give the thrusts [N] after clamping to the limits."""
-        return speed_for_thrust(self._thrust_map, torch.clamp(thrust, self._low, self._high))
+        return speed_for_thrust(self.thrust_map, torch.clamp(thrust, self.low, self.high))

@@ -4,19 +4,21 @@ Letters: E environments, R rotors.
 """
 
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Literal, Protocol
 
 import torch
 from torch import Tensor
 
 from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg
+from aerial_gym.control import lee_fused
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.lee import LeeGains
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.random import uniform
+from aerial_gym.physics.fused import FusedLaw
 from aerial_gym.physics.state import BodyState
-from aerial_gym.physics.vehicle import Vehicle
+from aerial_gym.physics.vehicle import Vehicle, share_row
 
 _GAINS = ("position", "velocity", "attitude", "rate")
 
@@ -35,6 +37,10 @@ class Controller(Protocol):
         """Draw new gains for the environments in ``mask``, bool (E,), if they are randomised."""
         ...
 
+    def fused(self) -> FusedLaw | None:
+        """Return the law as Warp code for the fused backend, or None if there is none."""
+        ...
+
 
 class ThrustController:
     """``no_control``: the action is the thrust of each rotor [N], clamped to its limits."""
@@ -49,6 +55,10 @@ class ThrustController:
         del state
         return self._allocation.speed(action)
 
+    def fused(self) -> FusedLaw:
+        """Return the clamp and the thrust map."""
+        return _fused("thrust", self._allocation, len(self.action_names))
+
     def reset(self, mask: Tensor, generator: torch.Generator) -> None:
         """Nothing is random."""
         del mask, generator
@@ -60,12 +70,21 @@ class RotorSpeedController:
     def __init__(self, vehicle: Vehicle) -> None:
         """Take the declared vehicle."""
         self.action_names = tuple(f"speed {i + 1} [rad/s]" for i in range(vehicle.num_rotors))
-        self._low, self._high = vehicle.speed_low, vehicle.speed_high
+        self._vehicle = vehicle
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
         """Return the clamped action."""
         del state
-        return torch.clamp(action, self._low, self._high)
+        return torch.clamp(action, self._vehicle.speed_low, self._vehicle.speed_high)
+
+    def fused(self) -> FusedLaw:
+        """Return the clamp."""
+        return FusedLaw(
+            output="speed",
+            num_actions=self._vehicle.num_rotors,
+            low=self._vehicle.speed_low,
+            high=self._vehicle.speed_high,
+        )
 
     def reset(self, mask: Tensor, generator: torch.Generator) -> None:
         """Nothing is random."""
@@ -80,14 +99,28 @@ class LeeController:
         if cfg.gains is None:
             raise ConfigError(f"ControllerCfg.gains: law {cfg.law!r} needs gains")
         law = LAWS[cfg.law]
-        self.action_names, self._wrench = law.action, law.wrench
+        self.action_names, self._law = law.action, law
         self._cfg, self._allocation = cfg.gains, Allocation(vehicle, gravity)
         self.gains = _middle_gains(cfg.gains, vehicle, gravity)
         self._ranges = {name: _range(cfg.gains, name, vehicle.com) for name in _GAINS}
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
         """Return the speeds that give the wrench of the law, within the rotors' limits."""
-        return self._allocation.speed(self._allocation.thrust(self._wrench(state, action, self.gains)))
+        return self._allocation.speed(self._allocation.thrust(self._law.wrench(state, action, self.gains)))
+
+    def fused(self) -> FusedLaw | None:
+        """Return the law's twin in Warp with these gains and the allocation."""
+        if self._law.fused is None:
+            return None
+        return _fused(
+            "wrench",
+            self._allocation,
+            len(self.action_names),
+            wrench=self._law.fused,
+            gains_type=lee_fused.Gains,
+            load_gains=lee_fused.load_gains,
+            gains=lee_fused.gain_rows(self.gains),
+        )
 
     def reset(self, mask: Tensor, generator: torch.Generator) -> None:
         """Draw gains for the environments in ``mask`` if the configuration randomises them."""
@@ -97,6 +130,18 @@ class LeeController:
             gain = getattr(self.gains, name)
             draw = uniform(low, high, tuple(gain.shape), generator=generator)
             gain.copy_(torch.where(mask.unsqueeze(-1), draw, gain))
+
+
+def _fused(output: Literal["thrust", "wrench"], allocation: Allocation, num_actions: int, **law: Any) -> FusedLaw:
+    return FusedLaw(
+        output=output,
+        num_actions=num_actions,
+        low=allocation.low,
+        high=allocation.high,
+        thrust_map=allocation.thrust_map,
+        allocation=allocation.inverse,
+        **law,
+    )
 
 
 def _range(cfg: LeeGainsCfg, name: str, like: Tensor) -> tuple[Tensor, Tensor]:
@@ -117,7 +162,9 @@ def _middle_gains(cfg: LeeGainsCfg, vehicle: Vehicle, gravity: float) -> LeeGain
         max_inclination=cfg.max_inclination,
     )
     ranges = {name: _range(cfg, name, empty) for name in _GAINS}
-    middle = {name: (0.5 * (low + high)).expand_as(empty).clone() for name, (low, high) in ranges.items()}
+    middle = {name: share_row(0.5 * (low + high), vehicle.num_envs) for name, (low, high) in ranges.items()}
+    if cfg.randomize:
+        middle = {name: rows.clone() for name, rows in middle.items()}
     return replace(gains, **middle)
 
 

@@ -3,8 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import warp as wp
 from torch import Tensor
 
+from aerial_gym.control import lee_fused
 from aerial_gym.control.lee import (
     LeeGains,
     acceleration_control,
@@ -23,19 +25,38 @@ class Law:
     wrench: Callable[[BodyState, Tensor, LeeGains], Tensor]
     """State, action (E, 4) and gains to the wanted wrench (E, 6), body."""
 
+    fused: wp.Function | None = None
+    """The same as a ``wp.func``, as ``physics.fused.FusedLaw`` wants it; None keeps the law to the torch backend."""
+
     action: tuple[str, ...]
     """What each entry of the action is, with its unit."""
 
 
 LAWS: dict[str, Law] = {
-    "position": Law(wrench=position_control, action=("x [m]", "y [m]", "z [m]", "yaw [rad]")),
-    "velocity": Law(wrench=velocity_control, action=("vx [m/s]", "vy [m/s]", "vz [m/s]", "yaw rate [rad/s]")),
+    "position": Law(
+        wrench=position_control,
+        fused=lee_fused.position_control,
+        action=("x [m]", "y [m]", "z [m]", "yaw [rad]"),
+    ),
+    "velocity": Law(
+        wrench=velocity_control,
+        fused=lee_fused.velocity_control,
+        action=("vx [m/s]", "vy [m/s]", "vz [m/s]", "yaw rate [rad/s]"),
+    ),
     "acceleration": Law(
-        wrench=acceleration_control, action=("ax [m/s²]", "ay [m/s²]", "az [m/s²]", "yaw rate [rad/s]")
+        wrench=acceleration_control,
+        fused=lee_fused.acceleration_control,
+        action=("ax [m/s²]", "ay [m/s²]", "az [m/s²]", "yaw rate [rad/s]"),
     ),
     "attitude": Law(
-        wrench=attitude_control, action=("thrust - 1 [weights]", "roll [rad]", "pitch [rad]", "yaw rate [rad/s]")
+        wrench=attitude_control,
+        fused=lee_fused.attitude_control,
+        action=("thrust - 1 [weights]", "roll [rad]", "pitch [rad]", "yaw rate [rad/s]"),
     ),
-    "rates": Law(wrench=rates_control, action=("thrust - 1 [weights]", "p [rad/s]", "q [rad/s]", "r [rad/s]")),
+    "rates": Law(
+        wrench=rates_control,
+        fused=lee_fused.rates_control,
+        action=("thrust - 1 [weights]", "p [rad/s]", "q [rad/s]", "r [rad/s]"),
+    ),
 }
 """The geometric laws. ``thrust`` and ``rotor_speed`` need none: the action goes to the rotors."""

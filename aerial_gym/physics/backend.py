@@ -7,6 +7,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
 from aerial_gym.registry import Registry
@@ -39,6 +40,10 @@ class ControlLaw(Protocol):
         """Return commanded rotor speeds [rad/s], (E, R), for actions (E, number of actions)."""
         ...
 
+    def fused(self) -> FusedLaw | None:
+        """Return the law as Warp code, or None: it then runs on the torch backend only."""
+        ...
+
 
 class PhysicsBackend(Protocol):
     """Advances a batch of multirotors. ``step`` works in place, so that its tensors can be captured in a graph."""
@@ -51,6 +56,10 @@ class PhysicsBackend(Protocol):
         Raises:
             CapabilityError: If the backend cannot run what is asked, by name.
         """
+        ...
+
+    def advance(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> BodyState:
+        """Return the state after ``substeps`` of ``dt`` [s]; differentiable if the capabilities say so."""
         ...
 
     def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:

@@ -12,7 +12,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ShapeError
 from aerial_gym.physics.effects import EFFECTS, Effect, VehicleEffect, WindEffect, WrenchEffect
-from aerial_gym.physics.vehicle import Vehicle
+from aerial_gym.physics.vehicle import Vehicle, is_shared, share_row
 
 STANDARD_GRAVITY = 9.81
 """Gravity of the registered sims [m/s²]."""
@@ -55,13 +55,16 @@ def build_model(vehicle: Vehicle, effects: Sequence[EffectParams] = (), *, gravi
             vehicle = effect.adjust(vehicle, params)
     return Model(
         vehicle=vehicle,
-        inertia_inverse=torch.linalg.inv_ex(
-            vehicle.inertia
-        ).inverse,  # inv would wait for the GPU to say that it exists
+        inertia_inverse=_inverse(vehicle.inertia),
         winds=tuple((effect, params) for effect, params in effects if isinstance(effect, WindEffect)),
         wrenches=tuple((effect, params) for effect, params in effects if isinstance(effect, WrenchEffect)),
         gravity=gravity,
     )
+
+
+def _inverse(inertia: Tensor) -> Tensor:
+    inverse = torch.linalg.inv_ex(inertia[0] if is_shared(inertia) else inertia).inverse  # inv would wait for the GPU
+    return share_row(inverse, inertia.shape[0]) if is_shared(inertia) else inverse
 
 
 def effects_from_config(

@@ -56,10 +56,14 @@ class TorchBackend:
         """Take other parameters."""
         self._model = model
 
+    def advance(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> BodyState:
+        """Return the state after ``substeps`` of ``dt`` [s], differentiable."""
+        return advance(self._model, self._stepper, self._control, state, command, dt, substeps)
+
     @torch.no_grad()
     def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
-        """Advance ``state`` in place; ``advance`` is the same with gradients."""
-        state.copy_(advance(self._model, self._stepper, self._control, state, command, dt, substeps))
+        """Advance ``state`` in place."""
+        state.copy_(self.advance(state, command, dt, substeps))
 
     def reset(self, mask: Tensor) -> None:
         """Nothing to forget: all memory is in the state."""

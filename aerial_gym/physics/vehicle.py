@@ -1,5 +1,7 @@
 """The parameters of a batch of multirotors as tensors, one row per environment.
 
+A parameter that is the same everywhere is one row seen E times (stride 0): it costs no memory, and the fused kernels read it
+once instead of per environment.
 Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 """
 
@@ -9,6 +11,16 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
+
+
+def share_row(row: Tensor, num_envs: int) -> Tensor:
+    """Return one row (...) as the read-only rows (E, ...) of all environments."""
+    return row.as_strided((num_envs, *row.shape), (0, *row.stride()))
+
+
+def is_shared(rows: Tensor) -> bool:
+    """Return whether all rows (E, ...) are one: made by ``share_row``."""
+    return rows.stride(0) == 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,20 +77,19 @@ class Vehicle:
 def vehicle_from_config(
     robot: RobotCfg, *, num_envs: int, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32
 ) -> Vehicle:
-    """Return the declared vehicle, the same in every environment."""
+    """Return the declared vehicle, its parameters shared by all environments."""
 
     def rows(values: object) -> Tensor:
-        tensor = torch.tensor(values, dtype=dtype, device=device)
-        return tensor.expand(num_envs, *tensor.shape).clone()
+        return share_row(torch.tensor(values, dtype=dtype, device=device), num_envs)
 
     rotor, layout, count = robot.rotor, robot.mounts.layout, robot.num_rotors
-    axis = rows([mount.axis for mount in layout])
+    axis = torch.tensor([mount.axis for mount in layout], dtype=dtype, device=device)
     return Vehicle(
         mass=rows(robot.body.mass),
         inertia=rows(robot.body.inertia),
         com=rows(robot.body.com),
         rotor_position=rows([mount.position for mount in layout]),
-        rotor_axis=axis / axis.norm(dim=-1, keepdim=True),
+        rotor_axis=share_row(axis / axis.norm(dim=-1, keepdim=True), num_envs),
         rotor_spin=rows([float(mount.spin) for mount in layout]),
         thrust_map=rows([rotor.thrust_map] * count),
         torque_map=rows([rotor.torque_coefficients] * count),

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import torch
+import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
@@ -116,6 +117,13 @@ class WindEffect(Effect):
     def wind(self, position: Tensor, params: Tensor) -> Tensor:
         """Return the velocity of the air [m/s], world, (E, 3), at ``position`` [m], world, (E, 3)."""
 
+    def warp_wind(self) -> wp.Function | None:
+        """Return the twin of ``wind`` for one environment, a ``wp.func`` (position: wp.vec3, params: vector of P) -> wp.vec3.
+
+        None where there is none: the effect then runs on the torch backend only.
+        """
+        return None
+
 
 class WrenchEffect(Effect):
     """A force and torque on the body that is linear in its parameters."""
@@ -129,3 +137,15 @@ class WrenchEffect(Effect):
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return force and torque (E, 6), body axes: the regressor times the parameters (E, P)."""
         return torch.einsum("eip,ep->ei", self.regressor(condition), params)
+
+    def warp_wrench(self, condition: type) -> wp.Function | None:
+        """Return the twin of ``wrench`` for one environment, or None: the effect then runs on the torch backend only.
+
+        Args:
+            condition: The ``wp.struct`` with the fields of ``Condition`` for this number of rotors.
+
+        Returns:
+            A ``wp.func`` (condition, params: vector of P) -> force and torque, body, ``wp.spatial_vector``.
+        """
+        del condition
+        return None

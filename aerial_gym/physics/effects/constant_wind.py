@@ -1,9 +1,13 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportInvalidTypeForm=false
+# (Warp compiles the twin from its source; Python's type rules do not describe it.)
 """A steady, uniform wind.
 
 Forces see the velocity through the air, ``v_air = v - wind``. Without any drag in the model a wind changes nothing.
 Source: Derived: Galilean change of frame.
 """
 
+import warp as wp
 from torch import Tensor
 
 from aerial_gym.physics.effects.base import Parameter, WindEffect
@@ -29,3 +33,12 @@ class ConstantWind(WindEffect):
         """Return the parameters: the same wind at every position."""
         del position
         return params
+
+    def warp_wind(self) -> wp.Function:
+        """Return the same in Warp."""
+
+        @wp.func
+        def constant_wind(position: wp.vec3, params: wp.vec3) -> wp.vec3:
+            return params
+
+        return constant_wind

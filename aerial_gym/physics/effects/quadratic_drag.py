@@ -1,3 +1,6 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportInvalidTypeForm=false
+# (Warp compiles the twin from its source; Python's type rules do not describe it.)
 """Drag of the body in the airstream, growing with the square of the speed.
 
 ``F_i = -d_i |v| v_i`` in body axes, at the centre of mass, with v the velocity through the air; for equal d_i this is the
@@ -6,6 +9,7 @@ Source: Hoerner (1965), Fluid-Dynamic Drag, chapter 1, with one area per body ax
 """
 
 import torch
+import warp as wp
 from torch import Tensor
 
 from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect
@@ -31,3 +35,13 @@ class QuadraticDrag(WrenchEffect):
         speed = torch.where(moving, square, torch.ones_like(square)).sqrt() * moving  # gradient finite at rest
         force = -torch.diag_embed(speed * v)
         return torch.cat((force, torch.zeros_like(force)), dim=1)
+
+    def warp_wrench(self, condition: type) -> wp.Function:
+        """Return the same in Warp."""
+
+        @wp.func
+        def quadratic_drag(at: condition, d: wp.vec3) -> wp.spatial_vector:
+            v = at.air_velocity
+            return wp.spatial_vector(-wp.length(v) * wp.cw_mul(d, v), wp.vec3())
+
+        return quadratic_drag

@@ -1,3 +1,6 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportInvalidTypeForm=false
+# (Warp compiles the twin from its source; Python's type rules do not describe it.)
 """Drag that grows linearly with speed: the induced drag of rotors and the blades' profile drag in sideways flow.
 
 ``F_i = -d_i v_i`` in body axes, at the centre of mass, with v the velocity through the air.
@@ -6,6 +9,7 @@ Nonlinear feedback control of quadrotors exploiting first-order drag effects, eq
 """
 
 import torch
+import warp as wp
 from torch import Tensor
 
 from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect
@@ -27,3 +31,12 @@ class RotorDrag(WrenchEffect):
         """Return ``-diag(v)`` for the force and zero for the torque, (E, 6, 3)."""
         force = -torch.diag_embed(condition.air_velocity)
         return torch.cat((force, torch.zeros_like(force)), dim=1)
+
+    def warp_wrench(self, condition: type) -> wp.Function:
+        """Return the same in Warp."""
+
+        @wp.func
+        def rotor_drag(at: condition, d: wp.vec3) -> wp.spatial_vector:
+            return wp.spatial_vector(-wp.cw_mul(d, at.air_velocity), wp.vec3())
+
+        return rotor_drag

@@ -1,0 +1,71 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
+# pyright: reportInvalidTypeForm=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""From an action to commanded rotor speeds, for one environment: control law, allocation, limits.
+
+Letters: R rotors, U entries of an action.
+"""
+
+import warp as wp
+
+from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.fused.types import rotor_types, vector_of
+
+
+@wp.struct
+class NoGains:
+    """Stands for the gains of a law that has none."""
+
+    nothing: float
+
+
+def make_command(law: FusedLaw, num_rotors: int) -> wp.Function:
+    """Return a function from the motion of the body origin and an action to commanded rotor speeds [rad/s]."""
+    types = rotor_types(num_rotors)
+    command_type, vector, action_type = types.command, types.vector, vector_of(law.num_actions)
+    gains_type, law_wrench = law.gains_type or NoGains, law.wrench
+    speed_of = _make_speed_of(num_rotors)
+
+    @wp.func
+    def speed(
+        params: command_type, gains: gains_type, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3,
+        ang_vel: wp.vec3, action: action_type,
+    ) -> vector:  # fmt: skip
+        command = vector()
+        for i in range(wp.static(num_rotors)):
+            command[i] = wp.clamp(action[i], params.low[i], params.high[i])
+        return command
+
+    @wp.func
+    def thrust(
+        params: command_type, gains: gains_type, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3,
+        ang_vel: wp.vec3, action: action_type,
+    ) -> vector:  # fmt: skip
+        return speed_of(params, action)
+
+    @wp.func
+    def wrench(
+        params: command_type, gains: gains_type, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3,
+        ang_vel: wp.vec3, action: action_type,
+    ) -> vector:  # fmt: skip
+        wanted = law_wrench(position, attitude, lin_vel, ang_vel, action, gains)
+        return speed_of(params, params.allocation * wanted)
+
+    return {"speed": speed, "thrust": thrust, "wrench": wrench}[law.output]
+
+
+def _make_speed_of(num_rotors: int) -> wp.Function:
+    types = rotor_types(num_rotors)
+    command_type, vector = types.command, types.vector
+
+    @wp.func
+    def speed_of(params: command_type, thrust: vector) -> vector:
+        speed = vector()
+        for i in range(wp.static(num_rotors)):
+            allowed = wp.clamp(thrust[i], params.low[i], params.high[i])
+            square = params.speed_map[i, 0] + params.speed_map[i, 1] * allowed
+            speed[i] = wp.sqrt(wp.max(square, 0.0)) - params.speed_map[i, 2]
+        return speed
+
+    return speed_of

@@ -1,0 +1,219 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
+# pyright: reportInvalidTypeForm=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""Forces and steppers of one environment, composed from the chosen effects as Warp functions.
+
+Letters: R rotors, P parameters of the effects.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from aerial_gym.physics.fused.functions import (
+    angular_acceleration,
+    attitude_rate,
+    lag_speed,
+    rotate,
+    rotate_inverse,
+    small_turn,
+)
+from aerial_gym.physics.fused.types import rotor_types, vector_of
+from aerial_gym.physics.model import Model
+
+STAGES = {"euler": 1.0, "rk4": 0.5}
+"""Part of a step over which a stepper follows the rotors at once."""
+
+
+def _picker(num_params: int, first: int, length: int) -> wp.Function:
+    """Return a function that takes the parameters of one effect out of those of all."""
+    params, own = vector_of(max(num_params, 1)), vector_of(length)
+
+    @wp.func
+    def pick(all_params: params) -> own:
+        picked = own()
+        for i in range(wp.static(length)):
+            picked[i] = all_params[wp.static(first) + i]
+        return picked
+
+    return pick
+
+
+def _sum_of(terms: list[tuple[wp.Function, wp.Function]], argument: Any, params: Any, result: Any) -> wp.Function:
+    """Return the sum of effects as one function, (argument, parameters of all effects) -> result.
+
+    Effects are chained through closures. A loop over ``wp.static(functions[i])`` would be shorter, but Warp 1.19 leaves
+    such functions out of a kernel's hash, and so takes the cached kernel of another effect.
+    """
+
+    @wp.func
+    def nothing(at: argument, all_params: params) -> result:
+        return result()
+
+    def plus(rest: wp.Function, effect: wp.Function, pick: wp.Function) -> wp.Function:
+        @wp.func
+        def term(at: argument, all_params: params) -> result:
+            return rest(at, all_params) + effect(at, pick(all_params))
+
+        return term
+
+    total = nothing
+    for effect, pick in terms:
+        total = plus(total, effect, pick)
+    return total
+
+
+def make_accelerations(model: Model) -> wp.Function:
+    """Return a function to linear [m/s², world] and angular acceleration [rad/s², body] with just the model's effects."""
+    num_rotors = model.vehicle.num_rotors
+    types = rotor_types(num_rotors)
+    effects = (*model.winds, *model.wrenches)
+    widths = [params.shape[1] for _, params in effects]
+    pickers = [_picker(sum(widths), sum(widths[:i]), width) for i, width in enumerate(widths)]
+    winds = [effect.warp_wind() for effect, _ in model.winds]
+    wrenches = [effect.warp_wrench(types.condition) for effect, _ in model.wrenches]
+    any_wrench, params_type = bool(wrenches), vector_of(max(sum(widths), 1))
+    wind = _sum_of(list(zip(winds, pickers, strict=False)), wp.vec3, params_type, wp.vec3)
+    wrench = _sum_of(
+        list(zip(wrenches, pickers[len(winds) :], strict=True)), types.condition, params_type, wp.spatial_vector
+    )
+    vehicle_type, vector, condition_type = types.vehicle, types.vector, types.condition
+
+    @wp.func
+    def accelerations(
+        vehicle: vehicle_type,
+        params: params_type,
+        gravity: float,
+        position: wp.vec3,
+        attitude: wp.quat,
+        lin_vel: wp.vec3,
+        ang_vel: wp.vec3,
+        rotor_speed: vector,
+    ):
+        force = wp.vec3()
+        torque = wp.vec3()
+        thrusts = vector()
+        for i in range(wp.static(num_rotors)):
+            n = rotor_speed[i]
+            thrust = vehicle.thrust_map[i, 0] + n * (vehicle.thrust_map[i, 1] + n * vehicle.thrust_map[i, 2])
+            drag = vehicle.torque_map[i, 0] + n * (vehicle.torque_map[i, 1] + n * vehicle.torque_map[i, 2])
+            force += thrust * wp.vec3(vehicle.rotor_axis[i, 0], vehicle.rotor_axis[i, 1], vehicle.rotor_axis[i, 2])
+            torque += thrust * wp.vec3(
+                vehicle.rotor_moment[i, 0], vehicle.rotor_moment[i, 1], vehicle.rotor_moment[i, 2]
+            )
+            torque += drag * wp.vec3(
+                vehicle.rotor_reaction[i, 0], vehicle.rotor_reaction[i, 1], vehicle.rotor_reaction[i, 2]
+            )
+            thrusts[i] = thrust
+        if wp.static(any_wrench):
+            at = condition_type()
+            at.position = position
+            at.attitude = attitude
+            at.air_velocity = rotate_inverse(attitude, lin_vel - wind(position, params))
+            at.ang_vel = ang_vel
+            at.rotor_speed = rotor_speed
+            at.rotor_thrust = thrusts
+            more = wrench(at, params)
+            force += wp.spatial_top(more)
+            torque += wp.spatial_bottom(more)
+        acc = rotate(attitude, vehicle.mass_inverse * force) - wp.vec3(0.0, 0.0, gravity)
+        return acc, angular_acceleration(vehicle.inertia, vehicle.inertia_inverse, ang_vel, torque)
+
+    return accelerations
+
+
+def make_stepper(model: Model, integrator: str) -> wp.Function:
+    """Return a function that advances the motion of the centre of mass and the rotors by one step."""
+    types = rotor_types(model.vehicle.num_rotors)
+    num_params = sum(params.shape[1] for _, params in (*model.winds, *model.wrenches))
+    parts = (types.vehicle, types.vector, vector_of(max(num_params, 1)), make_accelerations(model))
+    follow = _make_follow(model.vehicle.num_rotors)
+    return {"euler": _make_euler, "rk4": _make_rk4}[integrator](*parts, follow)
+
+
+def _make_follow(num_rotors: int) -> wp.Function:
+    types = rotor_types(num_rotors)
+    vehicle_type, vector = types.vehicle, types.vector
+
+    @wp.func
+    def follow(vehicle: vehicle_type, speed: vector, command: vector) -> vector:
+        after = vector()
+        for i in range(wp.static(num_rotors)):
+            after[i] = lag_speed(speed[i], command[i], vehicle.decay_up[i], vehicle.decay_down[i])
+        return after
+
+    return follow
+
+
+def _make_euler(
+    vehicle_type: Any, vector: Any, params_type: Any, accelerations: wp.Function, follow: wp.Function
+) -> wp.Function:
+    @wp.func
+    def euler(
+        vehicle: vehicle_type,
+        params: params_type,
+        gravity: float,
+        position: wp.vec3,
+        attitude: wp.quat,
+        lin_vel: wp.vec3,
+        ang_vel: wp.vec3,
+        rotor_speed: vector,
+        command: vector,
+        dt: float,
+    ):
+        rotors = follow(vehicle, rotor_speed, command)
+        acc, ang_acc = accelerations(vehicle, params, gravity, position, attitude, lin_vel, ang_vel, rotors)
+        v = lin_vel + dt * acc
+        w = ang_vel + dt * ang_acc
+        return position + dt * v, wp.normalize(attitude * small_turn(dt * w)), v, w, rotors
+
+    return euler
+
+
+def _make_rk4(
+    vehicle_type: Any, vector: Any, params_type: Any, accelerations: wp.Function, follow: wp.Function
+) -> wp.Function:
+    @wp.func
+    def rk4(
+        vehicle: vehicle_type,
+        params: params_type,
+        gravity: float,
+        position: wp.vec3,
+        attitude: wp.quat,
+        lin_vel: wp.vec3,
+        ang_vel: wp.vec3,
+        rotor_speed: vector,
+        command: vector,
+        dt: float,
+    ):
+        middle = follow(vehicle, rotor_speed, command)
+        end = follow(vehicle, middle, command)
+        half = 0.5 * dt
+        a1, b1 = accelerations(vehicle, params, gravity, position, attitude, lin_vel, ang_vel, rotor_speed)
+        r1 = attitude_rate(attitude, ang_vel)
+        v2 = lin_vel + half * a1
+        w2 = ang_vel + half * b1
+        q2 = attitude + half * r1
+        a2, b2 = accelerations(vehicle, params, gravity, position + half * lin_vel, q2, v2, w2, middle)
+        r2 = attitude_rate(q2, w2)
+        v3 = lin_vel + half * a2
+        w3 = ang_vel + half * b2
+        q3 = attitude + half * r2
+        a3, b3 = accelerations(vehicle, params, gravity, position + half * v2, q3, v3, w3, middle)
+        r3 = attitude_rate(q3, w3)
+        v4 = lin_vel + dt * a3
+        w4 = ang_vel + dt * b3
+        q4 = attitude + dt * r3
+        a4, b4 = accelerations(vehicle, params, gravity, position + dt * v3, q4, v4, w4, end)
+        r4 = attitude_rate(q4, w4)
+        sixth = dt / 6.0
+        return (
+            position + sixth * (lin_vel + 2.0 * v2 + 2.0 * v3 + v4),
+            wp.normalize(attitude + sixth * (r1 + 2.0 * r2 + 2.0 * r3 + r4)),
+            lin_vel + sixth * (a1 + 2.0 * a2 + 2.0 * a3 + a4),
+            ang_vel + sixth * (b1 + 2.0 * b2 + 2.0 * b3 + b4),
+            end,
+        )
+
+    return rk4

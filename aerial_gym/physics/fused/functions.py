@@ -1,0 +1,60 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""The physics of one environment as Warp functions that do not depend on the number of rotors.
+
+They follow ``math.quaternion``, ``physics.rotors`` and ``physics.rigid_body``, where the sources stand.
+Frames: body is x forward, y left, z up; world is z up.
+"""
+
+import warp as wp
+
+
+@wp.func
+def rotate(q: wp.quat, v: wp.vec3) -> wp.vec3:
+    """Return ``R(q) v``, body to world; the same polynomial of q as ``quat_rotate``, also where q is not quite unit."""
+    u = wp.vec3(q[0], q[1], q[2])
+    t = 2.0 * wp.cross(u, v)
+    return v + q[3] * t + wp.cross(u, t)
+
+
+@wp.func
+def rotate_inverse(q: wp.quat, v: wp.vec3) -> wp.vec3:
+    """Return ``R(q)^T v``, world to body."""
+    u = wp.vec3(q[0], q[1], q[2])
+    t = 2.0 * wp.cross(u, v)
+    return v - q[3] * t + wp.cross(u, t)
+
+
+@wp.func
+def small_turn(rotation: wp.vec3) -> wp.quat:
+    """Return the quaternion of a rotation vector [rad], ``(sin(x/2)/x r, cos(x/2))``.
+
+    Up to a turn of 1 rad in one step the series are exact in float32 (next terms 1e-8); beyond it the functions are called.
+    """
+    square = 0.25 * wp.dot(rotation, rotation)
+    if square > 0.25:
+        half = wp.sqrt(square)
+        sine = 0.5 * wp.sin(half) / half
+        return wp.quat(sine * rotation[0], sine * rotation[1], sine * rotation[2], wp.cos(half))
+    sine = 0.5 - square * (0.5 / 6.0 - square * (0.5 / 120.0 - square * (0.5 / 5040.0)))
+    cosine = 1.0 - square * (0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0 - square / 40320.0)))
+    return wp.quat(sine * rotation[0], sine * rotation[1], sine * rotation[2], cosine)
+
+
+@wp.func
+def attitude_rate(q: wp.quat, ang_vel: wp.vec3) -> wp.quat:
+    """Return ``q' = q (w, 0) / 2``."""
+    return 0.5 * (q * wp.quat(ang_vel[0], ang_vel[1], ang_vel[2], 0.0))
+
+
+@wp.func
+def lag_speed(speed: float, command: float, decay_up: float, decay_down: float) -> float:
+    """Return the rotor speed [rad/s] after a span in which the distance to the command shrinks by ``exp(-span / tau)``."""
+    return command + (speed - command) * wp.where(command > speed, decay_up, decay_down)
+
+
+@wp.func
+def angular_acceleration(inertia: wp.mat33, inertia_inverse: wp.mat33, ang_vel: wp.vec3, torque: wp.vec3) -> wp.vec3:
+    """Return ``J^-1 (tau - w x J w)`` [rad/s²], body."""
+    return inertia_inverse * (torque - wp.cross(ang_vel, inertia * ang_vel))

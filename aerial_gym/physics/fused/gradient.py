@@ -1,0 +1,66 @@
+"""Gradients through launches of the fused kernel: Warp's tape as a torch function.
+
+A launch advances by one substep here, from tensors to other tensors: the tape needs every state on the way.
+Letters: E environments, N numbers per environment.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.interop import on_torch_stream
+
+
+class Rollout:
+    """A differentiable call of the kernel over several substeps."""
+
+    def __init__(
+        self, kernel: wp.Kernel, shared: Sequence[Any], gravity: float, dt: float, substeps: int, kinds: Sequence[type]
+    ) -> None:
+        """Take the kernel, its structs and scalars, and the Warp types of state and action."""
+        self.kernel, self.shared, self.scalars, self.substeps = kernel, list(shared), (gravity, dt), substeps
+        self.kinds = tuple(kinds)
+
+    def __call__(self, state: Sequence[Tensor], command: Tensor, per_env: Tensor) -> tuple[Tensor, ...]:
+        """Return the tensors of the state after the substeps."""
+        return _Rollout.apply(self, per_env, command, *state)
+
+
+class _Rollout(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, rollout: Rollout, per_env: Tensor, command: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
+        def view(tensor: Tensor, kind: type) -> wp.array:
+            return wp.from_torch(tensor.detach().contiguous(), dtype=kind, requires_grad=True)
+
+        *state_kinds, action_kind = rollout.kinds
+        now = [view(tensor, kind) for tensor, kind in zip(state, state_kinds, strict=True)]
+        action, params = view(command, action_kind), view(per_env, wp.float32)
+        ctx.inputs, ctx.tape = [params, action, *now], wp.Tape()
+        with on_torch_stream(command), ctx.tape:
+            for _ in range(rollout.substeps):
+                after = [wp.empty_like(array, requires_grad=True) for array in now]
+                wp.launch(
+                    rollout.kernel,
+                    dim=command.shape[0],
+                    inputs=[*now, action, *rollout.shared, params, *rollout.scalars, 1, 0],
+                    outputs=after,
+                    device=now[0].device,
+                )
+                now = after
+        ctx.outputs = now
+        return tuple(wp.to_torch(array).clone() for array in now)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        with on_torch_stream(grads[0]):
+            seeds = {
+                array: wp.from_torch(grad.contiguous(), dtype=array.dtype)
+                for array, grad in zip(ctx.outputs, grads, strict=True)
+            }
+            ctx.tape.backward(grads=seeds)
+            found = tuple(wp.to_torch(array.grad).clone() for array in ctx.inputs)
+            ctx.tape.zero()
+        return (None, *found)

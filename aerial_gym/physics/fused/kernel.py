@@ -1,0 +1,203 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
+# pyright: reportInvalidTypeForm=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""The kernel that advances every environment by all substeps of a step, composed for one model, law and stepper.
+
+Letters: E environments, R rotors, U entries of an action, N numbers per environment, C collision spheres.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from aerial_gym.physics.fused.command import NoGains, make_command
+from aerial_gym.physics.fused.dynamics import make_stepper
+from aerial_gym.physics.fused.functions import rotate
+from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.fused.parameters import Columns
+from aerial_gym.physics.fused.types import rotor_types, vector_of
+from aerial_gym.physics.model import Model
+
+
+@cache
+def _make_reader(kind: Any, rows: int, columns: int) -> wp.Function:
+    """Return a function that reads a vector (columns 0) or matrix of one environment from (N, E)."""
+
+    @wp.func
+    def read_vector(source: wp.array2d[float], first: int, env: int) -> kind:
+        value = kind()
+        for i in range(wp.static(rows)):
+            value[i] = source[first + i, env]
+        return value
+
+    @wp.func
+    def read_matrix(source: wp.array2d[float], first: int, env: int) -> kind:
+        value = kind()
+        for i in range(wp.static(rows)):
+            for j in range(wp.static(columns)):
+                value[i, j] = source[first + i * wp.static(columns) + j, env]
+        return value
+
+    return read_matrix if columns else read_vector
+
+
+def _make_vehicle_reader(num_rotors: int, places: dict[str, int]) -> wp.Function:
+    """Return a function that completes the shared vehicle with what is per environment."""
+    types, at = rotor_types(num_rotors), places.get
+    vehicle_type = types.vehicle
+    vec3, mat33 = _make_reader(wp.vec3, 3, 0), _make_reader(wp.mat33, 3, 3)
+    vector, rows = _make_reader(types.vector, num_rotors, 0), _make_reader(types.rows, num_rotors, 3)
+
+    @wp.func
+    def read(shared: vehicle_type, source: wp.array2d[float], env: int) -> vehicle_type:
+        vehicle = shared
+        if wp.static("mass_inverse" in places):
+            vehicle.mass_inverse = source[wp.static(at("mass_inverse", 0)), env]
+        if wp.static("inertia" in places):
+            vehicle.inertia = mat33(source, wp.static(at("inertia", 0)), env)
+            vehicle.inertia_inverse = mat33(source, wp.static(at("inertia_inverse", 0)), env)
+        if wp.static("com" in places):
+            vehicle.com = vec3(source, wp.static(at("com", 0)), env)
+        if wp.static("thrust_map" in places):
+            vehicle.thrust_map = rows(source, wp.static(at("thrust_map", 0)), env)
+        if wp.static("torque_map" in places):
+            vehicle.torque_map = rows(source, wp.static(at("torque_map", 0)), env)
+        if wp.static("rotor_axis" in places):
+            vehicle.rotor_axis = rows(source, wp.static(at("rotor_axis", 0)), env)
+        if wp.static("rotor_moment" in places):
+            vehicle.rotor_moment = rows(source, wp.static(at("rotor_moment", 0)), env)
+        if wp.static("rotor_reaction" in places):
+            vehicle.rotor_reaction = rows(source, wp.static(at("rotor_reaction", 0)), env)
+        if wp.static("decay_up" in places):
+            vehicle.decay_up = vector(source, wp.static(at("decay_up", 0)), env)
+        if wp.static("decay_down" in places):
+            vehicle.decay_down = vector(source, wp.static(at("decay_down", 0)), env)
+        return vehicle
+
+    return read
+
+
+def _make_command_reader(num_rotors: int, places: dict[str, int]) -> wp.Function:
+    types, at = rotor_types(num_rotors), places.get
+    command_type = types.command
+    vector, rows = _make_reader(types.vector, num_rotors, 0), _make_reader(types.rows, num_rotors, 3)
+    matrix = _make_reader(types.allocation, num_rotors, 6)
+
+    @wp.func
+    def read(shared: command_type, source: wp.array2d[float], env: int) -> command_type:
+        command = shared
+        if wp.static("low" in places):
+            command.low = vector(source, wp.static(at("low", 0)), env)
+        if wp.static("high" in places):
+            command.high = vector(source, wp.static(at("high", 0)), env)
+        if wp.static("speed_map" in places):
+            command.speed_map = rows(source, wp.static(at("speed_map", 0)), env)
+        if wp.static("allocation" in places):
+            command.allocation = matrix(source, wp.static(at("allocation", 0)), env)
+        return command
+
+    return read
+
+
+def _make_gains_reader(law: FusedLaw, first: int | None) -> wp.Function:
+    gains_type, load = law.gains_type or NoGains, law.load_gains
+
+    @wp.func
+    def shared_gains(shared: gains_type, source: wp.array2d[float], env: int) -> gains_type:
+        return shared
+
+    if first is None:
+        return shared_gains
+
+    @wp.func
+    def own_gains(shared: gains_type, source: wp.array2d[float], env: int) -> gains_type:
+        return load(source, wp.static(first), env)
+
+    return own_gains
+
+
+def make_kernel(
+    model: Model, law: FusedLaw, integrator: str, columns: Columns, *, com_offset: bool, differentiable: bool
+) -> wp.Kernel:
+    """Return the kernel; what it does not need costs nothing.
+
+    Args:
+        model: Gives the number of rotors and the effects.
+        law: Control law.
+        integrator: Name of the stepper.
+        columns: What is read per environment.
+        com_offset: Whether the centre of mass is beside the body origin anywhere.
+        differentiable: Whether Warp also makes the adjoint.
+    """
+    num_rotors, num_params = model.vehicle.num_rotors, columns.num_effect_params
+    types = rotor_types(num_rotors)
+    vector, action_type, params_type = types.vector, vector_of(law.num_actions), vector_of(max(num_params, 1))
+    vehicle_type, command_type, gains_type = types.vehicle, types.command, law.gains_type or NoGains
+    step, command_of = make_stepper(model, integrator), make_command(law, num_rotors)
+    read_vehicle = _make_vehicle_reader(num_rotors, dict(columns.vehicle))
+    read_command = _make_command_reader(num_rotors, dict(columns.command))
+    read_gains = _make_gains_reader(law, columns.gains)
+    read_params = _make_reader(params_type, num_params, 0)
+    first_param = columns.effects
+
+    @wp.kernel(module="unique", enable_backward=differentiable)
+    def advance(
+        # state
+        position: wp.array[wp.vec3],  # (E,) body origin, world [m]
+        attitude: wp.array[wp.quat],  # (E,) body to world, xyzw, unit
+        lin_vel: wp.array[wp.vec3],  # (E,) world [m/s]
+        ang_vel: wp.array[wp.vec3],  # (E,) body [rad/s]
+        rotor_speed: wp.array[vector],  # (E,) [rad/s]
+        action: wp.array[action_type],  # (E,)
+        # params
+        shared_vehicle: vehicle_type,
+        shared_command: command_type,
+        shared_gains: gains_type,
+        per_env: wp.array2d[float],  # (N, E)
+        gravity: float,  # [m/s²]
+        dt: float,  # [s]
+        substeps: int,
+        first: int,  # environment of the first thread
+        # out
+        position_out: wp.array[wp.vec3],
+        attitude_out: wp.array[wp.quat],
+        lin_vel_out: wp.array[wp.vec3],
+        ang_vel_out: wp.array[wp.vec3],
+        rotor_speed_out: wp.array[vector],
+    ):
+        """Advance one environment; its state stays in registers over the substeps."""
+        env = wp.tid() + first
+        vehicle = read_vehicle(shared_vehicle, per_env, env)
+        command_params = read_command(shared_command, per_env, env)
+        gains = read_gains(shared_gains, per_env, env)
+        params = read_params(per_env, wp.static(first_param), env)
+        x = position[env]
+        q = attitude[env]
+        v = lin_vel[env]
+        w = ang_vel[env]
+        n = rotor_speed[env]
+        u = action[env]
+        if wp.static(com_offset):
+            x = x + rotate(q, vehicle.com)
+            v = v + rotate(q, wp.cross(w, vehicle.com))
+        for _k in range(substeps):
+            if wp.static(com_offset):
+                command = command_of(
+                    command_params, gains, x - rotate(q, vehicle.com), q, v - rotate(q, wp.cross(w, vehicle.com)), w, u
+                )
+                x, q, v, w, n = step(vehicle, params, gravity, x, q, v, w, n, command, dt)
+            else:
+                command = command_of(command_params, gains, x, q, v, w, u)
+                x, q, v, w, n = step(vehicle, params, gravity, x, q, v, w, n, command, dt)
+        if wp.static(com_offset):
+            x = x - rotate(q, vehicle.com)
+            v = v - rotate(q, wp.cross(w, vehicle.com))
+        position_out[env] = x
+        attitude_out[env] = q
+        lin_vel_out[env] = v
+        ang_vel_out[env] = w
+        rotor_speed_out[env] = n
+
+    return advance

@@ -1,0 +1,82 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
+# pyright: reportInvalidTypeForm=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""Warp types that depend on the number of rotors, made once for each number.
+
+Letters: R rotors.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+
+@dataclass(frozen=True)
+class RotorTypes:
+    """Types of a vehicle with R rotors."""
+
+    vector: Any
+    """A number of each rotor."""
+
+    rows: Any
+    """Three numbers of each rotor, (R, 3)."""
+
+    allocation: Any
+    """(R, 6)."""
+
+    vehicle: Any
+    """``wp.struct`` of what the equations of motion need."""
+
+    command: Any
+    """``wp.struct`` of what leads from a control law to commanded rotor speeds."""
+
+    condition: Any
+    """``wp.struct`` of what a force may depend on: ``effects.Condition`` for one environment."""
+
+
+def vector_of(length: int) -> Any:
+    """Return the type of a vector of floats."""
+    return wp.types.vector(length=length, dtype=wp.float32)
+
+
+@cache
+def rotor_types(num_rotors: int) -> RotorTypes:
+    """Return the types for a number of rotors."""
+    vector = vector_of(num_rotors)
+    rows = wp.types.matrix(shape=(num_rotors, 3), dtype=wp.float32)
+    matrix = wp.types.matrix(shape=(num_rotors, 6), dtype=wp.float32)
+
+    @wp.struct
+    class VehicleParameters:
+        mass_inverse: float  # [1/kg]
+        inertia: wp.mat33  # [kg m²] about the centre of mass
+        inertia_inverse: wp.mat33  # [1/(kg m²)]
+        com: wp.vec3  # [m] from the body origin
+        thrust_map: rows  # c0, c1, c2 [N, N s, N s²]
+        torque_map: rows  # q0, q1, q2 [N m, N m s, N m s²]
+        rotor_axis: rows  # direction of thrust
+        rotor_moment: rows  # torque per thrust about the centre of mass [m], (r - c) x a
+        rotor_reaction: rows  # torque per drag torque, -s a
+        decay_up: vector  # exp(-span / tau) of a rising speed over one stage of the stepper
+        decay_down: vector
+
+    @wp.struct
+    class CommandParameters:
+        low: vector  # [rad/s] or [N]
+        high: vector
+        speed_map: rows  # a, b, c of the speed sqrt(a + b T) - c [rad/s] of a thrust T [N]
+        allocation: matrix  # from force and torque to thrusts
+
+    @wp.struct
+    class Condition:
+        position: wp.vec3  # centre of mass [m], world
+        attitude: wp.quat  # body to world
+        air_velocity: wp.vec3  # of the centre of mass through the air [m/s], body
+        ang_vel: wp.vec3  # [rad/s], body
+        rotor_speed: vector  # [rad/s]
+        rotor_thrust: vector  # [N]
+
+    return RotorTypes(vector, rows, matrix, VehicleParameters, CommandParameters, Condition)

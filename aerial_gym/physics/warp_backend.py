@@ -1,0 +1,257 @@
+"""The fused backend in Warp: all substeps of a step in one launch, float32, CPU and CUDA.
+
+Letters: E environments, R rotors, U entries of an action, N numbers per environment.
+"""
+
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.errors import CapabilityError, ShapeError
+from aerial_gym.interop import on_torch_stream, start_warp
+from aerial_gym.physics.backend import BACKENDS, Capabilities, ControlLaw
+from aerial_gym.physics.effects import EFFECTS, VehicleEffect, WindEffect, WrenchEffect
+from aerial_gym.physics.effects.base import Effect
+from aerial_gym.physics.fused.command import NoGains
+from aerial_gym.physics.fused.dynamics import STAGES
+from aerial_gym.physics.fused.gradient import Rollout
+from aerial_gym.physics.fused.kernel import make_kernel
+from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.fused.parameters import (
+    Columns,
+    Field,
+    arrange,
+    command_fields,
+    effect_rows,
+    gain_fields,
+    per_env_rows,
+    shared_struct,
+    vehicle_fields,
+)
+from aerial_gym.physics.fused.types import rotor_types, vector_of
+from aerial_gym.physics.model import Model
+from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.vehicle import is_shared
+
+BLOCK_DIM = 128
+"""Threads of a block; measured in docs/results/performance.md."""
+
+MIN_STEPS_PER_THREAD = 512
+"""Substeps of environments below which another CPU thread costs more than it saves (a hand-over takes some 20 µs)."""
+
+
+def has_warp_twin(effect: Effect) -> bool:
+    """Return whether an effect can run in the fused kernel."""
+    if isinstance(effect, WindEffect):
+        return type(effect).warp_wind is not WindEffect.warp_wind
+    if isinstance(effect, WrenchEffect):
+        return type(effect).warp_wrench is not WrenchEffect.warp_wrench
+    return isinstance(effect, VehicleEffect)
+
+
+@dataclass(frozen=True)
+class _Binding:
+    """Launches that were recorded for these very tensors."""
+
+    state: BodyState
+    command: Tensor
+    dt: float
+    substeps: int
+    launches: list[wp.Launch]
+
+
+class WarpBackend:
+    """Physics in one fused kernel, composed at ``allocate`` from the control law, the effects and the stepper.
+
+    On the CPU the batch is split over as many threads as torch is allowed (``torch.set_num_threads``).
+    """
+
+    def __init__(self, *, differentiable: bool = False) -> None:
+        """Make a backend; with ``differentiable`` ``advance`` passes gradients through Warp's tape."""
+        self._differentiable = differentiable
+        self._pool: ThreadPoolExecutor | None = None
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """What it can do; effects are those with a Warp twin at this moment."""
+        return Capabilities(
+            devices=("cpu", "cuda"),
+            dtypes=(torch.float32,),
+            integrators=tuple(STAGES),
+            differentiable=self._differentiable,
+            effects=tuple(name for name in EFFECTS.names() if has_warp_twin(EFFECTS.get(name))),
+        )
+
+    def allocate(self, model: Model, control: ControlLaw, *, integrator: str) -> None:
+        """Compose the kernel and make the buffers.
+
+        Raises:
+            CapabilityError: If stepper, effect, control law or float type cannot run here.
+        """
+        if integrator not in STAGES:
+            raise CapabilityError(f"backend warp: no integrator {integrator!r}. Known: {', '.join(STAGES)}")
+        for effect, _ in (*model.winds, *model.wrenches):
+            if not has_warp_twin(effect):
+                raise CapabilityError(f"backend warp: cannot run effect {effect.name!r}. Use backend 'torch'.")
+        law = control.fused()
+        if law is None:
+            raise CapabilityError(f"backend warp: {type(control).__name__} has no Warp law. Use backend 'torch'.")
+        if model.vehicle.mass.dtype != torch.float32:
+            raise CapabilityError(
+                f"backend warp: float32 only, not {model.vehicle.mass.dtype}. Use backend 'torch' for others."
+            )
+        start_warp()
+        self._law, self._integrator, self._model = law, integrator, model
+        self._device = model.vehicle.mass.device
+        self._num_envs, self._num_rotors = model.vehicle.num_envs, model.vehicle.num_rotors
+        self._dt = 0.0
+        fields = self._fields(model, dt=1.0)
+        self._columns: Columns = arrange(*fields, effect_rows(model), all_per_env=self._differentiable)
+        self._per_env = torch.zeros(max(self._columns.total, 1), self._num_envs, device=self._device)
+        self._kernel = make_kernel(
+            model,
+            law,
+            integrator,
+            self._columns,
+            com_offset=not is_shared(model.vehicle.com) or bool(model.vehicle.com.any()),
+            differentiable=self._differentiable,
+        )
+        self._binding: _Binding | None = None
+
+    def _fields(self, model: Model, dt: float) -> tuple[list[Field], list[Field], list[Field]]:
+        stage = STAGES[self._integrator] * dt
+        return vehicle_fields(model, stage), command_fields(self._law), gain_fields(self._law)
+
+    def set_model(self, model: Model) -> None:
+        """Take other parameters of the same shapes; what was shared must still be the same tensors."""
+        old, self._model = self._model, model
+        if self._dt == 0.0:
+            return
+        changed = any(
+            is_shared(new) and new is not kept and not torch.equal(new[0], kept[0])
+            for new, kept in zip(vars(model.vehicle).values(), vars(old.vehicle).values(), strict=True)
+        )
+        if changed:
+            self._dt = 0.0  # everything anew at the next step
+        else:
+            self._write_per_env()
+
+    def reset(self, mask: Tensor) -> None:
+        """Take new gains where they are randomised; all other memory is in the state."""
+        del mask
+        if self._columns.gains is not None and self._dt != 0.0:
+            self._write_per_env()
+
+    def _write_per_env(self) -> None:
+        if self._columns.total:
+            rows = per_env_rows(self._columns, *self._fields(self._model, self._dt), effect_rows(self._model))
+            torch.cat([row.T for row in rows], out=self._per_env)
+
+    def _prepare(self, dt: float) -> None:
+        """Compute everything that depends on the length of a substep."""
+        self._dt, self._binding = dt, None
+        self._write_per_env()
+        vehicle, command, gains = self._fields(self._model, dt)
+        types, columns = rotor_types(self._num_rotors), self._columns
+        gains_type = self._law.gains_type or NoGains
+        shared_gains = gains if columns.gains is None else []
+        self._shared = [
+            shared_struct(types.vehicle, vehicle, columns.vehicle),
+            shared_struct(types.command, command, columns.command),
+            shared_struct(gains_type, shared_gains, {}),
+        ]
+
+    def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
+        """Advance ``state`` in place: one launch, on torch's current stream, that waits for nothing."""
+        bound = self._binding
+        if dt != self._dt:
+            self._prepare(dt)
+            bound = None
+        if bound is None or bound.state is not state or bound.command is not command or bound.substeps != substeps:
+            bound = self._binding = self._bind(state, command, dt, substeps)
+        with on_torch_stream(command):
+            _launch_all(bound.launches, self._pool)
+
+    def _bind(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> _Binding:
+        """Record the launches for tensors of fixed address, so that a step makes no views."""
+        arrays = self._arrays(state)
+        inputs = [*arrays, self._view(command, vector_of(self._law.num_actions), "command"), *self._shared]
+        inputs += [wp.from_torch(self._per_env), self._model.gravity, dt, substeps]
+        launches = []
+        for first, count in self._chunks(substeps):
+            launches.append(
+                wp.launch(
+                    self._kernel,
+                    dim=count,
+                    inputs=[*inputs, first],
+                    outputs=arrays,
+                    device=wp.device_from_torch(self._device),
+                    block_dim=BLOCK_DIM,
+                    record_cmd=True,
+                )
+            )
+        return _Binding(state, command, dt, substeps, launches)
+
+    def _chunks(self, substeps: int) -> list[tuple[int, int]]:
+        """Return first environment and number of environments of each launch."""
+        if self._device.type == "cuda":
+            return [(0, self._num_envs)]
+        threads = min(torch.get_num_threads(), max(1, self._num_envs * substeps // MIN_STEPS_PER_THREAD))
+        threads = min(threads, self._num_envs)
+        if threads > 1 and self._pool is None:
+            self._pool = ThreadPoolExecutor(torch.get_num_threads() - 1, thread_name_prefix="physics")
+        edges = [self._num_envs * i // threads for i in range(threads + 1)]
+        return [(a, b - a) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+    def _arrays(self, state: BodyState) -> list[wp.array]:
+        kinds = self._kinds()[:-1]
+        return [self._view(tensor, kind, name) for (name, tensor), kind in zip(vars(state).items(), kinds, strict=True)]
+
+    def _kinds(self) -> tuple[type, ...]:
+        """Return the Warp types of the tensors of a state and of an action."""
+        rotors = rotor_types(self._num_rotors).vector
+        return wp.vec3, wp.quat, wp.vec3, wp.vec3, rotors, vector_of(self._law.num_actions)
+
+    def _view(self, tensor: Tensor, kind: type, name: str) -> wp.array:
+        shape = (self._num_envs, kind._length_)
+        if tuple(tensor.shape) != shape or tensor.dtype != torch.float32 or not tensor.is_contiguous():
+            raise ShapeError(
+                f"{name} is {tuple(tensor.shape)} {tensor.dtype} with strides {tensor.stride()}, "
+                f"expected {shape} torch.float32, contiguous"
+            )
+        return wp.from_torch(tensor, dtype=kind)
+
+    def advance(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> BodyState:
+        """Return the state after ``substeps`` of ``dt`` [s]; differentiable if asked for at construction.
+
+        Gradients flow to the state, the action and every parameter of the model and of the control law.
+        """
+        if dt != self._dt:
+            self._prepare(dt)
+        if not self._differentiable:
+            after = BodyState(**{name: tensor.clone() for name, tensor in vars(state).items()})
+            self.step(after, command, dt, substeps)
+            return after
+        rows = per_env_rows(self._columns, *self._fields(self._model, dt), effect_rows(self._model))
+        rollout = Rollout(self._kernel, self._shared, self._model.gravity, dt, substeps, self._kinds())
+        after = rollout(state.tensors(), command, torch.cat([row.T for row in rows]))
+        return BodyState(**dict(zip(vars(state), after, strict=True)))
+
+
+def _launch_all(launches: list[wp.Launch], pool: ThreadPoolExecutor | None) -> None:
+    """Run launches side by side: Warp leaves Python's lock while a CPU kernel runs."""
+    if pool is None or len(launches) == 1:
+        for launch in launches:
+            launch.launch()
+        return
+    others = [pool.submit(launch.launch) for launch in launches[1:]]
+    launches[0].launch()
+    wait(others)
+    for other in others:
+        other.result()
+
+
+BACKENDS.register("warp", WarpBackend)

@@ -1,0 +1,263 @@
+"""The fused Warp backend against the torch reference.
+
+Both follow the same equations; what may differ is round-off. Float32 torch is itself off the float64 result by some amount
+that grows with the flight (a clamped rotor amplifies it), so the bound is taken from it: the fused step may be at most
+``FACTOR`` times as far from float64 as float32 torch is, plus a few units in the last place.
+"""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym.config.controller import ControllerCfg
+from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.errors import CapabilityError, ShapeError
+from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, Model, TorchBackend, build_model, vehicle_from_config
+from aerial_gym.physics.effects import WrenchEffect
+from aerial_gym.physics.vehicle import Vehicle
+from aerial_gym.physics.warp_backend import WarpBackend
+from aerial_gym.robots import ROBOTS
+from tests.physics.vehicles import lopsided_robot, random_state
+
+FACTOR = 4.0
+ROUND_OFF = 2e-6
+"""About 16 units in the last place of float32, for values of order one."""
+
+DT, SUBSTEPS, STEPS = 0.004, 5, 50
+"""1 s of flight."""
+
+
+def build(robot, controller: ControllerCfg, num_envs: int, dtype: torch.dtype, effects=(), adjust=None):
+    """Return model and controller of a robot with effects at a moderate size."""
+    vehicle: Vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=dtype)
+    declared = vehicle
+    if adjust is not None:
+        vehicle = adjust(vehicle)
+    rows = []
+    for name in effects:
+        effect = EFFECTS.get(name)
+        row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
+        rows.append((effect, torch.tensor(row, dtype=dtype).expand(num_envs, -1).clone()))
+    return build_model(vehicle, rows), make_controller(controller, declared, 9.81)
+
+
+def actions_for(controller, model: Model, num_envs: int) -> Tensor:
+    """Return commands that a vehicle near hover could be given."""
+    g = torch.Generator().manual_seed(3)
+    draw = torch.rand(num_envs, len(controller.action_names), dtype=torch.float64, generator=g)
+    first = controller.action_names[0]
+    vehicle = model.vehicle
+    if first.startswith("thrust 1"):
+        return draw * 2.0 * 9.81 * vehicle.mass[:1].double() / vehicle.num_rotors
+    if first.startswith("speed"):
+        return vehicle.speed_high[:1].double() * (0.3 + 0.4 * draw)
+    return draw - 0.5
+
+
+def start_of(model: Model, num_envs: int) -> BodyState:
+    hover = model.vehicle.speed_high[0, 0].item() * 0.5
+    state = random_state(num_envs, seed=5, rotor_speed=hover)
+    if model.vehicle.num_rotors != 4:
+        speeds = torch.full((num_envs, model.vehicle.num_rotors), hover, dtype=torch.float64)
+        state = replace(state, rotor_speed=speeds)
+    return state
+
+
+def fly(
+    backend, robot, controller, integrator, dtype, *, effects=(), adjust=None, num_envs=16, follow=None
+) -> list[BodyState]:
+    """Return the state after every step; with ``follow`` each step starts from the state before it there."""
+    model, law = build(robot, controller, num_envs, dtype, effects, adjust)
+    backend.allocate(model, law, integrator=integrator)
+    actions = actions_for(law, model, num_envs).to(dtype)
+    state, found = as_type(start_of(model, num_envs), dtype), []
+    for step in range(STEPS):
+        if follow is not None and step > 0:
+            state.copy_(follow[step - 1])
+        backend.step(state, actions, DT, SUBSTEPS)
+        found.append(as_type(state, dtype))
+    return found
+
+
+def as_type(state: BodyState, dtype: torch.dtype) -> BodyState:
+    return BodyState(**{name: tensor.to(dtype, copy=True) for name, tensor in vars(state).items()})
+
+
+def assert_near(exact: BodyState, single: BodyState, fused: BodyState) -> None:
+    for name, truth in vars(exact).items():
+        size = 1.0 + truth.abs().max()
+        allowed = FACTOR * (getattr(single, name) - truth).abs().max() / size + ROUND_OFF
+        error = (getattr(fused, name) - truth).abs().max() / size
+        assert error <= allowed, f"{name}: {error:.2e} from float64, allowed {allowed:.2e}"
+        assert allowed < 1e-2, f"{name}: float32 says nothing about this flight"
+
+
+def assert_same_flight(robot, controller, integrator, *, steps_alone: bool = False, **options) -> None:
+    """Compare at the end of a second, or, where a flight is chaotic, each step of it from the same state."""
+    exact = fly(TorchBackend(), robot, controller, integrator, torch.float64, **options)
+    follow = exact if steps_alone else None
+    single = fly(TorchBackend(), robot, controller, integrator, torch.float32, follow=follow, **options)
+    fused = fly(WarpBackend(), robot, controller, integrator, torch.float32, follow=follow, **options)
+    for step in range(STEPS) if steps_alone else (-1,):
+        assert_near(exact[step], single[step], fused[step])
+
+
+@pytest.mark.parametrize("integrator", list(INTEGRATORS))
+@pytest.mark.parametrize("controller", CONTROLLERS.names())
+def test_every_controller_and_stepper_flies_like_torch(controller: str, integrator: str) -> None:
+    assert_same_flight(ROBOTS.get("tinyprop"), CONTROLLERS.get(controller), integrator)
+
+
+@pytest.mark.parametrize("robot", ROBOTS.names())
+def test_every_robot_flies_like_torch(robot: str) -> None:
+    assert_same_flight(ROBOTS.get(robot), CONTROLLERS.get("no_control"), "euler")
+
+
+def test_a_flight_that_amplifies_round_off_is_the_same_step_by_step() -> None:
+    """The gains of ``base_quadrotor`` make the lighter Crazyflie switch between its limits: a chaotic flight."""
+    robot, controller = ROBOTS.get("crazyflie_21_brushless"), CONTROLLERS.get("lee_velocity_control")
+    assert_same_flight(robot, controller, "euler", steps_alone=True)
+
+
+@pytest.mark.parametrize("effect", EFFECTS.names())
+def test_every_effect_flies_like_torch(effect: str) -> None:
+    effects = (effect,) if effect != "constant_wind" else (effect, "rotor_drag")
+    robot = lopsided_robot()
+    assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "rk4", effects=effects)
+
+
+def test_all_effects_at_once_fly_like_torch() -> None:
+    robot = lopsided_robot()
+    assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "euler", effects=EFFECTS.names())
+
+
+def scale_by_env(vehicle: Vehicle) -> Vehicle:
+    """Return a vehicle of which every parameter differs between environments."""
+
+    def scaled(rows: Tensor, by: float) -> Tensor:
+        steps = torch.linspace(0.9, 1.1, rows.shape[0], dtype=rows.dtype)
+        return rows * (1.0 + by * (steps - 1.0)).view(-1, *([1] * (rows.dim() - 1)))
+
+    changes = {k: scaled(v, 1.0) for k, v in vars(vehicle).items() if k not in ("rotor_axis", "rotor_spin")}
+    changes["com"] = changes["com"] + 0.01
+    return replace(vehicle, **changes, rotor_axis=vehicle.rotor_axis.clone(), rotor_spin=vehicle.rotor_spin.clone())
+
+
+@pytest.mark.parametrize("controller", ["rotor_speed_control", "lee_velocity_control"])
+def test_parameters_of_each_environment_are_read(controller: str) -> None:
+    assert_same_flight(lopsided_robot(), CONTROLLERS.get(controller), "euler", adjust=scale_by_env)
+
+
+def test_gains_of_each_environment_are_read() -> None:
+    cfg = CONTROLLERS.get("lee_position_control")
+    assert cfg.gains is not None
+    cfg = replace(cfg, gains=replace(cfg.gains, randomize=True))
+    robot, ends = ROBOTS.get("base_quadrotor"), []
+    for backend, dtype in ((TorchBackend(), torch.float32), (WarpBackend(), torch.float32)):
+        model, law = build(robot, cfg, 8, dtype)
+        backend.allocate(model, law, integrator="euler")
+        state = BodyState(**{k: v.to(dtype) for k, v in vars(start_of(model, 8)).items()})
+        actions = torch.zeros(8, 4)
+        backend.step(state, actions, DT, 1)  # with the middle gains
+        mask = torch.ones(8, dtype=torch.bool)
+        law.reset(mask, torch.Generator().manual_seed(4))
+        backend.reset(mask)
+        backend.step(state, actions, DT, SUBSTEPS)
+        ends.append(state)
+    torch.testing.assert_close(ends[1].ang_vel, ends[0].ang_vel, rtol=2e-5, atol=2e-5)
+
+
+def test_an_environment_does_not_depend_on_its_batch() -> None:
+    """Row i of a batch is bit for bit what it is alone, and what it is when the batch is split over threads."""
+    robot, controller = lopsided_robot(), CONTROLLERS.get("rotor_speed_control")
+    threads = torch.get_num_threads()
+    ends = {}
+    try:
+        for used in (1, 3):
+            torch.set_num_threads(used)
+            ends[used] = fly(WarpBackend(), robot, controller, "rk4", torch.float32, num_envs=1024)[-1]
+    finally:
+        torch.set_num_threads(threads)
+    model, law = build(robot, controller, 1, torch.float32)
+    batch_model, _ = build(robot, controller, 1024, torch.float32)
+    row = 700
+    backend = WarpBackend()
+    backend.allocate(model, law, integrator="rk4")
+    first = vars(start_of(batch_model, 1024)).items()
+    alone = BodyState(**{k: v[row : row + 1].float().contiguous() for k, v in first})
+    actions = actions_for(law, batch_model, 1024)[row : row + 1].float().contiguous()
+    for _ in range(STEPS):
+        backend.step(alone, actions, DT, SUBSTEPS)
+    for name, tensor in vars(alone).items():
+        assert torch.equal(tensor[0], getattr(ends[1], name)[row]), name
+        assert torch.equal(getattr(ends[1], name), getattr(ends[3], name)), name
+
+
+def test_changed_parameters_are_taken() -> None:
+    """A shared parameter and one per environment, changed after the first step, act from the next on."""
+    robot, controller = ROBOTS.get("tinyprop"), CONTROLLERS.get("rotor_speed_control")
+    model, law = build(robot, controller, 4, torch.float32, effects=("rotor_drag",))
+    other = replace(model, vehicle=replace(model.vehicle, mass=vehicle_with_mass(model, 2.0)))
+    results = []
+    for backend in (TorchBackend(), WarpBackend()):
+        backend.allocate(model, law, integrator="euler")
+        state = BodyState(**{k: v.float() for k, v in vars(start_of(model, 4)).items()})
+        actions = actions_for(law, model, 4).float()
+        backend.step(state, actions, DT, 1)
+        backend.set_model(other)
+        backend.step(state, actions, DT, 10)
+        results.append(state.lin_vel)
+    torch.testing.assert_close(results[1], results[0], rtol=1e-5, atol=1e-5)
+
+
+def vehicle_with_mass(model: Model, factor: float) -> Tensor:
+    mass = model.vehicle.mass
+    return (factor * mass[:1]).as_strided(mass.shape, (0,))
+
+
+class Unfused:
+    """A control law without Warp code."""
+
+    action_names = ("nothing",)
+
+    def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
+        return action
+
+    def fused(self) -> None:
+        return None
+
+
+def test_what_it_cannot_run_is_refused_by_name() -> None:
+    robot = ROBOTS.get("tinyprop")
+    model, law = build(robot, CONTROLLERS.get("no_control"), 2, torch.float32)
+    with pytest.raises(CapabilityError, match=r"no integrator 'rk5'. Known: euler, rk4"):
+        WarpBackend().allocate(model, law, integrator="rk5")
+    with pytest.raises(CapabilityError, match="Unfused has no Warp law"):
+        WarpBackend().allocate(model, Unfused(), integrator="euler")
+    doubles, law64 = build(robot, CONTROLLERS.get("no_control"), 2, torch.float64)
+    with pytest.raises(CapabilityError, match=r"float32 only, not torch.float64"):
+        WarpBackend().allocate(doubles, law64, integrator="euler")
+
+    class Untwinned(WrenchEffect):
+        name = "untwinned"
+        parameters = EFFECTS.get("rotor_drag").parameters
+
+        def regressor(self, condition):
+            raise NotImplementedError
+
+    strange = replace(model, wrenches=((Untwinned(), torch.zeros(2, 3)),))
+    with pytest.raises(CapabilityError, match="cannot run effect 'untwinned'"):
+        WarpBackend().allocate(strange, law, integrator="euler")
+
+
+def test_tensors_that_do_not_fit_are_refused() -> None:
+    model, law = build(ROBOTS.get("tinyprop"), CONTROLLERS.get("no_control"), 2, torch.float32)
+    backend = WarpBackend()
+    backend.allocate(model, law, integrator="euler")
+    state = BodyState(**{k: v.float() for k, v in vars(start_of(model, 2)).items()})
+    with pytest.raises(ShapeError, match=r"command is \(2, 3\).*expected \(2, 4\)"):
+        backend.step(state, torch.zeros(2, 3), DT, 1)
+
+
