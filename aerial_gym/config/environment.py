@@ -149,10 +149,15 @@ class EnvironmentCfg:
     assets: tuple[AssetCfg, ...] = ()
     """Obstacles; an empty list is open space."""
 
+    ground_height: float | None = None
+    """Height of the ground [m], world, which counts as a crash when touched; none in open air."""
+
     source: str
     """Where the numbers come from."""
 
     def __post_init__(self) -> None:
+        if self.ground_height is not None:
+            require_finite(self, "ground_height")
         if self.physics_steps_per_env_step < 1:
             raise ConfigError(
                 f"EnvironmentCfg.physics_steps_per_env_step = {self.physics_steps_per_env_step!r}: must be >= 1"

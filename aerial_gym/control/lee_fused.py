@@ -1,5 +1,6 @@
 # pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
 # (Warp compiles these functions from their source; Python's type rules do not describe them.)
 """The laws of ``control.lee`` as Warp functions for one environment.
 
@@ -91,14 +92,10 @@ def rate_torque(gains: Gains, ang_vel: wp.vec3, rate: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def attitude_torque(
-    gains: Gains, rotation: wp.mat33, desired: wp.mat33, ang_vel: wp.vec3, rate: wp.vec3
-) -> wp.vec3:
+def attitude_torque(gains: Gains, rotation: wp.mat33, desired: wp.mat33, ang_vel: wp.vec3, rate: wp.vec3) -> wp.vec3:
     """Return ``-K_R e_R - K_w (w - R^T Rd w_d) + w x J w`` [N m], body."""
     product = wp.transpose(desired) * rotation
-    error = 0.5 * wp.vec3(
-        product[2, 1] - product[1, 2], product[0, 2] - product[2, 0], product[1, 0] - product[0, 1]
-    )
+    error = 0.5 * wp.vec3(product[2, 1] - product[1, 2], product[0, 2] - product[2, 0], product[1, 0] - product[0, 1])
     return rate_torque(gains, ang_vel, wp.transpose(product) * rate) - wp.cw_mul(gains.attitude, error)
 
 

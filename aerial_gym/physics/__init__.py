@@ -2,12 +2,14 @@
 
 from aerial_gym.physics.backend import BACKENDS, Capabilities, ControlLaw, PhysicsBackend
 from aerial_gym.physics.effects import EFFECTS
+from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.integrators import INTEGRATORS
 from aerial_gym.physics.model import Model, build_model, effects_from_config
 from aerial_gym.physics.rigid_body import Accelerations, accelerations
 from aerial_gym.physics.state import BodyState, state_at_rest
 from aerial_gym.physics.torch_backend import TorchBackend, advance
 from aerial_gym.physics.vehicle import Vehicle, vehicle_from_config
+from aerial_gym.physics.warp_backend import WarpBackend
 
 __all__ = [
     "BACKENDS",
@@ -17,10 +19,12 @@ __all__ = [
     "BodyState",
     "Capabilities",
     "ControlLaw",
+    "Ground",
     "Model",
     "PhysicsBackend",
     "TorchBackend",
     "Vehicle",
+    "WarpBackend",
     "accelerations",
     "advance",
     "build_model",

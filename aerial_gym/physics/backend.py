@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
 from aerial_gym.registry import Registry
@@ -48,10 +49,13 @@ class ControlLaw(Protocol):
 class PhysicsBackend(Protocol):
     """Advances a batch of multirotors. ``step`` works in place, so that its tensors can be captured in a graph."""
 
-    capabilities: Capabilities
+    @property
+    def capabilities(self) -> Capabilities:
+        """What it can do."""
+        ...
 
-    def allocate(self, model: Model, control: ControlLaw, *, integrator: str) -> None:
-        """Take model, control law and stepper, and make all buffers.
+    def allocate(self, model: Model, control: ControlLaw, *, integrator: str, ground: Ground | None = None) -> None:
+        """Take model, control law, stepper and ground, and make all buffers.
 
         Raises:
             CapabilityError: If the backend cannot run what is asked, by name.

@@ -5,6 +5,7 @@ from torch import Tensor
 
 from aerial_gym.errors import CapabilityError
 from aerial_gym.physics.backend import BACKENDS, Capabilities, ControlLaw
+from aerial_gym.physics.ground import Ground, touches_ground
 from aerial_gym.physics.integrators import INTEGRATORS, Stepper, to_body_state, to_mass_state
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
@@ -45,11 +46,11 @@ class TorchBackend:
     _control: ControlLaw
     _stepper: Stepper
 
-    def allocate(self, model: Model, control: ControlLaw, *, integrator: str) -> None:
-        """Take model, control law and stepper by name."""
+    def allocate(self, model: Model, control: ControlLaw, *, integrator: str, ground: Ground | None = None) -> None:
+        """Take model, control law, stepper by name, and ground."""
         if integrator not in INTEGRATORS:
             raise CapabilityError(f"backend torch: no integrator {integrator!r}. Known: {', '.join(INTEGRATORS)}")
-        self._stepper, self._control = INTEGRATORS[integrator], control
+        self._stepper, self._control, self._ground = INTEGRATORS[integrator], control, ground
         self.set_model(model)
 
     def set_model(self, model: Model) -> None:
@@ -63,7 +64,12 @@ class TorchBackend:
     @torch.no_grad()
     def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
         """Advance ``state`` in place."""
-        state.copy_(self.advance(state, command, dt, substeps))
+        if self._ground is None:
+            state.copy_(self.advance(state, command, dt, substeps))
+            return
+        for _ in range(substeps):
+            state.copy_(self.advance(state, command, dt, 1))
+            self._ground.contact.logical_or_(touches_ground(self._ground, state))
 
     def reset(self, mask: Tensor) -> None:
         """Nothing to forget: all memory is in the state."""

@@ -5,6 +5,7 @@ Letters: E environments, R rotors, U entries of an action, N numbers per environ
 
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 import warp as wp
@@ -19,7 +20,6 @@ from aerial_gym.physics.fused.command import NoGains
 from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.fused.gradient import Rollout
 from aerial_gym.physics.fused.kernel import make_kernel
-from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.fused.parameters import (
     Columns,
     Field,
@@ -32,6 +32,7 @@ from aerial_gym.physics.fused.parameters import (
     vehicle_fields,
 )
 from aerial_gym.physics.fused.types import rotor_types, vector_of
+from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import is_shared
@@ -85,7 +86,7 @@ class WarpBackend:
             effects=tuple(name for name in EFFECTS.names() if has_warp_twin(EFFECTS.get(name))),
         )
 
-    def allocate(self, model: Model, control: ControlLaw, *, integrator: str) -> None:
+    def allocate(self, model: Model, control: ControlLaw, *, integrator: str, ground: Ground | None = None) -> None:
         """Compose the kernel and make the buffers.
 
         Raises:
@@ -111,15 +112,24 @@ class WarpBackend:
         fields = self._fields(model, dt=1.0)
         self._columns: Columns = arrange(*fields, effect_rows(model), all_per_env=self._differentiable)
         self._per_env = torch.zeros(max(self._columns.total, 1), self._num_envs, device=self._device)
+        self._ground = self._ground_arrays(ground)
         self._kernel = make_kernel(
             model,
             law,
             integrator,
             self._columns,
+            num_spheres=0 if ground is None else ground.spheres.shape[0],
             com_offset=not is_shared(model.vehicle.com) or bool(model.vehicle.com.any()),
             differentiable=self._differentiable,
         )
         self._binding: _Binding | None = None
+
+    def _ground_arrays(self, ground: Ground | None) -> tuple[wp.array, float, wp.array]:
+        """Return spheres, height and flags as the kernel takes them."""
+        if ground is None:
+            nothing = torch.zeros(1, 4, device=self._device)
+            ground = Ground(height=0.0, spheres=nothing, contact=torch.zeros(1, dtype=torch.bool, device=self._device))
+        return wp.from_torch(ground.spheres, dtype=wp.vec4), ground.height, wp.from_torch(ground.contact)
 
     def _fields(self, model: Model, dt: float) -> tuple[list[Field], list[Field], list[Field]]:
         stage = STAGES[self._integrator] * dt
@@ -145,6 +155,7 @@ class WarpBackend:
         if self._columns.gains is not None and self._dt != 0.0:
             self._write_per_env()
 
+    @torch.no_grad()
     def _write_per_env(self) -> None:
         if self._columns.total:
             rows = per_env_rows(self._columns, *self._fields(self._model, self._dt), effect_rows(self._model))
@@ -154,7 +165,9 @@ class WarpBackend:
         """Compute everything that depends on the length of a substep."""
         self._dt, self._binding = dt, None
         self._write_per_env()
-        vehicle, command, gains = self._fields(self._model, dt)
+        vehicle, command, gains = self._fields(
+            self._model, dt
+        )  # shared numbers leave as Python floats, without gradient
         types, columns = rotor_types(self._num_rotors), self._columns
         gains_type = self._law.gains_type or NoGains
         shared_gains = gains if columns.gains is None else []
@@ -179,7 +192,8 @@ class WarpBackend:
         """Record the launches for tensors of fixed address, so that a step makes no views."""
         arrays = self._arrays(state)
         inputs = [*arrays, self._view(command, vector_of(self._law.num_actions), "command"), *self._shared]
-        inputs += [wp.from_torch(self._per_env), self._model.gravity, dt, substeps]
+        spheres, height, contact = self._ground
+        inputs += [wp.from_torch(self._per_env), spheres, height, self._model.gravity, dt, substeps]
         launches = []
         for first, count in self._chunks(substeps):
             launches.append(
@@ -187,7 +201,7 @@ class WarpBackend:
                     self._kernel,
                     dim=count,
                     inputs=[*inputs, first],
-                    outputs=arrays,
+                    outputs=[*arrays, contact],
                     device=wp.device_from_torch(self._device),
                     block_dim=BLOCK_DIM,
                     record_cmd=True,
@@ -204,7 +218,7 @@ class WarpBackend:
         if threads > 1 and self._pool is None:
             self._pool = ThreadPoolExecutor(torch.get_num_threads() - 1, thread_name_prefix="physics")
         edges = [self._num_envs * i // threads for i in range(threads + 1)]
-        return [(a, b - a) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        return [(a, b - a) for a, b in pairwise(edges)]
 
     def _arrays(self, state: BodyState) -> list[wp.array]:
         kinds = self._kinds()[:-1]
@@ -222,6 +236,8 @@ class WarpBackend:
                 f"{name} is {tuple(tensor.shape)} {tensor.dtype} with strides {tensor.stride()}, "
                 f"expected {shape} torch.float32, contiguous"
             )
+        if kind._length_ == 4 and tensor.data_ptr() % 16:
+            raise ShapeError(f"{name} does not start at a multiple of 16 bytes: clone the tensor")
         return wp.from_torch(tensor, dtype=kind)
 
     def advance(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> BodyState:
@@ -236,7 +252,7 @@ class WarpBackend:
             self.step(after, command, dt, substeps)
             return after
         rows = per_env_rows(self._columns, *self._fields(self._model, dt), effect_rows(self._model))
-        rollout = Rollout(self._kernel, self._shared, self._model.gravity, dt, substeps, self._kinds())
+        rollout = Rollout(self._kernel, self._shared, self._ground, self._model.gravity, dt, substeps, self._kinds())
         after = rollout(state.tensors(), command, torch.cat([row.T for row in rows]))
         return BodyState(**dict(zip(vars(state), after, strict=True)))
 

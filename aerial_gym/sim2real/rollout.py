@@ -82,6 +82,9 @@ class _Straight:
         del state
         return action
 
+    def fused(self) -> None:
+        """There is no Warp code: rollouts run in float64 torch."""
+
 
 def find_windows(flights: Sequence[Flight], horizons: Sequence[float]) -> Windows:
     """Return the starts of windows that fit the longest horizon, in every flight that is long enough."""

@@ -259,5 +259,3 @@ def test_tensors_that_do_not_fit_are_refused() -> None:
     state = BodyState(**{k: v.float() for k, v in vars(start_of(model, 2)).items()})
     with pytest.raises(ShapeError, match=r"command is \(2, 3\).*expected \(2, 4\)"):
         backend.step(state, torch.zeros(2, 3), DT, 1)
-
-

@@ -1,5 +1,6 @@
 # pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
 # (Warp compiles these functions from their source; Python's type rules do not describe them.)
 """The physics of one environment as Warp functions that do not depend on the number of rotors.
 
@@ -58,3 +59,42 @@ def lag_speed(speed: float, command: float, decay_up: float, decay_down: float) 
 def angular_acceleration(inertia: wp.mat33, inertia_inverse: wp.mat33, ang_vel: wp.vec3, torque: wp.vec3) -> wp.vec3:
     """Return ``J^-1 (tau - w x J w)`` [rad/s²], body."""
     return inertia_inverse * (torque - wp.cross(ang_vel, inertia * ang_vel))
+
+
+# A vector of four numbers in memory is four loads of 4 bytes to the compiler, and four stores that each fill a quarter of a
+# sector. These tell it that the address is aligned to 16 bytes (``WarpBackend`` checks that).
+_LOAD = """
+#if defined(__CUDA_ARCH__)
+    const float4 v = *reinterpret_cast<const float4*>(source.data + i);
+    return {kind}(v.x, v.y, v.z, v.w);
+#else
+    return source.data[i];
+#endif
+"""
+_STORE = """
+#if defined(__CUDA_ARCH__)
+    *reinterpret_cast<float4*>(out.data + i) = make_float4(value[0], value[1], value[2], value[3]);
+#else
+    out.data[i] = value;
+#endif
+"""
+
+
+@wp.func_native(_LOAD.replace("{kind}", "wp::quat_t<float>"))
+def load_quat(source: wp.array[wp.quat], i: int) -> wp.quat:
+    """Return element ``i``."""
+
+
+@wp.func_native(_LOAD.replace("{kind}", "wp::vec_t<4, float>"))
+def load_vec4(source: wp.array[wp.vec4], i: int) -> wp.vec4:
+    """Return element ``i``."""
+
+
+@wp.func_native(_STORE)
+def store_quat(out: wp.array[wp.quat], i: int, value: wp.quat):
+    """Write element ``i``."""
+
+
+@wp.func_native(_STORE)
+def store_vec4(out: wp.array[wp.vec4], i: int, value: wp.vec4):
+    """Write element ``i``."""

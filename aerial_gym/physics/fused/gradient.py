@@ -18,10 +18,19 @@ class Rollout:
     """A differentiable call of the kernel over several substeps."""
 
     def __init__(
-        self, kernel: wp.Kernel, shared: Sequence[Any], gravity: float, dt: float, substeps: int, kinds: Sequence[type]
+        self,
+        kernel: wp.Kernel,
+        shared: Sequence[Any],
+        ground: tuple[wp.array, float, wp.array],
+        gravity: float,
+        dt: float,
+        substeps: int,
+        kinds: Sequence[type],
     ) -> None:
-        """Take the kernel, its structs and scalars, and the Warp types of state and action."""
-        self.kernel, self.shared, self.scalars, self.substeps = kernel, list(shared), (gravity, dt), substeps
+        """Take the kernel, its structs, ground and scalars, and the Warp types of state and action."""
+        self.kernel, self.shared, self.substeps = kernel, list(shared), substeps
+        *plane, self.contact = ground
+        self.scalars = (*plane, gravity, dt)
         self.kinds = tuple(kinds)
 
     def __call__(self, state: Sequence[Tensor], command: Tensor, per_env: Tensor) -> tuple[Tensor, ...]:
@@ -46,7 +55,7 @@ class _Rollout(torch.autograd.Function):
                     rollout.kernel,
                     dim=command.shape[0],
                     inputs=[*now, action, *rollout.shared, params, *rollout.scalars, 1, 0],
-                    outputs=after,
+                    outputs=[*after, rollout.contact],
                     device=now[0].device,
                 )
                 now = after

@@ -1,6 +1,6 @@
 # pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
-# pyright: reportInvalidTypeForm=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
 # (Warp compiles these functions from their source; Python's type rules do not describe them.)
 """The kernel that advances every environment by all substeps of a step, composed for one model, law and stepper.
 
@@ -14,7 +14,7 @@ import warp as wp
 
 from aerial_gym.physics.fused.command import NoGains, make_command
 from aerial_gym.physics.fused.dynamics import make_stepper
-from aerial_gym.physics.fused.functions import rotate
+from aerial_gym.physics.fused.functions import load_quat, load_vec4, rotate, store_quat, store_vec4
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.fused.parameters import Columns
 from aerial_gym.physics.fused.types import rotor_types, vector_of
@@ -41,6 +41,21 @@ def _make_reader(kind: Any, rows: int, columns: int) -> wp.Function:
         return value
 
     return read_matrix if columns else read_vector
+
+
+@cache
+def _make_access(kind: Any) -> tuple[wp.Function, wp.Function]:
+    """Return functions that read and write one vector of an array, with an adjoint."""
+
+    @wp.func
+    def get(source: wp.array[kind], i: int) -> kind:
+        return source[i]
+
+    @wp.func
+    def put(out: wp.array[kind], i: int, value: kind):
+        out[i] = value
+
+    return get, put
 
 
 def _make_vehicle_reader(num_rotors: int, places: dict[str, int]) -> wp.Function:
@@ -119,7 +134,14 @@ def _make_gains_reader(law: FusedLaw, first: int | None) -> wp.Function:
 
 
 def make_kernel(
-    model: Model, law: FusedLaw, integrator: str, columns: Columns, *, com_offset: bool, differentiable: bool
+    model: Model,
+    law: FusedLaw,
+    integrator: str,
+    columns: Columns,
+    *,
+    num_spheres: int,
+    com_offset: bool,
+    differentiable: bool,
 ) -> wp.Kernel:
     """Return the kernel; what it does not need costs nothing.
 
@@ -128,6 +150,7 @@ def make_kernel(
         law: Control law.
         integrator: Name of the stepper.
         columns: What is read per environment.
+        num_spheres: How many spheres are tested against the ground; 0 where there is none.
         com_offset: Whether the centre of mass is beside the body origin anywhere.
         differentiable: Whether Warp also makes the adjoint.
     """
@@ -141,6 +164,32 @@ def make_kernel(
     read_gains = _make_gains_reader(law, columns.gains)
     read_params = _make_reader(params_type, num_params, 0)
     first_param = columns.effects
+    get_quat, put_quat = (load_quat, store_quat) if not differentiable else _make_access(wp.quat)
+    get_rotors, put_rotors = (load_vec4, store_vec4) if num_rotors == 4 and not differentiable else _make_access(vector)
+    get_action = load_vec4 if law.num_actions == 4 and not differentiable else _make_access(action_type)[0]
+
+    @wp.func
+    def step_once(
+        vehicle: vehicle_type,
+        command_params: command_type,
+        gains: gains_type,
+        params: params_type,
+        gravity: float,
+        x: wp.vec3,
+        q: wp.quat,
+        v: wp.vec3,
+        w: wp.vec3,
+        n: vector,
+        u: action_type,
+        dt: float,
+    ):
+        origin = x
+        origin_vel = v
+        if wp.static(com_offset):
+            origin = x - rotate(q, vehicle.com)
+            origin_vel = v - rotate(q, wp.cross(w, vehicle.com))
+        command = command_of(command_params, gains, origin, q, origin_vel, w, u)
+        return step(vehicle, params, gravity, x, q, v, w, n, command, dt)
 
     @wp.kernel(module="unique", enable_backward=differentiable)
     def advance(
@@ -156,6 +205,8 @@ def make_kernel(
         shared_command: command_type,
         shared_gains: gains_type,
         per_env: wp.array2d[float],  # (N, E)
+        spheres: wp.array[wp.vec4],  # (C,) centre in the body frame, radius [m]
+        ground_height: float,  # [m] world
         gravity: float,  # [m/s²]
         dt: float,  # [s]
         substeps: int,
@@ -166,6 +217,7 @@ def make_kernel(
         lin_vel_out: wp.array[wp.vec3],
         ang_vel_out: wp.array[wp.vec3],
         rotor_speed_out: wp.array[vector],
+        contact_out: wp.array[wp.bool],  # (E,) set where the ground is touched
     ):
         """Advance one environment; its state stays in registers over the substeps."""
         env = wp.tid() + first
@@ -174,30 +226,33 @@ def make_kernel(
         gains = read_gains(shared_gains, per_env, env)
         params = read_params(per_env, wp.static(first_param), env)
         x = position[env]
-        q = attitude[env]
+        q = get_quat(attitude, env)
         v = lin_vel[env]
         w = ang_vel[env]
-        n = rotor_speed[env]
-        u = action[env]
+        n = get_rotors(rotor_speed, env)
+        u = get_action(action, env)
         if wp.static(com_offset):
             x = x + rotate(q, vehicle.com)
             v = v + rotate(q, wp.cross(w, vehicle.com))
+        if wp.static(differentiable):  # no loop: its adjoint would need the states on the way
+            x, q, v, w, n = step_once(vehicle, command_params, gains, params, gravity, x, q, v, w, n, u, dt)
+            substeps = 0
         for _k in range(substeps):
-            if wp.static(com_offset):
-                command = command_of(
-                    command_params, gains, x - rotate(q, vehicle.com), q, v - rotate(q, wp.cross(w, vehicle.com)), w, u
-                )
-                x, q, v, w, n = step(vehicle, params, gravity, x, q, v, w, n, command, dt)
-            else:
-                command = command_of(command_params, gains, x, q, v, w, u)
-                x, q, v, w, n = step(vehicle, params, gravity, x, q, v, w, n, command, dt)
+            x, q, v, w, n = step_once(vehicle, command_params, gains, params, gravity, x, q, v, w, n, u, dt)
+            if wp.static(num_spheres > 0):
+                for i in range(wp.static(num_spheres)):
+                    center = wp.vec3(spheres[i][0], spheres[i][1], spheres[i][2])
+                    if wp.static(com_offset):
+                        center -= vehicle.com
+                    if x[2] + rotate(q, center)[2] - spheres[i][3] < ground_height:
+                        contact_out[env] = True
         if wp.static(com_offset):
             x = x - rotate(q, vehicle.com)
             v = v - rotate(q, wp.cross(w, vehicle.com))
         position_out[env] = x
-        attitude_out[env] = q
+        put_quat(attitude_out, env, q)
         lin_vel_out[env] = v
         ang_vel_out[env] = w
-        rotor_speed_out[env] = n
+        put_rotors(rotor_speed_out, env, n)
 
     return advance

@@ -48,4 +48,3 @@ class FusedLaw:
 
     gains: Mapping[str, Tensor] = field(default_factory=dict)
     """A tensor (E, ...) for each field of ``gains_type``, in its order."""
-

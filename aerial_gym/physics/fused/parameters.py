@@ -1,6 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
-# (Warp compiles these functions from their source; Python's type rules do not describe them.)
 """Parameters of vehicle, effects and control law, from torch rows to what a kernel reads.
 
 What all environments share goes into structs that a launch passes by value; the rest stands in one tensor (N, E), a row for

@@ -1,0 +1,89 @@
+"""Gradients of a rollout through Warp's tape against those of the float64 torch backend (held to gradcheck elsewhere)."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.physics import (
+    EFFECTS,
+    INTEGRATORS,
+    BodyState,
+    TorchBackend,
+    WarpBackend,
+    build_model,
+    vehicle_from_config,
+)
+from tests.physics.vehicles import lopsided_robot, random_state
+
+NUM_ENVS, DT, SUBSTEPS = 3, 0.01, 5
+RELATIVE = 2e-5
+"""Of the largest entry: some 200 units in the last place of float32, for some thousand operations."""
+
+
+def gradients(backend, dtype: torch.dtype, controller: str, integrator: str) -> dict[str, Tensor]:
+    """Return the gradients of a generic function of the state after a rollout, by what they are taken for."""
+    robot = lopsided_robot()
+    vehicle = vehicle_from_config(robot, num_envs=NUM_ENVS, dtype=dtype)
+    law = make_controller(CONTROLLERS.get(controller), vehicle, 9.81)
+    mass = vehicle.mass.clone().requires_grad_()
+    inertia = vehicle.inertia.clone().requires_grad_()
+    leaves = {"mass": mass, "inertia": inertia}
+    effects = []
+    for name in EFFECTS.names():
+        effect = EFFECTS.get(name)
+        row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
+        leaves[name] = torch.tensor(row, dtype=dtype).expand(NUM_ENVS, -1).clone().requires_grad_()
+        effects.append((effect, leaves[name]))
+    start = {k: v.to(dtype).requires_grad_() for k, v in vars(random_state(NUM_ENVS, seed=2)).items()}
+    leaves |= start
+    g = torch.Generator().manual_seed(0)
+    action = torch.rand(NUM_ENVS, 4, dtype=torch.float64, generator=g).to(dtype)
+    action = 700.0 + 100.0 * action if controller == "rotor_speed_control" else 0.2 * action
+    leaves["action"] = action.requires_grad_()
+    model = build_model(replace(vehicle, mass=mass, inertia=inertia), effects)
+    backend.allocate(model, law, integrator=integrator)
+    end = backend.advance(BodyState(**start), action, DT, SUBSTEPS)
+    weights = [torch.rand(t.shape, dtype=torch.float64, generator=g).to(dtype) for t in end.tensors()]
+    scales = (1.0, 1.0, 1.0, 1.0, 1e-3)
+    loss = sum((s * w * t).sum() for s, w, t in zip(scales, weights, end.tensors(), strict=True))
+    found = dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values())), strict=True))
+    unit, slope = start["attitude"].detach(), found["attitude"]
+    found["attitude"] = slope - (slope * unit).sum(-1, keepdim=True) * unit  # off the unit sphere there is no physics
+    return found
+
+
+@pytest.mark.parametrize("integrator", list(INTEGRATORS))
+@pytest.mark.parametrize("controller", ["rotor_speed_control", "lee_velocity_control"])
+def test_gradients_agree_with_torch(controller: str, integrator: str) -> None:
+    """For the action, every tensor of the initial state, mass, inertia and the parameters of every effect."""
+    exact = gradients(TorchBackend(), torch.float64, controller, integrator)
+    single = gradients(TorchBackend(), torch.float32, controller, integrator)
+    taped = gradients(WarpBackend(differentiable=True), torch.float32, controller, integrator)
+    for name, truth in exact.items():
+        size = truth.abs().max()
+        allowed = 4.0 * (single[name] - truth).abs().max() / size + RELATIVE
+        error = (taped[name] - truth).abs().max() / size
+        assert error <= allowed, f"{name}: {error:.1e} of {size:.2e}, allowed {allowed:.1e}"
+        assert size > 0.0, name
+
+
+def test_capabilities_say_which_backend_is_differentiable() -> None:
+    assert WarpBackend(differentiable=True).capabilities.differentiable
+    assert not WarpBackend().capabilities.differentiable
+    assert TorchBackend.capabilities.differentiable
+
+
+def test_without_gradients_the_rollout_is_that_of_step() -> None:
+    robot = lopsided_robot()
+    vehicle = vehicle_from_config(robot, num_envs=2)
+    law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81)
+    start = BodyState(**{k: v.float() for k, v in vars(random_state(2)).items()})
+    ends = []
+    for backend in (WarpBackend(), WarpBackend(differentiable=True)):
+        backend.allocate(build_model(vehicle), law, integrator="rk4")
+        ends.append(backend.advance(start, torch.full((2, 4), 2.0), 0.01, 10))
+    for name, tensor in vars(ends[0]).items():
+        torch.testing.assert_close(getattr(ends[1], name), tensor, rtol=1e-5, atol=1e-5)
