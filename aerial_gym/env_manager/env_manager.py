@@ -40,7 +40,7 @@ class EnvManager:
         """
         if num_envs < 1:
             raise ConfigError(f"num_envs = {num_envs!r}: must be at least 1")
-        self.cfg, self.sim_cfg, self.num_envs, self.device = env, sim, num_envs, device
+        self.cfg, self.sim_cfg, self.num_envs, self.device, self.seed = env, sim, num_envs, device, seed
         self.generator = torch.Generator(device=device).manual_seed(seed)
         sizes = {"E": num_envs, "A": env.num_assets, "R": robot.num_rotors}
         self.gtd = GlobalTensorDictionary(device=device, sizes=sizes)
@@ -57,9 +57,10 @@ class EnvManager:
             asset_state=root[:, 1:],
         )
         self.robot_manager = RobotManager(
-            robot, sim, self.gtd, root_state=root[:, 0], bounds=bounds, generator=self.generator
+            robot, sim, self.gtd, root_state=root[:, 0], bounds=bounds, generator=self.generator, seed=seed
         )
-        self.robot_manager.attach(make_controller(controller, self.robot_manager.declared, sim.gravity))
+        law = make_controller(controller, self.robot_manager.declared, sim.gravity)
+        self.robot_manager.attach(law, ground_height=env.ground_height, contact=self.gtd["crashes"])
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
         cameras = {name: SENSORS.get(name) for name in robot.sensors}
         scene = self.asset_manager.scene
@@ -73,6 +74,10 @@ class EnvManager:
             **pose,
         )
         self._bounds_ranges = bounds_ranges(env, device=device)
+        self._bounds_vary = bool((self._bounds_ranges[:, 0] != self._bounds_ranges[:, 1]).any())
+        bounds[0].copy_(self._bounds_ranges[0, 0])
+        bounds[1].copy_(self._bounds_ranges[1, 0])
+        self._collision.measure()
         self._all = torch.ones(num_envs, dtype=torch.bool, device=device)
 
     def _declare(self, num_assets: int) -> None:
@@ -122,15 +127,23 @@ class EnvManager:
             self._collision.measure()
             self.gtd["crashes"].logical_or_(self._touching)
 
+    def restart(self, seed: int) -> None:
+        """Begin every random number anew with a seed."""
+        self.seed = seed
+        self.generator.manual_seed(seed)
+        self.robot_manager.restart(seed)
+
     def reset(self, mask: Tensor | None = None) -> None:
         """Start the environments in ``mask``, bool (E,), anew; all of them without a mask. Others stay bit for bit."""
         mask = self._all if mask is None else mask
-        self._draw_bounds(mask)
-        self.asset_manager.reset(mask)
+        if self._bounds_vary:
+            self._draw_bounds(mask)
+        if self.cfg.num_assets:
+            self.asset_manager.reset(mask)
         self.robot_manager.reset(mask)
         self.sensor_manager.reset(mask)
-        self.robot_manager.refresh()
-        self._collision.measure()
+        if self.cfg.num_assets:
+            self._collision.measure()
         for key in ("crashes", "truncations", "sim_steps"):
             self.gtd[key].masked_fill_(mask, 0)
 

@@ -12,7 +12,6 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import Controller
 from aerial_gym.errors import CapabilityError, ShapeError
-from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.math.random import uniform
 from aerial_gym.physics import (
     BACKENDS,
@@ -22,10 +21,12 @@ from aerial_gym.physics import (
     effects_from_config,
     vehicle_from_config,
 )
+from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import speed_for_thrust
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.robots.state_keys import RobotTensors, declare_robot_tensors, refresh_derived
+from aerial_gym.robots.initial_state import InitialState
+from aerial_gym.robots.state_keys import RobotTensors, declare_robot_tensors
 
 BACKEND_PREFERENCE = ("warp", "torch")
 """What the backend name ``auto`` tries, in order."""
@@ -64,6 +65,7 @@ class RobotManager:
         root_state: Tensor,
         bounds: tuple[Tensor, Tensor],
         generator: torch.Generator,
+        seed: int,
     ) -> None:
         """Declare tensors and build the vehicle; ``attach`` completes it with a controller.
 
@@ -73,30 +75,35 @@ class RobotManager:
             gtd: Receives the robot's keys; its size R is the number of rotors.
             root_state: This robot's row of ``vec_root_tensor``, (E, 13).
             bounds: Lower and upper bounds of the environments [m], each (E, 3).
-            generator: Source of every random number of this manager.
+            generator: Source of randomised parameters.
+            seed: Seed of the initial states.
         """
-        self.cfg, self._sim, self._gtd, self._bounds, self._generator = robot, sim, gtd, bounds, generator
+        self.cfg, self._sim, self._gtd, self._generator = robot, sim, gtd, generator
+        self._bounds, self._seed = bounds, seed
         self._num_envs = root_state.shape[0]
         self.declared: Vehicle = vehicle_from_config(robot, num_envs=self._num_envs, device=gtd.device)
         self._effects = effects_from_config(
             robot.effects, num_envs=self._num_envs, device=gtd.device, dtype=root_state.dtype
         )
-        self._factors = {
-            "mass_scale": torch.ones(self._num_envs, 1, device=gtd.device),
-            "thrust_scale": torch.ones(self._num_envs, robot.num_rotors, device=gtd.device),
-            "time_constant_scale": torch.ones(self._num_envs, robot.num_rotors, device=gtd.device),
+        widths = {"mass_scale": 1, "thrust_scale": robot.num_rotors, "time_constant_scale": robot.num_rotors}
+        self._ranges = {
+            name: torch.tensor(getattr(robot.randomization, name), device=gtd.device)
+            for name in widths
+            if getattr(robot.randomization, name) != (1.0, 1.0)
         }
-        ranges = {name: torch.tensor(getattr(robot.randomization, name), device=gtd.device) for name in self._factors}
-        self._randomized = {
-            name: (r[0], r[1]) for name, r in ranges.items() if getattr(robot.randomization, name) != (1.0, 1.0)
-        }
+        self._factors = {name: torch.ones(self._num_envs, widths[name], device=gtd.device) for name in self._ranges}
         self._root_state = root_state
         self.backend = choose_backend(sim.backend)
         check_capabilities(self.backend, robot, gtd.device)
-        self._initial = {k: torch.tensor(v, device=gtd.device) for k, v in vars(robot.initial_state).items()}
 
-    def attach(self, controller: Controller) -> None:
-        """Take the controller, declare the tensors and hand everything to the backend."""
+    def attach(self, controller: Controller, *, ground_height: float | None, contact: Tensor) -> None:
+        """Take the controller, declare the tensors and hand everything to the backend.
+
+        Args:
+            controller: Turns actions into rotor commands.
+            ground_height: Height of the ground plane [m], world; None where there is none.
+            contact: Set by the physics where the robot touches the ground, bool (E,).
+        """
         self.controller = controller
         gtd = self._gtd
         gtd.define_size("U", len(controller.action_names))
@@ -117,9 +124,25 @@ class RobotManager:
             stored = gtd.declare(spec)
             stored.copy_(params)
             self._effects[i] = (effect, stored)
-        self.backend.allocate(self._build_model(), controller, integrator=self._sim.integrator)
-        self._rest_speed = _hover_speed(self.declared, self._sim.gravity)
-        self.tensors.state.rotor_speed.copy_(self._rest_speed)
+        ground = None if ground_height is None else self._ground(ground_height, contact)
+        self.backend.allocate(self._build_model(), controller, integrator=self._sim.integrator, ground=ground)
+        rest_speed = _hover_speed(self.declared, self._sim.gravity)
+        self.tensors.state.rotor_speed.copy_(rest_speed)
+        self._initial = InitialState(
+            self.cfg.initial_state,
+            self.tensors.state,
+            self.tensors.derived,
+            bounds=self._bounds,
+            rest_speed=rest_speed,
+            actions=self.tensors.actions,
+            prev_actions=self.tensors.prev_actions,
+            seed=self._seed,
+        )
+
+    def _ground(self, height: float, contact: Tensor) -> Ground:
+        rows = [(*sphere.center, sphere.radius) for sphere in self.cfg.collision.spheres]
+        spheres = torch.tensor(rows, dtype=torch.float32, device=self._gtd.device).view(-1, 4)
+        return Ground(height=height, spheres=spheres, contact=contact)
 
     @property
     def num_actions(self) -> int:
@@ -128,16 +151,21 @@ class RobotManager:
 
     def _build_model(self) -> Model:
         vehicle, factors = self.declared, self._factors
-        mass, thrust, lag = factors["mass_scale"], factors["thrust_scale"].unsqueeze(-1), factors["time_constant_scale"]
-        vehicle = replace(
-            vehicle,
-            mass=vehicle.mass * mass.squeeze(-1),
-            inertia=vehicle.inertia * mass.unsqueeze(-1),
-            thrust_map=vehicle.thrust_map * thrust,
-            torque_map=vehicle.torque_map * thrust,
-            time_constant_up=vehicle.time_constant_up * lag,
-            time_constant_down=vehicle.time_constant_down * lag,
-        )
+        if "mass_scale" in factors:
+            mass = factors["mass_scale"]
+            vehicle = replace(
+                vehicle, mass=vehicle.mass * mass.squeeze(-1), inertia=vehicle.inertia * mass.unsqueeze(-1)
+            )
+        if "thrust_scale" in factors:
+            thrust = factors["thrust_scale"].unsqueeze(-1)
+            vehicle = replace(vehicle, thrust_map=vehicle.thrust_map * thrust, torque_map=vehicle.torque_map * thrust)
+        if "time_constant_scale" in factors:
+            lag = factors["time_constant_scale"]
+            vehicle = replace(
+                vehicle,
+                time_constant_up=vehicle.time_constant_up * lag,
+                time_constant_down=vehicle.time_constant_down * lag,
+            )
         self.model = build_model(vehicle, self._effects, gravity=self._sim.gravity)
         self._mass.copy_(self.model.vehicle.mass)
         self._inertia.copy_(self.model.vehicle.inertia)
@@ -146,6 +174,10 @@ class RobotManager:
     def refresh_model(self) -> None:
         """Take changed parameters of effects (``gtd["effect_..."]``) into the physics."""
         self.backend.set_model(self._build_model())
+
+    def restart(self, seed: int) -> None:
+        """Begin the draws of the initial states anew with a seed."""
+        self._initial.restart(seed)
 
     def act(self, actions: Tensor) -> None:
         """Store the action of this step, (E, U), and keep the one before."""
@@ -163,45 +195,25 @@ class RobotManager:
 
     def refresh(self) -> None:
         """Bring every derived state to the instant of the physics."""
-        refresh_derived(self.tensors)
+        self.tensors.derived.refresh()
 
     def reset(self, mask: Tensor) -> None:
         """Draw a new initial state, and new parameters where randomised, for the environments in ``mask``, bool (E,)."""
-        draws = _draw_state(self._initial, self._bounds, self._generator, self._rest_speed)
-        rows = mask.unsqueeze(-1)
-        for tensor, draw in zip(self.tensors.state.tensors(), draws, strict=True):
-            tensor.copy_(torch.where(rows, draw, tensor))
-        self.tensors.actions.masked_fill_(rows, 0.0)
-        self.tensors.prev_actions.masked_fill_(rows, 0.0)
-        self._randomize(rows)
+        self._initial.reset(mask)
+        self._randomize(mask.unsqueeze(-1))
         self.controller.reset(mask, self._generator)
         self.backend.reset(mask)
 
     def _randomize(self, rows: Tensor) -> None:
-        for name, (low, high) in self._randomized.items():
-            factor = self._factors[name]
+        for name, factor in self._factors.items():
+            low, high = self._ranges[name]
             draw = uniform(low, high, tuple(factor.shape), generator=self._generator)
             factor.copy_(torch.where(rows, draw, factor))
-        if self._randomized:
+        if self._factors:
             self.refresh_model()
 
 
 def _hover_speed(vehicle: Vehicle, gravity: float) -> Tensor:
-    """Return the rotor speeds (E, R) [rad/s] at which a reset starts: an equal share of the weight each."""
-    share = (vehicle.mass * gravity / vehicle.num_rotors).unsqueeze(-1).expand(-1, vehicle.num_rotors)
-    return torch.clamp(speed_for_thrust(vehicle.thrust_map, share), vehicle.speed_low, vehicle.speed_high)
-
-
-def _draw_state(
-    initial: dict[str, Tensor], bounds: tuple[Tensor, Tensor], generator: torch.Generator, rotor_speed: Tensor
-) -> tuple[Tensor, ...]:
-    """Return drawn position, attitude, velocities and rotor speeds for all environments, in the order of ``BodyState``."""
-    lower, upper = bounds
-    shape = tuple(lower.shape)
-
-    def draw(name: str) -> Tensor:
-        return uniform(initial[f"{name}_low"], initial[f"{name}_high"], shape, generator=generator)
-
-    position = lower + (upper - lower) * draw("position_ratio")
-    attitude = quat_from_euler(draw("euler"))
-    return position, attitude, draw("lin_vel"), draw("ang_vel"), rotor_speed
+    """Return the rotor speeds (R,) [rad/s] at which a reset starts: an equal share of the weight each."""
+    share = (vehicle.mass[:1] * gravity / vehicle.num_rotors).expand(vehicle.num_rotors)
+    return torch.clamp(speed_for_thrust(vehicle.thrust_map[0], share), vehicle.speed_low[0], vehicle.speed_high[0])

@@ -1,0 +1,105 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
+# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
+"""The states that follow from position, attitude and velocities, written for all environments in one launch.
+
+Frames: world z up; body x forward, y left, z up; *vehicle* is the world turned by the yaw alone. Letters: E environments.
+"""
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.interop import on_torch_stream, start_warp
+from aerial_gym.physics import BodyState
+
+
+@wp.struct
+class DerivedArrays:
+    """What is written, each (E,)."""
+
+    ang_vel_world: wp.array[wp.vec3]  # [rad/s]
+    lin_vel_body: wp.array[wp.vec3]  # [m/s]
+    vehicle_attitude: wp.array[wp.quat]  # vehicle to world
+    vehicle_lin_vel: wp.array[wp.vec3]  # [m/s]
+    euler: wp.array[wp.vec3]  # ZYX roll, pitch, yaw [rad]
+    root_state: wp.array2d[float]  # (E, 13)
+
+
+@wp.func
+def write_derived(out: DerivedArrays, e: int, position: wp.vec3, q: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3):
+    """Write the derived states of one environment. Source of the angles: Diebel (2006), eq. 290."""
+    roll = wp.atan2(2.0 * (q[3] * q[0] + q[1] * q[2]), 1.0 - 2.0 * (q[0] * q[0] + q[1] * q[1]))
+    pitch = wp.asin(wp.clamp(2.0 * (q[3] * q[1] - q[2] * q[0]), -1.0, 1.0))
+    yaw = wp.atan2(2.0 * (q[3] * q[2] + q[0] * q[1]), 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]))
+    level = wp.quat(0.0, 0.0, wp.sin(0.5 * yaw), wp.cos(0.5 * yaw))
+    turn = wp.quat_rotate(q, ang_vel)
+    out.ang_vel_world[e] = turn
+    out.lin_vel_body[e] = wp.quat_rotate_inv(q, lin_vel)
+    out.vehicle_attitude[e] = level
+    out.vehicle_lin_vel[e] = wp.quat_rotate_inv(level, lin_vel)
+    out.euler[e] = wp.vec3(roll, pitch, yaw)
+    for i in range(3):
+        out.root_state[e, i] = position[i]
+        out.root_state[e, 7 + i] = lin_vel[i]
+        out.root_state[e, 10 + i] = turn[i]
+    for i in range(4):
+        out.root_state[e, 3 + i] = q[i]
+
+
+@wp.kernel(enable_backward=False)
+def _derive(
+    # state
+    position: wp.array[wp.vec3],  # (E,) world [m]
+    attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
+    lin_vel: wp.array[wp.vec3],  # (E,) world [m/s]
+    ang_vel: wp.array[wp.vec3],  # (E,) body [rad/s]
+    # out
+    out: DerivedArrays,
+):
+    """Write the derived states of every environment; everything is read before anything is written."""
+    e = wp.tid()
+    write_derived(out, e, position[e], attitude[e], lin_vel[e], ang_vel[e])
+
+
+class DerivedStates:
+    """Keeps the derived states of one robot per environment, with all views made at construction."""
+
+    def __init__(
+        self,
+        state: BodyState,
+        *,
+        ang_vel_world: Tensor,
+        lin_vel_body: Tensor,
+        vehicle_attitude: Tensor,
+        vehicle_lin_vel: Tensor,
+        euler: Tensor,
+        root_state: Tensor,
+    ) -> None:
+        """Take the motion that is read, and the tensors (E, 3), (E, 4) and (E, 13) that are written."""
+        start_warp()
+        self._like = state.position
+        self.arrays = DerivedArrays()
+        self.arrays.ang_vel_world = wp.from_torch(ang_vel_world, dtype=wp.vec3)
+        self.arrays.lin_vel_body = wp.from_torch(lin_vel_body, dtype=wp.vec3)
+        self.arrays.vehicle_attitude = wp.from_torch(vehicle_attitude, dtype=wp.quat)
+        self.arrays.vehicle_lin_vel = wp.from_torch(vehicle_lin_vel, dtype=wp.vec3)
+        self.arrays.euler = wp.from_torch(euler, dtype=wp.vec3)
+        self.arrays.root_state = wp.from_torch(root_state)
+        self._command = wp.launch(
+            _derive,
+            dim=state.num_envs,
+            inputs=[
+                wp.from_torch(state.position, dtype=wp.vec3),
+                wp.from_torch(state.attitude, dtype=wp.quat),
+                wp.from_torch(state.lin_vel, dtype=wp.vec3),
+                wp.from_torch(state.ang_vel, dtype=wp.vec3),
+                self.arrays,
+            ],
+            device=wp.device_from_torch(self._like.device),
+            record_cmd=True,
+        )
+
+    def refresh(self) -> None:
+        """Write what follows from the motion of this instant; launched on torch's current stream, not waited for."""
+        with on_torch_stream(self._like):
+            self._command.launch()

@@ -1,0 +1,161 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
+# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
+"""Initial states, drawn inside a kernel from a seed and the number of the episode.
+
+The draw of an environment depends on the seed, its index and how often it was reset, on nothing else: the same on every
+device, whatever happens in the other environments, and it advances when a captured step is replayed.
+Letters: E environments, R rotors, U entries of an action.
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.robot import InitialStateCfg
+from aerial_gym.interop import on_torch_stream
+from aerial_gym.physics import BodyState
+from aerial_gym.robots.derived import DerivedArrays, DerivedStates, write_derived
+
+
+@wp.struct
+class Ranges:
+    """Ends of the uniform ranges of ``InitialStateCfg``."""
+
+    position_ratio_low: wp.vec3  # share of the bounds
+    position_ratio_high: wp.vec3
+    euler_low: wp.vec3  # ZYX roll, pitch, yaw [rad]
+    euler_high: wp.vec3
+    lin_vel_low: wp.vec3  # world [m/s]
+    lin_vel_high: wp.vec3
+    ang_vel_low: wp.vec3  # body [rad/s]
+    ang_vel_high: wp.vec3
+
+
+@wp.func
+def _draw(random: wp.uint32, index: int, low: wp.vec3, high: wp.vec3) -> wp.vec3:
+    """Return three uniform draws; ``index`` tells the quantities of one episode apart."""
+    stream = wp.rand_init(int(random), index)
+    share = wp.vec3(wp.randf(stream), wp.randf(stream), wp.randf(stream))
+    return low + wp.cw_mul(high - low, share)
+
+
+@wp.func
+def _from_euler(angles: wp.vec3) -> wp.quat:
+    """Return the quaternion of R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    roll = wp.quat(wp.sin(0.5 * angles[0]), 0.0, 0.0, wp.cos(0.5 * angles[0]))
+    pitch = wp.quat(0.0, wp.sin(0.5 * angles[1]), 0.0, wp.cos(0.5 * angles[1]))
+    yaw = wp.quat(0.0, 0.0, wp.sin(0.5 * angles[2]), wp.cos(0.5 * angles[2]))
+    return yaw * pitch * roll
+
+
+@wp.kernel(enable_backward=False)
+def _reset(
+    mask: wp.array[wp.bool],  # (E,)
+    # params
+    seed: wp.array[int],  # (1,)
+    ranges: Ranges,
+    bounds_min: wp.array[wp.vec3],  # (E,) world [m]
+    bounds_max: wp.array[wp.vec3],  # (E,) world [m]
+    rest_speed: wp.array[float],  # (R,) [rad/s]
+    # out
+    episode_out: wp.array[int],  # (E,) counted up
+    position_out: wp.array[wp.vec3],
+    attitude_out: wp.array[wp.quat],
+    lin_vel_out: wp.array[wp.vec3],
+    ang_vel_out: wp.array[wp.vec3],
+    rotor_speed_out: wp.array2d[float],  # (E, R)
+    actions_out: wp.array2d[float],  # (E, U)
+    prev_actions_out: wp.array2d[float],  # (E, U)
+    derived_out: DerivedArrays,
+):
+    """Write a new state and what follows from it where the mask says so; leave every other row alone."""
+    e = wp.tid()
+    if not mask[e]:
+        return
+    episode = episode_out[e]
+    episode_out[e] = episode + 1
+    random = wp.rand_init(int(wp.rand_init(seed[0], e)), episode)
+    share = _draw(random, 0, ranges.position_ratio_low, ranges.position_ratio_high)
+    position = bounds_min[e] + wp.cw_mul(bounds_max[e] - bounds_min[e], share)
+    attitude = wp.normalize(_from_euler(_draw(random, 1, ranges.euler_low, ranges.euler_high)))
+    lin_vel = _draw(random, 2, ranges.lin_vel_low, ranges.lin_vel_high)
+    ang_vel = _draw(random, 3, ranges.ang_vel_low, ranges.ang_vel_high)
+    position_out[e] = position
+    attitude_out[e] = attitude
+    lin_vel_out[e] = lin_vel
+    ang_vel_out[e] = ang_vel
+    write_derived(derived_out, e, position, attitude, lin_vel, ang_vel)
+    for i in range(rest_speed.shape[0]):
+        rotor_speed_out[e, i] = rest_speed[i]
+    for i in range(actions_out.shape[1]):
+        actions_out[e, i] = 0.0
+        prev_actions_out[e, i] = 0.0
+
+
+class InitialState:
+    """Resets the motion of one robot per environment, with all views made at construction."""
+
+    def __init__(
+        self,
+        cfg: InitialStateCfg,
+        state: BodyState,
+        derived: DerivedStates,
+        *,
+        bounds: tuple[Tensor, Tensor],
+        rest_speed: Tensor,
+        actions: Tensor,
+        prev_actions: Tensor,
+        seed: int,
+    ) -> None:
+        """Take what is written and what the draws depend on.
+
+        Args:
+            cfg: Ranges.
+            state: Written where a mask says so.
+            derived: What follows from it, likewise.
+            bounds: Lower and upper corner [m], world, each (E, 3); read at every reset.
+            rest_speed: Rotor speeds of a new state [rad/s], (R,).
+            actions: Set to zero, (E, U).
+            prev_actions: Likewise.
+            seed: Of all draws.
+        """
+        device = state.position.device
+        self._mask = torch.zeros(state.num_envs, dtype=torch.bool, device=device)
+        self._seed = torch.zeros(1, dtype=torch.int32, device=device)
+        self._episode = torch.zeros(state.num_envs, dtype=torch.int32, device=device)
+        self.restart(seed)
+        ranges = Ranges()
+        for name, value in vars(cfg).items():
+            setattr(ranges, name, wp.vec3(*value))
+        inputs = [wp.from_torch(self._mask), wp.from_torch(self._seed), ranges]
+        inputs += [wp.from_torch(corner, dtype=wp.vec3) for corner in bounds]
+        self._command = wp.launch(
+            _reset,
+            dim=state.num_envs,
+            inputs=[*inputs, wp.from_torch(rest_speed)],
+            outputs=[
+                wp.from_torch(self._episode),
+                wp.from_torch(state.position, dtype=wp.vec3),
+                wp.from_torch(state.attitude, dtype=wp.quat),
+                wp.from_torch(state.lin_vel, dtype=wp.vec3),
+                wp.from_torch(state.ang_vel, dtype=wp.vec3),
+                wp.from_torch(state.rotor_speed),
+                wp.from_torch(actions),
+                wp.from_torch(prev_actions),
+                derived.arrays,
+            ],
+            device=wp.device_from_torch(device),
+            record_cmd=True,
+        )
+
+    def restart(self, seed: int) -> None:
+        """Begin the draws of a seed anew."""
+        self._seed.fill_(seed % 2**31)
+        self._episode.zero_()
+
+    def reset(self, mask: Tensor) -> None:
+        """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
+        self._mask.copy_(mask)
+        with on_torch_stream(self._mask):
+            self._command.launch()

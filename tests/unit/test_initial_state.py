@@ -1,0 +1,108 @@
+"""Initial states: within their ranges, uniform, and a function of seed, environment and episode alone."""
+
+import torch
+
+from aerial_gym.config.robot import InitialStateCfg
+from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse, quat_yaw
+from aerial_gym.physics import state_at_rest
+from aerial_gym.robots.derived import DerivedStates
+from aerial_gym.robots.initial_state import InitialState
+
+CFG = InitialStateCfg(
+    position_ratio_low=(0.1, 0.2, 0.3),
+    position_ratio_high=(0.9, 0.8, 0.3),
+    euler_low=(-0.4, -0.3, -3.0),
+    euler_high=(0.4, 0.3, 3.0),
+    lin_vel_low=(-1.0, 0.0, 2.0),
+    lin_vel_high=(1.0, 0.5, 3.0),
+    ang_vel_low=(-0.1, -0.2, -0.3),
+    ang_vel_high=(0.1, 0.2, 0.3),
+)
+
+
+def make(num_envs: int, seed: int = 0):
+    state = state_at_rest(num_envs, 4, device=torch.device("cpu"), dtype=torch.float32)
+    derived = {name: torch.full((num_envs, width), torch.nan) for name, width in (
+        ("ang_vel_world", 3), ("lin_vel_body", 3), ("vehicle_attitude", 4), ("vehicle_lin_vel", 3), ("euler", 3),
+        ("root_state", 13),
+    )}  # fmt: skip
+    initial = InitialState(
+        CFG,
+        state,
+        DerivedStates(state, **derived),
+        bounds=(torch.full((num_envs, 3), -2.0), torch.full((num_envs, 3), 4.0)),
+        rest_speed=torch.tensor([1.0, 2.0, 3.0, 4.0]),
+        actions=torch.ones(num_envs, 4),
+        prev_actions=torch.ones(num_envs, 4),
+        seed=seed,
+    )
+    return state, derived, initial
+
+
+def draws(num_envs: int = 20_000, seed: int = 0):
+    state, derived, initial = make(num_envs, seed)
+    initial.reset(torch.ones(num_envs, dtype=torch.bool))
+    return state, derived
+
+
+def test_every_quantity_is_uniform_in_its_range() -> None:
+    """Mean and standard deviation of a uniform draw are (a + b)/2 and (b - a)/sqrt(12); 5 standard errors are allowed."""
+    state, _ = draws()
+    share = (state.position + 2.0) / 6.0
+    for name, found in (
+        ("position_ratio", share),
+        ("euler", euler_from_quat(state.attitude)),
+        ("lin_vel", state.lin_vel),
+        ("ang_vel", state.ang_vel),
+    ):
+        low, high = torch.tensor(getattr(CFG, f"{name}_low")), torch.tensor(getattr(CFG, f"{name}_high"))
+        width = high - low
+        assert (found >= low - 1e-5).all(), name
+        assert (found <= high + 1e-5).all(), name
+        error = 5.0 * width / (12.0 * len(found)) ** 0.5 + 1e-6
+        assert ((found.mean(0) - 0.5 * (low + high)).abs() <= error).all(), name
+        assert ((found.std(0) - width / 12.0**0.5).abs() <= error).all(), name
+    assert torch.equal(state.rotor_speed[7], torch.tensor([1.0, 2.0, 3.0, 4.0]))
+
+
+def test_quantities_and_environments_are_independent() -> None:
+    """Correlations of 13 - 1 numbers over 20,000 environments, and of neighbours, stay within 5 / sqrt(n)."""
+    state, _ = draws()
+    columns = torch.cat((state.position[:, :2], euler_from_quat(state.attitude), state.lin_vel, state.ang_vel), dim=1)
+    shifted = torch.cat((columns, columns.roll(1, dims=0)), dim=1)
+    correlation = torch.corrcoef(shifted.T) - torch.eye(shifted.shape[1])
+    assert correlation.abs().max() < 5.0 / len(columns) ** 0.5
+
+
+def test_a_draw_depends_on_seed_environment_and_episode_alone() -> None:
+    whole, _ = draws(64, seed=3)
+    again, _, initial = make(64, seed=3)
+    late = torch.zeros(64, dtype=torch.bool)
+    late[10:20] = True
+    initial.reset(late)
+    initial.reset(~late)
+    assert torch.equal(again.position, whole.position)
+    first = again.position.clone()
+    initial.reset(late)
+    assert (again.position[late] != first[late]).any(-1).all()
+    assert torch.equal(again.position[~late], first[~late])
+    initial.restart(3)
+    initial.reset(torch.ones(64, dtype=torch.bool))
+    assert torch.equal(again.position, first)
+    other, _ = draws(64, seed=4)
+    assert (other.position != first).any(-1).all()
+
+
+def test_what_follows_from_the_motion_is_written_with_it() -> None:
+    state, derived = draws(256)
+    turn = quat_rotate(state.attitude, state.ang_vel)
+    level = quat_yaw(state.attitude)
+    for name, expected in (
+        ("ang_vel_world", turn),
+        ("lin_vel_body", quat_rotate_inverse(state.attitude, state.lin_vel)),
+        ("vehicle_attitude", level),
+        ("vehicle_lin_vel", quat_rotate_inverse(level, state.lin_vel)),
+        ("euler", euler_from_quat(state.attitude)),
+        ("root_state", torch.cat((state.position, state.attitude, state.lin_vel, turn), dim=-1)),
+    ):
+        torch.testing.assert_close(derived[name], expected, rtol=1e-5, atol=1e-5, msg=name)
