@@ -23,6 +23,7 @@ class TaskRegistry(Registry[TaskCfg]):
         seed: int = 0,
         robot: str | None = None,
         controller: str | None = None,
+        capture: bool | None = None,
     ) -> Task:
         """Return a task, built and not yet reset.
 
@@ -33,6 +34,7 @@ class TaskRegistry(Registry[TaskCfg]):
             seed: Seed of every random number of this task.
             robot: Registered robot, or a robot file, in place of the task's own.
             controller: Registered controller in place of the task's own.
+            capture: Whether to hold the step in a CUDA graph; if not given, on CUDA devices.
 
         Raises:
             UnknownNameError: If a name is not registered.
@@ -50,7 +52,7 @@ class TaskRegistry(Registry[TaskCfg]):
             device=device,
             seed=seed,
         )
-        return Task(cfg, env)
+        return Task(cfg, env, capture=capture)
 
 
 task_registry = TaskRegistry("task")

@@ -3,7 +3,7 @@
 Letters: E environments.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -39,6 +39,11 @@ class TaskState:
 
     crashed: Tensor
     """Whether the robot touched something, bool (E,)."""
+
+    @classmethod
+    def of(cls, tensors: Sequence[Tensor]) -> "TaskState":
+        """Return the state of tensors in the order of the fields."""
+        return cls(**dict(zip(cls.__dataclass_fields__, tensors, strict=True)))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,6 +3,7 @@
 Letters: E environments, U entries of an action, O entries of an observation.
 """
 
+from functools import partial
 from types import TracebackType
 
 import numpy as np
@@ -12,12 +13,17 @@ from torch import Tensor
 
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.env_manager import EnvManager
-from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
 from aerial_gym.task.observations import OBSERVATIONS, ObservationTerm, TaskState
 from aerial_gym.task.rewards import REWARDS
+from aerial_gym.task.step_graph import StepGraph, check_terms, fuse
 
 Observation = dict[str, Tensor]
 """``observations``: (E, O) float32."""
+
+
+StepResult = tuple[Observation, Tensor, Tensor, Tensor, dict[str, Tensor]]
+"""Observation, reward, terminated, truncated, info."""
 
 
 class Task:
@@ -27,10 +33,22 @@ class Task:
     ``info["final_observation"]``, in the rows where ``terminated | truncated``. ``info["time_outs"]`` marks episodes that
     ended by their length alone, for bootstrapping the value. ``episode_return``, ``episode_length`` [steps] and ``distance``
     to the target [m] are those before the reset.
+
+    On a GPU the whole step is one CUDA graph, recorded at the first ``reset``: the tensors that ``step`` returns are then
+    overwritten by the next one; clone what must stay. ``captured`` says whether it is so.
     """
 
-    def __init__(self, cfg: TaskCfg, env: EnvManager) -> None:
-        """Take the configuration and a built simulation."""
+    def __init__(self, cfg: TaskCfg, env: EnvManager, *, capture: bool | None = None) -> None:
+        """Take the configuration and a built simulation.
+
+        Args:
+            cfg: Terms, reward, target, length of an episode.
+            env: The simulation.
+            capture: Whether to hold the step in a CUDA graph; if not given, on CUDA devices.
+
+        Raises:
+            CapabilityError: If a capture is asked for on the CPU.
+        """
         self.cfg, self.env = cfg, env
         self.num_envs, self.device = env.num_envs, env.device
         self._terms = _resolve_terms(cfg)
@@ -43,45 +61,79 @@ class Task:
         self.action_space = spaces.Box(-one, one, dtype=np.float32)
         self.target_position = torch.tensor(cfg.target, device=self.device).expand(self.num_envs, 3).clone()
         self.episode_return = torch.zeros(self.num_envs, device=self.device)
+        stds = [std for (_, std), width in zip(self._terms, widths, strict=True) for _ in range(width)]
+        self._noise_std = torch.tensor(stds, device=self.device)
         self._gtd = env.gtd
+        self._observe, self._judge = self._observation, self._judgement
+        self._graph: StepGraph[StepResult] | None = None
+        if capture and self.device.type != "cuda":
+            raise CapabilityError(f"capture needs a CUDA device; this task runs on {self.device}")
+        self._capture_at_reset = self.device.type == "cuda" if capture is None else capture
+
+    @property
+    def captured(self) -> bool:
+        """Whether a step is the replay of a CUDA graph."""
+        return self._graph is not None
+
+    def capture(self) -> None:
+        """Record the whole step as one CUDA graph; call ``reset`` before the next step.
+
+        Raises:
+            CapabilityError: If a term waits for the GPU (its name is in the message), or there is no GPU.
+        """
+        if self.device.type != "cuda":
+            raise CapabilityError(f"capture needs a CUDA device; this task runs on {self.device}")
+        self._capture_at_reset = False
+        self.env.reset()
+        state = self.state()
+        terms = {
+            f"observation term {e.term!r}": partial(OBSERVATIONS[e.term].value, state) for e in self.cfg.observations
+        }
+        check_terms(terms | {f"reward {self.cfg.reward!r}": partial(self._reward, state, self._params, state.crashed)})
+        self._observe, self._judge = fuse(self._observation), fuse(self._judgement)
+        shape = (self.num_envs, self.env.robot_manager.num_actions)
+        self._graph = StepGraph(self._step, shape, self.env.generator)
+        self.env.restart(self.env.seed)
 
     def reset(self, *, seed: int | None = None) -> tuple[Observation, dict[str, Tensor]]:
         """Start every environment anew, with the random numbers of ``seed`` if one is given; return observation and info."""
+        if self._capture_at_reset:
+            self.capture()
         if seed is not None:
-            self.env.generator.manual_seed(seed)
+            self.env.restart(seed)
         self.env.reset()
         self.episode_return.zero_()
         self.env.render()
-        return self._observe(), {}
+        return {"observations": self._noisy(self._observe(*vars(self.state()).values()))}, {}
 
     def stagger(self) -> None:
         """Give every environment a random age, so that episodes end one by one: a batch then holds all their phases."""
         steps, age = self.cfg.episode_len_steps, self._gtd["sim_steps"]
         age.copy_(torch.randint(steps, age.shape, device=self.device, generator=self.env.generator))
 
-    def step(self, actions: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor, dict[str, Tensor]]:
+    def step(self, actions: Tensor) -> StepResult:
         """Advance by one action, (E, U); return observation, reward (E,), terminated, truncated (E,) bool, info."""
+        return self._step(actions) if self._graph is None else self._graph.replay(actions)
+
+    def _step(self, actions: Tensor) -> StepResult:
+        gtd = self._gtd
         self.env.step(actions)
-        state = self.state()
-        final = self._observe(state)["observations"]
-        distance = (state.target - state.position).norm(dim=-1)
-        terminated = state.crashed | (distance > self.cfg.max_distance)
-        truncated = (self._gtd["sim_steps"] >= self.cfg.episode_len_steps) & ~terminated
-        reward = self._reward(state, self._params, terminated)
-        self.episode_return += reward
+        final, reward, terminated, truncated, distance, total = self._judge(
+            gtd["sim_steps"], self.episode_return, *vars(self.state()).values()
+        )
         info = {
-            "final_observation": final,
+            "final_observation": self._noisy(final),
             "time_outs": truncated,
-            "episode_return": self.episode_return.clone(),
-            "episode_length": self._gtd["sim_steps"].clone(),
+            "episode_return": total,
+            "episode_length": gtd["sim_steps"].clone(),
             "distance": distance,
         }
-        done = terminated | truncated
-        self._gtd["crashes"].copy_(terminated)
-        self._gtd["truncations"].copy_(truncated)
-        self.episode_return.masked_fill_(done, 0.0)
+        gtd["crashes"].copy_(terminated)
+        gtd["truncations"].copy_(truncated)
+        self.episode_return.copy_(total).masked_fill_(terminated | truncated, 0.0)
         self.env.post_reward_calculation_step()
-        return self._observe(), reward, terminated, truncated, info
+        after = self._noisy(self._observe(*vars(self.state()).values()))
+        return {"observations": after}, reward, terminated, truncated, info
 
     def state(self) -> TaskState:
         """Return the states of this instant."""
@@ -98,16 +150,25 @@ class Task:
             crashed=gtd["crashes"],
         )
 
-    def _observe(self, state: TaskState | None = None) -> Observation:
-        state = state or self.state()
-        parts = []
-        for term, noise_std in self._terms:
-            value = term.value(state)
-            if noise_std > 0.0:
-                noise = torch.randn(value.shape, device=self.device, generator=self.env.generator)
-                value = value + noise_std * noise
-            parts.append(value)
-        return {"observations": torch.cat(parts, dim=-1)}
+    def _observation(self, *state: Tensor) -> Tensor:
+        """Return the terms side by side, (E, O), without their noise."""
+        at = TaskState.of(state)
+        return torch.cat([term.value(at) for term, _ in self._terms], dim=-1)
+
+    def _judgement(self, steps: Tensor, episode_return: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
+        """Return last observation, reward, terminated, truncated, distance [m] and return of the episode."""
+        at = TaskState.of(state)
+        distance = (at.target - at.position).norm(dim=-1)
+        terminated = at.crashed | (distance > self.cfg.max_distance)
+        truncated = (steps >= self.cfg.episode_len_steps) & ~terminated
+        reward = self._reward(at, self._params, terminated)
+        return self._observation(*state), reward, terminated, truncated, distance, episode_return + reward
+
+    def _noisy(self, observation: Tensor) -> Tensor:
+        if all(std == 0.0 for _, std in self._terms):
+            return observation
+        noise = torch.randn(observation.shape, device=self.device, generator=self.env.generator)
+        return observation + self._noise_std * noise
 
     def close(self) -> None:
         """Release the simulation."""

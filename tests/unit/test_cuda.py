@@ -4,6 +4,9 @@ import pytest
 import torch
 
 from aerial_gym import SimBuilder, task_registry
+from aerial_gym.errors import CapabilityError
+from aerial_gym.task import Task
+from aerial_gym.task.observations import OBSERVATIONS, ObservationTerm
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA GPU")
 
@@ -35,23 +38,45 @@ def test_step_render_and_masked_reset_wait_for_nothing() -> None:
         torch.cuda.set_sync_debug_mode("default")
 
 
-def test_a_task_step_can_be_captured_and_its_randomness_advances() -> None:
-    task = task_registry.make_task("position_setpoint_task", num_envs=256, device="cuda:0", seed=0)
+def make_task(num_envs: int = 256, **options) -> Task:
+    return task_registry.make_task("position_setpoint_task", num_envs=num_envs, device="cuda:0", seed=0, **options)
+
+
+def test_a_captured_step_is_the_eager_step() -> None:
+    """Both begin with the same seed; actions differ from step to step; an episode ends on the way in some environments."""
+    found = []
+    for capture in (False, True):
+        task = make_task(capture=capture)
+        task.reset(seed=3)
+        task.env.gtd["sim_steps"][::2] = task.cfg.episode_len_steps - 5
+        g = torch.Generator(device="cuda:0").manual_seed(1)
+        for _ in range(20):
+            obs, reward, *_ = task.step(torch.rand(256, 4, device="cuda:0", generator=g) - 0.5)
+        found.append((obs["observations"].clone(), reward.clone(), task.env.gtd["sim_steps"].clone()))
+        assert task.captured == capture
+    torch.testing.assert_close(found[1][0], found[0][0], rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(found[1][1], found[0][1], rtol=1e-3, atol=1e-3)
+    assert torch.equal(found[1][2], found[0][2])
+
+
+def test_randomness_advances_at_every_replay() -> None:
+    task = make_task()
     task.reset()
-    actions = torch.zeros(256, 4, device="cuda:0")
-    stream = torch.cuda.Stream()
-    stream.wait_stream(torch.cuda.current_stream())
-    with torch.cuda.stream(stream):
-        for _ in range(3):
-            task.step(actions)
-    torch.cuda.current_stream().wait_stream(stream)
-    graph = torch.cuda.CUDAGraph()
-    graph.register_generator_state(task.env.generator)
-    with torch.cuda.graph(graph):
-        task.step(actions)
-    task.env.gtd["sim_steps"].fill_(task.cfg.episode_len_steps - 1)
-    graph.replay()
-    first = task.env.gtd["robot_position"].clone()
-    task.env.gtd["sim_steps"].fill_(task.cfg.episode_len_steps - 1)
-    graph.replay()
-    assert (first != task.env.gtd["robot_position"]).any(dim=-1).all()
+    starts = []
+    for _ in range(2):
+        task.env.gtd["sim_steps"].fill_(task.cfg.episode_len_steps - 1)
+        task.step(torch.zeros(256, 4, device="cuda:0"))
+        starts.append(task.env.gtd["robot_position"].clone())
+    assert (starts[0] != starts[1]).any(dim=-1).all()
+
+
+def test_what_cannot_be_captured_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    waits = ObservationTerm(width=3, value=lambda state: state.position * state.position.sum().item())
+    monkeypatch.setitem(OBSERVATIONS, "position_error_world", waits)
+    task = make_task()
+    with pytest.raises(CapabilityError, match="observation term 'position_error_world' cannot be held in a CUDA graph"):
+        task.reset()
+    eager = make_task(capture=False)
+    eager.reset()
+    eager.step(torch.zeros(256, 4, device="cuda:0"))
+    assert not eager.captured

@@ -1,0 +1,95 @@
+"""A task step as one CUDA graph: recorded once, then replayed with a single launch.
+
+Letters: E environments, U entries of an action.
+"""
+
+import logging
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
+from typing import Generic, TypeVar
+
+import torch
+from torch import Tensor
+
+from aerial_gym.errors import CapabilityError, ShapeError
+
+WARM_UP_STEPS = 3
+"""Steps before the recording, in which kernels are compiled and memory is taken."""
+
+_log = logging.getLogger(__name__)
+Result = TypeVar("Result")
+
+
+def fuse(function: Callable[..., Result]) -> Callable[..., Result]:
+    """Return a function of tensors compiled into few GPU kernels, or itself where torch has no compiler for GPUs."""
+    if find_spec("triton") is None:
+        _log.warning("observations and rewards run as many small kernels: torch finds no Triton. pip install triton")
+        return function
+    return torch.compile(function, fullgraph=True, dynamic=False)
+
+
+def check_terms(terms: Mapping[str, Callable[[], object]]) -> None:
+    """Call every term once and refuse the one that waits for the GPU, by name.
+
+    Raises:
+        CapabilityError: If a term copies to the host or branches on a tensor.
+    """
+    mode = torch.cuda.get_sync_debug_mode()
+    for name, call in terms.items():
+        torch.cuda.synchronize()
+        torch.cuda.set_sync_debug_mode("error")
+        try:
+            call()
+        except Exception as error:
+            reason = str(error).strip().splitlines()[0]
+            raise CapabilityError(
+                f"{name} cannot be held in a CUDA graph: {reason}. Write it without .item(), printing or branches on "
+                "tensors, or make the task with capture=False"
+            ) from error
+        finally:
+            torch.cuda.set_sync_debug_mode(mode)
+
+
+class StepGraph(Generic[Result]):
+    """A recorded step. The tensors that it returns are the same at every replay and are then overwritten."""
+
+    def __init__(
+        self, step: Callable[[Tensor], Result], actions_shape: tuple[int, ...], generator: torch.Generator
+    ) -> None:
+        """Record ``step``; its random numbers come from ``generator`` or from counters on the device, and so advance.
+
+        Args:
+            step: Takes actions (E, U), writes the tensors of the simulation, returns tensors.
+            actions_shape: (E, U).
+            generator: On the CUDA device.
+
+        Raises:
+            CapabilityError: If something in the step cannot be recorded.
+        """
+        self._actions = torch.zeros(actions_shape, device=generator.device)
+        stream = torch.cuda.Stream(generator.device)
+        stream.wait_stream(torch.cuda.current_stream(generator.device))
+        with torch.cuda.stream(stream):
+            for _ in range(WARM_UP_STEPS):
+                step(self._actions)
+        torch.cuda.current_stream(generator.device).wait_stream(stream)
+        self._graph = torch.cuda.CUDAGraph()
+        self._graph.register_generator_state(generator)
+        try:
+            with torch.cuda.graph(self._graph):
+                self._result = step(self._actions)
+        except RuntimeError as error:
+            reason = str(error).strip().splitlines()[0]
+            raise CapabilityError(
+                f"this task's step cannot be held in a CUDA graph: {reason}. Make the task with capture=False"
+            ) from error
+
+    def replay(self, actions: Tensor) -> Result:
+        """Run the recorded step with these actions, (E, U); return what it returned."""
+        if actions.shape != self._actions.shape:
+            raise ShapeError(
+                f"actions has shape {tuple(actions.shape)}, expected (E, U) = {tuple(self._actions.shape)}"
+            )
+        self._actions.copy_(actions)
+        self._graph.replay()
+        return self._result
