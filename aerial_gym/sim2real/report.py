@@ -15,6 +15,7 @@ from aerial_gym.sim2real.intervals import Rms
 from aerial_gym.sim2real.prediction import Channel, Point, Predictor
 from aerial_gym.sim2real.rollout import QUANTITIES
 from aerial_gym.sim2real.selection import Selection, Trial
+from aerial_gym.sim2real.verdict import MEANINGS
 
 if TYPE_CHECKING:
     from aerial_gym.sim2real.close_loop import Analysis
@@ -72,6 +73,7 @@ def report_context(analysis: "Analysis") -> dict[str, object]:
     shown = selection.accepted or tuple(trial.effect for trial in selection.rounds[0] if trial.scored)[:2]
     return {
         "verdict": verdict,
+        "meaning": MEANINGS[verdict.verdict],
         "robot": analysis.robot,
         "bandwidth": analysis.bandwidth,
         "train": [flight.name for flight in analysis.train],

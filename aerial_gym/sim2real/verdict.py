@@ -64,6 +64,18 @@ class NamedEffect:
         }
 
 
+MEANINGS = {
+    "explained": "The corrected vehicle makes the flights within noise and tolerances.",
+    "none": "The declared vehicle makes the flights within noise and tolerances; nothing is to be corrected.",
+    "unexplained": (
+        "What was found is real and its correction helps, but the flights hold more than the corrected vehicle makes, of a "
+        "kind that no registered effect has: do not trust the simulator in the channels named here."
+    ),
+    "ambiguous": "Several effects would do equally well on these flights; fly what tells them apart.",
+}
+"""What each verdict tells its reader."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
     """What the flights say about the declared model."""
@@ -97,6 +109,7 @@ class Verdict:
         return {
             "verdict": self.verdict,
             "reason": self.reason,
+            "meaning": MEANINGS[self.verdict],
             "effects": [effect.as_mapping() for effect in self.effects],
             "candidates": list(self.candidates),
             "not_testable": list(self.not_testable),
