@@ -3,9 +3,10 @@
 # (Warp compiles the kernels from their source; Python's type rules do not describe them.)
 """Rays against shapes and distances to shapes, as Warp functions that the ray caster and the collision test share.
 
-Everything here is in the shape's own frame: centred on the origin, axis of symmetry along z, lengths in metres. Ray
-directions are unit vectors. Along a ray a convex solid is one interval ``(near, far)`` of distances, which is empty if
-``near > far`` and may begin behind the origin; shapes are built by intersecting or joining such intervals.
+Everything here is in the shape's own frame: centred on the origin, axis of symmetry along z. Along a ray ``o + t d`` with d
+of any length a convex solid is one interval ``(near, far)`` of t, which is empty if ``near > far`` and may begin behind the
+origin; shapes are built by intersecting or joining such intervals. Because d may have any length, a frame may be scaled by
+axis: in the frame of its bounding box every box is a cube, every sphere and cylinder has radius 1, and t stays the distance.
 """
 
 import warp as wp
@@ -28,6 +29,8 @@ class Shape:
     kind: wp.int32  # BOX, SPHERE, CYLINDER, CAPSULE or MESH
     radius: wp.float32  # of the bounding sphere about the shape's origin [m]
     size: wp.vec3  # box: half edges; else: radius, half height along z, 0 [m]
+    center: wp.vec3  # of the bounding box in the shape's own axes [m]; 0 but for meshes
+    half: wp.vec3  # half edges of the bounding box [m]
 
 
 @wp.func
@@ -55,12 +58,13 @@ def sphere_interval(origin: wp.vec3, direction: wp.vec3, radius: float) -> wp.ve
     Source: Haines et al. (2019), Ray Tracing Gems, chapter 7: the squared distance of the line is taken from the vector to
     its nearest point, which does not cancel for small spheres far away.
     """
-    middle = -wp.dot(origin, direction)
+    across = wp.max(wp.dot(direction, direction), TINY)
+    middle = -wp.dot(origin, direction) / across
     nearest = origin + middle * direction
     square = radius * radius - wp.dot(nearest, nearest)
     if square < 0.0:
         return wp.vec2(wp.inf, -wp.inf)
-    half = wp.sqrt(square)
+    half = wp.sqrt(square / across)
     return wp.vec2(middle - half, middle + half)
 
 
@@ -98,27 +102,33 @@ def capsule_interval(origin: wp.vec3, direction: wp.vec3, radius: float, half_he
 
 
 @wp.func
-def ray_distance(shape: Shape, origin: wp.vec3, direction: wp.vec3, limit: float) -> float:
-    """Return the distance to the first surface along the ray [m], or ``limit`` if there is none before it.
-
-    Surfaces are seen from both sides: a ray that starts inside a solid ends where it leaves.
-    """
-    if shape.kind == MESH:
-        query = wp.mesh_query_ray(shape.mesh, origin, direction, limit)
-        return wp.where(query.result, query.t, limit)
-    inside = wp.vec2(wp.inf, -wp.inf)
-    if shape.kind == BOX:
-        inside = box_interval(origin, direction, shape.size)
-    elif shape.kind == SPHERE:
-        inside = sphere_interval(origin, direction, shape.size[0])
-    elif shape.kind == CYLINDER:
-        inside = cylinder_interval(origin, direction, shape.size[0], shape.size[1])
-    elif shape.kind == CAPSULE:
-        inside = capsule_interval(origin, direction, shape.size[0], shape.size[1])
+def first_surface(inside: wp.vec2, limit: float) -> float:
+    """Return t at the first surface of an interval, or ``limit``: a ray that starts inside a solid ends where it leaves."""
     first = wp.where(inside[0] >= 0.0, inside[0], inside[1])
-    if inside[0] <= inside[1] and first >= 0.0 and first < limit:
-        return first
-    return limit
+    return wp.where(inside[0] <= inside[1] and first >= 0.0, wp.min(first, limit), limit)
+
+
+@wp.func
+def unit_distance(kind: int, origin: wp.vec3, direction: wp.vec3, limit: float) -> float:
+    """Return t at the first surface of a BOX, SPHERE or CYLINDER in the frame of its bounding box, or ``limit``."""
+    if kind == SPHERE:
+        return first_surface(sphere_interval(origin, direction, 1.0), limit)
+    if kind == CYLINDER:
+        return first_surface(cylinder_interval(origin, direction, 1.0, 1.0), limit)
+    return first_surface(box_interval(origin, direction, wp.vec3(1.0, 1.0, 1.0)), limit)
+
+
+@wp.func
+def shape_distance(shape: Shape, origin: wp.vec3, direction: wp.vec3, limit: float) -> float:
+    """Return t at the first surface of a CAPSULE or MESH, the ray in the frame of the bounding box, or ``limit``."""
+    own, along = wp.cw_mul(origin, shape.half) + shape.center, wp.cw_mul(direction, shape.half)
+    if shape.kind == CAPSULE:
+        return first_surface(capsule_interval(own, along, shape.size[0], shape.size[1]), limit)
+    bounds = box_interval(origin, direction, wp.vec3(1.0, 1.0, 1.0))
+    if bounds[0] > bounds[1] or bounds[1] < 0.0 or bounds[0] >= limit:
+        return limit
+    query = wp.mesh_query_ray(shape.mesh, own, along, limit)
+    return wp.where(query.result, query.t, limit)
 
 
 @wp.func

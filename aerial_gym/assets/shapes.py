@@ -21,6 +21,9 @@ _KINDS = {"box": BOX, "sphere": SPHERE, "cylinder": CYLINDER, "capsule": CAPSULE
 _MARGIN = 1.0 + 1e-5
 """Bounding spheres are larger by this factor, so that float32 rounding (6e-8) never rejects a shape that is hit."""
 
+_FLAT = 1e-4
+"""Bounding boxes of meshes are thicker by this share of their radius, so that a flat sheet has one too."""
+
 
 class ShapeTable:
     """Shapes on a device, in the order of their configurations."""
@@ -33,15 +36,17 @@ class ShapeTable:
         """
         self.shapes = tuple(shapes)
         self._device = wp.device_from_torch(device)
-        self._meshes: dict[tuple[str, float], tuple[wp.Mesh, float]] = {}
+        self._meshes: dict[tuple[str, float], tuple[wp.Mesh, float, np.ndarray]] = {}
         rows = np.zeros(len(self.shapes), dtype=Shape.numpy_dtype())  # type: ignore[call-overload]
         for row, cfg in zip(rows, self.shapes, strict=True):
             row["kind"] = _KINDS[cfg.kind]
             row["size"] = _half_size(cfg)
-            row["radius"] = _MARGIN * _bounding_radius(cfg)
+            row["radius"], row["half"] = _MARGIN * _bounding_radius(cfg), _half_box(cfg)
             if cfg.kind == "mesh":
-                mesh, radius = self._mesh(cfg)
+                mesh, radius, bounds = self._mesh(cfg)
                 row["mesh"], row["radius"] = mesh.id, _MARGIN * radius
+                row["center"] = 0.5 * (bounds[0] + bounds[1])
+                row["half"] = 0.5 * _MARGIN * (bounds[1] - bounds[0]) + _FLAT * radius
         self.array = wp.array(rows, dtype=Shape, device=self._device)
         self.radius = torch.tensor(rows["radius"], device=device)
 
@@ -53,7 +58,7 @@ class ShapeTable:
         """Number of distinct meshes on the device."""
         return len(self._meshes)
 
-    def _mesh(self, cfg: ShapeCfg) -> tuple[wp.Mesh, float]:
+    def _mesh(self, cfg: ShapeCfg) -> tuple[wp.Mesh, float, np.ndarray]:
         key = (str(cfg.path), cfg.scale)
         if key not in self._meshes:
             surface = load_mesh(key[0], scale=cfg.scale)
@@ -62,7 +67,8 @@ class ShapeTable:
                 indices=wp.array(surface.faces.astype(np.int32).ravel(), dtype=wp.int32, device=self._device),
                 support_winding_number=True,
             )
-            self._meshes[key] = mesh, float(np.linalg.norm(surface.vertices, axis=1).max())
+            radius = float(np.linalg.norm(surface.vertices, axis=1).max())
+            self._meshes[key] = mesh, radius, np.asarray(surface.bounds, dtype=np.float32)
         return self._meshes[key]
 
 
@@ -96,6 +102,13 @@ def _half_size(cfg: ShapeCfg) -> tuple[float, float, float]:
     if cfg.size is not None:
         return 0.5 * cfg.size[0], 0.5 * cfg.size[1], 0.5 * cfg.size[2]
     return cfg.radius or 0.0, 0.5 * (cfg.height or 0.0), 0.0
+
+
+def _half_box(cfg: ShapeCfg) -> tuple[float, float, float]:
+    a, b, c = _half_size(cfg)
+    if cfg.kind == "box":
+        return a, b, c
+    return a, a, {"cylinder": b, "capsule": a + b}.get(cfg.kind, a)
 
 
 def _bounding_radius(cfg: ShapeCfg) -> float:

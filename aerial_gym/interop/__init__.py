@@ -2,6 +2,6 @@
 
 from aerial_gym.interop.devices import resolve_device
 from aerial_gym.interop.streams import on_torch_stream, start_warp
-from aerial_gym.interop.threads import one_thread
+from aerial_gym.interop.threads import launch_side_by_side, one_thread, split
 
-__all__ = ["on_torch_stream", "one_thread", "resolve_device", "start_warp"]
+__all__ = ["launch_side_by_side", "on_torch_stream", "one_thread", "resolve_device", "split", "start_warp"]

@@ -3,16 +3,14 @@
 Letters: E environments, R rotors, U entries of an action, N numbers per environment.
 """
 
-from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from itertools import pairwise
 
 import torch
 import warp as wp
 from torch import Tensor
 
 from aerial_gym.errors import CapabilityError, ShapeError
-from aerial_gym.interop import on_torch_stream, start_warp
+from aerial_gym.interop import launch_side_by_side, on_torch_stream, split, start_warp
 from aerial_gym.physics.backend import BACKENDS, Capabilities, ControlLaw
 from aerial_gym.physics.effects import EFFECTS, VehicleEffect, WindEffect, WrenchEffect
 from aerial_gym.physics.effects.base import Effect
@@ -73,7 +71,6 @@ class WarpBackend:
     def __init__(self, *, differentiable: bool = False) -> None:
         """Make a backend; with ``differentiable`` ``advance`` passes gradients through Warp's tape."""
         self._differentiable = differentiable
-        self._pool: ThreadPoolExecutor | None = None
 
     @property
     def capabilities(self) -> Capabilities:
@@ -186,7 +183,7 @@ class WarpBackend:
         if bound is None or bound.state is not state or bound.command is not command or bound.substeps != substeps:
             bound = self._binding = self._bind(state, command, dt, substeps)
         with on_torch_stream(command):
-            _launch_all(bound.launches, self._pool)
+            launch_side_by_side(bound.launches)
 
     def _bind(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> _Binding:
         """Record the launches for tensors of fixed address, so that a step makes no views."""
@@ -214,11 +211,7 @@ class WarpBackend:
         if self._device.type == "cuda":
             return [(0, self._num_envs)]
         threads = min(torch.get_num_threads(), max(1, self._num_envs * substeps // MIN_STEPS_PER_THREAD))
-        threads = min(threads, self._num_envs)
-        if threads > 1 and self._pool is None:
-            self._pool = ThreadPoolExecutor(torch.get_num_threads() - 1, thread_name_prefix="physics")
-        edges = [self._num_envs * i // threads for i in range(threads + 1)]
-        return [(a, b - a) for a, b in pairwise(edges)]
+        return split(self._num_envs, threads)
 
     def _arrays(self, state: BodyState) -> list[wp.array]:
         kinds = self._kinds()[:-1]
@@ -255,19 +248,6 @@ class WarpBackend:
         rollout = Rollout(self._kernel, self._shared, self._ground, self._model.gravity, dt, substeps, self._kinds())
         after = rollout(state.tensors(), command, torch.cat([row.T for row in rows]))
         return BodyState(**dict(zip(vars(state), after, strict=True)))
-
-
-def _launch_all(launches: list[wp.Launch], pool: ThreadPoolExecutor | None) -> None:
-    """Run launches side by side: Warp leaves Python's lock while a CPU kernel runs."""
-    if pool is None or len(launches) == 1:
-        for launch in launches:
-            launch.launch()
-        return
-    others = [pool.submit(launch.launch) for launch in launches[1:]]
-    launches[0].launch()
-    wait(others)
-    for other in others:
-        other.result()
 
 
 BACKENDS.register("warp", WarpBackend)

@@ -11,22 +11,30 @@ Frames: body is x forward, y left, z up; a sensor looks along its own x. World i
 Letters: E environments, A instances, S sensors of one kind, H x W = N pixels (row 0 on top).
 """
 
+from functools import cache
+
 import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.assets.geometry import ray_distance
+from aerial_gym.assets.geometry import MESH
 from aerial_gym.assets.scene import Scene
-from aerial_gym.assets.scene_arrays import ABSENT_BELOW, SceneArrays
 from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.sensor import CameraCfg
 from aerial_gym.errors import ShapeError
-from aerial_gym.interop import on_torch_stream
+from aerial_gym.interop import launch_side_by_side, on_torch_stream, split
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.sensors.rays import pinhole_rays
+from aerial_gym.sensors.tiles import make_tiles
+from aerial_gym.sensors.view import View, ballot, is_candidate, look, lowest_bit, trace
 
 MISS_ID = wp.constant(-2)
 """Segmentation of a pixel that sees nothing within its range. Source: parity with Aerial Gym (3.4)."""
+
+GPU_TILE, CPU_TILE = (4, 8), (8, 16)
+"""Rows and columns of pixels whose rays are traced together; a warp has 32 threads."""
+
+BLOCK_DIM = 128
 
 
 @wp.struct
@@ -41,66 +49,145 @@ class Limits:
     far_pixel: wp.float32  # written for a miss
 
 
-@wp.kernel(enable_backward=False)
-def _cast_rays(
-    # scene
-    scene: SceneArrays,
-    # state
-    body_position: wp.array[wp.vec3],  # (E,) world [m]
-    body_attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
-    # sensor
-    mount_position: wp.array2d[wp.vec3],  # (E, S) body frame [m]
-    mount_attitude: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
-    direction: wp.array[wp.vec3],  # (N,) sensor frame, unit
-    limits: Limits,
-    segments: wp.bool,  # whether segmentation_out is written
-    # out
-    distance_out: wp.array3d[float],  # (E, S, N) [m] or divided
-    segmentation_out: wp.array3d[wp.int32],  # (E, S, N)
+@wp.struct
+class Rays:
+    """The rays of a sensor in tiles of L."""
+
+    direction: wp.array[wp.vec3]  # (T * L,) sensor frame, unit
+    pixel: wp.array[wp.int32]  # (T * L,) which pixel of the image, or -1
+    middle: wp.array[wp.vec3]  # (T,) of the directions of a tile
+    spread: wp.array[wp.vec3]  # (T,) half of what they differ by
+
+
+@wp.struct
+class Images:
+    """Where a kernel writes."""
+
+    distance: wp.array2d[float]  # (M, N) [m] or divided
+    segmentation: wp.array2d[wp.int32]  # (M, N)
+    semantic_id: wp.array2d[wp.int32]  # (E, A) of the scene
+    segments: wp.bool  # whether segmentation is written
+
+
+@wp.func
+def limit_of(limits: Limits, ray: wp.vec3) -> float:
+    """Return the distance along a ray beyond which nothing is seen [m]."""
+    return wp.where(limits.projected, limits.max_range / ray[0], limits.max_range)
+
+
+@wp.func
+def write_pixel(
+    images: Images, limits: Limits, env: int, mount: int, pixel: int, ray: wp.vec3, nearest: float, hit: int
 ):
-    """Write the distance to the first surface and its id, or ``far_pixel`` and ``MISS_ID`` for a miss.
-
-    The bounding sphere of an instance is rejected by the distance of its centre from the ray, taken as a vector, which does
-    not cancel for small instances far away.
-    """
-    mount, pixel = wp.tid()
-    env = mount // mount_position.shape[1]
-    sensor = mount - env * mount_position.shape[1]
-    attitude = body_attitude[env]
-    origin = body_position[env] + wp.quat_rotate(attitude, mount_position[env, sensor])
-    ray = direction[pixel]
-    heading = wp.quat_rotate(attitude * mount_attitude[env, sensor], ray)
-    distance_per_range = wp.where(limits.projected, ray[0], 1.0)
-    limit = limits.max_range / distance_per_range
-
-    nearest = float(limit)
-    hit = wp.int32(-1)
-    for a in range(scene.position.shape[1]):
-        position = scene.position[env, a]
-        if position[2] > ABSENT_BELOW:
-            radius = scene.radius[env, a]
-            offset = position - origin
-            along = wp.dot(offset, heading)
-            across = offset - along * heading
-            reached = along + radius >= 0.0 and along - radius < nearest
-            if reached and wp.dot(across, across) <= radius * radius:
-                shape = scene.shapes[scene.shape_index[env, a]]
-                pose = scene.attitude[env, a]
-                local_origin = wp.quat_rotate_inv(pose, -offset)
-                local_heading = wp.quat_rotate_inv(pose, heading)
-                distance = ray_distance(shape, local_origin, local_heading, nearest)
-                if distance < nearest:
-                    nearest = distance
-                    hit = a
-
-    measured = wp.min(nearest * distance_per_range, limits.max_range)
+    """Write what a ray found: the distance to the first surface and its id, or ``far_pixel`` and ``MISS_ID``."""
+    measured = wp.min(wp.where(limits.projected, nearest * ray[0], nearest), limits.max_range)
     value = wp.where(measured < limits.min_range, limits.near_pixel, measured / limits.divisor)
-    distance_out[env, sensor, pixel] = wp.where(hit >= 0, value, limits.far_pixel)
-    if segments:
+    images.distance[mount, pixel] = wp.where(hit >= 0, value, limits.far_pixel)
+    if images.segments:
         seen = wp.int32(MISS_ID)
         if hit >= 0:
-            seen = scene.semantic_id[env, hit]
-        segmentation_out[env, sensor, pixel] = seen
+            seen = images.semantic_id[env, hit]
+        images.segmentation[mount, pixel] = seen
+
+
+@wp.kernel(enable_backward=False)
+def _cast_by_warp(view: View, rays: Rays, limits: Limits, sensors: int, images: Images):
+    """Trace one ray per thread; the 32 threads of a warp hold one tile and look for its candidates together.
+
+    Analytic shapes come before meshes, so that a mesh is searched only up to the nearest of them.
+    """
+    thread = wp.tid()
+    lane = thread & 31
+    num_tiles = rays.middle.shape[0]
+    mount = (thread >> 5) // num_tiles
+    tile = (thread >> 5) - mount * num_tiles
+    env = mount // sensors
+    middle = rays.middle[tile]
+    spread = rays.spread[tile]
+    ray = rays.direction[tile * 32 + lane]
+    pixel = rays.pixel[tile * 32 + lane]
+    nearest = limit_of(limits, ray)
+    hit = wp.int32(-1)
+    count = view.kind.shape[1]
+    first = wp.int32(0)
+    while first < count:
+        a = first + lane
+        candidate = wp.bool(False)
+        mesh = wp.bool(False)
+        if a < count:
+            candidate = is_candidate(view, mount, a, middle, spread)
+            mesh = view.kind[mount, a] == MESH
+        analytic = ballot(candidate and not mesh)
+        meshes = ballot(candidate and mesh)
+        while analytic != wp.uint32(0):
+            i = first + lowest_bit(analytic)
+            analytic = analytic & (analytic - wp.uint32(1))
+            distance = trace(view, env, mount, i, ray, nearest)
+            if distance < nearest:
+                nearest = distance
+                hit = i
+        while meshes != wp.uint32(0):
+            i = first + lowest_bit(meshes)
+            meshes = meshes & (meshes - wp.uint32(1))
+            distance = trace(view, env, mount, i, ray, nearest)
+            if distance < nearest:
+                nearest = distance
+                hit = i
+        first += 32
+    if pixel >= 0:
+        write_pixel(images, limits, env, mount, pixel, ray, nearest, hit)
+
+
+@cache
+def _make_tile_kernel(num_instances: int) -> wp.Kernel:
+    """Return the kernel in which one thread traces all rays of a tile: for processors without warps."""
+    num_words = max(1, -(-num_instances // 32))
+    words_type = wp.types.vector(length=num_words, dtype=wp.uint32)
+
+    @wp.func
+    def find_candidates(view: View, mount: int, middle: wp.vec3, spread: wp.vec3, meshes: wp.bool) -> words_type:
+        words = words_type()
+        for a in range(view.kind.shape[1]):
+            if (view.kind[mount, a] == MESH) == meshes and is_candidate(view, mount, a, middle, spread):
+                words[a >> 5] = words[a >> 5] | (wp.uint32(1) << wp.uint32(a & 31))
+        return words
+
+    @wp.func
+    def nearest_of(
+        view: View, env: int, mount: int, words: words_type, ray: wp.vec3, limit: float, before: int
+    ) -> tuple[float, int]:
+        nearest = limit
+        hit = before
+        for k in range(num_words):
+            bits = words[k]
+            while bits != wp.uint32(0):
+                i = 32 * k + lowest_bit(bits)
+                bits = bits & (bits - wp.uint32(1))
+                distance = trace(view, env, mount, i, ray, nearest)
+                if distance < nearest:
+                    nearest = distance
+                    hit = i
+        return nearest, hit
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def cast_by_tile(view: View, rays: Rays, limits: Limits, sensors: int, images: Images, per_tile: int, first: int):
+        """Trace all rays of one tile; analytic shapes come before meshes."""
+        task = wp.tid() + first
+        num_tiles = rays.middle.shape[0]
+        mount = task // num_tiles
+        tile = task - mount * num_tiles
+        env = mount // sensors
+        analytic = find_candidates(view, mount, rays.middle[tile], rays.spread[tile], False)
+        meshes = find_candidates(view, mount, rays.middle[tile], rays.spread[tile], True)
+        for i in range(per_tile):
+            pixel = rays.pixel[tile * per_tile + i]
+            if pixel >= 0:
+                ray = rays.direction[tile * per_tile + i]
+                nearest, hit = nearest_of(view, env, mount, analytic, ray, limit_of(limits, ray), -1)
+                nearest, hit = nearest_of(view, env, mount, meshes, ray, nearest, hit)
+                write_pixel(images, limits, env, mount, pixel, ray, nearest, hit)
+
+    return cast_by_tile
 
 
 class RayCaster:
@@ -145,34 +232,64 @@ class RayCaster:
         self._nominal_attitude = quat_from_euler(torch.tensor(cfg.euler, device=device))
         self.mount_position = self._nominal_position.expand(*mounts, 3).clone()
         self.mount_attitude = self._nominal_attitude.expand(*mounts, 4).clone()
-        nothing = wp.empty((0, 0, 0), dtype=wp.int32, device=wp.device_from_torch(device))
-        self._inputs = [
+        shared = [
             scene.arrays,
             vector_view("position", position, (envs, 3), device=device),
             vector_view("attitude", attitude, (envs, 4), device=device),
             vector_view("mount_position", self.mount_position, (*mounts, 3), device=device),
             vector_view("mount_attitude", self.mount_attitude, (*mounts, 4), device=device),
-            vector_view("direction", self.direction.view(-1, 3), (pixels, 3), device=device),
-            _limits(cfg),
-            cfg.segmentation,
         ]
-        self._outputs = [
-            wp.from_torch(distance_out.view(*mounts, pixels)),
-            wp.from_torch(segmentation_out.view(*mounts, pixels)) if segmentation_out is not None else nothing,
-        ]
-        self._command = wp.launch(
-            _cast_rays,
-            dim=(envs * self.num_sensors, pixels),
-            inputs=self._inputs,
-            outputs=self._outputs,
+        self._view = _make_view(scene, envs * self.num_sensors)
+        self._look = wp.launch(
+            look,
+            dim=(envs * self.num_sensors, scene.num_instances),
+            inputs=[*shared, self._reach()],
+            outputs=[self._view.rows, self._view.kind],
             device=wp.device_from_torch(device),
             record_cmd=True,
         )
+        self._images = _make_images(scene, distance_out.view(-1, pixels), segmentation_out, pixels)
+        self._launches = self._record(device)
+
+    def _reach(self) -> float:
+        """Return the longest distance along any ray at which something is seen [m]."""
+        cosine = float(self.direction[..., 0].min()) if self.cfg.kind == "depth" else 1.0
+        return self.cfg.max_range / cosine
+
+    def _record(self, device: torch.device) -> list[wp.Launch]:
+        """Record the launches that trace the rays."""
+        height, width = GPU_TILE if device.type == "cuda" else CPU_TILE
+        tiles = make_tiles(self.direction, height=height, width=width)
+        self._rays = Rays()
+        self._rays.direction = wp.from_torch(tiles.direction, dtype=wp.vec3)
+        self._rays.pixel = wp.from_torch(tiles.pixel)
+        self._rays.middle = wp.from_torch(tiles.middle, dtype=wp.vec3)
+        self._rays.spread = wp.from_torch(tiles.spread, dtype=wp.vec3)
+        inputs = [self._view, self._rays, _limits(self.cfg), self.num_sensors, self._images]
+        mounts, num_tiles = self._view.kind.shape[0], tiles.num_tiles
+
+        def record(kernel: wp.Kernel, dim: int, *more: int) -> wp.Launch:
+            return wp.launch(
+                kernel,
+                dim=dim,
+                inputs=[*inputs, *more],
+                device=wp.device_from_torch(device),
+                block_dim=BLOCK_DIM,
+                record_cmd=True,
+            )
+
+        if device.type == "cuda":
+            return [record(_cast_by_warp, mounts * num_tiles * 32)]
+        kernel, per_tile = _make_tile_kernel(self._view.kind.shape[1]), height * width
+        chunks = split(mounts * num_tiles, torch.get_num_threads())
+        return [record(kernel, count, per_tile, first) for first, count in chunks]
 
     def cast(self) -> None:
         """Write every pixel from the present poses; launched on torch's current stream, not waited for."""
         with on_torch_stream(self._out):
-            self._command.launch()
+            if self._look is not None:  # a scene without instances has nothing to look at
+                self._look.launch()
+            launch_side_by_side(self._launches)
 
     def reset(self, mask: Tensor) -> None:
         """Put the mounts of masked environments, bool (E,), back to where the configuration has them."""
@@ -188,6 +305,26 @@ def _limits(cfg: CameraCfg) -> Limits:
     limits.divisor = cfg.max_range if cfg.normalize else 1.0
     limits.near_pixel, limits.far_pixel = cfg.near_pixel, cfg.far_pixel
     return limits
+
+
+def _make_view(scene: Scene, mounts: int) -> View:
+    device, count = wp.device_from_torch(scene.device), scene.num_instances
+    view = View()
+    view.rows = wp.zeros((mounts, 3 * count), dtype=wp.vec4, device=device)
+    view.kind = wp.zeros((mounts, count), dtype=wp.int32, device=device)
+    view.shapes, view.shape_index = scene.arrays.shapes, scene.arrays.shape_index
+    return view
+
+
+def _make_images(scene: Scene, distance: Tensor, segmentation: Tensor | None, pixels: int) -> Images:
+    images = Images()
+    images.distance, images.semantic_id = wp.from_torch(distance), scene.arrays.semantic_id
+    images.segments = segmentation is not None
+    if segmentation is None:
+        images.segmentation = wp.empty((0, 0), dtype=wp.int32, device=wp.device_from_torch(scene.device))
+    else:
+        images.segmentation = wp.from_torch(segmentation.view(-1, pixels))
+    return images
 
 
 def _check_image(name: str, image: Tensor, shape: tuple[int, ...], *, device: torch.device, dtype: torch.dtype) -> None:

@@ -38,8 +38,8 @@ def test_contact_comes_when_the_lowest_sphere_has_fallen_to_the_ground(backend) 
         landing = (2.0 * (height - 0.4) / 9.81) ** 0.5
         before = fall(backend(), 0.98 * landing, spheres=spheres)
         after = fall(backend(), 1.02 * landing, spheres=spheres)
-        assert before.tolist() == (HEIGHTS < height).tolist()
-        assert after.tolist() == (HEIGHTS <= height).tolist()
+        assert before.tolist() == torch.lt(HEIGHTS, height).tolist()
+        assert after.tolist() == torch.le(HEIGHTS, height).tolist()
 
 
 def test_contact_within_a_step_is_kept_though_the_body_is_free_at_its_end() -> None:

@@ -1,0 +1,152 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""The instances of a scene as one sensor sees them: every ray of a sensor starts at one point.
+
+For each sensor and instance, once per image, the map from the sensor's frame to the frame of the instance's bounding box
+(a cube of half edge 1) is worked out; a ray then costs a product of matrix and vector instead of two turns, and neither
+pose nor shape is read.
+
+Frames: a sensor looks along its own x; world is the environment's own. Letters: E environments, S sensors of one kind,
+M = E * S mounts, A instances.
+"""
+
+import warp as wp
+
+from aerial_gym.assets.geometry import CYLINDER, Shape, shape_distance, unit_distance
+from aerial_gym.assets.scene_arrays import ABSENT_BELOW, SceneArrays
+
+ABSENT = wp.constant(-1)
+"""Kind of an instance that is parked or out of reach."""
+
+
+@wp.struct
+class View:
+    """What the rays need of each instance."""
+
+    rows: wp.array2d[wp.vec4]  # (M, 3 A) three rows of the map from the sensor's frame: matrix and origin
+    kind: wp.array2d[wp.int32]  # (M, A) kind of the shape, or ABSENT
+    shapes: wp.array[Shape]
+    shape_index: wp.array2d[wp.int32]  # (E, A)
+
+
+@wp.kernel(enable_backward=False)
+def look(
+    # scene
+    scene: SceneArrays,
+    # state
+    body_position: wp.array[wp.vec3],  # (E,) world [m]
+    body_attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
+    # sensor
+    mount_position: wp.array2d[wp.vec3],  # (E, S) body frame [m]
+    mount_attitude: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
+    reach: float,  # [m] beyond which nothing is seen
+    # out
+    rows_out: wp.array2d[wp.vec4],  # (M, 3 A)
+    kind_out: wp.array2d[wp.int32],  # (M, A)
+):
+    """Write how one sensor sees one instance."""
+    mount, a = wp.tid()
+    env = mount // mount_position.shape[1]
+    sensor = mount - env * mount_position.shape[1]
+    body = body_attitude[env]
+    origin = body_position[env] + wp.quat_rotate(body, mount_position[env, sensor])
+    position = scene.position[env, a]
+    offset = origin - position
+    kind = wp.int32(ABSENT)
+    if position[2] > ABSENT_BELOW and wp.length(offset) - scene.radius[env, a] < reach:
+        shape = scene.shapes[scene.shape_index[env, a]]
+        kind = shape.kind
+        attitude = scene.attitude[env, a]
+        turn = wp.quat_to_matrix(wp.quat_inverse(attitude) * (body * mount_attitude[env, sensor]))
+        start = wp.quat_rotate_inv(attitude, offset) - shape.center
+        for k in range(3):
+            scale = 1.0 / shape.half[k]
+            rows_out[mount, 3 * a + k] = scale * wp.vec4(turn[k, 0], turn[k, 1], turn[k, 2], start[k])
+    kind_out[mount, a] = kind
+
+
+@wp.func
+def slab_bounds(row: wp.vec4, middle: wp.vec3, spread: wp.vec3) -> wp.vec2:
+    """Return the span of t in which some ray of a tile can be between two faces of the cube."""
+    across = row[0] * middle[0] + row[1] * middle[1] + row[2] * middle[2]
+    half = wp.abs(row[0]) * spread[0] + wp.abs(row[1]) * spread[1] + wp.abs(row[2]) * spread[2]
+    low = across - half
+    high = across + half
+    near = wp.float32(0.0)
+    far = float(wp.inf)
+    if row[3] > 1.0:  # the cube is on the side where this coordinate must fall
+        if low >= 0.0:
+            return wp.vec2(wp.inf, -wp.inf)
+        near = (1.0 - row[3]) / low
+    elif row[3] < -1.0:
+        if high <= 0.0:
+            return wp.vec2(wp.inf, -wp.inf)
+        near = (-1.0 - row[3]) / high
+    if low > 0.0:
+        far = (1.0 - row[3]) / low
+    elif high < 0.0:
+        far = (-1.0 - row[3]) / high
+    return wp.vec2(near, far)
+
+
+@wp.func
+def tile_may_hit(x: wp.vec4, y: wp.vec4, z: wp.vec4, middle: wp.vec3, spread: wp.vec3) -> wp.bool:
+    """Return whether some ray of a tile can meet the bounding box: interval arithmetic on the slab test."""
+    a = slab_bounds(x, middle, spread)
+    b = slab_bounds(y, middle, spread)
+    c = slab_bounds(z, middle, spread)
+    near = wp.max(a[0], wp.max(b[0], c[0]))
+    far = wp.min(a[1], wp.min(b[1], c[1]))
+    return near * 0.99999 <= far
+
+
+@wp.func
+def trace(view: View, env: int, mount: int, a: int, ray: wp.vec3, limit: float) -> float:
+    """Return the distance along a ray to an instance [m], or ``limit`` if there is none before it."""
+    x = view.rows[mount, 3 * a]
+    y = view.rows[mount, 3 * a + 1]
+    z = view.rows[mount, 3 * a + 2]
+    origin = wp.vec3(x[3], y[3], z[3])
+    direction = wp.vec3(
+        x[0] * ray[0] + x[1] * ray[1] + x[2] * ray[2],
+        y[0] * ray[0] + y[1] * ray[1] + y[2] * ray[2],
+        z[0] * ray[0] + z[1] * ray[1] + z[2] * ray[2],
+    )
+    kind = view.kind[mount, a]
+    if kind <= CYLINDER:
+        return unit_distance(kind, origin, direction, limit)
+    return shape_distance(view.shapes[view.shape_index[env, a]], origin, direction, limit)
+
+
+@wp.func
+def is_candidate(view: View, mount: int, a: int, middle: wp.vec3, spread: wp.vec3) -> wp.bool:
+    """Return whether an instance is present and some ray of a tile can meet its bounding box."""
+    if view.kind[mount, a] == ABSENT:
+        return False
+    return tile_may_hit(
+        view.rows[mount, 3 * a], view.rows[mount, 3 * a + 1], view.rows[mount, 3 * a + 2], middle, spread
+    )
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __ballot_sync(0xffffffffu, predicate);
+#else
+    return predicate ? 1u : 0u;
+#endif
+""")
+def ballot(predicate: wp.bool) -> wp.uint32:
+    """Return the bits of the 32 threads of a warp for which a predicate holds; all of them must call it."""
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __ffs(bits) - 1;
+#else
+    return __builtin_ctz(bits);
+#endif
+""")
+def lowest_bit(bits: wp.uint32) -> int:
+    """Return the index of the lowest bit that is set; one must be."""
