@@ -38,8 +38,8 @@ from aerial_gym.physics.vehicle import is_shared
 BLOCK_DIM = 128
 """Threads of a block; measured in docs/results/performance.md."""
 
-MIN_STEPS_PER_THREAD = 512
-"""Substeps of environments below which another CPU thread costs more than it saves (a hand-over takes some 20 µs)."""
+MIN_STEPS_PER_THREAD = 4096
+"""Substeps of environments below which another CPU thread costs more than it saves (a hand-over takes some 50 µs)."""
 
 
 def has_warp_twin(effect: Effect) -> bool:

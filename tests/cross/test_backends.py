@@ -177,17 +177,17 @@ def test_an_environment_does_not_depend_on_its_batch() -> None:
     try:
         for used in (1, 3):
             torch.set_num_threads(used)
-            ends[used] = fly(WarpBackend(), robot, controller, "rk4", torch.float32, num_envs=1024)[-1]
+            ends[used] = fly(WarpBackend(), robot, controller, "rk4", torch.float32, num_envs=4096)[-1]
     finally:
         torch.set_num_threads(threads)
     model, law = build(robot, controller, 1, torch.float32)
-    batch_model, _ = build(robot, controller, 1024, torch.float32)
+    batch_model, _ = build(robot, controller, 4096, torch.float32)
     row = 700
     backend = WarpBackend()
     backend.allocate(model, law, integrator="rk4")
-    first = vars(start_of(batch_model, 1024)).items()
+    first = vars(start_of(batch_model, 4096)).items()
     alone = BodyState(**{k: v[row : row + 1].float().contiguous() for k, v in first})
-    actions = actions_for(law, batch_model, 1024)[row : row + 1].float().contiguous()
+    actions = actions_for(law, batch_model, 4096)[row : row + 1].float().contiguous()
     for _ in range(STEPS):
         backend.step(alone, actions, DT, SUBSTEPS)
     for name, tensor in vars(alone).items():

@@ -1,0 +1,26 @@
+"""The command ``aerial-gym bench``: one subcommand per part of the simulator."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from aerial_gym.cli.bench.physics import PhysicsBench
+from aerial_gym.cli.bench.task import TaskBench
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchCmd:
+    """Measure the speed of the physics alone or of whole task steps."""
+
+    what: tyro.conf.OmitArgPrefixes[
+        tyro.conf.OmitSubcommandPrefixes[
+            Annotated[PhysicsBench, tyro.conf.subcommand("physics")]
+            | Annotated[TaskBench, tyro.conf.subcommand("task")]
+        ]
+    ]
+    """What is measured."""
+
+    def run(self) -> int:
+        """Measure and print; return the exit status."""
+        return self.what.run()

@@ -1,0 +1,149 @@
+"""Timing between two synchronisations, and the checks that a workload did its work.
+
+A repeat is made of stretches: each starts from the same state, which is put back outside the timed span, and ends before
+the vehicles can have left the space in which they are checked.
+"""
+
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+import torch
+
+from aerial_gym.errors import AerialGymError, ConfigError
+
+WARM_UP_CALLS = 3
+"""Calls before a capture: kernels are compiled and buffers made, which a graph cannot hold."""
+
+
+class WorkloadError(AerialGymError):
+    """What was to be timed did not do its work: no figure is reported."""
+
+
+class Workload(Protocol):
+    """Something that can be timed; its unit is a batch of launches, one call of ``run_batch``."""
+
+    device: torch.device
+    launches_per_batch: int
+    batches_per_stretch: int
+    """Batches after which the start is put back."""
+
+    def restore(self) -> None:
+        """Put the start back, in place."""
+        ...
+
+    def run_batch(self) -> None:
+        """Do the launches of one batch; waits for nothing."""
+        ...
+
+    def check(self, *, started: bool) -> None:
+        """Raise ``WorkloadError`` if the state is not that of a healthy run; ``started``: after at least one batch."""
+        ...
+
+
+def time_launches(workload: Workload, *, repeats: int, repeat_time_s: float) -> list[float]:
+    """Return the mean time of a launch [s] in each repeat.
+
+    Args:
+        workload: Checked before the first and after every repeat.
+        repeats: How many figures are wanted.
+        repeat_time_s: About how long each is measured [s].
+
+    Raises:
+        ConfigError: If a number is impossible.
+        WorkloadError: If a check fails.
+    """
+    require_at_least(1, repeats=repeats)
+    if not 0.0 < repeat_time_s < float("inf"):
+        raise ConfigError(f"--repeat-time-s = {repeat_time_s!r}: must be > 0 and finite")
+    workload.restore()
+    workload.check(started=False)
+    batches = _calibrate(workload, repeat_time_s)
+    seconds = []
+    for _ in range(repeats):
+        seconds.append(_time_batches(workload, batches) / (batches * workload.launches_per_batch))
+        workload.check(started=True)
+    return seconds
+
+
+def _calibrate(workload: Workload, repeat_time_s: float) -> int:
+    """Return the number of batches that take about ``repeat_time_s`` [s]; warms up on the way."""
+    batches, elapsed = 1, _time_batches(workload, 1)  # the first one may compile: not a measurement
+    while True:
+        elapsed = _time_batches(workload, batches)
+        if elapsed >= 0.2 * repeat_time_s:
+            return max(1, round(batches * repeat_time_s / elapsed))
+        batches *= 4
+
+
+def _time_batches(workload: Workload, batches: int) -> float:
+    """Return the time of ``batches`` [s]; putting the start back is not counted."""
+    elapsed = 0.0
+    while batches > 0:
+        count = min(batches, workload.batches_per_stretch)
+        workload.restore()
+        synchronize(workload.device)
+        begin = time.perf_counter()
+        for _ in range(count):
+            workload.run_batch()
+        synchronize(workload.device)
+        elapsed += time.perf_counter() - begin
+        batches -= count
+    return elapsed
+
+
+def synchronize(device: torch.device) -> None:
+    """Wait for a GPU; a CPU is never behind."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+def batch_of(call: Callable[[], None], launches: int, device: torch.device) -> Callable[[], None]:
+    """Return a function that makes ``launches`` calls: a loop on the CPU, the replay of a CUDA graph on a GPU.
+
+    ``call`` is run some times before; it must work in place and wait for nothing.
+    """
+    if device.type != "cuda":
+        return lambda: _repeat(call, launches)
+    with torch.cuda.device(device):
+        side = torch.cuda.Stream(device)
+        side.wait_stream(torch.cuda.current_stream(device))
+        with torch.cuda.stream(side):
+            _repeat(call, WARM_UP_CALLS)
+        torch.cuda.current_stream(device).wait_stream(side)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            _repeat(call, launches)
+    return graph.replay
+
+
+def _repeat(call: Callable[[], None], times: int) -> None:
+    for _ in range(times):
+        call()
+
+
+def spread(seconds: list[float], units: float) -> tuple[float, float, float]:
+    """Return median, lowest and highest rate [1/s] of launches that take ``seconds`` and hold ``units`` each."""
+    return units / statistics.median(seconds), units / max(seconds), units / min(seconds)
+
+
+def require_at_least(low: int, **numbers: int) -> None:
+    """Raise ``ConfigError`` naming the flag whose number is below ``low``."""
+    for name, value in numbers.items():
+        if value < low:
+            raise ConfigError(f"--{name.replace('_', '-')} = {value!r}: must be at least {low}")
+
+
+@contextmanager
+def torch_threads(threads: int | None) -> Iterator[int]:
+    """Run torch, and the Warp backend, on so many CPU threads inside; None keeps torch's own number. Gives the number."""
+    before = torch.get_num_threads()
+    if threads is not None:
+        require_at_least(1, threads=threads)
+        torch.set_num_threads(threads)
+    try:
+        yield torch.get_num_threads()
+    finally:
+        torch.set_num_threads(before)

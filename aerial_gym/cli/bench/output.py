@@ -1,0 +1,83 @@
+"""What stands beside every figure, and how figures are printed."""
+
+import json
+import os
+import platform
+import subprocess
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.interop import resolve_device
+
+PACKAGES = ("torch", "warp-lang", "aerial-gym")
+
+
+def device_by_name(name: str) -> torch.device:
+    """Return the torch device of a name, or raise ``ConfigError``."""
+    try:
+        return resolve_device(name)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+
+
+def device_name(device: torch.device) -> str:
+    """Return the name of the processor behind a device."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    models = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(models, platform.processor() or platform.machine())
+
+
+def provenance() -> dict[str, object]:
+    """Return versions, commit and the load of the machine [processes that want a core, mean of a minute]."""
+    versions = {name.removesuffix("-lang").replace("-", "_"): metadata.version(name) for name in PACKAGES}
+    return {
+        "versions": {**versions, "python": platform.python_version()},
+        "commit": commit(),
+        "load1": round(os.getloadavg()[0], 2),
+    }
+
+
+def commit() -> str | None:
+    """Return the short hash of the checkout, with ``-dirty`` if it was changed; None outside a checkout."""
+    command = ["git", "describe", "--always", "--dirty", "--exclude=*"]
+    try:
+        found = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return found.stdout.strip()
+
+
+def print_figures(figures: Mapping[str, object], *, as_json: bool) -> None:
+    """Print one object a line for programs, or a table for people."""
+    if as_json:
+        print(json.dumps(figures, ensure_ascii=False))
+        return
+    table = Table(box=None, pad_edge=False, show_header=False)
+    for name, value in figures.items():
+        table.add_row(name, readable(value))
+    Console(markup=False, highlight=False).print(table)
+
+
+def readable(value: object) -> str:
+    """Return a value as a person wants it: ``12.7 M`` for 12.7e6, no brackets around lists."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {entry}" for key, entry in value.items())
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(str, value)) or "none"
+    if not isinstance(value, float):
+        return "-" if value is None else str(value)
+    for size, unit in ((1e9, " G"), (1e6, " M"), (1e3, " k")):
+        if abs(value) >= size:
+            return f"{value / size:.4g}{unit}"
+    return f"{value:.4g}"

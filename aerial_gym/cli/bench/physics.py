@@ -1,0 +1,111 @@
+"""``aerial-gym bench physics``: substeps of the physics alone, without task, sensors or resets.
+
+Letters: E environments, R rotors, P parameters of an effect, U entries of an action.
+"""
+
+import statistics
+import sys
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhysicsBench:
+    """Measure how many substeps of how many environments the physics takes per second."""
+
+    backend: str = "warp"
+    """Registered physics backend: warp or torch."""
+
+    device: str = "auto"
+    """Torch device; auto takes the GPU if there is one."""
+
+    num_envs: int = 4096
+    """Environments stepped side by side."""
+
+    substeps: int = 1
+    """Substeps in one launch."""
+
+    integrator: str = "euler"
+    """Stepper: euler or rk4."""
+
+    controller: str = "rotor_speed_control"
+    """Registered controller, run in every substep; rotor_speed_control is the bare plant."""
+
+    robot: str = "base_quadrotor"
+    """Registered robot, or a robot file; effects in the file are not used."""
+
+    effects: tuple[str, ...] = ("rotor_drag",)
+    """Registered effects, each a moderate size away from neutral."""
+
+    threads: int | None = None
+    """Threads on the CPU; torch's own number if not given."""
+
+    repeats: int = 5
+    """Figures of which the median is printed."""
+
+    repeat_time_s: float = 0.5
+    """About how long each is measured [s]."""
+
+    dt_s: float = 0.002
+    """Length of a substep [s]."""
+
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        """Measure and print; return the exit status: 1 if the workload did not do its work."""
+        from aerial_gym.cli.bench.measure import WorkloadError
+        from aerial_gym.cli.bench.output import print_figures
+
+        try:
+            print_figures(self.measure(), as_json=self.json)
+        except WorkloadError as error:
+            print(f"aerial-gym bench physics: {error}", file=sys.stderr)
+            return 1
+        return 0
+
+    def measure(self) -> dict[str, object]:
+        """Return the figures with everything they depend on.
+
+        Raises:
+            AerialGymError: If a name is unknown, a number impossible, or the backend cannot do it.
+            WorkloadError: If the vehicles did not fly.
+        """
+        from aerial_gym.cli.bench.flight import make_flight
+        from aerial_gym.cli.bench.measure import require_at_least, spread, time_launches, torch_threads
+        from aerial_gym.cli.bench.output import device_by_name, device_name, provenance
+
+        require_at_least(1, num_envs=self.num_envs, substeps=self.substeps)
+        device = device_by_name(self.device)
+        beside = provenance()
+        with torch_threads(self.threads) as threads:  # no progress bar: its thread would take part of a measured core
+            flight = make_flight(
+                backend=self.backend,
+                robot=self.robot,
+                controller=self.controller,
+                effects=self.effects,
+                integrator=self.integrator,
+                num_envs=self.num_envs,
+                substeps=self.substeps,
+                dt=self.dt_s,
+                device=device,
+            )
+            seconds = time_launches(flight, repeats=self.repeats, repeat_time_s=self.repeat_time_s)
+        median, low, high = spread(seconds, self.num_envs * self.substeps)
+        return {
+            "case": "physics",
+            "backend": self.backend,
+            "device": device_name(device),
+            "num_envs": self.num_envs,
+            "substeps": self.substeps,
+            "integrator": self.integrator,
+            "controller": self.controller,
+            "robot": self.robot,
+            "effects": list(self.effects),
+            "dt_s": self.dt_s,
+            "threads": threads,
+            "steps_per_s": median,
+            "steps_per_s_min": low,
+            "steps_per_s_max": high,
+            "launch_us": 1e6 * statistics.median(seconds),
+            **beside,
+        }

@@ -1,0 +1,82 @@
+"""``aerial-gym bench task``: whole task steps, with observation, reward and resets."""
+
+import statistics
+import sys
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskBench:
+    """Measure how many environment steps of a task are taken per second."""
+
+    task: str = "position_setpoint_task"
+    """Registered task."""
+
+    num_envs: int = 4096
+    """Environments stepped side by side."""
+
+    device: str = "auto"
+    """Torch device; auto takes the GPU if there is one."""
+
+    threads: int | None = None
+    """Threads on the CPU; torch's own number if not given."""
+
+    repeats: int = 5
+    """Figures of which the median is printed."""
+
+    repeat_time_s: float = 0.5
+    """About how long each is measured [s]."""
+
+    seed: int = 0
+    """Seed of the task and of the actions."""
+
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        """Measure and print; return the exit status: 1 if the workload did not do its work."""
+        from aerial_gym.cli.bench.measure import WorkloadError
+        from aerial_gym.cli.bench.output import print_figures
+
+        try:
+            print_figures(self.measure(), as_json=self.json)
+        except WorkloadError as error:
+            print(f"aerial-gym bench task: {error}", file=sys.stderr)
+            return 1
+        return 0
+
+    def measure(self) -> dict[str, object]:
+        """Return the figures with everything they depend on.
+
+        Raises:
+            AerialGymError: If a name is unknown or a number impossible.
+            WorkloadError: If the episodes were not those of a running task.
+        """
+        from aerial_gym.cli.bench.episodes import Episodes
+        from aerial_gym.cli.bench.measure import spread, time_launches, torch_threads
+        from aerial_gym.cli.bench.output import device_by_name, device_name, provenance
+        from aerial_gym.task import task_registry
+
+        device = device_by_name(self.device)
+        beside = provenance()
+        with (
+            torch_threads(self.threads) as threads,
+            task_registry.make_task(self.task, num_envs=self.num_envs, device=device, seed=self.seed) as task,
+        ):
+            episodes = Episodes(task, seed=self.seed)
+            seconds = time_launches(episodes, repeats=self.repeats, repeat_time_s=self.repeat_time_s)
+            captured = bool(getattr(task, "captured", False))
+        median, low, high = spread(seconds, self.num_envs)
+        return {
+            "case": "task",
+            "task": self.task,
+            "device": device_name(device),
+            "num_envs": self.num_envs,
+            "threads": threads,
+            "captured": captured,
+            "env_steps_per_s": median,
+            "env_steps_per_s_min": low,
+            "env_steps_per_s_max": high,
+            "step_us": 1e6 * statistics.median(seconds),
+            **beside,
+        }

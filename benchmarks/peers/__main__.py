@@ -1,0 +1,137 @@
+"""``python -m benchmarks.peers``: run every installed peer and ours in turn, and print the ratios."""
+
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from aerial_gym.cli.bench.output import device_by_name, device_name, provenance, readable
+from aerial_gym.errors import AerialGymError, ConfigError
+from benchmarks.peers.catalog import CASES, PEERS, interpreters
+from benchmarks.peers.runs import Conditions, RunFailedError, ours, peers, schedule, why_skipped
+from benchmarks.peers.table import Measurement, Ratio, ratios
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeersCmd:
+    """Compare the physics with that of other simulators, all measured in this run on this machine."""
+
+    cases: tuple[str, ...] = ("plant", "rk4", "attitude")
+    """plant: rotor speeds, lag, drag, Euler; rk4: the same with RK4; attitude: plant with an attitude controller."""
+
+    num_envs: int = 1024
+    """Vehicles side by side; L2F knows powers of two only."""
+
+    threads: int = 1
+    """Threads of every process, and on the CPU the cores to which it is pinned."""
+
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where all run; peers without a GPU version are skipped on cuda."""
+
+    substeps: tuple[int, ...] = (1, 10)
+    """Our substeps in one launch; peers that fuse steps should be compared with more than 1."""
+
+    peer: tuple[str, ...] = ()
+    """NAME=PYTHON: the interpreter that has a peer; this one by default."""
+
+    rounds: int = 3
+    """How often everything is measured, in turn; the median counts."""
+
+    repeats: int = 3
+    """Figures of one process."""
+
+    repeat_time_s: float = 0.5
+    """About how long each is measured [s]."""
+
+    json: bool = False
+    """Print one JSON object a line."""
+
+    def run(self) -> int:
+        """Measure and print; return the exit status: 1 if a measurement failed."""
+        pythons = interpreters(self.peer, sys.executable)
+        for case in self.cases:
+            if case not in CASES:
+                raise ConfigError(f"no case {case!r}. Known: {', '.join(CASES)}")
+        device, beside = device_name(device_by_name(self.device)), provenance()
+        skipped = {name: why_skipped(name, pythons[name], self.device) for name in PEERS}
+        for sentence in filter(None, skipped.values()):
+            print(sentence, file=sys.stderr)
+        found, failed = self._measure({name: pythons[name] for name, why in skipped.items() if why is None})
+        rows = ratios(found)
+        if self.json:
+            shared = {"num_envs": self.num_envs, "threads": self.threads, "device": device, **beside}
+            for row in rows:
+                print(json.dumps({**asdict(row), **shared}, ensure_ascii=False))
+        else:
+            print_ratios(rows, f"{device}, {self.num_envs} vehicles, {self.threads} threads, load {beside['load1']}")
+        return 1 if failed else 0
+
+    def _measure(self, pythons: dict[str, str]) -> tuple[list[Measurement], bool]:
+        """Return the measurements of all rounds, and whether one failed; says on stderr what it does."""
+        conditions = Conditions(
+            num_envs=self.num_envs,
+            threads=self.threads,
+            device=self.device,
+            repeats=self.repeats,
+            repeat_time_s=self.repeat_time_s,
+        )
+        broken, found = set(), []
+        for turn in range(self.rounds):
+            for case, who in self._turn(list(pythons)):
+                if (who, case) in broken:
+                    continue
+                try:
+                    new = (
+                        ours(case, who, conditions)
+                        if isinstance(who, int)
+                        else peers(who, pythons[who], case, conditions)
+                    )
+                except RunFailedError as error:
+                    broken.add((who, case))
+                    print(f"{who} failed in case {case}: {error}", file=sys.stderr)
+                    continue
+                found.append(new)
+                done = f"round {turn + 1}/{self.rounds}  {case:<9}{new.name:<11}"
+                print(f"{done}{new.call} a call: {readable(new.steps_per_s)} steps/s", file=sys.stderr)
+        return found, bool(broken)
+
+    def _turn(self, names: list[str]) -> Iterator[tuple[str, str | int]]:
+        """Give case and who, a peer or our number of substeps, in the order of one round."""
+        for case in self.cases:
+            for who in schedule(case, names, self.substeps):
+                yield case, who
+
+
+def print_ratios(rows: list[Ratio], title: str) -> None:
+    """Print the table for people: a line per peer and case, two columns per number of substeps of ours."""
+    lines: dict[tuple[str, str], list[str]] = {}
+    for row in rows:
+        line = lines.setdefault((row.case, row.peer), [row.peer_call, readable(row.peer_steps_per_s)])
+        line += [readable(row.ours_steps_per_s), f"{row.ratio:.2f}"]
+    table = Table(box=None, pad_edge=False, title=title, title_justify="left")
+    for head in ("case", "peer", "steps a call", "steps/s"):
+        table.add_column(head)
+    for call in dict.fromkeys(row.ours_call for row in rows):
+        table.add_column(f"ours, {call} a call", justify="right")
+        table.add_column("ratio", justify="right")
+    for (case, peer), line in lines.items():
+        table.add_row(case, peer, *line)
+    Console(markup=False, highlight=False).print(table)
+
+
+def main() -> int:
+    """Run the command line; return the exit status."""
+    try:
+        return tyro.cli(PeersCmd, prog="python -m benchmarks.peers").run()
+    except AerialGymError as error:
+        print(f"benchmarks.peers: {error}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,201 @@
+"""``aerial-gym bench``: its keys, its exit status, and that a workload which does nothing gives no figure."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+
+from aerial_gym.cli.bench.episodes import check_crashes, check_step
+from aerial_gym.cli.bench.flight import Flight, check_flying, check_moved, make_flight
+from aerial_gym.cli.bench.measure import WorkloadError, spread, time_launches, torch_threads
+from aerial_gym.cli.main import main
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.physics import EFFECTS, BodyState, state_at_rest
+
+QUICK = ("--device", "cpu", "--repeats", "2", "--repeat-time-s", "0.02", "--threads", "1")
+CPU = torch.device("cpu")
+SHARED_KEYS = {"case", "device", "num_envs", "threads", "versions", "commit", "load1"}
+
+
+def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
+    status = main(argv)
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def small_flight(**changes: object) -> Flight:
+    options = {
+        "backend": "warp",
+        "robot": "base_quadrotor",
+        "controller": "rotor_speed_control",
+        "effects": ("rotor_drag",),
+        "integrator": "euler",
+        "num_envs": 8,
+        "substeps": 50,
+        "dt": 0.002,
+        "device": CPU,
+    }
+    return make_flight(**{**options, **changes})  # pyright: ignore[reportArgumentType]
+
+
+def hovering(num_envs: int = 3) -> BodyState:
+    return state_at_rest(num_envs, 4, device=CPU, dtype=torch.float32)
+
+
+@pytest.mark.parametrize("backend", ["warp", "torch"])
+def test_physics_gives_one_object_with_every_key(backend: str, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "bench", "physics", "--backend", backend, "--num-envs", "8", "--json", *QUICK)
+    assert status == 0
+    (line,) = out.splitlines()
+    found = json.loads(line)
+    own = {"backend", "substeps", "integrator", "controller", "robot", "effects", "dt_s"}
+    assert set(found) == SHARED_KEYS | own | {"steps_per_s", "steps_per_s_min", "steps_per_s_max", "launch_us"}
+    assert found["backend"] == backend
+    assert found["threads"] == 1
+    assert set(found["versions"]) == {"torch", "warp", "python", "aerial_gym"}
+    assert 0.0 < found["steps_per_s_min"] <= found["steps_per_s"] <= found["steps_per_s_max"]
+
+
+def test_the_rate_is_that_of_the_launches(capsys: pytest.CaptureFixture[str]) -> None:
+    """Steps per second times the time of a launch are the steps in a launch, E K."""
+    argv = ("bench", "physics", "--num-envs", "8", "--substeps", "5", "--json", *QUICK)
+    found = json.loads(run(capsys, *argv)[1])
+    assert found["steps_per_s"] * found["launch_us"] * 1e-6 == pytest.approx(40.0)
+    assert spread([0.5, 0.25, 1.0], 2.0) == (4.0, 2.0, 8.0)
+
+
+def test_task_gives_one_object_with_every_key(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "bench", "task", "--num-envs", "16", "--json", *QUICK)
+    assert status == 0
+    found = json.loads(out)
+    rates = {"env_steps_per_s", "env_steps_per_s_min", "env_steps_per_s_max", "step_us"}
+    assert set(found) == SHARED_KEYS | rates | {"task", "captured"}
+    assert isinstance(found["captured"], bool)
+
+
+def test_people_get_a_table_with_every_key(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "bench", "physics", "--num-envs", "8", "--effects", *QUICK)
+    assert status == 0
+    assert "steps_per_s_min" in out
+    assert "effects          none" in out
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        (("physics", "--controller", "lee_position_contrl"), "Did you mean 'lee_position_control'?"),
+        (("physics", "--backend", "wrp"), "no physics backend 'wrp'"),
+        (("physics", "--effects", "rotor_drg"), "no effect 'rotor_drg'"),
+        (("physics", "--robot", "base_quadrotr"), "no robot 'base_quadrotr'"),
+        (("physics", "--integrator", "rk5"), "no integrator 'rk5'. Known: euler, rk4"),
+        (("physics", "--num-envs", "0"), "--num-envs = 0: must be at least 1"),
+        (("physics", "--threads", "0"), "--threads = 0: must be at least 1"),
+        (("physics", "--dt-s", "0"), "--dt-s = 0.0: must be > 0"),
+        (("physics", "--repeat-time-s", "nan"), "--repeat-time-s = nan: must be > 0"),
+        (("physics", "--device", "tpu9"), "must be auto, cpu, cuda"),
+        (("task", "--task", "position_setpoint_tsk"), "Did you mean 'position_setpoint_task'"),
+        (("task", "--repeats", "0"), "--repeats = 0: must be at least 1"),
+    ],
+)
+def test_wrong_requests_end_with_status_2_and_one_sentence(
+    argv: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    device = () if "--device" in argv else ("--device", "cpu")
+    status, out, err = run(capsys, "bench", *argv, *device)
+    assert status == 2
+    assert out == ""
+    assert message in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS.names())
+def test_every_controller_keeps_flying_for_a_stretch(controller: str) -> None:
+    """After 20 s with its hover action the batch still passes the checks."""
+    flight = small_flight(controller=controller)
+    for _ in range(flight.batches_per_stretch):
+        flight.run_batch()
+    flight.check(started=True)
+
+
+def test_all_effects_together_keep_flying_for_a_stretch() -> None:
+    flight = small_flight(effects=EFFECTS.names())
+    for _ in range(flight.batches_per_stretch):
+        flight.run_batch()
+    flight.check(started=True)
+
+
+def test_a_stretch_begins_where_it_was_put_back() -> None:
+    flight = small_flight()
+    start = [tensor.clone() for tensor in flight.state.tensors()]
+    flight.run_batch()
+    flight.restore()
+    assert all(torch.equal(a, b) for a, b in zip(start, flight.state.tensors(), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("position", float("nan"), "position is not finite in 1 environments"),
+        ("rotor_speed", float("inf"), "rotor_speed is not finite in 1 environments"),
+        ("position", 2000.0, "distance from the origin reached"),
+        ("lin_vel", 200.0, "speed reached"),
+        ("attitude", 0.6, "norm error of the quaternion reached"),
+    ],
+)
+def test_a_broken_state_gives_no_figure(name: str, value: float, message: str) -> None:
+    state = hovering()
+    check_flying(state)
+    getattr(state, name)[1] = value
+    with pytest.raises(WorkloadError, match=message):
+        check_flying(state)
+
+
+def test_a_state_that_stays_gives_no_figure() -> None:
+    before, after = hovering(), hovering()
+    after.position[:2, 2] = 1.0
+    with pytest.raises(WorkloadError, match="1 of 3 environments did not move"):
+        check_moved(before, after)
+    check_moved(before, replace(after, position=after.position + 1.0))
+
+
+def test_a_workload_that_breaks_while_timed_gives_no_figure(monkeypatch: pytest.MonkeyPatch) -> None:
+    flight = small_flight()
+    monkeypatch.setattr(flight, "run_batch", lambda: flight.state.position.fill_(float("nan")))
+    with pytest.raises(WorkloadError, match="position is not finite in 8 environments"):
+        time_launches(flight, repeats=1, repeat_time_s=0.001)
+
+
+def test_a_failed_check_ends_with_status_1(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("aerial_gym.cli.bench.flight.MAX_SPEED", 1e-6)
+    status, out, err = run(capsys, "bench", "physics", "--num-envs", "8", "--json", *QUICK)
+    assert status == 1
+    assert out == ""
+    assert "speed reached" in err
+
+
+def test_episodes_that_break_give_no_figure() -> None:
+    check_step(torch.zeros(2, 13), torch.zeros(2))
+    with pytest.raises(WorkloadError, match="rewards are not finite"):
+        check_step(torch.zeros(2, 13), torch.tensor([0.0, float("nan")]))
+    with pytest.raises(WorkloadError, match="observations are not finite"):
+        check_step(torch.full((2, 13), float("inf")), torch.zeros(2))
+    check_crashes(0.01)
+    for share in (0.05, 1.0, float("nan")):
+        with pytest.raises(WorkloadError, match="of the steps ended in a crash"):
+            check_crashes(share)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA GPU")
+@pytest.mark.parametrize("options", [("physics", "--backend", "warp"), ("physics", "--backend", "torch"), ("task",)])
+def test_a_gpu_is_measured_too(options: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "bench", *options, *QUICK, "--num-envs", "64", "--device", "cuda", "--json")
+    assert status == 0
+    assert json.loads(out)["device"] == torch.cuda.get_device_name(0)
+
+
+def test_the_number_of_threads_is_put_back() -> None:
+    before = torch.get_num_threads()
+    with torch_threads(1) as threads:
+        assert threads == torch.get_num_threads() == 1
+    assert torch.get_num_threads() == before
