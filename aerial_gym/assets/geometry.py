@@ -25,7 +25,10 @@ TINY = wp.constant(1.0e-20)
 class Shape:
     """One row of the shape table."""
 
-    mesh: wp.uint64  # Warp mesh id; 0 unless kind is MESH
+    mesh: wp.uint64  # Warp mesh id for distances; 0 unless kind is MESH
+    ray_mesh: wp.uint64  # the same triangles in the tree that rays are fastest in
+    position: wp.vec3  # of the shape in the frame of its asset [m]
+    attitude: wp.quat  # shape to asset, xyzw, unit
     kind: wp.int32  # BOX, SPHERE, CYLINDER, CAPSULE or MESH
     radius: wp.float32  # of the bounding sphere about the shape's origin [m]
     size: wp.vec3  # box: half edges; else: radius, half height along z, 0 [m]
@@ -127,7 +130,7 @@ def shape_distance(shape: Shape, origin: wp.vec3, direction: wp.vec3, limit: flo
     bounds = box_interval(origin, direction, wp.vec3(1.0, 1.0, 1.0))
     if bounds[0] > bounds[1] or bounds[1] < 0.0 or bounds[0] >= limit:
         return limit
-    query = wp.mesh_query_ray(shape.mesh, own, along, limit)
+    query = wp.mesh_query_ray(shape.ray_mesh, own, along, limit)
     return wp.where(query.result, query.t, limit)
 
 

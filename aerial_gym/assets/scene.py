@@ -4,10 +4,11 @@ A scene holds A instances in each of E environments. An instance is a row of the
 Poses are strided views of a tensor that belongs to the caller, so moving an obstacle is writing that tensor: nothing is
 rebuilt or refitted, and the next ray and the next collision test see it.
 
+An instance may have several parts (branches of a tree, links of a URDF) that move together; each is a shape of its own.
 An instance is absent while it is parked: z = ``PARKED_Z``. Whatever lies below ``ABSENT_BELOW`` is skipped with one
 comparison.
 
-Frames: each environment has its own world frame, z up. Letters: E environments, A instances.
+Frames: each environment has its own world frame, z up. Letters: E environments, A instances, P parts of all instances.
 """
 
 from collections.abc import Sequence
@@ -58,15 +59,50 @@ class Scene:
         self.semantic_id = self._per_instance("semantic_id", semantic_id)
         if self.num_instances and not 0 <= int(self.shape_index.min()) <= int(self.shape_index.max()) < len(shapes):
             raise ShapeError(f"shape_index must lie in 0 to {len(shapes) - 1}, the rows of the shape table")
-        self._radius = self.shape_table.radius[self.shape_index.long()]
+        self._part_shape, self._part_instance = self._lay_out_parts()
+        self._part_semantic = self._semantic_of_parts()
+        self._radius = (
+            self.shape_table.radius[self._part_shape.clamp(min=0).long()]
+            if len(shapes)
+            else torch.zeros(self._part_shape.shape, device=self.device)
+        )
         size = (self.num_envs, self.num_instances)
         self.arrays = SceneArrays()
         self.arrays.shapes = self.shape_table.array
-        self.arrays.shape_index = wp.from_torch(self.shape_index)
-        self.arrays.semantic_id = wp.from_torch(self.semantic_id)
+        self.arrays.part_shape = wp.from_torch(self._part_shape)
+        self.arrays.part_instance = wp.from_torch(self._part_instance)
+        self.arrays.semantic_id = wp.from_torch(self._part_semantic)
         self.arrays.radius = wp.from_torch(self._radius)
         self.arrays.position = vector_view("position", asset_state[..., 0:3], (*size, 3), device=self.device)
         self.arrays.attitude = vector_view("attitude", asset_state[..., 3:7], (*size, 4), device=self.device)
+
+    @property
+    def num_parts(self) -> int:
+        """Number of parts P for which an environment has room."""
+        return self._part_shape.shape[1]
+
+    def _lay_out_parts(self) -> tuple[Tensor, Tensor]:
+        """Return the row of the shape table (-1 for none) and the instance of every part, int32, each (E, P)."""
+        if not self.num_instances:
+            nothing = torch.zeros(self.num_envs, 0, dtype=torch.int32, device=self.device)
+            return nothing, nothing.clone()
+        table, index = self.shape_table, self.shape_index.long()
+        end = table.num_parts[index].cumsum(dim=1)  # (E, A): parts of an instance stand side by side
+        part = torch.arange(int(end[:, -1].max()), device=self.device).expand(self.num_envs, -1).contiguous()
+        instance = torch.searchsorted(end, part, right=True)
+        exists, instance = instance < self.num_instances, instance.clamp(max=self.num_instances - 1)
+        within = part - (end - table.num_parts[index]).gather(1, instance)
+        row = table.first_part[index].gather(1, instance) + within
+        return torch.where(exists, row, -1).int(), instance.int()
+
+    def _semantic_of_parts(self) -> Tensor:
+        """Return what segmentation shows for every part, int32, (E, P): its own id, or that of its instance."""
+        inherited = self.semantic_id.gather(1, self._part_instance.long())
+        own = [-1 if part.semantic_id is None else part.semantic_id for part in self.shape_table.parts]
+        if not own:
+            return inherited
+        own_id = torch.tensor(own, dtype=torch.int32, device=self.device)[self._part_shape.clamp(min=0).long()]
+        return torch.where(own_id >= 0, own_id, inherited).contiguous()
 
     def _per_instance(self, name: str, values: Tensor) -> Tensor:
         shape = (self.num_envs, self.num_instances)

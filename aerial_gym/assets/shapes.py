@@ -1,6 +1,7 @@
 """The shape table: every distinct shape once, analytic or as one Warp mesh, however many instances use it."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import hypot
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,8 +11,9 @@ import torch
 import warp as wp
 
 from aerial_gym.assets.geometry import BOX, CAPSULE, CYLINDER, MESH, SPHERE, Shape
-from aerial_gym.config.environment import ShapeCfg
+from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.errors import ConfigError
+from aerial_gym.math.quaternion import quat_from_euler
 
 if TYPE_CHECKING:
     import trimesh
@@ -25,8 +27,12 @@ _FLAT = 1e-4
 """Bounding boxes of meshes are thicker by this share of their radius, so that a flat sheet has one too."""
 
 
+RAY_TREE = {"bvh_constructor": "cubql", "bvh_leaf_size": 4}
+"""The tree that rays are fastest in on a GPU; Warp gives it no winding numbers (docs/results/rendering.md)."""
+
+
 class ShapeTable:
-    """Shapes on a device, in the order of their configurations."""
+    """Shapes on a device, in the order of their configurations; a compound has a row for each part."""
 
     def __init__(self, shapes: Sequence[ShapeCfg], *, device: torch.device) -> None:
         """Read the meshes and fill the table.
@@ -36,17 +42,23 @@ class ShapeTable:
         """
         self.shapes = tuple(shapes)
         self._device = wp.device_from_torch(device)
-        self._meshes: dict[tuple[str, float], tuple[wp.Mesh, float, np.ndarray]] = {}
-        rows = np.zeros(len(self.shapes), dtype=Shape.numpy_dtype())  # type: ignore[call-overload]
-        for row, cfg in zip(rows, self.shapes, strict=True):
-            row["kind"] = _KINDS[cfg.kind]
-            row["size"] = _half_size(cfg)
+        self._meshes: dict[tuple[str, float], _Mesh] = {}
+        parts = [shape.parts or (PartCfg(shape=shape),) for shape in self.shapes]
+        self.parts: tuple[PartCfg, ...] = tuple(part for group in parts for part in group)
+        self.num_parts = torch.tensor([len(group) for group in parts], dtype=torch.int64, device=device)
+        self.first_part = self.num_parts.cumsum(0) - self.num_parts
+        rows = np.zeros(len(self.parts), dtype=Shape.numpy_dtype())  # type: ignore[call-overload]
+        for row, part in zip(rows, self.parts, strict=True):
+            cfg = part.shape
+            row["kind"], row["size"] = _KINDS[cfg.kind], _half_size(cfg)
             row["radius"], row["half"] = _MARGIN * _bounding_radius(cfg), _half_box(cfg)
+            row["position"] = part.position
+            row["attitude"] = quat_from_euler(torch.tensor(part.euler, dtype=torch.float64)).numpy()
             if cfg.kind == "mesh":
-                mesh, radius, bounds = self._mesh(cfg)
-                row["mesh"], row["radius"] = mesh.id, _MARGIN * radius
-                row["center"] = 0.5 * (bounds[0] + bounds[1])
-                row["half"] = 0.5 * _MARGIN * (bounds[1] - bounds[0]) + _FLAT * radius
+                mesh = self._mesh(cfg)
+                row["mesh"], row["ray_mesh"], row["radius"] = mesh.solid.id, mesh.rays.id, _MARGIN * mesh.radius
+                row["center"] = 0.5 * (mesh.bounds[0] + mesh.bounds[1])
+                row["half"] = 0.5 * _MARGIN * (mesh.bounds[1] - mesh.bounds[0]) + _FLAT * mesh.radius
         self.array = wp.array(rows, dtype=Shape, device=self._device)
         self.radius = torch.tensor(rows["radius"], device=device)
 
@@ -58,18 +70,30 @@ class ShapeTable:
         """Number of distinct meshes on the device."""
         return len(self._meshes)
 
-    def _mesh(self, cfg: ShapeCfg) -> tuple[wp.Mesh, float, np.ndarray]:
+    def _mesh(self, cfg: ShapeCfg) -> "_Mesh":
         key = (str(cfg.path), cfg.scale)
         if key not in self._meshes:
             surface = load_mesh(key[0], scale=cfg.scale)
-            mesh = wp.Mesh(
-                points=wp.array(surface.vertices.astype(np.float32), dtype=wp.vec3, device=self._device),
-                indices=wp.array(surface.faces.astype(np.int32).ravel(), dtype=wp.int32, device=self._device),
-                support_winding_number=True,
+            points = wp.array(surface.vertices.astype(np.float32), dtype=wp.vec3, device=self._device)
+            indices = wp.array(surface.faces.astype(np.int32).ravel(), dtype=wp.int32, device=self._device)
+            solid = wp.Mesh(points=points, indices=indices, support_winding_number=True)
+            self._meshes[key] = _Mesh(
+                solid=solid,
+                rays=wp.Mesh(points=points, indices=indices, **RAY_TREE) if self._device.is_cuda else solid,
+                radius=float(np.linalg.norm(surface.vertices, axis=1).max()),
+                bounds=np.asarray(surface.bounds, dtype=np.float32),
             )
-            radius = float(np.linalg.norm(surface.vertices, axis=1).max())
-            self._meshes[key] = mesh, radius, np.asarray(surface.bounds, dtype=np.float32)
         return self._meshes[key]
+
+
+@dataclass(frozen=True)
+class _Mesh:
+    """Triangles on the device, once for distances and once for rays."""
+
+    solid: wp.Mesh
+    rays: wp.Mesh
+    radius: float
+    bounds: np.ndarray
 
 
 def load_mesh(path: str | Path, *, scale: float) -> "trimesh.Trimesh":

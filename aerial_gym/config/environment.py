@@ -20,7 +20,34 @@ _FIELDS_OF_KIND = {
     "cylinder": ("radius", "height"),
     "capsule": ("radius", "height"),
     "mesh": ("path",),
+    "compound": ("parts",),
 }
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartCfg:
+    """A shape at its place in a compound: a link of a URDF, a branch of a tree."""
+
+    shape: "ShapeCfg"
+    """Anything but another compound."""
+
+    position: Vec3 = (0.0, 0.0, 0.0)
+    """Of the shape's origin in the frame of the compound [m]."""
+
+    euler: Vec3 = (0.0, 0.0, 0.0)
+    """ZYX roll, pitch, yaw from the compound to the shape [rad], within +-2 pi."""
+
+    semantic_id: int | None = None
+    """What segmentation shows for this part; the asset's own if not given."""
+
+    def __post_init__(self) -> None:
+        if self.shape.kind == "compound":
+            raise ConfigError("PartCfg.shape: a compound cannot hold a compound; list all its parts")
+        require_finite(self, "position", "euler")
+        if any(abs(angle) > 2.0 * pi for angle in self.euler):
+            raise ConfigError(f"PartCfg.euler = {self.euler!r}: must lie within +-2 pi. Angles are in radians")
+        if self.semantic_id is not None and not 0 <= self.semantic_id < FIRST_INSTANCE_ID:
+            raise ConfigError(f"PartCfg.semantic_id = {self.semantic_id!r}: must be 0 to {FIRST_INSTANCE_ID - 1}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +55,8 @@ class ShapeCfg:
     """A rigid shape in its own frame: centred on the origin, axis of symmetry along z; a mesh keeps its own origin."""
 
     kind: str
-    """``box`` (needs size), ``sphere`` (radius), ``cylinder`` and ``capsule`` (radius, height), ``mesh`` (path)."""
+    """``box`` (needs size), ``sphere`` (radius), ``cylinder`` and ``capsule`` (radius, height), ``mesh`` (path),
+    ``compound`` (parts)."""
 
     size: Vec3 | None = None
     """Edge lengths of a box [m], each > 0."""
@@ -42,6 +70,9 @@ class ShapeCfg:
     path: str | None = None
     """Mesh file that trimesh reads; ``load_environment`` takes it relative to the environment's own file."""
 
+    parts: tuple[PartCfg, ...] | None = None
+    """What a compound consists of; at least one."""
+
     scale: float = 1.0
     """Factor on the coordinates of a mesh, > 0; 1 for every other kind."""
 
@@ -49,7 +80,7 @@ class ShapeCfg:
         if self.kind not in _FIELDS_OF_KIND:
             raise ConfigError(f"ShapeCfg.kind = {self.kind!r}: must be one of {', '.join(_FIELDS_OF_KIND)}")
         needed = _FIELDS_OF_KIND[self.kind]
-        for name in ("size", "radius", "height", "path"):
+        for name in ("size", "radius", "height", "path", "parts"):
             value = getattr(self, name)
             if name in needed and value is None:
                 raise ConfigError(f"ShapeCfg.{name}: a {self.kind} needs it")
@@ -58,6 +89,8 @@ class ShapeCfg:
             for length in value if isinstance(value, tuple) else (value,):
                 if isinstance(length, (int, float)) and not 0.0 < length < inf:
                     raise ConfigError(f"ShapeCfg.{name} = {value!r}: must be > 0 and finite")
+        if self.parts == ():
+            raise ConfigError("ShapeCfg.parts: a compound needs at least one part")
         if not 0.0 < self.scale < inf:
             raise ConfigError(f"ShapeCfg.scale = {self.scale!r}: must be > 0 and finite")
         if self.scale != 1.0 and self.kind != "mesh":
@@ -194,5 +227,9 @@ def load_environment(path: str | Path) -> EnvironmentCfg:
 
 
 def _with_absolute_paths(asset: AssetCfg, folder: Path) -> AssetCfg:
-    shapes = (replace(shape, path=str(folder / shape.path)) if shape.path else shape for shape in asset.shapes)
-    return replace(asset, shapes=tuple(shapes))
+    def absolute(shape: ShapeCfg) -> ShapeCfg:
+        if shape.parts:
+            return replace(shape, parts=tuple(replace(part, shape=absolute(part.shape)) for part in shape.parts))
+        return replace(shape, path=str(folder / shape.path)) if shape.path else shape
+
+    return replace(asset, shapes=tuple(absolute(shape) for shape in asset.shapes))

@@ -65,7 +65,7 @@ class Images:
 
     distance: wp.array2d[float]  # (M, N) [m] or divided
     segmentation: wp.array2d[wp.int32]  # (M, N)
-    semantic_id: wp.array2d[wp.int32]  # (E, A) of the scene
+    semantic_id: wp.array2d[wp.int32]  # (E, P) of the scene
     segments: wp.bool  # whether segmentation is written
 
 
@@ -242,7 +242,7 @@ class RayCaster:
         self._view = _make_view(scene, envs * self.num_sensors)
         self._look = wp.launch(
             look,
-            dim=(envs * self.num_sensors, scene.num_instances),
+            dim=(envs * self.num_sensors, scene.num_parts),
             inputs=[*shared, self._reach()],
             outputs=[self._view.rows, self._view.kind],
             device=wp.device_from_torch(device),
@@ -308,11 +308,11 @@ def _limits(cfg: CameraCfg) -> Limits:
 
 
 def _make_view(scene: Scene, mounts: int) -> View:
-    device, count = wp.device_from_torch(scene.device), scene.num_instances
+    device, count = wp.device_from_torch(scene.device), scene.num_parts
     view = View()
     view.rows = wp.zeros((mounts, 3 * count), dtype=wp.vec4, device=device)
     view.kind = wp.zeros((mounts, count), dtype=wp.int32, device=device)
-    view.shapes, view.shape_index = scene.arrays.shapes, scene.arrays.shape_index
+    view.shapes, view.part_shape = scene.arrays.shapes, scene.arrays.part_shape
     return view
 
 

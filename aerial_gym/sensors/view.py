@@ -9,13 +9,13 @@ For each sensor and instance, once per image, the map from the sensor's frame to
 pose nor shape is read.
 
 Frames: a sensor looks along its own x; world is the environment's own. Letters: E environments, S sensors of one kind,
-M = E * S mounts, A instances.
+M = E * S mounts, P parts.
 """
 
 import warp as wp
 
 from aerial_gym.assets.geometry import CYLINDER, Shape, shape_distance, unit_distance
-from aerial_gym.assets.scene_arrays import ABSENT_BELOW, SceneArrays
+from aerial_gym.assets.scene_arrays import SceneArrays, part_attitude, part_is_present, part_position
 
 ABSENT = wp.constant(-1)
 """Kind of an instance that is parked or out of reach."""
@@ -25,10 +25,10 @@ ABSENT = wp.constant(-1)
 class View:
     """What the rays need of each instance."""
 
-    rows: wp.array2d[wp.vec4]  # (M, 3 A) three rows of the map from the sensor's frame: matrix and origin
-    kind: wp.array2d[wp.int32]  # (M, A) kind of the shape, or ABSENT
+    rows: wp.array2d[wp.vec4]  # (M, 3 P) three rows of the map from the sensor's frame: matrix and origin
+    kind: wp.array2d[wp.int32]  # (M, P) kind of the shape, or ABSENT
     shapes: wp.array[Shape]
-    shape_index: wp.array2d[wp.int32]  # (E, A)
+    part_shape: wp.array2d[wp.int32]  # (E, P)
 
 
 @wp.kernel(enable_backward=False)
@@ -43,27 +43,27 @@ def look(
     mount_attitude: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
     reach: float,  # [m] beyond which nothing is seen
     # out
-    rows_out: wp.array2d[wp.vec4],  # (M, 3 A)
-    kind_out: wp.array2d[wp.int32],  # (M, A)
+    rows_out: wp.array2d[wp.vec4],  # (M, 3 P)
+    kind_out: wp.array2d[wp.int32],  # (M, P)
 ):
-    """Write how one sensor sees one instance."""
+    """Write how one sensor sees one part."""
     mount, a = wp.tid()
     env = mount // mount_position.shape[1]
     sensor = mount - env * mount_position.shape[1]
     body = body_attitude[env]
     origin = body_position[env] + wp.quat_rotate(body, mount_position[env, sensor])
-    position = scene.position[env, a]
-    offset = origin - position
     kind = wp.int32(ABSENT)
-    if position[2] > ABSENT_BELOW and wp.length(offset) - scene.radius[env, a] < reach:
-        shape = scene.shapes[scene.shape_index[env, a]]
-        kind = shape.kind
-        attitude = scene.attitude[env, a]
-        turn = wp.quat_to_matrix(wp.quat_inverse(attitude) * (body * mount_attitude[env, sensor]))
-        start = wp.quat_rotate_inv(attitude, offset) - shape.center
-        for k in range(3):
-            scale = 1.0 / shape.half[k]
-            rows_out[mount, 3 * a + k] = scale * wp.vec4(turn[k, 0], turn[k, 1], turn[k, 2], start[k])
+    if part_is_present(scene, env, a):
+        offset = origin - part_position(scene, env, a)
+        if wp.length(offset) - scene.radius[env, a] < reach:
+            shape = scene.shapes[scene.part_shape[env, a]]
+            kind = shape.kind
+            attitude = part_attitude(scene, env, a)
+            turn = wp.quat_to_matrix(wp.quat_inverse(attitude) * (body * mount_attitude[env, sensor]))
+            start = wp.quat_rotate_inv(attitude, offset) - shape.center
+            for k in range(3):
+                scale = 1.0 / shape.half[k]
+                rows_out[mount, 3 * a + k] = scale * wp.vec4(turn[k, 0], turn[k, 1], turn[k, 2], start[k])
     kind_out[mount, a] = kind
 
 
@@ -117,7 +117,7 @@ def trace(view: View, env: int, mount: int, a: int, ray: wp.vec3, limit: float) 
     kind = view.kind[mount, a]
     if kind <= CYLINDER:
         return unit_distance(kind, origin, direction, limit)
-    return shape_distance(view.shapes[view.shape_index[env, a]], origin, direction, limit)
+    return shape_distance(view.shapes[view.part_shape[env, a]], origin, direction, limit)
 
 
 @wp.func
