@@ -26,7 +26,7 @@ from aerial_gym.interop import launch_side_by_side, on_torch_stream, split
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.sensors.rays import pinhole_rays
 from aerial_gym.sensors.tiles import make_tiles
-from aerial_gym.sensors.view import View, ballot, is_candidate, look, lowest_bit, trace
+from aerial_gym.sensors.view import View, ballot, entry_of, least_lane, look, lowest_bit, trace
 
 MISS_ID = wp.constant(-2)
 """Segmentation of a pixel that sees nothing within its range. Source: parity with Aerial Gym (3.4)."""
@@ -94,7 +94,7 @@ def write_pixel(
 def _cast_by_warp(view: View, rays: Rays, limits: Limits, sensors: int, images: Images):
     """Trace one ray per thread; the 32 threads of a warp hold one tile and look for its candidates together.
 
-    Analytic shapes come before meshes, so that a mesh is searched only up to the nearest of them.
+    Analytic shapes come before meshes, and near meshes before far ones, so that a tree is searched only up to what was found.
     """
     thread = wp.tid()
     lane = thread & 31
@@ -112,13 +112,13 @@ def _cast_by_warp(view: View, rays: Rays, limits: Limits, sensors: int, images: 
     first = wp.int32(0)
     while first < count:
         a = first + lane
-        candidate = wp.bool(False)
+        entry = float(wp.inf)
         mesh = wp.bool(False)
         if a < count:
-            candidate = is_candidate(view, mount, a, middle, spread)
+            entry = entry_of(view, mount, a, middle, spread)
             mesh = view.kind[mount, a] == MESH
-        analytic = ballot(candidate and not mesh)
-        meshes = ballot(candidate and mesh)
+        analytic = ballot(entry < wp.inf and not mesh)
+        meshes = ballot(entry < wp.inf and mesh)
         while analytic != wp.uint32(0):
             i = first + lowest_bit(analytic)
             analytic = analytic & (analytic - wp.uint32(1))
@@ -126,9 +126,14 @@ def _cast_by_warp(view: View, rays: Rays, limits: Limits, sensors: int, images: 
             if distance < nearest:
                 nearest = distance
                 hit = i
+        if not mesh:
+            entry = wp.inf
         while meshes != wp.uint32(0):
-            i = first + lowest_bit(meshes)
-            meshes = meshes & (meshes - wp.uint32(1))
+            closest = least_lane(entry)
+            i = first + closest
+            meshes = meshes & ~(wp.uint32(1) << wp.uint32(closest))
+            if lane == closest:
+                entry = wp.inf
             distance = trace(view, env, mount, i, ray, nearest)
             if distance < nearest:
                 nearest = distance
@@ -148,7 +153,7 @@ def _make_tile_kernel(num_instances: int) -> wp.Kernel:
     def find_candidates(view: View, mount: int, middle: wp.vec3, spread: wp.vec3, meshes: wp.bool) -> words_type:
         words = words_type()
         for a in range(view.kind.shape[1]):
-            if (view.kind[mount, a] == MESH) == meshes and is_candidate(view, mount, a, middle, spread):
+            if (view.kind[mount, a] == MESH) == meshes and entry_of(view, mount, a, middle, spread) < wp.inf:
                 words[a >> 5] = words[a >> 5] | (wp.uint32(1) << wp.uint32(a & 31))
         return words
 

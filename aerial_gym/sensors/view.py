@@ -92,14 +92,17 @@ def slab_bounds(row: wp.vec4, middle: wp.vec3, spread: wp.vec3) -> wp.vec2:
 
 
 @wp.func
-def tile_may_hit(x: wp.vec4, y: wp.vec4, z: wp.vec4, middle: wp.vec3, spread: wp.vec3) -> wp.bool:
-    """Return whether some ray of a tile can meet the bounding box: interval arithmetic on the slab test."""
+def tile_entry(x: wp.vec4, y: wp.vec4, z: wp.vec4, middle: wp.vec3, spread: wp.vec3) -> float:
+    """Return a distance before which no ray of a tile meets the bounding box, inf if none does at all [m].
+
+    Interval arithmetic on the slab test.
+    """
     a = slab_bounds(x, middle, spread)
     b = slab_bounds(y, middle, spread)
     c = slab_bounds(z, middle, spread)
     near = wp.max(a[0], wp.max(b[0], c[0]))
     far = wp.min(a[1], wp.min(b[1], c[1]))
-    return near * 0.99999 <= far
+    return wp.where(near * 0.99999 <= far, near, wp.inf)
 
 
 @wp.func
@@ -121,13 +124,11 @@ def trace(view: View, env: int, mount: int, a: int, ray: wp.vec3, limit: float) 
 
 
 @wp.func
-def is_candidate(view: View, mount: int, a: int, middle: wp.vec3, spread: wp.vec3) -> wp.bool:
-    """Return whether an instance is present and some ray of a tile can meet its bounding box."""
+def entry_of(view: View, mount: int, a: int, middle: wp.vec3, spread: wp.vec3) -> float:
+    """Return a distance before which no ray of a tile meets a part, inf if it is absent or none meets it [m]."""
     if view.kind[mount, a] == ABSENT:
-        return False
-    return tile_may_hit(
-        view.rows[mount, 3 * a], view.rows[mount, 3 * a + 1], view.rows[mount, 3 * a + 2], middle, spread
-    )
+        return wp.inf
+    return tile_entry(view.rows[mount, 3 * a], view.rows[mount, 3 * a + 1], view.rows[mount, 3 * a + 2], middle, spread)
 
 
 @wp.func_native("""
@@ -150,3 +151,18 @@ def ballot(predicate: wp.bool) -> wp.uint32:
 """)
 def lowest_bit(bits: wp.uint32) -> int:
     """Return the index of the lowest bit that is set; one must be."""
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    const unsigned mine = __float_as_uint(value);  // of numbers >= 0 the bits are in the same order
+    unsigned least = mine;
+    for (unsigned step = 16; step > 0; step /= 2)
+        least = min(least, __shfl_xor_sync(0xffffffffu, least, step));
+    return __ffs(__ballot_sync(0xffffffffu, mine == least)) - 1;
+#else
+    return 0;
+#endif
+""")
+def least_lane(value: float) -> int:
+    """Return which of the 32 threads of a warp has the least value, >= 0; all of them must call it."""

@@ -66,6 +66,7 @@ class StepGraph(Generic[Result]):
         Raises:
             CapabilityError: If something in the step cannot be recorded.
         """
+        self._step = step  # kept, with all memory that its launches read: a graph does not keep it
         self._actions = torch.zeros(actions_shape, device=generator.device)
         stream = torch.cuda.Stream(generator.device)
         stream.wait_stream(torch.cuda.current_stream(generator.device))

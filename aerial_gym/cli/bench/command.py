@@ -6,17 +6,19 @@ from typing import Annotated
 import tyro
 
 from aerial_gym.cli.bench.physics import PhysicsBench
+from aerial_gym.cli.bench.render import RenderBench
 from aerial_gym.cli.bench.task import TaskBench
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchCmd:
-    """Measure the speed of the physics alone or of whole task steps."""
+    """Measure the speed of the physics alone, of whole task steps, or of cameras."""
 
     what: tyro.conf.OmitArgPrefixes[
         tyro.conf.OmitSubcommandPrefixes[
             Annotated[PhysicsBench, tyro.conf.subcommand("physics")]
             | Annotated[TaskBench, tyro.conf.subcommand("task")]
+            | Annotated[RenderBench, tyro.conf.subcommand("render")]
         ]
     ]
     """What is measured."""

@@ -116,7 +116,11 @@ def batch_of(call: Callable[[], None], launches: int, device: torch.device) -> C
         graph = torch.cuda.CUDAGraph()
         with torch.cuda.graph(graph):
             _repeat(call, launches)
-    return graph.replay
+
+    def replay(_kept: Callable[[], None] = call) -> None:  # a graph does not keep the memory alive that its launches read
+        graph.replay()
+
+    return replay
 
 
 def _repeat(call: Callable[[], None], times: int) -> None:

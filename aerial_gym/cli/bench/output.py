@@ -40,7 +40,7 @@ def device_name(device: torch.device) -> str:
 
 def provenance() -> dict[str, object]:
     """Return versions, commit and the load of the machine [processes that want a core, mean of a minute]."""
-    versions = {name.removesuffix("-lang").replace("-", "_"): metadata.version(name) for name in PACKAGES}
+    versions = {name.removesuffix("-lang").replace("-", "_"): _version(name) for name in PACKAGES}
     return {
         "versions": {**versions, "python": platform.python_version()},
         "commit": commit(),
@@ -81,3 +81,11 @@ def readable(value: object) -> str:
         if abs(value) >= size:
             return f"{value / size:.4g}{unit}"
     return f"{value:.4g}"
+
+
+def _version(package: str) -> str:
+    """Return the installed version of a package, or that a bare copy of its source is used."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed, used from source"

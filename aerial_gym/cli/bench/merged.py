@@ -1,0 +1,102 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportOptionalMemberAccess=false
+# (Warp compiles the kernel from its source; Python's type rules do not describe it.)
+"""The baseline of ``bench render``: one merged triangle mesh per environment, a query per pixel in the order of rows.
+
+This is how the Aerial Gym Simulator sees. At most ``DISTINCT`` environments are built and then used again by the others,
+which saves minutes and favours the baseline: its trees stay in the cache.
+"""
+
+import numpy as np
+import torch
+import trimesh
+import warp as wp
+
+from aerial_gym.cli.bench.scenes import RenderScene
+from aerial_gym.config.environment import PartCfg, ShapeCfg
+from aerial_gym.interop import on_torch_stream
+from aerial_gym.math.quaternion import quat_from_euler, quat_to_matrix
+
+DISTINCT = 64
+"""Environments that are really built."""
+
+
+@wp.kernel(enable_backward=False)
+def _cast_merged(
+    mesh: wp.array[wp.uint64],  # (E,)
+    position: wp.array[wp.vec3],  # (E,) world [m]
+    attitude: wp.array[wp.quat],  # (E,) camera to world
+    direction: wp.array[wp.vec3],  # (N,) camera frame, unit
+    max_range: float,  # [m]
+    out: wp.array2d[float],  # (E, N) [m]
+):
+    """Write the depth along the optical axis, -1 for a miss."""
+    env, pixel = wp.tid()
+    ray = direction[pixel]
+    limit = max_range / ray[0]
+    query = wp.mesh_query_ray(mesh[env], position[env], wp.quat_rotate(attitude[env], ray), limit)
+    out[env, pixel] = wp.where(query.result, query.t * ray[0], -1.0)
+
+
+class MergedMeshes:
+    """A merged mesh for each environment, and the launch that renders them all."""
+
+    def __init__(self, scene: RenderScene, direction: torch.Tensor) -> None:
+        """Triangulate and merge; ``direction`` is the ray table (N, 3)."""
+        device, num_envs = wp.device_from_torch(scene.state.device), scene.state.shape[0]
+        self.meshes = [self._merge(scene, env, device) for env in range(min(num_envs, DISTINCT))]
+        self.num_triangles = len(self.meshes[0].indices) // 3
+        ids = np.array([self.meshes[env % len(self.meshes)].id for env in range(num_envs)], dtype=np.uint64)
+        self.depth = torch.zeros(num_envs, len(direction), device=scene.state.device)
+        which = torch.arange(num_envs, device=scene.state.device) % len(self.meshes)
+        self._position, self._attitude = scene.position[which].contiguous(), scene.attitude[which].contiguous()
+        self._launch = wp.launch(
+            _cast_merged,
+            dim=(num_envs, len(direction)),
+            inputs=[
+                wp.array(ids, dtype=wp.uint64, device=device),
+                wp.from_torch(self._position, dtype=wp.vec3),
+                wp.from_torch(self._attitude, dtype=wp.quat),
+                wp.from_torch(direction.contiguous(), dtype=wp.vec3),
+                scene.max_range,
+            ],
+            outputs=[wp.from_torch(self.depth)],
+            device=device,
+            record_cmd=True,
+        )
+
+    def cast(self) -> None:
+        """Render every environment."""
+        with on_torch_stream(self.depth):
+            self._launch.launch()
+
+    def refit(self) -> None:
+        """Rebuild the bounds of every mesh that is there, one launch each, as after moving obstacles."""
+        with on_torch_stream(self.depth):
+            for mesh in self.meshes:
+                mesh.refit()
+
+    @staticmethod
+    def _merge(scene: RenderScene, env: int, device: wp.Device) -> wp.Mesh:
+        pieces = []
+        for shape, row in zip(scene.shapes, scene.state[env].cpu(), strict=True):
+            turn = quat_to_matrix(row[3:7].double()).numpy()
+            for part in shape.parts or (PartCfg(shape=shape),):
+                piece = _triangles(part.shape)
+                local = quat_to_matrix(quat_from_euler(torch.tensor(part.euler, dtype=torch.float64))).numpy()
+                points = (piece.vertices @ local.T + np.array(part.position)) @ turn.T + row[:3].numpy()
+                pieces.append(trimesh.Trimesh(points, piece.faces, process=False))
+        merged = trimesh.util.concatenate(pieces)
+        return wp.Mesh(
+            points=wp.array(merged.vertices.astype(np.float32), dtype=wp.vec3, device=device),
+            indices=wp.array(merged.faces.astype(np.int32).ravel(), dtype=wp.int32, device=device),
+        )
+
+
+def _triangles(shape: ShapeCfg) -> trimesh.Trimesh:
+    if shape.kind == "box":
+        return trimesh.creation.box(extents=shape.size)
+    if shape.kind == "sphere":
+        return trimesh.creation.icosphere(subdivisions=2, radius=shape.radius)
+    return trimesh.creation.cylinder(radius=shape.radius, height=shape.height, sections=16)

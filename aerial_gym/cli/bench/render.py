@@ -1,0 +1,170 @@
+"""``aerial-gym bench render``: depth and segmentation of a camera in every environment."""
+
+import statistics
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import torch
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderBench:
+    """Measure how many images of a scene are rendered per second, and how long moving every obstacle takes."""
+
+    scene: str = "boxes"
+    """boxes (floor and 20 boxes, each turned), boxes_aligned, or clutter (a room with 40 obstacles, 8 of them trees)."""
+
+    num_envs: int = 64
+    """Environments side by side, one camera in each."""
+
+    width: int = 64
+    """Pixels in a row."""
+
+    height: int = 64
+    """Pixels in a column."""
+
+    segmentation: bool = False
+    """Whether the camera also writes what each pixel sees."""
+
+    merged: bool = False
+    """Also measure the baseline: one merged triangle mesh per environment."""
+
+    device: str = "auto"
+    """Torch device; auto takes the GPU if there is one."""
+
+    threads: int | None = None
+    """Threads on the CPU; torch's own number if not given."""
+
+    repeats: int = 5
+    """Figures of which the median is printed."""
+
+    repeat_time_s: float = 0.5
+    """About how long each is measured [s]."""
+
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        """Measure and print; return the exit status: 1 if the workload did not do its work."""
+        from aerial_gym.cli.bench.measure import WorkloadError
+        from aerial_gym.cli.bench.output import print_figures
+
+        try:
+            print_figures(self.measure(), as_json=self.json)
+        except WorkloadError as error:
+            print(f"aerial-gym bench render: {error}", file=sys.stderr)
+            return 1
+        return 0
+
+    def measure(self) -> dict[str, object]:
+        """Return the figures with everything they depend on.
+
+        Raises:
+            AerialGymError: If a name is unknown or a number impossible.
+            WorkloadError: If the images are not those of the scene.
+        """
+        import torch
+
+        from aerial_gym.cli.bench.measure import require_at_least, spread, torch_threads
+        from aerial_gym.cli.bench.output import device_by_name, device_name, provenance
+        from aerial_gym.cli.bench.scenes import make_scene
+        from aerial_gym.config.sensor import CameraCfg
+        from aerial_gym.sensors import RayCaster
+
+        require_at_least(1, num_envs=self.num_envs, width=self.width, height=self.height)
+        device, beside = device_by_name(self.device), provenance()
+        with torch_threads(self.threads) as threads:
+            scene = make_scene(self.scene, self.num_envs, device=device)
+            camera = CameraCfg(
+                summary="benchmark camera",
+                width=self.width,
+                height=self.height,
+                hfov_deg=87.0,
+                min_range=0.0,
+                max_range=scene.max_range,
+                segmentation=self.segmentation,
+                source="the depth camera of base_quadrotor_with_camera",
+            )
+            image = (self.num_envs, 1, self.height, self.width)
+            depth = torch.zeros(image, device=device)
+            ids = torch.zeros(image, dtype=torch.int32, device=device) if self.segmentation else None
+            built = scene.build()
+            caster = RayCaster(
+                camera,
+                built,
+                position=scene.position,
+                attitude=scene.attitude,
+                distance_out=depth,
+                segmentation_out=ids,
+            )
+            seconds = self._time(caster.cast, depth)
+            elsewhere = scene.state.clone()
+            move = statistics.median(self._time(lambda: scene.state.copy_(elsewhere), depth))
+            figures = {}
+            if self.merged:
+                from aerial_gym.cli.bench.merged import MergedMeshes
+
+                baseline = MergedMeshes(scene, caster.direction.view(-1, 3))
+                slow = self._time(baseline.cast, baseline.depth)
+                figures = {
+                    "merged_triangles": baseline.num_triangles,
+                    "merged_frames_per_s": self.num_envs / statistics.median(slow),
+                    "merged_ratio": statistics.median(slow) / statistics.median(seconds),
+                }
+        median, low, high = spread(seconds, self.num_envs)
+        return {
+            "case": "render",
+            "scene": self.scene,
+            "device": device_name(device),
+            "num_envs": self.num_envs,
+            "width": self.width,
+            "height": self.height,
+            "segmentation": self.segmentation,
+            "threads": threads,
+            "frames_per_s": median,
+            "frames_per_s_min": low,
+            "frames_per_s_max": high,
+            "rays_per_s": median * self.width * self.height,
+            "image_s": statistics.median(seconds),
+            "move_s": move,
+            **figures,
+            **beside,
+        }
+
+    def _time(self, call: "Callable[[], object]", depth: "torch.Tensor") -> list[float]:
+        """Return the time of one call in each repeat [s]."""
+        from aerial_gym.cli.bench.measure import time_launches
+
+        return time_launches(_Images(call, depth), repeats=self.repeats, repeat_time_s=self.repeat_time_s)
+
+
+class _Images:
+    """A workload that writes depth images again and again."""
+
+    batches_per_stretch = 1_000_000_000  # the scene stays: nothing is put back
+
+    def __init__(self, call: "Callable[[], object]", depth: "torch.Tensor") -> None:
+        from aerial_gym.cli.bench.measure import batch_of
+
+        self.device, self._depth = depth.device, depth
+        self.launches_per_batch = 4
+        self.run_batch = batch_of(lambda: (call(), None)[1], self.launches_per_batch, self.device)
+
+    def restore(self) -> None:
+        """Nothing to put back."""
+
+    def check(self, *, started: bool) -> None:
+        """Raise ``WorkloadError`` unless every environment sees something, nothing is NaN, and depths differ."""
+        from aerial_gym.cli.bench.measure import WorkloadError
+
+        if not started:
+            return
+        seen = (self._depth > 0.0).flatten(1).float().mean(dim=1)
+        if not bool((seen > 0.05).all()):
+            raise WorkloadError(f"a camera sees something in {float(seen.min()):.1%} of its pixels: must be above 5 %")
+        varied = (self._depth.flatten(1).std(dim=1) > 0.01).float().mean()
+        if not bool(varied > 0.95):  # a camera may stand in front of a box, but not many
+            raise WorkloadError(f"{float(varied):.1%} of the images show more than one depth: must be above 95 %")

@@ -1,0 +1,141 @@
+"""The scenes of ``bench render``: shapes, obstacle states and where the cameras are.
+
+Frames: world of each environment, z up. Letters: E environments, A instances.
+"""
+
+import math
+import random
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.assets import Scene
+from aerial_gym.config.environment import PartCfg, ShapeCfg
+from aerial_gym.errors import UnknownNameError
+from aerial_gym.math.quaternion import quat_from_euler
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderScene:
+    """What a camera in every environment sees."""
+
+    shapes: tuple[ShapeCfg, ...]
+    """One for each instance."""
+
+    state: Tensor
+    """Position, attitude xyzw, velocities, (E, A, 13)."""
+
+    position: Tensor
+    """Of the cameras [m], (E, 3)."""
+
+    attitude: Tensor
+    """Camera (along its x) to world, xyzw, (E, 4)."""
+
+    max_range: float
+    """[m]."""
+
+    def build(self) -> Scene:
+        """Return the scene; instance a shows id a."""
+        rows = torch.arange(len(self.shapes))
+        return Scene(self.shapes, shape_index=rows, semantic_id=rows, asset_state=self.state)
+
+
+def make_scene(name: str, num_envs: int, *, device: torch.device) -> RenderScene:
+    """Return a scene by name.
+
+    Raises:
+        UnknownNameError: If there is none of that name.
+    """
+    if name not in SCENES:
+        raise UnknownNameError(f"no render scene {name!r}. Known: {', '.join(sorted(SCENES))}")
+    return SCENES[name](num_envs, device)
+
+
+def _boxes(num_envs: int, device: torch.device, *, turned: bool = True) -> RenderScene:
+    """Return a floor and 20 boxes 2 to 8 m ahead of a camera 1 m above the floor; every box turned at random."""
+    chance = random.Random(1)
+    rows, shapes = [], []
+    for _ in range(20):
+        distance, bearing = chance.uniform(2.0, 8.0), chance.uniform(-0.7, 0.7)
+        half = [chance.uniform(0.1, 0.5) for _ in range(3)]
+        height = chance.uniform(0.2, 2.0)
+        rows.append((distance * math.cos(bearing), distance * math.sin(bearing), height))
+        shapes.append(ShapeCfg(kind="box", size=(2.0 * half[0], 2.0 * half[1], 2.0 * half[2])))
+    shapes.append(ShapeCfg(kind="box", size=(40.0, 40.0, 0.2)))
+    rows.append((0.0, 0.0, -0.1))
+    state = torch.zeros(num_envs, 21, 13)
+    state[..., :3], state[..., 6] = torch.tensor(rows), 1.0
+    if turned:
+        angles = math.pi * (2.0 * torch.rand(num_envs, 20, 3, generator=torch.Generator().manual_seed(0)) - 1.0)
+        state[:, :20, 3:7] = quat_from_euler(angles)
+    position, attitude = torch.zeros(num_envs, 3), torch.zeros(num_envs, 4)
+    position[:, 2], attitude[:, 3] = 1.0, 1.0
+    return RenderScene(
+        shapes=tuple(shapes),
+        state=state.to(device),
+        position=position.to(device),
+        attitude=attitude.to(device),
+        max_range=50.0,
+    )
+
+
+def _tree(seed: int) -> ShapeCfg:
+    """Return a tree of a trunk and 12 branches, all cylinders, 3 m high."""
+    chance = random.Random(seed)
+    parts = [PartCfg(shape=ShapeCfg(kind="cylinder", radius=0.12, height=3.0), position=(0.0, 0.0, 1.5))]
+    for _ in range(12):
+        length, radius = chance.uniform(0.5, 1.5), chance.uniform(0.02, 0.06)
+        tilt, bearing, foot = chance.uniform(0.5, 1.3), chance.uniform(-math.pi, math.pi), chance.uniform(0.8, 2.9)
+        reach = 0.5 * length * math.sin(tilt)
+        place = (reach * math.cos(bearing), reach * math.sin(bearing), foot + 0.5 * length * math.cos(tilt))
+        branch = ShapeCfg(kind="cylinder", radius=radius, height=length)
+        parts.append(PartCfg(shape=branch, position=place, euler=(0.0, tilt, bearing)))
+    return ShapeCfg(kind="compound", parts=tuple(parts))
+
+
+def _clutter(num_envs: int, device: torch.device) -> RenderScene:
+    """Return a room of 6 walls with 12 boxes, 10 spheres, 4 cylinders and 8 trees; cameras anywhere, at any heading."""
+    chance, draw = random.Random(2), torch.Generator().manual_seed(2)
+    walls = (
+        (0.2, 10.0, 6.0),
+        (0.2, 10.0, 6.0),
+        (10.0, 0.2, 6.0),
+        (10.0, 0.2, 6.0),
+        (10.0, 10.0, 0.2),
+        (10.0, 10.0, 0.2),
+    )
+    shapes = [ShapeCfg(kind="box", size=size) for size in walls]
+    for _ in range(12):
+        a, b, c = (chance.uniform(0.2, 1.0) for _ in range(3))
+        shapes.append(ShapeCfg(kind="box", size=(a, b, c)))
+    shapes += [ShapeCfg(kind="sphere", radius=chance.uniform(0.15, 0.45)) for _ in range(10)]
+    shapes += [ShapeCfg(kind="cylinder", radius=0.15, height=2.0) for _ in range(4)]
+    shapes += [_tree(seed) for seed in range(8)]
+    state = torch.zeros(num_envs, len(shapes), 13)
+    middles = ((5.1, 0, 3), (-5.1, 0, 3), (0, 5.1, 3), (0, -5.1, 3), (0, 0, -0.1), (0, 0, 6.1))
+    state[:, :6, :3], state[..., 6] = torch.tensor(middles, dtype=torch.float32), 1.0
+    shares = torch.rand(num_envs, len(shapes) - 6, 3, generator=draw)
+    state[:, 6:, :3] = torch.tensor([-4.5, -4.5, 0.5]) + shares * torch.tensor([9.0, 9.0, 5.0])
+    angles = math.pi * (2.0 * torch.rand(num_envs, len(shapes) - 6, 3, generator=draw) - 1.0)
+    angles[:, -8:, :2] = 0.0  # trees stand
+    state[:, -8:, 2] = 0.0
+    state[:, 6:, 3:7] = quat_from_euler(angles)
+    position = torch.tensor([-4.0, -4.0, 1.0]) + torch.rand(num_envs, 3, generator=draw) * torch.tensor([8.0, 8.0, 4.0])
+    heading = torch.zeros(num_envs, 3)
+    heading[:, 2] = 2.0 * math.pi * torch.rand(num_envs, generator=draw)
+    return RenderScene(
+        shapes=tuple(shapes),
+        state=state.to(device),
+        position=position.to(device),
+        attitude=quat_from_euler(heading).to(device),
+        max_range=20.0,
+    )
+
+
+SCENES = {
+    "boxes": _boxes,
+    "boxes_aligned": lambda num_envs, device: _boxes(num_envs, device, turned=False),
+    "clutter": _clutter,
+}
+"""Scenes by the name that a user chooses."""
