@@ -36,6 +36,7 @@ COMMANDS: dict[str, _Home] = {
     "replay": _Home("aerial_gym.cli.replay", "ReplayCmd"),
     "close-loop": _Home("aerial_gym.cli.close_loop", "CloseLoopCmd"),
     "bench": _Home("aerial_gym.cli.bench.command", "BenchCmd"),
+    "render-gallery": _Home("aerial_gym.cli.render_gallery", "RenderGalleryCmd"),
     "demo": _Home("aerial_gym.cli.demo.command", "DemoCmd"),
 }
 

@@ -110,7 +110,7 @@ class WarpBackend:
         self._columns: Columns = arrange(*fields, effect_rows(model), all_per_env=self._differentiable)
         self._per_env = torch.zeros(max(self._columns.total, 1), self._num_envs, device=self._device)
         self._ground = self._ground_arrays(ground)
-        self._kernel = make_kernel(
+        self.kernel = make_kernel(
             model,
             law,
             integrator,
@@ -195,7 +195,7 @@ class WarpBackend:
         for first, count in self._chunks(substeps):
             launches.append(
                 wp.launch(
-                    self._kernel,
+                    self.kernel,
                     dim=count,
                     inputs=[*inputs, first],
                     outputs=[*arrays, contact],
@@ -245,7 +245,7 @@ class WarpBackend:
             self.step(after, command, dt, substeps)
             return after
         rows = per_env_rows(self._columns, *self._fields(self._model, dt), effect_rows(self._model))
-        rollout = Rollout(self._kernel, self._shared, self._ground, self._model.gravity, dt, substeps, self._kinds())
+        rollout = Rollout(self.kernel, self._shared, self._ground, self._model.gravity, dt, substeps, self._kinds())
         after = rollout(state.tensors(), command, torch.cat([row.T for row in rows]))
         return BodyState(**dict(zip(vars(state), after, strict=True)))
 

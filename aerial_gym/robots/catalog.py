@@ -16,5 +16,21 @@ ROBOTS.register(
     "base_quadrotor_with_camera",
     replace(_BASE, summary="base_quadrotor with a depth and segmentation camera", sensors=("base_depth_camera",)),
 )
+ROBOTS.register(
+    "base_quadrotor_with_lidar",
+    replace(_BASE, summary="base_quadrotor with a lidar that sees all around", sensors=("base_lidar",)),
+)
+ROBOTS.register(
+    "base_quadrotor_with_stereo_camera",
+    replace(_BASE, summary="base_quadrotor with a stereo depth camera", sensors=("stereo_camera",)),
+)
+ROBOTS.register(
+    "base_quadrotor_with_faceid_normal_camera",
+    replace(
+        _BASE,
+        summary="base_quadrotor with a camera of surface normals and face ids",
+        sensors=("base_normal_face_id_camera",),
+    ),
+)
 for _name in ("tinyprop", "crazyflie_21_brushless"):
     ROBOTS.register(_name, load(RobotCfg, _FOLDER / f"{_name}.yaml"))

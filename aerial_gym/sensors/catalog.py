@@ -1,10 +1,29 @@
 """Every sensor that comes with the package, in one table."""
 
-from aerial_gym.config import CONFIG_DIR, load
-from aerial_gym.config.sensor import CameraCfg
+from aerial_gym.config import CONFIG_DIR
+from aerial_gym.config.sensor import RangeSensorCfg, load_sensor
 from aerial_gym.registry import Registry
 
-SENSORS: Registry[CameraCfg] = Registry("sensor")
+SENSORS: Registry[RangeSensorCfg] = Registry("sensor")
 
-for _name in ("base_depth_camera", "depth_camera_64"):
-    SENSORS.register(_name, load(CameraCfg, CONFIG_DIR / "sensors" / f"{_name}.yaml"))
+for _name in (
+    "base_depth_camera",
+    "depth_camera_64",
+    "base_normal_face_id_camera",
+    "rs_d455",
+    "intel_realsense_d455",
+    "luxonis_oak_d",
+    "luxonis_oak_d_pro_w",
+    "stereo_camera",
+    "base_lidar",
+    "os0_128",
+    "os0_64",
+    "os1_64",
+    "os2_64",
+    "os_dome_64",
+    "rslidar_airy",
+    "fake_radar",
+    "pmd_flexx2",
+    "st_vl53l5cx",
+):
+    SENSORS.register(_name, load_sensor(CONFIG_DIR / "sensors" / f"{_name}.yaml"))

@@ -1,314 +1,270 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
-# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
-"""The ray caster: one kernel writes distances and segmentation of a sensor in every environment.
+# pyright: reportGeneralTypeIssues=false
+# (a wp.struct is a class at run time)
+"""The ray caster: one kernel writes every image of a sensor in every environment.
 
 A sensor is a table of ray directions and a mount, so that any camera or lidar model runs through the same kernel. Mounts
-and directions are buffers that may be written between calls, also after a CUDA graph was captured. Neighbouring threads
-are neighbouring pixels of a row, in the order of memory.
+are buffers that may be written between calls, also after a CUDA graph was captured.
 
 Frames: body is x forward, y left, z up; a sensor looks along its own x. World is the environment's own, z up.
-Letters: E environments, A instances, S sensors of one kind, H x W = N pixels (row 0 on top).
+Letters: E environments, S sensors of one kind, M = E * S mounts, H x W = N pixels (row 0 on top), P parts.
 """
 
-from functools import cache
+from dataclasses import dataclass, fields
+from math import radians, tan
 
 import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.assets.geometry import MESH
 from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.views import check_tensor, vector_view
-from aerial_gym.config.sensor import CameraCfg
+from aerial_gym.config.sensor import RangeSensorCfg, StereoCfg
 from aerial_gym.errors import ShapeError
 from aerial_gym.interop import launch_side_by_side, on_torch_stream, split
 from aerial_gym.math.quaternion import quat_from_euler
-from aerial_gym.sensors.rays import pinhole_rays
+from aerial_gym.math.random import uniform
+from aerial_gym.sensors.pixels import MISS_ID, Images, Limits, Noise, Outputs, locate
+from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_kernel
+from aerial_gym.sensors.rays import ray_table
 from aerial_gym.sensors.tiles import make_tiles
-from aerial_gym.sensors.view import View, ballot, entry_of, least_lane, look, lowest_bit, trace
+from aerial_gym.sensors.view import View, look
 
-MISS_ID = wp.constant(-2)
-"""Segmentation of a pixel that sees nothing within its range. Source: parity with Aerial Gym (3.4)."""
+__all__ = ["MISS_ID", "RayCaster", "SensorImages"]
 
 GPU_TILE, CPU_TILE = (4, 8), (8, 16)
 """Rows and columns of pixels whose rays are traced together; a warp has 32 threads."""
 
-BLOCK_DIM = 128
+BLOCK_DIM = 64
+"""Threads of a block; 128 is 1 % and 256 is 8 to 25 % slower (docs/results/rendering.md)."""
 
 
-@wp.struct
-class Limits:
-    """What becomes of a distance."""
+@dataclass(frozen=True, kw_only=True)
+class SensorImages:
+    """The tensors that a sensor writes; those that its configuration does not ask for are None."""
 
-    min_range: wp.float32  # [m]
-    max_range: wp.float32  # [m]
-    projected: wp.bool  # distances along the sensor's x axis instead of along the ray
-    divisor: wp.float32  # of distances within the limits: max_range or 1
-    near_pixel: wp.float32  # written for a hit closer than min_range
-    far_pixel: wp.float32  # written for a miss
+    distance: Tensor
+    """Distances [m], or shares of max_range if the sensor normalises, float32, (E, S, H, W)."""
 
+    segmentation: Tensor | None = None
+    """Semantic ids, -2 for a miss, int32, (E, S, H, W)."""
 
-@wp.struct
-class Rays:
-    """The rays of a sensor in tiles of L."""
+    points: Tensor | None = None
+    """What each pixel sees [m], in the frame that the configuration names, float32, (E, S, H, W, 3). A pixel without a
+    valid distance holds the sensor's own origin."""
 
-    direction: wp.array[wp.vec3]  # (T * L,) sensor frame, unit
-    pixel: wp.array[wp.int32]  # (T * L,) which pixel of the image, or -1
-    middle: wp.array[wp.vec3]  # (T,) of the directions of a tile
-    spread: wp.array[wp.vec3]  # (T,) half of what they differ by
+    normals: Tensor | None = None
+    """Unit normals of the surfaces towards the sensor, 0 for a miss, float32, (E, S, H, W, 3)."""
 
+    face_ids: Tensor | None = None
+    """Triangle of a mesh; box: 2 axis + (1 for the upper side); cylinder: 0 side, 1 bottom, 2 top; -1 for a miss, int32,
+    (E, S, H, W)."""
 
-@wp.struct
-class Images:
-    """Where a kernel writes."""
-
-    distance: wp.array2d[float]  # (M, N) [m] or divided
-    segmentation: wp.array2d[wp.int32]  # (M, N)
-    semantic_id: wp.array2d[wp.int32]  # (E, P) of the scene
-    segments: wp.bool  # whether segmentation is written
-
-
-@wp.func
-def limit_of(limits: Limits, ray: wp.vec3) -> float:
-    """Return the distance along a ray beyond which nothing is seen [m]."""
-    return wp.where(limits.projected, limits.max_range / ray[0], limits.max_range)
-
-
-@wp.func
-def write_pixel(
-    images: Images, limits: Limits, env: int, mount: int, pixel: int, ray: wp.vec3, nearest: float, hit: int
-):
-    """Write what a ray found: the distance to the first surface and its id, or ``far_pixel`` and ``MISS_ID``."""
-    measured = wp.min(wp.where(limits.projected, nearest * ray[0], nearest), limits.max_range)
-    value = wp.where(measured < limits.min_range, limits.near_pixel, measured / limits.divisor)
-    images.distance[mount, pixel] = wp.where(hit >= 0, value, limits.far_pixel)
-    if images.segments:
-        seen = wp.int32(MISS_ID)
-        if hit >= 0:
-            seen = images.semantic_id[env, hit]
-        images.segmentation[mount, pixel] = seen
-
-
-@wp.kernel(enable_backward=False)
-def _cast_by_warp(view: View, rays: Rays, limits: Limits, sensors: int, images: Images):
-    """Trace one ray per thread; the 32 threads of a warp hold one tile and look for its candidates together.
-
-    Analytic shapes come before meshes, and near meshes before far ones, so that a tree is searched only up to what was found.
-    """
-    thread = wp.tid()
-    lane = thread & 31
-    num_tiles = rays.middle.shape[0]
-    mount = (thread >> 5) // num_tiles
-    tile = (thread >> 5) - mount * num_tiles
-    env = mount // sensors
-    middle = rays.middle[tile]
-    spread = rays.spread[tile]
-    ray = rays.direction[tile * 32 + lane]
-    pixel = rays.pixel[tile * 32 + lane]
-    nearest = limit_of(limits, ray)
-    hit = wp.int32(-1)
-    count = view.kind.shape[1]
-    first = wp.int32(0)
-    while first < count:
-        a = first + lane
-        entry = float(wp.inf)
-        mesh = wp.bool(False)
-        if a < count:
-            entry = entry_of(view, mount, a, middle, spread)
-            mesh = view.kind[mount, a] == MESH
-        analytic = ballot(entry < wp.inf and not mesh)
-        meshes = ballot(entry < wp.inf and mesh)
-        while analytic != wp.uint32(0):
-            i = first + lowest_bit(analytic)
-            analytic = analytic & (analytic - wp.uint32(1))
-            distance = trace(view, env, mount, i, ray, nearest)
-            if distance < nearest:
-                nearest = distance
-                hit = i
-        if not mesh:
-            entry = wp.inf
-        while meshes != wp.uint32(0):
-            closest = least_lane(entry)
-            i = first + closest
-            meshes = meshes & ~(wp.uint32(1) << wp.uint32(closest))
-            if lane == closest:
-                entry = wp.inf
-            distance = trace(view, env, mount, i, ray, nearest)
-            if distance < nearest:
-                nearest = distance
-                hit = i
-        first += 32
-    if pixel >= 0:
-        write_pixel(images, limits, env, mount, pixel, ray, nearest, hit)
-
-
-@cache
-def _make_tile_kernel(num_instances: int) -> wp.Kernel:
-    """Return the kernel in which one thread traces all rays of a tile: for processors without warps."""
-    num_words = max(1, -(-num_instances // 32))
-    words_type = wp.types.vector(length=num_words, dtype=wp.uint32)
-
-    @wp.func
-    def find_candidates(view: View, mount: int, middle: wp.vec3, spread: wp.vec3, meshes: wp.bool) -> words_type:
-        words = words_type()
-        for a in range(view.kind.shape[1]):
-            if (view.kind[mount, a] == MESH) == meshes and entry_of(view, mount, a, middle, spread) < wp.inf:
-                words[a >> 5] = words[a >> 5] | (wp.uint32(1) << wp.uint32(a & 31))
-        return words
-
-    @wp.func
-    def nearest_of(
-        view: View, env: int, mount: int, words: words_type, ray: wp.vec3, limit: float, before: int
-    ) -> tuple[float, int]:
-        nearest = limit
-        hit = before
-        for k in range(num_words):
-            bits = words[k]
-            while bits != wp.uint32(0):
-                i = 32 * k + lowest_bit(bits)
-                bits = bits & (bits - wp.uint32(1))
-                distance = trace(view, env, mount, i, ray, nearest)
-                if distance < nearest:
-                    nearest = distance
-                    hit = i
-        return nearest, hit
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def cast_by_tile(view: View, rays: Rays, limits: Limits, sensors: int, images: Images, per_tile: int, first: int):
-        """Trace all rays of one tile; analytic shapes come before meshes."""
-        task = wp.tid() + first
-        num_tiles = rays.middle.shape[0]
-        mount = task // num_tiles
-        tile = task - mount * num_tiles
-        env = mount // sensors
-        analytic = find_candidates(view, mount, rays.middle[tile], rays.spread[tile], False)
-        meshes = find_candidates(view, mount, rays.middle[tile], rays.spread[tile], True)
-        for i in range(per_tile):
-            pixel = rays.pixel[tile * per_tile + i]
-            if pixel >= 0:
-                ray = rays.direction[tile * per_tile + i]
-                nearest, hit = nearest_of(view, env, mount, analytic, ray, limit_of(limits, ray), -1)
-                nearest, hit = nearest_of(view, env, mount, meshes, ray, nearest, hit)
-                write_pixel(images, limits, env, mount, pixel, ray, nearest, hit)
-
-    return cast_by_tile
+    def check(self, cfg: RangeSensorCfg, num_envs: int, device: torch.device) -> None:
+        """Raise ``ShapeError`` unless exactly the images that ``cfg`` asks for are here, and fit."""
+        shape = (num_envs, cfg.count, cfg.height, cfg.width)
+        asked = {
+            "distance": True,
+            "segmentation": cfg.segmentation,
+            "points": cfg.points is not None,
+            "normals": cfg.normals is not None,
+            "face_ids": cfg.face_ids,
+        }
+        for name, wanted in asked.items():
+            image = getattr(self, name)
+            if (image is not None) != wanted:
+                raise ShapeError(f"{name} must be given exactly if the sensor has such an image: it is {wanted}")
+            if image is None:
+                continue
+            dtype = torch.int32 if name in ("segmentation", "face_ids") else torch.float32
+            full = (*shape, 3) if name in ("points", "normals") else shape
+            check_tensor(name, image, full, device=device, dtype=dtype)
+            if not image.is_contiguous():
+                raise ShapeError(f"{name} has stride {image.stride()}: images must be contiguous")
 
 
 class RayCaster:
-    """A camera in every environment, with all views made at construction."""
+    """The sensors of one kind in every environment, with all views made at construction."""
 
     def __init__(
         self,
-        cfg: CameraCfg,
+        cfg: RangeSensorCfg,
         scene: Scene,
+        images: SensorImages,
         *,
         position: Tensor,
         attitude: Tensor,
-        distance_out: Tensor,
-        segmentation_out: Tensor | None = None,
+        generator: torch.Generator | None = None,
+        seed: int = 0,
     ) -> None:
         """Take views of the tensors, which must stay where they are, and load the kernel.
 
         Args:
-            cfg: The camera.
+            cfg: The sensor.
             scene: What it sees.
+            images: What it writes.
             position: Body origin [m], world, (E, 3); may be strided, but for the last axis.
             attitude: Body to world, xyzw, unit, (E, 4); likewise.
-            distance_out: Receives distances [m], or shares of max_range if the camera normalises, float32, (E, S, H, W).
-            segmentation_out: Receives semantic ids, -2 for a miss, int32, (E, S, H, W); given if and only if the camera
-                segments.
+            generator: Source of placements drawn at reset, on the device of the scene; needed only by sensors that draw.
+            seed: Of the noise, which is drawn in the kernel from this, the number of the image and the pixel.
 
         Raises:
-            ShapeError: If a tensor does not fit camera and scene.
+            ShapeError: If a tensor does not fit sensor and scene.
         """
         envs, device = scene.num_envs, scene.device
-        self.num_sensors = distance_out.shape[1] if distance_out.dim() == 4 else 1
-        image = (envs, self.num_sensors, cfg.height, cfg.width)
-        _check_image("distance_out", distance_out, image, device=device, dtype=torch.float32)
-        if (segmentation_out is not None) != cfg.segmentation:
-            raise ShapeError(f"segmentation_out must be given exactly if the camera segments: it is {cfg.segmentation}")
-        if segmentation_out is not None:
-            _check_image("segmentation_out", segmentation_out, image, device=device, dtype=torch.int32)
-        self.cfg, self._out = cfg, distance_out
-        self.direction = pinhole_rays(cfg, device=device)
-        mounts, pixels = image[:2], cfg.height * cfg.width
-        self._nominal_position = torch.tensor(cfg.position, device=device)
-        self._nominal_attitude = quat_from_euler(torch.tensor(cfg.euler, device=device))
-        self.mount_position = self._nominal_position.expand(*mounts, 3).clone()
-        self.mount_attitude = self._nominal_attitude.expand(*mounts, 4).clone()
-        shared = [
-            scene.arrays,
+        images.check(cfg, envs, device)
+        self.cfg, self.images, self.num_sensors = cfg, images, cfg.count
+        self._generator, self._device = generator, device
+        self.direction = ray_table(cfg, device=device)
+        self._place_mounts(envs)
+        self.due = torch.ones(envs, dtype=torch.bool, device=device)
+        """Environments whose images the next ``cast`` takes, bool, (E,)."""
+        self._image_number = torch.zeros(1, dtype=torch.int32, device=device)
+        self._seed = torch.full((1,), seed % 2**31, dtype=torch.int32, device=device)
+        mounts = (envs, cfg.count)
+        pose = [
             vector_view("position", position, (envs, 3), device=device),
             vector_view("attitude", attitude, (envs, 4), device=device),
             vector_view("mount_position", self.mount_position, (*mounts, 3), device=device),
             vector_view("mount_attitude", self.mount_attitude, (*mounts, 4), device=device),
         ]
-        self._view = _make_view(scene, envs * self.num_sensors)
-        self._look = wp.launch(
-            look,
-            dim=(envs * self.num_sensors, scene.num_parts),
-            inputs=[*shared, self._reach()],
-            outputs=[self._view.rows, self._view.kind],
-            device=wp.device_from_torch(device),
-            record_cmd=True,
-        )
-        self._images = _make_images(scene, distance_out.view(-1, pixels), segmentation_out, pixels)
-        self._launches = self._record(device)
+        self._view = _make_view(scene, envs * cfg.count)
+        self._prepare = self._record_preparations(scene, pose)
+        self._launches = self._record_rays(scene)
+
+    def _place_mounts(self, envs: int) -> None:
+        cfg, device = self.cfg, self._device
+        self._nominal_position = torch.tensor(cfg.position, device=device)
+        self._nominal_attitude = quat_from_euler(torch.tensor(cfg.euler, device=device))
+        self.mount_position = self._nominal_position.expand(envs, cfg.count, 3).clone()
+        self.mount_attitude = self._nominal_attitude.expand(envs, cfg.count, 4).clone()
+        draws = {"position": (cfg.position_low, cfg.position_high), "euler": (cfg.euler_low, cfg.euler_high)}
+        self._draws = {
+            name: (torch.tensor(low, device=device), torch.tensor(high, device=device))
+            for name, (low, high) in draws.items()
+            if low is not None and high is not None
+        }
+        if self._draws and self._generator is None:
+            self._generator = torch.Generator(device=device).manual_seed(0)
+
+    def _record_preparations(self, scene: Scene, pose: list[wp.array]) -> list[wp.Launch]:
+        """Record what comes before the rays: where the sensors are, and how they see each part."""
+        mounts = self._view.kind.shape[0]
+        device = wp.device_from_torch(self._device)
+        self._origin = wp.zeros(mounts, dtype=wp.vec3, device=device)
+        self._attitude = wp.zeros(mounts, dtype=wp.quat, device=device)
+        found = []
+        if "world" in (self.cfg.points, self.cfg.normals):
+            where = [self._origin, self._attitude]
+            found.append(wp.launch(locate, dim=mounts, inputs=pose, outputs=where, device=device, record_cmd=True))
+        if scene.num_parts:
+            out = [self._view.rows, self._view.kind]
+            inputs = [scene.arrays, *pose, self._reach()]
+            found.append(
+                wp.launch(
+                    look, dim=(mounts, scene.num_parts), inputs=inputs, outputs=out, device=device, record_cmd=True
+                )
+            )
+        return found
 
     def _reach(self) -> float:
         """Return the longest distance along any ray at which something is seen [m]."""
         cosine = float(self.direction[..., 0].min()) if self.cfg.kind == "depth" else 1.0
         return self.cfg.max_range / cosine
 
-    def _record(self, device: torch.device) -> list[wp.Launch]:
+    def _record_rays(self, scene: Scene) -> list[wp.Launch]:
         """Record the launches that trace the rays."""
-        height, width = GPU_TILE if device.type == "cuda" else CPU_TILE
+        cfg, on_gpu = self.cfg, self._device.type == "cuda"
+        height, width = GPU_TILE if on_gpu else CPU_TILE
         tiles = make_tiles(self.direction, height=height, width=width)
-        self._rays = Rays()
-        self._rays.direction = wp.from_torch(tiles.direction, dtype=wp.vec3)
-        self._rays.pixel = wp.from_torch(tiles.pixel)
-        self._rays.middle = wp.from_torch(tiles.middle, dtype=wp.vec3)
-        self._rays.spread = wp.from_torch(tiles.spread, dtype=wp.vec3)
-        inputs = [self._view, self._rays, _limits(self.cfg), self.num_sensors, self._images]
-        mounts, num_tiles = self._view.kind.shape[0], tiles.num_tiles
+        rays = Rays()
+        rays.direction, rays.pixel = wp.from_torch(tiles.direction, dtype=wp.vec3), wp.from_torch(tiles.pixel)
+        rays.middle = wp.from_torch(tiles.middle, dtype=wp.vec3)
+        rays.spread = wp.from_torch(tiles.spread, dtype=wp.vec3)
+        outputs = Outputs(
+            noise=cfg.active_noise is not None,
+            segmentation=cfg.segmentation,
+            points=cfg.points,
+            normals=cfg.normals,
+            face_ids=cfg.face_ids,
+            stereo=isinstance(cfg, StereoCfg),
+        )
+        images, due = self._make_images(scene), wp.from_torch(self.due)
+        inputs = [self._view, rays, _limits(cfg), self._make_noise(), self.num_sensors, due, images]
+        mounts = self._view.kind.shape[0]
 
         def record(kernel: wp.Kernel, dim: int, *more: int) -> wp.Launch:
-            return wp.launch(
-                kernel,
-                dim=dim,
-                inputs=[*inputs, *more],
-                device=wp.device_from_torch(device),
-                block_dim=BLOCK_DIM,
-                record_cmd=True,
-            )
+            device = wp.device_from_torch(self._device)
+            given = [*inputs, *more]
+            launch = wp.launch(kernel, dim=dim, inputs=given, device=device, block_dim=BLOCK_DIM, record_cmd=True)
+            assert launch is not None
+            return launch
 
-        if device.type == "cuda":
-            return [record(_cast_by_warp, mounts * num_tiles * 32)]
-        kernel, per_tile = _make_tile_kernel(self._view.kind.shape[1]), height * width
-        chunks = split(mounts * num_tiles, torch.get_num_threads())
+        if on_gpu:
+            return [record(make_warp_kernel(outputs), mounts * tiles.num_tiles * 32)]
+        kernel, per_tile = make_tile_kernel(outputs, self._view.kind.shape[1]), height * width
+        chunks = split(mounts * tiles.num_tiles, torch.get_num_threads())
         return [record(kernel, count, per_tile, first) for first, count in chunks]
 
+    def _make_images(self, scene: Scene) -> Images:
+        images, given, pixels = Images(), self.images, self.cfg.height * self.cfg.width
+        device = wp.device_from_torch(self._device)
+
+        def view(tensor: Tensor | None, dtype: type) -> wp.array:
+            if tensor is None:
+                return wp.empty((0, 0), dtype=dtype, device=device)
+            return wp.from_torch(tensor.view(-1, pixels, *tensor.shape[4:]), dtype=dtype)
+
+        images.distance = view(given.distance, wp.float32)
+        images.segmentation = view(given.segmentation, wp.int32)
+        images.point, images.normal = view(given.points, wp.vec3), view(given.normals, wp.vec3)
+        images.face, images.semantic_id = view(given.face_ids, wp.int32), scene.arrays.semantic_id
+        images.origin, images.attitude = self._origin, self._attitude
+        return images
+
+    def _make_noise(self) -> Noise:
+        noise, cfg = Noise(), self.cfg.active_noise
+        if cfg is not None:
+            for field in fields(cfg):
+                setattr(noise, field.name, getattr(cfg, field.name))
+        noise.seed, noise.image = wp.from_torch(self._seed), wp.from_torch(self._image_number)
+        return noise
+
     def cast(self) -> None:
-        """Write every pixel from the present poses; launched on torch's current stream, not waited for."""
-        with on_torch_stream(self._out):
-            if self._look is not None:  # a scene without instances has nothing to look at
-                self._look.launch()
+        """Write the images of the environments that are due; launched on torch's current stream, not waited for."""
+        if self.cfg.active_noise is not None:
+            self._image_number.add_(1)
+        with on_torch_stream(self.images.distance):
+            for launch in self._prepare:
+                launch.launch()
             launch_side_by_side(self._launches)
 
     def reset(self, mask: Tensor) -> None:
-        """Put the mounts of masked environments, bool (E,), back to where the configuration has them."""
+        """Place the mounts of masked environments, bool (E,), anew: nominal, or drawn if the configuration draws."""
         rows = mask[:, None, None]
-        self.mount_position.copy_(torch.where(rows, self._nominal_position, self.mount_position))
-        self.mount_attitude.copy_(torch.where(rows, self._nominal_attitude, self.mount_attitude))
+        position, attitude = self._nominal_position, self._nominal_attitude
+        shape, generator = tuple(self.mount_position.shape), self._generator
+        if "position" in self._draws and generator is not None:
+            position = uniform(*self._draws["position"], shape, generator=generator)
+        if "euler" in self._draws and generator is not None:
+            attitude = quat_from_euler(uniform(*self._draws["euler"], shape, generator=generator))
+        self.mount_position.copy_(torch.where(rows, position, self.mount_position))
+        self.mount_attitude.copy_(torch.where(rows, attitude, self.mount_attitude))
+
+    def restart(self, seed: int) -> None:
+        """Begin the noise of a seed anew."""
+        self._seed.fill_(seed % 2**31)
+        self._image_number.zero_()
 
 
-def _limits(cfg: CameraCfg) -> Limits:
+def _limits(cfg: RangeSensorCfg) -> Limits:
     limits = Limits()
     limits.min_range, limits.max_range = cfg.min_range, cfg.max_range
     limits.projected = cfg.kind == "depth"
     limits.divisor = cfg.max_range if cfg.normalize else 1.0
     limits.near_pixel, limits.far_pixel = cfg.near_pixel, cfg.far_pixel
+    if isinstance(cfg, StereoCfg):
+        limits.baseline, limits.half_width = cfg.baseline, tan(0.5 * radians(cfg.hfov_deg))
+        limits.half_height = limits.half_width * cfg.height / cfg.width
     return limits
 
 
@@ -319,20 +275,3 @@ def _make_view(scene: Scene, mounts: int) -> View:
     view.kind = wp.zeros((mounts, count), dtype=wp.int32, device=device)
     view.shapes, view.part_shape = scene.arrays.shapes, scene.arrays.part_shape
     return view
-
-
-def _make_images(scene: Scene, distance: Tensor, segmentation: Tensor | None, pixels: int) -> Images:
-    images = Images()
-    images.distance, images.semantic_id = wp.from_torch(distance), scene.arrays.semantic_id
-    images.segments = segmentation is not None
-    if segmentation is None:
-        images.segmentation = wp.empty((0, 0), dtype=wp.int32, device=wp.device_from_torch(scene.device))
-    else:
-        images.segmentation = wp.from_torch(segmentation.view(-1, pixels))
-    return images
-
-
-def _check_image(name: str, image: Tensor, shape: tuple[int, ...], *, device: torch.device, dtype: torch.dtype) -> None:
-    check_tensor(name, image, shape, device=device, dtype=dtype)
-    if not image.is_contiguous():
-        raise ShapeError(f"{name} has stride {image.stride()}: images must be contiguous")

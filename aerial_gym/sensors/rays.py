@@ -1,27 +1,164 @@
-"""Ray tables: the directions in which the pixels of a sensor look.
+"""Ray tables: the directions in which the pixels of a sensor look, of every model.
 
-Frame: the sensor's own, x forward (optical axis), y left, z up. Letters: H x W pixels, row 0 on top.
+Computed in float64, given in float32. Frame: the sensor's own, x forward (optical axis), y left, z up.
+Letters: H x W pixels, row 0 on top, column 0 at the left.
 """
 
-from math import radians, tan
+import csv
+from math import pi, radians, tan
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from aerial_gym.config.sensor import CameraCfg
+from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, LidarCfg, RangeSensorCfg, RayTableCfg
+from aerial_gym.errors import ConfigError
+
+_LEAST_COSINE = 1e-3
+"""Rays of a depth sensor look at least this far ahead (89.94 deg off the axis): depth divides by it, in float32."""
+
+_HEADERS = (["x", "y", "z"], ["azimuth_deg", "elevation_deg"])
+
+
+def ray_table(cfg: RangeSensorCfg, *, device: torch.device) -> Tensor:
+    """Return the unit directions of a sensor, float32, (H, W, 3).
+
+    Raises:
+        ConfigError: If a file of rays cannot be read or has another number of them, or if a sensor of ``kind`` depth has
+            rays that do not look ahead.
+    """
+    if isinstance(cfg, CameraCfg):
+        rays = pinhole_rays(cfg, device=device)
+    elif isinstance(cfg, FisheyeCfg):
+        rays = fisheye_rays(cfg, device=device)
+    elif isinstance(cfg, LidarCfg):
+        rays = lidar_rays(cfg, device=device)
+    elif isinstance(cfg, RayTableCfg):
+        rays = listed_rays(cfg, device=device)
+    else:
+        raise ConfigError(f"{type(cfg).__name__} has no ray table. Give the rays by a RayTableCfg instead")
+    least = float(rays[..., 0].min())
+    if cfg.kind == "depth" and least < _LEAST_COSINE:
+        raise ConfigError(
+            f"{type(cfg).__name__}.kind = 'depth': some rays do not look ahead (least cosine {least:.3g}); take 'range'"
+        )
+    return rays
 
 
 def pinhole_rays(cfg: CameraCfg, *, device: torch.device) -> Tensor:
-    """Return unit directions through the pixel centres, float32, (H, W, 3).
+    """Return unit directions through the pixel centres of a pinhole camera, float32, (H, W, 3).
 
     Pixel (row, col) has its centre at image coordinates ``(col + 1/2 - W/2, row + 1/2 - H/2)`` right of and below the
-    principal point, in pixels; the focal length is ``W / (2 tan(hfov / 2))`` pixels. Computed in float64.
+    principal point, in pixels; the focal length is ``W / (2 tan(hfov / 2))`` pixels.
 
     Source: Hartley and Zisserman (2004), Multiple View Geometry, eq. 6.1, with the principal point in the middle.
     """
     focal = 0.5 * cfg.width / tan(0.5 * radians(cfg.hfov_deg))
-    right = (torch.arange(cfg.width, dtype=torch.float64) + 0.5 - 0.5 * cfg.width) / focal
-    down = (torch.arange(cfg.height, dtype=torch.float64) + 0.5 - 0.5 * cfg.height) / focal
+    right, down = _pixel_centres(cfg)
+    return _finish(torch.stack((torch.ones_like(right), -right / focal, -down / focal), dim=-1), device)
+
+
+def fisheye_rays(cfg: FisheyeCfg, *, device: torch.device) -> Tensor:
+    """Return unit directions through the pixel centres of an equidistant fisheye camera, float32, (H, W, 3).
+
+    A pixel centre at the distance r from the principal point looks ``theta = r / f`` off the axis, towards that pixel; the
+    focal length is ``W / hfov`` pixels per radian. ``sin(theta) / r`` is ``sinc(theta) / f``, which holds in the middle.
+
+    Source: Kannala and Brandt (2006), A Generic Camera Model and Calibration Method, eq. 3 (equidistance projection).
+    """
+    focal = cfg.width / radians(cfg.hfov_deg)
+    right, down = _pixel_centres(cfg)
+    theta = torch.hypot(right, down) / focal
+    beside = torch.sinc(theta / pi) / focal
+    return _finish(torch.stack((torch.cos(theta), -right * beside, -down * beside), dim=-1), device)
+
+
+def lidar_rays(cfg: LidarCfg, *, device: torch.device) -> Tensor:
+    """Return unit directions of a grid of azimuths and elevations, float32, (H, W, 3).
+
+    Azimuth falls from left to right, elevation from top to bottom, each by equal steps unless the beams are listed. A full
+    turn keeps half a step from both ends, an elevation interval half a step from an end at +-90 deg: no ray repeats.
+
+    Source: Derived: spherical coordinates, ``(cos el cos az, cos el sin az, sin el)``.
+    """
+    half_open = 0.5 if cfg.full_turn else 0.0
+    azimuth = _steps(cfg.azimuth_high_deg, cfg.azimuth_low_deg, cfg.width, half_open, half_open)
+    if cfg.beam_elevations_deg is not None:
+        elevation = torch.tensor(cfg.beam_elevations_deg, dtype=torch.float64)
+    else:
+        low, high = cfg.elevation_low_deg or 0.0, cfg.elevation_high_deg or 0.0
+        elevation = _steps(high, low, cfg.height, 0.5 * (high == 90.0), 0.5 * (low == -90.0))
+    rows, columns = torch.meshgrid(elevation, azimuth, indexing="ij")
+    return _finish(_from_angles(columns, rows), device)
+
+
+def listed_rays(cfg: RayTableCfg, *, device: torch.device) -> Tensor:
+    """Return the listed directions, made unit length, float32, (H, W, 3); raise ``ConfigError`` if a file does not fit."""
+    rays = torch.tensor(cfg.rays, dtype=torch.float64) if cfg.path is None else read_rays(cfg.path)
+    if len(rays) != cfg.height * cfg.width:
+        raise ConfigError(f"{cfg.path} has {len(rays)} rays, expected height * width = {cfg.height * cfg.width}")
+    rays = rays / rays.abs().amax(dim=-1, keepdim=True)  # squares of very long or short ones would overflow
+    return _finish(rays.view(cfg.height, cfg.width, 3), device)
+
+
+def read_rays(path: str | Path) -> Tensor:
+    """Return the directions in a CSV file, float64, (N, 3), of the length that they have there.
+
+    The header is ``x,y,z`` (sensor frame, any length but 0) or ``azimuth_deg,elevation_deg``; raises ``ConfigError`` that
+    names the line.
+    """
+    try:
+        with Path(path).open(encoding="utf-8", newline="") as file:
+            header, *lines = [[cell.strip() for cell in line] for line in csv.reader(file)] or [[]]
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
+    if header not in _HEADERS:
+        raise ConfigError(f"{path}: header {','.join(header)!r}: must be x,y,z or azimuth_deg,elevation_deg")
+    if not lines:
+        raise ConfigError(f"{path}: has no rays")
+    numbers = torch.tensor(
+        [_numbers(line, len(header), f"{path}: line {i}") for i, line in enumerate(lines, start=2)],
+        dtype=torch.float64,
+    )
+    return numbers if len(header) == 3 else _from_angles(numbers[:, 0], numbers[:, 1])
+
+
+def _numbers(cells: list[str], count: int, where: str) -> list[float]:
+    try:
+        values = [float(cell) for cell in cells]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(abs(value) < float("inf") for value in values):
+        raise ConfigError(f"{where} = {','.join(cells)!r}: must be {count} finite numbers")
+    if count == 3 and not any(values):
+        raise ConfigError(f"{where} = {','.join(cells)!r}: must not be zero")
+    if count == 2 and abs(values[1]) > 90.0:
+        raise ConfigError(f"{where} = {','.join(cells)!r}: elevation must lie within +-90 degrees")
+    return values
+
+
+def _pixel_centres(cfg: RangeSensorCfg) -> tuple[Tensor, Tensor]:
+    """Return how far right of and below the middle of the image the pixel centres are [pixels], (H, W) each."""
+    right = torch.arange(cfg.width, dtype=torch.float64) + 0.5 - 0.5 * cfg.width
+    down = torch.arange(cfg.height, dtype=torch.float64) + 0.5 - 0.5 * cfg.height
     below, beside = torch.meshgrid(down, right, indexing="ij")
-    rays = torch.stack((torch.ones_like(beside), -beside, -below), dim=-1)
+    return beside, below
+
+
+def _steps(first: float, last: float, count: int, open_first: float, open_last: float) -> Tensor:
+    """Return equally spaced numbers that keep the given parts of a step from both ends; one number is in the middle."""
+    if count == 1:
+        return torch.tensor([0.5 * (first + last)], dtype=torch.float64)
+    step = (last - first) / (count - 1 + open_first + open_last)
+    return first + step * (torch.arange(count, dtype=torch.float64) + open_first)
+
+
+def _from_angles(azimuth_deg: Tensor, elevation_deg: Tensor) -> Tensor:
+    """Return unit directions of azimuth and elevation [deg], (..., 3)."""
+    azimuth, elevation = torch.deg2rad(azimuth_deg), torch.deg2rad(elevation_deg)
+    level = torch.cos(elevation)
+    return torch.stack((level * torch.cos(azimuth), level * torch.sin(azimuth), torch.sin(elevation)), dim=-1)
+
+
+def _finish(rays: Tensor, device: torch.device) -> Tensor:
     return (rays / rays.norm(dim=-1, keepdim=True)).to(device=device, dtype=torch.float32)

@@ -1,4 +1,4 @@
-"""The sensor manager: the cameras of a robot, their images in the GTD, and when they are taken.
+"""The sensor manager: the range sensors of a robot, their images in the GTD, and when they are taken.
 
 Letters: E environments, S sensors of one kind, H x W pixels.
 """
@@ -10,20 +10,23 @@ from torch import Tensor
 
 from aerial_gym.assets import Scene
 from aerial_gym.assets.views import check_tensor
-from aerial_gym.config.sensor import CameraCfg
-from aerial_gym.errors import ShapeError
+from aerial_gym.config.sensor import LidarCfg, RangeSensorCfg
+from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.sensors.ray_caster import RayCaster
+from aerial_gym.sensors.ray_caster import RayCaster, SensorImages
 
 _OWNER = "SensorManager"
 
+CLOCK_MARGIN = 1e-4
+"""Share of a period by which an image may come early: steps do not add up to a period exactly in float32."""
+
 
 class SensorManager:
-    """Owns the images. The first camera has the plain keys, a further one has its own name in front of them."""
+    """Owns the images. The first sensor has the plain keys, a further one has its own name in front of them."""
 
     def __init__(
         self,
-        cfgs: Mapping[str, CameraCfg],
+        cfgs: Mapping[str, RangeSensorCfg],
         gtd: GlobalTensorDictionary,
         scene: Scene,
         *,
@@ -31,73 +34,115 @@ class SensorManager:
         attitude: Tensor,
         num_envs: int,
         device: torch.device,
+        dt: float | None = None,
+        generator: torch.Generator | None = None,
+        seed: int = 0,
     ) -> None:
-        """Declare the images and make a ray caster for each camera.
+        """Declare the images and make a ray caster for each sensor.
 
         Args:
-            cfgs: Cameras by name, in order.
-            gtd: Receives ``depth_range_pixels`` (E, S, H, W) and, if the camera segments, ``segmentation_pixels``; for
-                further cameras ``<name>_depth_range_pixels`` and ``<name>_segmentation_pixels``.
+            cfgs: Sensors by name, in order.
+            gtd: Receives ``depth_range_pixels`` (E, S, H, W) and, as far as a sensor has them, ``segmentation_pixels``,
+                ``point_cloud_pixels``, ``normal_pixels`` (E, S, H, W, 3) and ``face_id_pixels``; for further sensors
+                with ``<name>_`` in front.
             scene: What they see.
             position: Body origin [m], world, (E, 3), strided or not; read at every capture.
             attitude: Body to world, xyzw, unit, (E, 4), likewise.
             num_envs: Number of environments E.
             device: Where the tensors are.
+            dt: Time between two captures [s]; needed by sensors with a rate of their own.
+            generator: Source of placements drawn at reset.
+            seed: Of the noise.
 
         Raises:
             ShapeError: If a tensor does not fit.
+            ConfigError: If a sensor has a rate and ``dt`` is not given, or a latency or scan time, which are not simulated.
         """
         if num_envs != scene.num_envs:
             raise ShapeError(f"num_envs = {num_envs}: the scene has {scene.num_envs} environments")
-        self._num_envs, self._device = num_envs, torch.device(device)
+        self._num_envs, self._device, self._dt = num_envs, torch.device(device), dt
         self.casters: dict[str, RayCaster] = {}
+        self._clock: dict[str, Tensor] = {}
         for name, cfg in cfgs.items():
+            self._check_timing(name, cfg)
             first = not self.casters
             if first:
-                for letter, size in (("S", 1), ("H", cfg.height), ("W", cfg.width)):
+                for letter, size in (("S", cfg.count), ("H", cfg.height), ("W", cfg.width)):
                     gtd.define_size(letter, size)
-            shape = ("E", "S", "H", "W") if first else ("E", 1, cfg.height, cfg.width)
-            distance, segmentation = _declare_images(gtd, cfg, shape, prefix="" if first else f"{name}_")
+            shape = ("E", "S", "H", "W") if first else ("E", cfg.count, cfg.height, cfg.width)
+            images = _declare_images(gtd, cfg, shape, prefix="" if first else f"{name}_")
             self.casters[name] = RayCaster(
                 cfg,
                 scene,
+                images,
                 position=position,
                 attitude=attitude,
-                distance_out=distance,
-                segmentation_out=segmentation,
+                generator=generator,
+                seed=seed + len(self.casters),
+            )
+            if cfg.rate_hz is not None:
+                self._clock[name] = torch.full((num_envs,), 1.0 / cfg.rate_hz, device=device)
+
+    def _check_timing(self, name: str, cfg: RangeSensorCfg) -> None:
+        if cfg.rate_hz is not None and self._dt is None:
+            raise ConfigError(f"sensor {name}: rate_hz = {cfg.rate_hz!r} needs the length of a step")
+        if cfg.latency_s > 0.0:
+            raise ConfigError(f"sensor {name}: latency_s = {cfg.latency_s!r}: latency is not simulated; set it to 0")
+        if isinstance(cfg, LidarCfg) and cfg.scan_s is not None:
+            raise ConfigError(
+                f"sensor {name}: scan_s = {cfg.scan_s!r}: motion distortion is not simulated; leave it out"
             )
 
     def capture(self) -> None:
-        """Take the images of all cameras from the present poses; launched on torch's current stream, not waited for."""
+        """Take the images that are due from the present poses; launched on torch's current stream, not waited for.
+
+        A sensor without a rate takes one at every call. One with a rate keeps its last image between two of its own
+        moments, which follow the reset of each environment.
+        """
+        for name, clock in self._clock.items():
+            caster = self.casters[name]
+            period = 1.0 / (caster.cfg.rate_hz or 1.0)
+            torch.ge(clock, (1.0 - CLOCK_MARGIN) * period, out=caster.due)
+            clock.sub_(period * caster.due).add_(self._dt or 0.0)
         for caster in self.casters.values():
             caster.cast()
 
     def reset(self, mask: Tensor) -> None:
-        """Put the mounts of masked environments, bool (E,), back in place; images change at the next capture."""
+        """Place the mounts of masked environments, bool (E,), anew; their images are due at the next capture."""
         check_tensor("mask", mask, (self._num_envs,), device=self._device, dtype=torch.bool)
-        for caster in self.casters.values():
+        for name, caster in self.casters.items():
             caster.reset(mask)
+            if name in self._clock:
+                self._clock[name].masked_fill_(mask, 1.0 / (caster.cfg.rate_hz or 1.0))
+
+    def restart(self, seed: int) -> None:
+        """Begin the noise of a seed anew."""
+        for number, caster in enumerate(self.casters.values()):
+            caster.restart(seed + number)
 
 
 def _declare_images(
-    gtd: GlobalTensorDictionary, cfg: CameraCfg, shape: tuple[str | int, ...], *, prefix: str
-) -> tuple[Tensor, Tensor | None]:
+    gtd: GlobalTensorDictionary, cfg: RangeSensorCfg, shape: tuple[str | int, ...], *, prefix: str
+) -> SensorImages:
+    def declare(key: str, unit: str, frame: str, meaning: str, *, ids: bool = False, vector: bool = False) -> Tensor:
+        return gtd.declare(TensorSpec(
+            key=f"{prefix}{key}", shape=(*shape, 3) if vector else shape, unit=unit, frame=frame, owner=_OWNER,
+            meaning=meaning, dtype=torch.int32 if ids else torch.float32,
+        ))  # fmt: skip
+
     kind = "along the optical axis" if cfg.kind == "depth" else "along the ray"
-    depth = TensorSpec(
-        key=f"{prefix}depth_range_pixels",
-        shape=shape,
-        unit=f"{cfg.max_range:g} m" if cfg.normalize else "m",
-        frame="sensor",
-        owner=_OWNER,
-        meaning=f"distance {kind}; too far {cfg.far_pixel:g}, too near {cfg.near_pixel:g}",
-    )
-    ids = TensorSpec(
-        key=f"{prefix}segmentation_pixels",
-        shape=shape,
-        unit="-",
-        frame="sensor",
-        owner=_OWNER,
-        meaning="semantic id of what the pixel sees; nothing -2",
-        dtype=torch.int32,
-    )
-    return gtd.declare(depth), gtd.declare(ids) if cfg.segmentation else None
+    unit = f"{cfg.max_range:g} m" if cfg.normalize else "m"
+    limits = f"too far {cfg.far_pixel:g}, too near {cfg.near_pixel:g}"
+    distance = declare("depth_range_pixels", unit, "sensor", f"distance {kind}; {limits}")
+    segmentation = points = normals = faces = None
+    if cfg.segmentation:
+        seen = "semantic id of what the pixel sees; nothing -2"
+        segmentation = declare("segmentation_pixels", "-", "sensor", seen, ids=True)
+    if cfg.points is not None:
+        where = "what the pixel sees; the sensor's origin without a valid distance"
+        points = declare("point_cloud_pixels", "m", cfg.points, where, vector=True)
+    if cfg.normals is not None:
+        normals = declare("normal_pixels", "-", cfg.normals, "unit normal of the surface; 0 for nothing", vector=True)
+    if cfg.face_ids:
+        faces = declare("face_id_pixels", "-", "sensor", "face of the shape; nothing -1", ids=True)
+    return SensorImages(distance=distance, segmentation=segmentation, points=points, normals=normals, face_ids=faces)

@@ -124,6 +124,30 @@ def trace(view: View, env: int, mount: int, a: int, ray: wp.vec3, limit: float) 
 
 
 @wp.func
+def is_blocked(view: View, env: int, mount: int, start: wp.vec3, ray: wp.vec3, limit: float) -> wp.bool:
+    """Return whether something lies on a ray from a point in the sensor's frame before ``limit`` [m]."""
+    for a in range(view.kind.shape[1]):
+        kind = view.kind[mount, a]
+        if kind != ABSENT:
+            x = view.rows[mount, 3 * a]
+            y = view.rows[mount, 3 * a + 1]
+            z = view.rows[mount, 3 * a + 2]
+            i = wp.vec3(x[0], x[1], x[2])
+            j = wp.vec3(y[0], y[1], y[2])
+            k = wp.vec3(z[0], z[1], z[2])
+            origin = wp.vec3(wp.dot(i, start) + x[3], wp.dot(j, start) + y[3], wp.dot(k, start) + z[3])
+            direction = wp.vec3(wp.dot(i, ray), wp.dot(j, ray), wp.dot(k, ray))
+            distance = limit
+            if kind <= CYLINDER:
+                distance = unit_distance(kind, origin, direction, limit)
+            else:
+                distance = shape_distance(view.shapes[view.part_shape[env, a]], origin, direction, limit)
+            if distance < limit:
+                return True
+    return False
+
+
+@wp.func
 def entry_of(view: View, mount: int, a: int, middle: wp.vec3, spread: wp.vec3) -> float:
     """Return a distance before which no ray of a tile meets a part, inf if it is absent or none meets it [m]."""
     if view.kind[mount, a] == ABSENT:

@@ -19,7 +19,7 @@ from aerial_gym.config.environment import ShapeCfg
 from aerial_gym.config.sensor import CameraCfg
 from aerial_gym.errors import ShapeError
 from aerial_gym.registry import GlobalTensorDictionary
-from aerial_gym.sensors import MISS_ID, RayCaster, SensorManager
+from aerial_gym.sensors import MISS_ID, RayCaster, SensorImages, SensorManager
 
 Array = NDArray[np.float64]
 
@@ -68,10 +68,9 @@ def shoot(cfg: CameraCfg, scene: Scene, position: Tensor, attitude: Tensor) -> t
     caster = RayCaster(
         cfg,
         scene,
+        SensorImages(distance=distance, segmentation=ids if cfg.segmentation else None),
         position=position.float().to(scene.device),
         attitude=attitude.float().to(scene.device),
-        distance_out=distance,
-        segmentation_out=ids if cfg.segmentation else None,
     )
     caster.cast()
     return distance[:, 0].cpu(), ids[:, 0].cpu()
@@ -450,7 +449,7 @@ def caster_for(scene: Scene, cfg: CameraCfg = CAMERA) -> tuple[RayCaster, Tensor
     depth = torch.full(image, float("nan"), device=scene.device)
     ids = torch.full(image, UNWRITTEN, dtype=torch.int32, device=scene.device)
     position, attitude = (t.to(scene.device) for t in level(scene.num_envs))
-    caster = RayCaster(cfg, scene, position=position, attitude=attitude, distance_out=depth, segmentation_out=ids)
+    caster = RayCaster(cfg, scene, SensorImages(distance=depth, segmentation=ids), position=position, attitude=attitude)
     return caster, depth, ids
 
 
@@ -546,15 +545,16 @@ def test_wrong_tensors_are_refused_with_shape_and_expectation(device: torch.devi
     ids = image.int()
 
     def refuse(match: str, **changed: Tensor | None) -> None:
-        given = {"position": position, "attitude": attitude, "distance_out": image, "segmentation_out": ids}
+        given = {"position": position, "attitude": attitude, "distance": image, "segmentation": ids, **changed}
+        images = SensorImages(distance=given["distance"], segmentation=given["segmentation"])
         with pytest.raises(ShapeError, match=match):
-            RayCaster(CAMERA, scene, **{**given, **changed})  # type: ignore[arg-type]
+            RayCaster(CAMERA, scene, images, position=given["position"], attitude=given["attitude"])
 
     turned = image.transpose(2, 3).contiguous()
-    refuse(r"distance_out is \(2, 1, 48, 37\).*expected \(2, 1, 37, 48\)", distance_out=turned)
-    refuse("segmentation_out must be given exactly if the camera segments", segmentation_out=None)
+    refuse(r"distance is \(2, 1, 48, 37\).*expected \(2, 1, 37, 48\)", distance=turned)
+    refuse("segmentation must be given exactly if the sensor has such an image: it is True", segmentation=None)
     refuse("the last axis must be contiguous", position=torch.zeros(3, 2, device=device).T)
     broad = torch.zeros(2, 1, CAMERA.height, 2 * CAMERA.width, device=device)[..., ::2]
-    refuse("images must be contiguous", distance_out=broad)
+    refuse("images must be contiguous", distance=broad)
     with pytest.raises(ShapeError, match="shape_index must lie in 0 to 0"):
         Scene([BOX], shape_index=torch.ones(8), semantic_id=scene.semantic_id, asset_state=scene.asset_state)

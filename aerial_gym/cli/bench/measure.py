@@ -117,7 +117,9 @@ def batch_of(call: Callable[[], None], launches: int, device: torch.device) -> C
         with torch.cuda.graph(graph):
             _repeat(call, launches)
 
-    def replay(_kept: Callable[[], None] = call) -> None:  # a graph does not keep the memory alive that its launches read
+    def replay(
+        _kept: Callable[[], None] = call,
+    ) -> None:  # a graph does not keep the memory alive that its launches read
         graph.replay()
 
     return replay

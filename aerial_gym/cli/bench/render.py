@@ -72,7 +72,7 @@ class RenderBench:
         from aerial_gym.cli.bench.output import device_by_name, device_name, provenance
         from aerial_gym.cli.bench.scenes import make_scene
         from aerial_gym.config.sensor import CameraCfg
-        from aerial_gym.sensors import RayCaster
+        from aerial_gym.sensors import RayCaster, SensorImages
 
         require_at_least(1, num_envs=self.num_envs, width=self.width, height=self.height)
         device, beside = device_by_name(self.device), provenance()
@@ -92,14 +92,8 @@ class RenderBench:
             depth = torch.zeros(image, device=device)
             ids = torch.zeros(image, dtype=torch.int32, device=device) if self.segmentation else None
             built = scene.build()
-            caster = RayCaster(
-                camera,
-                built,
-                position=scene.position,
-                attitude=scene.attitude,
-                distance_out=depth,
-                segmentation_out=ids,
-            )
+            images = SensorImages(distance=depth, segmentation=ids)
+            caster = RayCaster(camera, built, images, position=scene.position, attitude=scene.attitude)
             seconds = self._time(caster.cast, depth)
             elsewhere = scene.state.clone()
             move = statistics.median(self._time(lambda: scene.state.copy_(elsewhere), depth))

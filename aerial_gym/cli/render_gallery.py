@@ -1,0 +1,155 @@
+"""``aerial-gym render-gallery``: one page with a picture of every sensor in every environment."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from aerial_gym.cli.progress import progress_bar
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from aerial_gym.config.sensor import RangeSensorCfg
+    from aerial_gym.env_manager import EnvManager
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderGalleryCmd:
+    """Show what every registered sensor sees in every registered environment, on one page."""
+
+    out: Path
+    """Folder that receives ``index.html``."""
+
+    environments: tuple[str, ...] = ()
+    """Registered environments; all that have obstacles if not given."""
+
+    sensors: tuple[str, ...] = ()
+    """Registered sensors; all of them if not given."""
+
+    device: str = "cpu"
+    """Torch device; auto takes the GPU if there is one."""
+
+    seed: int = 0
+    """Seed of the obstacles and of the start."""
+
+    def run(self) -> int:
+        """Render everything and write the page; return the exit status."""
+        import jinja2
+
+        from aerial_gym.assets import ENVIRONMENTS
+        from aerial_gym.sensors import SENSORS
+
+        furnished = (name for name in ENVIRONMENTS.names() if ENVIRONMENTS.get(name).num_assets)
+        environments = self.environments or tuple(furnished)
+        sensors = {name: SENSORS.get(name) for name in self.sensors or SENSORS.names()}
+        sections, total = [], len(environments) * len(sensors)
+        with progress_bar() as progress:
+            for name in environments:
+                with_all = []
+                env = self._build(name)
+                for sensor, cfg in sensors.items():
+                    progress(f"{name}: {sensor}", (len(sections) * len(sensors) + len(with_all)) / total)
+                    with_all.append({"name": sensor, "summary": cfg.summary, "pictures": _pictures(env, cfg)})
+                sections.append({"name": name, "summary": env.cfg.summary, "sensors": with_all})
+        templates = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
+        page = jinja2.Environment(loader=templates, autoescape=True).get_template("gallery.html.j2")
+        self.out.mkdir(parents=True, exist_ok=True)
+        path = self.out / "index.html"
+        path.write_text(page.render(sections=sections), encoding="utf-8")
+        print(path)
+        return 0
+
+    def _build(self, name: str) -> "EnvManager":
+        from aerial_gym.env_manager import SimBuilder
+
+        env = SimBuilder().build_env(
+            sim_name="base_sim",
+            env_name=name,
+            robot_name="base_quadrotor",
+            controller_name="lee_attitude_control",
+            num_envs=1,
+            device=self.device,
+            seed=self.seed,
+        )
+        env.reset()
+        return env
+
+
+def _pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
+    """Return every image that a sensor writes at the robot's start, as title and ``data:`` address."""
+    import numpy as np
+    import torch
+
+    from aerial_gym.sensors import RayCaster, SensorImages
+
+    shape = (1, cfg.count, cfg.height, cfg.width)
+
+    def image(*more: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+        return torch.zeros(*shape, *more, dtype=dtype, device=env.device)
+
+    images = SensorImages(
+        distance=image(),
+        segmentation=image(dtype=torch.int32) if cfg.segmentation else None,
+        points=image(3) if cfg.points else None,
+        normals=image(3) if cfg.normals else None,
+        face_ids=image(dtype=torch.int32) if cfg.face_ids else None,
+    )
+    caster = RayCaster(
+        cfg,
+        env.asset_manager.scene,
+        images,
+        position=env.gtd["robot_position"],
+        attitude=env.gtd["robot_orientation"],
+        generator=env.generator,
+    )
+    caster.reset(torch.ones(1, dtype=torch.bool, device=env.device))
+    caster.cast()
+
+    def first(image: torch.Tensor) -> "np.ndarray":
+        return image[0, 0].cpu().numpy()
+
+    scale = 1.0 if cfg.normalize else cfg.max_range
+    distance = first(images.distance)
+    found = [{"title": cfg.kind, "url": _colored(np.where(distance < 0.0, np.nan, distance / scale))}]
+    for title, ids in (("segmentation", images.segmentation), ("faces", images.face_ids)):
+        if ids is not None:
+            found.append({"title": title, "url": _numbered(first(ids))})
+    if images.normals is not None:
+        found.append({"title": f"normals, {cfg.normals}", "url": _png(0.5 + 0.5 * first(images.normals))})
+    if images.points is not None:
+        height = first(images.points)[..., 2]
+        span = max(float(np.ptp(height)), 1e-6)
+        found.append({"title": f"height of the points, {cfg.points}", "url": _colored((height - height.min()) / span)})
+    return found
+
+
+def _colored(share: "np.ndarray") -> str:
+    """Return shares of 1 in colour, NaN in grey."""
+    import numpy as np
+    from matplotlib import colormaps
+
+    colors = colormaps["viridis_r"](np.nan_to_num(np.clip(share, 0.0, 1.0)))[..., :3]
+    colors[np.isnan(share)] = 0.85
+    return _png(colors)
+
+
+def _numbered(ids: "np.ndarray") -> str:
+    """Return ids in colours of their own, negative ones in grey."""
+    import numpy as np
+
+    palette = np.random.default_rng(3).uniform(0.15, 0.95, (997, 3))
+    colors = palette[np.mod(ids, 997)]
+    colors[ids < 0] = 0.85
+    return _png(colors)
+
+
+def _png(colors: "np.ndarray") -> str:
+    import base64
+    import io
+
+    import numpy as np
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray((255.0 * np.clip(colors, 0.0, 1.0)).astype(np.uint8)).save(buffer, format="png")
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -1,0 +1,77 @@
+"""Sensors with a lens: pinhole, stereo and fisheye cameras. Square pixels, principal point in the middle of the image.
+
+Frame and letters: those of ``range_sensor``.
+"""
+
+from dataclasses import dataclass
+from math import hypot, inf
+
+from aerial_gym.config.range_sensor import RangeSensorCfg
+from aerial_gym.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraCfg(RangeSensorCfg):
+    """A pinhole camera, with rays through pixel centres."""
+
+    model: str = "pinhole"
+    """Name of this model in a file."""
+
+    hfov_deg: float
+    """Horizontal field of view, from left edge to right edge [deg], 0 < hfov < 180; the vertical one follows."""
+
+    kind: str = "depth"
+    """``depth``: distance along the optical axis; ``range``: distance along the ray. The limits are of the same kind."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 < self.hfov_deg < 180.0:
+            raise ConfigError(
+                f"{type(self).__name__}.hfov_deg = {self.hfov_deg!r}: must lie between 0 and 180 degrees. "
+                "A fisheye camera sees more"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class StereoCfg(CameraCfg):
+    """Two pinhole cameras side by side with equal attitude; images are those of the first.
+
+    A pixel is valid only if the second camera sees the same point, unobstructed; otherwise it holds ``near_pixel``.
+    """
+
+    model: str = "stereo"
+    """Name of this model in a file."""
+
+    baseline: float
+    """Second camera from the first along the sensor's y axis [m], left positive; not 0. The mount is that of the first."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 < abs(self.baseline) < inf:
+            raise ConfigError(f"StereoCfg.baseline = {self.baseline!r}: must be finite and not 0. Left is positive")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FisheyeCfg(RangeSensorCfg):
+    """An equidistant fisheye camera: a ray at the angle theta from the axis is seen ``r = f theta`` from the middle.
+
+    Every pixel of the rectangle has a ray; corners lie further off the axis than the edges do.
+    """
+
+    model: str = "fisheye"
+    """Name of this model in a file."""
+
+    hfov_deg: float
+    """Horizontal field of view, from left edge to right edge [deg], 0 < hfov <= 360. The vertical and the diagonal one
+    follow in proportion to the pixels; the corner pixels must look less than 180 degrees off the axis."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 < self.hfov_deg <= 360.0:
+            raise ConfigError(f"FisheyeCfg.hfov_deg = {self.hfov_deg!r}: must be > 0 and at most 360 degrees")
+        radius = 0.5 * hypot(self.width - 1, self.height - 1) / self.width
+        if radius * self.hfov_deg >= 180.0:
+            raise ConfigError(
+                f"FisheyeCfg.hfov_deg = {self.hfov_deg!r}: the corner of {self.width} x {self.height} pixels would look "
+                f"{radius * self.hfov_deg:.1f} degrees off the axis; hfov_deg must be less than {180.0 / radius:.1f}"
+            )

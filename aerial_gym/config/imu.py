@@ -1,0 +1,86 @@
+"""What the file of an inertial measurement unit holds: where it sits and how it errs.
+
+Frames: body is x forward, y left, z up; the IMU's own axes are the body's, turned by ``euler``. Accelerometers measure specific
+force: +9.81 m/s² on z at hover.
+Noise is given as a density sigma: an average over dt has the standard deviation ``sigma / sqrt(dt)``, at every rate. It is the
+two-sided density, the Allan deviation at 1 s (N of IEEE Std 952-1997). A bias walks by ``sigma_b sqrt(dt)`` in dt.
+"""
+
+from dataclasses import dataclass
+from math import inf, pi
+
+from aerial_gym.config.loader import CONFIG_DIR, load
+from aerial_gym.config.robot import Vec3, require_finite, require_positive
+from aerial_gym.errors import ConfigError, UnknownNameError
+
+MOST_MISALIGNMENT_DEG = 45.0
+"""Beyond it the axes of a sensor are exchanged, not misaligned: that is what ``euler`` is for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImuCfg:
+    """Three accelerometers and three gyros at one point of the body."""
+
+    summary: str
+    """One line for people who choose a sensor."""
+
+    position: Vec3 = (0.0, 0.0, 0.0)
+    """Where the accelerometers are, from the body origin [m], body axes."""
+
+    euler: Vec3 = (0.0, 0.0, 0.0)
+    """ZYX roll, pitch, yaw from body to IMU [rad], within +-2 pi."""
+
+    misalignment_deg: Vec3 = (0.0, 0.0, 0.0)
+    """Each reset turns the IMU about its own axes (ZYX) by roll, pitch, yaw drawn uniformly within +- these [deg], 0 to 45."""
+
+    accel_noise_density: Vec3
+    """White noise of each accelerometer [m/s²/sqrt(Hz)], >= 0."""
+
+    gyro_noise_density: Vec3
+    """White noise of each gyro [rad/s/sqrt(Hz)], >= 0."""
+
+    accel_bias_walk: Vec3
+    """Random walk of each accelerometer's bias [m/s²/sqrt(s)], >= 0."""
+
+    gyro_bias_walk: Vec3
+    """Random walk of each gyro's bias [rad/s/sqrt(s)], >= 0."""
+
+    accel_initial_bias: Vec3
+    """Each reset draws the bias of each accelerometer uniformly within +- these [m/s²], >= 0."""
+
+    gyro_initial_bias: Vec3
+    """Each reset draws the bias of each gyro uniformly within +- these [rad/s], >= 0."""
+
+    accel_range: float
+    """Accelerometers saturate at +- this [m/s²], > 0."""
+
+    gyro_range: float
+    """Gyros saturate at +- this [rad/s], > 0."""
+
+    source: str
+    """Where the numbers come from."""
+
+    def __post_init__(self) -> None:
+        require_positive(self, "accel_range", "gyro_range")
+        require_finite(self, "position")
+        for kind in ("accel", "gyro"):
+            for name in ("noise_density", "bias_walk", "initial_bias"):
+                _require_each(self, f"{kind}_{name}", 0.0, inf, "must be >= 0 and finite")
+        limit = MOST_MISALIGNMENT_DEG
+        _require_each(self, "misalignment_deg", 0.0, limit, f"must lie within 0 and {limit:g} degrees")
+        _require_each(self, "euler", -2.0 * pi, 2.0 * pi, "must lie within +-2 pi. Angles are in radians")
+
+
+def _require_each(cfg: ImuCfg, name: str, low: float, high: float, rule: str) -> None:
+    """Raise ``ConfigError`` unless every entry is finite and low <= entry <= high (NaN fails as well)."""
+    value = getattr(cfg, name)
+    if not all(low <= entry <= high and abs(entry) < inf for entry in value):
+        raise ConfigError(f"ImuCfg.{name} = {value!r}: {rule}")
+
+
+def load_imu(name: str) -> ImuCfg:
+    """Return an IMU that comes with the package, by name; raise ``UnknownNameError`` that lists them."""
+    files = {path.stem: path for path in (CONFIG_DIR / "imus").glob("*.yaml")}
+    if name not in files:
+        raise UnknownNameError(f"no IMU {name!r}. Known: {', '.join(sorted(files))}")
+    return load(ImuCfg, files[name])

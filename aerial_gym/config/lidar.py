@@ -1,0 +1,118 @@
+"""Sensors that sample angles: lidars, time-of-flight matrices, radar-like sensors, and arbitrary lists of rays.
+
+Frame and letters: those of ``range_sensor``. Azimuth turns from x towards y (left), elevation from the x-y plane towards z.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from math import inf
+
+from aerial_gym.config.range_sensor import RangeSensorCfg
+from aerial_gym.config.robot import Vec3, require_finite
+from aerial_gym.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class LidarCfg(RangeSensorCfg):
+    """A grid of azimuths (columns, falling from left to right) and elevations (rows, falling from top to bottom).
+
+    An interval holds both of its ends and equal steps between them, with three exceptions. One row or column looks at the
+    middle. A full turn, whose ends are the same direction, keeps half a step from both. An elevation interval that ends at
+    +-90 degrees, where all columns look the same way, keeps half a step from that end.
+    """
+
+    model: str = "lidar"
+    """Name of this model in a file."""
+
+    azimuth_low_deg: float = -180.0
+    """Azimuth at the right [deg], within +-360."""
+
+    azimuth_high_deg: float = 180.0
+    """Azimuth at the left [deg], > azimuth_low_deg, by at most 360."""
+
+    elevation_low_deg: float | None = None
+    """Elevation of the lowest row [deg], within +-90. Both limits, or ``beam_elevations_deg``, are given."""
+
+    elevation_high_deg: float | None = None
+    """Elevation of the highest row [deg], > elevation_low_deg, within +-90."""
+
+    beam_elevations_deg: tuple[float, ...] | None = None
+    """Elevation of every row [deg], H of them, within +-90, each smaller than the one before: row 0 is on top."""
+
+    scan_s: float | None = None
+    """Time of one revolution [s], > 0, in which azimuth falls at a constant rate: a column whose azimuth is b above that
+    of the last one was measured ``scan_s b / 360 deg`` earlier, from where the sensor was then. None: all at once."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        low, high = self.azimuth_low_deg, self.azimuth_high_deg
+        if not (-360.0 <= low < high <= 360.0 and high - low <= 360.0):
+            raise ConfigError(
+                f"LidarCfg: azimuth_low_deg = {low!r}, azimuth_high_deg = {high!r}: "
+                "needs -360 <= low < high <= 360 and at most one turn between them"
+            )
+        if self.beam_elevations_deg is None:
+            self._check_interval()
+        else:
+            self._check_beams(self.beam_elevations_deg)
+        if self.scan_s is not None and not 0.0 < self.scan_s < inf:
+            raise ConfigError(f"LidarCfg.scan_s = {self.scan_s!r}: must be > 0 and finite, or None")
+
+    @property
+    def full_turn(self) -> bool:
+        """Whether the azimuths close a circle."""
+        return self.azimuth_high_deg - self.azimuth_low_deg >= 360.0
+
+    def _check_interval(self) -> None:
+        low, high = self.elevation_low_deg, self.elevation_high_deg
+        if low is None or high is None:
+            raise ConfigError("LidarCfg: give elevation_low_deg and elevation_high_deg, or beam_elevations_deg")
+        if not -90.0 <= low < high <= 90.0:
+            raise ConfigError(
+                f"LidarCfg: elevation_low_deg = {low!r}, elevation_high_deg = {high!r}: needs -90 <= low < high <= 90"
+            )
+
+    def _check_beams(self, beams: tuple[float, ...]) -> None:
+        if self.elevation_low_deg is not None or self.elevation_high_deg is not None:
+            raise ConfigError("LidarCfg: give elevation limits or beam_elevations_deg, not both")
+        if len(beams) != self.height:
+            raise ConfigError(f"LidarCfg.beam_elevations_deg has {len(beams)} entries, expected height = {self.height}")
+        if not all(-90.0 <= beam <= 90.0 for beam in beams):
+            raise ConfigError(f"LidarCfg.beam_elevations_deg = {beams!r}: must lie within +-90 degrees")
+        if not all(above > below for above, below in pairwise(beams)):
+            raise ConfigError(
+                f"LidarCfg.beam_elevations_deg = {beams!r}: must fall from entry to entry, row 0 is on top"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RayTableCfg(RangeSensorCfg):
+    """Any H x W rays, in the order of the image: row 0 from left to right, then row 1.
+
+    Rays are traced in small groups of neighbouring pixels: a list in which neighbours look the same way is faster.
+    """
+
+    model: str = "ray_table"
+    """Name of this model in a file."""
+
+    path: str | None = None
+    """CSV file with one ray a line under the header ``x,y,z`` or ``azimuth_deg,elevation_deg``; in a YAML file relative to
+    that file. Exactly one of this and ``rays`` is given."""
+
+    rays: tuple[Vec3, ...] | None = None
+    """Directions, sensor frame, H * W of them, of any length but 0."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.path is None) == (self.rays is None):
+            raise ConfigError("RayTableCfg: give exactly one of path and rays")
+        if self.rays is None:
+            return
+        require_finite(self, "rays")
+        if len(self.rays) != self.height * self.width:
+            raise ConfigError(
+                f"RayTableCfg.rays has {len(self.rays)} rays, expected height * width = {self.height * self.width}"
+            )
+        for i, ray in enumerate(self.rays):
+            if not any(ray):
+                raise ConfigError(f"RayTableCfg.rays[{i}] = {ray!r}: must not be zero")

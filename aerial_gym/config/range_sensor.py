@@ -1,0 +1,238 @@
+"""What every range sensor has in common, whatever its rays look like: image, limits, noise, outputs, mount and timing.
+
+Frames: body is x forward, y left, z up. A sensor looks along its own x axis, image right is its -y, image down its -z, so
+that it looks along body x at zero Euler angles; the optical frame (z forward, x right, y down) is never needed outside.
+Letters: E environments, S sensors of one kind, H x W pixels (row 0 on top, column 0 at the left, which is +y).
+"""
+
+from dataclasses import dataclass
+from math import inf, isfinite, pi
+
+from aerial_gym.config.robot import Vec3, require_finite, require_ordered
+from aerial_gym.errors import ConfigError
+
+KINDS = ("depth", "range")
+FRAMES = ("world", "sensor")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseCfg:
+    """Noise of one measured distance r: it becomes N(r - mean_offset, (a r² + b r + c)²), or is dropped.
+
+    Noise acts on the ideal distance, of the sensor's ``kind``, before limits and normalisation; points follow the noisy
+    distance. Segmentation, normals and face ids stay those of the true hit. A ray that hits nothing has no noise.
+    """
+
+    std_a: float = 0.0
+    """Standard deviation per squared distance [1/m]."""
+
+    std_b: float = 0.0
+    """Standard deviation per distance [-]."""
+
+    std_c: float = 0.0
+    """Standard deviation at distance 0 [m]. The whole polynomial is >= 0 between the limits of the sensor."""
+
+    mean_offset: float = 0.0
+    """How much too short distances are on average [m]; a negative one measures too long."""
+
+    dropout: float = 0.0
+    """Probability that a pixel is dropped and holds ``near_pixel``, whatever it saw; 0 <= dropout < 1."""
+
+    def __post_init__(self) -> None:
+        require_finite(self, "std_a", "std_b", "std_c", "mean_offset")
+        if not 0.0 <= self.dropout < 1.0:
+            raise ConfigError(f"NoiseCfg.dropout = {self.dropout!r}: must be a probability, 0 <= dropout < 1")
+
+    def std(self, distance: float) -> float:
+        """Return the standard deviation [m] at a distance [m]."""
+        return (self.std_a * distance + self.std_b) * distance + self.std_c
+
+    def least_std_at(self, low: float, high: float) -> float:
+        """Return the distance [m] between two others at which the standard deviation is smallest."""
+        vertex = -0.5 * self.std_b / self.std_a if self.std_a > 0.0 else low
+        return min((low, high, min(max(vertex, low), high)), key=self.std)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RangeSensorCfg:
+    """Common part of all cameras, lidars and ray tables; the classes built on it say where the rays point.
+
+    Order of what becomes of a distance: ray, noise and dropout, limits, normalisation. Out of its limits a pixel holds
+    ``far_pixel`` (beyond ``max_range``, or nothing there) or ``near_pixel`` (closer than ``min_range``, or dropped).
+    """
+
+    model: str
+    """Where the rays point; each class has its own name, and a file chooses its class by it."""
+
+    summary: str
+    """One line for people who choose a sensor."""
+
+    width: int
+    """Pixels in a row, >= 1."""
+
+    height: int
+    """Pixels in a column, >= 1."""
+
+    min_range: float
+    """Shortest measured distance [m], >= 0."""
+
+    max_range: float
+    """Longest measured distance [m], > min_range."""
+
+    kind: str = "range"
+    """``depth``: distance along the sensor's x axis, for rays that all look ahead; ``range``: distance along the ray. The
+    limits are of the same kind."""
+
+    normalize: bool = False
+    """Whether pixels are divided by ``max_range``, which makes them dimensionless. Points stay in metres."""
+
+    segmentation: bool = True
+    """Whether it also writes the semantic id of what each pixel sees."""
+
+    points: str | None = None
+    """Frame in which it also writes the point that each pixel sees [m]: ``world`` or ``sensor``; None writes none."""
+
+    normals: str | None = None
+    """Frame in which it also writes the unit normal of the surface: ``world`` or ``sensor``; None writes none."""
+
+    face_ids: bool = False
+    """Whether it also writes which face of its shape each pixel sees."""
+
+    noise: NoiseCfg | None = None
+    """Noise of the distances, from the same source as the other numbers; None has none."""
+
+    noise_enabled: bool = True
+    """False keeps the numbers of ``noise`` without applying them."""
+
+    count: int = 1
+    """Sensors S of this kind on the robot, >= 1; they share the mount unless the placement is drawn."""
+
+    position: Vec3 = (0.0, 0.0, 0.0)
+    """Nominal origin of the rays from the body origin [m], body axes."""
+
+    euler: Vec3 = (0.0, 0.0, 0.0)
+    """Nominal ZYX roll, pitch, yaw from body to sensor [rad], within +-2 pi."""
+
+    position_low: Vec3 | None = None
+    """Lowest position [m], body axes, of the uniform draw per environment and sensor at reset; None keeps ``position``."""
+
+    position_high: Vec3 | None = None
+    """Highest one; given with ``position_low``, and ``position`` lies between them."""
+
+    euler_low: Vec3 | None = None
+    """Lowest Euler angles [rad] of the uniform draw per environment and sensor at reset; None keeps ``euler``."""
+
+    euler_high: Vec3 | None = None
+    """Highest ones; given with ``euler_low``, and ``euler`` lies between them."""
+
+    rate_hz: float | None = None
+    """Images per second of simulated time [Hz], > 0; between two of them the last one stays. None: one at every step."""
+
+    latency_s: float = 0.0
+    """Age of an image when it appears [s], >= 0."""
+
+    far_out_of_range_value: float | None = None
+    """Distance [m] that stands for "too far"; None takes max_range when normalising and -1 otherwise."""
+
+    near_out_of_range_value: float | None = None
+    """Distance [m] that stands for "too near"; None takes -max_range when normalising and -1 otherwise."""
+
+    source: str
+    """Where the numbers come from."""
+
+    def __post_init__(self) -> None:
+        own = getattr(type(self), "model", None)
+        if self.model != own:
+            raise ConfigError(f"{_of(self, 'model')}: must be {own!r}; another model is another class")
+        _check_image(self)
+        _check_outputs(self)
+        _check_noise(self)
+        _check_placement(self, "position")
+        _check_placement(self, "euler")
+        _check_timing(self)
+
+    @property
+    def active_noise(self) -> NoiseCfg | None:
+        """The noise to apply: None if there is none or it is switched off."""
+        return self.noise if self.noise_enabled else None
+
+    @property
+    def far_pixel(self) -> float:
+        """What a pixel holds where nothing lies within ``max_range``: 1 when normalised, else -1, unless configured."""
+        default = self.max_range if self.normalize else -1.0
+        value = default if self.far_out_of_range_value is None else self.far_out_of_range_value
+        return value / self.max_range if self.normalize else value
+
+    @property
+    def near_pixel(self) -> float:
+        """What a pixel holds where something is closer than ``min_range``: -1, unless configured."""
+        default = -self.max_range if self.normalize else -1.0
+        value = default if self.near_out_of_range_value is None else self.near_out_of_range_value
+        return value / self.max_range if self.normalize else value
+
+
+def _of(cfg: object, name: str) -> str:
+    """Return ``Class.field = value``, the start of most messages."""
+    return f"{type(cfg).__name__}.{name} = {getattr(cfg, name)!r}"
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and value >= 1
+
+
+def _check_image(cfg: RangeSensorCfg) -> None:
+    for name in ("width", "height"):
+        if not _is_count(getattr(cfg, name)):
+            raise ConfigError(f"{_of(cfg, name)}: must be at least 1 pixel, and whole")
+    if not 0.0 <= cfg.min_range < cfg.max_range < inf:
+        raise ConfigError(
+            f"{type(cfg).__name__}: min_range = {cfg.min_range!r}, max_range = {cfg.max_range!r}: "
+            "needs 0 <= min_range < max_range < inf"
+        )
+    for name in ("far_out_of_range_value", "near_out_of_range_value"):
+        value = getattr(cfg, name)
+        if value is not None and not isfinite(value):
+            raise ConfigError(f"{_of(cfg, name)}: must be finite")
+
+
+def _check_outputs(cfg: RangeSensorCfg) -> None:
+    if cfg.kind not in KINDS:
+        raise ConfigError(f"{_of(cfg, 'kind')}: must be one of {', '.join(KINDS)}")
+    for name in ("points", "normals"):
+        if getattr(cfg, name) not in (None, *FRAMES):
+            raise ConfigError(f"{_of(cfg, name)}: must be one of {', '.join(FRAMES)}, or None for no such image")
+    if not _is_count(cfg.count):
+        raise ConfigError(f"{_of(cfg, 'count')}: must be at least 1 sensor, and whole")
+
+
+def _check_noise(cfg: RangeSensorCfg) -> None:
+    if cfg.noise is None:
+        return
+    worst = cfg.noise.least_std_at(cfg.min_range, cfg.max_range)
+    if not cfg.noise.std(worst) >= 0.0:
+        raise ConfigError(
+            f"{type(cfg).__name__}.noise: standard deviation {cfg.noise.std(worst):g} m at {worst:g} m: "
+            "std_a r² + std_b r + std_c must be >= 0 from min_range to max_range"
+        )
+
+
+def _check_placement(cfg: RangeSensorCfg, name: str) -> None:
+    low, high = f"{name}_low", f"{name}_high"
+    if (getattr(cfg, low) is None) != (getattr(cfg, high) is None):
+        raise ConfigError(f"{type(cfg).__name__}: give both {low} and {high}, or neither")
+    names = (name,) if getattr(cfg, low) is None else (low, name, high)
+    require_finite(cfg, *names)
+    for one in names if name == "euler" else ():
+        if any(abs(angle) > 2.0 * pi for angle in getattr(cfg, one)):
+            raise ConfigError(f"{_of(cfg, one)}: must lie within +-2 pi. Angles are in radians")
+    if len(names) > 1:
+        require_ordered(cfg, low, high)
+        require_ordered(cfg, low, name)
+        require_ordered(cfg, name, high)
+
+
+def _check_timing(cfg: RangeSensorCfg) -> None:
+    if cfg.rate_hz is not None and not 0.0 < cfg.rate_hz < inf:
+        raise ConfigError(f"{_of(cfg, 'rate_hz')}: must be > 0 and finite, or None for an image at every step")
+    if not 0.0 <= cfg.latency_s < inf:
+        raise ConfigError(f"{_of(cfg, 'latency_s')}: must be >= 0 and finite")

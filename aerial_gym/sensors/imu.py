@@ -1,0 +1,271 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
+# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
+"""The inertial measurement unit: specific force and angular velocity at one point of the body, with their errors.
+
+The accelerometer averages over a step, from how the velocity of its own point ``v_p = v_o + R (w x r)`` changes::
+
+    f = R_m^T ((v_p(t) - v_p(t - dt)) / dt + g e_z),    R_m = R(t) exp(-w(t) dt / 2) R_mount
+
+The bracket is the mean of the point's specific force in world axes, exactly, for every motion: tangential and centripetal terms
+of the lever arm r are in it. R_m is the attitude at the middle of the step, so that f differs from the specific force at
+t - dt/2, and from its mean over the step in IMU axes, by O(dt²); with the attitude of either end it would be O(dt).
+Derived: the central difference leaves ``dt²/24 a''``, the turn back by half a step at the final rate ``dt²/8 w' x f``. Steps of
+the physics of order 1 leave their own O(dt). Float32 adds about ``1e-7 |v_p| / dt`` of round-off.
+The gyro gives ``w(t)`` in IMU axes, at the end of the step.
+
+Then, per axis: bias, white noise ``sigma N / sqrt(dt)``, saturation; the bias walks by ``sigma_b N sqrt(dt)``. Source: IEEE Std
+952-1997, annex B (N and K). Every number is drawn in the kernel from seed, environment and a count of its samples: the same
+whatever other environments do, and new at each replay of a captured step.
+Frames: world z up; body x forward, y left, z up. Letters: E environments.
+"""
+
+from math import inf, radians, sqrt
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.assets.views import check_tensor, vector_view
+from aerial_gym.config.imu import ImuCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.interop import on_torch_stream, start_warp
+from aerial_gym.math.quaternion import quat_from_euler
+from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn
+
+STREAM = wp.constant(0x696D75)
+"""Parts these draws from others of the same seed, such as the initial states; any number does."""
+
+
+@wp.struct
+class Unit:
+    """The IMU, the same in all environments. Noise and walk are those of one step."""
+
+    position: wp.vec3  # from the body origin, body [m]
+    mount: wp.quat  # IMU to body, without misalignment
+    misalignment: wp.vec3  # +- [rad]
+    accel_noise: wp.vec3  # [m/s²]
+    gyro_noise: wp.vec3  # [rad/s]
+    accel_walk: wp.vec3  # [m/s²]
+    gyro_walk: wp.vec3  # [rad/s]
+    accel_initial_bias: wp.vec3  # +- [m/s²]
+    gyro_initial_bias: wp.vec3  # +- [rad/s]
+    accel_range: wp.float32  # [m/s²]
+    gyro_range: wp.float32  # [rad/s]
+    gravity: wp.float32  # [m/s²]
+    dt: wp.float32  # [s]
+
+
+@wp.struct
+class Motion:
+    """What the IMU is fixed to."""
+
+    attitude: wp.array[wp.quat]  # (E,) body to world, xyzw
+    lin_vel: wp.array[wp.vec3]  # (E,) of the body origin, world [m/s]
+    ang_vel: wp.array[wp.vec3]  # (E,) body [rad/s]
+
+
+@wp.struct
+class Outputs:
+    """What a sample and a reset write."""
+
+    sample: wp.array[wp.int32]  # (E,) counted up
+    point_vel: wp.array[wp.vec3]  # (E,) world [m/s]
+    mount: wp.array[wp.quat]  # (E,) IMU to body, with misalignment
+    bias: wp.array2d[wp.vec3]  # (E, 2) [m/s²], [rad/s]
+    measurement: wp.array2d[wp.vec3]  # (E, 2) IMU [m/s²], [rad/s]
+
+
+@wp.func
+def _count(seed: int, e: int, out: Outputs) -> wp.uint32:
+    """Return the random state of an environment's next sample, and count it."""
+    sample = out.sample[e]
+    out.sample[e] = sample + 1
+    return wp.rand_init(int(wp.rand_init(int(wp.rand_init(seed, STREAM)), e)), sample)
+
+
+@wp.func
+def _normal(random: wp.uint32, index: int, std: wp.vec3) -> wp.vec3:
+    """Return three normal draws; ``index`` tells the quantities of one sample apart."""
+    stream = wp.rand_init(int(random), index)
+    return wp.cw_mul(std, wp.vec3(wp.randn(stream), wp.randn(stream), wp.randn(stream)))
+
+
+@wp.func
+def _uniform(random: wp.uint32, index: int, bound: wp.vec3) -> wp.vec3:
+    """Return three uniform draws within +- ``bound``; ``index`` likewise."""
+    stream = wp.rand_init(int(random), index)
+    share = wp.vec3(wp.randf(stream), wp.randf(stream), wp.randf(stream))
+    return wp.cw_mul(bound, 2.0 * share - wp.vec3(1.0, 1.0, 1.0))
+
+
+@wp.func
+def _limit(value: wp.vec3, bound: float) -> wp.vec3:
+    return wp.vec3(
+        wp.clamp(value[0], -bound, bound), wp.clamp(value[1], -bound, bound), wp.clamp(value[2], -bound, bound)
+    )
+
+
+@wp.func
+def _point_velocity(unit: Unit, motion: Motion, e: int) -> wp.vec3:
+    """Return ``v_o + R (w x r)`` [m/s], world."""
+    return motion.lin_vel[e] + rotate(motion.attitude[e], wp.cross(motion.ang_vel[e], unit.position))
+
+
+@wp.func
+def _write(
+    unit: Unit,
+    out: Outputs,
+    e: int,
+    random: wp.uint32,
+    mount: wp.quat,
+    force: wp.vec3,
+    ang_vel: wp.vec3,
+    accel_bias: wp.vec3,
+    gyro_bias: wp.vec3,
+):
+    """Write biases, and what the IMU makes of specific force [m/s²] and angular velocity [rad/s] in body axes."""
+    accel = rotate_inverse(mount, force) + accel_bias + _normal(random, 0, unit.accel_noise)
+    gyro = rotate_inverse(mount, ang_vel) + gyro_bias + _normal(random, 1, unit.gyro_noise)
+    out.bias[e, 0] = accel_bias
+    out.bias[e, 1] = gyro_bias
+    out.measurement[e, 0] = _limit(accel, unit.accel_range)
+    out.measurement[e, 1] = _limit(gyro, unit.gyro_range)
+
+
+@wp.kernel(enable_backward=False)
+def _measure(motion: Motion, unit: Unit, seed: wp.array[int], out: Outputs):
+    """Write the sample of the step that has just ended."""
+    e = wp.tid()
+    ang_vel = motion.ang_vel[e]
+    velocity = _point_velocity(unit, motion, e)
+    acceleration = (velocity - out.point_vel[e]) / unit.dt
+    out.point_vel[e] = velocity
+    middle = motion.attitude[e] * small_turn(-0.5 * unit.dt * ang_vel)
+    force = rotate_inverse(middle, acceleration + wp.vec3(0.0, 0.0, unit.gravity))
+    random = _count(seed[0], e, out)
+    accel_bias = out.bias[e, 0] + _normal(random, 2, unit.accel_walk)
+    gyro_bias = out.bias[e, 1] + _normal(random, 3, unit.gyro_walk)
+    _write(unit, out, e, random, out.mount[e], force, ang_vel, accel_bias, gyro_bias)
+
+
+@wp.kernel(enable_backward=False)
+def _reset(mask: wp.array[wp.bool], motion: Motion, unit: Unit, seed: wp.array[int], out: Outputs):
+    """Draw bias and misalignment and write a first sample where the mask says so; leave every other row alone."""
+    e = wp.tid()
+    if not mask[e]:
+        return
+    random = _count(seed[0], e, out)
+    turn = _uniform(random, 4, unit.misalignment)
+    yaw_pitch = small_turn(wp.vec3(0.0, 0.0, turn[2])) * small_turn(wp.vec3(0.0, turn[1], 0.0))
+    mount = wp.normalize(unit.mount * yaw_pitch * small_turn(wp.vec3(turn[0], 0.0, 0.0)))
+    accel_bias = _uniform(random, 5, unit.accel_initial_bias)
+    gyro_bias = _uniform(random, 6, unit.gyro_initial_bias)
+    force = rotate_inverse(motion.attitude[e], wp.vec3(0.0, 0.0, unit.gravity))
+    out.mount[e] = mount
+    out.point_vel[e] = _point_velocity(unit, motion, e)
+    _write(unit, out, e, random, mount, force, motion.ang_vel[e], accel_bias, gyro_bias)
+
+
+class Imu:
+    """One IMU in every environment, with all views made at construction."""
+
+    def __init__(
+        self,
+        cfg: ImuCfg,
+        *,
+        attitude: Tensor,
+        lin_vel: Tensor,
+        ang_vel: Tensor,
+        measurement_out: Tensor,
+        dt: float,
+        gravity: float,
+        seed: int,
+    ) -> None:
+        """Take views of the tensors, which must stay where they are, and load the kernels; then ``reset`` all rows.
+
+        Args:
+            cfg: The IMU.
+            attitude: Body to world, xyzw, unit, (E, 4), strided or not; read at every sample, as are the next two.
+            lin_vel: Velocity of the body origin [m/s], world, (E, 3).
+            ang_vel: Angular velocity [rad/s], body, (E, 3).
+            measurement_out: Receives specific force [m/s²] and angular velocity [rad/s], IMU axes, float32, (E, 6).
+            dt: Time between two samples [s], > 0: the environment step.
+            gravity: Downward acceleration of free fall [m/s²].
+            seed: Of all draws; another one for a second IMU on the same robot.
+
+        Raises:
+            ConfigError: If ``dt`` is not positive and finite.
+            ShapeError: If a tensor does not fit.
+        """
+        if not 0.0 < dt < inf:
+            raise ConfigError(f"dt = {dt!r}: must be > 0 and finite")
+        start_warp()
+        envs, device = measurement_out.shape[0], measurement_out.device
+        check_tensor("measurement_out", measurement_out, (envs, 6), device=device)
+        self.cfg, self.measurement = cfg, measurement_out
+        self.bias = torch.zeros(envs, 6, device=device)
+        """Present bias [m/s²] and [rad/s], IMU axes, (E, 6)."""
+        self.mount_attitude = quat_from_euler(torch.tensor(cfg.euler, device=device)).expand(envs, 4).clone()
+        """IMU to body, with the misalignment of the episode, (E, 4)."""
+        self._point_vel = torch.zeros(envs, 3, device=device)
+        self._sample = torch.zeros(envs, dtype=torch.int32, device=device)
+        self._mask = torch.zeros(envs, dtype=torch.bool, device=device)
+        self._seed = torch.zeros(1, dtype=torch.int32, device=device)
+        self.restart(seed)
+        motion = Motion()
+        motion.attitude = vector_view("attitude", attitude, (envs, 4), device=device)
+        motion.lin_vel = vector_view("lin_vel", lin_vel, (envs, 3), device=device)
+        motion.ang_vel = vector_view("ang_vel", ang_vel, (envs, 3), device=device)
+        inputs = [motion, _make_unit(cfg, dt, gravity), wp.from_torch(self._seed), self._make_outputs()]
+
+        launch = {"dim": envs, "device": wp.device_from_torch(device), "record_cmd": True}
+        self._measure_command = wp.launch(_measure, inputs=inputs, **launch)
+        self._reset_command = wp.launch(_reset, inputs=[wp.from_torch(self._mask), *inputs], **launch)
+
+    def _make_outputs(self) -> Outputs:
+        out = Outputs()
+        out.sample = wp.from_torch(self._sample)
+        out.point_vel = wp.from_torch(self._point_vel, dtype=wp.vec3)
+        out.mount = wp.from_torch(self.mount_attitude, dtype=wp.quat)
+        out.bias = wp.from_torch(self.bias.view(-1, 2, 3), dtype=wp.vec3)
+        out.measurement = wp.from_torch(self.measurement.view(-1, 2, 3), dtype=wp.vec3)
+        return out
+
+    def measure(self) -> None:
+        """Write the sample of the step that has just ended; call it once per ``dt``.
+
+        Launched on torch's current stream, not waited for.
+        """
+        with on_torch_stream(self.measurement):
+            self._measure_command.launch()
+
+    def reset(self, mask: Tensor) -> None:
+        """Begin anew in the environments of ``mask``, bool (E,), from their present state; others stay bit for bit.
+
+        Draws bias and misalignment, and writes a first sample: that of a vehicle without acceleration in its present attitude,
+        as no step has shown one yet, with its present angular velocity. Launched on torch's current stream, not waited for.
+        """
+        self._mask.copy_(mask)
+        with on_torch_stream(self._mask):
+            self._reset_command.launch()
+
+    def restart(self, seed: int) -> None:
+        """Begin the draws of a seed anew."""
+        self._seed.fill_(seed % 2**31)
+        self._sample.zero_()
+
+
+def _make_unit(cfg: ImuCfg, dt: float, gravity: float) -> Unit:
+    unit = Unit()
+    unit.dt, unit.gravity = dt, gravity
+    unit.position, unit.mount = wp.vec3(*cfg.position), wp.quat(*quat_from_euler(torch.tensor(cfg.euler)).tolist())
+    unit.misalignment = wp.vec3(*(radians(angle) for angle in cfg.misalignment_deg))
+    for kind in ("accel", "gyro"):
+        noise = wp.vec3(*getattr(cfg, f"{kind}_noise_density")) / sqrt(dt)
+        walk = wp.vec3(*getattr(cfg, f"{kind}_bias_walk")) * sqrt(dt)
+        setattr(unit, f"{kind}_noise", noise)
+        setattr(unit, f"{kind}_walk", walk)
+        setattr(unit, f"{kind}_initial_bias", wp.vec3(*getattr(cfg, f"{kind}_initial_bias")))
+        setattr(unit, f"{kind}_range", getattr(cfg, f"{kind}_range"))
+    return unit

@@ -1,0 +1,253 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""What becomes of a hit: noise, limits and normalisation of the distance, id, point, normal and face, in one go.
+
+The function that writes a pixel is composed for the images that a sensor has; what it has not costs nothing.
+
+Frames: a sensor looks along its own x. Letters: E environments, M mounts (sensors of all environments), N pixels, P parts.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import warp as wp
+
+from aerial_gym.assets.geometry import BOX, CAPSULE, CYLINDER, MESH
+from aerial_gym.sensors.view import View, is_blocked
+
+MISS_ID = wp.constant(-2)
+"""Segmentation of a pixel that sees nothing within its range. Source: parity with Aerial Gym (3.4)."""
+
+MISS_FACE = wp.constant(-1)
+"""Face of a pixel that sees nothing within its range."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outputs:
+    """Which images a sensor writes beside the distance, and whether the distance has noise."""
+
+    noise: bool
+    segmentation: bool
+    points: str | None
+    normals: str | None
+    face_ids: bool
+    stereo: bool
+
+
+@wp.struct
+class Limits:
+    """What becomes of a distance."""
+
+    min_range: wp.float32  # [m]
+    max_range: wp.float32  # [m]
+    projected: wp.bool  # distances along the sensor's x axis instead of along the ray
+    divisor: wp.float32  # of distances within the limits: max_range or 1
+    near_pixel: wp.float32  # written for a hit closer than min_range, and for a dropped pixel
+    far_pixel: wp.float32  # written for a miss
+    baseline: wp.float32  # of the second camera of a stereo pair, along y [m]
+    half_width: wp.float32  # tangent of half its horizontal field of view
+    half_height: wp.float32  # and of half its vertical one
+
+
+@wp.struct
+class Noise:
+    """Noise of a distance r: N(r - mean_offset, (a r² + b r + c)²), or the pixel is dropped."""
+
+    std_a: wp.float32  # [1/m]
+    std_b: wp.float32  # [-]
+    std_c: wp.float32  # [m]
+    mean_offset: wp.float32  # [m]
+    dropout: wp.float32  # probability
+    seed: wp.array[wp.int32]  # (1,)
+    image: wp.array[wp.int32]  # (1,) how many images were taken
+
+
+@wp.struct
+class Images:
+    """Where a kernel writes, and what it needs for it; arrays that are not written are empty."""
+
+    distance: wp.array2d[float]  # (M, N) [m] or divided
+    segmentation: wp.array2d[wp.int32]  # (M, N)
+    point: wp.array2d[wp.vec3]  # (M, N) [m]
+    normal: wp.array2d[wp.vec3]  # (M, N)
+    face: wp.array2d[wp.int32]  # (M, N)
+    semantic_id: wp.array2d[wp.int32]  # (E, P) of the scene
+    origin: wp.array[wp.vec3]  # (M,) of the sensor, world [m]
+    attitude: wp.array[wp.quat]  # (M,) sensor to world
+
+
+@wp.kernel(enable_backward=False)
+def locate(
+    # state
+    body_position: wp.array[wp.vec3],  # (E,) world [m]
+    body_attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
+    # sensor
+    mount_position: wp.array2d[wp.vec3],  # (E, S) body frame [m]
+    mount_attitude: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
+    # out
+    origin_out: wp.array[wp.vec3],  # (M,) world [m]
+    attitude_out: wp.array[wp.quat],  # (M,) sensor to world
+):
+    """Write where every sensor is."""
+    mount = wp.tid()
+    env = mount // mount_position.shape[1]
+    sensor = mount - env * mount_position.shape[1]
+    body = body_attitude[env]
+    origin_out[mount] = body_position[env] + wp.quat_rotate(body, mount_position[env, sensor])
+    attitude_out[mount] = body * mount_attitude[env, sensor]
+
+
+@wp.func
+def limit_of(limits: Limits, ray: wp.vec3) -> float:
+    """Return the distance along a ray beyond which nothing is seen [m]."""
+    return wp.where(limits.projected, limits.max_range / ray[0], limits.max_range)
+
+
+@wp.struct
+class Surface:
+    """Where a ray meets a part."""
+
+    normal: wp.vec3  # unit, sensor frame, towards the sensor
+    face: (
+        wp.int32
+    )  # triangle of a mesh; box: 2 axis + (1 for the upper side); cylinder: 0 side, 1 bottom, 2 top; else 0
+
+
+@wp.func
+def surface_at(view: View, env: int, mount: int, part: int, ray: wp.vec3, distance: float) -> Surface:
+    """Return normal and face where a ray meets a part.
+
+    In the frame of the bounding box the surface is F(p) = 0 with p = A r + o; its normal in the frame of r is A^T grad F.
+    """
+    x = view.rows[mount, 3 * part]
+    y = view.rows[mount, 3 * part + 1]
+    z = view.rows[mount, 3 * part + 2]
+    a = wp.vec3(x[0], x[1], x[2])
+    b = wp.vec3(y[0], y[1], y[2])
+    c = wp.vec3(z[0], z[1], z[2])
+    seen = distance * ray
+    p = wp.vec3(wp.dot(a, seen) + x[3], wp.dot(b, seen) + y[3], wp.dot(c, seen) + z[3])
+    slope = p
+    face = wp.int32(0)
+    kind = view.kind[mount, part]
+    if kind == BOX:
+        size = wp.vec3(wp.abs(p[0]), wp.abs(p[1]), wp.abs(p[2]))
+        axis = wp.where(size[0] >= size[1], 0, 1)
+        if size[2] > size[axis]:
+            axis = 2
+        slope = wp.vec3(0.0, 0.0, 0.0)
+        slope[axis] = wp.sign(p[axis])
+        face = 2 * axis + wp.where(p[axis] > 0.0, 1, 0)
+    elif kind == CYLINDER:
+        shape = view.shapes[view.part_shape[env, part]]
+        beside = wp.abs(1.0 - wp.sqrt(p[0] * p[0] + p[1] * p[1])) * shape.half[0]
+        above = wp.abs(1.0 - wp.abs(p[2])) * shape.half[2]
+        slope = wp.vec3(p[0], p[1], 0.0)
+        if above < beside:
+            slope = wp.vec3(0.0, 0.0, wp.sign(p[2]))
+            face = wp.where(p[2] > 0.0, 2, 1)
+    elif kind == CAPSULE:
+        shape = view.shapes[view.part_shape[env, part]]
+        own = wp.cw_mul(p, shape.half)
+        along = wp.clamp(own[2], -shape.size[1], shape.size[1])
+        slope = wp.cw_mul(wp.vec3(own[0], own[1], own[2] - along), shape.half)
+    elif kind == MESH:
+        shape = view.shapes[view.part_shape[env, part]]
+        start = wp.cw_mul(wp.vec3(x[3], y[3], z[3]), shape.half) + shape.center
+        heading = wp.cw_mul(wp.vec3(wp.dot(a, ray), wp.dot(b, ray), wp.dot(c, ray)), shape.half)
+        query = wp.mesh_query_ray(shape.ray_mesh, start, heading, 1.001 * distance + 1.0e-4)
+        slope = wp.cw_mul(query.normal, shape.half)
+        face = query.face
+    normal = wp.normalize(slope[0] * a + slope[1] * b + slope[2] * c)
+    surface = Surface()
+    surface.normal = wp.where(wp.dot(normal, ray) > 0.0, -normal, normal)
+    surface.face = face
+    return surface
+
+
+SURFACE_SKIN = wp.constant(1.0e-4)
+"""Share of a distance by which a point may lie behind what the second camera sees there: round-off of its surface."""
+
+
+@wp.func
+def second_camera_sees(view: View, limits: Limits, env: int, mount: int, point: wp.vec3) -> wp.bool:
+    """Return whether a point in the sensor's frame is in the image of the second camera, with nothing in between."""
+    start = wp.vec3(0.0, limits.baseline, 0.0)
+    to = point - start
+    if to[0] <= 0.0 or wp.abs(to[1]) > limits.half_width * to[0] or wp.abs(to[2]) > limits.half_height * to[0]:
+        return False
+    distance = wp.length(to)
+    return not is_blocked(view, env, mount, start, to / distance, (1.0 - SURFACE_SKIN) * distance)
+
+
+@cache
+def make_write_pixel(outputs: Outputs) -> wp.Function:
+    """Return the function that writes a pixel of a sensor with these outputs."""
+    has_noise, segments, faces, stereo = outputs.noise, outputs.segmentation, outputs.face_ids, outputs.stereo
+    points, points_in_world = outputs.points is not None, outputs.points == "world"
+    normals, normals_in_world = outputs.normals is not None, outputs.normals == "world"
+
+    @wp.func
+    def write_pixel(
+        images: Images,
+        limits: Limits,
+        noise: Noise,
+        view: View,
+        env: int,
+        mount: int,
+        pixel: int,
+        ray: wp.vec3,
+        nearest: float,
+        hit: int,
+    ):
+        along = wp.where(limits.projected, ray[0], 1.0)
+        measured = nearest * along
+        dropped = wp.bool(False)
+        if wp.static(has_noise):
+            random = wp.rand_init(
+                int(wp.rand_init(noise.seed[0], noise.image[0])), mount * images.distance.shape[1] + pixel
+            )
+            dropped = wp.randf(random) < noise.dropout
+            std = (noise.std_a * measured + noise.std_b) * measured + noise.std_c
+            measured += std * wp.randn(random) - noise.mean_offset
+        else:
+            measured = wp.min(measured, limits.max_range)
+        if wp.static(stereo):  # noqa: SIM102 - a condition of the composition, and one of the pixel
+            if hit >= 0:
+                dropped = dropped or not second_camera_sees(view, limits, env, mount, nearest * ray)
+        value = measured / limits.divisor
+        if hit < 0 or measured > limits.max_range:
+            value = limits.far_pixel
+        elif measured < limits.min_range:
+            value = limits.near_pixel
+        if dropped:
+            value = limits.near_pixel
+        images.distance[mount, pixel] = value
+        if wp.static(segments):
+            seen = wp.int32(MISS_ID)
+            if hit >= 0:
+                seen = images.semantic_id[env, hit]
+            images.segmentation[mount, pixel] = seen
+        if wp.static(points):
+            valid = hit >= 0 and not dropped and measured >= limits.min_range and measured <= limits.max_range
+            point = wp.where(valid, (measured / along) * ray, wp.vec3(0.0, 0.0, 0.0))
+            if wp.static(points_in_world):
+                point = images.origin[mount] + wp.quat_rotate(images.attitude[mount], point)
+            images.point[mount, pixel] = point
+        if wp.static(normals or faces):
+            normal = wp.vec3(0.0, 0.0, 0.0)
+            face = wp.int32(MISS_FACE)
+            if hit >= 0:
+                surface = surface_at(view, env, mount, hit, ray, nearest)
+                normal = surface.normal
+                face = surface.face
+            if wp.static(normals_in_world):
+                normal = wp.quat_rotate(images.attitude[mount], normal)
+            if wp.static(normals):
+                images.normal[mount, pixel] = normal
+            if wp.static(faces):
+                images.face[mount, pixel] = face
+
+    return write_pixel

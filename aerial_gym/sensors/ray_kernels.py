@@ -1,0 +1,156 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
+"""The kernels that trace the rays of a sensor in every environment, composed for the images that it has.
+
+Letters: E environments, S sensors of one kind, M = E * S mounts, T tiles, L rays of a tile, P parts.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from aerial_gym.assets.geometry import MESH
+from aerial_gym.sensors.pixels import Images, Limits, Noise, Outputs, limit_of, make_write_pixel
+from aerial_gym.sensors.view import View, ballot, entry_of, least_lane, lowest_bit, trace
+
+
+@wp.struct
+class Rays:
+    """The rays of a sensor in tiles of L."""
+
+    direction: wp.array[wp.vec3]  # (T * L,) sensor frame, unit
+    pixel: wp.array[wp.int32]  # (T * L,) which pixel of the image, or -1
+    middle: wp.array[wp.vec3]  # (T,) of the directions of a tile
+    spread: wp.array[wp.vec3]  # (T,) half of what they differ by
+
+
+@cache
+def make_warp_kernel(outputs: Outputs) -> wp.Kernel:
+    """Return the kernel with one ray per thread, for GPUs: the 32 threads of a warp hold one tile."""
+    write_pixel = make_write_pixel(outputs)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def cast_by_warp(
+        view: View, rays: Rays, limits: Limits, noise: Noise, sensors: int, due: wp.array[wp.bool], images: Images
+    ):
+        """Trace one ray; the threads of a warp look for the candidates of their tile together.
+
+        Analytic shapes come before meshes, and near meshes before far ones, so that a tree is searched only up to what was
+        found.
+        """
+        thread = wp.tid()
+        lane = thread & 31
+        num_tiles = rays.middle.shape[0]
+        mount = (thread >> 5) // num_tiles
+        tile = (thread >> 5) - mount * num_tiles
+        env = mount // sensors
+        if not due[env]:
+            return
+        middle = rays.middle[tile]
+        spread = rays.spread[tile]
+        ray = rays.direction[tile * 32 + lane]
+        pixel = rays.pixel[tile * 32 + lane]
+        nearest = limit_of(limits, ray)
+        hit = wp.int32(-1)
+        count = view.kind.shape[1]
+        first = wp.int32(0)
+        while first < count:
+            a = first + lane
+            entry = float(wp.inf)
+            mesh = wp.bool(False)
+            if a < count:
+                entry = entry_of(view, mount, a, middle, spread)
+                mesh = view.kind[mount, a] == MESH
+            analytic = ballot(entry < wp.inf and not mesh)
+            meshes = ballot(entry < wp.inf and mesh)
+            while analytic != wp.uint32(0):
+                i = first + lowest_bit(analytic)
+                analytic = analytic & (analytic - wp.uint32(1))
+                distance = trace(view, env, mount, i, ray, nearest)
+                if distance < nearest:
+                    nearest = distance
+                    hit = i
+            if not mesh:
+                entry = wp.inf
+            while meshes != wp.uint32(0):
+                closest = least_lane(entry)
+                i = first + closest
+                meshes = meshes & ~(wp.uint32(1) << wp.uint32(closest))
+                if lane == closest:
+                    entry = wp.inf
+                distance = trace(view, env, mount, i, ray, nearest)
+                if distance < nearest:
+                    nearest = distance
+                    hit = i
+            first += 32
+        if pixel >= 0:
+            write_pixel(images, limits, noise, view, env, mount, pixel, ray, nearest, hit)
+
+    return cast_by_warp
+
+
+@cache
+def make_tile_kernel(outputs: Outputs, num_parts: int) -> wp.Kernel:
+    """Return the kernel in which one thread traces all rays of a tile: for processors without warps."""
+    write_pixel = make_write_pixel(outputs)
+    num_words = max(1, -(-num_parts // 32))
+    words_type = wp.types.vector(length=num_words, dtype=wp.uint32)
+
+    @wp.func
+    def find_candidates(view: View, mount: int, middle: wp.vec3, spread: wp.vec3, meshes: wp.bool) -> words_type:
+        words = words_type()
+        for a in range(view.kind.shape[1]):
+            if (view.kind[mount, a] == MESH) == meshes and entry_of(view, mount, a, middle, spread) < wp.inf:
+                words[a >> 5] = words[a >> 5] | (wp.uint32(1) << wp.uint32(a & 31))
+        return words
+
+    @wp.func
+    def nearest_of(
+        view: View, env: int, mount: int, words: words_type, ray: wp.vec3, limit: float, before: int
+    ) -> tuple[float, int]:
+        nearest = limit
+        hit = before
+        for k in range(num_words):
+            bits = words[k]
+            while bits != wp.uint32(0):
+                i = 32 * k + lowest_bit(bits)
+                bits = bits & (bits - wp.uint32(1))
+                distance = trace(view, env, mount, i, ray, nearest)
+                if distance < nearest:
+                    nearest = distance
+                    hit = i
+        return nearest, hit
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def cast_by_tile(
+        view: View,
+        rays: Rays,
+        limits: Limits,
+        noise: Noise,
+        sensors: int,
+        due: wp.array[wp.bool],
+        images: Images,
+        per_tile: int,
+        first: int,
+    ):
+        """Trace all rays of one tile; analytic shapes come before meshes."""
+        task = wp.tid() + first
+        num_tiles = rays.middle.shape[0]
+        mount = task // num_tiles
+        tile = task - mount * num_tiles
+        env = mount // sensors
+        if not due[env]:
+            return
+        analytic = find_candidates(view, mount, rays.middle[tile], rays.spread[tile], False)
+        meshes = find_candidates(view, mount, rays.middle[tile], rays.spread[tile], True)
+        for i in range(per_tile):
+            pixel = rays.pixel[tile * per_tile + i]
+            if pixel >= 0:
+                ray = rays.direction[tile * per_tile + i]
+                nearest, hit = nearest_of(view, env, mount, analytic, ray, limit_of(limits, ray), -1)
+                nearest, hit = nearest_of(view, env, mount, meshes, ray, nearest, hit)
+                write_pixel(images, limits, noise, view, env, mount, pixel, ray, nearest, hit)
+
+    return cast_by_tile

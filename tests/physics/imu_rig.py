@@ -1,0 +1,77 @@
+"""An IMU on a body that is moved by hand, for tests."""
+
+from dataclasses import replace
+from math import nan
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.imu import ImuCfg
+from aerial_gym.sensors.imu import Imu
+
+G = 9.81
+ZERO = (0.0, 0.0, 0.0)
+IDEAL = ImuCfg(
+    summary="without errors",
+    accel_noise_density=ZERO,
+    gyro_noise_density=ZERO,
+    accel_bias_walk=ZERO,
+    gyro_bias_walk=ZERO,
+    accel_initial_bias=ZERO,
+    gyro_initial_bias=ZERO,
+    accel_range=1e6,
+    gyro_range=1e6,
+    source="test",
+)
+NOISY = replace(
+    IDEAL,
+    misalignment_deg=(1.0, 2.0, 3.0),
+    accel_noise_density=(0.01, 0.02, 0.03),
+    gyro_noise_density=(0.001, 0.002, 0.003),
+    accel_bias_walk=(0.1, 0.2, 0.3),
+    gyro_bias_walk=(0.01, 0.02, 0.03),
+    accel_initial_bias=(0.5, 0.6, 0.7),
+    gyro_initial_bias=(0.1, 0.2, 0.3),
+)
+
+
+class Rig:
+    """An IMU on a body that is moved by hand. Everything it writes is NaN beforehand."""
+
+    def __init__(self, cfg: ImuCfg, num_envs: int = 1, *, dt: float = 0.01, seed: int = 0) -> None:
+        self.attitude = torch.zeros(num_envs, 4)
+        self.attitude[:, 3] = 1.0
+        self.lin_vel, self.ang_vel = torch.zeros(num_envs, 3), torch.zeros(num_envs, 3)
+        self.measurement = torch.full((num_envs, 6), nan)
+        self.all = torch.ones(num_envs, dtype=torch.bool)
+        self.imu = Imu(
+            cfg,
+            attitude=self.attitude,
+            lin_vel=self.lin_vel,
+            ang_vel=self.ang_vel,
+            measurement_out=self.measurement,
+            dt=dt,
+            gravity=G,
+            seed=seed,
+        )
+        for tensor in (self.imu.bias, self.imu.mount_attitude, self.imu._point_vel):
+            tensor.fill_(nan)
+
+    def reset(self) -> Tensor:
+        self.imu.reset(self.all)
+        return self.measurement
+
+    def sample(self, attitude: Tensor, lin_vel: Tensor, ang_vel: Tensor) -> Tensor:
+        """Return the sample (E, 6) at a new state."""
+        self.move(attitude, lin_vel, ang_vel)
+        self.imu.measure()
+        return self.measurement
+
+    def move(self, attitude: Tensor, lin_vel: Tensor, ang_vel: Tensor) -> None:
+        self.attitude.copy_(attitude)
+        self.lin_vel.copy_(lin_vel)
+        self.ang_vel.copy_(ang_vel)
+
+    def memory(self) -> list[Tensor]:
+        imu = self.imu
+        return [self.measurement, imu.bias, imu.mount_attitude, imu._point_vel, imu._sample]

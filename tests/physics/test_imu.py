@@ -1,0 +1,340 @@
+"""The inertial measurement unit: signed closed forms, order of convergence, and the statistics of its errors.
+
+The kernel is float32: without noise, a tolerance is the round-off of a velocity difference, 1e-7 |v| / dt, unless stated.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+from math import cos, nan, pi, radians, sin, sqrt
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym.config.robot import InitialStateCfg, RobotCfg
+from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.errors import ConfigError, ShapeError
+from aerial_gym.math.quaternion import (
+    euler_from_quat,
+    quat_conjugate,
+    quat_exp,
+    quat_from_euler,
+    quat_multiply,
+    quat_rotate,
+    quat_rotate_inverse,
+)
+from aerial_gym.physics import (
+    BodyState,
+    Model,
+    PhysicsBackend,
+    TorchBackend,
+    WarpBackend,
+    accelerations,
+    build_model,
+    state_at_rest,
+    vehicle_from_config,
+)
+from aerial_gym.robots import ROBOTS
+from aerial_gym.robots.derived import DerivedStates
+from aerial_gym.robots.initial_state import InitialState
+from aerial_gym.sensors.allan import record_at_rest
+from aerial_gym.sensors.imu import Imu
+from tests.physics.imu_rig import IDEAL, NOISY, ZERO, G, Rig
+from tests.physics.vehicles import lopsided_robot, random_state
+
+QUADROTOR = ROBOTS.get("base_quadrotor")
+
+
+def close(found: Tensor, expected: object, atol: float) -> None:
+    torch.testing.assert_close(
+        found.double(), torch.as_tensor(expected, dtype=torch.float64).expand_as(found), atol=atol, rtol=0.0
+    )
+
+
+@pytest.mark.parametrize("moment", ["reset", "step"])
+def test_hover_is_gravity_upwards_in_the_axes_of_the_body(moment: str) -> None:
+    """Level: +g on z. Rolled by a: R^T g z = g (0, sin a, cos a). Pitched by a (nose down): g (-sin a, 0, cos a)."""
+    a = 0.3
+    rig = Rig(IDEAL, 3)
+    rig.attitude.copy_(quat_from_euler(torch.tensor([ZERO, (a, 0.0, 1.0), (0.0, a, -2.0)])))
+    rig.reset()
+    if moment == "step":
+        rig.measurement.fill_(nan)
+        rig.imu.measure()
+    close(rig.measurement[:, :3], [[0, 0, G], [0, G * sin(a), G * cos(a)], [-G * sin(a), 0, G * cos(a)]], 2e-6)
+    close(rig.measurement[:, 3:], 0.0, 0.0)
+
+
+def test_free_fall_is_weightless() -> None:
+    """v = v0 - g t, tumbling about the origin: nothing is felt there. The round-off is that of v = 3 m/s over 10 ms."""
+    rig = Rig(IDEAL, 1)
+    velocity, turn = torch.tensor([[3.0, -2.0, 1.0]]), torch.tensor([[3.0, -1.0, 2.0]])
+    rig.move(rig.attitude, velocity, turn)
+    rig.reset()
+    found = rig.sample(quat_exp(0.01 * turn), velocity - torch.tensor([0.0, 0.0, G * 0.01]), turn)
+    close(found[:, :3], 0.0, 3.0 * 1.2e-7 / 0.01)
+    close(found[:, 3:], turn, 0.0)
+
+
+def test_a_spinning_lever_arm_feels_the_pull_inwards() -> None:
+    """Steady w about z with the IMU at (r, 0, 0): (-w² r, 0, g). The chord is shorter than the arc: sinc(w dt/2) = 1 - 4e-6."""
+    w, r, dt = 5.0, 0.2, 0.002
+    rig = Rig(replace(IDEAL, position=(r, 0.0, 0.0)), dt=dt)
+    turn = torch.tensor([[0.0, 0.0, w]])
+    rig.move(rig.attitude, torch.zeros(1, 3), turn)
+    rig.reset()
+    found = rig.sample(quat_exp(dt * turn), torch.zeros(1, 3), turn)
+    close(found[0], [-w * w * r, 0.0, G, 0.0, 0.0, w], (w * dt / 2) ** 2 / 6 * w * w * r + 1.2e-7 * w * r / dt)
+
+
+def test_an_angular_acceleration_pushes_the_lever_arm_forwards() -> None:
+    """From rest with alpha about z and the IMU at (r, 0, 0): alpha x r = (0, alpha r, 0), and soon -(alpha dt/2)² r."""
+    alpha, r, dt = 40.0, 0.2, 0.01
+    rig = Rig(replace(IDEAL, position=(r, 0.0, 0.0)), dt=dt)
+    rig.reset()
+    axis = torch.tensor([[0.0, 0.0, 1.0]])
+    found = rig.sample(quat_exp(0.5 * alpha * dt**2 * axis), torch.zeros(1, 3), alpha * dt * axis)
+    close(found[0, :3], [0.0, alpha * r, G], 0.5 * (alpha * dt) ** 2 * r)
+    assert found[0, 0] < 0.0
+
+
+def wobble(t: Tensor, r: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return attitude, velocity, angular velocity and the specific force at r of a smooth motion at times t (E,), float64.
+
+    The body turns about a fixed, tilted axis n by ``theta = 3 t + sin(4 t)``, its origin moves as ``v = (sin 5t, cos 3t, t²)``.
+    Closed form: ``f = R^T (a_o + g z) + theta'' n x r + theta'² n x (n x r)``.
+    """
+    t = t.double().unsqueeze(-1)
+    n = torch.tensor([2.0, -1.0, 2.0], dtype=torch.float64).expand(len(t), 3) / 3.0
+    start = quat_from_euler(torch.tensor([0.4, -0.6, 1.1], dtype=torch.float64)).expand(len(t), 4)
+    attitude = quat_multiply(start, quat_exp((3.0 * t + torch.sin(4.0 * t)) * n))
+    rate, acceleration = 3.0 + 4.0 * torch.cos(4.0 * t), -16.0 * torch.sin(4.0 * t)
+    velocity = torch.cat((torch.sin(5.0 * t), torch.cos(3.0 * t), t * t), dim=-1)
+    felt = torch.cat((5.0 * torch.cos(5.0 * t), -3.0 * torch.sin(3.0 * t), 2.0 * t + G), dim=-1)
+    lever = torch.linalg.cross(n, r.double().expand_as(n))
+    force = quat_rotate_inverse(attitude, felt) + acceleration * lever + rate**2 * torch.linalg.cross(n, lever)
+    return attitude, velocity, rate * n, force
+
+
+@pytest.mark.parametrize("position", [ZERO, (0.3, -0.2, 0.1)])
+def test_specific_force_is_of_second_order_at_the_middle_of_the_step(position: tuple[float, float, float]) -> None:
+    """The root mean square error against the closed form at t - dt/2 falls with dt² as dt is halved."""
+    t, r = torch.linspace(0.5, 2.0, 200), torch.tensor(position)
+    steps, errors = (0.08, 0.04, 0.02), []
+    for dt in steps:
+        rig = Rig(replace(IDEAL, position=position), len(t), dt=dt)
+        rig.move(*wobble(t.double() - 2.0 * dt, r)[:3])
+        rig.reset()
+        rig.sample(*wobble(t.double() - dt, r)[:3])
+        found = rig.sample(*wobble(t, r)[:3])
+        errors.append((found[:, :3] - wobble(t.double() - 0.5 * dt, r)[3]).square().mean().sqrt())
+        close(found[:, 3:], wobble(t, r)[2], 1e-6)
+    assert [torch.log2(a / b).item() for a, b in pairwise(errors)] == pytest.approx([2.0, 2.0], abs=0.1)
+
+
+def test_the_mount_turns_the_axes() -> None:
+    """An IMU yawed by +90 degrees has its x along body y: body (0, f, g) reads (f, 0, g), a roll rate p reads -p on y."""
+    dt, f, p = 0.01, 2.0, 1e-3
+    rig = Rig(replace(IDEAL, euler=(0.0, 0.0, pi / 2)), dt=dt)
+    rig.reset()
+    found = rig.sample(rig.attitude, torch.tensor([[0.0, f * dt, 0.0]]), torch.tensor([[p, 0.0, 0.0]]))
+    close(found[0], [f, 0.0, G, 0.0, -p, 0.0], G * p * dt)
+    upside_down = Rig(replace(IDEAL, euler=(pi, 0.0, 0.0)))
+    close(upside_down.reset()[0, :3], [0.0, 0.0, -G], 2e-6)
+
+
+def felt_at(model: Model, state: BodyState, r: Tensor) -> Tensor:
+    """Return ``f_o + alpha x r + w x (w x r)``, (E, 3), from forces and torques: no velocity is differentiated."""
+    felt, w = accelerations(model, state), state.ang_vel
+    lever = r.to(w.dtype).expand_as(w)
+    turning = torch.linalg.cross(felt.ang_acc, lever) + torch.linalg.cross(w, torch.linalg.cross(w, lever))
+    return felt.specific_force + turning
+
+
+def flight_error(backend: PhysicsBackend, robot: RobotCfg, dtype: torch.dtype, r: Tensor, dt: float) -> Tensor:
+    """Return the root mean square error of the specific force over one step of 64 vehicles that tumble."""
+    vehicle = vehicle_from_config(robot, num_envs=64, dtype=dtype)
+    model = build_model(vehicle)
+    backend.allocate(model, make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, G), integrator="rk4")
+    hover = float(vehicle.speed_high[0, 0]) * 0.5
+    motion = random_state(64, rotor_speed=hover)
+    state = BodyState(**{name: tensor.to(dtype) for name, tensor in vars(motion).items()})
+    command = torch.full((64, 4), 1.2 * hover, dtype=dtype)
+    rig = Rig(replace(IDEAL, position=tuple(r.tolist())), 64, dt=dt)
+    backend.step(state, command, 0.1 - 0.5 * dt, 1)
+    rig.move(state.attitude, state.lin_vel, state.ang_vel)
+    rig.reset()
+    backend.step(state, command, 0.5 * dt, 1)
+    expected = felt_at(model, state, r)
+    backend.step(state, command, 0.5 * dt, 1)
+    found = rig.sample(state.attitude, state.lin_vel, state.ang_vel)
+    return (found[:, :3] - expected).square().mean().sqrt()
+
+
+@pytest.mark.parametrize("position", [ZERO, (0.05, 0.1, -0.15)])
+@pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
+def test_specific_force_agrees_with_the_equations_of_motion(
+    backend: type, position: tuple[float, float, float]
+) -> None:
+    """Force over mass in the middle of a step against the IMU: the error falls with dt², for both backends."""
+    robot, dtype = (lopsided_robot(), torch.float64) if backend is TorchBackend else (QUADROTOR, torch.float32)
+    errors = [flight_error(backend(), robot, dtype, torch.tensor(position), dt) for dt in (0.02, 0.01, 0.005)]
+    assert [torch.log2(a / b).item() for a, b in pairwise(errors)] == pytest.approx([2.0, 2.0], abs=0.1)
+
+
+def assert_spread(draws: Tensor, std: Tensor) -> None:
+    """Mean 0 and this standard deviation, per channel of (n, ...), within 5 standard errors."""
+    count = len(draws)
+    assert (draws.mean(0).abs() <= 5.0 * std / count**0.5).all()
+    assert ((draws.std(0) / std - 1.0).abs() <= 5.0 / (2.0 * count) ** 0.5).all()
+
+
+@pytest.mark.parametrize("dt", [0.002, 0.05])
+def test_white_noise_has_its_density_at_every_rate(dt: float) -> None:
+    """Standard deviation sigma / sqrt(dt), normal (68.27 % within one), and no channel knows of another or of the next."""
+    cfg = replace(IDEAL, accel_noise_density=NOISY.accel_noise_density, gyro_noise_density=NOISY.gyro_noise_density)
+    samples = record_at_rest(cfg, num_sensors=2000, num_samples=11, dt=dt, seed=1)
+    samples[..., 2] -= G
+    std = torch.tensor([*cfg.accel_noise_density, *cfg.gyro_noise_density]) / sqrt(dt)
+    draws = samples.reshape(-1, 6)
+    assert_spread(draws, std)
+    share = (draws.abs() < std).float().mean(0)
+    assert ((share - 0.6827).abs() <= 5.0 * sqrt(0.6827 * 0.3173 / len(draws))).all()
+    pairs = torch.cat((samples[:-1], samples[1:], samples[:-1].roll(1, dims=1)), dim=-1).reshape(-1, 18)
+    assert (torch.corrcoef(pairs.T) - torch.eye(18)).abs().max() < 5.0 / len(pairs) ** 0.5
+
+
+@pytest.mark.parametrize(("dt", "steps"), [(0.01, 40), (0.1, 4)])
+def test_a_bias_walks_by_its_density_at_every_rate(dt: float, steps: int) -> None:
+    """Variance sigma_b² t after t = 0.4 s; the bias is added to what is measured."""
+    rig = Rig(replace(IDEAL, accel_bias_walk=NOISY.accel_bias_walk, gyro_bias_walk=NOISY.gyro_bias_walk), 20_000, dt=dt)
+    rig.reset()
+    for _ in range(steps):
+        rig.imu.measure()
+    assert_spread(rig.imu.bias, torch.tensor([*NOISY.accel_bias_walk, *NOISY.gyro_bias_walk]) * sqrt(dt * steps))
+    close(rig.measurement - rig.imu.bias, [0.0, 0.0, G, 0.0, 0.0, 0.0], 2e-6)
+
+
+def test_noise_and_walk_are_independent() -> None:
+    """No correlation among the 12 draws of a sample."""
+    count = 20_000
+    rig = Rig(replace(NOISY, misalignment_deg=ZERO), count)
+    rig.reset()
+    before = rig.imu.bias.clone()
+    rig.imu.measure()
+    draws = torch.cat((rig.imu.bias - before, rig.measurement - rig.imu.bias), dim=-1)
+    assert (torch.corrcoef(draws.T) - torch.eye(12)).abs().max() < 5.0 / count**0.5
+
+
+def test_a_reset_draws_bias_and_misalignment_uniformly() -> None:
+    """Within +- their bounds, mean 0, standard deviation bound / sqrt(3), independent of each other and of initial states."""
+    seed, count = 5, 20_000
+    rig = Rig(replace(NOISY, euler=(0.5, -0.4, 2.0)), count, seed=seed)
+    measured = rig.reset()
+    nominal = quat_conjugate(quat_from_euler(torch.tensor([0.5, -0.4, 2.0]))).expand(count, 4)
+    turn = euler_from_quat(quat_multiply(nominal, rig.imu.mount_attitude))
+    draws = torch.cat((rig.imu.bias, turn), dim=-1)
+    bound = torch.tensor([*NOISY.accel_initial_bias, *NOISY.gyro_initial_bias, *map(radians, NOISY.misalignment_deg)])
+    assert (draws.abs() <= bound + 1e-6).all()
+    assert (draws.abs().amax(0) > 0.99 * bound).all()
+    assert_spread(draws, bound / sqrt(3.0))
+    upwards = torch.tensor([0.0, 0.0, G]).expand(count, 3)
+    felt = torch.cat((quat_rotate_inverse(rig.imu.mount_attitude, upwards), torch.zeros(count, 3)), dim=-1)
+    noise = (measured - rig.imu.bias - felt).square()  # a normal draw depends on the square of its first uniform one
+    columns = torch.cat((draws, draws.roll(1, dims=0), noise, initial_states(seed, count)), dim=-1)
+    assert (torch.corrcoef(columns.T) - torch.eye(columns.shape[1])).abs().max() < 5.0 / count**0.5
+
+
+def initial_states(seed: int, count: int) -> Tensor:
+    """Return the first initial states that ``aerial_gym.robots`` draws with a seed, (E, 12)."""
+    names = ("position_ratio", "euler", "lin_vel", "ang_vel")
+    ranges = {f"{name}_{end}": (value, value, value) for name in names for end, value in (("low", -0.1), ("high", 0.1))}
+    state = state_at_rest(count, 4, device=torch.device("cpu"), dtype=torch.float32)
+    widths = {"ang_vel_world": 3, "lin_vel_body": 3, "vehicle_attitude": 4, "vehicle_lin_vel": 3, "euler": 3}
+    derived = {name: torch.zeros(count, width) for name, width in (*widths.items(), ("root_state", 13))}
+    initial = InitialState(
+        InitialStateCfg(**ranges),
+        state,
+        DerivedStates(state, **derived),
+        bounds=(torch.zeros(count, 3), torch.ones(count, 3)),
+        rest_speed=torch.zeros(4),
+        actions=torch.zeros(count, 4),
+        prev_actions=torch.zeros(count, 4),
+        seed=seed,
+    )
+    initial.reset(torch.ones(count, dtype=torch.bool))
+    return torch.cat((state.position, derived["euler"], state.lin_vel, state.ang_vel), dim=-1)
+
+
+def test_sensors_saturate() -> None:
+    """Beyond the range a channel holds the range, with its sign."""
+    rig = Rig(replace(IDEAL, accel_range=5.0, gyro_range=2.0))
+    rig.move(rig.attitude, rig.lin_vel, torch.tensor([[3.0, -3.0, 1.0]]))
+    assert rig.reset().tolist() == [[0.0, 0.0, 5.0, 2.0, -2.0, 1.0]]
+    falling = rig.lin_vel - torch.tensor([0.0, 0.0, 1.0])
+    found = rig.sample(rig.attitude, falling, torch.tensor([[1.0, 0.0, -9.0]]))
+    assert found[0, 2] == -5.0
+    assert found[0, 3:].tolist() == [1.0, 0.0, -2.0]
+
+
+def test_a_first_sample_is_that_of_a_vehicle_without_acceleration() -> None:
+    """However fast it moves and turns: R^T g z, and the angular velocity; the next sample differs from this state."""
+    rig = Rig(replace(IDEAL, position=(0.3, 0.2, 0.1)), dt=0.01)
+    attitude, turn = quat_from_euler(torch.tensor([[0.3, -0.2, 1.0]])), torch.tensor([[1.0, -2.0, 3.0]])
+    rig.move(attitude, torch.tensor([[5.0, -4.0, 3.0]]), turn)
+    upwards = quat_rotate_inverse(attitude, torch.tensor([[0.0, 0.0, G]]))
+    close(rig.reset(), torch.cat((upwards, turn), dim=-1), 3e-6)
+    point = quat_rotate(attitude, torch.linalg.cross(turn, torch.tensor([[0.3, 0.2, 0.1]])))
+    close(rig.imu._point_vel, torch.tensor([[5.0, -4.0, 3.0]]) + point, 1e-6)
+
+
+def test_reset_leaves_other_rows_bit_for_bit() -> None:
+    rig = Rig(NOISY, 8)
+    rig.reset()
+    rig.imu.measure()
+    mask = torch.tensor([True, False] * 4)
+    before = [tensor.clone() for tensor in rig.memory()]
+    rig.imu.reset(mask)
+    for old, new in zip(before, rig.memory(), strict=True):
+        assert torch.equal(new[~mask], old[~mask])
+        assert torch.isfinite(new).all()
+    for old, new in zip(before[:3], rig.memory()[:3], strict=True):
+        assert (new[mask] != old[mask]).any(-1).all()
+
+
+def test_same_seed_same_noise_and_restart() -> None:
+    first, second, other = (record_at_rest(NOISY, num_sensors=4, num_samples=5, dt=0.01, seed=s) for s in (3, 3, 4))
+    assert torch.equal(first, second)
+    assert (first != other).all()
+    rig = Rig(NOISY, 4, seed=3)
+    for _ in range(2):
+        rig.imu.restart(3)
+        rig.reset()
+        for row in first:
+            rig.imu.measure()
+            assert torch.equal(rig.measurement, row)
+
+
+def test_an_environment_does_not_depend_on_the_others() -> None:
+    """Eight environments, and the same eight among 64 of which others are reset in between, are equal bit for bit."""
+    few, many = Rig(NOISY, 8), Rig(NOISY, 64)
+    few.reset()
+    many.reset()
+    late = torch.arange(64) >= 8
+    for _ in range(3):
+        few.imu.measure()
+        many.imu.measure()
+        many.imu.reset(late)
+        for a, b in zip(few.memory(), many.memory(), strict=True):
+            assert torch.equal(a, b[:8])
+
+
+def test_tensors_and_times_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"dt = 0.0: must be > 0 and finite"):
+        Rig(IDEAL, dt=0.0)
+    good = {"attitude": torch.zeros(2, 4), "lin_vel": torch.zeros(2, 3), "ang_vel": torch.zeros(2, 3)}
+    good |= {"measurement_out": torch.zeros(2, 6)}
+    for name in good:
+        bad = {**good, name: torch.zeros(2, 5)}
+        with pytest.raises(ShapeError, match=rf"{name} is \(2, 5\)"):
+            Imu(IDEAL, **bad, dt=0.01, gravity=G, seed=0)

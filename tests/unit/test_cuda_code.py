@@ -1,0 +1,52 @@
+"""The kernels that only a GPU runs are at least compiled for one, on any machine: Warp brings the compiler along."""
+
+from pathlib import Path
+
+import pytest
+import torch
+import warp as wp
+
+from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.interop import start_warp
+from aerial_gym.physics import EFFECTS, WarpBackend, build_model, vehicle_from_config
+from aerial_gym.robots import ROBOTS, derived, initial_state
+from aerial_gym.sensors import imu
+from aerial_gym.sensors.pixels import Outputs
+from aerial_gym.sensors.ray_kernels import make_warp_kernel
+
+ARCHITECTURE = 90
+"""Compute capability: Hopper."""
+
+
+def compile_for_gpu(module, folder: Path) -> None:
+    start_warp()
+    wp.compile_aot_module(module, arch=ARCHITECTURE, module_dir=folder)
+    assert any(folder.iterdir())
+
+
+@pytest.mark.parametrize("rich", [False, True])
+def test_ray_kernels_compile(rich: bool, tmp_path: Path) -> None:
+    frame = "world" if rich else None
+    outputs = Outputs(noise=rich, segmentation=rich, points=frame, normals=frame, face_ids=rich, stereo=rich)
+    compile_for_gpu(make_warp_kernel(outputs).module, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("controller", "integrator"), [("rotor_speed_control", "euler"), ("lee_velocity_control", "rk4")]
+)
+def test_physics_kernels_compile(controller: str, integrator: str, tmp_path: Path) -> None:
+    robot = ROBOTS.get("base_quadrotor")
+    vehicle = vehicle_from_config(robot, num_envs=2)
+    effects = []
+    for name in EFFECTS.names():
+        effect = EFFECTS.get(name)
+        effects.append((effect, torch.tensor(effect.neutral(robot)).expand(2, -1).clone()))
+    backend = WarpBackend()
+    law = make_controller(CONTROLLERS.get(controller), vehicle, 9.81)
+    backend.allocate(build_model(vehicle, effects), law, integrator=integrator)
+    compile_for_gpu(backend.kernel.module, tmp_path)
+
+
+@pytest.mark.parametrize("module", [derived, initial_state, imu])
+def test_robot_kernels_compile(module, tmp_path: Path) -> None:
+    compile_for_gpu(wp.get_module(module.__name__), tmp_path)

@@ -1,0 +1,69 @@
+"""Inertial measurement units: shipped values, and what is refused with which words."""
+
+from dataclasses import replace
+from math import inf, nan
+
+import pytest
+
+from aerial_gym.config import build, to_mapping
+from aerial_gym.config.imu import ImuCfg, load_imu
+from aerial_gym.errors import ConfigError, UnknownNameError
+
+G = 9.80665
+PI_180 = 3.141592653589793 / 180.0
+NAMES = ("base_imu", "bmi088", "vn100")
+
+
+def test_shipped_imus_hold_the_values_of_aerial_gym() -> None:
+    """parity.md 3.6, and the densities of the data sheets per sqrt(Hz): VN-100 and BMI088."""
+    base, vn100, bmi088 = (load_imu(name) for name in ("base_imu", "vn100", "bmi088"))
+    assert base.accel_noise_density == pytest.approx([0.001688956] * 3, rel=1e-6)
+    assert base.gyro_noise_density == pytest.approx([0.001067934] * 3, rel=1e-6)
+    assert vn100.accel_noise_density == pytest.approx([0.14e-3 * G] * 3, rel=1e-6)
+    assert vn100.gyro_noise_density == pytest.approx([0.0035 * PI_180] * 3, rel=1e-6)
+    assert bmi088.accel_noise_density == pytest.approx([160e-6 * G, 160e-6 * G, 190e-6 * G], rel=1e-6)
+    assert bmi088.gyro_noise_density == pytest.approx([0.014 * PI_180] * 3, rel=1e-6)
+    for cfg in (base, vn100):
+        assert cfg.accel_bias_walk == pytest.approx([9.7828e-7] * 3, rel=1e-5)
+        assert cfg.gyro_bias_walk == pytest.approx([2.65416e-5] * 3, rel=1e-5)
+    assert bmi088.accel_bias_walk == pytest.approx([0.001356466] * 3, rel=1e-6)
+    assert bmi088.gyro_bias_walk == pytest.approx([1.435270e-5] * 3, rel=1e-6)
+    for cfg, misalignment in ((base, 0.0), (vn100, 2.0), (bmi088, 2.0)):
+        assert cfg.misalignment_deg == (misalignment,) * 3
+        assert cfg.accel_initial_bias == cfg.gyro_initial_bias == (1e-3,) * 3
+        assert (cfg.accel_range, cfg.gyro_range) == (100.0, 10.0)
+        assert cfg.position == cfg.euler == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_imu_survives_the_way_to_yaml_and_back(name: str) -> None:
+    cfg = load_imu(name)
+    assert build(ImuCfg, to_mapping(cfg), where="test") == cfg
+
+
+def test_unknown_names_list_what_exists() -> None:
+    with pytest.raises(UnknownNameError, match="no IMU 'vn10'. Known: base_imu, bmi088, vn100"):
+        load_imu("vn10")
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"accel_range": 0.0}, r"ImuCfg.accel_range = 0.0: must be > 0 and finite"),
+        ({"gyro_range": inf}, r"ImuCfg.gyro_range = inf: must be > 0 and finite"),
+        ({"position": (0.0, nan, 0.0)}, r"ImuCfg.position = .*: must be finite"),
+        ({"euler": (0.0, 90.0, 0.0)}, r"ImuCfg.euler = .*: must lie within \+-2 pi. Angles are in radians"),
+        ({"euler": (nan, 0.0, 0.0)}, r"ImuCfg.euler = "),
+        ({"misalignment_deg": (0.0, 46.0, 0.0)}, r"ImuCfg.misalignment_deg = .*: must lie within 0 and 45 degrees"),
+        ({"misalignment_deg": (0.0, -1.0, 0.0)}, r"ImuCfg.misalignment_deg"),
+        *(
+            ({f"{kind}_{name}": (0.0, bad, 0.0)}, rf"ImuCfg.{kind}_{name} = .*: must be >= 0 and finite")
+            for kind in ("accel", "gyro")
+            for name in ("noise_density", "bias_walk", "initial_bias")
+            for bad in (-1e-9, nan, inf)
+        ),
+    ],
+)
+def test_impossible_imus_are_refused(fields: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        replace(load_imu("vn100"), **fields)
