@@ -3,17 +3,22 @@
 from aerial_gym.assets.asset_manager import AssetManager
 from aerial_gym.assets.catalog import ENVIRONMENTS
 from aerial_gym.assets.collision import CollisionTest
+from aerial_gym.assets.families import FAMILIES, family_shapes
 from aerial_gym.assets.placement import bounds_ranges, draw_bounds
 from aerial_gym.assets.scene import PARKED_Z, Scene
 from aerial_gym.assets.shapes import load_mesh
+from aerial_gym.assets.urdf import load_urdf
 
 __all__ = [
     "ENVIRONMENTS",
+    "FAMILIES",
     "PARKED_Z",
     "AssetManager",
     "CollisionTest",
     "Scene",
     "bounds_ranges",
     "draw_bounds",
+    "family_shapes",
     "load_mesh",
+    "load_urdf",
 ]

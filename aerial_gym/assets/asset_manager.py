@@ -6,14 +6,22 @@ Frames: world of each environment, z up. Letters: E environments, A instances.
 import torch
 from torch import Tensor
 
-from aerial_gym.assets.placement import draw_kinds, draw_states, placement_ranges
+from aerial_gym.assets.asset_table import asset_table
+from aerial_gym.assets.clearance import GOAL, START, Clearance
+from aerial_gym.assets.families import with_shapes
+from aerial_gym.assets.motion import Motion
+from aerial_gym.assets.obstacles import view_obstacles
+from aerial_gym.assets.placement import Placement, draw_kinds
 from aerial_gym.assets.scene import PARKED_Z, Scene
 from aerial_gym.assets.views import check_tensor
 from aerial_gym.config.environment import FIRST_INSTANCE_ID, EnvironmentCfg
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 
 _OWNER = "AssetManager"
+
+_STREAM = 0x0B57AC1E
+"""Added to the seed, so that obstacles and robots, which are drawn alike, have different numbers."""
 
 
 class AssetManager:
@@ -30,6 +38,7 @@ class AssetManager:
         bounds_min: Tensor,
         bounds_max: Tensor,
         asset_state: Tensor | None = None,
+        robot_radius: float = 0.0,
     ) -> None:
         """Draw which obstacles each environment has, build the scene and park everything until the first reset.
 
@@ -38,27 +47,50 @@ class AssetManager:
             gtd: Receives this manager's keys.
             num_envs: Number of environments E.
             device: Where the tensors are.
-            generator: Source of all draws, on that device; kept.
+            generator: Source of the draws made here, on that device; its seed is that of all resets until ``restart``.
             bounds_min: Lower corner of the bounds [m], world, (E, 3); read at every reset.
             bounds_max: Upper corner [m], world, (E, 3).
             asset_state: Memory for the obstacle states, float32, (E, A, 13); allocated if not given.
+            robot_radius: How far the robot reaches from its origin [m]; ``cfg.clearance`` is counted from there.
 
         Raises:
-            ConfigError: If a mesh file cannot be used.
+            ConfigError: If a mesh or URDF file cannot be used.
+            UnknownNameError: If there is no such family of shapes.
             ShapeError: If a tensor does not fit.
         """
         self.cfg, self.num_assets = cfg, cfg.num_assets
-        self._num_envs, self._device, self._generator = num_envs, torch.device(device), generator
+        self._num_envs, self._device = num_envs, torch.device(device)
         for name, corner in (("bounds_min", bounds_min), ("bounds_max", bounds_max)):
             check_tensor(name, corner, (num_envs, 3), device=self._device)
-        self._bounds_min, self._bounds_max = bounds_min, bounds_max
+        self._assets = with_shapes(cfg.assets)
         self._declare(gtd, asset_state)
-        asset, choice = draw_kinds(cfg.assets, num_envs=num_envs, generator=generator)
-        self._ranges = placement_ranges(cfg.assets, asset, device=self._device)
+        asset, choice = draw_kinds(self._assets, num_envs=num_envs, generator=generator)
         self._rank = torch.arange(self.num_assets, device=self._device)
         self.scene = self._build_scene(asset, choice)
+        self._mask = torch.zeros(num_envs, dtype=torch.bool, device=self._device)
+        self._seed = torch.zeros(1, dtype=torch.int32, device=self._device)
+        self._episode = torch.zeros(num_envs, dtype=torch.int32, device=self._device)
+        obstacles = view_obstacles(
+            self._state,
+            self._waypoints,
+            table=asset_table(self._assets, device=self._device),
+            asset=asset,
+            bounds=(bounds_min, bounds_max),
+            seed=self._seed,
+            episode=self._episode,
+        )
+        self._placement = Placement(obstacles, mask=self._mask, num_kept=cfg.num_kept, num_others=self._num_obstacles)
+        self._motion = Motion(obstacles, twists=self._env_actions) if cfg.moves else None
+        wanted = cfg.clearance > 0.0 and self.num_assets > 0
+        self._clearance = Clearance(self.scene, obstacles, room=cfg.clearance + robot_radius) if wanted else None
         self.set_num_obstacles(self.num_assets - cfg.num_kept)
         self._park_all()
+        self.restart(generator.initial_seed())
+
+    def restart(self, seed: int) -> None:
+        """Begin the draws of a seed anew; the choice of obstacles stays."""
+        self._seed.fill_((seed + _STREAM) % 2**31)
+        self._episode.zero_()
 
     def set_num_obstacles(self, count: int) -> None:
         """Make ``count`` of the assets that are not kept present from the next reset on; the rest will be parked.
@@ -74,16 +106,66 @@ class AssetManager:
         self._num_obstacles.fill_(count)
 
     def reset(self, mask: Tensor) -> None:
-        """Place the obstacles of masked environments anew and at rest; other rows are bit-for-bit untouched.
+        """Place the obstacles of masked environments anew, with new twists; other rows are bit-for-bit untouched.
 
         Args:
             mask: Environments to reset, bool, (E,).
         """
+        if not self.num_assets:
+            return
         check_tensor("mask", mask, (self._num_envs,), device=self._device, dtype=torch.bool)
-        placed = draw_states(self._ranges, self._bounds_min, self._bounds_max, generator=self._generator)
-        present = self._rank < self.cfg.num_kept + self._num_obstacles
-        placed[..., 2] = torch.where(present, placed[..., 2], PARKED_Z)
-        self._state.copy_(torch.where(mask[:, None, None], placed, self._state))
+        self._mask.copy_(mask)
+        self._placement.draw()
+        if self._motion is not None:
+            self._env_actions.masked_fill_(mask[:, None, None], 0.0)
+            self._prev_env_actions.masked_fill_(mask[:, None, None], 0.0)
+
+    def take_actions(self, env_actions: Tensor) -> None:
+        """Give the obstacles that move by twist new ones, and keep those before in ``prev_env_actions``.
+
+        Args:
+            env_actions: Velocity [m/s] and angular velocity [rad/s], world, (E, A, 6); rows of other obstacles are not used.
+
+        Raises:
+            ConfigError: If nothing here moves.
+            ShapeError: If the shape is another.
+        """
+        if self._motion is None:
+            raise ConfigError("env_actions: nothing moves in this environment. Give an asset motion: {kind: twist}")
+        shape = tuple(self._env_actions.shape)
+        if tuple(env_actions.shape) != shape:
+            raise ShapeError(f"env_actions has shape {tuple(env_actions.shape)}, expected (E, A, 6) = {shape}")
+        self._prev_env_actions.copy_(self._env_actions)
+        self._env_actions.copy_(env_actions)
+        self._motion.take_twists()
+
+    def step(self, dt: float) -> None:
+        """Move the obstacles of assets that move by ``dt`` [s]; launched on torch's current stream, not waited for."""
+        if self._motion is not None:
+            self._motion.step(dt)
+
+    def clear_start(self, mask: Tensor, position: Tensor) -> None:
+        """Draw again, or park, the obstacles of masked environments that are too close to where the robot starts.
+
+        Afterwards every obstacle whose place is drawn is at least ``cfg.clearance`` from the robot. Call it after
+        ``reset``; nothing happens where the environment asks for no clearance.
+
+        Args:
+            mask: Environments that begin an episode, bool, (E,).
+            position: Origin of the robot [m], world, (E, 3).
+        """
+        if self._clearance is not None:
+            self._clearance.clear(mask, position, which=START)
+
+    def clear_goal(self, mask: Tensor, position: Tensor) -> None:
+        """Do the same around a goal, so that a robot there has the room; the room around the start stays.
+
+        Args:
+            mask: Environments with a new goal, bool, (E,).
+            position: Goal [m], world, (E, 3).
+        """
+        if self._clearance is not None:
+            self._clearance.clear(mask, position, which=GOAL)
 
     def _declare(self, gtd: GlobalTensorDictionary, asset_state: Tensor | None) -> None:
         gtd.define_size("A", self.num_assets)
@@ -109,9 +191,18 @@ class AssetManager:
         self._num_obstacles = declare(
             "num_obstacles_in_env", (1,), "-", "assets not always kept that the next reset places", None, torch.int32
         )
+        rows = ("E", "A")
+        if self.cfg.moves:
+            unit, meaning = "m/s, rad/s", "twist v, w asked for, of obstacles that move by twist"
+            self._env_actions = declare("env_actions", (*rows, 6), unit, meaning, None, real)
+            self._prev_env_actions = declare("prev_env_actions", (*rows, 6), unit, f"{meaning}, before", None, real)
+        self._waypoints = torch.zeros(0, 0, 2, 3, device=self._device)
+        if any(asset.motion.kind == "waypoints" for asset in self.cfg.assets):
+            meaning = "ends of the path of obstacles with waypoints"
+            self._waypoints = declare("obstacle_waypoints", (*rows, 2, 3), "m", meaning, None, real)
 
     def _build_scene(self, asset: Tensor, choice: Tensor) -> Scene:
-        assets, device = self.cfg.assets, self._device
+        assets, device = self._assets, self._device
         counts = torch.tensor([len(a.shapes) for a in assets], device=device, dtype=torch.int64)
         first = counts.cumsum(0) - counts
         semantic = torch.tensor([a.semantic_id for a in assets], device=device, dtype=torch.int64)[asset]

@@ -1,36 +1,20 @@
-"""Where a reset puts bounds and obstacles: pure functions of configurations, tensors and a generator.
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
+# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
+"""Where a reset puts bounds and obstacles, and which obstacles an environment has.
 
 Frames: world of each environment, z up. Letters: E environments, A instances.
 """
 
-from dataclasses import dataclass
-
 import torch
+import warp as wp
 from torch import Tensor
 
+from aerial_gym.assets.obstacles import Obstacles, draw_instance
+from aerial_gym.assets.scene import PARKED_Z
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg
-from aerial_gym.math.quaternion import quat_from_euler
+from aerial_gym.interop import on_torch_stream
 from aerial_gym.math.random import uniform
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlacementRanges:
-    """From what the pose of every instance is drawn."""
-
-    ratio_low: Tensor
-    """Lowest position as a share of the bounds, (E, A, 3)."""
-
-    ratio_high: Tensor
-    """Highest position, likewise, (E, A, 3)."""
-
-    offset: Tensor
-    """Added to the position [m], world, (E, A, 3)."""
-
-    euler_low: Tensor
-    """Lowest ZYX roll, pitch, yaw [rad], (E, A, 3)."""
-
-    euler_high: Tensor
-    """Highest roll, pitch, yaw [rad], (E, A, 3)."""
 
 
 def bounds_ranges(cfg: EnvironmentCfg, *, device: torch.device) -> Tensor:
@@ -64,35 +48,75 @@ def draw_kinds(assets: tuple[AssetCfg, ...], *, num_envs: int, generator: torch.
     return asset, torch.minimum((draw * choices).long(), choices - 1)
 
 
-def placement_ranges(assets: tuple[AssetCfg, ...], asset: Tensor, *, device: torch.device) -> PlacementRanges:
-    """Return the ranges of every instance, given which asset it is, integer (E, A)."""
-
-    def per_instance(name: str) -> Tensor:
-        rows = torch.tensor([getattr(a, name) for a in assets], device=device, dtype=torch.float32).view(-1, 3)
-        return rows[asset]
-
-    return PlacementRanges(
-        ratio_low=per_instance("position_ratio_low"),
-        ratio_high=per_instance("position_ratio_high"),
-        offset=per_instance("offset"),
-        euler_low=per_instance("euler_low"),
-        euler_high=per_instance("euler_high"),
-    )
+@wp.kernel(enable_backward=False)
+def _begin_episode(
+    mask: wp.array[wp.bool],  # (E,)
+    # out
+    episode_out: wp.array[wp.int32],  # (E,)
+):
+    """Count the resets of masked environments."""
+    env = wp.tid()
+    if mask[env]:
+        episode_out[env] = episode_out[env] + 1
 
 
-def draw_states(ranges: PlacementRanges, lower: Tensor, upper: Tensor, *, generator: torch.Generator) -> Tensor:
-    """Return poses at rest for all environments, (E, A, 13): position, attitude xyzw, zero velocities; world.
+@wp.kernel(enable_backward=False)
+def _place(
+    mask: wp.array[wp.bool],  # (E,)
+    # params
+    num_kept: int,
+    num_others: wp.array[wp.int32],  # (1,) assets not kept that are placed
+    parked_z: float,  # [m]
+    # out
+    obstacles_out: Obstacles,
+):
+    """Write new states where the mask says so, and park the rows beyond the number; leave other environments alone."""
+    env, a = wp.tid()
+    if not mask[env]:
+        return
+    draw_instance(obstacles_out, env, a, 0)
+    if a >= num_kept + num_others[0]:
+        place = obstacles_out.position[env, a]
+        obstacles_out.position[env, a] = wp.vec3(place[0], place[1], parked_z)
+        obstacles_out.lin_vel[env, a] = wp.vec3(0.0, 0.0, 0.0)
+        obstacles_out.ang_vel[env, a] = wp.vec3(0.0, 0.0, 0.0)
 
-    Args:
-        ranges: From what to draw.
-        lower: Lower corner of the bounds [m], world, (E, 3).
-        upper: Upper corner [m], world, (E, 3).
-        generator: Source of chance, on the device of the tensors.
-    """
-    shape = tuple(ranges.offset.shape)
-    ratio = uniform(ranges.ratio_low, ranges.ratio_high, shape, generator=generator)
-    euler = uniform(ranges.euler_low, ranges.euler_high, shape, generator=generator)
-    # Weighing the corners gives each of them exactly at ratio 0 and 1, which lower + ratio * (upper - lower) does not.
-    position = (1.0 - ratio) * lower[:, None] + ratio * upper[:, None] + ranges.offset
-    still = torch.zeros(*shape[:2], 6, device=position.device, dtype=position.dtype)
-    return torch.cat((position, quat_from_euler(euler), still), dim=-1)
+
+class Placement:
+    """Draws the obstacles of masked environments, with all views made at construction."""
+
+    def __init__(self, obstacles: Obstacles, *, mask: Tensor, num_kept: int, num_others: Tensor) -> None:
+        """Take what is written and what it depends on.
+
+        Args:
+            obstacles: Written where the mask says so.
+            mask: Environments to reset, bool, (E,); read at every launch.
+            num_kept: Instances that are always present, the first rows.
+            num_others: How many of the others are, int32, (1,); read at every launch.
+        """
+        self._mask, self._kept_alive = mask, (obstacles, num_others)
+        asked = wp.from_torch(mask)
+        self._commands = [
+            wp.launch(
+                _begin_episode,
+                dim=mask.shape[0],
+                inputs=[asked],
+                outputs=[obstacles.episode],
+                device=asked.device,
+                record_cmd=True,
+            ),
+            wp.launch(
+                _place,
+                dim=obstacles.asset.shape,
+                inputs=[asked, num_kept, wp.from_torch(num_others), PARKED_Z],
+                outputs=[obstacles],
+                device=asked.device,
+                record_cmd=True,
+            ),
+        ]
+
+    def draw(self) -> None:
+        """Place the obstacles; launched on torch's current stream, not waited for."""
+        with on_torch_stream(self._mask):
+            for command in self._commands:
+                command.launch()

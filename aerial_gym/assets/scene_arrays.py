@@ -1,4 +1,5 @@
 # pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportReturnType=false
 # pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
 # (Warp compiles the kernels from their source; Python's type rules do not describe them.)
 """What kernels see of a scene, and the distance of a point to it, as Warp code.

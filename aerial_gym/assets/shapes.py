@@ -11,6 +11,7 @@ import torch
 import warp as wp
 
 from aerial_gym.assets.geometry import BOX, CAPSULE, CYLINDER, MESH, SPHERE, Shape
+from aerial_gym.assets.urdf import load_urdf_shape
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler
@@ -38,9 +39,9 @@ class ShapeTable:
         """Read the meshes and fill the table.
 
         Raises:
-            ConfigError: If a mesh file is missing, unreadable, empty or not finite.
+            ConfigError: If a mesh or URDF file is missing, unreadable, empty or not finite.
         """
-        self.shapes = tuple(shapes)
+        self.shapes = tuple(load_urdf_shape(shape) if shape.kind == "urdf" else shape for shape in shapes)
         self._device = wp.device_from_torch(device)
         self._meshes: dict[tuple[str, float], _Mesh] = {}
         parts = [shape.parts or (PartCfg(shape=shape),) for shape in self.shapes]

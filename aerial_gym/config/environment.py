@@ -3,100 +3,28 @@
 Frames: the environment's own world frame, z up; lengths in metres, angles in radians.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import inf, pi
 from pathlib import Path
 
 from aerial_gym.config.loader import load
+from aerial_gym.config.motion import AT_BOUNDS, MOTIONS, MotionCfg
 from aerial_gym.config.robot import Vec3, require_finite, require_ordered
+from aerial_gym.config.shape import FIRST_INSTANCE_ID, FamilyCfg, PartCfg, ShapeCfg
 from aerial_gym.errors import ConfigError
 
-FIRST_INSTANCE_ID = 100
-"""Instance ids start here, so that the semantic ids 0 to 99 never meet one. Source: parity with Aerial Gym (3.5)."""
-
-_FIELDS_OF_KIND = {
-    "box": ("size",),
-    "sphere": ("radius",),
-    "cylinder": ("radius", "height"),
-    "capsule": ("radius", "height"),
-    "mesh": ("path",),
-    "compound": ("parts",),
-}
-
-
-@dataclass(frozen=True, kw_only=True)
-class PartCfg:
-    """A shape at its place in a compound: a link of a URDF, a branch of a tree."""
-
-    shape: "ShapeCfg"
-    """Anything but another compound."""
-
-    position: Vec3 = (0.0, 0.0, 0.0)
-    """Of the shape's origin in the frame of the compound [m]."""
-
-    euler: Vec3 = (0.0, 0.0, 0.0)
-    """ZYX roll, pitch, yaw from the compound to the shape [rad], within +-2 pi."""
-
-    semantic_id: int | None = None
-    """What segmentation shows for this part; the asset's own if not given."""
-
-    def __post_init__(self) -> None:
-        if self.shape.kind == "compound":
-            raise ConfigError("PartCfg.shape: a compound cannot hold a compound; list all its parts")
-        require_finite(self, "position", "euler")
-        if any(abs(angle) > 2.0 * pi for angle in self.euler):
-            raise ConfigError(f"PartCfg.euler = {self.euler!r}: must lie within +-2 pi. Angles are in radians")
-        if self.semantic_id is not None and not 0 <= self.semantic_id < FIRST_INSTANCE_ID:
-            raise ConfigError(f"PartCfg.semantic_id = {self.semantic_id!r}: must be 0 to {FIRST_INSTANCE_ID - 1}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ShapeCfg:
-    """A rigid shape in its own frame: centred on the origin, axis of symmetry along z; a mesh keeps its own origin."""
-
-    kind: str
-    """``box`` (needs size), ``sphere`` (radius), ``cylinder`` and ``capsule`` (radius, height), ``mesh`` (path),
-    ``compound`` (parts)."""
-
-    size: Vec3 | None = None
-    """Edge lengths of a box [m], each > 0."""
-
-    radius: float | None = None
-    """Radius [m], > 0."""
-
-    height: float | None = None
-    """Length of the cylindrical part along z [m], > 0; a capsule is longer by twice its radius."""
-
-    path: str | None = None
-    """Mesh file that trimesh reads; ``load_environment`` takes it relative to the environment's own file."""
-
-    parts: tuple[PartCfg, ...] | None = None
-    """What a compound consists of; at least one."""
-
-    scale: float = 1.0
-    """Factor on the coordinates of a mesh, > 0; 1 for every other kind."""
-
-    def __post_init__(self) -> None:
-        if self.kind not in _FIELDS_OF_KIND:
-            raise ConfigError(f"ShapeCfg.kind = {self.kind!r}: must be one of {', '.join(_FIELDS_OF_KIND)}")
-        needed = _FIELDS_OF_KIND[self.kind]
-        for name in ("size", "radius", "height", "path", "parts"):
-            value = getattr(self, name)
-            if name in needed and value is None:
-                raise ConfigError(f"ShapeCfg.{name}: a {self.kind} needs it")
-            if name not in needed and value is not None:
-                raise ConfigError(f"ShapeCfg.{name} = {value!r}: a {self.kind} has none. It needs {', '.join(needed)}")
-            for length in value if isinstance(value, tuple) else (value,):
-                if isinstance(length, (int, float)) and not 0.0 < length < inf:
-                    raise ConfigError(f"ShapeCfg.{name} = {value!r}: must be > 0 and finite")
-        if self.parts == ():
-            raise ConfigError("ShapeCfg.parts: a compound needs at least one part")
-        if not 0.0 < self.scale < inf:
-            raise ConfigError(f"ShapeCfg.scale = {self.scale!r}: must be > 0 and finite")
-        if self.scale != 1.0 and self.kind != "mesh":
-            raise ConfigError(
-                f"ShapeCfg.scale = {self.scale!r}: only a mesh is scaled; change the size of a {self.kind}"
-            )
+__all__ = [
+    "AT_BOUNDS",
+    "FIRST_INSTANCE_ID",
+    "MOTIONS",
+    "AssetCfg",
+    "EnvironmentCfg",
+    "FamilyCfg",
+    "MotionCfg",
+    "PartCfg",
+    "ShapeCfg",
+    "load_environment",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,14 +34,18 @@ class AssetCfg:
     name: str
     """What messages call it; unique in its environment."""
 
-    shapes: tuple[ShapeCfg, ...]
+    shapes: tuple[ShapeCfg, ...] = ()
     """Each instance is one of these, drawn once at construction with equal chances."""
+
+    family: FamilyCfg | None = None
+    """Where the shapes come from if they are not listed."""
 
     count: int
     """Instances in every environment, >= 1."""
 
     keep: bool = False
-    """Whether it is always present; the others can be reduced in number (curriculum)."""
+    """Whether it is always present; the others can be reduced in number (curriculum). Only ``clearance`` goes first:
+    what has no place beside the robot is parked, also if it is kept."""
 
     semantic_id: int = -1
     """What segmentation shows, 0 to 99; -1 for the instance's own id (100 + its row in the environment)."""
@@ -134,11 +66,16 @@ class AssetCfg:
     euler_high: Vec3 = (0.0, 0.0, 0.0)
     """Highest roll, pitch, yaw [rad], within +-2 pi."""
 
+    motion: MotionCfg = field(default_factory=MotionCfg)
+    """How the instances move between resets."""
+
     def __post_init__(self) -> None:
         if not self.name:
             raise ConfigError("AssetCfg.name: must not be empty")
-        if not self.shapes:
-            raise ConfigError(f"AssetCfg {self.name!r}: shapes needs at least one entry")
+        if not self.shapes and self.family is None:
+            raise ConfigError(f"AssetCfg {self.name!r}: shapes needs at least one entry, or name a family")
+        if self.shapes and self.family is not None:
+            raise ConfigError(f"AssetCfg {self.name!r}: has shapes and a family; give one of them")
         if self.count < 1:
             raise ConfigError(f"AssetCfg {self.name!r}: count = {self.count!r} must be >= 1")
         if not -1 <= self.semantic_id < FIRST_INSTANCE_ID:
@@ -182,6 +119,10 @@ class EnvironmentCfg:
     assets: tuple[AssetCfg, ...] = ()
     """Obstacles; an empty list is open space."""
 
+    clearance: float = 0.0
+    """A reset leaves at least this much room around the robot's collision spheres [m], >= 0; 0 asks for nothing.
+    It moves or parks obstacles whose place is drawn; those whose place is given, such as walls, stay."""
+
     ground_height: float | None = None
     """Height of the ground [m], world, which counts as a crash when touched; none in open air."""
 
@@ -191,6 +132,8 @@ class EnvironmentCfg:
     def __post_init__(self) -> None:
         if self.ground_height is not None:
             require_finite(self, "ground_height")
+        if not 0.0 <= self.clearance < inf:
+            raise ConfigError(f"EnvironmentCfg.clearance = {self.clearance!r}: must be >= 0 and finite")
         if self.physics_steps_per_env_step < 1:
             raise ConfigError(
                 f"EnvironmentCfg.physics_steps_per_env_step = {self.physics_steps_per_env_step!r}: must be >= 1"
@@ -209,6 +152,11 @@ class EnvironmentCfg:
                 raise ConfigError(f"EnvironmentCfg.assets: two are called {name!r}. Give each its own name")
 
     @property
+    def moves(self) -> bool:
+        """Whether any asset moves between resets."""
+        return any(asset.motion.kind != "none" for asset in self.assets)
+
+    @property
     def num_assets(self) -> int:
         """Number of instances A in every environment."""
         return sum(asset.count for asset in self.assets)
@@ -220,7 +168,7 @@ class EnvironmentCfg:
 
 
 def load_environment(path: str | Path) -> EnvironmentCfg:
-    """Return the environment in a YAML file; its mesh paths are taken relative to that file."""
+    """Return the environment in a YAML file; its mesh and URDF paths are taken relative to that file."""
     folder = Path(path).resolve().parent
     cfg = load(EnvironmentCfg, path)
     return replace(cfg, assets=tuple(_with_absolute_paths(asset, folder) for asset in cfg.assets))

@@ -1,5 +1,6 @@
 """The asset manager: who stands where after a reset, who does not, and who is left alone."""
 
+import gc
 import subprocess
 import sys
 from dataclasses import replace
@@ -246,3 +247,40 @@ def test_importing_assets_and_sensors_starts_no_device_and_compiles_nothing() ->
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout == ""
+
+
+@pytest.mark.parametrize("name", [name for name in ENVIRONMENTS.names() if ENVIRONMENTS.get(name).num_assets])
+def test_every_shipped_environment_places_all_its_obstacles_over_its_bounds(name: str, device: torch.device) -> None:
+    """Everything that is present stands within the bounds, but for the half thickness of walls."""
+    cfg = ENVIRONMENTS.get(name)
+    manager, gtd, (lower, upper) = make_manager(cfg, 50, device)
+    manager.reset(every(50, device))
+    position = gtd["obstacle_position"]
+    assert (position >= lower[:, None] - 0.11).all()
+    assert (position <= upper[:, None] + 0.11).all()
+    assert position.shape[1] == cfg.num_assets
+
+
+def test_restarting_a_seed_draws_the_same_places_again(device: torch.device) -> None:
+    manager, gtd, _ = make_manager(OBSTACLES, 4, device, seed=5)
+    states = []
+    for seed in (5, 6, 5):
+        manager.restart(seed)
+        manager.reset(every(4, device))
+        states.append(gtd["env_asset_state_tensor"].clone())
+    assert torch.equal(states[0], states[2])
+    assert not torch.equal(states[0], states[1])
+
+
+def test_what_the_kernels_read_lives_as_long_as_the_manager(device: torch.device) -> None:
+    """Memory freed after construction would be taken by the next tensors, and the draws would change."""
+    states = []
+    for fill in (False, True):
+        manager, gtd, _ = make_manager(OBSTACLES, 16, device)
+        gc.collect()
+        litter = [torch.full((16, 44), 10**6, dtype=torch.int32, device=device) for _ in range(200)] if fill else []
+        manager.reset(every(16, device))
+        manager.clear_start(every(16, device), torch.zeros(16, 3, device=device))
+        states.append(gtd["env_asset_state_tensor"].clone())
+        del litter
+    assert torch.equal(*states)

@@ -8,7 +8,7 @@ import trimesh
 
 from aerial_gym.assets import ENVIRONMENTS, load_mesh
 from aerial_gym.config import build, to_mapping
-from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, ShapeCfg, load_environment
+from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, FamilyCfg, ShapeCfg, load_environment
 from aerial_gym.config.sensor import CameraCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.sensors import SENSORS
@@ -48,6 +48,41 @@ def test_shipped_environments_hold_the_values_of_aerial_gym() -> None:
         "bottom_wall": 13,
         "top_wall": 14,
     }
+
+
+def test_larger_shipped_environments_hold_the_values_of_aerial_gym() -> None:
+    """Bounds, counts, places and ids of parity.md 2.2."""
+    wall_ids = {"front_wall": 9, "back_wall": 10, "left_wall": 11, "right_wall": 12, "bottom_wall": 13, "top_wall": 14}
+    lidar = ENVIRONMENTS.get("env_with_lidar_nav_obstacles")
+    assert (lidar.physics_steps_per_env_step, lidar.num_assets, lidar.num_kept) == (10, 91, 0)
+    assert (lidar.bounds_lower_low, lidar.bounds_lower_high) == ((-7.5, -7.5, -5.0), (-5.0, -5.0, -3.0))
+    assert (lidar.bounds_upper_low, lidar.bounds_upper_high) == ((5.0, 5.0, 3.0), (7.5, 7.5, 5.0))
+    panels, objects, *walls = lidar.assets
+    assert (panels.count, objects.count) == (15, 70)
+    assert (panels.position_ratio_low, panels.position_ratio_high) == ((0.35, 0.0, 0.0), (1.0, 1.0, 1.0))
+    assert (objects.position_ratio_low, objects.position_ratio_high) == ((0.3, 0.0, 0.0), (1.0, 1.0, 1.0))
+    assert {wall.name: wall.semantic_id for wall in walls} == wall_ids
+    forest = ENVIRONMENTS.get("forest_env")
+    assert (forest.physics_steps_per_env_step, forest.num_assets) == (10, 37)
+    assert forest.bounds_lower_low == forest.bounds_lower_high == (-5.0, -5.0, -1.0)
+    assert forest.bounds_upper_low == forest.bounds_upper_high == (5.0, 5.0, 3.0)
+    trees, objects, floor = forest.assets
+    assert trees.family == FamilyCfg(name="trees", variants=100, seed=1)
+    assert (trees.count, trees.position_ratio_low, trees.position_ratio_high) == (1, (0.1, 0.1, 0.0), (0.9, 0.9, 0.0))
+    assert trees.euler_high == pytest.approx((0.0, radians(30.0), pi))
+    assert (objects.count, floor.semantic_id) == (35, 13)
+    dynamic = ENVIRONMENTS.get("dynamic_env")
+    assert (dynamic.physics_steps_per_env_step, dynamic.num_assets, dynamic.ground_height) == (10, 40, 0.0)
+    assert (dynamic.bounds_lower_low, dynamic.bounds_lower_high) == ((-2.0, -4.0, 0.0), (-1.0, -2.5, 0.0))
+    assert (dynamic.bounds_upper_low, dynamic.bounds_upper_high) == ((9.0, 2.5, 4.0), (10.0, 4.0, 5.0))
+    assert (dynamic.assets[0].motion.kind, dynamic.moves, forest.moves) == ("twist", True, False)
+
+
+def test_worlds_without_walls_are_possible() -> None:
+    """Obstacles in open air: leave out the walls and the ground."""
+    env = ENVIRONMENTS.get("env_with_obstacles")
+    open_air = replace(env, assets=tuple(asset for asset in env.assets if not asset.name.endswith("_wall")))
+    assert (open_air.num_assets, open_air.num_kept, open_air.ground_height) == (38, 3, None)
 
 
 def test_shipped_cameras_hold_the_values_of_aerial_gym() -> None:

@@ -1,0 +1,49 @@
+"""Families of shapes: each a rule that makes any number of variants from a seed and a few numbers."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from aerial_gym.assets.families.boxes import BOXES, DOORWAYS, PANELS, WALLS
+from aerial_gym.assets.families.corridors import CORRIDORS
+from aerial_gym.assets.families.family import Draw, Family
+from aerial_gym.assets.families.furniture import SHELVES, TABLES
+from aerial_gym.assets.families.rods import THIN_RODS
+from aerial_gym.assets.families.rooms import ROOMS
+from aerial_gym.assets.families.trees import TREES
+from aerial_gym.config.environment import AssetCfg, FamilyCfg, ShapeCfg
+from aerial_gym.registry import Registry
+
+__all__ = ["FAMILIES", "Draw", "Family", "family_shapes", "with_shapes"]
+
+FAMILIES: Registry[Family] = Registry("family")
+
+for _name, _family in {
+    "boxes": BOXES,
+    "corridors": CORRIDORS,
+    "doorways": DOORWAYS,
+    "panels": PANELS,
+    "rooms": ROOMS,
+    "shelves": SHELVES,
+    "tables": TABLES,
+    "thin_rods": THIN_RODS,
+    "trees": TREES,
+    "walls": WALLS,
+}.items():
+    FAMILIES.register(_name, _family)
+
+
+def family_shapes(cfg: FamilyCfg) -> tuple[ShapeCfg, ...]:
+    """Return the shapes that a configuration asks for; the same ones every time.
+
+    Raises:
+        UnknownNameError: If there is no such family; the message lists what exists.
+        ConfigError: If the family cannot make them.
+    """
+    return FAMILIES.get(cfg.name).shapes(cfg)
+
+
+def with_shapes(assets: Sequence[AssetCfg]) -> tuple[AssetCfg, ...]:
+    """Return the assets with the shapes of their families listed."""
+    return tuple(
+        replace(asset, shapes=family_shapes(asset.family), family=None) if asset.family else asset for asset in assets
+    )

@@ -1,0 +1,72 @@
+"""A family of shapes: a rule and the ranges of the numbers it draws."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from aerial_gym.config.environment import FIRST_INSTANCE_ID, FamilyCfg, PartCfg, ShapeCfg
+from aerial_gym.errors import ConfigError
+
+Range = tuple[float, float]
+
+WALL_IDS = {"front": 9, "back": 10, "left": 11, "right": 12, "bottom": 13, "top": 14}
+"""What segmentation shows for the faces of rooms and corridors. Source: parity 2.2."""
+
+assert max(WALL_IDS.values()) < FIRST_INSTANCE_ID
+
+
+class Draw:
+    """Numbers of one variant, drawn in the order in which its rule asks for them."""
+
+    def __init__(self, ranges: Mapping[str, Range], *, seed: int, variant: int) -> None:
+        """Begin the draws of a variant, which depend on the seed, its number and the ranges alone."""
+        self._ranges, self._random = ranges, np.random.default_rng((seed, variant))
+
+    def __call__(self, name: str) -> float:
+        """Return a number of the family, uniform within its range."""
+        return self.between(*self._ranges[name])
+
+    def between(self, low: float, high: float) -> float:
+        """Return a number of the rule's own."""
+        return low + (high - low) * float(self._random.random())
+
+    def count(self, name: str) -> int:
+        """Return a whole number of the family, each in its range with the same chance."""
+        low, high = self._ranges[name]
+        return int(self._random.integers(round(low), round(high), endpoint=True))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Family:
+    """A rule that makes shapes."""
+
+    summary: str
+    """One line for people who choose a family."""
+
+    ranges: Mapping[str, Range]
+    """Lowest and highest value of every number; lengths in metres, angles in radians."""
+
+    make: Callable[[Draw], ShapeCfg]
+    """The rule."""
+
+    def shapes(self, cfg: FamilyCfg) -> tuple[ShapeCfg, ...]:
+        """Return the variants that a configuration asks for.
+
+        Raises:
+            ConfigError: If it names a number that the family does not have, or one with which no shape can be made.
+        """
+        for name in cfg.ranges:
+            if name not in self.ranges:
+                known = ", ".join(self.ranges)
+                raise ConfigError(f"family {cfg.name!r}: there is no number {name!r}. Known: {known}")
+        ranges = {**self.ranges, **cfg.ranges}
+        try:
+            return tuple(self.make(Draw(ranges, seed=cfg.seed, variant=i)) for i in range(cfg.variants))
+        except ConfigError as error:
+            raise ConfigError(f"family {cfg.name!r} with {ranges}: {error}") from None
+
+
+def box(size: tuple[float, float, float], at: tuple[float, float, float], semantic_id: int | None = None) -> PartCfg:
+    """Return a box as a part; edge lengths and place of its centre [m]."""
+    return PartCfg(shape=ShapeCfg(kind="box", size=size), position=at, semantic_id=semantic_id)

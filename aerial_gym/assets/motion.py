@@ -1,0 +1,118 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
+# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
+"""Obstacles that move: all of them in one launch.
+
+A twist is held during a step: the origin goes ``v dt`` along a straight line and the attitude turns by exactly ``|w| dt``
+about ``w``. On a path between waypoints only the part of the velocity along the path counts.
+Frames: velocities and angular velocities in the world frame. Letters: E environments, A instances.
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.assets.asset_table import BOUNCE, STILL, TWIST, WAYPOINTS, WRAP
+from aerial_gym.assets.obstacles import Obstacles
+from aerial_gym.assets.scene_arrays import ABSENT_BELOW
+from aerial_gym.assets.views import check_tensor
+from aerial_gym.interop import on_torch_stream
+
+
+@wp.func
+def _fold(x: float, v: float, low: float, high: float) -> wp.vec2:
+    """Return place and velocity after bouncing off the end that was passed."""
+    if x > high:
+        return wp.vec2(wp.max(2.0 * high - x, low), -wp.abs(v))
+    if x < low:
+        return wp.vec2(wp.min(2.0 * low - x, high), wp.abs(v))
+    return wp.vec2(x, v)
+
+
+@wp.func
+def _wrap(x: float, low: float, high: float) -> float:
+    """Return the place in ``[low, high)`` that is a whole number of spans away."""
+    span = high - low
+    return x - span * wp.floor((x - low) / span)
+
+
+@wp.kernel(enable_backward=False)
+def _advance(
+    dt: float,  # [s]
+    # out
+    obstacles_out: Obstacles,
+):
+    """Move the present instances of moving assets by one step; leave the others alone."""
+    env, a = wp.tid()
+    row = obstacles_out.table[obstacles_out.asset[env, a]]
+    start = obstacles_out.position[env, a]
+    if row.motion == STILL or start[2] < ABSENT_BELOW:
+        return
+    velocity = obstacles_out.lin_vel[env, a]
+    turn = obstacles_out.ang_vel[env, a]
+    place = start + dt * velocity
+    if row.motion == WAYPOINTS:
+        from_a = obstacles_out.waypoint_a[env, a]
+        path = obstacles_out.waypoint_b[env, a] - from_a
+        along = wp.normalize(path)
+        folded = _fold(wp.dot(place - from_a, along), wp.dot(velocity, along), 0.0, wp.length(path))
+        place = from_a + folded[0] * along
+        if folded[1] * wp.dot(velocity, along) < 0.0:
+            velocity = -velocity  # rather than folded[1] * along, whose rounding would slow it down in time
+    elif row.at_bounds == BOUNCE:
+        for i in range(3):
+            folded = _fold(place[i], velocity[i], obstacles_out.bounds_min[env][i], obstacles_out.bounds_max[env][i])
+            place[i] = folded[0]
+            velocity[i] = folded[1]
+    elif row.at_bounds == WRAP:
+        for i in range(3):
+            place[i] = _wrap(place[i], obstacles_out.bounds_min[env][i], obstacles_out.bounds_max[env][i])
+    rotation = wp.quat_from_axis_angle(wp.normalize(turn), dt * wp.length(turn))
+    obstacles_out.position[env, a] = place
+    obstacles_out.attitude[env, a] = wp.normalize(rotation * obstacles_out.attitude[env, a])
+    obstacles_out.lin_vel[env, a] = velocity
+
+
+@wp.kernel(enable_backward=False)
+def _set_twists(
+    twist: wp.array3d[float],  # (E, A, 6) [m/s, rad/s]
+    # out
+    obstacles_out: Obstacles,
+):
+    """Write the given twists of the instances that move by twist; leave the others alone."""
+    env, a = wp.tid()
+    if obstacles_out.table[obstacles_out.asset[env, a]].motion != TWIST:
+        return
+    obstacles_out.lin_vel[env, a] = wp.vec3(twist[env, a, 0], twist[env, a, 1], twist[env, a, 2])
+    obstacles_out.ang_vel[env, a] = wp.vec3(twist[env, a, 3], twist[env, a, 4], twist[env, a, 5])
+
+
+class Motion:
+    """Moves obstacles, with all views made at construction."""
+
+    def __init__(self, obstacles: Obstacles, *, twists: Tensor) -> None:
+        """Take what is moved.
+
+        Args:
+            obstacles: Whose poses and velocities are written.
+            twists: What ``take_twists`` reads: velocity [m/s] and angular velocity [rad/s], world, float32, (E, A, 6).
+        """
+        shape = (*obstacles.asset.shape, 6)
+        check_tensor("twists", twists, shape, device=twists.device, dtype=torch.float32)
+        self._twists, self._kept_alive, dim = twists, obstacles, obstacles.asset.shape
+        device = wp.device_from_torch(twists.device)
+        self._advance = wp.launch(_advance, dim=dim, inputs=[0.0], outputs=[obstacles], device=device, record_cmd=True)
+        self._take = wp.launch(
+            _set_twists, dim=dim, inputs=[wp.from_torch(twists)], outputs=[obstacles], device=device, record_cmd=True
+        )
+
+    def step(self, dt: float) -> None:
+        """Move everything by ``dt`` [s]; launched on torch's current stream, not waited for."""
+        self._advance.set_param_at_index(0, dt)
+        with on_torch_stream(self._twists):
+            self._advance.launch()
+
+    def take_twists(self) -> None:
+        """Give the instances that move by twist those of the tensor; launched likewise."""
+        with on_torch_stream(self._twists):
+            self._take.launch()

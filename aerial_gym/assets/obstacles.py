@@ -1,0 +1,119 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
+# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
+"""Obstacle states as kernels see them, and one draw of them, as Warp code.
+
+The draw of an instance depends on the seed, its environment, how often that was reset, its row and the attempt, on nothing
+else: the same whatever happens in other environments, and it advances when a captured step is replayed.
+Frames: world of each environment, z up. Letters: E environments, A instances.
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.assets.asset_table import WAYPOINTS, AssetRow
+from aerial_gym.assets.views import vector_view
+
+
+@wp.struct
+class Obstacles:
+    """Everything that is known of the instances, and what their draws depend on."""
+
+    table: wp.array[AssetRow]
+    asset: wp.array2d[wp.int32]  # (E, A) row of the table
+    bounds_min: wp.array[wp.vec3]  # (E,) world [m]
+    bounds_max: wp.array[wp.vec3]  # (E,) world [m]
+    seed: wp.array[wp.int32]  # (1,)
+    episode: wp.array[wp.int32]  # (E,) counted up by every reset
+    position: wp.array2d[wp.vec3]  # (E, A) world [m]
+    attitude: wp.array2d[wp.quat]  # (E, A) instance to world, xyzw, unit
+    lin_vel: wp.array2d[wp.vec3]  # (E, A) world [m/s]
+    ang_vel: wp.array2d[wp.vec3]  # (E, A) world [rad/s]
+    waypoint_a: wp.array2d[wp.vec3]  # (E, A) world [m]; empty where no asset has waypoints
+    waypoint_b: wp.array2d[wp.vec3]
+
+
+def view_obstacles(
+    state: Tensor,
+    waypoints: Tensor,
+    *,
+    table: wp.array,
+    asset: Tensor,
+    bounds: tuple[Tensor, Tensor],
+    seed: Tensor,
+    episode: Tensor,
+) -> Obstacles:
+    """Return views of tensors, which must stay where they are.
+
+    Args:
+        state: Position, attitude, velocity and angular velocity, (E, A, 13); may be strided, but for the last axis.
+        waypoints: Ends of the paths [m], world, (E, A, 2, 3); (0, 0, 2, 3) where no asset has waypoints.
+        table: A row for each asset.
+        asset: Row of every instance, integer, (E, A); copied.
+        bounds: Lower and upper corner [m], world, each (E, 3).
+        seed: Of all draws, int32, (1,).
+        episode: How often each environment was reset, int32, (E,).
+    """
+    arrays = Obstacles()
+    arrays.table, arrays.asset = table, wp.from_torch(asset.to(torch.int32).contiguous())
+    arrays.bounds_min, arrays.bounds_max = (wp.from_torch(corner, dtype=wp.vec3) for corner in bounds)
+    arrays.seed, arrays.episode = wp.from_torch(seed), wp.from_torch(episode)
+    for name, columns in (("position", (0, 3)), ("attitude", (3, 7)), ("lin_vel", (7, 10)), ("ang_vel", (10, 13))):
+        view = state[..., slice(*columns)]
+        setattr(arrays, name, vector_view(name, view, tuple(view.shape), device=state.device))
+    arrays.waypoint_a = wp.from_torch(waypoints[:, :, 0], dtype=wp.vec3)
+    arrays.waypoint_b = wp.from_torch(waypoints[:, :, 1], dtype=wp.vec3)
+    return arrays
+
+
+@wp.func
+def _stream(random: wp.uint32, index: int) -> wp.uint32:
+    """Return a stream of its own for an index within a stream."""
+    return wp.rand_init(int(random), index)
+
+
+@wp.func
+def _draw(random: wp.uint32, quantity: int, low: wp.vec3, high: wp.vec3) -> wp.vec3:
+    """Return three uniform draws; ``quantity`` tells the numbers of one instance apart."""
+    stream = _stream(random, quantity)
+    share = wp.vec3(wp.randf(stream), wp.randf(stream), wp.randf(stream))
+    return low + wp.cw_mul(high - low, share)
+
+
+@wp.func
+def _draw_place(random: wp.uint32, quantity: int, row: AssetRow, lower: wp.vec3, upper: wp.vec3) -> wp.vec3:
+    """Return a place; weighing the corners gives each of them exactly at ratio 0 and 1."""
+    ratio = _draw(random, quantity, row.ratio_low, row.ratio_high)
+    return wp.cw_mul(wp.vec3(1.0, 1.0, 1.0) - ratio, lower) + wp.cw_mul(ratio, upper) + row.offset
+
+
+@wp.func
+def _from_euler(angles: wp.vec3) -> wp.quat:
+    """Return the quaternion of R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    roll = wp.quat(wp.sin(0.5 * angles[0]), 0.0, 0.0, wp.cos(0.5 * angles[0]))
+    pitch = wp.quat(0.0, wp.sin(0.5 * angles[1]), 0.0, wp.cos(0.5 * angles[1]))
+    yaw = wp.quat(0.0, 0.0, wp.sin(0.5 * angles[2]), wp.cos(0.5 * angles[2]))
+    return wp.normalize(yaw * pitch * roll)
+
+
+@wp.func
+def draw_instance(obstacles: Obstacles, env: int, a: int, attempt: int):
+    """Write a new pose, twist and path of one instance."""
+    row = obstacles.table[obstacles.asset[env, a]]
+    episode = _stream(_stream(wp.rand_init(obstacles.seed[0], env), obstacles.episode[env]), a)
+    random = _stream(episode, attempt)
+    lower = obstacles.bounds_min[env]
+    upper = obstacles.bounds_max[env]
+    place = _draw_place(random, 0, row, lower, upper)
+    velocity = _draw(random, 2, row.lin_vel_low, row.lin_vel_high)
+    if row.motion == WAYPOINTS:
+        other = _draw_place(random, 4, row, lower, upper)
+        speed = row.speed_low + (row.speed_high - row.speed_low) * wp.randf(_stream(random, 5))
+        velocity = speed * wp.normalize(other - place)
+        obstacles.waypoint_a[env, a] = place
+        obstacles.waypoint_b[env, a] = other
+    obstacles.position[env, a] = place
+    obstacles.attitude[env, a] = _from_euler(_draw(random, 1, row.euler_low, row.euler_high))
+    obstacles.lin_vel[env, a] = velocity
+    obstacles.ang_vel[env, a] = _draw(random, 3, row.ang_vel_low, row.ang_vel_high)

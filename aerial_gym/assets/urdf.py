@@ -1,0 +1,157 @@
+"""URDF files as compounds: one part for every geometry of every link, joints fixed at zero.
+
+Frames: the compound's frame is that of the root link; z up, metres, radians.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+import numpy as np
+
+from aerial_gym.config.environment import PartCfg, ShapeCfg
+from aerial_gym.errors import ConfigError
+
+if TYPE_CHECKING:
+    from yourdfpy import URDF
+    from yourdfpy.urdf import Geometry
+
+_JOINTS = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
+
+
+def load_urdf_shape(shape: ShapeCfg) -> ShapeCfg:
+    """Return the compound that a shape of kind ``urdf`` stands for."""
+    return load_urdf(str(shape.path), link_ids=shape.link_ids or {}, first_link_id=shape.first_link_id)
+
+
+def load_urdf(
+    path: str | Path, *, link_ids: Mapping[str, int] | None = None, first_link_id: int | None = None
+) -> ShapeCfg:
+    """Return a URDF as a compound of the collision geometries of its links, or the visual ones of a link without them.
+
+    Args:
+        path: The file; its mesh files are found beside it, also those named ``package://``.
+        link_ids: What segmentation shows for named links, 0 to 99.
+        first_link_id: The other links count up from here in the order of the file; if not given, they show what the
+            asset shows.
+
+    Raises:
+        ConfigError: If the file or a mesh is missing, is not a URDF, holds no geometry or an impossible number, has no
+            link of a given name, or if yourdfpy is not installed. The message names the file and, where it is one, the link.
+    """
+    robot, link_ids = _read(path), link_ids or {}
+    for name in link_ids:
+        if name not in robot.link_map:
+            raise ConfigError(f"URDF {path}: there is no link {name!r}. Known: {', '.join(robot.link_map)}")
+    parts: list[PartCfg] = []
+    counted = [name for name in robot.link_map if name not in link_ids]
+    for name, link in robot.link_map.items():
+        own = None if first_link_id is None or name in link_ids else first_link_id + counted.index(name)
+        to_root = robot.get_transform(name)
+        try:
+            for body in link.collisions or link.visuals:
+                pose = to_root if body.origin is None else to_root @ body.origin
+                parts.append(_part(body.geometry, pose, link_ids.get(name, own), Path(path).resolve().parent))
+        except ConfigError as error:
+            raise ConfigError(f"URDF {path}: link {name!r}: {error}") from None
+    if not parts:
+        raise ConfigError(f"URDF {path}: holds no geometry")
+    return ShapeCfg(kind="compound", parts=tuple(parts))
+
+
+def _read(path: str | Path) -> "URDF":
+    """Return the parsed file with its links at zero joint angles; no mesh is loaded."""
+    try:
+        import yourdfpy
+    except ImportError:
+        raise ConfigError(f"URDF {path}: needs yourdfpy; install aerial-gym[urdf]") from None
+    if not Path(path).is_file():
+        raise ConfigError(f"URDF {path}: no such file")
+    try:
+        root = ElementTree.parse(path).getroot()  # yourdfpy mends broken XML in silence
+    except ElementTree.ParseError as error:
+        raise ConfigError(f"URDF {path}: not valid XML ({error})") from None
+    if root.tag != "robot" or root.find("link") is None:
+        raise ConfigError(f"URDF {path}: must hold a <robot> with at least one <link>")
+    try:
+        _check_tree(root)
+    except ConfigError as error:
+        raise ConfigError(f"URDF {path}: {error}") from None
+    try:
+        return yourdfpy.URDF.load(str(path), load_meshes=False)
+    except Exception as error:  # yourdfpy raises whatever its parser meets
+        raise ConfigError(f"URDF {path}: cannot be read ({error})") from None
+
+
+def _check_tree(root: ElementTree.Element) -> None:
+    """Raise ``ConfigError`` unless the links are a tree; yourdfpy drops or joins what is not, in silence."""
+    links = [link.get("name", "") for link in root.findall("link")]
+    for name in links:
+        if not name or links.count(name) > 1:
+            raise ConfigError(f"link {name!r}: every link needs a name of its own")
+    parents: dict[str, str] = {}
+    for joint in root.findall("joint"):
+        kind, ends = joint.get("type"), [joint.find(tag) for tag in ("parent", "child")]
+        parent, child = ("" if end is None else end.get("link", "") for end in ends)
+        if kind not in _JOINTS:
+            raise ConfigError(f"joint {joint.get('name')!r}: type {kind!r} must be one of {', '.join(_JOINTS)}")
+        for end in (parent, child):
+            if end not in links:
+                raise ConfigError(f"joint {joint.get('name')!r}: there is no link {end!r}. Known: {', '.join(links)}")
+        if child in parents:
+            raise ConfigError(f"link {child!r} has two parents: {parents[child]!r} and {parent!r}")
+        parents[child] = parent
+    roots = [name for name in links if name not in parents]
+    if len(roots) != 1:
+        raise ConfigError(f"{len(roots)} links have no parent ({', '.join(roots)}); a tree has one")
+    for name in links:
+        top = name
+        for _ in links:
+            top = parents.get(top, top)
+        if top != roots[0]:
+            raise ConfigError(f"link {name!r} is its own ancestor")
+
+
+def _part(geometry: "Geometry", pose: np.ndarray, semantic_id: int | None, folder: Path) -> PartCfg:
+    from trimesh.transformations import euler_from_matrix
+
+    if not np.isfinite(pose).all():
+        raise ConfigError("an origin is not finite")
+    x, y, z = (float(value) for value in pose[:3, 3])
+    roll, pitch, yaw = (float(angle) for angle in euler_from_matrix(pose, "sxyz"))
+    shape = _shape(geometry, folder)
+    return PartCfg(shape=shape, position=(x, y, z), euler=(roll, pitch, yaw), semantic_id=semantic_id)
+
+
+def _shape(geometry: "Geometry", folder: Path) -> ShapeCfg:
+    if geometry.box is not None:
+        x, y, z = (float(edge) for edge in geometry.box.size)
+        return ShapeCfg(kind="box", size=(x, y, z))
+    if geometry.sphere is not None:
+        return ShapeCfg(kind="sphere", radius=float(geometry.sphere.radius))
+    if geometry.cylinder is not None:
+        return ShapeCfg(kind="cylinder", radius=float(geometry.cylinder.radius), height=float(geometry.cylinder.length))
+    if geometry.mesh is None:
+        raise ConfigError("a geometry is neither box, sphere, cylinder nor mesh")
+    scale = np.ones(3) * (1.0 if geometry.mesh.scale is None else geometry.mesh.scale)
+    if np.ptp(scale) != 0.0:
+        raise ConfigError(
+            f"mesh {geometry.mesh.filename}: scale {scale.tolist()} differs by axis; scale the file instead"
+        )
+    file = _mesh_file(geometry.mesh.filename, folder)
+    return ShapeCfg(kind="mesh", path=str(file), scale=float(scale[0]))
+
+
+def _mesh_file(name: str, folder: Path) -> Path:
+    """Return where a mesh is: beside the URDF, or, for ``package://NAME/rest``, ``rest`` below a folder above it."""
+    plain = name.removeprefix("file://")
+    tails = [plain]
+    if name.startswith("package://"):
+        whole = name.removeprefix("package://")
+        tails = [whole, whole.partition("/")[2]]
+    tried = [base / tail for base in (folder, *folder.parents) for tail in tails]
+    found = [file for file in tried[: len(tried) if name.startswith("package://") else 1] if file.is_file()]
+    if not found:
+        raise ConfigError(f"mesh {name}: no such file")
+    return found[0]

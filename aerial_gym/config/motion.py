@@ -1,0 +1,62 @@
+"""How obstacles move between resets.
+
+Frames: the environment's own world frame, z up; velocities in m/s, angular velocities in rad/s.
+"""
+
+from dataclasses import dataclass
+from math import inf
+
+from aerial_gym.config.robot import Vec3, require_finite, require_ordered
+from aerial_gym.errors import ConfigError
+
+MOTIONS = ("none", "twist", "waypoints")
+"""How an asset can move between resets."""
+
+AT_BOUNDS = ("pass", "bounce", "wrap")
+"""What an asset that moves by its twist can do where its origin meets the bounds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionCfg:
+    """How the instances of an asset move between resets. Every number is drawn uniformly at reset."""
+
+    kind: str = "none"
+    """``none``; ``twist``: straight on and turning, with a twist that the user may overwrite at any time;
+    ``waypoints``: back and forth between the place of the reset and a second one, drawn like it."""
+
+    lin_vel_low: Vec3 = (0.0, 0.0, 0.0)
+    """Lowest velocity of ``twist`` [m/s], world."""
+
+    lin_vel_high: Vec3 = (0.0, 0.0, 0.0)
+    """Highest velocity [m/s], world."""
+
+    speed: tuple[float, float] = (0.0, 0.0)
+    """Lowest and highest speed along ``waypoints`` [m/s], >= 0."""
+
+    ang_vel_low: Vec3 = (0.0, 0.0, 0.0)
+    """Lowest angular velocity [rad/s], world; for both."""
+
+    ang_vel_high: Vec3 = (0.0, 0.0, 0.0)
+    """Highest angular velocity [rad/s], world."""
+
+    at_bounds: str = "pass"
+    """What ``twist`` does where the origin meets the bounds: ``pass`` on, ``bounce`` off, ``wrap`` to the other side."""
+
+    def __post_init__(self) -> None:
+        for name, known in (("kind", MOTIONS), ("at_bounds", AT_BOUNDS)):
+            if getattr(self, name) not in known:
+                raise ConfigError(f"MotionCfg.{name} = {getattr(self, name)!r}: must be one of {', '.join(known)}")
+        for name in ("lin_vel", "ang_vel"):
+            require_finite(self, f"{name}_low", f"{name}_high")
+            require_ordered(self, f"{name}_low", f"{name}_high")
+        if not 0.0 <= self.speed[0] <= self.speed[1] < inf:
+            raise ConfigError(f"MotionCfg.speed = {self.speed!r}: needs 0 <= low <= high < inf")
+        still = MotionCfg.__dataclass_fields__
+        unused = {
+            "none": ("lin_vel_low", "lin_vel_high", "ang_vel_low", "ang_vel_high", "speed", "at_bounds"),
+            "twist": ("speed",),
+            "waypoints": ("lin_vel_low", "lin_vel_high", "at_bounds"),
+        }
+        for name in unused[self.kind]:
+            if getattr(self, name) != still[name].default:
+                raise ConfigError(f"MotionCfg.{name} = {getattr(self, name)!r}: motion {self.kind!r} does not use it")

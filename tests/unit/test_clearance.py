@@ -1,0 +1,194 @@
+"""Room around start and goal: the guarantee, what it may move, and what it must not touch."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym import SimBuilder
+from aerial_gym.assets import ENVIRONMENTS, PARKED_Z, AssetManager, CollisionTest
+from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, FamilyCfg, ShapeCfg
+from aerial_gym.config.robot import SphereCfg
+from aerial_gym.env_manager import EnvManager
+from aerial_gym.errors import ConfigError
+from aerial_gym.registry import GlobalTensorDictionary
+
+ROUNDING = 2e-6
+"""Of distances below 20 m in float32 [m]."""
+
+
+def simulate(env_name: str, num_envs: int, seed: int = 0) -> EnvManager:
+    return SimBuilder().build_env(
+        sim_name="base_sim",
+        env_name=env_name,
+        robot_name="base_quadrotor",
+        controller_name="lee_velocity_control",
+        num_envs=num_envs,
+        device="cpu",
+        seed=seed,
+    )
+
+
+def manager(assets: tuple[AssetCfg, ...], num_envs: int, *, clearance: float = 0.5) -> AssetManager:
+    """Obstacles in a cube of 4 m."""
+    corners = {
+        f"bounds_{side}_{end}": (x, x, x) for side, x in (("lower", -2.0), ("upper", 2.0)) for end in ("low", "high")
+    }
+    cfg = EnvironmentCfg(
+        summary="a test", physics_steps_per_env_step=1, source="test", assets=assets, clearance=clearance, **corners
+    )
+    made = AssetManager(
+        cfg,
+        GlobalTensorDictionary(device=torch.device("cpu"), sizes={"E": num_envs}),
+        num_envs=num_envs,
+        device=torch.device("cpu"),
+        generator=torch.Generator().manual_seed(3),
+        bounds_min=torch.full((num_envs, 3), -2.0),
+        bounds_max=torch.full((num_envs, 3), 2.0),
+    )
+    made.reset(every(num_envs))
+    return made
+
+
+def every(num_envs: int) -> Tensor:
+    return torch.ones(num_envs, dtype=torch.bool)
+
+
+def distance(made: AssetManager, points: Tensor) -> Tensor:
+    """Return how far points (E, 3) are from the scene [m]."""
+    num = len(points)
+    out, hit = torch.full((num,), float("nan")), torch.zeros(num, dtype=torch.bool)
+    attitude = torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(num, 4).contiguous()
+    point = (SphereCfg(center=(0.0, 0.0, 0.0), radius=1e-9),)
+    CollisionTest(made.scene, point, position=points, attitude=attitude, distance_out=out, crashes_out=hit).measure()
+    return out
+
+
+BOXES = AssetCfg(
+    name="boxes",
+    shapes=(ShapeCfg(kind="box", size=(0.3, 0.5, 0.8)), ShapeCfg(kind="sphere", radius=0.4)),
+    count=10,
+    position_ratio_low=(0.0, 0.0, 0.0),
+    position_ratio_high=(1.0, 1.0, 1.0),
+    euler_low=(-3.0, -3.0, -3.0),
+    euler_high=(3.0, 3.0, 3.0),
+)
+TREES = replace(BOXES, name="trees", shapes=(), family=FamilyCfg(name="trees", variants=4), count=3, keep=True)
+WALL = AssetCfg(
+    name="wall",
+    shapes=(ShapeCfg(kind="box", size=(0.2, 4.0, 4.0)),),
+    count=1,
+    position_ratio_low=(0.5, 0.5, 0.5),
+    position_ratio_high=(0.5, 0.5, 0.5),
+)
+
+
+@pytest.mark.parametrize("name", [name for name in ENVIRONMENTS.names() if ENVIRONMENTS.get(name).num_assets])
+def test_no_robot_starts_inside_or_near_an_obstacle(name: str) -> None:
+    """1000 resets: the robot's collision spheres keep the clearance from everything, and next to nothing is parked."""
+    env = simulate(name, 250)
+    assert env.cfg.clearance == 0.4
+    for _ in range(4):
+        env.reset()
+        assert env.gtd["robot_clearance"].min() >= 0.4 - ROUNDING
+        assert (env.gtd["obstacle_position"][..., 2] == PARKED_Z).float().mean() < 1e-3
+
+
+def test_without_a_clearance_some_robots_start_too_close() -> None:
+    """The test above can fail: boxes anywhere in the cube leave many points without room."""
+    made = manager((BOXES, TREES), 200, clearance=0.0)
+    points = 2.0 * torch.rand(200, 3, generator=torch.Generator().manual_seed(0)) - 1.0
+    made.clear_start(every(200), points)
+    assert (distance(made, points) < 0.5).sum() > 50
+
+
+def test_starts_and_goals_keep_their_room_together() -> None:
+    """Goals are drawn after starts; making room for the one does not take it from the other."""
+    made = manager((BOXES, TREES, WALL), 500)
+    draw = torch.Generator().manual_seed(0)
+    start, goal = (2.0 * torch.rand(500, 3, generator=draw) - 1.0 for _ in range(2))
+    start[:, 0], goal[:, 0] = 0.7, -1.3  # far enough from the wall at 0, which stays
+    for _ in range(2):
+        made.reset(every(500))
+        made.clear_start(every(500), start)
+        assert distance(made, start).min() >= 0.5 - ROUNDING
+        assert (distance(made, goal) < 0.5).any()
+        made.clear_goal(every(500), goal)
+        assert distance(made, start).min() >= 0.5 - ROUNDING
+        assert distance(made, goal).min() >= 0.5 - ROUNDING
+
+
+def test_obstacles_that_are_far_enough_stay_where_they_are() -> None:
+    """Only what blocks is moved, and what is moved stays within its range."""
+    made = manager((BOXES,), 300)
+    before = made.scene.asset_state.clone()
+    points = torch.zeros(300, 3)
+    made.clear_start(every(300), points)
+    after = made.scene.asset_state
+    moved = (after != before).any(dim=-1)
+    far = before[..., :3].norm(dim=-1) > 0.5 + 0.5 * (0.3**2 + 0.5**2 + 0.8**2) ** 0.5
+    assert not moved[far].any()
+    near = before[..., :3].norm(dim=-1) < 0.5
+    assert moved[near].all()
+    assert near.any()
+    present = after[..., 2] > -500.0
+    assert (after[..., :3][present].abs() <= 2.0 + 1e-6).all()
+
+
+def test_what_cannot_be_placed_is_parked_and_walls_stay() -> None:
+    """A ball that fills its range has no place; a wall whose place is given stays, though it is in the way."""
+    stuck = replace(BOXES, shapes=(ShapeCfg(kind="sphere", radius=3.0),), count=2, keep=True)
+    made = manager((stuck, WALL), 5)
+    made.clear_start(every(5), torch.zeros(5, 3))
+    assert (made.scene.asset_state[:, :2, 2] == PARKED_Z).all()
+    assert (made.scene.asset_state[:, 2, :3] == 0.0).all()
+    assert (distance(made, torch.zeros(5, 3)) < 0.0).all()
+
+
+def test_making_room_leaves_other_environments_bit_for_bit() -> None:
+    made = manager((BOXES, TREES), 6)
+    made.clear_start(every(6), torch.zeros(6, 3))
+    made.scene.asset_state[1, 5, :3] = (
+        0.0  # since then an obstacle has come close: not the business of a reset elsewhere
+    )
+    before = made.scene.asset_state.clone()
+    mask = torch.tensor([True, False, False, True, False, False])
+    made.reset(mask)
+    made.clear_start(mask, torch.full((6, 3), 1.0))
+    made.clear_goal(mask, torch.full((6, 3), -1.0))
+    assert torch.equal(made.scene.asset_state[~mask], before[~mask])
+
+
+def test_a_new_start_forgets_the_goal_of_the_episode_before() -> None:
+    """Environment 0 with an old goal is the same as environment 0 of a manager that never had one."""
+    states = []
+    for has_goal in (False, True):
+        made = manager((BOXES,), 3)
+        if has_goal:
+            made.clear_start(every(3), torch.zeros(3, 3))
+            made.clear_goal(every(3), torch.ones(3, 3))
+        made.reset(every(3))
+        made.clear_start(every(3), torch.full((3, 3), 0.2))
+        states.append(made.scene.asset_state.clone())
+    assert torch.equal(*states)
+
+
+def test_the_same_seed_gives_the_same_room() -> None:
+    a, b, c = (simulate("forest_env", 20, seed) for seed in (1, 1, 2))
+    for env in (a, b, c):
+        env.reset()
+        env.reset()
+    assert torch.equal(a.gtd["vec_root_tensor"], b.gtd["vec_root_tensor"])
+    assert not torch.equal(a.gtd["vec_root_tensor"], c.gtd["vec_root_tensor"])
+    again = a.gtd["vec_root_tensor"].clone()
+    a.restart(1)
+    a.reset()
+    a.reset()
+    assert torch.equal(a.gtd["obstacle_orientation"], again[:, 1:, 3:7])
+
+
+def test_impossible_clearances_are_refused() -> None:
+    for value in (-0.1, float("nan"), float("inf")):
+        with pytest.raises(ConfigError, match=r"EnvironmentCfg.clearance = .*: must be >= 0 and finite"):
+            replace(ENVIRONMENTS.get("empty_env"), clearance=value)
