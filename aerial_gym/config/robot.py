@@ -270,6 +270,9 @@ class RobotCfg:
     sensors: tuple[str, ...] = ()
     """Names of registered sensors on board."""
 
+    imu: str | None = None
+    """Name of an IMU of ``config/imus``; its measurement stands in ``imu_measurement``."""
+
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Physical effects beyond rigid body and rotors: parameters by effect name (``aerial-gym list effects``)."""
 

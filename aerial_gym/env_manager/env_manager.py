@@ -1,8 +1,10 @@
 """The order of a step, and nothing else.
 
-``act -> [control -> allocate -> rotors -> effects -> integrate -> collide] x K -> clocks``, then, when the task has seen
-the result, ``reset by mask -> sense``. Letters: E environments, A obstacles.
+``act -> [control -> allocate -> rotors -> effects -> integrate -> move obstacles -> collide] x K -> IMU -> clocks``, then, when the
+task has seen the result, ``reset by mask -> sense``. Letters: E environments, A obstacles.
 """
+
+from math import hypot
 
 import torch
 from torch import Tensor
@@ -10,13 +12,14 @@ from torch import Tensor
 from aerial_gym.assets import AssetManager, CollisionTest, bounds_ranges, draw_bounds
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.environment import EnvironmentCfg
+from aerial_gym.config.imu import load_imu
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import make_controller
 from aerial_gym.errors import ConfigError
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.robots import RobotManager
-from aerial_gym.sensors import SENSORS, SensorManager
+from aerial_gym.sensors import SENSORS, Imu, SensorManager
 
 
 class EnvManager:
@@ -55,6 +58,7 @@ class EnvManager:
             bounds_min=bounds[0],
             bounds_max=bounds[1],
             asset_state=root[:, 1:],
+            robot_radius=max((hypot(*s.center) + s.radius for s in robot.collision.spheres), default=0.0),
         )
         self.robot_manager = RobotManager(
             robot, sim, self.gtd, root_state=root[:, 0], bounds=bounds, generator=self.generator, seed=seed
@@ -64,7 +68,19 @@ class EnvManager:
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
         cameras = {name: SENSORS.get(name) for name in robot.sensors}
         scene = self.asset_manager.scene
-        self.sensor_manager = SensorManager(cameras, self.gtd, scene, num_envs=num_envs, device=device, **pose)
+        self.sensor_manager = SensorManager(
+            cameras,
+            self.gtd,
+            scene,
+            position=pose["position"],
+            attitude=pose["attitude"],
+            num_envs=num_envs,
+            device=device,
+            dt=self.dt,
+            generator=self.generator,
+            seed=seed,
+        )
+        self._imu = None if robot.imu is None else self._make_imu(robot.imu)
         self._touching = torch.zeros(num_envs, dtype=torch.bool, device=device)
         self._collision = CollisionTest(
             scene,
@@ -101,29 +117,57 @@ class EnvManager:
                 key=key, shape=("E",), dtype=dtype, unit="-", frame="-", owner="env, task", meaning=meaning
             ))  # fmt: skip
 
+    def _make_imu(self, name: str) -> Imu:
+        """Declare the measurement of an IMU and return what writes it."""
+        measurement = self.gtd.declare(TensorSpec(
+            key="imu_measurement", shape=("E", 6), unit="m/s², rad/s", frame="imu", owner="env",
+            meaning="mean specific force over the step, angular velocity at its end, with bias and noise",
+        ))  # fmt: skip
+        return Imu(
+            load_imu(name),
+            attitude=self.gtd["robot_orientation"],
+            lin_vel=self.gtd["robot_linvel"],
+            ang_vel=self.gtd["robot_body_angvel"],
+            measurement_out=measurement,
+            dt=self.dt,
+            gravity=self.sim_cfg.gravity,
+            seed=self.seed,
+        )
+
     @property
     def dt(self) -> float:
         """Length of an environment step [s]."""
         return self.sim_cfg.dt * self.cfg.physics_steps_per_env_step
 
-    def step(self, actions: Tensor) -> None:
-        """Hold an action, (E, U), for one environment step; nothing is reset, no sensor is read."""
+    def step(self, actions: Tensor, env_actions: Tensor | None = None) -> None:
+        """Hold an action for one environment step; nothing is reset, no sensor is read.
+
+        Args:
+            actions: What the robots do, (E, U).
+            env_actions: New twists of the obstacles that move by twist: velocity [m/s] and angular velocity [rad/s],
+                world, (E, A, 6). Without them obstacles keep the twists they have.
+        """
         gtd = self.gtd
         gtd["crashes"].zero_()
         gtd["truncations"].zero_()
         self.robot_manager.act(actions)
+        if env_actions is not None:
+            self.asset_manager.take_actions(env_actions)
         self._advance()
         self.robot_manager.refresh()
+        if self._imu is not None:
+            self._imu.measure()
         gtd["sim_steps"].add_(1)
 
     def _advance(self) -> None:
-        """Advance the physics; where there are obstacles, look for contact after every physics step."""
+        """Advance the physics; where there are obstacles, move them and look for contact after every physics step."""
         steps = self.cfg.physics_steps_per_env_step
         if self.cfg.num_assets == 0:
             self.robot_manager.advance(steps)
             return
         for _ in range(steps):
             self.robot_manager.advance(1)
+            self.asset_manager.step(self.sim_cfg.dt)
             self._collision.measure()
             self.gtd["crashes"].logical_or_(self._touching)
 
@@ -131,7 +175,11 @@ class EnvManager:
         """Begin every random number anew with a seed."""
         self.seed = seed
         self.generator.manual_seed(seed)
+        self.asset_manager.restart(seed)
         self.robot_manager.restart(seed)
+        self.sensor_manager.restart(seed)
+        if self._imu is not None:
+            self._imu.restart(seed)
 
     def reset(self, mask: Tensor | None = None) -> None:
         """Start the environments in ``mask``, bool (E,), anew; all of them without a mask. Others stay bit for bit."""
@@ -141,7 +189,10 @@ class EnvManager:
         if self.cfg.num_assets:
             self.asset_manager.reset(mask)
         self.robot_manager.reset(mask)
+        self.asset_manager.clear_start(mask, self.gtd["robot_position"])
         self.sensor_manager.reset(mask)
+        if self._imu is not None:
+            self._imu.reset(mask)
         if self.cfg.num_assets:
             self._collision.measure()
         for key in ("crashes", "truncations", "sim_steps"):

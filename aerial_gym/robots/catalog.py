@@ -17,6 +17,19 @@ ROBOTS.register(
     replace(_BASE, summary="base_quadrotor with a depth and segmentation camera", sensors=("base_depth_camera",)),
 )
 ROBOTS.register(
+    "base_quadrotor_with_imu",
+    replace(_BASE, summary="base_quadrotor with an inertial measurement unit", imu="base_imu"),
+)
+ROBOTS.register(
+    "base_quadrotor_with_camera_imu",
+    replace(
+        _BASE,
+        summary="base_quadrotor with a depth and segmentation camera and an inertial measurement unit",
+        sensors=("base_depth_camera",),
+        imu="base_imu",
+    ),
+)
+ROBOTS.register(
     "base_quadrotor_with_lidar",
     replace(_BASE, summary="base_quadrotor with a lidar that sees all around", sensors=("base_lidar",)),
 )

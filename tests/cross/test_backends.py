@@ -66,12 +66,12 @@ def start_of(model: Model, num_envs: int) -> BodyState:
 
 
 def fly(
-    backend, robot, controller, integrator, dtype, *, effects=(), adjust=None, num_envs=16, follow=None
+    backend, robot, controller, integrator, dtype, *, effects=(), adjust=None, num_envs=16, follow=None, size=1.0
 ) -> list[BodyState]:
     """Return the state after every step; with ``follow`` each step starts from the state before it there."""
     model, law = build(robot, controller, num_envs, dtype, effects, adjust)
     backend.allocate(model, law, integrator=integrator)
-    actions = actions_for(law, model, num_envs).to(dtype)
+    actions = size * actions_for(law, model, num_envs).to(dtype)
     state, found = as_type(start_of(model, num_envs), dtype), []
     for step in range(STEPS):
         if follow is not None and step > 0:
@@ -113,6 +113,20 @@ def test_every_controller_and_stepper_flies_like_torch(controller: str, integrat
 @pytest.mark.parametrize("robot", ROBOTS.names())
 def test_every_robot_flies_like_torch(robot: str) -> None:
     assert_same_flight(ROBOTS.get(robot), CONTROLLERS.get("no_control"), "euler")
+
+
+@pytest.mark.parametrize("law", ["position", "velocity", "acceleration", "attitude"])
+def test_commands_beyond_the_limits_are_limited_like_torch(law: str) -> None:
+    """Ten times larger commands: yaw rate, inclination and the least upward force are at their limits."""
+    controller = CONTROLLERS.get(f"lee_{law}_control")
+    assert_same_flight(ROBOTS.get("tinyprop"), controller, "euler", steps_alone=True, size=20.0)
+
+
+def test_a_thrust_map_with_an_offset_is_inverted_like_torch() -> None:
+    """Thrust at rest differs from zero: the vertex of the map is not at the origin."""
+    robot = lopsided_robot()
+    offset = replace(robot, rotor=replace(robot.rotor, thrust_map=(0.05, 1e-4, 3e-6), thrust_range=(0.1, 8.0)))
+    assert_same_flight(offset, CONTROLLERS.get("no_control"), "euler")
 
 
 def test_a_flight_that_amplifies_round_off_is_the_same_step_by_step() -> None:

@@ -136,6 +136,14 @@ def test_normals_are_those_of_the_surface(name: str, device: torch.device) -> No
     assert (world[~hit] == 0.0).all()
 
 
+def test_from_inside_a_room_the_normals_of_its_walls_point_inwards(device: torch.device) -> None:
+    room = ShapeCfg(kind="box", size=(8.0, 8.0, 8.0))
+    caster = shoot(replace(CAMERA, normals="world"), make_scene([room], [([0, 0, 0], [0.0, 0.0, 0.0])], device))
+    assert caster.images.normals is not None
+    ahead = caster.images.normals[0, 0, 15, 20].cpu()
+    torch.testing.assert_close(ahead, torch.tensor([-1.0, 0.0, 0.0]), rtol=0.0, atol=1e-6)
+
+
 def closed_normal(shape: ShapeCfg, local: Tensor) -> tuple[Tensor, Tensor]:
     """Return the outward normal at points of a surface, and where no edge is nearer than a millimetre."""
     if shape.kind == "sphere":

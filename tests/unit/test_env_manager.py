@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from aerial_gym import SimBuilder
+from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError, ShapeError, UnknownNameError
 from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse
@@ -25,7 +26,7 @@ def fly(env: EnvManager, steps: int = 5) -> None:
         env.step(torch.tensor([1.0, 0.2 * i, 0.1, 0.3]).expand(env.num_envs, 4))
 
 
-@pytest.mark.parametrize("env_name", ["empty_env", "empty_env_2ms", "env_with_obstacles"])
+@pytest.mark.parametrize("env_name", ENVIRONMENTS.names())
 def test_all_states_belong_to_the_same_instant(env_name: str) -> None:
     """After a step and a reset by mask, body velocities and angles follow from the pose and world velocities."""
     env = build(env_name=env_name)
@@ -53,8 +54,9 @@ def test_step_keeps_time_and_does_not_reset() -> None:
     assert env.gtd["sim_steps"].tolist() == [7] * 4
 
 
-def test_reset_by_mask_leaves_other_rows_bit_for_bit() -> None:
-    env = build(5, env_name="env_with_obstacles")
+@pytest.mark.parametrize("env_name", ["env_with_obstacles", "forest_env", "dynamic_env"])
+def test_reset_by_mask_leaves_other_rows_bit_for_bit(env_name: str) -> None:
+    env = build(5, env_name=env_name)
     fly(env)
     before = {key: tensor.clone() for key, tensor in env.gtd.items()}
     mask = torch.tensor([False, True, False, False, True])
@@ -143,7 +145,6 @@ def test_flying_into_a_wall_is_a_crash_and_clearance_tells_how_far() -> None:
 def test_effect_parameters_written_to_the_gtd_change_the_flight() -> None:
     from dataclasses import replace
 
-    from aerial_gym.assets import ENVIRONMENTS
     from aerial_gym.control import CONTROLLERS
     from aerial_gym.env_manager import SIMS
     from aerial_gym.robots import ROBOTS
@@ -173,7 +174,6 @@ def test_effect_parameters_written_to_the_gtd_change_the_flight() -> None:
 def test_randomised_parameters_stay_in_range_and_change_only_in_the_mask() -> None:
     from dataclasses import replace
 
-    from aerial_gym.assets import ENVIRONMENTS
     from aerial_gym.config.robot import RandomizationCfg
     from aerial_gym.control import CONTROLLERS
     from aerial_gym.env_manager import SIMS
@@ -223,3 +223,30 @@ def test_wrong_requests_are_refused_by_name() -> None:
     env.reset()
     with pytest.raises(ShapeError, match=r"actions has shape \(4, 3\), expected \(E, U\) = \(4, 4\): vx \[m/s\]"):
         env.step(torch.zeros(4, 3))
+
+
+def test_an_imu_on_board_measures_gravity_in_hover_and_nothing_else_moves() -> None:
+    """Level in hover it reads g up within bias and noise (1e-3 + 6 x 1.7e-3 x 10); in free fall it reads zero."""
+    readings = {}
+    for thrust in (0.0, -1.0):
+        env = SimBuilder().build_env(
+            sim_name="base_sim",
+            env_name="empty_env",
+            robot_name="base_quadrotor_with_imu",
+            controller_name="lee_rates_control",
+            num_envs=8,
+            device="cpu",
+            seed=1,
+        )
+        env.reset()
+        env.gtd["robot_linvel"].zero_()
+        env.gtd["robot_body_angvel"].zero_()
+        actions = torch.zeros(8, 4)
+        actions[:, 0] = thrust
+        for _ in range(60):
+            env.step(actions)
+        readings[thrust] = env.gtd["imu_measurement"].clone()
+    hover, fall = readings[0.0], readings[-1.0]
+    torch.testing.assert_close(hover[:, 2], torch.full((8,), 9.81), rtol=0.0, atol=0.12)
+    torch.testing.assert_close(fall[:, :3], torch.zeros(8, 3), rtol=0.0, atol=0.12)
+    assert (hover[:, 3:].abs() < 0.2).all()
