@@ -1,7 +1,7 @@
 """The order of a step, and nothing else.
 
-``act -> [control -> allocate -> rotors -> effects -> integrate -> move obstacles -> collide] x K -> IMU -> clocks``, then, when the
-task has seen the result, ``reset by mask -> sense``. Letters: E environments, A obstacles.
+``act -> [control -> allocate -> rotors -> effects -> integrate -> move obstacles -> collide] x K -> IMU -> clocks``, then,
+when the task has seen the result, ``reset by mask -> sense``. Letters: E environments, A obstacles.
 """
 
 from math import hypot

@@ -6,4 +6,4 @@ from aerial_gym.sensors.ray_caster import MISS_ID, RayCaster, SensorImages
 from aerial_gym.sensors.rays import pinhole_rays, ray_table
 from aerial_gym.sensors.sensor_manager import SensorManager
 
-__all__ = ["MISS_ID", "Imu", "SENSORS", "RayCaster", "SensorImages", "SensorManager", "pinhole_rays", "ray_table"]
+__all__ = ["MISS_ID", "SENSORS", "Imu", "RayCaster", "SensorImages", "SensorManager", "pinhole_rays", "ray_table"]
