@@ -16,6 +16,8 @@ SPHERE = wp.constant(1)
 CYLINDER = wp.constant(2)
 CAPSULE = wp.constant(3)
 MESH = wp.constant(4)
+PLANE = wp.constant(5)
+"""Solid below z = 0 of its own frame, without end."""
 
 TINY = wp.constant(1.0e-20)
 """Stands for a direction component of 0, so that dividing by it stays finite."""
@@ -29,7 +31,7 @@ class Shape:
     ray_mesh: wp.uint64  # the same triangles in the tree that rays are fastest in
     position: wp.vec3  # of the shape in the frame of its asset [m]
     attitude: wp.quat  # shape to asset, xyzw, unit
-    kind: wp.int32  # BOX, SPHERE, CYLINDER, CAPSULE or MESH
+    kind: wp.int32  # BOX, SPHERE, CYLINDER, CAPSULE, MESH or PLANE
     radius: wp.float32  # of the bounding sphere about the shape's origin [m]
     size: wp.vec3  # box: half edges; else: radius, half height along z, 0 [m]
     center: wp.vec3  # of the bounding box in the shape's own axes [m]; 0 but for meshes
@@ -123,7 +125,11 @@ def unit_distance(kind: int, origin: wp.vec3, direction: wp.vec3, limit: float) 
 
 @wp.func
 def shape_distance(shape: Shape, origin: wp.vec3, direction: wp.vec3, limit: float) -> float:
-    """Return t at the first surface of a CAPSULE or MESH, the ray in the frame of the bounding box, or ``limit``."""
+    """Return t at the first surface of a CAPSULE, MESH or PLANE, the ray in the frame of the bounding box, or ``limit``."""
+    if shape.kind == PLANE:
+        fall = wp.where(wp.abs(direction[2]) > TINY, direction[2], TINY)
+        t = -origin[2] / fall
+        return wp.where(t >= 0.0 and t < limit, t, limit)
     own, along = wp.cw_mul(origin, shape.half) + shape.center, wp.cw_mul(direction, shape.half)
     if shape.kind == CAPSULE:
         return first_surface(capsule_interval(own, along, shape.size[0], shape.size[1]), limit)
@@ -186,6 +192,8 @@ def signed_distance(shape: Shape, point: wp.vec3) -> float:
         distance = cylinder_distance(point, shape.size[0], shape.size[1])
     elif shape.kind == CAPSULE:
         distance = capsule_distance(point, shape.size[0], shape.size[1])
+    elif shape.kind == PLANE:
+        distance = point[2]
     elif shape.kind == MESH:
         # No point of the surface is farther than this; the margin keeps the bound strict in float32.
         distance = mesh_distance(shape.mesh, point, 1.01 * (wp.length(point) + shape.radius))

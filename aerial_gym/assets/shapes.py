@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import hypot
+from math import hypot, inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +10,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from aerial_gym.assets.geometry import BOX, CAPSULE, CYLINDER, MESH, SPHERE, Shape
+from aerial_gym.assets.geometry import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE, Shape
 from aerial_gym.assets.urdf import load_urdf_shape
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.errors import ConfigError
@@ -19,7 +19,7 @@ from aerial_gym.math.quaternion import quat_from_euler
 if TYPE_CHECKING:
     import trimesh
 
-_KINDS = {"box": BOX, "sphere": SPHERE, "cylinder": CYLINDER, "capsule": CAPSULE, "mesh": MESH}
+_KINDS = {"box": BOX, "sphere": SPHERE, "cylinder": CYLINDER, "capsule": CAPSULE, "mesh": MESH, "plane": PLANE}
 
 _MARGIN = 1.0 + 1e-5
 """Bounding spheres are larger by this factor, so that float32 rounding (6e-8) never rejects a shape that is hit."""
@@ -133,11 +133,15 @@ def _half_box(cfg: ShapeCfg) -> tuple[float, float, float]:
     a, b, c = _half_size(cfg)
     if cfg.kind == "box":
         return a, b, c
+    if cfg.kind == "plane":
+        return 1.0, 1.0, 1.0  # has no bounding box: its frame is not scaled
     return a, a, {"cylinder": b, "capsule": a + b}.get(cfg.kind, a)
 
 
 def _bounding_radius(cfg: ShapeCfg) -> float:
     a, b, c = _half_size(cfg)
+    if cfg.kind == "plane":
+        return inf
     if cfg.kind == "box":
         return hypot(a, b, c)
     return hypot(a, b) if cfg.kind == "cylinder" else a + b

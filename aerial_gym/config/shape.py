@@ -18,6 +18,7 @@ _FIELDS_OF_KIND = {
     "sphere": ("radius",),
     "cylinder": ("radius", "height"),
     "capsule": ("radius", "height"),
+    "plane": (),
     "mesh": ("path",),
     "compound": ("parts",),
     "urdf": ("path",),
@@ -55,8 +56,9 @@ class ShapeCfg:
     """A rigid shape in its own frame: centred on the origin, axis of symmetry along z; a mesh keeps its own origin."""
 
     kind: str
-    """``box`` (needs size), ``sphere`` (radius), ``cylinder`` and ``capsule`` (radius, height), ``mesh`` (path),
-    ``compound`` (parts), ``urdf`` (path: every link becomes a part, joints at zero)."""
+    """``box`` (needs size), ``sphere`` (radius), ``cylinder`` and ``capsule`` (radius, height), ``plane`` (nothing; solid
+    below its z = 0, without end), ``mesh`` (path), ``compound`` (parts), ``urdf`` (path: every link becomes a part,
+    joints at zero)."""
 
     size: Vec3 | None = None
     """Edge lengths of a box [m], each > 0."""
@@ -91,7 +93,9 @@ class ShapeCfg:
             if name in needed and value is None:
                 raise ConfigError(f"ShapeCfg.{name}: a {self.kind} needs it")
             if name not in needed and value is not None:
-                raise ConfigError(f"ShapeCfg.{name} = {value!r}: a {self.kind} has none. It needs {', '.join(needed)}")
+                raise ConfigError(
+                    f"ShapeCfg.{name} = {value!r}: a {self.kind} has none. It needs {', '.join(needed) or 'nothing'}"
+                )
             for length in value if isinstance(value, tuple) else (value,):
                 if isinstance(length, (int, float)) and not 0.0 < length < inf:
                     raise ConfigError(f"ShapeCfg.{name} = {value!r}: must be > 0 and finite")

@@ -14,7 +14,7 @@ from functools import cache
 
 import warp as wp
 
-from aerial_gym.assets.geometry import BOX, CAPSULE, CYLINDER, MESH
+from aerial_gym.assets.geometry import BOX, CAPSULE, CYLINDER, MESH, PLANE
 from aerial_gym.sensors.view import View, is_blocked
 
 MISS_ID = wp.constant(-2)
@@ -153,6 +153,8 @@ def surface_at(view: View, env: int, mount: int, part: int, ray: wp.vec3, distan
         own = wp.cw_mul(p, shape.half)
         along = wp.clamp(own[2], -shape.size[1], shape.size[1])
         slope = wp.cw_mul(wp.vec3(own[0], own[1], own[2] - along), shape.half)
+    elif kind == PLANE:
+        slope = wp.vec3(0.0, 0.0, 1.0)
     elif kind == MESH:
         shape = view.shapes[view.part_shape[env, part]]
         start = wp.cw_mul(wp.vec3(x[3], y[3], z[3]), shape.half) + shape.center

@@ -14,7 +14,7 @@ M = E * S mounts, P parts.
 
 import warp as wp
 
-from aerial_gym.assets.geometry import CYLINDER, Shape, shape_distance, unit_distance
+from aerial_gym.assets.geometry import CYLINDER, PLANE, Shape, shape_distance, unit_distance
 from aerial_gym.assets.scene_arrays import SceneArrays, part_attitude, part_is_present, part_position
 
 ABSENT = wp.constant(-1)
@@ -106,6 +106,16 @@ def tile_entry(x: wp.vec4, y: wp.vec4, z: wp.vec4, middle: wp.vec3, spread: wp.v
 
 
 @wp.func
+def plane_entry(row: wp.vec4, middle: wp.vec3, spread: wp.vec3) -> float:
+    """Return a distance before which no ray of a tile meets the plane in which this coordinate is 0, inf if none does [m]."""
+    across = row[0] * middle[0] + row[1] * middle[1] + row[2] * middle[2]
+    half = wp.abs(row[0]) * spread[0] + wp.abs(row[1]) * spread[1] + wp.abs(row[2]) * spread[2]
+    if row[3] > 0.0:
+        return wp.where(across - half < 0.0, row[3] / (half - across), wp.inf)
+    return wp.where(across + half > 0.0, -row[3] / (across + half), wp.inf)
+
+
+@wp.func
 def trace(view: View, env: int, mount: int, a: int, ray: wp.vec3, limit: float) -> float:
     """Return the distance along a ray to an instance [m], or ``limit`` if there is none before it."""
     x = view.rows[mount, 3 * a]
@@ -150,8 +160,11 @@ def is_blocked(view: View, env: int, mount: int, start: wp.vec3, ray: wp.vec3, l
 @wp.func
 def entry_of(view: View, mount: int, a: int, middle: wp.vec3, spread: wp.vec3) -> float:
     """Return a distance before which no ray of a tile meets a part, inf if it is absent or none meets it [m]."""
-    if view.kind[mount, a] == ABSENT:
+    kind = view.kind[mount, a]
+    if kind == ABSENT:
         return wp.inf
+    if kind == PLANE:
+        return plane_entry(view.rows[mount, 3 * a + 2], middle, spread)
     return tile_entry(view.rows[mount, 3 * a], view.rows[mount, 3 * a + 1], view.rows[mount, 3 * a + 2], middle, spread)
 
 

@@ -22,6 +22,7 @@ DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 BOX = ShapeCfg(kind="box", size=(0.6, 1.0, 1.6))
 SPHERE = ShapeCfg(kind="sphere", radius=0.7)
 CYLINDER = ShapeCfg(kind="cylinder", radius=0.4, height=1.5)
+PLANE = ShapeCfg(kind="plane")
 CAPSULE = ShapeCfg(kind="capsule", radius=0.35, height=1.1)
 RADIUS = 0.05
 PROBE = (SphereCfg(center=(0.0, 0.0, 0.0), radius=RADIUS),)
@@ -96,6 +97,8 @@ SIGNED_CASES = [
     (CAPSULE, (0.0, 0.0, 0.55 + 0.35 + 0.2), 0.2),  # above the cap
     (CAPSULE, (0.6, 0.0, -0.55 - 0.8), 0.65),  # off the cap: 6-8-10
     (CAPSULE, (0.0, 0.0, 0.0), -0.35),
+    (PLANE, (40.0, -3.0, 0.7), 0.7),  # above, far from its origin
+    (PLANE, (0.0, 2.0, -0.2), -0.2),  # below
 ]
 
 

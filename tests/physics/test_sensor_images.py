@@ -169,6 +169,33 @@ def closed_normal(shape: ShapeCfg, local: Tensor) -> tuple[Tensor, Tensor]:
     return torch.where((cap < side)[:, None], flat, radial), (cap - side).abs() > 1e-3
 
 
+@pytest.mark.parametrize("turn", [[0.0, 0.0, 0.0], [0.2, -0.1, 0.5]])
+def test_a_plane_has_the_distance_of_its_equation_at_every_pixel(turn: list[float], device: torch.device) -> None:
+    """n . (o + t d) = n . p gives t; rays that do not fall see nothing, up to grazing ones. Its normal is n everywhere."""
+    place = [0.5, 0.2, -1.5]
+    scene = make_scene(
+        [ShapeCfg(kind="plane"), SOLIDS["sphere"][0]], [(place, turn), ([3.0, 0.2, 0.4], [0, 0, 0])], device
+    )
+    attitude = quat_from_euler(torch.tensor([[0.1, 0.2, -0.3]]))
+    caster = shoot(replace(CAMERA, normals="world", max_range=500.0), scene, attitude=attitude)
+    images, rays = caster.images, caster.direction.cpu().double()
+    world = quat_rotate(attitude.double().expand(30, 40, 4), rays)
+    normal = quat_rotate(
+        quat_from_euler(torch.tensor(turn, dtype=torch.float64)), torch.tensor([0.0, 0.0, 1.0]).double()
+    )
+    t = (normal @ torch.tensor(place, dtype=torch.float64)) / (world @ normal)
+    assert images.segmentation is not None
+    assert images.normals is not None
+    ids, found = images.segmentation[0, 0].cpu(), images.distance[0, 0].cpu().double()
+    ground = ids == 0
+    assert ground.sum() > 200
+    torch.testing.assert_close(found[ground], t[ground], rtol=1e-5, atol=1e-5)
+    falls = (t > 0.0) & (t < 499.0)
+    assert torch.equal(ground, falls & (ids != 1))
+    expected = normal.float().expand(int(ground.sum()), 3)
+    torch.testing.assert_close(images.normals[0, 0].cpu()[ground], expected, rtol=0.0, atol=1e-5)
+
+
 def test_faces_of_a_box_are_numbered_by_axis_and_side(device: torch.device) -> None:
     """A camera before each face of a cube sees the number 2 axis + (1 on the upper side)."""
     cube = ShapeCfg(kind="box", size=(1.0, 1.0, 1.0))

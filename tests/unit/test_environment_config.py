@@ -144,7 +144,7 @@ def test_impossible_cameras_are_refused(fields: dict, message: str) -> None:
     [
         (
             {"kind": "cone", "radius": 1.0},
-            r"ShapeCfg.kind = 'cone': must be one of box, sphere, cylinder, capsule, mesh",
+            r"ShapeCfg.kind = 'cone': must be one of box, sphere, cylinder, capsule, plane, mesh",
         ),
         ({"kind": "box"}, r"ShapeCfg.size: a box needs it"),
         ({"kind": "box", "size": (1.0, 0.0, 1.0)}, r"ShapeCfg.size = .*: must be > 0 and finite"),
