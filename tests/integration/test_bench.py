@@ -199,3 +199,47 @@ def test_the_number_of_threads_is_put_back() -> None:
     with torch_threads(1) as threads:
         assert threads == torch.get_num_threads() == 1
     assert torch.get_num_threads() == before
+
+
+@pytest.mark.parametrize("scene", ["boxes", "clutter", "env_with_obstacles"])
+def test_rendering_gives_frames_rays_and_the_time_of_a_move(scene: str, capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ("--scene", scene, "--num-envs", "4", "--width", "32", "--height", "24", "--segmentation", "--json")
+    status, out, _ = run(capsys, "bench", "render", *argv, *QUICK)
+    assert status == 0
+    found = json.loads(out)
+    assert found["rays_per_s"] == pytest.approx(found["frames_per_s"] * 32 * 24)
+    assert found["image_s"] == pytest.approx(4 / found["frames_per_s"], rel=1e-6)
+    assert found["move_s"] > 0.0
+
+
+def test_merged_meshes_show_the_same_depths(capsys: pytest.CaptureFixture[str]) -> None:
+    """The baseline sees what we see: boxes to round-off; the median leaves out pixels along edges."""
+    from aerial_gym.cli.bench.merged import MergedMeshes
+    from aerial_gym.cli.bench.scenes import make_scene
+    from aerial_gym.config.sensor import CameraCfg
+    from aerial_gym.sensors import RayCaster, SensorImages
+
+    scene = make_scene("boxes", 3, device=CPU)
+    camera = CameraCfg(
+        summary="test", width=32, height=32, hfov_deg=87.0, min_range=0.0, max_range=scene.max_range, segmentation=False,
+        source="test",
+    )  # fmt: skip
+    depth = torch.zeros(3, 1, 32, 32)
+    images = SensorImages(distance=depth)
+    caster = RayCaster(camera, scene.build(), images, position=scene.position, attitude=scene.attitude)
+    caster.cast()
+    merged = MergedMeshes(scene, caster.direction.view(-1, 3))
+    merged.cast()
+    error = (depth.flatten(1) - merged.depth).abs()
+    assert error.median() < 1e-5
+    assert (error < 1e-4).float().mean() > 0.99
+    assert (depth > 0.0).float().mean() > 0.4
+
+
+def test_an_empty_environment_or_an_unknown_scene_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    status, _, err = run(capsys, "bench", "render", "--scene", "empty_env", "--num-envs", "2", *QUICK)
+    assert status == 1
+    assert "0.0% of the cameras see something" in err
+    status, _, err = run(capsys, "bench", "render", "--scene", "boxen", *QUICK)
+    assert status == 2
+    assert "no render scene 'boxen'. Known: boxes, boxes_aligned, clutter" in err

@@ -15,7 +15,8 @@ class RenderBench:
     """Measure how many images of a scene are rendered per second, and how long moving every obstacle takes."""
 
     scene: str = "boxes"
-    """boxes (floor and 20 boxes, each turned), boxes_aligned, or clutter (a room with 40 obstacles, 8 of them trees)."""
+    """boxes (floor and 20 boxes, each turned), boxes_aligned, clutter (a room with 40 obstacles, 8 of them trees), or a
+    registered environment."""
 
     num_envs: int = 64
     """Environments side by side, one camera in each."""
@@ -72,6 +73,7 @@ class RenderBench:
         from aerial_gym.cli.bench.output import device_by_name, device_name, provenance
         from aerial_gym.cli.bench.scenes import make_scene
         from aerial_gym.config.sensor import CameraCfg
+        from aerial_gym.errors import ConfigError
         from aerial_gym.sensors import RayCaster, SensorImages
 
         require_at_least(1, num_envs=self.num_envs, width=self.width, height=self.height)
@@ -99,6 +101,10 @@ class RenderBench:
             move = statistics.median(self._time(lambda: scene.state.copy_(elsewhere), depth))
             figures = {}
             if self.merged:
+                if not scene.shapes:
+                    raise ConfigError(
+                        f"--merged: needs boxes, boxes_aligned or clutter, not the environment {self.scene!r}"
+                    )
                 from aerial_gym.cli.bench.merged import MergedMeshes
 
                 baseline = MergedMeshes(scene, caster.direction.view(-1, 3))
@@ -157,8 +163,9 @@ class _Images:
         if not started:
             return
         seen = (self._depth > 0.0).flatten(1).float().mean(dim=1)
-        if not bool((seen > 0.05).all()):
-            raise WorkloadError(f"a camera sees something in {float(seen.min()):.1%} of its pixels: must be above 5 %")
+        busy = (seen > 0.05).float().mean()
+        if not bool(busy > 0.95):  # a camera of an open environment may look away from everything, but not many
+            raise WorkloadError(f"{float(busy):.1%} of the cameras see something in 5 % of their pixels: must be 95 %")
         varied = (self._depth.flatten(1).std(dim=1) > 0.01).float().mean()
         if not bool(varied > 0.95):  # a camera may stand in front of a box, but not many
             raise WorkloadError(f"{float(varied):.1%} of the images show more than one depth: must be above 95 %")

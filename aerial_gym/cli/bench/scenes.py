@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import Scene
+from aerial_gym.assets import ENVIRONMENTS, Scene
 from aerial_gym.config.environment import PartCfg, ShapeCfg
+from aerial_gym.env_manager import SimBuilder
 from aerial_gym.errors import UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler
 
@@ -35,21 +36,50 @@ class RenderScene:
     max_range: float
     """[m]."""
 
+    built: Scene | None = None
+    """The scene, where it is there already."""
+
     def build(self) -> Scene:
         """Return the scene; instance a shows id a."""
+        if self.built is not None:
+            return self.built
         rows = torch.arange(len(self.shapes))
         return Scene(self.shapes, shape_index=rows, semantic_id=rows, asset_state=self.state)
 
 
 def make_scene(name: str, num_envs: int, *, device: torch.device) -> RenderScene:
-    """Return a scene by name.
+    """Return a scene by name, or a registered environment as its first reset leaves it.
 
     Raises:
         UnknownNameError: If there is none of that name.
     """
-    if name not in SCENES:
-        raise UnknownNameError(f"no render scene {name!r}. Known: {', '.join(sorted(SCENES))}")
-    return SCENES[name](num_envs, device)
+    if name in SCENES:
+        return SCENES[name](num_envs, device)
+    if name not in ENVIRONMENTS:
+        known = (*sorted(SCENES), *ENVIRONMENTS.names())
+        raise UnknownNameError(f"no render scene {name!r}. Known: {', '.join(known)}")
+    return _environment(name, num_envs, device)
+
+
+def _environment(name: str, num_envs: int, device: torch.device) -> RenderScene:
+    """Return a registered environment, seen by the camera of a quadrotor at its start."""
+    env = SimBuilder().build_env(
+        sim_name="base_sim",
+        env_name=name,
+        robot_name="base_quadrotor",
+        controller_name="no_control",
+        num_envs=num_envs,
+        device=device,
+    )
+    env.reset()
+    return RenderScene(
+        shapes=(),
+        state=env.gtd["env_asset_state_tensor"],
+        position=env.gtd["robot_position"],
+        attitude=env.gtd["robot_orientation"],
+        max_range=10.0,
+        built=env.asset_manager.scene,
+    )
 
 
 def _boxes(num_envs: int, device: torch.device, *, turned: bool = True) -> RenderScene:
