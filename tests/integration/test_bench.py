@@ -201,7 +201,7 @@ def test_the_number_of_threads_is_put_back() -> None:
     assert torch.get_num_threads() == before
 
 
-@pytest.mark.parametrize("scene", ["boxes", "clutter", "env_with_obstacles"])
+@pytest.mark.parametrize("scene", ["boxes", "boxes_100", "clutter", "env_with_obstacles"])
 def test_rendering_gives_frames_rays_and_the_time_of_a_move(scene: str, capsys: pytest.CaptureFixture[str]) -> None:
     argv = ("--scene", scene, "--num-envs", "4", "--width", "32", "--height", "24", "--segmentation", "--json")
     status, out, _ = run(capsys, "bench", "render", *argv, *QUICK)
@@ -242,4 +242,4 @@ def test_an_empty_environment_or_an_unknown_scene_is_refused(capsys: pytest.Capt
     assert "0.0% of the cameras see something" in err
     status, _, err = run(capsys, "bench", "render", "--scene", "boxen", *QUICK)
     assert status == 2
-    assert "no render scene 'boxen'. Known: boxes, boxes_aligned, clutter" in err
+    assert "no render scene 'boxen'. Known: boxes, boxes_100, boxes_1000, boxes_aligned, clutter" in err

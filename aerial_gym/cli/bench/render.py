@@ -15,8 +15,8 @@ class RenderBench:
     """Measure how many images of a scene are rendered per second, and how long moving every obstacle takes."""
 
     scene: str = "boxes"
-    """boxes (floor and 20 boxes, each turned), boxes_aligned, clutter (a room with 40 obstacles, 8 of them trees), or a
-    registered environment."""
+    """boxes (floor and 20 boxes, each turned), boxes_aligned, boxes_100, boxes_1000 (all around), clutter (a room
+    with 40 obstacles, 8 of them trees), or a registered environment."""
 
     num_envs: int = 64
     """Environments side by side, one camera in each."""

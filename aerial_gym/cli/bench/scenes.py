@@ -163,7 +163,25 @@ def _clutter(num_envs: int, device: torch.device) -> RenderScene:
     )
 
 
+def _many(num_envs: int, device: torch.device, count: int) -> RenderScene:
+    """Return ``count`` turned boxes of 20 to 80 cm in the 12 m cube around a camera in its middle."""
+    draw = torch.Generator().manual_seed(count)
+    edges = 0.2 + 0.6 * torch.rand(count, 3, generator=draw)
+    shapes = tuple(ShapeCfg(kind="box", size=(a, b, c)) for a, b, c in edges.tolist())
+    state = torch.zeros(num_envs, count, 13)
+    state[..., :3] = 12.0 * (torch.rand(num_envs, count, 3, generator=draw) - 0.5)
+    state[..., 3:7] = quat_from_euler(2.0 * math.pi * torch.rand(num_envs, count, 3, generator=draw) - math.pi)
+    attitude = torch.zeros(num_envs, 4)
+    attitude[:, 3] = 1.0
+    position = torch.zeros(num_envs, 3, device=device)
+    return RenderScene(
+        shapes=shapes, state=state.to(device), position=position, attitude=attitude.to(device), max_range=20.0
+    )
+
+
 SCENES = {
+    "boxes_100": lambda num_envs, device: _many(num_envs, device, 100),
+    "boxes_1000": lambda num_envs, device: _many(num_envs, device, 1000),
     "boxes": _boxes,
     "boxes_aligned": lambda num_envs, device: _boxes(num_envs, device, turned=False),
     "clutter": _clutter,
