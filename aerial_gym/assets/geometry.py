@@ -1,5 +1,6 @@
 # pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
 # pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
+# pyright: reportReturnType=false
 # (Warp compiles the kernels from their source; Python's type rules do not describe them.)
 """Rays against shapes and distances to shapes, as Warp functions that the ray caster and the collision test share.
 
@@ -31,6 +32,7 @@ class Shape:
     ray_mesh: wp.uint64  # the same triangles in the tree that rays are fastest in
     position: wp.vec3  # of the shape in the frame of its asset [m]
     attitude: wp.quat  # shape to asset, xyzw, unit
+    color: wp.vec3  # red, green, blue
     kind: wp.int32  # BOX, SPHERE, CYLINDER, CAPSULE, MESH or PLANE
     radius: wp.float32  # of the bounding sphere about the shape's origin [m]
     size: wp.vec3  # box: half edges; else: radius, half height along z, 0 [m]

@@ -53,7 +53,7 @@ class ShapeTable:
             cfg = part.shape
             row["kind"], row["size"] = _KINDS[cfg.kind], _half_size(cfg)
             row["radius"], row["half"] = _MARGIN * _bounding_radius(cfg), _half_box(cfg)
-            row["position"] = part.position
+            row["position"], row["color"] = part.position, cfg.color
             row["attitude"] = quat_from_euler(torch.tensor(part.euler, dtype=torch.float64)).numpy()
             if cfg.kind == "mesh":
                 mesh = self._mesh(cfg)

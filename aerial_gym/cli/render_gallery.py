@@ -93,6 +93,7 @@ def _pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
         points=image(3) if cfg.points else None,
         normals=image(3) if cfg.normals else None,
         face_ids=image(dtype=torch.int32) if cfg.face_ids else None,
+        color=image(3) if cfg.light else None,
     )
     caster = RayCaster(
         cfg,
@@ -116,6 +117,8 @@ def _pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
             found.append({"title": title, "url": _numbered(first(ids))})
     if images.normals is not None:
         found.append({"title": f"normals, {cfg.normals}", "url": _png(0.5 + 0.5 * first(images.normals))})
+    if images.color is not None:
+        found.append({"title": "colour", "url": _png(first(images.color))})
     if images.points is not None:
         height = first(images.points)[..., 2]
         span = max(float(np.ptp(height)), 1e-6)

@@ -54,6 +54,32 @@ class NoiseCfg:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LightCfg:
+    """A sun and a sky that lights every side alike; surfaces are matt (Lambert), shadows sharp."""
+
+    sun: Vec3 = (0.4, 0.3, 0.866)
+    """Direction to the sun, world, of any length > 0."""
+
+    ambient: float = 0.35
+    """Share of the light that comes from the sky, 0 to 1; the rest comes from the sun."""
+
+    shadows: bool = True
+    """Whether what stands before the sun takes its light away: one more ray for every lit pixel."""
+
+    sky: Vec3 = (0.6, 0.75, 0.9)
+    """Red, green, blue of a pixel that sees nothing, each 0 to 1."""
+
+    def __post_init__(self) -> None:
+        require_finite(self, "sun", "sky", "ambient")
+        if not any(self.sun):
+            raise ConfigError(f"LightCfg.sun = {self.sun!r}: must point somewhere")
+        if not 0.0 <= self.ambient <= 1.0:
+            raise ConfigError(f"LightCfg.ambient = {self.ambient!r}: must lie in 0 to 1")
+        if not all(0.0 <= share <= 1.0 for share in self.sky):
+            raise ConfigError(f"LightCfg.sky = {self.sky!r}: red, green and blue must lie in 0 to 1")
+
+
+@dataclass(frozen=True, kw_only=True)
 class RangeSensorCfg:
     """Common part of all cameras, lidars and ray tables; the classes built on it say where the rays point.
 
@@ -97,6 +123,9 @@ class RangeSensorCfg:
 
     face_ids: bool = False
     """Whether it also writes which face of its shape each pixel sees."""
+
+    light: LightCfg | None = None
+    """Light by which it also writes a colour image; None writes none."""
 
     noise: NoiseCfg | None = None
     """Noise of the distances, from the same source as the other numbers; None has none."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from aerial_gym.config.camera import CameraCfg, FisheyeCfg, StereoCfg
 from aerial_gym.config.lidar import LidarCfg, RayTableCfg
 from aerial_gym.config.loader import build, read_yaml
-from aerial_gym.config.range_sensor import FRAMES, KINDS, NoiseCfg, RangeSensorCfg
+from aerial_gym.config.range_sensor import FRAMES, KINDS, LightCfg, NoiseCfg, RangeSensorCfg
 from aerial_gym.errors import ConfigError
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "CameraCfg",
     "FisheyeCfg",
     "LidarCfg",
+    "LightCfg",
     "NoiseCfg",
     "RangeSensorCfg",
     "RayTableCfg",

@@ -75,6 +75,9 @@ class ShapeCfg:
     parts: tuple[PartCfg, ...] | None = None
     """What a compound consists of; at least one."""
 
+    color: Vec3 = (0.7, 0.7, 0.7)
+    """Red, green, blue of its surface as colour cameras see it, each 0 to 1; parts of a compound have their own."""
+
     scale: float = 1.0
     """Factor on the coordinates of a mesh, > 0; 1 for every other kind."""
 
@@ -99,6 +102,8 @@ class ShapeCfg:
             for length in value if isinstance(value, tuple) else (value,):
                 if isinstance(length, (int, float)) and not 0.0 < length < inf:
                     raise ConfigError(f"ShapeCfg.{name} = {value!r}: must be > 0 and finite")
+        if not all(0.0 <= share <= 1.0 for share in self.color):
+            raise ConfigError(f"ShapeCfg.color = {self.color!r}: red, green and blue must lie in 0 to 1")
         if self.parts == ():
             raise ConfigError("ShapeCfg.parts: a compound needs at least one part")
         if not 0.0 < self.scale < inf:

@@ -34,6 +34,8 @@ class Outputs:
     normals: str | None
     face_ids: bool
     stereo: bool
+    color: bool
+    shadows: bool
 
 
 @wp.struct
@@ -65,6 +67,15 @@ class Noise:
 
 
 @wp.struct
+class Light:
+    """What lights the surfaces."""
+
+    sun: wp.vec3  # unit direction to the sun, world
+    ambient: wp.float32  # share of the light that comes from the sky
+    sky: wp.vec3  # colour of a miss
+
+
+@wp.struct
 class Images:
     """Where a kernel writes, and what it needs for it; arrays that are not written are empty."""
 
@@ -73,6 +84,7 @@ class Images:
     point: wp.array2d[wp.vec3]  # (M, N) [m]
     normal: wp.array2d[wp.vec3]  # (M, N)
     face: wp.array2d[wp.int32]  # (M, N)
+    color: wp.array2d[wp.vec3]  # (M, N)
     semantic_id: wp.array2d[wp.int32]  # (E, P) of the scene
     origin: wp.array[wp.vec3]  # (M,) of the sensor, world [m]
     attitude: wp.array[wp.quat]  # (M,) sensor to world
@@ -184,11 +196,37 @@ def second_camera_sees(view: View, limits: Limits, env: int, mount: int, point: 
     return not is_blocked(view, env, mount, start, to / distance, (1.0 - SURFACE_SKIN) * distance)
 
 
+SHADOW_LIFT = wp.constant(1.0e-3)
+"""Height above a surface from which the ray to the sun starts, per distance and at least in metres: it must not meet the
+surface itself."""
+
+
+@wp.func
+def sunlight(
+    view: View, env: int, mount: int, surface: Surface, point: wp.vec3, sun: wp.vec3, shadows: wp.bool
+) -> float:
+    """Return the share of the sun's light on a surface, ``max(n . s, 0)``, or 0 in shadow; all in the sensor's frame.
+
+    Source: Lambert (1760), Photometria: matt surfaces.
+    """
+    share = wp.max(wp.dot(surface.normal, sun), 0.0)
+    if shadows and share > 0.0:
+        start = point + SHADOW_LIFT * wp.max(wp.length(point), 1.0) * surface.normal
+        if is_blocked(view, env, mount, start, sun, FAR_AWAY):
+            return 0.0
+    return share
+
+
+FAR_AWAY = wp.constant(1.0e4)
+"""Distance [m] before which something on the way to the sun casts a shadow."""
+
+
 @cache
 def make_write_pixel(outputs: Outputs) -> wp.Function:
     """Return the function that writes a pixel of a sensor with these outputs."""
     has_noise, segments, faces, stereo = outputs.noise, outputs.segmentation, outputs.face_ids, outputs.stereo
     points, points_in_world = outputs.points is not None, outputs.points == "world"
+    colors, shadows = outputs.color, outputs.shadows
     normals, normals_in_world = outputs.normals is not None, outputs.normals == "world"
 
     @wp.func
@@ -196,6 +234,7 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
         images: Images,
         limits: Limits,
         noise: Noise,
+        light: Light,
         view: View,
         env: int,
         mount: int,
@@ -238,11 +277,17 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
             if wp.static(points_in_world):
                 point = images.origin[mount] + wp.quat_rotate(images.attitude[mount], point)
             images.point[mount, pixel] = point
-        if wp.static(normals or faces):
+        if wp.static(normals or faces or colors):
             normal = wp.vec3(0.0, 0.0, 0.0)
             face = wp.int32(MISS_FACE)
+            color = light.sky
             if hit >= 0:
                 surface = surface_at(view, env, mount, hit, ray, nearest)
+                if wp.static(colors):
+                    sun = wp.quat_rotate_inv(images.attitude[mount], light.sun)
+                    lit = sunlight(view, env, mount, surface, nearest * ray, sun, wp.static(shadows))
+                    bright = light.ambient + (1.0 - light.ambient) * lit
+                    color = bright * view.shapes[view.part_shape[env, hit]].color
                 normal = surface.normal
                 face = surface.face
             if wp.static(normals_in_world):
@@ -251,5 +296,7 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
                 images.normal[mount, pixel] = normal
             if wp.static(faces):
                 images.face[mount, pixel] = face
+            if wp.static(colors):
+                images.color[mount, pixel] = color
 
     return write_pixel

@@ -10,7 +10,7 @@ Letters: E environments, S sensors of one kind, M = E * S mounts, H x W = N pixe
 """
 
 from dataclasses import dataclass, fields
-from math import radians, tan
+from math import hypot, radians, tan
 
 import torch
 import warp as wp
@@ -23,7 +23,7 @@ from aerial_gym.errors import ShapeError
 from aerial_gym.interop import launch_side_by_side, on_torch_stream, split
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.math.random import uniform
-from aerial_gym.sensors.pixels import MISS_ID, Images, Limits, Noise, Outputs, locate
+from aerial_gym.sensors.pixels import MISS_ID, Images, Light, Limits, Noise, Outputs, locate
 from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_kernel
 from aerial_gym.sensors.rays import ray_table
 from aerial_gym.sensors.tiles import make_tiles
@@ -59,6 +59,9 @@ class SensorImages:
     """Triangle of a mesh; box: 2 axis + (1 for the upper side); cylinder: 0 side, 1 bottom, 2 top; -1 for a miss, int32,
     (E, S, H, W)."""
 
+    color: Tensor | None = None
+    """Red, green, blue, each 0 to 1, float32, (E, S, H, W, 3)."""
+
     def check(self, cfg: RangeSensorCfg, num_envs: int, device: torch.device) -> None:
         """Raise ``ShapeError`` unless exactly the images that ``cfg`` asks for are here, and fit."""
         shape = (num_envs, cfg.count, cfg.height, cfg.width)
@@ -68,6 +71,7 @@ class SensorImages:
             "points": cfg.points is not None,
             "normals": cfg.normals is not None,
             "face_ids": cfg.face_ids,
+            "color": cfg.light is not None,
         }
         for name, wanted in asked.items():
             image = getattr(self, name)
@@ -76,7 +80,7 @@ class SensorImages:
             if image is None:
                 continue
             dtype = torch.int32 if name in ("segmentation", "face_ids") else torch.float32
-            full = (*shape, 3) if name in ("points", "normals") else shape
+            full = (*shape, 3) if name in ("points", "normals", "color") else shape
             check_tensor(name, image, full, device=device, dtype=dtype)
             if not image.is_contiguous():
                 raise ShapeError(f"{name} has stride {image.stride()}: images must be contiguous")
@@ -153,7 +157,7 @@ class RayCaster:
         self._origin = wp.zeros(mounts, dtype=wp.vec3, device=device)
         self._attitude = wp.zeros(mounts, dtype=wp.quat, device=device)
         found = []
-        if "world" in (self.cfg.points, self.cfg.normals):
+        if "world" in (self.cfg.points, self.cfg.normals) or self.cfg.light is not None:
             where = [self._origin, self._attitude]
             found.append(wp.launch(locate, dim=mounts, inputs=pose, outputs=where, device=device, record_cmd=True))
         if scene.num_parts:
@@ -187,9 +191,11 @@ class RayCaster:
             normals=cfg.normals,
             face_ids=cfg.face_ids,
             stereo=isinstance(cfg, StereoCfg),
+            color=cfg.light is not None,
+            shadows=cfg.light is not None and cfg.light.shadows,
         )
         images, due = self._make_images(scene), wp.from_torch(self.due)
-        inputs = [self._view, rays, _limits(cfg), self._make_noise(), self.num_sensors, due, images]
+        inputs = [self._view, rays, _limits(cfg), self._make_noise(), _light(cfg), self.num_sensors, due, images]
         mounts = self._view.kind.shape[0]
 
         def record(kernel: wp.Kernel, dim: int, *more: int) -> wp.Launch:
@@ -218,6 +224,7 @@ class RayCaster:
         images.segmentation = view(given.segmentation, wp.int32)
         images.point, images.normal = view(given.points, wp.vec3), view(given.normals, wp.vec3)
         images.face, images.semantic_id = view(given.face_ids, wp.int32), scene.arrays.semantic_id
+        images.color = view(given.color, wp.vec3)
         images.origin, images.attitude = self._origin, self._attitude
         return images
 
@@ -266,6 +273,16 @@ def _limits(cfg: RangeSensorCfg) -> Limits:
         limits.baseline, limits.half_width = cfg.baseline, tan(0.5 * radians(cfg.hfov_deg))
         limits.half_height = limits.half_width * cfg.height / cfg.width
     return limits
+
+
+def _light(cfg: RangeSensorCfg) -> Light:
+    light = Light()
+    if cfg.light is not None:
+        size = hypot(*cfg.light.sun)
+        light.sun = wp.vec3(*(part / size for part in cfg.light.sun))
+        light.ambient = cfg.light.ambient
+        light.sky = wp.vec3(*cfg.light.sky)
+    return light
 
 
 def _make_view(scene: Scene, mounts: int) -> View:

@@ -12,7 +12,7 @@ from functools import cache
 import warp as wp
 
 from aerial_gym.assets.geometry import MESH
-from aerial_gym.sensors.pixels import Images, Limits, Noise, Outputs, limit_of, make_write_pixel
+from aerial_gym.sensors.pixels import Images, Light, Limits, Noise, Outputs, limit_of, make_write_pixel
 from aerial_gym.sensors.view import View, ballot, entry_of, least_lane, lowest_bit, trace
 
 
@@ -33,7 +33,14 @@ def make_warp_kernel(outputs: Outputs) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def cast_by_warp(
-        view: View, rays: Rays, limits: Limits, noise: Noise, sensors: int, due: wp.array[wp.bool], images: Images
+        view: View,
+        rays: Rays,
+        limits: Limits,
+        noise: Noise,
+        light: Light,
+        sensors: int,
+        due: wp.array[wp.bool],
+        images: Images,
     ):
         """Trace one ray; the threads of a warp look for the candidates of their tile together.
 
@@ -86,7 +93,7 @@ def make_warp_kernel(outputs: Outputs) -> wp.Kernel:
                     hit = i
             first += 32
         if pixel >= 0:
-            write_pixel(images, limits, noise, view, env, mount, pixel, ray, nearest, hit)
+            write_pixel(images, limits, noise, light, view, env, mount, pixel, ray, nearest, hit)
 
     return cast_by_warp
 
@@ -129,6 +136,7 @@ def make_tile_kernel(outputs: Outputs, num_parts: int) -> wp.Kernel:
         rays: Rays,
         limits: Limits,
         noise: Noise,
+        light: Light,
         sensors: int,
         due: wp.array[wp.bool],
         images: Images,
@@ -151,6 +159,6 @@ def make_tile_kernel(outputs: Outputs, num_parts: int) -> wp.Kernel:
                 ray = rays.direction[tile * per_tile + i]
                 nearest, hit = nearest_of(view, env, mount, analytic, ray, limit_of(limits, ray), -1)
                 nearest, hit = nearest_of(view, env, mount, meshes, ray, nearest, hit)
-                write_pixel(images, limits, noise, view, env, mount, pixel, ray, nearest, hit)
+                write_pixel(images, limits, noise, light, view, env, mount, pixel, ray, nearest, hit)
 
     return cast_by_tile

@@ -43,8 +43,8 @@ class SensorManager:
         Args:
             cfgs: Sensors by name, in order.
             gtd: Receives ``depth_range_pixels`` (E, S, H, W) and, as far as a sensor has them, ``segmentation_pixels``,
-                ``point_cloud_pixels``, ``normal_pixels`` (E, S, H, W, 3) and ``face_id_pixels``; for further sensors
-                with ``<name>_`` in front.
+                ``face_id_pixels``, and ``point_cloud_pixels``, ``normal_pixels``, ``rgb_pixels`` (E, S, H, W, 3); for
+                further sensors with ``<name>_`` in front.
             scene: What they see.
             position: Body origin [m], world, (E, 3), strided or not; read at every capture.
             attitude: Body to world, xyzw, unit, (E, 4), likewise.
@@ -134,7 +134,7 @@ def _declare_images(
     unit = f"{cfg.max_range:g} m" if cfg.normalize else "m"
     limits = f"too far {cfg.far_pixel:g}, too near {cfg.near_pixel:g}"
     distance = declare("depth_range_pixels", unit, "sensor", f"distance {kind}; {limits}")
-    segmentation = points = normals = faces = None
+    segmentation = points = normals = faces = color = None
     if cfg.segmentation:
         seen = "semantic id of what the pixel sees; nothing -2"
         segmentation = declare("segmentation_pixels", "-", "sensor", seen, ids=True)
@@ -145,4 +145,8 @@ def _declare_images(
         normals = declare("normal_pixels", "-", cfg.normals, "unit normal of the surface; 0 for nothing", vector=True)
     if cfg.face_ids:
         faces = declare("face_id_pixels", "-", "sensor", "face of the shape; nothing -1", ids=True)
-    return SensorImages(distance=distance, segmentation=segmentation, points=points, normals=normals, face_ids=faces)
+    if cfg.light is not None:
+        color = declare("rgb_pixels", "-", "sensor", "red, green, blue, each 0 to 1", vector=True)
+    return SensorImages(
+        color=color, distance=distance, segmentation=segmentation, points=points, normals=normals, face_ids=faces
+    )

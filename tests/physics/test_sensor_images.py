@@ -10,7 +10,7 @@ from torch import Tensor
 
 from aerial_gym.assets import Scene
 from aerial_gym.config.environment import PartCfg, ShapeCfg
-from aerial_gym.config.sensor import CameraCfg, LidarCfg, NoiseCfg, RangeSensorCfg, StereoCfg
+from aerial_gym.config.sensor import CameraCfg, LidarCfg, LightCfg, NoiseCfg, RangeSensorCfg, StereoCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate
 from aerial_gym.registry import GlobalTensorDictionary
@@ -59,6 +59,7 @@ def make_images(cfg: RangeSensorCfg, num_envs: int, device) -> SensorImages:
         points=poisoned(3) if cfg.points else None,
         normals=poisoned(3) if cfg.normals else None,
         face_ids=ids() if cfg.face_ids else None,
+        color=poisoned(3) if cfg.light else None,
     )
 
 
@@ -249,6 +250,58 @@ def test_normals_in_the_sensor_frame_are_those_of_the_world_turned(device: torch
     torch.testing.assert_close(
         found["world"][0, 0].cpu(), quat_rotate(attitude.expand(30, 40, 4), sensor), rtol=0.0, atol=1e-5
     )
+
+
+# ------------------------------------------------------------------------------------------------ colour
+
+
+def test_a_matt_ground_has_the_brightness_of_lambert_and_the_shadow_of_a_roof(device: torch.device) -> None:
+    """Ground: albedo (ambient + (1 - ambient) cos) with the angle of the sun. A roof at height h throws a shadow that is
+    its own outline, shifted by -h s_xy / s_z; the sky has its own colour."""
+    sun = torch.tensor([0.5, 0.25, 1.0], dtype=torch.float64)
+    sun = sun / sun.norm()
+    albedo, h, half = (0.8, 0.4, 0.2), 1.0, 0.6
+    ground = ShapeCfg(kind="plane", color=albedo)
+    roof = ShapeCfg(kind="box", size=(2 * half, 2 * half, 1e-3), color=(0.1, 0.2, 0.9))
+    place = [4.0, 0.3, -1.0]
+    scene = make_scene([ground, roof], [([0, 0, -2.0], [0, 0, 0]), (place, [0.0, 0.0, 0.0])], device)
+    light = LightCfg(sun=tuple(sun.tolist()), ambient=0.3, sky=(0.5, 0.6, 0.7))
+    attitude = quat_from_euler(torch.tensor([[0.1, 0.35, 0.2]]))
+    cfg = replace(CAMERA, light=light, points="world", max_range=40.0)
+    images = shoot(cfg, scene, attitude=attitude).images
+    assert images.color is not None
+    assert images.points is not None
+    assert images.segmentation is not None
+    ids, color, point = images.segmentation[0, 0].cpu(), images.color[0, 0].cpu(), images.points[0, 0].cpu().double()
+    shift = h * sun[:2] / sun[2]
+    inside = (point[..., :2] + shift - torch.tensor(place[:2]).double()).abs()
+    gap = inside.amax(dim=-1) - half
+    ground_seen = (ids == 0) & (gap.abs() > 5e-3)
+    shadow = gap < 0.0
+    assert (ground_seen & shadow).sum() > 20
+    bright = torch.where(shadow, 0.3, 0.3 + 0.7 * sun[2]).float().unsqueeze(-1)
+    expected = bright * torch.tensor(albedo)
+    torch.testing.assert_close(color[ground_seen], expected[ground_seen], rtol=0.0, atol=1e-5)
+    lit_roof = (0.3 + 0.7 * sun[2]).float() * torch.tensor(roof.color)
+    top = (ids == 1) & (point[..., 2] > -1.0)
+    torch.testing.assert_close(color[top], lit_roof.expand(int(top.sum()), 3), rtol=0.0, atol=1e-5)
+    sky = ids == -2
+    assert sky.any()
+    torch.testing.assert_close(color[sky], torch.tensor([0.5, 0.6, 0.7]).expand(int(sky.sum()), 3))
+    unshaded = shoot(replace(cfg, light=replace(light, shadows=False)), scene, attitude=attitude).images.color
+    assert unshaded is not None
+    everywhere = (0.3 + 0.7 * sun[2]).float() * torch.tensor(albedo)
+    seen = unshaded[0, 0].cpu()[ids == 0]
+    torch.testing.assert_close(seen, everywhere.expand_as(seen), rtol=0.0, atol=1e-5)
+
+
+def test_impossible_lights_and_colours_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"LightCfg.sun = \(0.0, 0.0, 0.0\): must point somewhere"):
+        LightCfg(sun=(0.0, 0.0, 0.0))
+    with pytest.raises(ConfigError, match=r"LightCfg.ambient = 1.5"):
+        LightCfg(ambient=1.5)
+    with pytest.raises(ConfigError, match=r"ShapeCfg.color = \(0.1, 1.2, 0.0\)"):
+        ShapeCfg(kind="plane", color=(0.1, 1.2, 0.0))
 
 
 # ------------------------------------------------------------------------------------------------ noise

@@ -27,7 +27,9 @@ def compile_for_gpu(module, folder: Path) -> None:
 @pytest.mark.parametrize("rich", [False, True])
 def test_ray_kernels_compile(rich: bool, tmp_path: Path) -> None:
     frame = "world" if rich else None
-    outputs = Outputs(noise=rich, segmentation=rich, points=frame, normals=frame, face_ids=rich, stereo=rich)
+    outputs = Outputs(
+        noise=rich, segmentation=rich, points=frame, normals=frame, face_ids=rich, stereo=rich, color=rich, shadows=rich
+    )
     compile_for_gpu(make_warp_kernel(outputs).module, tmp_path)
 
 
