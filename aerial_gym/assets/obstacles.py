@@ -14,6 +14,7 @@ from torch import Tensor
 
 from aerial_gym.assets.asset_table import WAYPOINTS, AssetRow
 from aerial_gym.assets.views import vector_view
+from aerial_gym.math.draws import draw_vec3, quat_of_angles
 
 
 @wp.struct
@@ -74,27 +75,10 @@ def _stream(random: wp.uint32, index: int) -> wp.uint32:
 
 
 @wp.func
-def _draw(random: wp.uint32, quantity: int, low: wp.vec3, high: wp.vec3) -> wp.vec3:
-    """Return three uniform draws; ``quantity`` tells the numbers of one instance apart."""
-    stream = _stream(random, quantity)
-    share = wp.vec3(wp.randf(stream), wp.randf(stream), wp.randf(stream))
-    return low + wp.cw_mul(high - low, share)
-
-
-@wp.func
 def _draw_place(random: wp.uint32, quantity: int, row: AssetRow, lower: wp.vec3, upper: wp.vec3) -> wp.vec3:
     """Return a place; weighing the corners gives each of them exactly at ratio 0 and 1."""
-    ratio = _draw(random, quantity, row.ratio_low, row.ratio_high)
+    ratio = draw_vec3(random, quantity, row.ratio_low, row.ratio_high)
     return wp.cw_mul(wp.vec3(1.0, 1.0, 1.0) - ratio, lower) + wp.cw_mul(ratio, upper) + row.offset
-
-
-@wp.func
-def _from_euler(angles: wp.vec3) -> wp.quat:
-    """Return the quaternion of R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    roll = wp.quat(wp.sin(0.5 * angles[0]), 0.0, 0.0, wp.cos(0.5 * angles[0]))
-    pitch = wp.quat(0.0, wp.sin(0.5 * angles[1]), 0.0, wp.cos(0.5 * angles[1]))
-    yaw = wp.quat(0.0, 0.0, wp.sin(0.5 * angles[2]), wp.cos(0.5 * angles[2]))
-    return wp.normalize(yaw * pitch * roll)
 
 
 @wp.func
@@ -106,7 +90,7 @@ def draw_instance(obstacles: Obstacles, env: int, a: int, attempt: int):
     lower = obstacles.bounds_min[env]
     upper = obstacles.bounds_max[env]
     place = _draw_place(random, 0, row, lower, upper)
-    velocity = _draw(random, 2, row.lin_vel_low, row.lin_vel_high)
+    velocity = draw_vec3(random, 2, row.lin_vel_low, row.lin_vel_high)
     if row.motion == WAYPOINTS:
         other = _draw_place(random, 4, row, lower, upper)
         speed = row.speed_low + (row.speed_high - row.speed_low) * wp.randf(_stream(random, 5))
@@ -114,6 +98,6 @@ def draw_instance(obstacles: Obstacles, env: int, a: int, attempt: int):
         obstacles.waypoint_a[env, a] = place
         obstacles.waypoint_b[env, a] = other
     obstacles.position[env, a] = place
-    obstacles.attitude[env, a] = _from_euler(_draw(random, 1, row.euler_low, row.euler_high))
+    obstacles.attitude[env, a] = quat_of_angles(draw_vec3(random, 1, row.euler_low, row.euler_high))
     obstacles.lin_vel[env, a] = velocity
-    obstacles.ang_vel[env, a] = _draw(random, 3, row.ang_vel_low, row.ang_vel_high)
+    obstacles.ang_vel[env, a] = draw_vec3(random, 3, row.ang_vel_low, row.ang_vel_high)

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.interop import on_torch_stream
+from aerial_gym.math.draws import draw_vec3, quat_of_angles
 from aerial_gym.physics import BodyState
 from aerial_gym.robots.derived import DerivedArrays, DerivedStates, write_derived
 
@@ -30,23 +31,6 @@ class Ranges:
     lin_vel_high: wp.vec3
     ang_vel_low: wp.vec3  # body [rad/s]
     ang_vel_high: wp.vec3
-
-
-@wp.func
-def _draw(random: wp.uint32, index: int, low: wp.vec3, high: wp.vec3) -> wp.vec3:
-    """Return three uniform draws; ``index`` tells the quantities of one episode apart."""
-    stream = wp.rand_init(int(random), index)
-    share = wp.vec3(wp.randf(stream), wp.randf(stream), wp.randf(stream))
-    return low + wp.cw_mul(high - low, share)
-
-
-@wp.func
-def _from_euler(angles: wp.vec3) -> wp.quat:
-    """Return the quaternion of R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    roll = wp.quat(wp.sin(0.5 * angles[0]), 0.0, 0.0, wp.cos(0.5 * angles[0]))
-    pitch = wp.quat(0.0, wp.sin(0.5 * angles[1]), 0.0, wp.cos(0.5 * angles[1]))
-    yaw = wp.quat(0.0, 0.0, wp.sin(0.5 * angles[2]), wp.cos(0.5 * angles[2]))
-    return yaw * pitch * roll
 
 
 @wp.kernel(enable_backward=False)
@@ -76,11 +60,11 @@ def _reset(
     episode = episode_out[e]
     episode_out[e] = episode + 1
     random = wp.rand_init(int(wp.rand_init(seed[0], e)), episode)
-    share = _draw(random, 0, ranges.position_ratio_low, ranges.position_ratio_high)
+    share = draw_vec3(random, 0, ranges.position_ratio_low, ranges.position_ratio_high)
     position = bounds_min[e] + wp.cw_mul(bounds_max[e] - bounds_min[e], share)
-    attitude = wp.normalize(_from_euler(_draw(random, 1, ranges.euler_low, ranges.euler_high)))
-    lin_vel = _draw(random, 2, ranges.lin_vel_low, ranges.lin_vel_high)
-    ang_vel = _draw(random, 3, ranges.ang_vel_low, ranges.ang_vel_high)
+    attitude = quat_of_angles(draw_vec3(random, 1, ranges.euler_low, ranges.euler_high))
+    lin_vel = draw_vec3(random, 2, ranges.lin_vel_low, ranges.lin_vel_high)
+    ang_vel = draw_vec3(random, 3, ranges.ang_vel_low, ranges.ang_vel_high)
     position_out[e] = position
     attitude_out[e] = attitude
     lin_vel_out[e] = lin_vel
