@@ -101,8 +101,11 @@ class WarpBackend:
             raise CapabilityError(
                 f"backend warp: float32 only, not {model.vehicle.mass.dtype}. Use backend 'torch' for others."
             )
+        if ground is not None and self._differentiable:
+            raise CapabilityError("backend warp: a differentiable rollout knows no ground. Use backend 'torch'.")
         start_warp()
-        self._law, self._integrator, self._model = law, integrator, model
+        self._law, self._control, self._integrator, self._model = law, control, integrator, model
+        self._given_ground = ground
         self._device = model.vehicle.mass.device
         self._num_envs, self._num_rotors = model.vehicle.num_envs, model.vehicle.num_rotors
         self._dt = 0.0
@@ -133,17 +136,16 @@ class WarpBackend:
         return vehicle_fields(model, stage), command_fields(self._law), gain_fields(self._law)
 
     def set_model(self, model: Model) -> None:
-        """Take other parameters of the same shapes; what was shared must still be the same tensors."""
+        """Take other parameters.
+
+        What is per environment is written in place, which a captured step sees. If a parameter that was shared changes, or is
+        no longer shared, the kernel is composed anew: capture again then.
+        """
         old, self._model = self._model, model
-        if self._dt == 0.0:
-            return
-        changed = any(
-            is_shared(new) and new is not kept and not torch.equal(new[0], kept[0])
-            for new, kept in zip(vars(model.vehicle).values(), vars(old.vehicle).values(), strict=True)
-        )
-        if changed:
-            self._dt = 0.0  # everything anew at the next step
-        else:
+        pairs = zip(vars(model.vehicle).values(), vars(old.vehicle).values(), strict=True)
+        if any(is_shared(kept) and new is not kept and not _same_row(new, kept) for new, kept in pairs):
+            self.allocate(model, self._control, integrator=self._integrator, ground=self._given_ground)
+        elif self._dt != 0.0:
             self._write_per_env()
 
     def reset(self, mask: Tensor) -> None:
@@ -162,9 +164,7 @@ class WarpBackend:
         """Compute everything that depends on the length of a substep."""
         self._dt, self._binding = dt, None
         self._write_per_env()
-        vehicle, command, gains = self._fields(
-            self._model, dt
-        )  # shared numbers leave as Python floats, without gradient
+        vehicle, command, gains = self._fields(self._model, dt)
         types, columns = rotor_types(self._num_rotors), self._columns
         gains_type = self._law.gains_type or NoGains
         shared_gains = gains if columns.gains is None else []
@@ -176,6 +176,10 @@ class WarpBackend:
 
     def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
         """Advance ``state`` in place: one launch, on torch's current stream, that waits for nothing."""
+        if self._differentiable:  # its kernel takes one substep a launch
+            with torch.no_grad():
+                state.copy_(self.advance(state, command, dt, substeps))
+            return
         bound = self._binding
         if dt != self._dt:
             self._prepare(dt)
@@ -248,6 +252,11 @@ class WarpBackend:
         rollout = Rollout(self.kernel, self._shared, self._ground, self._model.gravity, dt, substeps, self._kinds())
         after = rollout(state.tensors(), command, torch.cat([row.T for row in rows]))
         return BodyState(**dict(zip(vars(state), after, strict=True)))
+
+
+def _same_row(new: Tensor, kept: Tensor) -> bool:
+    """Return whether rows are shared as before, with the same numbers; waits for the device."""
+    return is_shared(new) and torch.equal(new[0], kept[0])
 
 
 BACKENDS.register("warp", WarpBackend)

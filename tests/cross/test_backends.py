@@ -209,21 +209,32 @@ def test_an_environment_does_not_depend_on_its_batch() -> None:
         assert torch.equal(getattr(ends[1], name), getattr(ends[3], name)), name
 
 
-def test_changed_parameters_are_taken() -> None:
-    """A shared parameter and one per environment, changed after the first step, act from the next on."""
+@pytest.mark.parametrize("change", ["shared mass", "mass per environment", "centre of mass", "effect in place"])
+def test_changed_parameters_are_taken(change: str) -> None:
+    """Parameters changed after the first step act from the next on, whether they were shared before and are shared now."""
     robot, controller = ROBOTS.get("tinyprop"), CONTROLLERS.get("rotor_speed_control")
-    model, law = build(robot, controller, 4, torch.float32, effects=("rotor_drag",))
-    other = replace(model, vehicle=replace(model.vehicle, mass=vehicle_with_mass(model, 2.0)))
     results = []
     for backend in (TorchBackend(), WarpBackend()):
+        model, law = build(robot, controller, 4, torch.float32, effects=("rotor_drag",))
+        vehicle, (effect, params) = model.vehicle, model.wrenches[0]
+        changed = {
+            "shared mass": {"mass": vehicle_with_mass(model, 2.0)},
+            "mass per environment": {"mass": vehicle.mass * torch.tensor([1.0, 1.5, 2.0, 0.5])},
+            "centre of mass": {"com": torch.tensor([0.02, -0.01, 0.03]).as_strided((4, 3), (0, 1))},
+            "effect in place": {},
+        }[change]
         backend.allocate(model, law, integrator="euler")
-        state = BodyState(**{k: v.float() for k, v in vars(start_of(model, 4)).items()})
+        state = as_type(start_of(model, 4), torch.float32)
         actions = actions_for(law, model, 4).float()
         backend.step(state, actions, DT, 1)
+        if change == "effect in place":
+            params.mul_(3.0)
+        vehicle = replace(vehicle, **changed)
+        other = build_model(vehicle, [(effect, params)])
         backend.set_model(other)
         backend.step(state, actions, DT, 10)
-        results.append(state.lin_vel)
-    torch.testing.assert_close(results[1], results[0], rtol=1e-5, atol=1e-5)
+        results.append(torch.cat(state.tensors(), dim=-1))
+    torch.testing.assert_close(results[1], results[0], rtol=2e-5, atol=2e-5)
 
 
 def vehicle_with_mass(model: Model, factor: float) -> Tensor:

@@ -7,10 +7,12 @@ import torch
 from torch import Tensor
 
 from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.errors import CapabilityError
 from aerial_gym.physics import (
     EFFECTS,
     INTEGRATORS,
     BodyState,
+    Ground,
     TorchBackend,
     WarpBackend,
     build_model,
@@ -85,5 +87,16 @@ def test_without_gradients_the_rollout_is_that_of_step() -> None:
     for backend in (WarpBackend(), WarpBackend(differentiable=True)):
         backend.allocate(build_model(vehicle), law, integrator="rk4")
         ends.append(backend.advance(start, torch.full((2, 4), 2.0), 0.01, 10))
+        stepped = BodyState(**{k: v.clone() for k, v in vars(start).items()})
+        backend.step(stepped, torch.full((2, 4), 2.0), 0.01, 10)
+        assert torch.equal(stepped.position, ends[-1].position)
     for name, tensor in vars(ends[0]).items():
         torch.testing.assert_close(getattr(ends[1], name), tensor, rtol=1e-5, atol=1e-5)
+
+
+def test_a_differentiable_rollout_refuses_a_ground() -> None:
+    vehicle = vehicle_from_config(lopsided_robot(), num_envs=2)
+    law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81)
+    ground = Ground(height=0.0, spheres=torch.zeros(1, 4), contact=torch.zeros(2, dtype=torch.bool))
+    with pytest.raises(CapabilityError, match="a differentiable rollout knows no ground. Use backend 'torch'"):
+        WarpBackend(differentiable=True).allocate(build_model(vehicle), law, integrator="rk4", ground=ground)
