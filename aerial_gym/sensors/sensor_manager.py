@@ -13,6 +13,7 @@ from aerial_gym.assets.views import check_tensor
 from aerial_gym.config.sensor import LidarCfg, RangeSensorCfg
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+from aerial_gym.sensors.delay import DelayLine, like
 from aerial_gym.sensors.ray_caster import RayCaster, SensorImages
 
 _OWNER = "SensorManager"
@@ -50,19 +51,20 @@ class SensorManager:
             attitude: Body to world, xyzw, unit, (E, 4), likewise.
             num_envs: Number of environments E.
             device: Where the tensors are.
-            dt: Time between two captures [s]; needed by sensors with a rate of their own.
+            dt: Time between two captures [s]; needed by sensors with a rate or a latency.
             generator: Source of placements drawn at reset.
             seed: Of the noise.
 
         Raises:
             ShapeError: If a tensor does not fit.
-            ConfigError: If a sensor has a rate and ``dt`` is not given, or a latency or scan time, which are not simulated.
+            ConfigError: If a sensor has a rate or a latency and ``dt`` is not given, or a scan time, which is not simulated.
         """
         if num_envs != scene.num_envs:
             raise ShapeError(f"num_envs = {num_envs}: the scene has {scene.num_envs} environments")
         self._num_envs, self._device, self._dt = num_envs, torch.device(device), dt
         self.casters: dict[str, RayCaster] = {}
         self._clock: dict[str, Tensor] = {}
+        self._delay: dict[str, DelayLine] = {}
         for name, cfg in cfgs.items():
             self._check_timing(name, cfg)
             first = not self.casters
@@ -70,11 +72,15 @@ class SensorManager:
                 for letter, size in (("S", cfg.count), ("H", cfg.height), ("W", cfg.width)):
                     gtd.define_size(letter, size)
             shape = ("E", "S", "H", "W") if first else ("E", cfg.count, cfg.height, cfg.width)
-            images = _declare_images(gtd, cfg, shape, prefix="" if first else f"{name}_")
+            seen = _declare_images(gtd, cfg, shape, prefix="" if first else f"{name}_")
+            steps = round(cfg.latency_s / self._dt) if self._dt else 0
+            taken = like(seen) if steps else seen
+            if steps:
+                self._delay[name] = DelayLine(taken, seen, steps)
             self.casters[name] = RayCaster(
                 cfg,
                 scene,
-                images,
+                taken,
                 position=position,
                 attitude=attitude,
                 generator=generator,
@@ -84,10 +90,9 @@ class SensorManager:
                 self._clock[name] = torch.full((num_envs,), 1.0 / cfg.rate_hz, device=device)
 
     def _check_timing(self, name: str, cfg: RangeSensorCfg) -> None:
-        if cfg.rate_hz is not None and self._dt is None:
-            raise ConfigError(f"sensor {name}: rate_hz = {cfg.rate_hz!r} needs the length of a step")
-        if cfg.latency_s > 0.0:
-            raise ConfigError(f"sensor {name}: latency_s = {cfg.latency_s!r}: latency is not simulated; set it to 0")
+        for field in ("rate_hz", "latency_s"):
+            if getattr(cfg, field) and self._dt is None:
+                raise ConfigError(f"sensor {name}: {field} = {getattr(cfg, field)!r} needs the length of a step")
         if isinstance(cfg, LidarCfg) and cfg.scan_s is not None:
             raise ConfigError(
                 f"sensor {name}: scan_s = {cfg.scan_s!r}: motion distortion is not simulated; leave it out"
@@ -95,6 +100,9 @@ class SensorManager:
 
     def capture(self) -> None:
         """Take the images that are due from the present poses; launched on torch's current stream, not waited for.
+
+        Images of a sensor with a latency appear that much later, rounded to whole steps; after a reset the first image of an
+        environment appears at once.
 
         A sensor without a rate takes one at every call. One with a rate keeps its last image between two of its own
         moments, which follow the reset of each environment.
@@ -106,10 +114,14 @@ class SensorManager:
             clock.sub_(period * caster.due).add_(self._dt or 0.0)
         for caster in self.casters.values():
             caster.cast()
+        for delay in self._delay.values():
+            delay.push()
 
     def reset(self, mask: Tensor) -> None:
         """Place the mounts of masked environments, bool (E,), anew; their images are due at the next capture."""
         check_tensor("mask", mask, (self._num_envs,), device=self._device, dtype=torch.bool)
+        for delay in self._delay.values():
+            delay.reset(mask)
         for name, caster in self.casters.items():
             caster.reset(mask)
             if name in self._clock:

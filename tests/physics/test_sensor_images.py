@@ -481,6 +481,31 @@ def test_a_sensor_with_a_rate_keeps_its_image_in_between(device: torch.device) -
     assert taken[1] == [0, 4, 5, 9, 12]
 
 
+@pytest.mark.parametrize("steps", [1, 3])
+def test_images_of_a_sensor_with_latency_appear_so_many_steps_later(steps: int, device: torch.device) -> None:
+    """A camera that moves 0.1 m a step towards a wall shows where it was ``steps`` ago; after a reset, where it is."""
+    scene = make_scene([WALL], [([9.1, 0, 0], [0, 0, 0])], device, num_envs=2)
+    gtd = GlobalTensorDictionary(device=device, sizes={"E": 2})
+    position = torch.zeros(2, 3, device=device)
+    pose = {"position": position, "attitude": LEVEL.repeat(2, 1).to(device)}
+    late = replace(CAMERA, kind="depth", latency_s=0.02 * steps, points="sensor")
+    manager = SensorManager({"late": late}, gtd, scene, num_envs=2, device=device, dt=0.02, **pose)
+    everyone, second = torch.tensor([True, True], device=device), torch.tensor([False, True], device=device)
+    manager.reset(everyone)
+    begin = [0, 0]
+    for step in range(12):
+        if step == 7:
+            manager.reset(second)
+            begin[1] = 7
+        position[:, 0] = 0.1 * step
+        manager.capture()
+        for env in range(2):
+            expected = 9.0 - 0.1 * max(begin[env], step - steps)
+            assert gtd["depth_range_pixels"][env, 0, 15, 20].item() == pytest.approx(expected, abs=1e-5)
+            assert gtd["point_cloud_pixels"][env, 0, 15, 20, 0].item() == pytest.approx(expected, abs=1e-5)
+            assert gtd["segmentation_pixels"][env, 0, 15, 20].item() == 0
+
+
 def test_every_image_stands_in_the_gtd_under_its_key(device: torch.device) -> None:
     scene = make_scene([WALL], [([4.1, 0, 0], [0, 0, 0])], device)
     gtd = GlobalTensorDictionary(device=device, sizes={"E": 1})
@@ -500,8 +525,8 @@ def test_every_image_stands_in_the_gtd_under_its_key(device: torch.device) -> No
     ahead = gtd["lidar_point_cloud_pixels"][0, 0, ..., 0]
     assert ahead[ahead != 0.0].min() > 3.99
     late = replace(CAMERA, latency_s=0.1)
-    with pytest.raises(ConfigError, match=r"sensor slow: latency_s = 0.1"):
-        SensorManager({"slow": late}, gtd, scene, num_envs=1, device=device, **pose)
+    with pytest.raises(ConfigError, match=r"sensor late: latency_s = 0.1 needs the length of a step"):
+        SensorManager({"late": late}, gtd, scene, num_envs=1, device=device, **pose)
     turning = replace(lidar, scan_s=0.1)
     with pytest.raises(ConfigError, match=r"sensor turning: scan_s = 0.1"):
         SensorManager({"turning": turning}, gtd, scene, num_envs=1, device=device, **pose)

@@ -1,0 +1,47 @@
+"""Images that appear some steps after they were taken.
+
+Letters: E environments.
+"""
+
+from dataclasses import fields
+
+import torch
+from torch import Tensor
+
+from aerial_gym.sensors.ray_caster import SensorImages
+
+
+class DelayLine:
+    """Keeps the last images of a sensor and gives out the oldest; an environment starts with its first image at every age."""
+
+    def __init__(self, fresh: SensorImages, out: SensorImages, steps: int) -> None:
+        """Take what the sensor writes, what users see, and the delay in steps, >= 1."""
+        self._pairs: list[tuple[Tensor, Tensor, list[Tensor]]] = []
+        for field in fields(fresh):
+            image = getattr(fresh, field.name)
+            if image is not None:
+                kept = [torch.zeros_like(image) for _ in range(steps)]
+                self._pairs.append((image, getattr(out, field.name), kept))
+        like = fresh.distance
+        self._started = torch.zeros(like.shape[0], dtype=torch.bool, device=like.device)
+
+    def push(self) -> None:
+        """Give out the images of ``steps`` calls ago and keep the present ones; waits for nothing."""
+        for fresh, out, kept in self._pairs:
+            started = self._started.view(-1, *([1] * (fresh.dim() - 1)))
+            out.copy_(torch.where(started, kept[-1], fresh))
+            for older, newer in zip(reversed(kept[1:]), reversed(kept[:-1]), strict=True):
+                older.copy_(torch.where(started, newer, fresh))
+            kept[0].copy_(fresh)
+        self._started.fill_(True)
+
+    def reset(self, mask: Tensor) -> None:
+        """Forget the images of the environments in ``mask``, bool (E,)."""
+        self._started.logical_and_(~mask)
+
+
+def like(images: SensorImages) -> SensorImages:
+    """Return images of the same shapes."""
+    more = {field.name: getattr(images, field.name) for field in fields(images) if field.name != "distance"}
+    empty = {name: None if tensor is None else torch.zeros_like(tensor) for name, tensor in more.items()}
+    return SensorImages(distance=torch.zeros_like(images.distance), **empty)
