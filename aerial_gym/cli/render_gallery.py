@@ -80,6 +80,7 @@ def _pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
     import numpy as np
     import torch
 
+    from aerial_gym.config.sensor import StereoCfg
     from aerial_gym.sensors import RayCaster, SensorImages
 
     shape = (1, cfg.count, cfg.height, cfg.width)
@@ -94,6 +95,7 @@ def _pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
         normals=image(3) if cfg.normals else None,
         face_ids=image(dtype=torch.int32) if cfg.face_ids else None,
         color=image(3) if cfg.light else None,
+        disparity=image() if isinstance(cfg, StereoCfg) else None,
     )
     caster = RayCaster(
         cfg,
@@ -117,6 +119,9 @@ def _pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
             found.append({"title": title, "url": _numbered(first(ids))})
     if images.normals is not None:
         found.append({"title": f"normals, {cfg.normals}", "url": _png(0.5 + 0.5 * first(images.normals))})
+    if images.disparity is not None:
+        shift = first(images.disparity)
+        found.append({"title": "disparity", "url": _colored(1.0 - shift / max(float(shift.max()), 1e-6))})
     if images.color is not None:
         found.append({"title": "colour", "url": _png(first(images.color))})
     if images.points is not None:

@@ -51,6 +51,7 @@ class Limits:
     baseline: wp.float32  # of the second camera of a stereo pair, along y [m]
     half_width: wp.float32  # tangent of half its horizontal field of view
     half_height: wp.float32  # and of half its vertical one
+    focal_baseline: wp.float32  # disparity times depth [pixel m]
 
 
 @wp.struct
@@ -85,6 +86,7 @@ class Images:
     normal: wp.array2d[wp.vec3]  # (M, N)
     face: wp.array2d[wp.int32]  # (M, N)
     color: wp.array2d[wp.vec3]  # (M, N)
+    disparity: wp.array2d[float]  # (M, N) [pixel]
     semantic_id: wp.array2d[wp.int32]  # (E, P) of the scene
     origin: wp.array[wp.vec3]  # (M,) of the sensor, world [m]
     attitude: wp.array[wp.quat]  # (M,) sensor to world
@@ -271,8 +273,10 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
             if hit >= 0:
                 seen = images.semantic_id[env, hit]
             images.segmentation[mount, pixel] = seen
+        valid = hit >= 0 and not dropped and measured >= limits.min_range and measured <= limits.max_range
+        if wp.static(stereo):
+            images.disparity[mount, pixel] = wp.where(valid, limits.focal_baseline * along / (measured * ray[0]), 0.0)
         if wp.static(points):
-            valid = hit >= 0 and not dropped and measured >= limits.min_range and measured <= limits.max_range
             point = wp.where(valid, (measured / along) * ray, wp.vec3(0.0, 0.0, 0.0))
             if wp.static(points_in_world):
                 point = images.origin[mount] + wp.quat_rotate(images.attitude[mount], point)

@@ -62,6 +62,10 @@ class SensorImages:
     color: Tensor | None = None
     """Red, green, blue, each 0 to 1, float32, (E, S, H, W, 3)."""
 
+    disparity: Tensor | None = None
+    """Of a stereo camera: by how many pixels the second image is shifted, ``f |b| / z``; 0 where a pixel is invalid, float32,
+    (E, S, H, W)."""
+
     def check(self, cfg: RangeSensorCfg, num_envs: int, device: torch.device) -> None:
         """Raise ``ShapeError`` unless exactly the images that ``cfg`` asks for are here, and fit."""
         shape = (num_envs, cfg.count, cfg.height, cfg.width)
@@ -72,6 +76,7 @@ class SensorImages:
             "normals": cfg.normals is not None,
             "face_ids": cfg.face_ids,
             "color": cfg.light is not None,
+            "disparity": isinstance(cfg, StereoCfg),
         }
         for name, wanted in asked.items():
             image = getattr(self, name)
@@ -224,7 +229,7 @@ class RayCaster:
         images.segmentation = view(given.segmentation, wp.int32)
         images.point, images.normal = view(given.points, wp.vec3), view(given.normals, wp.vec3)
         images.face, images.semantic_id = view(given.face_ids, wp.int32), scene.arrays.semantic_id
-        images.color = view(given.color, wp.vec3)
+        images.color, images.disparity = view(given.color, wp.vec3), view(given.disparity, wp.float32)
         images.origin, images.attitude = self._origin, self._attitude
         return images
 
@@ -272,6 +277,7 @@ def _limits(cfg: RangeSensorCfg) -> Limits:
     if isinstance(cfg, StereoCfg):
         limits.baseline, limits.half_width = cfg.baseline, tan(0.5 * radians(cfg.hfov_deg))
         limits.half_height = limits.half_width * cfg.height / cfg.width
+        limits.focal_baseline = 0.5 * cfg.width / limits.half_width * abs(cfg.baseline)
     return limits
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from aerial_gym.assets import Scene
 from aerial_gym.assets.views import check_tensor
-from aerial_gym.config.sensor import LidarCfg, RangeSensorCfg
+from aerial_gym.config.sensor import LidarCfg, RangeSensorCfg, StereoCfg
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.sensors.delay import DelayLine, like
@@ -44,8 +44,8 @@ class SensorManager:
         Args:
             cfgs: Sensors by name, in order.
             gtd: Receives ``depth_range_pixels`` (E, S, H, W) and, as far as a sensor has them, ``segmentation_pixels``,
-                ``face_id_pixels``, and ``point_cloud_pixels``, ``normal_pixels``, ``rgb_pixels`` (E, S, H, W, 3); for
-                further sensors with ``<name>_`` in front.
+                ``face_id_pixels``, ``disparity_pixels``, and ``point_cloud_pixels``, ``normal_pixels``, ``rgb_pixels``
+                (E, S, H, W, 3); for further sensors with ``<name>_`` in front.
             scene: What they see.
             position: Body origin [m], world, (E, 3), strided or not; read at every capture.
             attitude: Body to world, xyzw, unit, (E, 4), likewise.
@@ -146,7 +146,7 @@ def _declare_images(
     unit = f"{cfg.max_range:g} m" if cfg.normalize else "m"
     limits = f"too far {cfg.far_pixel:g}, too near {cfg.near_pixel:g}"
     distance = declare("depth_range_pixels", unit, "sensor", f"distance {kind}; {limits}")
-    segmentation = points = normals = faces = color = None
+    segmentation = points = normals = faces = color = disparity = None
     if cfg.segmentation:
         seen = "semantic id of what the pixel sees; nothing -2"
         segmentation = declare("segmentation_pixels", "-", "sensor", seen, ids=True)
@@ -157,8 +157,17 @@ def _declare_images(
         normals = declare("normal_pixels", "-", cfg.normals, "unit normal of the surface; 0 for nothing", vector=True)
     if cfg.face_ids:
         faces = declare("face_id_pixels", "-", "sensor", "face of the shape; nothing -1", ids=True)
+    if isinstance(cfg, StereoCfg):
+        shift = "by how much the second image is shifted; 0 for an invalid pixel"
+        disparity = declare("disparity_pixels", "pixel", "sensor", shift)
     if cfg.light is not None:
         color = declare("rgb_pixels", "-", "sensor", "red, green, blue, each 0 to 1", vector=True)
     return SensorImages(
-        color=color, distance=distance, segmentation=segmentation, points=points, normals=normals, face_ids=faces
+        color=color,
+        disparity=disparity,
+        distance=distance,
+        segmentation=segmentation,
+        points=points,
+        normals=normals,
+        face_ids=faces,
     )

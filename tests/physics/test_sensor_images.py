@@ -60,6 +60,7 @@ def make_images(cfg: RangeSensorCfg, num_envs: int, device) -> SensorImages:
         normals=poisoned(3) if cfg.normals else None,
         face_ids=ids() if cfg.face_ids else None,
         color=poisoned(3) if cfg.light else None,
+        disparity=poisoned() if isinstance(cfg, StereoCfg) else None,
     )
 
 
@@ -389,6 +390,11 @@ def test_a_stereo_pixel_is_invalid_exactly_where_the_second_camera_is_blocked(de
     invalid = depth == -1.0
     assert torch.equal(invalid[sure], (blocked | outside)[sure])
     assert torch.equal(depth[~invalid], plain[~invalid])
+    assert caster.images.disparity is not None
+    disparity = caster.images.disparity[0, 0].cpu()
+    focal = 80.0 / np.tan(np.radians(40.0))
+    torch.testing.assert_close(disparity[~invalid], focal * baseline / plain[~invalid], rtol=1e-5, atol=0.0)
+    assert (disparity[invalid] == 0.0).all()
 
 
 # ------------------------------------------------------------------------------------------------ parts, placement, rate
