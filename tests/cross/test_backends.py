@@ -122,6 +122,21 @@ def test_commands_beyond_the_limits_are_limited_like_torch(law: str) -> None:
     assert_same_flight(ROBOTS.get("tinyprop"), controller, "euler", steps_alone=True, size=20.0)
 
 
+@pytest.mark.parametrize("rate", [10.0, 240.0, 260.0, 1500.0])
+def test_turns_of_any_size_in_one_step_are_like_torch(rate: float) -> None:
+    """Spins of up to 6 rad in a step of 4 ms: on both sides of 1 rad, where the series gives way to sine and cosine."""
+    robot, controller = ROBOTS.get("base_quadrotor"), CONTROLLERS.get("rotor_speed_control")
+    ends = []
+    for backend, dtype in ((TorchBackend(), torch.float64), (WarpBackend(), torch.float32)):
+        model, law = build(robot, controller, 16, dtype)
+        backend.allocate(model, law, integrator="euler")
+        state = start_of(model, 16)
+        state = as_type(replace(state, ang_vel=rate * torch.nn.functional.normalize(state.ang_vel, dim=-1)), dtype)
+        backend.step(state, torch.zeros(16, 4, dtype=dtype), DT, 1)
+        ends.append(state.attitude.double())
+    torch.testing.assert_close(ends[1], ends[0], rtol=0.0, atol=1e-6 * max(1.0, rate * DT))
+
+
 def test_a_thrust_map_with_an_offset_is_inverted_like_torch() -> None:
     """Thrust at rest differs from zero: the vertex of the map is not at the origin."""
     robot = lopsided_robot()
