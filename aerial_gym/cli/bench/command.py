@@ -5,6 +5,7 @@ from typing import Annotated
 
 import tyro
 
+from aerial_gym.cli.bench.memory import MemoryBench
 from aerial_gym.cli.bench.physics import PhysicsBench
 from aerial_gym.cli.bench.render import RenderBench
 from aerial_gym.cli.bench.task import TaskBench
@@ -12,13 +13,14 @@ from aerial_gym.cli.bench.task import TaskBench
 
 @dataclass(frozen=True, kw_only=True)
 class BenchCmd:
-    """Measure the speed of the physics alone, of whole task steps, or of cameras."""
+    """Measure the speed of the physics alone, of whole task steps, or of cameras, or the memory of a simulator."""
 
     what: tyro.conf.OmitArgPrefixes[
         tyro.conf.OmitSubcommandPrefixes[
             Annotated[PhysicsBench, tyro.conf.subcommand("physics")]
             | Annotated[TaskBench, tyro.conf.subcommand("task")]
             | Annotated[RenderBench, tyro.conf.subcommand("render")]
+            | Annotated[MemoryBench, tyro.conf.subcommand("memory")]
         ]
     ]
     """What is measured."""
