@@ -228,7 +228,7 @@ def test_merged_meshes_show_the_same_depths(capsys: pytest.CaptureFixture[str]) 
     images = SensorImages(distance=depth)
     caster = RayCaster(camera, scene.build(), images, position=scene.position, attitude=scene.attitude)
     caster.cast()
-    merged = MergedMeshes(scene, caster.direction.view(-1, 3))
+    merged = MergedMeshes(scene, caster.direction)
     merged.cast()
     error = (depth.flatten(1) - merged.depth).abs()
     assert error.median() < 1e-5

@@ -2,10 +2,12 @@
 # pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
 # pyright: reportOptionalMemberAccess=false
 # (Warp compiles the kernel from its source; Python's type rules do not describe it.)
-"""The baseline of ``bench render``: one merged triangle mesh per environment, a query per pixel in the order of rows.
+"""Triangle meshes beside which ``bench render`` is measured: the obstacles of an environment merged into one.
 
-This is how the Aerial Gym Simulator sees. At most ``DISTINCT`` environments are built and then used again by the others,
-which saves minutes and favours the baseline: its trees stay in the cache.
+``merged`` is how the Aerial Gym Simulator sees: a mesh for each environment, a query per pixel in the order of rows. At most
+``DISTINCT`` environments are built and then used again by the others, which saves minutes and favours the baseline: its
+trees stay in the cache. ``shared_mesh`` is the least that triangles can cost: one mesh for all environments, which must be
+alike, and neighbouring pixels side by side. Depth only.
 """
 
 import numpy as np
@@ -17,6 +19,7 @@ from aerial_gym.cli.bench.scenes import RenderScene
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.interop import on_torch_stream
 from aerial_gym.math.quaternion import quat_from_euler, quat_to_matrix
+from aerial_gym.sensors.tiles import make_tiles
 
 DISTINCT = 64
 """Environments that are really built."""
@@ -28,11 +31,13 @@ def _cast_merged(
     position: wp.array[wp.vec3],  # (E,) world [m]
     attitude: wp.array[wp.quat],  # (E,) camera to world
     direction: wp.array[wp.vec3],  # (N,) camera frame, unit
+    order: wp.array[wp.int32],  # (N,) which pixel a thread draws
     max_range: float,  # [m]
     out: wp.array2d[float],  # (E, N) [m]
 ):
     """Write the depth along the optical axis, -1 for a miss."""
-    env, pixel = wp.tid()
+    env, thread = wp.tid()
+    pixel = order[thread]
     ray = direction[pixel]
     limit = max_range / ray[0]
     query = wp.mesh_query_ray(mesh[env], position[env], wp.quat_rotate(attitude[env], ray), limit)
@@ -42,14 +47,26 @@ def _cast_merged(
 class MergedMeshes:
     """A merged mesh for each environment, and the launch that renders them all."""
 
-    def __init__(self, scene: RenderScene, direction: torch.Tensor) -> None:
-        """Triangulate and merge; ``direction`` is the ray table (N, 3)."""
+    def __init__(self, scene: RenderScene, direction: torch.Tensor, *, shared: bool = False) -> None:
+        """Triangulate and merge.
+
+        Args:
+            scene: What is seen.
+            direction: The ray table, (H, W, 3).
+            shared: One mesh for all environments, pixels in tiles; else a mesh for each, pixels in rows.
+        """
         device, num_envs = wp.device_from_torch(scene.state.device), scene.state.shape[0]
-        self.meshes = [self._merge(scene, env, device) for env in range(min(num_envs, DISTINCT))]
+        self.meshes = [self._merge(scene, env, device) for env in range(min(num_envs, 1 if shared else DISTINCT))]
+        order = torch.arange(direction[..., 0].numel(), dtype=torch.int32, device=direction.device)
+        if shared:
+            tiles = make_tiles(direction, height=8, width=8)
+            order = tiles.pixel[tiles.pixel >= 0]
+        direction = direction.reshape(-1, 3)
         self.num_triangles = len(self.meshes[0].indices) // 3
         ids = np.array([self.meshes[env % len(self.meshes)].id for env in range(num_envs)], dtype=np.uint64)
         self.depth = torch.zeros(num_envs, len(direction), device=scene.state.device)
         which = torch.arange(num_envs, device=scene.state.device) % len(self.meshes)
+        self._kept = order, direction
         self._position, self._attitude = scene.position[which].contiguous(), scene.attitude[which].contiguous()
         self._launch = wp.launch(
             _cast_merged,
@@ -59,6 +76,7 @@ class MergedMeshes:
                 wp.from_torch(self._position, dtype=wp.vec3),
                 wp.from_torch(self._attitude, dtype=wp.quat),
                 wp.from_torch(direction.contiguous(), dtype=wp.vec3),
+                wp.from_torch(order.contiguous()),
                 scene.max_range,
             ],
             outputs=[wp.from_torch(self.depth)],
@@ -70,12 +88,6 @@ class MergedMeshes:
         """Render every environment."""
         with on_torch_stream(self.depth):
             self._launch.launch()
-
-    def refit(self) -> None:
-        """Rebuild the bounds of every mesh that is there, one launch each, as after moving obstacles."""
-        with on_torch_stream(self.depth):
-            for mesh in self.meshes:
-                mesh.refit()
 
     @staticmethod
     def _merge(scene: RenderScene, env: int, device: wp.Device) -> wp.Mesh:

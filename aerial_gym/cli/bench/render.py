@@ -30,14 +30,18 @@ class RenderBench:
     segmentation: bool = False
     """Whether the camera also writes what each pixel sees."""
 
-    merged: bool = False
-    """Also measure the baseline: one merged triangle mesh per environment."""
+    against: tuple[str, ...] = ()
+    """Renderers measured beside ours: merged (one triangle mesh per environment), shared_mesh (one for all, where they
+    are alike), newton, mujoco, mujoco_warp; all: every one that is installed and can draw the scene."""
+
+    peer_python: tuple[str, ...] = ()
+    """NAME=PYTHON, or PYTHON for all: the interpreter that has a peer; this one by default."""
 
     device: str = "auto"
     """Torch device; auto takes the GPU if there is one."""
 
     threads: int | None = None
-    """Threads on the CPU; torch's own number if not given."""
+    """Threads on the CPU; torch's own number if not given, and 1 beside others, which have no more."""
 
     repeats: int = 5
     """Figures of which the median is printed."""
@@ -46,77 +50,103 @@ class RenderBench:
     """About how long each is measured [s]."""
 
     json: bool = False
-    """Print one JSON object."""
+    """Print one JSON object a line."""
 
     def run(self) -> int:
-        """Measure and print; return the exit status: 1 if the workload did not do its work."""
+        """Measure and print; return the exit status: 1 if a workload did not do its work."""
+        from aerial_gym.cli.bench.beside import summary
         from aerial_gym.cli.bench.measure import WorkloadError
         from aerial_gym.cli.bench.output import print_figures
 
         try:
-            print_figures(self.measure(), as_json=self.json)
+            rows, failures = self.measure()
         except WorkloadError as error:
             print(f"aerial-gym bench render: {error}", file=sys.stderr)
             return 1
-        return 0
+        print_figures(rows[0], as_json=self.json)
+        for row in rows[1:]:
+            print_figures(row if self.json else {str(row["name"]): summary(row)}, as_json=self.json)
+        for failure in failures:
+            print(f"aerial-gym bench render: {failure}", file=sys.stderr)
+        return 1 if failures else 0
 
-    def measure(self) -> dict[str, object]:
-        """Return the figures with everything they depend on.
+    def measure(self) -> tuple[list[dict[str, object]], list[str]]:
+        """Return our figures with everything they depend on, a row for each other renderer, and what went wrong there.
 
         Raises:
             AerialGymError: If a name is unknown or a number impossible.
-            WorkloadError: If the images are not those of the scene.
+            WorkloadError: If our images are not those of the scene.
         """
-        import torch
-
-        from aerial_gym.cli.bench.measure import require_at_least, spread, torch_threads
-        from aerial_gym.cli.bench.output import device_by_name, device_name, provenance
-        from aerial_gym.cli.bench.scenes import make_scene
-        from aerial_gym.config.sensor import CameraCfg
+        from aerial_gym.cli.bench.beside import names_of
+        from aerial_gym.cli.bench.measure import require_at_least, torch_threads
+        from aerial_gym.cli.bench.output import device_by_name
         from aerial_gym.errors import ConfigError
-        from aerial_gym.sensors import RayCaster, SensorImages
 
         require_at_least(1, num_envs=self.num_envs, width=self.width, height=self.height)
-        device, beside = device_by_name(self.device), provenance()
-        with torch_threads(self.threads) as threads:
-            scene = make_scene(self.scene, self.num_envs, device=device)
-            camera = CameraCfg(
-                summary="benchmark camera",
-                width=self.width,
-                height=self.height,
-                hfov_deg=87.0,
-                min_range=0.0,
-                max_range=scene.max_range,
-                segmentation=self.segmentation,
-                source="the depth camera of base_quadrotor_with_camera",
-            )
-            image = (self.num_envs, 1, self.height, self.width)
-            depth = torch.zeros(image, device=device)
-            ids = torch.zeros(image, dtype=torch.int32, device=device) if self.segmentation else None
-            built = scene.build()
-            images = SensorImages(distance=depth, segmentation=ids)
-            caster = RayCaster(camera, built, images, position=scene.position, attitude=scene.attitude)
-            seconds = self._time(caster.cast, depth)
-            elsewhere = scene.state.clone()
-            move = statistics.median(self._time(lambda: scene.state.copy_(elsewhere), depth))
-            figures = {}
-            if self.merged:
-                if not scene.shapes:
-                    raise ConfigError(
-                        f"--merged: needs boxes, boxes_aligned or clutter, not the environment {self.scene!r}"
-                    )
-                from aerial_gym.cli.bench.merged import MergedMeshes
+        device, names, threads = device_by_name(self.device), names_of(self.against), self.threads
+        if names and device.type == "cpu":
+            if threads not in (None, 1):
+                raise ConfigError(f"--threads {threads} with --against: others draw with one thread. Use --threads 1")
+            threads = 1
+        with torch_threads(threads) as used:
+            return self._measure(device, names, used)
 
-                baseline = MergedMeshes(scene, caster.direction.view(-1, 3))
-                slow = self._time(baseline.cast, baseline.depth)
-                figures = {
-                    "merged_triangles": baseline.num_triangles,
-                    "merged_frames_per_s": self.num_envs / statistics.median(slow),
-                    "merged_ratio": statistics.median(slow) / statistics.median(seconds),
-                }
+    def _measure(
+        self, device: "torch.device", names: list[str], threads: int
+    ) -> tuple[list[dict[str, object]], list[str]]:
+        import torch
+
+        from aerial_gym.cli.bench.beside import Beside
+        from aerial_gym.cli.bench.measure import WorkloadError, spread
+        from aerial_gym.cli.bench.output import device_name, provenance
+        from aerial_gym.cli.bench.scenes import make_scene
+        from aerial_gym.config.sensor import CameraCfg
+        from aerial_gym.sensors import RayCaster, SensorImages
+
+        provided, scene = provenance(), make_scene(self.scene, self.num_envs, device=device)
+        camera = CameraCfg(
+            summary="benchmark camera",
+            width=self.width,
+            height=self.height,
+            hfov_deg=87.0,
+            min_range=0.0,
+            max_range=scene.max_range,
+            segmentation=self.segmentation,
+            source="the depth camera of base_quadrotor_with_camera",
+        )
+        image = (self.num_envs, 1, self.height, self.width)
+        depth = torch.zeros(image, device=device)
+        ids = torch.zeros(image, dtype=torch.int32, device=device) if self.segmentation else None
+        images = SensorImages(distance=depth, segmentation=ids)
+        caster = RayCaster(camera, scene.build(), images, position=scene.position, attitude=scene.attitude)
+        seconds = self._time(caster.cast, depth)
+        elsewhere = scene.state.clone()
+        move = statistics.median(self._time(lambda: scene.state.copy_(elsewhere), depth))
+        beside = Beside(
+            scene=scene,
+            camera=camera,
+            images=images,
+            direction=caster.direction,
+            pythons=self.peer_python,
+            threads=threads,
+            repeats=self.repeats,
+            repeat_time_s=self.repeat_time_s,
+        )
+        others, failures = [], []
+        for name in names:
+            why = beside.why_not(name)
+            if why is not None:
+                print(why, file=sys.stderr)
+                continue
+            try:
+                others.append(beside.measure(name, self._time))
+            except WorkloadError as error:
+                failures.append(str(error))
+            seconds += self._time(caster.cast, depth)
         median, low, high = spread(seconds, self.num_envs)
-        return {
+        ours = {
             "case": "render",
+            "name": "aerial_gym",
             "scene": self.scene,
             "device": device_name(device),
             "num_envs": self.num_envs,
@@ -130,9 +160,9 @@ class RenderBench:
             "rays_per_s": median * self.width * self.height,
             "image_s": statistics.median(seconds),
             "move_s": move,
-            **figures,
-            **beside,
+            **provided,
         }
+        return [ours, *(other.row(median, self.num_envs) for other in others)], failures
 
     def _time(self, call: "Callable[[], object]", depth: "torch.Tensor") -> list[float]:
         """Return the time of one call in each repeat [s]."""

@@ -1,0 +1,135 @@
+"""Other renderers beside ours in one run of ``bench render``: the same scene, rays, device and number of environments."""
+
+import statistics
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.cli.bench.measure import spread
+from aerial_gym.cli.bench.merged import DISTINCT, MergedMeshes
+from aerial_gym.cli.bench.output import readable
+from aerial_gym.cli.bench.peers.catalog import RENDER_PEERS, interpreters
+from aerial_gym.cli.bench.peers.runs import (
+    MOST_THAT_DIFFER,
+    run_peer,
+    scene_arrays,
+    share_that_differs,
+    vertical_field_deg,
+    why_missing,
+)
+from aerial_gym.cli.bench.scenes import RenderScene
+from aerial_gym.config.sensor import CameraCfg
+from aerial_gym.errors import UnknownNameError
+from aerial_gym.sensors import SensorImages
+
+MESHES = ("merged", "shared_mesh")
+"""Renderers that come with us: triangle meshes, cast by Warp."""
+
+
+def names_of(asked: tuple[str, ...]) -> list[str]:
+    """Return the names of renderers; ``all`` stands for every one.
+
+    Raises:
+        UnknownNameError: If there is none of that name.
+    """
+    known = (*MESHES, *RENDER_PEERS)
+    for name in asked:
+        if name not in (*known, "all"):
+            raise UnknownNameError(f"--against {name!r}: no such renderer. Known: all, {', '.join(known)}")
+    return [name for name in known if name in asked or "all" in asked]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Other:
+    """What was measured of another renderer."""
+
+    name: str
+    seconds: list[float]
+    """Time of all images in each repeat [s]."""
+
+    differing: float
+    """Share of pixels that show something else than ours."""
+
+    more: dict[str, object]
+    """Versions, triangles."""
+
+    def row(self, our_frames_per_s: float, num_envs: int) -> dict[str, object]:
+        """Return the figures; ``ratio`` above 1: ours is faster."""
+        median, low, high = spread(self.seconds, num_envs)
+        return {
+            "case": "render_beside",
+            "name": self.name,
+            "frames_per_s": median,
+            "frames_per_s_min": low,
+            "frames_per_s_max": high,
+            "image_s": statistics.median(self.seconds),
+            "ratio": our_frames_per_s / median,
+            "differing_pixels_share": self.differing,
+            **self.more,
+        }
+
+
+def summary(row: Mapping[str, object]) -> str:
+    """Return the row of another renderer as a sentence."""
+    versions = f"; {readable(row['versions'])}" if "versions" in row else ""
+    return f"{readable(row['frames_per_s'])} frames/s, ours is {readable(row['ratio'])} times as fast{versions}"
+
+
+class Beside:
+    """Measures other renderers on a scene that is drawn already."""
+
+    def __init__(
+        self,
+        *,
+        scene: RenderScene,
+        camera: CameraCfg,
+        images: SensorImages,
+        direction: Tensor,
+        pythons: tuple[str, ...],
+        threads: int,
+        repeats: int,
+        repeat_time_s: float,
+    ) -> None:
+        """Keep what the others need; ``images`` are ours, ``direction`` is the ray table (H, W, 3)."""
+        self._scene, self._camera, self._images, self._direction = scene, camera, images, direction
+        self._device, self._pythons = direction.device.type, interpreters(pythons, sys.executable)
+        self._how = {"threads": threads, "repeats": repeats, "repeat_time_s": repeat_time_s}
+
+    def why_not(self, name: str) -> str | None:
+        """Return a sentence that says why a renderer cannot be measured and what helps, or None if it can."""
+        if not self._scene.shapes:
+            return f"{name} is skipped: it needs a scene of its own kind, such as --scene boxes, not an environment."
+        if name == "shared_mesh" and bool((self._scene.state != self._scene.state[:1]).any()):
+            return "shared_mesh is skipped: the environments of this scene differ. Use --scene boxes_aligned."
+        return None if name in MESHES else why_missing(name, self._pythons[name], self._device)
+
+    def measure(self, name: str, time: Callable[[Callable[[], object], Tensor], list[float]]) -> Other:
+        """Draw, compare with our images, and time; ``time`` returns the time of a call in each repeat [s].
+
+        Raises:
+            WorkloadError: If the renderer fails or shows something else.
+        """
+        return self._mesh(name, time) if name in MESHES else self._peer(name)
+
+    def _mesh(self, name: str, time: Callable[[Callable[[], object], Tensor], list[float]]) -> Other:
+        meshes = MergedMeshes(self._scene, self._direction, shared=name == "shared_mesh")
+        meshes.cast()
+        count = DISTINCT if name == "merged" else len(meshes.depth)  # the others are drawn again, not anew
+        flat = all(shape.kind == "box" for shape in self._scene.shapes)  # round shapes are drawn as polyhedra
+        ours = self._images.distance[:count]
+        differing = share_that_differs(name, ours, meshes.depth[:count], most=MOST_THAT_DIFFER if flat else 1.0)
+        seconds = time(meshes.cast, meshes.depth)
+        return Other(name=name, seconds=seconds, differing=differing, more={"triangles": meshes.num_triangles})
+
+    def _peer(self, name: str) -> Other:
+        height = vertical_field_deg(self._camera.hfov_deg, width=self._camera.width, height=self._camera.height)
+        ids = self._images.segmentation
+        arrays = scene_arrays(self._scene, self._direction, vfov_deg=height, segmentation=ids is not None)
+        found = run_peer(name, self._pythons[name], arrays, device=self._device, **self._how)
+        seen = None if found.identity is None else torch.from_numpy(found.identity)
+        depth = torch.from_numpy(found.depth)
+        differing = share_that_differs(name, self._images.distance, depth, identity=ids, other_identity=seen)
+        return Other(name=name, seconds=found.seconds, differing=differing, more={"versions": found.versions})

@@ -1,0 +1,54 @@
+"""The renderers that are measured beside ours, each in a process of its own."""
+
+import os
+from dataclasses import dataclass
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.registry import Registry
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderPeer:
+    """Another renderer."""
+
+    needs: tuple[str, ...]
+    """Modules that must be importable."""
+
+    install: str
+    """What pip installs."""
+
+    devices: tuple[str, ...]
+    """``cpu``, ``cuda``."""
+
+
+RENDER_PEERS: Registry[RenderPeer] = Registry("render peer")
+
+RENDER_PEERS.register("newton", RenderPeer(needs=("newton",), install="newton", devices=("cpu", "cuda")))
+RENDER_PEERS.register("mujoco", RenderPeer(needs=("mujoco",), install="mujoco", devices=("cpu",)))
+RENDER_PEERS.register(
+    "mujoco_warp",
+    RenderPeer(needs=("mujoco_warp", "mujoco"), install="mujoco-warp mujoco", devices=("cpu", "cuda")),
+)
+
+
+def interpreters(entries: tuple[str, ...], default: str) -> dict[str, str]:
+    """Return the interpreter of every peer; ``entries`` are ``NAME=PYTHON``, or ``PYTHON`` for all that are not named.
+
+    Raises:
+        UnknownNameError: If a name is no peer.
+        ConfigError: If an entry names no interpreter.
+    """
+    named: dict[str, str] = {}
+    for entry in entries:
+        name, equals, python = entry.rpartition("=")
+        if not python:
+            raise ConfigError(
+                f"--peer-python {entry!r}: must be PYTHON or NAME=PYTHON, an interpreter that has the peer"
+            )
+        path = os.path.abspath(python) if os.sep in python else python
+        if equals:
+            RENDER_PEERS.get(name)
+            named[name] = path
+        else:
+            default = path
+    return {name: named.get(name, default) for name in RENDER_PEERS}

@@ -1,0 +1,194 @@
+"""A process for each peer: it gets the scene in a file, returns its images in a file, and prints its times."""
+
+import json
+import math
+import os
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from aerial_gym.cli.bench.measure import WorkloadError
+from aerial_gym.cli.bench.peers.catalog import RENDER_PEERS
+from aerial_gym.cli.bench.scenes import RenderScene
+from aerial_gym.config.environment import PartCfg, ShapeCfg
+from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate
+
+WORKER = Path(__file__).with_name("worker.py")
+
+TIMEOUT_S = 900.0
+"""Longest time of one peer, compilation included [s]."""
+
+DEPTH_TOLERANCE = 1e-3
+"""Largest difference of depths that show the same [m]; at 40 m a float32 has steps of 4e-6 m, and kernels with fast
+mathematics on GPUs lose two digits."""
+
+MOST_THAT_DIFFER = 2e-3
+"""Largest share of pixels that may show something else: rays that graze an edge are decided by round-off."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeerTimes:
+    """What a peer's process found."""
+
+    seconds: list[float]
+    """Time of all images in each repeat [s]."""
+
+    depth: np.ndarray
+    """Along the optical axis [m], -1 for a miss, (E, H, W)."""
+
+    identity: np.ndarray | None
+    """What each pixel sees, -2 for a miss, (E, H, W)."""
+
+    versions: dict[str, str]
+    """By package."""
+
+
+def why_missing(name: str, python: str, device: str) -> str | None:
+    """Return a sentence that says why a peer cannot be measured and what helps, or None if it can."""
+    peer = RENDER_PEERS.get(name)
+    if device not in peer.devices:
+        return f"{name} is skipped: it runs on {', '.join(peer.devices)} only."
+    code = f"import importlib.util as u, sys; sys.exit(not all(map(u.find_spec, {peer.needs!r})))"
+    try:
+        found = subprocess.run([python, "-c", code], capture_output=True).returncode == 0
+    except OSError as error:
+        return f"{name} is skipped: {python} does not start ({error})."
+    if found:
+        return None
+    return (
+        f"{name} is skipped: {python} does not have it. Install it there, or in an environment of its own: python -m venv "
+        f"VENV && VENV/bin/pip install {peer.install}, then --peer-python {name}=VENV/bin/python"
+    )
+
+
+def run_peer(
+    name: str,
+    python: str,
+    scene: dict[str, np.ndarray],
+    *,
+    device: str,
+    threads: int,
+    repeats: int,
+    repeat_time_s: float,
+) -> PeerTimes:
+    """Draw and time the images of a scene in a process of its own; on the CPU it is held to as many cores as threads.
+
+    Raises:
+        WorkloadError: If the process fails; the text is its last line.
+    """
+    numbers = [f"--device={device}", f"--repeats={repeats}", f"--repeat-time-s={repeat_time_s}"]
+    cores = sorted(os.sched_getaffinity(0))[: threads if device == "cpu" else None]
+    with tempfile.TemporaryDirectory() as folder:
+        given, taken = Path(folder, "scene.npz"), Path(folder, "images.npz")
+        np.savez(given, **scene)  # pyright: ignore[reportArgumentType]
+        try:
+            done = subprocess.run(
+                [python, str(WORKER), name, str(given), str(taken), *numbers],
+                cwd=folder,
+                capture_output=True,
+                text=True,
+                timeout=TIMEOUT_S,
+                preexec_fn=lambda: os.sched_setaffinity(0, cores),
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise WorkloadError(f"{name} failed: {error}") from None
+        if done.returncode != 0:
+            raise WorkloadError(f"{name} failed: {(done.stderr.strip() or 'no message').splitlines()[-1]}")
+        with np.load(taken) as images:
+            depth, identity = images["depth"], images.get("identity")
+    return PeerTimes(depth=depth, identity=identity, **json.loads(done.stdout.splitlines()[-1]))
+
+
+def share_that_differs(
+    name: str,
+    depth: Tensor,
+    other: Tensor,
+    *,
+    identity: Tensor | None = None,
+    other_identity: Tensor | None = None,
+    most: float = MOST_THAT_DIFFER,
+) -> float:
+    """Return the share of pixels in which two renderers differ, in depth by more than 1 mm or in what is seen.
+
+    Args:
+        name: Of the other renderer.
+        depth: Ours [m], below 0 for a miss, any shape.
+        other: The other's, as many pixels.
+        identity: What our pixels see; compared if both are given.
+        other_identity: What the other's see.
+        most: Largest share; more than edges explain means that the two did not draw the same scene.
+
+    Raises:
+        WorkloadError: If more pixels differ.
+    """
+    ours, theirs = depth.detach().cpu().flatten(), other.detach().cpu().flatten()
+    same = ((ours < 0.0) & (theirs < 0.0)) | ((ours - theirs).abs() <= DEPTH_TOLERANCE)
+    if identity is not None and other_identity is not None:
+        same &= identity.cpu().flatten() == other_identity.cpu().flatten()
+    share = float((~same).double().mean())
+    if share > most:
+        raise WorkloadError(f"{name} shows something else in {share:.2%} of the pixels: no figure is reported")
+    return share
+
+
+def scene_arrays(
+    scene: RenderScene, direction: Tensor, *, vfov_deg: float, segmentation: bool
+) -> dict[str, np.ndarray]:
+    """Return a scene as ``worker.py`` describes it, compounds taken apart; ``direction`` is the ray table (H, W, 3)."""
+    kinds, sizes, ids, places, turns = [], [], [], [], []
+    position, attitude = scene.state[..., 0:3].cpu(), scene.state[..., 3:7].cpu()
+    for number, shape in enumerate(scene.shapes):
+        for part in shape.parts or (PartCfg(shape=shape),):
+            at, turn = position[:, number], attitude[:, number]
+            offset, own = torch.tensor(part.position), quat_from_euler(torch.tensor(part.euler))
+            at, turn = at + quat_rotate(turn, offset.expand_as(at)), quat_multiply(turn, own.expand_as(turn))
+            kind, size = part.shape.kind, _size(part.shape)
+            if _is_floor(part.shape, at, turn, scene.position.cpu()):
+                kind, at = "floor", at + torch.tensor((0.0, 0.0, 0.5 * size[2]))
+            kinds.append(kind)
+            sizes.append(size)
+            ids.append(number)
+            places.append(at)
+            turns.append(turn)
+    arrays = {
+        "position": torch.stack(places, dim=1).float(),
+        "attitude": torch.stack(turns, dim=1).float(),
+        "camera_position": scene.position,
+        "camera_attitude": scene.attitude,
+        "direction": direction,
+    }
+    return {
+        "kind": np.array(kinds),
+        "size": np.array(sizes, dtype=np.float32),
+        "identity": np.array(ids, dtype=np.int32),
+        **{name: array.detach().cpu().numpy() for name, array in arrays.items()},
+        "vfov_deg": np.array(vfov_deg),
+        "segmentation": np.array(segmentation),
+    }
+
+
+def vertical_field_deg(hfov_deg: float, *, width: int, height: int) -> float:
+    """Return the vertical field of view of a pinhole camera with square pixels [deg]."""
+    return math.degrees(2.0 * math.atan(math.tan(math.radians(hfov_deg) / 2.0) * height / width))
+
+
+def _is_floor(shape: ShapeCfg, position: Tensor, attitude: Tensor, camera: Tensor) -> bool:
+    """Return whether a shape is a level box of whose faces no camera can see but the upper one.
+
+    A peer may draw a rectangle instead, which takes MuJoCo half as long.
+    """
+    if shape.size is None:
+        return False
+    half = 0.5 * torch.tensor(shape.size)
+    above = camera - position
+    over = bool((above[:, :2].abs() < half[:2]).all()) and bool((above[:, 2] > half[2]).all())
+    return over and bool((attitude[:, 3].abs() == 1.0).all())
+
+
+def _size(shape: ShapeCfg) -> tuple[float, float, float]:
+    return shape.size or (shape.radius or 0.0, shape.height or 0.0, 0.0)

@@ -1,0 +1,160 @@
+"""``aerial-gym bench render --against``: others must draw what we draw, or give no figure."""
+
+import json
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from aerial_gym.cli.bench.beside import names_of
+from aerial_gym.cli.bench.measure import WorkloadError
+from aerial_gym.cli.bench.peers import runs
+from aerial_gym.cli.bench.peers.catalog import RENDER_PEERS, interpreters
+from aerial_gym.cli.bench.peers.runs import run_peer, scene_arrays, share_that_differs, why_missing
+from aerial_gym.cli.bench.scenes import RenderScene, make_scene
+from aerial_gym.cli.main import main
+from aerial_gym.config.environment import ShapeCfg
+from aerial_gym.errors import ConfigError, UnknownNameError
+
+CPU = torch.device("cpu")
+QUICK = ("--device", "cpu", "--repeats", "2", "--repeat-time-s", "0.01", "--width", "32", "--height", "24")
+PEER_FOLDER = Path(runs.__file__).parent
+
+
+def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
+    status = main(("bench", *argv))
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def test_others_stand_below_ours_in_one_run(capsys: pytest.CaptureFixture[str]) -> None:
+    """Every other renderer agrees with ours in all pixels but those on edges, and has its own line."""
+    names = ("merged", "shared_mesh", "mujoco")
+    argv = ("--scene", "boxes_aligned", "--num-envs", "2", "--json", "--against", *names)
+    status, out, err = run(capsys, "render", *QUICK, *argv)
+    assert status == 0, err
+    ours, *others = map(json.loads, out.splitlines())
+    assert ours["name"] == "aerial_gym"
+    assert ours["threads"] == 1
+    assert tuple(row["name"] for row in others) == names
+    for row in others:
+        assert row["ratio"] == pytest.approx(ours["frames_per_s"] / row["frames_per_s"])
+        assert row["image_s"] == pytest.approx(2 / row["frames_per_s"])
+        assert 0.0 <= row["differing_pixels_share"] <= 0.002
+    assert others[0]["triangles"] == others[1]["triangles"] == 252
+    assert set(others[2]["versions"]) == {"mujoco"}
+
+
+@pytest.mark.parametrize("scene", ["boxes", "clutter"])
+def test_mujoco_sees_the_same_depths_and_ids(scene: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Turned boxes, spheres, cylinders and compounds, each environment with its own poses; a run reports no other images."""
+    argv = ("--scene", scene, "--num-envs", "3", "--segmentation", "--json", "--against", "mujoco")
+    status, out, err = run(capsys, "render", *QUICK, *argv)
+    assert status == 0, err
+    assert json.loads(out.splitlines()[1])["differing_pixels_share"] <= 0.002
+
+
+def test_what_cannot_be_measured_is_skipped_with_the_way_out(capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ("--scene", "boxes", "--num-envs", "2", "--json", "--against", "all", "--peer-python", "/bin/false")
+    status, out, err = run(capsys, "render", *QUICK, *argv)
+    assert status == 0
+    assert [json.loads(line)["name"] for line in out.splitlines()] == ["aerial_gym", "merged"]
+    assert "shared_mesh is skipped: the environments of this scene differ. Use --scene boxes_aligned." in err
+    assert "newton is skipped: /bin/false does not have it." in err
+    assert "VENV/bin/pip install newton, then --peer-python newton=VENV/bin/python" in err
+    why = why_missing("mujoco", sys.executable, "cuda")
+    assert why == "mujoco is skipped: it runs on cpu only."
+    assert "does not start" in str(why_missing("mujoco", "/nowhere/python", "cpu"))
+    assert why_missing("mujoco", sys.executable, "cpu") is None
+    status, _, err = run(
+        capsys, "render", *QUICK, "--scene", "env_with_obstacles", "--num-envs", "2", "--against", "mujoco"
+    )
+    assert "mujoco is skipped: it needs a scene of its own kind, such as --scene boxes" in err
+
+
+def test_wrong_requests_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    status, _, err = run(capsys, "render", *QUICK, "--against", "newtn")
+    assert status == 2
+    assert "--against 'newtn': no such renderer. Known: all, merged, shared_mesh, newton, mujoco, mujoco_warp" in err
+    status, _, err = run(capsys, "render", *QUICK, "--against", "merged", "--threads", "2")
+    assert status == 2
+    assert "--threads 2 with --against: others draw with one thread. Use --threads 1" in err
+    with pytest.raises(ConfigError, match="must be PYTHON or NAME=PYTHON"):
+        interpreters(("newton=",), "python")
+    with pytest.raises(UnknownNameError, match="no render peer 'newtn'. Did you mean 'newton'"):
+        interpreters(("newtn=python",), "python")
+    assert names_of(("all",)) == ["merged", "shared_mesh", *RENDER_PEERS]
+    found = interpreters(("venv/bin/python", "newton=python3"), "python")
+    assert found["newton"] == "python3"
+    assert found["mujoco"] == str(Path.cwd() / "venv/bin/python")
+
+
+def test_other_images_give_no_figure() -> None:
+    """3 of 1000 pixels are more than edges explain; a miss is a miss, whatever number stands for it."""
+    depth, ids = torch.full((1000,), 2.0), torch.zeros(1000, dtype=torch.int32)
+    depth[500:] = -1.0
+    other = depth.clone()
+    other[500:] = -7.0
+    other[:2] += 0.01
+    assert share_that_differs("peer", depth, other, identity=ids, other_identity=ids) == pytest.approx(0.002)
+    seen = ids.clone()
+    seen[3] = 1
+    with pytest.raises(WorkloadError, match=r"peer shows something else in 0.30% of the pixels"):
+        share_that_differs("peer", depth, other, identity=ids, other_identity=seen)
+    other[3] = float("nan")
+    with pytest.raises(WorkloadError, match=r"peer shows something else in 0.30% of the pixels"):
+        share_that_differs("peer", depth, other)
+
+
+def test_a_run_with_other_images_ends_with_status_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(runs, "_is_floor", lambda *_: True)  # every box becomes a rectangle
+    argv = ("--scene", "boxes", "--num-envs", "2", "--json", "--against", "mujoco")
+    status, out, err = run(capsys, "render", *QUICK, *argv)
+    assert status == 1
+    assert len(out.splitlines()) == 1
+    assert "mujoco shows something else in" in err
+
+
+def test_the_words_of_a_failed_peer_are_kept() -> None:
+    with pytest.raises(WorkloadError, match="nobody failed: ModuleNotFoundError: No module named 'peer_nobody'"):
+        run_peer("nobody", sys.executable, {}, device="cpu", threads=1, repeats=1, repeat_time_s=0.01)
+
+
+def test_only_a_level_box_below_every_camera_is_a_floor() -> None:
+    """The camera stands at 1 m over a slab whose top is at 0: a peer may draw the rectangle there."""
+    direction = torch.zeros(1, 1, 3)
+    scene = make_scene("boxes", 2, device=CPU)
+
+    def kinds(camera: tuple[float, float, float], turn: float = 0.0) -> np.ndarray:
+        state = scene.state.clone()
+        state[1, 20, 3], state[1, 20, 6] = math.sin(turn), math.cos(turn)
+        position = torch.tensor([[0.0, 0.0, 1.0], camera])
+        changed = RenderScene(
+            shapes=(*scene.shapes[:20], ShapeCfg(kind="box", size=(40.0, 40.0, 0.2))),
+            state=state,
+            position=position,
+            attitude=scene.attitude,
+            max_range=50.0,
+        )
+        found = scene_arrays(changed, direction, vfov_deg=87.0, segmentation=False)
+        height = 0.0 if found["kind"][20] == "floor" else -0.1
+        assert found["position"][:, 20, 2] == pytest.approx(height)
+        assert set(found["kind"][:20]) == {"box"}
+        return found["kind"][20]
+
+    assert kinds((0.0, 0.0, 0.5)) == "floor"
+    assert kinds((0.0, 0.0, -0.05)) == "box"
+    assert kinds((0.0, 21.0, 1.0)) == "box"
+    assert kinds((0.0, 0.0, 1.0), turn=0.01) == "box"
+
+
+def test_what_runs_in_the_interpreter_of_a_peer_imports_nothing_of_ours() -> None:
+    peers = {path.stem.removeprefix("peer_"): path for path in PEER_FOLDER.glob("peer_*.py")}
+    assert set(peers) == set(RENDER_PEERS)
+    for path in (*peers.values(), PEER_FOLDER / "worker.py", PEER_FOLDER / "mujoco_scene.py"):
+        assert "aerial_gym" not in path.read_text(encoding="utf-8")
