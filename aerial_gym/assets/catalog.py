@@ -13,5 +13,6 @@ for _name in (
     "env_with_lidar_nav_obstacles",
     "forest_env",
     "dynamic_env",
+    "landing_env",
 ):
     ENVIRONMENTS.register(_name, load_environment(CONFIG_DIR / "environments" / f"{_name}.yaml"))

@@ -200,3 +200,45 @@ def signed_distance(shape: Shape, point: wp.vec3) -> float:
         # No point of the surface is farther than this; the margin keeps the bound strict in float32.
         distance = mesh_distance(shape.mesh, point, 1.01 * (wp.length(point) + shape.radius))
     return distance
+
+
+@wp.func
+def outward_normal(shape: Shape, point: wp.vec3) -> wp.vec3:
+    """Return the gradient of the signed distance, a unit vector: away from the nearest surface outside, towards it inside.
+
+    On an axis or in the middle of a solid, where several surface points are nearest, it is the direction of one of them.
+    """
+    if shape.kind == PLANE:
+        return wp.vec3(0.0, 0.0, 1.0)
+    if shape.kind == MESH:
+        query = wp.mesh_query_point_sign_winding_number(shape.mesh, point, 1.01 * (wp.length(point) + shape.radius))
+        away = query.sign * (point - wp.mesh_eval_position(shape.mesh, query.face, query.u, query.v))
+        flat = wp.mesh_eval_face_normal(shape.mesh, query.face)  # on the surface itself
+        return wp.where(wp.length(away) > 1.0e-6, wp.normalize(away), flat)
+    if shape.kind == BOX:
+        return _box_normal(point, shape.size)
+    axis = wp.vec3(point[0], point[1], 0.0)
+    across = wp.where(wp.length(axis) > 0.0, wp.normalize(axis), wp.vec3(1.0, 0.0, 0.0))
+    if shape.kind == CYLINDER:
+        flat = _box_normal(
+            wp.vec3(wp.length(axis), 0.0, point[2]), wp.vec3(shape.size[0], shape.size[0], shape.size[1])
+        )
+        return flat[0] * across + wp.vec3(0.0, 0.0, flat[2])
+    middle = 0.0
+    if shape.kind == CAPSULE:
+        middle = wp.clamp(point[2], -shape.size[1], shape.size[1])
+    away = wp.vec3(point[0], point[1], point[2] - middle)
+    return wp.where(wp.length(away) > 0.0, wp.normalize(away), across)
+
+
+@wp.func
+def _box_normal(point: wp.vec3, half: wp.vec3) -> wp.vec3:
+    """Return the gradient of ``box_distance``."""
+    side = wp.vec3(wp.sign(point[0]), wp.sign(point[1]), wp.sign(point[2]))
+    beyond = wp.vec3(wp.abs(point[0]) - half[0], wp.abs(point[1]) - half[1], wp.abs(point[2]) - half[2])
+    outside = wp.vec3(wp.max(beyond[0], 0.0), wp.max(beyond[1], 0.0), wp.max(beyond[2], 0.0))
+    if wp.length(outside) > 0.0:
+        return wp.cw_mul(side, wp.normalize(outside))
+    nearest = wp.vec3()
+    nearest[int(wp.argmax(beyond))] = 1.0
+    return wp.cw_mul(side, nearest)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from math import inf, pi
 from pathlib import Path
 
+from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.loader import load
 from aerial_gym.config.motion import AT_BOUNDS, MOTIONS, MotionCfg
 from aerial_gym.config.robot import Vec3, require_finite, require_ordered
@@ -18,6 +19,7 @@ __all__ = [
     "FIRST_INSTANCE_ID",
     "MOTIONS",
     "AssetCfg",
+    "ContactCfg",
     "EnvironmentCfg",
     "FamilyCfg",
     "MotionCfg",
@@ -126,12 +128,18 @@ class EnvironmentCfg:
     ground_height: float | None = None
     """Height of the ground [m], world, which counts as a crash when touched; none in open air."""
 
+    contact: ContactCfg | None = None
+    """How ground and obstacles push the robot back, and which touch is then a crash; without it, nothing pushes and every
+    touch is a crash."""
+
     source: str
     """Where the numbers come from."""
 
     def __post_init__(self) -> None:
         if self.ground_height is not None:
             require_finite(self, "ground_height")
+        if self.contact is not None and self.ground_height is None and not self.assets:
+            raise ConfigError("EnvironmentCfg.contact: there is nothing to touch. Give ground_height or assets")
         if not 0.0 <= self.clearance < inf:
             raise ConfigError(f"EnvironmentCfg.clearance = {self.clearance!r}: must be >= 0 and finite")
         if self.physics_steps_per_env_step < 1:

@@ -1,7 +1,7 @@
 """The order of a step, and nothing else.
 
-``act -> [control -> allocate -> rotors -> effects -> integrate -> move obstacles -> collide] x K -> IMU -> clocks``, then,
-when the task has seen the result, ``reset by mask -> sense``. Letters: E environments, A obstacles.
+``act -> [control -> allocate -> rotors -> effects -> integrate -> ground -> move obstacles -> obstacles push -> collide] x K
+-> IMU -> clocks``, then, when the task has seen the result, ``reset by mask -> sense``. Letters: E environments, A obstacles.
 """
 
 from math import hypot
@@ -64,10 +64,12 @@ class EnvManager:
             robot, sim, self.gtd, root_state=root[:, 0], bounds=bounds, generator=self.generator, seed=seed
         )
         law = make_controller(controller, self.robot_manager.declared, sim.gravity)
-        self.robot_manager.attach(law, ground_height=env.ground_height, contact=self.gtd["crashes"])
+        scene = self.asset_manager.scene
+        self.robot_manager.attach(
+            law, ground_height=env.ground_height, crashes=self.gtd["crashes"], contact=env.contact, scene=scene
+        )
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
         cameras = {name: SENSORS.get(name) for name in robot.sensors}
-        scene = self.asset_manager.scene
         self.sensor_manager = SensorManager(
             cameras,
             self.gtd,
@@ -109,7 +111,11 @@ class EnvManager:
             meaning="signed distance of the robot's collision spheres to the scene; inf where there is nothing",
         ))  # fmt: skip
         for key, dtype, meaning in (
-            ("crashes", torch.bool, "the robot touched something in this step, or the task calls it crashed"),
+            (
+                "crashes",
+                torch.bool,
+                "the robot touched something in this step (see contact), or the task calls it crashed",
+            ),
             ("truncations", torch.bool, "the task ends the episode without a crash"),
             ("sim_steps", torch.int32, "environment steps since the last reset"),
         ):
@@ -154,7 +160,7 @@ class EnvManager:
         if env_actions is not None:
             self.asset_manager.take_actions(env_actions)
         self._advance()
-        self.robot_manager.refresh()
+        self.robot_manager.refresh(self.dt)
         if self._imu is not None:
             self._imu.measure()
         gtd["sim_steps"].add_(1)
@@ -168,8 +174,10 @@ class EnvManager:
         for _ in range(steps):
             self.robot_manager.advance(1)
             self.asset_manager.step(self.sim_cfg.dt)
+            self.robot_manager.push_off_obstacles()
             self._collision.measure()
-            self.gtd["crashes"].logical_or_(self._touching)
+            if self.cfg.contact is None:  # else the contact says which touch is a crash
+                self.gtd["crashes"].logical_or_(self._touching)
 
     def restart(self, seed: int) -> None:
         """Begin every random number anew with a seed."""

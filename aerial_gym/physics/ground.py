@@ -1,13 +1,18 @@
-"""Flat ground: whether a vehicle touches it. A flag alone; nothing pushes back.
+"""Flat ground: whether a vehicle touches it and, if asked for, how it pushes back.
 
 Letters: E environments, C collision spheres.
 """
 
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
+from aerial_gym.config.contact import ContactCfg
 from aerial_gym.math.quaternion import quat_rotate
+from aerial_gym.physics.contact import Contacts, push
+from aerial_gym.physics.integrators import MassState
+from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
 
 
@@ -22,7 +27,14 @@ class Ground:
     """Centres in the body frame and radii [m], (C, 4)."""
 
     contact: Tensor
-    """Set to True, bool (E,), where the ground is touched at the end of a substep; never cleared by the physics."""
+    """Set to True, bool (E,), where a substep touches the ground; with ``cfg`` where it does so at the speed of a crash.
+    Never cleared by the physics."""
+
+    cfg: ContactCfg | None = None
+    """How the ground pushes back; None if it does not."""
+
+    impulse: Tensor | None = None
+    """With ``cfg``: receives the sum of the impulses [N s], world, (E, 3). Never cleared by the physics."""
 
 
 def touches_ground(ground: Ground, state: BodyState) -> Tensor:
@@ -30,3 +42,32 @@ def touches_ground(ground: Ground, state: BodyState) -> Tensor:
     center, radius = ground.spheres[:, :3], ground.spheres[:, 3]
     offset = quat_rotate(state.attitude.unsqueeze(1), center.unsqueeze(0).expand(state.num_envs, -1, -1))
     return (state.position[:, 2:] + offset[..., 2] - radius < ground.height).any(dim=1)
+
+
+def push_off_ground(
+    ground: Ground, cfg: ContactCfg, model: Model, before: MassState, after: MassState, *, dt: float, share: float
+) -> tuple[MassState, Tensor, Tensor]:
+    """Return the motion with contact, the impulse of the ground [N s], world, (E, 3), and which crash, bool (E,).
+
+    Args:
+        ground: Height and spheres.
+        cfg: How it pushes back.
+        model: Mass, inertia and centre of mass.
+        before: Motion at the start of the step, whose velocities say how fast the vehicle comes.
+        after: Motion at its end, without contact.
+        dt: Length of the step [s].
+        share: Entry of ``contact.POSITION_SHARE``.
+    """
+    spheres = ground.spheres.to(after.position.dtype)
+    center = spheres[:, :3] - model.vehicle.com.unsqueeze(1)
+    offset = quat_rotate(after.attitude.unsqueeze(1), center)
+    gap = after.position[:, 2:] + offset[..., 2] - spheres[:, 3] - ground.height
+    normal = torch.zeros_like(offset)
+    normal[..., 2] = 1.0
+    lever = offset - spheres[:, 3:] * normal
+    turn = quat_rotate(after.attitude, before.ang_vel).unsqueeze(1).expand_as(lever)
+    approach = -(before.lin_vel.unsqueeze(1) + torch.linalg.cross(turn, lever))[..., 2]
+    crashes = ((gap < 0.0) & (approach >= cfg.least_approach)).any(dim=1)
+    contacts = Contacts(gap=gap, lever=lever, normal=normal)
+    state, impulse = push(contacts, cfg, model, after, dt=dt, share=share)
+    return state, impulse, crashes

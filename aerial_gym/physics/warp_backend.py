@@ -4,6 +4,7 @@ Letters: E environments, R rotors, U entries of an action, N numbers per environ
 """
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
 import warp as wp
@@ -12,9 +13,11 @@ from torch import Tensor
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop import launch_side_by_side, on_torch_stream, split, start_warp
 from aerial_gym.physics.backend import BACKENDS, Capabilities, ControlLaw
+from aerial_gym.physics.contact import POSITION_SHARE
 from aerial_gym.physics.effects import EFFECTS, VehicleEffect, WindEffect, WrenchEffect
 from aerial_gym.physics.effects.base import Effect
 from aerial_gym.physics.fused.command import NoGains
+from aerial_gym.physics.fused.contact import contact_parameters
 from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.fused.gradient import Rollout
 from aerial_gym.physics.fused.kernel import make_kernel
@@ -49,6 +52,16 @@ def has_warp_twin(effect: Effect) -> bool:
     if isinstance(effect, WrenchEffect):
         return type(effect).warp_wrench is not WrenchEffect.warp_wrench
     return isinstance(effect, VehicleEffect)
+
+
+class _GroundArrays(NamedTuple):
+    """A ground as the kernel takes it: three inputs, two outputs."""
+
+    spheres: wp.array
+    height: float
+    law: Any
+    contact: wp.array
+    impulse: wp.array
 
 
 @dataclass(frozen=True)
@@ -119,17 +132,27 @@ class WarpBackend:
             integrator,
             self._columns,
             num_spheres=0 if ground is None else ground.spheres.shape[0],
+            compliant=ground is not None and ground.cfg is not None,
             com_offset=not is_shared(model.vehicle.com) or bool(model.vehicle.com.any()),
             differentiable=self._differentiable,
         )
         self._binding: _Binding | None = None
 
-    def _ground_arrays(self, ground: Ground | None) -> tuple[wp.array, float, wp.array]:
-        """Return spheres, height and flags as the kernel takes them."""
+    def _ground_arrays(self, ground: Ground | None) -> _GroundArrays:
+        """Return what the kernel takes of a ground."""
         if ground is None:
             nothing = torch.zeros(1, 4, device=self._device)
             ground = Ground(height=0.0, spheres=nothing, contact=torch.zeros(1, dtype=torch.bool, device=self._device))
-        return wp.from_torch(ground.spheres, dtype=wp.vec4), ground.height, wp.from_torch(ground.contact)
+        impulse = ground.impulse
+        if impulse is None:  # nobody reads it
+            impulse = torch.zeros(self._num_envs if ground.cfg is not None else 1, 3, device=self._device)
+        return _GroundArrays(
+            wp.from_torch(ground.spheres, dtype=wp.vec4),
+            ground.height,
+            contact_parameters(ground.cfg, POSITION_SHARE[self._integrator]),
+            wp.from_torch(ground.contact),
+            wp.from_torch(impulse, dtype=wp.vec3),
+        )
 
     def _fields(self, model: Model, dt: float) -> tuple[list[Field], list[Field], list[Field]]:
         stage = STAGES[self._integrator] * dt
@@ -193,8 +216,8 @@ class WarpBackend:
         """Record the launches for tensors of fixed address, so that a step makes no views."""
         arrays = self._arrays(state)
         inputs = [*arrays, self._view(command, vector_of(self._law.num_actions), "command"), *self._shared]
-        spheres, height, contact = self._ground
-        inputs += [wp.from_torch(self._per_env), spheres, height, self._model.gravity, dt, substeps]
+        ground = self._ground
+        inputs += [wp.from_torch(self._per_env), *ground[:3], self._model.gravity, dt, substeps]
         launches = []
         for first, count in self._chunks(substeps):
             launches.append(
@@ -202,7 +225,7 @@ class WarpBackend:
                     self.kernel,
                     dim=count,
                     inputs=[*inputs, first],
-                    outputs=[*arrays, contact],
+                    outputs=[*arrays, *ground[3:]],
                     device=wp.device_from_torch(self._device),
                     block_dim=BLOCK_DIM,
                     record_cmd=True,

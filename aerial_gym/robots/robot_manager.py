@@ -8,10 +8,12 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from aerial_gym.assets import Scene
+from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import Controller
-from aerial_gym.errors import CapabilityError, ShapeError
+from aerial_gym.errors import CapabilityError, ConfigError, ShapeError
 from aerial_gym.math.random import uniform
 from aerial_gym.physics import (
     BACKENDS,
@@ -26,6 +28,7 @@ from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import speed_for_thrust
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.robots.initial_state import InitialState
+from aerial_gym.robots.scene_contact import PushedRobot, SceneContact
 from aerial_gym.robots.state_keys import RobotTensors, declare_robot_tensors
 
 BACKEND_PREFERENCE = ("warp", "torch")
@@ -93,16 +96,31 @@ class RobotManager:
         }
         self._factors = {name: torch.ones(self._num_envs, widths[name], device=gtd.device) for name in self._ranges}
         self._root_state = root_state
+        self._com = torch.zeros(self._num_envs, 3, device=gtd.device)
         self.backend = choose_backend(sim.backend)
         check_capabilities(self.backend, robot, gtd.device)
 
-    def attach(self, controller: Controller, *, ground_height: float | None, contact: Tensor) -> None:
+    def attach(
+        self,
+        controller: Controller,
+        *,
+        ground_height: float | None,
+        crashes: Tensor,
+        contact: ContactCfg | None = None,
+        scene: Scene | None = None,
+    ) -> None:
         """Take the controller, declare the tensors and hand everything to the backend.
 
         Args:
             controller: Turns actions into rotor commands.
             ground_height: Height of the ground plane [m], world; None where there is none.
-            contact: Set by the physics where the robot touches the ground, bool (E,).
+            crashes: Set by the physics where the robot touches the ground, and with ``contact`` where it touches an
+                obstacle, bool (E,).
+            contact: How ground and obstacles push back; None if they do not.
+            scene: The obstacles; only needed with ``contact``.
+
+        Raises:
+            ConfigError: If there should be contact and the robot has no collision shape.
         """
         self.controller = controller
         gtd = self._gtd
@@ -124,8 +142,26 @@ class RobotManager:
             stored = gtd.declare(spec)
             stored.copy_(params)
             self._effects[i] = (effect, stored)
-        ground = None if ground_height is None else self._ground(ground_height, contact)
+        rows = [(*sphere.center, sphere.radius) for sphere in self.cfg.collision.spheres]
+        spheres = torch.tensor(rows, dtype=torch.float32, device=gtd.device).view(-1, 4)
+        self._declare_contact(contact, spheres)
+        ground = None
+        if ground_height is not None:
+            ground = Ground(
+                height=ground_height, spheres=spheres, contact=crashes, cfg=contact, impulse=self._contact_force
+            )
         self.backend.allocate(self._build_model(), controller, integrator=self._sim.integrator, ground=ground)
+        if self._contact_force is not None and contact is not None and scene is not None and scene.num_instances:
+            self._scene_contact = SceneContact(
+                scene,
+                contact,
+                PushedRobot(mass=self._mass, inertia=self._inertia, com=self._com, spheres=spheres),
+                self.tensors.state,
+                integrator=self._sim.integrator,
+                dt=self._sim.dt,
+                crashes_out=crashes,
+                impulse_out=self._contact_force,
+            )
         rest_speed = _hover_speed(self.declared, self._sim.gravity)
         self.tensors.state.rotor_speed.copy_(rest_speed)
         self._initial = InitialState(
@@ -139,10 +175,21 @@ class RobotManager:
             seed=self._seed,
         )
 
-    def _ground(self, height: float, contact: Tensor) -> Ground:
-        rows = [(*sphere.center, sphere.radius) for sphere in self.cfg.collision.spheres]
-        spheres = torch.tensor(rows, dtype=torch.float32, device=self._gtd.device).view(-1, 4)
-        return Ground(height=height, spheres=spheres, contact=contact)
+    def _declare_contact(self, contact: ContactCfg | None, spheres: Tensor) -> None:
+        """Declare the contact force where there is one."""
+        self._scene_contact: SceneContact | None = None
+        self._contact_force: Tensor | None = None
+        if contact is None:
+            return
+        if not len(spheres):
+            raise ConfigError(
+                "the environment asks for contact, but this robot has no collision shape. Give its file "
+                "collision: {spheres: [{center: [0, 0, 0], radius: ...}]}"
+            )
+        self._contact_force = self._gtd.declare(TensorSpec(
+            key="robot_contact_force", shape=("E", 3), unit="N", frame="world", owner="physics",
+            meaning="mean force of ground and obstacles on the robot over the step",
+        ))  # fmt: skip
 
     @property
     def num_actions(self) -> int:
@@ -169,6 +216,7 @@ class RobotManager:
         self.model = build_model(vehicle, self._effects, gravity=self._sim.gravity)
         self._mass.copy_(self.model.vehicle.mass)
         self._inertia.copy_(self.model.vehicle.inertia)
+        self._com.copy_(self.model.vehicle.com)
         return self.model
 
     def refresh_model(self) -> None:
@@ -180,7 +228,7 @@ class RobotManager:
         self._initial.restart(seed)
 
     def act(self, actions: Tensor) -> None:
-        """Store the action of this step, (E, U), and keep the one before."""
+        """Begin a step: store its action, (E, U), and keep the one before."""
         if actions.shape != self.tensors.actions.shape:
             raise ShapeError(
                 f"actions has shape {tuple(actions.shape)}, expected (E, U) = {tuple(self.tensors.actions.shape)}: "
@@ -188,14 +236,25 @@ class RobotManager:
             )
         self.tensors.prev_actions.copy_(self.tensors.actions)
         self.tensors.actions.copy_(actions)
+        if self._contact_force is not None:
+            self._contact_force.zero_()
 
     def advance(self, substeps: int) -> None:
-        """Advance the physics by ``substeps`` with the stored action held."""
+        """Advance the physics by ``substeps`` with the stored action held; where obstacles push back, one at a time."""
+        if self._scene_contact is not None:
+            self._scene_contact.remember()
         self.backend.step(self.tensors.state, self.tensors.actions, self._sim.dt, substeps)
 
-    def refresh(self) -> None:
-        """Bring every derived state to the instant of the physics."""
+    def push_off_obstacles(self) -> None:
+        """Let the obstacles push back, where they do; call it after each physics step, when they have moved."""
+        if self._scene_contact is not None:
+            self._scene_contact.push()
+
+    def refresh(self, span: float) -> None:
+        """Bring everything that follows from the physics to its instant; ``span`` [s] is the length of the step."""
         self.tensors.derived.refresh()
+        if self._contact_force is not None:
+            self._contact_force.div_(span)  # impulses until now
 
     def reset(self, mask: Tensor) -> None:
         """Draw a new initial state, and new parameters where randomised, for the environments in ``mask``, bool (E,)."""

@@ -6,10 +6,11 @@ import pytest
 import torch
 import warp as wp
 
+from aerial_gym.config.contact import ContactCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.interop import start_warp
-from aerial_gym.physics import EFFECTS, WarpBackend, build_model, vehicle_from_config
-from aerial_gym.robots import ROBOTS, derived, initial_state
+from aerial_gym.physics import EFFECTS, Ground, WarpBackend, build_model, vehicle_from_config
+from aerial_gym.robots import ROBOTS, derived, initial_state, scene_contact
 from aerial_gym.sensors import imu
 from aerial_gym.sensors.pixels import Outputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
@@ -49,6 +50,21 @@ def test_physics_kernels_compile(controller: str, integrator: str, tmp_path: Pat
     compile_for_gpu(backend.kernel.module, tmp_path)
 
 
-@pytest.mark.parametrize("module", [derived, initial_state, imu])
+def test_the_physics_kernel_with_contact_compiles(tmp_path: Path) -> None:
+    vehicle = vehicle_from_config(ROBOTS.get("base_quadrotor"), num_envs=2)
+    ground = Ground(
+        height=0.0,
+        spheres=torch.rand(4, 4),
+        contact=torch.zeros(2, dtype=torch.bool),
+        cfg=ContactCfg(friction=0.5),
+        impulse=torch.zeros(2, 3),
+    )
+    backend = WarpBackend()
+    law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, 9.81)
+    backend.allocate(build_model(vehicle), law, integrator="euler", ground=ground)
+    compile_for_gpu(backend.kernel.module, tmp_path)
+
+
+@pytest.mark.parametrize("module", [derived, initial_state, imu, scene_contact])
 def test_robot_kernels_compile(module, tmp_path: Path) -> None:
     compile_for_gpu(wp.get_module(module.__name__), tmp_path)

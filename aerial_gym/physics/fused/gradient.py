@@ -21,7 +21,7 @@ class Rollout:
         self,
         kernel: wp.Kernel,
         shared: Sequence[Any],
-        ground: tuple[wp.array, float, wp.array],
+        ground: tuple[Any, ...],
         gravity: float,
         dt: float,
         substeps: int,
@@ -29,7 +29,7 @@ class Rollout:
     ) -> None:
         """Take the kernel, its structs, ground and scalars, and the Warp types of state and action."""
         self.kernel, self.shared, self.substeps = kernel, list(shared), substeps
-        *plane, self.contact = ground
+        *plane, self.contact, self.impulse = ground
         self.scalars = (*plane, gravity, dt)
         self.kinds = tuple(kinds)
 
@@ -55,7 +55,7 @@ class _Rollout(torch.autograd.Function):
                     rollout.kernel,
                     dim=command.shape[0],
                     inputs=[*now, action, *rollout.shared, params, *rollout.scalars, 1, 0],
-                    outputs=[*after, rollout.contact],
+                    outputs=[*after, rollout.contact, rollout.impulse],
                     device=now[0].device,
                 )
                 now = after

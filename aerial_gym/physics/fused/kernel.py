@@ -13,6 +13,7 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.physics.fused.command import NoGains, make_command
+from aerial_gym.physics.fused.contact import ContactParameters, make_push_off_ground
 from aerial_gym.physics.fused.dynamics import make_stepper
 from aerial_gym.physics.fused.functions import load_quat, load_vec4, rotate, store_quat, store_vec4
 from aerial_gym.physics.fused.law import FusedLaw
@@ -140,6 +141,7 @@ def make_kernel(
     columns: Columns,
     *,
     num_spheres: int,
+    compliant: bool,
     com_offset: bool,
     differentiable: bool,
 ) -> wp.Kernel:
@@ -151,6 +153,7 @@ def make_kernel(
         integrator: Name of the stepper.
         columns: What is read per environment.
         num_spheres: How many spheres are tested against the ground; 0 where there is none.
+        compliant: Whether the ground pushes back.
         com_offset: Whether the centre of mass is beside the body origin anywhere.
         differentiable: Whether Warp also makes the adjoint.
     """
@@ -164,6 +167,7 @@ def make_kernel(
     read_gains = _make_gains_reader(law, columns.gains)
     read_params = _make_reader(params_type, num_params, 0)
     first_param = columns.effects
+    push_off_ground = make_push_off_ground(num_rotors, max(num_spheres, 1))
     get_quat, put_quat = (load_quat, store_quat) if not differentiable else _make_access(wp.quat)
     get_rotors, put_rotors = (load_vec4, store_vec4) if num_rotors == 4 and not differentiable else _make_access(vector)
     get_action = load_vec4 if law.num_actions == 4 and not differentiable else _make_access(action_type)[0]
@@ -207,6 +211,7 @@ def make_kernel(
         per_env: wp.array2d[float],  # (N, E)
         spheres: wp.array[wp.vec4],  # (C,) centre in the body frame, radius [m]
         ground_height: float,  # [m] world
+        ground_law: ContactParameters,
         gravity: float,  # [m/s²]
         dt: float,  # [s]
         substeps: int,
@@ -218,6 +223,7 @@ def make_kernel(
         ang_vel_out: wp.array[wp.vec3],
         rotor_speed_out: wp.array[vector],
         contact_out: wp.array[wp.bool],  # (E,) set where the ground is touched
+        impulse_out: wp.array[wp.vec3],  # (E,) world [N s], added to where the ground pushes
     ):
         """Advance one environment; its state stays in registers over the substeps."""
         env = wp.tid() + first
@@ -237,9 +243,19 @@ def make_kernel(
         if wp.static(differentiable):  # no loop: its adjoint would need the states on the way
             x, q, v, w, n = step_once(vehicle, command_params, gains, params, gravity, x, q, v, w, n, u, dt)
             substeps = 0
+        total = wp.vec3()
         for _k in range(substeps):
+            first_v = v
+            first_w = w
             x, q, v, w, n = step_once(vehicle, command_params, gains, params, gravity, x, q, v, w, n, u, dt)
-            if wp.static(num_spheres > 0):
+            if wp.static(num_spheres > 0 and compliant):
+                x, q, v, w, impulse, crashes = push_off_ground(
+                    vehicle, ground_law, spheres, ground_height, first_v, first_w, x, q, v, w, dt
+                )
+                total += impulse
+                if crashes:
+                    contact_out[env] = True
+            if wp.static(num_spheres > 0 and not compliant):
                 for i in range(wp.static(num_spheres)):
                     center = wp.vec3(spheres[i][0], spheres[i][1], spheres[i][2])
                     if wp.static(com_offset):
@@ -254,5 +270,7 @@ def make_kernel(
         lin_vel_out[env] = v
         ang_vel_out[env] = w
         put_rotors(rotor_speed_out, env, n)
+        if wp.static(num_spheres > 0 and compliant):
+            impulse_out[env] = impulse_out[env] + total
 
     return advance

@@ -1,0 +1,52 @@
+"""What happens where a robot touches ground or obstacles: a compliant, frictional contact."""
+
+from dataclasses import dataclass
+from math import inf, isnan
+
+from aerial_gym.config.robot import require_positive
+from aerial_gym.errors import ConfigError
+
+STANDARD_WEIGHT = 9.81
+"""Weight per mass [N/kg] for which the sinking depth is stated, whatever gravity a sim has."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactCfg:
+    """A spring, a damper and Coulomb friction at every collision sphere; they scale with the robot's mass."""
+
+    friction: float
+    """Coulomb coefficient, friction per normal force, >= 0."""
+
+    sinking: float = 1e-3
+    """Depth to which the robot's weight on Earth presses one sphere into a surface [m], > 0. The default is the rest offset
+    of PhysX in the Aerial Gym Simulator."""
+
+    damping_ratio: float = 1.0
+    """Damping of the robot's mass on one sphere as a share of the critical one, >= 0. The default leaves no bounce."""
+
+    crash_speed: float = 0.0
+    """A touch is a crash where the surfaces approach at this speed or faster [m/s], >= 0: every touch with 0, none with inf."""
+
+    def __post_init__(self) -> None:
+        require_positive(self, "sinking")
+        for name in ("friction", "damping_ratio"):
+            value = getattr(self, name)
+            if not 0.0 <= value < inf:
+                raise ConfigError(f"ContactCfg.{name} = {value!r}: must be >= 0 and finite")
+        if isnan(self.crash_speed) or self.crash_speed < 0.0:
+            raise ConfigError(f"ContactCfg.crash_speed = {self.crash_speed!r}: must be >= 0; .inf for no crash at all")
+
+    @property
+    def stiffness(self) -> float:
+        """Spring constant per mass of the robot [1/s²]."""
+        return STANDARD_WEIGHT / self.sinking
+
+    @property
+    def damping(self) -> float:
+        """Damping constant per mass of the robot [1/s]."""
+        return 2.0 * self.damping_ratio * self.stiffness**0.5
+
+    @property
+    def least_approach(self) -> float:
+        """Speed of approach from which a touch is a crash [m/s]; -inf where every touch is one, also a parting one."""
+        return self.crash_speed if self.crash_speed > 0.0 else -inf

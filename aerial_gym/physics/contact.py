@@ -1,0 +1,181 @@
+"""Compliant contact with friction, implicit in the velocity and therefore stable at every step size.
+
+After a step without contact, each sphere that overlaps a surface gets an impulse along the outward normal n,
+
+    p = dt max(0, -k g' - c v'),    g' = g + s dt n.du,    v' = v + n.du,
+
+where g < 0 is its gap and v its normal speed before, du the change of the velocity of its contact point by all impulses, so
+that spring and damper act at the *end* of the step. Friction is the impulse that ends the slip, at most ``mu p`` (Coulomb).
+Position and attitude follow by ``s dt`` times the change of velocity: s = 1 with semi-implicit Euler, which moves with the
+velocity at the end of a step, s = 1/2 with RK4, in which a force held over a step moves the body by half of it. A vehicle at
+rest therefore stays where it is. Spring, damper and gravity never add energy to a body that hits a plane without turning,
+since the potential is convex: ``V(g') - V(g) <= V'(g') (g' - g)``.
+
+All contacts of a body are found together: with the branches held (pushing or not, sticking or sliding along a direction),
+the impulses are linear in the six changes of velocity, which are solved for; then the branches are chosen anew. What sticks has
+the impulse ``q <- q - R slip``, a multiplier with the penalty R, so that it neither creeps nor depends on the order of the
+contacts; it slides if q exceeds ``mu p``. What slides has ``-mu p slip / |slip|``, linearised, and sticks if the slip would turn
+round.
+These branches can alternate for ever, mostly at fast impacts of several points. Where the friction found would feed energy, the
+solution is replaced by one with ``-min(R, mu p / |slip|) slip``, which cannot, p and the factor being those of the one before.
+Sources: Catto (2011), Soft Constraints, GDC; Alart and Curnier (1991), A mixed formulation for frictional contact problems
+prone to Newton like solution methods, section 3, whose branches these are.
+Frames: world, z up; spheres in the body frame. Letters: E environments, C contacts.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.contact import ContactCfg
+from aerial_gym.math.quaternion import (
+    quat_exp,
+    quat_multiply,
+    quat_normalize,
+    quat_rotate,
+    quat_rotate_inverse,
+    quat_to_matrix,
+)
+from aerial_gym.physics.integrators import MassState
+from aerial_gym.physics.model import Model
+
+ITERATIONS = 6
+"""Solutions of the linear system; in the first one everything sticks."""
+
+CAUTIOUS_ITERATIONS = 2
+"""More solutions where friction would feed energy."""
+
+PENALTY = 100.0
+"""R per mass of the body. Each solution leaves a point that sticks with less than 1 / PENALTY of its slip; of larger values
+float32 keeps fewer digits."""
+
+POSITION_SHARE = {"euler": 1.0, "rk4": 0.5}
+"""s by integrator: which part of ``dt`` times a change of velocity has moved the body at the end of the step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contacts:
+    """Where a body may touch surfaces at rest, after a step without contact."""
+
+    gap: Tensor
+    """Signed distance of the surfaces [m], (E, C); those < 0 push."""
+
+    lever: Tensor
+    """Contact point from the centre of mass [m], world, (E, C, 3)."""
+
+    normal: Tensor
+    """Unit normal of the touched surface, towards the body, world, (E, C, 3)."""
+
+
+def push(
+    contacts: Contacts, cfg: ContactCfg, model: Model, state: MassState, *, dt: float, share: float
+) -> tuple[MassState, Tensor]:
+    """Return the motion with the impulses of all contacts, and their sum [N s], world, (E, 3). Differentiable.
+
+    Rows that touch nothing come back bit for bit.
+
+    Args:
+        contacts: Gaps, levers and normals in ``state``.
+        cfg: Stiffness, damping, friction.
+        model: Mass and inertia.
+        state: Motion after a step of ``dt`` [s] without contact.
+        dt: Length of the step [s].
+        share: Entry of ``POSITION_SHARE``.
+    """
+    mass = model.vehicle.mass
+    rotation = quat_to_matrix(state.attitude)
+    turn = quat_rotate(state.attitude, state.ang_vel)
+    inertia = torch.zeros(mass.shape[0], 6, 6, dtype=mass.dtype, device=mass.device)
+    inertia[:, :3, :3] = mass[:, None, None] * torch.eye(3, dtype=mass.dtype, device=mass.device)
+    inertia[:, 3:, 3:] = rotation @ model.vehicle.inertia @ rotation.mT
+    delta = _velocity_change(contacts, cfg, mass[:, None], inertia, (state.lin_vel, turn), dt, share)
+    after = MassState(
+        position=state.position + share * dt * delta[:, :3],
+        attitude=quat_normalize(quat_multiply(quat_exp(share * dt * delta[:, 3:]), state.attitude)),
+        lin_vel=state.lin_vel + delta[:, :3],
+        ang_vel=state.ang_vel + quat_rotate_inverse(state.attitude, delta[:, 3:]),
+        rotor_speed=state.rotor_speed,
+    )
+    touches = (contacts.gap < 0.0).any(dim=1, keepdim=True)
+    kept = {name: torch.where(touches, new, getattr(state, name)) for name, new in vars(after).items()}
+    return MassState(**kept), mass.unsqueeze(-1) * delta[:, :3]
+
+
+def _velocity_change(
+    contacts: Contacts,
+    cfg: ContactCfg,
+    mass: Tensor,
+    inertia: Tensor,
+    velocity: tuple[Tensor, Tensor],
+    dt: float,
+    share: float,
+) -> Tensor:
+    """Return the changes of velocity and angular velocity, world, (E, 6), for mass (E, 1) and inertia (E, 6, 6)."""
+    gap, lever, normal = contacts.gap, contacts.lever, contacts.normal
+    to_point = torch.cat(
+        (torch.eye(3, dtype=lever.dtype, device=lever.device).expand(*gap.shape, 3, 3), -_skew(lever)), -1
+    )
+    across = normal.unsqueeze(-1) * normal.unsqueeze(-2)
+    along = torch.eye(3, dtype=lever.dtype, device=lever.device) - across
+    start = _times(to_point, torch.cat(velocity, dim=-1).unsqueeze(1))
+    slip_at_start, touch = _times(along, start), gap < 0.0
+    load = dt * mass * (-cfg.stiffness * gap - cfg.damping * (normal * start).sum(-1))
+    hardness = dt * mass * (share * dt * cfg.stiffness + cfg.damping)
+    penalty = PENALTY * mass.unsqueeze(-1)
+    pushes, base, heading = touch & (load > 0.0), torch.zeros_like(lever), torch.zeros_like(lever)
+    grip, sticks = penalty * touch.unsqueeze(-1), touch.unsqueeze(-1)
+    delta = torch.zeros_like(inertia[:, 0])
+    gains = torch.zeros_like(gap[:, :1, None], dtype=torch.bool)
+    for k in range(ITERATIONS + CAUTIOUS_ITERATIONS):
+        if k > 0:
+            change = _times(to_point, delta.unsqueeze(1))
+            press = load - hardness * (normal * change).sum(-1)
+            pushed = touch & (press > 0.0)
+            limit = cfg.friction * (pushed * press).unsqueeze(-1)
+            slip = slip_at_start + _times(along, change)
+            rub = base - grip * _times(_without(along, heading), slip)
+            cautious = torch.minimum(limit / _length(slip), penalty)
+            if k < ITERATIONS:
+                pushes = pushed
+                sticks = torch.where(sticks, _length(rub) <= limit, _dot(slip, heading) > 0.0) & pushes.unsqueeze(-1)
+                backwards = torch.where(heading.any(-1, keepdim=True), -slip, rub)
+                heading = torch.where(sticks, 0.0, backwards / _length(backwards))
+                base = torch.where(sticks, rub, limit * heading)
+                grip = torch.where(sticks, penalty, cautious)
+            else:
+                if k == ITERATIONS:
+                    gains = _dot(rub, slip_at_start + slip).sum(1, keepdim=True) > 0.0
+                pushes = torch.where(gains.squeeze(-1), pushed, pushes)
+                heading, base = torch.where(gains, 0.0, heading), torch.where(gains, 0.0, base)
+                grip = torch.where(gains, cautious, grip)
+        held = _without(along, heading)
+        impulse = (pushes * load).unsqueeze(-1) * normal + base - grip * _times(held, slip_at_start)
+        give = (pushes * hardness)[..., None, None] * across + grip.unsqueeze(-1) * held
+        system = inertia + (to_point.mT @ give @ to_point).sum(1)
+        delta = torch.linalg.solve_ex(system, _times(to_point.mT, impulse).sum(1)).result
+    return delta
+
+
+def _skew(vector: Tensor) -> Tensor:
+    """Return the matrices of ``v x``."""
+    x, y, z = vector.unbind(-1)
+    zero = torch.zeros_like(x)
+    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).unflatten(-1, (3, 3))
+
+
+def _without(matrix: Tensor, direction: Tensor) -> Tensor:
+    return matrix - direction.unsqueeze(-1) * direction.unsqueeze(-2)
+
+
+def _dot(a: Tensor, b: Tensor) -> Tensor:
+    return (a * b).sum(-1, keepdim=True)
+
+
+def _times(matrix: Tensor, vector: Tensor) -> Tensor:
+    return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
+
+
+def _length(vector: Tensor) -> Tensor:
+    """Return lengths (..., 1) whose gradient is finite at zero."""
+    return (vector * vector).sum(-1, keepdim=True).clamp(min=1e-30).sqrt()

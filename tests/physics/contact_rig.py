@@ -1,0 +1,140 @@
+"""Vehicles on the ground and among obstacles, for tests of contact: rotors at rest, no effects."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from aerial_gym.assets import Scene
+from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.robot import BodyCfg
+from aerial_gym.config.shape import ShapeCfg
+from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.physics import (
+    BodyState,
+    Ground,
+    TorchBackend,
+    WarpBackend,
+    build_model,
+    state_at_rest,
+    vehicle_from_config,
+)
+from aerial_gym.robots.scene_contact import PushedRobot, SceneContact
+from tests.physics.vehicles import lopsided_robot
+
+MASS, INERTIA, GRAVITY = 0.5, (2.0e-3, 3.0e-3, 4.0e-3), 9.81
+BALL = ((0.0, 0.0, 0.0, 0.1),)
+FEET = tuple((x, y, 0.0, 0.02) for x in (0.1, -0.1) for y in (0.1, -0.1))
+"""Four feet whose lowest points are 2 cm below the body origin."""
+
+CPU = torch.device("cpu")
+
+
+def robot_with(*, com: tuple[float, float, float] = (0.0, 0.0, 0.0), inertia: Sequence[float] = INERTIA):
+    """Return a robot of ``MASS`` with principal moments [kg m²]; lift needs rotors that turn."""
+    ix, iy, iz = inertia
+    body = BodyCfg(mass=MASS, inertia=((ix, 0.0, 0.0), (0.0, iy, 0.0), (0.0, 0.0, iz)), com=com, source="test")
+    return replace(lopsided_robot(), body=body)
+
+
+class OnGround:
+    """A batch over a ground at z = 0."""
+
+    def __init__(
+        self,
+        backend: TorchBackend | WarpBackend,
+        cfg: ContactCfg | None,
+        state: BodyState,
+        *,
+        spheres=BALL,
+        robot=None,
+        integrator: str = "euler",
+        gravity: float = GRAVITY,
+    ) -> None:
+        """Take the state that is advanced in place."""
+        num_envs, dtype = state.num_envs, state.position.dtype
+        vehicle = vehicle_from_config(robot or robot_with(), num_envs=num_envs, dtype=dtype)
+        self.backend, self.state = backend, state
+        self.crashes = torch.zeros(num_envs, dtype=torch.bool)
+        self.impulse = torch.zeros(num_envs, 3, dtype=dtype)
+        ground = Ground(
+            height=0.0, spheres=torch.tensor(spheres), contact=self.crashes, cfg=cfg, impulse=self.impulse
+        )  # fmt: skip
+        law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, GRAVITY)
+        backend.allocate(build_model(vehicle, gravity=gravity), law, integrator=integrator, ground=ground)
+        self._still = torch.zeros(num_envs, 4, dtype=dtype)
+
+    def run(self, span: float, dt: float) -> None:
+        """Advance by ``span`` [s] in one call."""
+        self.backend.step(self.state, self._still, dt, round(span / dt))
+
+
+class InScene:
+    """A batch among obstacles; each environment has the same shapes at poses of its own."""
+
+    def __init__(
+        self,
+        shapes: Sequence[ShapeCfg],
+        asset_state: Tensor,
+        cfg: ContactCfg,
+        state: BodyState,
+        *,
+        spheres=BALL,
+        robot=None,
+        integrator: str = "euler",
+        dt: float = 0.01,
+        gravity: float = GRAVITY,
+    ) -> None:
+        """Take poses and velocities of the obstacles, (E, A, 13), and the state that is advanced in place."""
+        num_envs, rows = state.num_envs, torch.arange(len(shapes))
+        vehicle = vehicle_from_config(robot or robot_with(), num_envs=num_envs)
+        self.state, self.dt, self.asset_state = state, dt, asset_state
+        self.crashes, self.impulse = torch.zeros(num_envs, dtype=torch.bool), torch.zeros(num_envs, 3)
+        self.backend = WarpBackend()
+        law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, GRAVITY)
+        self.backend.allocate(build_model(vehicle, gravity=gravity), law, integrator=integrator)
+        pushed = PushedRobot(
+            mass=vehicle.mass.clone(),
+            inertia=vehicle.inertia.clone(),
+            com=vehicle.com.clone(),
+            spheres=torch.tensor(spheres),
+        )
+        self.contact = SceneContact(
+            Scene(list(shapes), shape_index=rows, semantic_id=rows, asset_state=asset_state),
+            cfg,
+            pushed,
+            state,
+            integrator=integrator,
+            dt=dt,
+            crashes_out=self.crashes,
+            impulse_out=self.impulse,
+        )
+        self._still = torch.zeros(num_envs, 4)
+
+    def run(self, span: float) -> None:
+        """Advance robots, then obstacles along their velocity, by ``span`` [s]."""
+        for _ in range(round(span / self.dt)):
+            self.contact.remember()
+            self.backend.step(self.state, self._still, self.dt, 1)
+            self.asset_state[..., :3] += self.dt * self.asset_state[..., 7:10]
+            self.contact.push()
+
+
+def start(num_envs: int = 1, *, height: float = 0.0, dtype: torch.dtype = torch.float64, **values) -> BodyState:
+    """Return level vehicles at a height [m]; ``values`` are written over the other fields."""
+    state = state_at_rest(num_envs, 4, device=CPU, dtype=dtype)
+    state.position[:, 2] = height
+    for name, value in values.items():
+        getattr(state, name)[:] = torch.as_tensor(value, dtype=dtype)
+    return state
+
+
+def obstacle(
+    num_envs: int, *, position=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0, 1.0), lin_vel=(0.0,) * 3, ang_vel=(0.0,) * 3
+) -> Tensor:
+    """Return pose and velocity of one obstacle in every environment, (E, 1, 13)."""
+    parts = [
+        torch.as_tensor(p, dtype=torch.float32).expand(num_envs, -1) for p in (position, attitude, lin_vel, ang_vel)
+    ]
+    return torch.cat(parts, dim=-1).unsqueeze(1).contiguous()
