@@ -14,8 +14,7 @@ since the potential is convex: ``V(g') - V(g) <= V'(g') (g' - g)``.
 All contacts of a body are found together: with the branches held (pushing or not, sticking or sliding along a direction),
 the impulses are linear in the six changes of velocity, which are solved for; then the branches are chosen anew. What sticks has
 the impulse ``q <- q - R slip``, a multiplier with the penalty R, so that it neither creeps nor depends on the order of the
-contacts; it slides if q exceeds ``mu p``. What slides has ``-mu p slip / |slip|``, linearised, and sticks if the slip would turn
-round.
+contacts; it slides if q exceeds ``mu p``. What slides has ``-mu p slip / |slip|``, linearised; it sticks if that turns round.
 These branches can alternate for ever, mostly at fast impacts of several points. Where the friction found would feed energy, the
 solution is replaced by one with ``-min(R, mu p / |slip|) slip``, which cannot, p and the factor being those of the one before.
 Sources: Catto (2011), Soft Constraints, GDC; Alart and Curnier (1991), A mixed formulation for frictional contact problems
