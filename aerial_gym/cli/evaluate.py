@@ -12,7 +12,7 @@ from aerial_gym.cli.progress import progress_bar
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateCmd:
-    """Measure success rate, final position error and settling time of a policy."""
+    """Measure success, crash and timeout rates, final position error and settling time of a policy."""
 
     policy: Path
     """Run folder of a training, of which the last checkpoint is taken, or one checkpoint in it."""
@@ -32,6 +32,9 @@ class EvaluateCmd:
     seed: int = 1_000_003
     """Seed of the starts; keep it apart from the seeds of trainings."""
 
+    level: int | None = None
+    """Level at which the curriculum of the task stays; its highest if not given."""
+
     json: bool = False
     """Print one JSON object."""
 
@@ -43,14 +46,18 @@ class EvaluateCmd:
         from aerial_gym.task import task_registry
 
         policy, cfg = load_policy(self.policy, device=self.device)
+        name = self.task or cfg.task
+        curriculum = task_registry.get(name).curriculum
+        level = curriculum.max_level if self.level is None and curriculum is not None else self.level
         with (
             task_registry.make_task(
-                self.task or cfg.task,
+                name,
                 num_envs=self.num_envs,
                 device=self.device,
                 seed=self.seed,
                 robot=self.robot or cfg.robot,
                 controller=cfg.controller,
+                level=level,
             ) as task,
             progress_bar() as progress,
             one_thread(),

@@ -206,6 +206,12 @@ class EnvManager:
         for key in ("crashes", "truncations", "sim_steps"):
             self.gtd[key].masked_fill_(mask, 0)
 
+    def clear_goal(self, mask: Tensor, position: Tensor) -> None:
+        """Make room for a robot at a goal (E, 3) [m], world, of the environments in ``mask``, bool (E,), after a reset."""
+        self.asset_manager.clear_goal(mask, position)
+        if self.cfg.num_assets:
+            self._collision.measure()
+
     def post_reward_calculation_step(self) -> None:
         """Reset the crashed and truncated environments, then read the sensors: images belong to the new episodes."""
         self.reset(self.gtd["crashes"] | self.gtd["truncations"])

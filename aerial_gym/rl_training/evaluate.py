@@ -12,7 +12,8 @@ from torch import Tensor
 from aerial_gym.task import Task
 
 SUCCESS_RADIUS_M = 0.1
-"""A flight succeeds, and has settled, within this distance of the target [m]: the bar of the position task."""
+"""A flight succeeds, and has settled, within this distance of the target [m], unless the task has a radius of its own: the
+bar of the position task."""
 
 FINAL_SPAN_S = 1.0
 """The final error is the mean distance over this last part of an episode [s]."""
@@ -29,10 +30,14 @@ class Evaluation:
     """Length of an episode [s]."""
 
     success_rate: float
-    """Share of flights without a crash whose final error is below the success radius."""
+    """Share of flights without a crash whose final error is below the success radius; of a task with a success radius of its
+    own, the share that ends within it."""
 
     crash_rate: float
     """Share of flights that ended early."""
+
+    timeout_rate: float
+    """Share of flights that did neither: they lasted to the end and were not there."""
 
     final_error_mean_m: float | None
     """Mean over flights of the mean distance over the last second [m]; None if all crashed."""
@@ -64,7 +69,7 @@ def evaluate(
     policy: Callable[[Tensor], Tensor],
     task: Task,
     *,
-    success_radius: float = SUCCESS_RADIUS_M,
+    success_radius: float | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Evaluation:
     """Return the figures of one episode in every environment of ``task``, which is reset first.
@@ -72,33 +77,41 @@ def evaluate(
     Args:
         policy: Observations (E, O) to actions (E, U).
         task: Where to fly; its seed decides the starts.
-        success_radius: Distance that counts as there [m].
+        success_radius: Distance that counts as there [m]; the task's own, or ``SUCCESS_RADIUS_M``, if not given.
         on_step: Called with the number of the step and of all steps.
     """
     steps, dt = task.cfg.episode_len_steps, task.env.dt
     final_steps = min(steps, max(1, round(FINAL_SPAN_S / dt)))
+    ends_count = success_radius is None and task.cfg.success_radius is not None
+    radius = success_radius or task.cfg.success_radius or SUCCESS_RADIUS_M
     observation, _ = task.reset()
     flying = torch.ones(task.num_envs, dtype=torch.bool, device=task.device)
     crashed = torch.zeros_like(flying)
     total, error_sum = torch.zeros(task.num_envs, device=task.device), torch.zeros(task.num_envs, device=task.device)
+    succeeded = torch.zeros_like(flying)
     outside_until = torch.zeros(task.num_envs, dtype=torch.int64, device=task.device)
     for step in range(1, steps + 1):
         observation, reward, terminated, _, info = task.step(policy(observation["observations"]))
         distance = info["distance"]
         total += torch.where(flying, reward, 0.0)
         crashed |= flying & terminated
+        if ends_count:
+            succeeded |= flying & info["successes"]
         flying &= ~terminated
-        outside_until = torch.where(distance < success_radius, outside_until, step)
+        outside_until = torch.where(distance < radius, outside_until, step)
         if step > steps - final_steps:
             error_sum += distance
         if on_step is not None:
             on_step(step, steps)
+    if not ends_count:
+        succeeded = ~crashed & (error_sum / final_steps < radius)
     error, settling = (error_sum / final_steps)[~crashed], (outside_until * dt)[~crashed & (outside_until < steps)]
     return Evaluation(
         num_starts=task.num_envs,
         episode_s=steps * dt,
-        success_rate=float((error < success_radius).sum()) / task.num_envs,
-        crash_rate=float(crashed.float().mean()),
+        success_rate=float(succeeded.sum()) / task.num_envs,
+        crash_rate=float(crashed.sum()) / task.num_envs,
+        timeout_rate=float((~succeeded & ~crashed).sum()) / task.num_envs,
         final_error_mean_m=_mean(error),
         final_error_p95_m=_percentile95(error),
         final_error_max_m=float(error.max()) if error.numel() else None,
@@ -106,7 +119,7 @@ def evaluate(
         settling_time_mean_s=_mean(settling),
         settling_time_p95_s=_percentile95(settling),
         return_mean=float(total.mean()),
-        success_radius_m=success_radius,
+        success_radius_m=radius,
     )
 
 

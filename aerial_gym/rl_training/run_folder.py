@@ -6,6 +6,7 @@
     versions.json     versions, machine and command of every session
     curve.csv         learning curve: one line per report
     result.json       figures at the end of the last session
+    curriculum.json   level and counts of the curriculum at that moment, where the task has one
     log.txt           what the libraries print
     rl_games/         nn/last.pth, summaries/ (TensorBoard)
     sample_factory/   checkpoint_p0/*.pth, .summary/ (TensorBoard), config.json
@@ -38,6 +39,7 @@ class RunFolder:
         self.path = Path(path)
         self.config_file, self.curve_file = self.path / "config.yaml", self.path / "curve.csv"
         self.result_file, self.log_file = self.path / "result.json", self.path / "log.txt"
+        self.curriculum_file = self.path / "curriculum.json"
 
     def create(self, cfg: TrainingCfg) -> None:
         """Make the folder and write the settings.

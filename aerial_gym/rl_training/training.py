@@ -20,6 +20,7 @@ from aerial_gym.rl_training.progress import Progress
 from aerial_gym.rl_training.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import task_registry
+from aerial_gym.task.curriculum import Curriculum
 
 NEEDED = {"rl_games": "rl_games", "sample_factory": "sample_factory"}
 """Package that each trainer needs."""
@@ -114,7 +115,22 @@ def _run(cfg: TrainingCfg, folder: RunFolder, progress: Progress, checkpoint: Pa
         cfg.task, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed, robot=cfg.robot, controller=cfg.controller
     ) as task:
         folder.add_session(cfg, str(task.device))
-        return adapter.run(cfg, task, folder, progress, checkpoint=checkpoint)
+        with _kept_curriculum(task.curriculum, folder, resume=checkpoint is not None):
+            return adapter.run(cfg, task, folder, progress, checkpoint=checkpoint)
+
+
+@contextlib.contextmanager
+def _kept_curriculum(curriculum: Curriculum | None, folder: RunFolder, *, resume: bool) -> Iterator[None]:
+    """Take the level up where the session before left it, and leave it for the next one, however this one ends."""
+    if curriculum is None:
+        yield
+        return
+    if resume and folder.curriculum_file.exists():
+        curriculum.load(json.loads(folder.curriculum_file.read_text(encoding="utf-8")))
+    try:
+        yield
+    finally:
+        folder.curriculum_file.write_text(json.dumps(curriculum.state()) + "\n", encoding="utf-8")
 
 
 def require_trainer(trainer: str) -> None:

@@ -5,8 +5,9 @@ from dataclasses import replace
 import torch
 
 from aerial_gym.config import CONFIG_DIR, load
-from aerial_gym.config.task import TaskCfg
+from aerial_gym.config.task import CurriculumCfg, TaskCfg
 from aerial_gym.env_manager import SimBuilder
+from aerial_gym.errors import ConfigError
 from aerial_gym.registry import Registry
 from aerial_gym.task.task import Task
 
@@ -23,6 +24,7 @@ class TaskRegistry(Registry[TaskCfg]):
         seed: int = 0,
         robot: str | None = None,
         controller: str | None = None,
+        level: int | None = None,
         capture: bool | None = None,
     ) -> Task:
         """Return a task, built and not yet reset.
@@ -34,6 +36,7 @@ class TaskRegistry(Registry[TaskCfg]):
             seed: Seed of every random number of this task.
             robot: Registered robot, or a robot file, in place of the task's own.
             controller: Registered controller in place of the task's own.
+            level: Level at which the curriculum stays, in place of one that changes; within its limits.
             capture: Whether to hold the step in a CUDA graph; if not given, on CUDA devices.
 
         Raises:
@@ -43,6 +46,8 @@ class TaskRegistry(Registry[TaskCfg]):
         cfg = self.get(name)
         changes = {"num_envs": num_envs, "robot": robot, "controller": controller}
         cfg = replace(cfg, **{key: value for key, value in changes.items() if value is not None})
+        if level is not None:
+            cfg = replace(cfg, curriculum=_held(cfg, name, level))
         env = SimBuilder().build_env(
             sim_name=cfg.sim,
             env_name=cfg.env,
@@ -55,7 +60,14 @@ class TaskRegistry(Registry[TaskCfg]):
         return Task(cfg, env, capture=capture)
 
 
+def _held(cfg: TaskCfg, name: str, level: int) -> CurriculumCfg:
+    """Return the task's curriculum, held at a level."""
+    if cfg.curriculum is None:
+        raise ConfigError(f"level = {level}: task {name} has no curriculum")
+    return replace(cfg.curriculum, start_level=level, raise_by=0, lower_by=0)
+
+
 task_registry = TaskRegistry("task")
 
-for _name in ("position_setpoint_task",):
+for _name in ("position_setpoint_task", "navigation_task"):
     task_registry.register(_name, load(TaskCfg, CONFIG_DIR / "tasks" / f"{_name}.yaml"))

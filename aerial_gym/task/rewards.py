@@ -4,10 +4,12 @@ Letters: E environments.
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from aerial_gym.control.laws import LAWS
 from aerial_gym.task.observations import TaskState
 
 
@@ -42,15 +44,72 @@ def position_setpoint(state: TaskState, params: Mapping[str, float], crashed: Te
     return torch.where(crashed, torch.full_like(reward, p["crash"]), reward)
 
 
-Reward = Callable[[TaskState, Mapping[str, float], Tensor], Tensor]
+def dip(x: Tensor, height: float, width: float) -> Tensor:
+    """Return ``height (exp(-width x²) - 1)``: a penalty from 0 at x = 0 down to ``-height``."""
+    return bell(x, height, width) - height
 
-REWARDS: dict[str, tuple[Reward, tuple[str, ...]]] = {
-    "position_setpoint": (
-        position_setpoint,
-        (
+
+def navigation(state: TaskState, params: Mapping[str, float], crashed: Tensor) -> Tensor:
+    """Return the reward of flying to a point between obstacles, (E,).
+
+    ``r = k (near + far + progress + linear) + changes + c sizes`` with ``k = 1 + k_c c``, c the difficulty: two bells of
+    the distance, the way gained (or lost, which weighs more) in this step, a linear part, and penalties of the command's
+    forward and upward velocity and yaw rate and of their changes; a crash gives ``params["crash"]`` instead.
+
+    Source:
+        Aerial Gym Simulator 2.0.1, navigation_task. There the changes of the command are always 0.
+    """
+    p = params
+    distance = (state.target - state.position).norm(dim=-1)
+    gained = state.prev_distance - distance
+    progress = torch.where(gained > 0.0, p["closer"], p["further"]) * gained
+    near, far = bell(distance, p["near_height"], p["near_width"]), bell(distance, p["far_height"], p["far_width"])
+    linear = (p["distance_offset"] - distance) / p["distance_scale"]
+    change = state.actions - state.prev_actions
+    changes, sizes = torch.zeros_like(distance), torch.zeros_like(distance)
+    for column, name in ((0, "forward"), (2, "up"), (3, "yaw")):
+        changes = changes + dip(change[:, column], p[f"{name}_change_height"], p[f"{name}_change_width"])
+        sizes = sizes + dip(state.actions[:, column], p[f"{name}_height"], p[f"{name}_width"])
+    scale = 1.0 + p["difficulty_scale"] * state.difficulty
+    reward = scale * (near + far + progress + linear) + changes + state.difficulty * sizes
+    return torch.where(crashed, torch.full_like(reward, p["crash"]), reward)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reward:
+    """A reward and what it needs."""
+
+    value: Callable[[TaskState, Mapping[str, float], Tensor], Tensor]
+    """State, coefficients and whether the episode ends by a crash, bool (E,), to the reward (E,)."""
+
+    params: tuple[str, ...]
+    """Names of its coefficients."""
+
+    needs_progress: bool = False
+    """Whether it looks at ``TaskState.prev_distance``."""
+
+    command: tuple[str, ...] | None = None
+    """What the controller must take; None fits all."""
+
+
+REWARDS: dict[str, Reward] = {
+    "position_setpoint": Reward(
+        value=position_setpoint,
+        params=(
             "near_height", "near_width", "far_height", "far_width", "distance_offset", "distance_scale",
             "upright_height", "upright_offset", "spin_height", "crash",
         ),
     ),
+    "navigation": Reward(
+        value=navigation,
+        params=(
+            "near_height", "near_width", "far_height", "far_width", "closer", "further", "distance_offset",
+            "distance_scale", "difficulty_scale", "crash",
+            "forward_change_height", "forward_change_width", "up_change_height", "up_change_width", "yaw_change_height",
+            "yaw_change_width", "forward_height", "forward_width", "up_height", "up_width", "yaw_height", "yaw_width",
+        ),
+        needs_progress=True,
+        command=LAWS["velocity"].action,
+    ),
 }  # fmt: skip
-"""Rewards and the names of their coefficients, by the name that a task configuration uses."""
+"""Rewards by the name that a task configuration uses."""

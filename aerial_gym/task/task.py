@@ -3,6 +3,7 @@
 Letters: E environments, U entries of an action, O entries of an observation.
 """
 
+from collections.abc import Mapping
 from functools import partial
 from types import TracebackType
 
@@ -14,8 +15,11 @@ from torch import Tensor
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
+from aerial_gym.task.actions import ACTIONS, Action
+from aerial_gym.task.curriculum import Curriculum
+from aerial_gym.task.goals import Goals
 from aerial_gym.task.observations import OBSERVATIONS, ObservationTerm, TaskState
-from aerial_gym.task.rewards import REWARDS
+from aerial_gym.task.rewards import REWARDS, Reward
 from aerial_gym.task.step_graph import StepGraph, check_terms, fuse
 
 Observation = dict[str, Tensor]
@@ -32,7 +36,11 @@ class Task:
     ``step`` returns the observation *after* the masked reset; the last one of a finished episode stands in
     ``info["final_observation"]``, in the rows where ``terminated | truncated``. ``info["time_outs"]`` marks episodes that
     ended by their length alone, for bootstrapping the value. ``episode_return``, ``episode_length`` [steps] and ``distance``
-    to the target [m] are those before the reset.
+    to the target [m] are those before the reset. Where the configuration has a success radius, ``info`` also holds
+    ``successes``, ``crashes`` and ``timeouts``, bool (E,): one of them is true where an episode ended (``timeouts``: neither
+    crashed nor there in time).
+
+    Images are taken once a step, after the reset: those in ``final_observation`` are one step old.
 
     On a GPU the whole step is one CUDA graph, recorded at the first ``reset``: the tensors that ``step`` returns are then
     overwritten by the next one; clone what must stay. ``captured`` says whether it is so.
@@ -48,13 +56,17 @@ class Task:
 
         Raises:
             CapabilityError: If a capture is asked for on the CPU.
+            UnknownNameError: If there is no such term, reward or action.
+            ConfigError: If these do not fit together, or not the robot or the environment.
         """
         self.cfg, self.env = cfg, env
         self.num_envs, self.device = env.num_envs, env.device
-        self._terms = _resolve_terms(cfg)
-        self._reward, self._params = _resolve_reward(cfg)
-        num_actions = env.robot_manager.num_actions
-        widths = [num_actions if term.width is None else term.width for term, _ in self._terms]
+        num_commands, command = env.robot_manager.num_actions, env.robot_manager.controller.action_names
+        self._terms = _resolve_terms(cfg, has_image=bool(env.sensor_manager.casters))
+        self._reward, self._params = _resolve_reward(cfg, command)
+        self._action, self._action_params = _resolve_action(cfg, command)
+        num_actions = num_commands if self._action.width is None else self._action.width
+        widths = [num_commands if term.width is None else term.width for term, _ in self._terms]
         bound = np.full(sum(widths), np.inf, dtype=np.float32)
         self.observation_space = spaces.Dict({"observations": spaces.Box(-bound, bound, dtype=np.float32)})
         one = np.ones(num_actions, dtype=np.float32)
@@ -64,6 +76,17 @@ class Task:
         stds = [std for (_, std), width in zip(self._terms, widths, strict=True) for _ in range(width)]
         self._noise_std = torch.tensor(stds, device=self.device)
         self._gtd = env.gtd
+        self._all = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        self._prev_distance = torch.zeros(self.num_envs, device=self.device)
+        self._image, self._image_scale = _first_image(env)
+        self._goals = self._make_goals()
+        self.curriculum = (
+            None if cfg.curriculum is None else Curriculum(cfg.curriculum, env.cfg, env.asset_manager, env.gtd)
+        )
+        """Sets the number of obstacles; None where the task has none."""
+        self._difficulty = (
+            torch.zeros((), device=self.device) if self.curriculum is None else self.curriculum.difficulty
+        )
         self._observe, self._judge = self._observation, self._judgement
         self._graph: StepGraph[StepResult] | None = None
         if capture and self.device.type != "cuda":
@@ -84,24 +107,33 @@ class Task:
         if self.device.type != "cuda":
             raise CapabilityError(f"capture needs a CUDA device; this task runs on {self.device}")
         self._capture_at_reset = False
-        self.env.reset()
+        level = None if self.curriculum is None else self.curriculum.state()
+        self._begin(self._all)
         state = self.state()
         terms = {
             f"observation term {e.term!r}": partial(OBSERVATIONS[e.term].value, state) for e in self.cfg.observations
         }
-        check_terms(terms | {f"reward {self.cfg.reward!r}": partial(self._reward, state, self._params, state.crashed)})
+        reward = partial(self._reward.value, state, self._params, state.crashed)
+        check_terms(terms | {f"reward {self.cfg.reward!r}": reward})
         self._observe, self._judge = fuse(self._observation), fuse(self._judgement)
-        shape = (self.num_envs, self.env.robot_manager.num_actions)
-        self._graph = StepGraph(self._step, shape, self.env.generator)
-        self.env.restart(self.env.seed)
+        assert self.action_space.shape is not None
+        self._graph = StepGraph(self._step, (self.num_envs, *self.action_space.shape), self.env.generator)
+        self._restart(self.env.seed)
+        if self.curriculum is not None and level is not None:
+            self.curriculum.load(level)
 
     def reset(self, *, seed: int | None = None) -> tuple[Observation, dict[str, Tensor]]:
-        """Start every environment anew, with the random numbers of ``seed`` if one is given; return observation and info."""
+        """Start every environment anew; return observation and info.
+
+        With a ``seed`` all random numbers, and the curriculum, begin anew as well; without one the curriculum goes on.
+        """
         if self._capture_at_reset:
             self.capture()
         if seed is not None:
-            self.env.restart(seed)
-        self.env.reset()
+            self._restart(seed)
+            if self.curriculum is not None:
+                self.curriculum.restart()
+        self._begin(self._all)
         self.episode_return.zero_()
         self.env.render()
         return {"observations": self._noisy(self._observe(*vars(self.state()).values()))}, {}
@@ -117,7 +149,7 @@ class Task:
 
     def _step(self, actions: Tensor) -> StepResult:
         gtd = self._gtd
-        self.env.step(actions)
+        self.env.step(self._action.value(actions, self._action_params))
         final, reward, terminated, truncated, distance, total = self._judge(
             gtd["sim_steps"], self.episode_return, *vars(self.state()).values()
         )
@@ -130,10 +162,38 @@ class Task:
         }
         gtd["crashes"].copy_(terminated)
         gtd["truncations"].copy_(truncated)
-        self.episode_return.copy_(total).masked_fill_(terminated | truncated, 0.0)
-        self.env.post_reward_calculation_step()
+        ended = terminated | truncated
+        self.episode_return.copy_(total).masked_fill_(ended, 0.0)
+        if self.cfg.success_radius is not None:
+            success = truncated & (distance < self.cfg.success_radius)
+            info |= {"successes": success, "crashes": terminated, "timeouts": truncated & ~success}
+            if self.curriculum is not None:
+                self.curriculum.count(ended, success)
+        self._begin(ended)
+        self.env.render()
         after = self._noisy(self._observe(*vars(self.state()).values()))
         return {"observations": after}, reward, terminated, truncated, info
+
+    def _begin(self, mask: Tensor) -> None:
+        """Start episodes in the environments of ``mask``: robot, obstacles, goal and the room around it."""
+        self.env.reset(mask)
+        if self._goals is not None:
+            self._goals.draw(mask)
+            self.env.clear_goal(mask, self.target_position)
+        if self._reward.needs_progress:
+            self._prev_distance.copy_((self.target_position - self._gtd["robot_position"]).norm(dim=-1))
+
+    def _restart(self, seed: int) -> None:
+        self.env.restart(seed)
+        if self._goals is not None:
+            self._goals.restart(seed)
+
+    def _make_goals(self) -> Goals | None:
+        low, high = self.cfg.target_ratio_low, self.cfg.target_ratio_high
+        if low is None or high is None:
+            return None
+        bounds = (self._gtd["env_bounds_min"], self._gtd["env_bounds_max"])
+        return Goals(self.target_position, bounds=bounds, ratios=(low, high), seed=self.env.seed)
 
     def state(self) -> TaskState:
         """Return the states of this instant."""
@@ -148,6 +208,10 @@ class Task:
             actions=gtd["robot_actions"],
             prev_actions=gtd["robot_prev_actions"],
             crashed=gtd["crashes"],
+            prev_distance=self._prev_distance,
+            difficulty=self._difficulty,
+            image=self._image,
+            image_scale=self._image_scale,
         )
 
     def _observation(self, *state: Tensor) -> Tensor:
@@ -161,7 +225,7 @@ class Task:
         distance = (at.target - at.position).norm(dim=-1)
         terminated = at.crashed | (distance > self.cfg.max_distance)
         truncated = (steps >= self.cfg.episode_len_steps) & ~terminated
-        reward = self._reward(at, self._params, terminated)
+        reward = self._reward.value(at, self._params, terminated)
         return self._observation(*state), reward, terminated, truncated, distance, episode_return + reward
 
     def _noisy(self, observation: Tensor) -> Tensor:
@@ -183,17 +247,54 @@ class Task:
         self.close()
 
 
-def _resolve_terms(cfg: TaskCfg) -> list[tuple[ObservationTerm, float]]:
+def _resolve_terms(cfg: TaskCfg, *, has_image: bool) -> list[tuple[ObservationTerm, float]]:
     for entry in cfg.observations:
         if entry.term not in OBSERVATIONS:
             raise UnknownNameError(f"no observation term {entry.term!r}. Known: {', '.join(sorted(OBSERVATIONS))}")
+        if OBSERVATIONS[entry.term].needs_image and not has_image:
+            raise ConfigError(
+                f"observation term {entry.term!r}: robot {cfg.robot} has no camera or lidar. Choose one with a sensor"
+            )
     return [(OBSERVATIONS[entry.term], entry.noise_std) for entry in cfg.observations]
 
 
-def _resolve_reward(cfg: TaskCfg):
+def _resolve_reward(cfg: TaskCfg, command: tuple[str, ...]) -> tuple[Reward, dict[str, float]]:
     if cfg.reward not in REWARDS:
         raise UnknownNameError(f"no reward {cfg.reward!r}. Known: {', '.join(sorted(REWARDS))}")
-    reward, names = REWARDS[cfg.reward]
-    if set(cfg.reward_params) != set(names):
-        raise ConfigError(f"reward {cfg.reward}: coefficients {sorted(cfg.reward_params)} given, needs {sorted(names)}")
+    reward = REWARDS[cfg.reward]
+    _check_names(f"reward {cfg.reward}: coefficients", cfg.reward_params, reward.params)
+    _check_command(f"reward {cfg.reward}: is about", reward.command, cfg, command)
     return reward, dict(cfg.reward_params)
+
+
+def _resolve_action(cfg: TaskCfg, command: tuple[str, ...]) -> tuple[Action, dict[str, float]]:
+    if cfg.action not in ACTIONS:
+        raise UnknownNameError(f"no action {cfg.action!r}. Known: {', '.join(sorted(ACTIONS))}")
+    action = ACTIONS[cfg.action]
+    _check_names(f"action {cfg.action}: numbers", cfg.action_params, action.params)
+    _check_command(f"action {cfg.action}: gives", action.command, cfg, command)
+    return action, dict(cfg.action_params)
+
+
+def _check_names(what: str, given: Mapping[str, float], needed: tuple[str, ...]) -> None:
+    if set(given) != set(needed):
+        raise ConfigError(f"{what} {sorted(given)} given, needs {sorted(needed)}")
+
+
+def _check_command(what: str, needed: tuple[str, ...] | None, cfg: TaskCfg, command: tuple[str, ...]) -> None:
+    if needed is not None and needed != command:
+        raise ConfigError(f"{what} {', '.join(needed)}; controller {cfg.controller} takes {', '.join(command)}")
+
+
+def _first_image(env: EnvManager) -> tuple[Tensor, Tensor]:
+    """Return the distances of the first range sensor and ``TaskState.image_scale``; nothing and ones without a sensor.
+
+    Where a sensor marks "too far" by a distance of its own, a cell without a distance is near (0); where it marks far and
+    near alike, nothing is known, and far (1) is by much the more frequent.
+    """
+    if not env.sensor_manager.casters:
+        return torch.zeros(env.num_envs, 0, 0, 0, device=env.device), torch.ones(2, device=env.device)
+    sensor = next(iter(env.sensor_manager.casters.values())).cfg
+    largest = 1.0 if sensor.normalize else sensor.max_range
+    empty = 0.0 if sensor.far_pixel >= 0.0 else 1.0
+    return env.gtd["depth_range_pixels"], torch.tensor([largest, empty], device=env.device)

@@ -2,11 +2,14 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from aerial_gym.cli.main import main
+from aerial_gym.config import dump_yaml
+from aerial_gym.robots import ROBOTS
 
 pytest.importorskip("rl_games", reason="rl-games is not installed: pip install 'aerial-gym[rl]'")
 pytest.importorskip("sample_factory", reason="Sample Factory is not installed: pip install 'aerial-gym[rl]'")
@@ -46,6 +49,34 @@ def test_a_training_leaves_a_run_that_resumes_and_evaluates(
     table = tmp_path / "flights.csv"
     assert main(["play", "--policy", str(out), "--num-steps", "5", "--out", str(table)]) == 0
     assert len(table.read_text().splitlines()) == 1 + 6 * 4
+
+
+def test_a_navigation_training_resumes_at_its_level_and_its_evaluation_tells_how_flights_end(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With a camera of fewer pixels, which makes it quick."""
+    out, robot = tmp_path / "run", tmp_path / "robot.yaml"
+    robot.write_text(dump_yaml(replace(ROBOTS.get("base_quadrotor"), sensors=("depth_camera_64",))), encoding="utf-8")
+    limits = ("--max-env-steps", "512", "--max-time-s", "40", "--json")
+    where = ("--out", str(out), "--num-envs", "8", "--device", "cpu", "--seed", "3", "--robot", str(robot))
+    assert main(["train", "--task", "navigation_task", "--trainer", "rl_games", *where, *limits]) == 0
+    assert json.loads(capsys.readouterr().out)["env_steps"] >= 512
+    kept = json.loads((out / "curriculum.json").read_text())
+    assert kept["level"] == 15
+    assert kept["finished"] > 0
+    (out / "curriculum.json").write_text(json.dumps(kept | {"level": 21}))
+    assert main(["train", "--out", str(out), "--resume", "--max-env-steps", "768", "--max-time-s", "40"]) == 0
+    resumed = json.loads((out / "curriculum.json").read_text())
+    assert resumed["level"] == 21
+    assert resumed["finished"] >= kept["finished"]
+
+    capsys.readouterr()
+    assert main(["evaluate", "--policy", str(out), "--num-envs", "2", "--level", "20", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["success_rate"] + found["crash_rate"] + found["timeout_rate"] == pytest.approx(1.0)
+    assert found["success_radius_m"] == 1.0
+    assert main(["evaluate", "--policy", str(out), "--num-envs", "2", "--level", "50"]) == 2
+    assert "must lie in 15 to 44" in capsys.readouterr().err
 
 
 def test_a_run_is_neither_overwritten_nor_resumed_from_nothing(

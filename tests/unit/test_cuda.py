@@ -1,5 +1,7 @@
 """What only a GPU can show: no wait for the host in a step, and a step that a CUDA graph can hold."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -80,3 +82,42 @@ def test_what_cannot_be_captured_is_named(monkeypatch: pytest.MonkeyPatch) -> No
     eager.reset()
     eager.step(torch.zeros(256, 4, device="cuda:0"))
     assert not eager.captured
+
+
+def test_a_captured_navigation_step_is_the_eager_step() -> None:
+    """With images, goals, room around them and a curriculum that goes up and down on the way."""
+    found = []
+    for capture in (False, True):
+        cfg = task_registry.get("navigation_task")
+        limits = replace(cfg.curriculum, check_after=100, raise_above=0.0, lower_below=0.0)
+        env = SimBuilder().build_env(
+            sim_name=cfg.sim,
+            env_name=cfg.env,
+            robot_name=cfg.robot,
+            controller_name=cfg.controller,
+            num_envs=64,
+            device="cuda:0",
+            seed=0,
+        )
+        cfg = replace(
+            cfg,
+            curriculum=limits,
+            episode_len_steps=10,
+            success_radius=11.0,
+            observations=tuple(replace(entry, noise_std=0.0) for entry in cfg.observations),
+        )
+        task = Task(cfg, env, capture=capture)
+        task.reset(seed=3)
+        g = torch.Generator(device="cuda:0").manual_seed(1)
+        levels = []
+        for _ in range(25):
+            obs, reward, *_ = task.step(2.0 * torch.rand(64, 4, device="cuda:0", generator=g) - 1.0)
+            levels.append(int(env.gtd["curriculum_level"]))
+        found.append((obs["observations"].clone(), reward.clone(), levels, task.target_position.clone()))
+        assert task.captured == capture
+    torch.testing.assert_close(found[1][3], found[0][3])
+    torch.testing.assert_close(found[1][1], found[0][1], rtol=1e-3, atol=1e-2)
+    close = (found[1][0] - found[0][0]).abs() < 1e-3
+    assert close.float().mean() > 0.999  # a pixel at an edge may see the one or the other side
+    assert found[1][2] == found[0][2]
+    assert found[0][2][-1] > found[0][2][0]

@@ -14,6 +14,7 @@ from aerial_gym.robots import ROBOTS, derived, initial_state, scene_contact
 from aerial_gym.sensors import imu
 from aerial_gym.sensors.pixels import Outputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
+from aerial_gym.task import goals
 
 ARCHITECTURE = 90
 """Compute capability: Hopper."""
@@ -65,6 +66,6 @@ def test_the_physics_kernel_with_contact_compiles(tmp_path: Path) -> None:
     compile_for_gpu(backend.kernel.module, tmp_path)
 
 
-@pytest.mark.parametrize("module", [derived, initial_state, imu, scene_contact])
+@pytest.mark.parametrize("module", [derived, initial_state, imu, scene_contact, goals])
 def test_robot_kernels_compile(module, tmp_path: Path) -> None:
     compile_for_gpu(wp.get_module(module.__name__), tmp_path)

@@ -121,6 +121,10 @@ def state_at(position: list[float], *, attitude: list[float], ang_vel: list[floa
         actions=row([0.0] * 4),
         prev_actions=row([0.0] * 4),
         crashed=torch.zeros(1, dtype=torch.bool),
+        prev_distance=torch.zeros(1, dtype=torch.float64),
+        difficulty=torch.zeros(()),
+        image=torch.zeros(1, 0, 0, 0),
+        image_scale=torch.ones(2),
     )
 
 

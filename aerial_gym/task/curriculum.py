@@ -1,0 +1,106 @@
+"""The curriculum: the number of obstacles, decided on the device from the share of episodes that succeed.
+
+Letters: E environments.
+"""
+
+import torch
+from torch import Tensor
+
+from aerial_gym.assets import AssetManager
+from aerial_gym.config.environment import EnvironmentCfg
+from aerial_gym.config.task import CurriculumCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+
+
+def next_level(level: Tensor, finished: Tensor, succeeded: Tensor, cfg: CurriculumCfg) -> tuple[Tensor, Tensor, Tensor]:
+    """Return level, finished and successful episodes after a look at them.
+
+    Args:
+        level: Obstacle rows in use, integer, (1,).
+        finished: Episodes that ended since the last decision, integer, (1,).
+        succeeded: How many of them succeeded, (1,).
+        cfg: Limits, thresholds and steps.
+
+    Returns:
+        The three after it: where ``check_after`` episodes have ended, the level may be another and the counts are 0.
+    """
+    due = finished >= cfg.check_after
+    share = succeeded / finished.clamp_min(1)
+    change = cfg.raise_by * (share > cfg.raise_above).to(level.dtype) - cfg.lower_by * (share < cfg.lower_below).to(
+        level.dtype
+    )
+    level = torch.where(due, (level + change).clamp(cfg.min_level, cfg.max_level), level)
+    return level, torch.where(due, 0, finished), torch.where(due, 0, succeeded)
+
+
+class Curriculum:
+    """Owns the level. Nothing here waits for the device but ``state`` and ``load``."""
+
+    def __init__(
+        self, cfg: CurriculumCfg, env: EnvironmentCfg, assets: AssetManager, gtd: GlobalTensorDictionary
+    ) -> None:
+        """Declare ``curriculum_level`` in the GTD and set the first level.
+
+        Raises:
+            ConfigError: If the environment has not that many obstacles, or always keeps more.
+        """
+        if cfg.max_level > env.num_assets:
+            raise ConfigError(
+                f"CurriculumCfg.max_level = {cfg.max_level}: this environment has {env.num_assets} obstacle rows. Lower it"
+            )
+        if cfg.min_level < env.num_kept:
+            raise ConfigError(
+                f"CurriculumCfg.min_level = {cfg.min_level}: this environment always keeps {env.num_kept} obstacle rows. "
+                "Raise it"
+            )
+        self.cfg, self._assets, self._num_kept = cfg, assets, env.num_kept
+        self.level = gtd.declare(TensorSpec(
+            key="curriculum_level", shape=(1,), dtype=torch.int32, unit="-", frame="-", owner="task",
+            meaning="obstacle rows in use from the next reset on, those always kept included",
+        ))  # fmt: skip
+        self._finished, self._succeeded = torch.zeros_like(self.level), torch.zeros_like(self.level)
+        self.difficulty = torch.zeros((), device=self.level.device)
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin at the first level with no episode counted."""
+        self.load({"level": self.cfg.first_level, "finished": 0, "succeeded": 0})
+
+    def count(self, ended: Tensor, success: Tensor) -> None:
+        """Count the episodes that ended in this step and those of them that succeeded, each bool (E,), and decide."""
+        self._finished.add_(ended.sum())
+        self._succeeded.add_(success.sum())
+        level, finished, succeeded = next_level(self.level, self._finished, self._succeeded, self.cfg)
+        self.level.copy_(level)
+        self._finished.copy_(finished)
+        self._succeeded.copy_(succeeded)
+        self._apply()
+
+    def state(self) -> dict[str, int]:
+        """Return what must be kept to continue: level and counts. Waits for the device."""
+        return {
+            "level": int(self.level),
+            "finished": int(self._finished),
+            "succeeded": int(self._succeeded),
+        }
+
+    def load(self, state: dict[str, int]) -> None:
+        """Continue from a state.
+
+        Raises:
+            ConfigError: If its level is not one of this curriculum.
+        """
+        if not self.cfg.min_level <= state["level"] <= self.cfg.max_level:
+            raise ConfigError(
+                f"curriculum level {state['level']}: must lie in {self.cfg.min_level} to {self.cfg.max_level}"
+            )
+        self.level.fill_(state["level"])
+        self._finished.fill_(state["finished"])
+        self._succeeded.fill_(state["succeeded"])
+        self._apply()
+
+    def _apply(self) -> None:
+        self._assets.take_num_obstacles(self.level - self._num_kept)
+        span = self.cfg.max_level - self.cfg.min_level
+        self.difficulty.copy_(((self.level - self.cfg.min_level) / span).squeeze(0))
