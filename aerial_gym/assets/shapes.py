@@ -101,7 +101,8 @@ def load_mesh(path: str | Path, *, scale: float) -> "trimesh.Trimesh":
     """Return the triangles of a mesh file, scaled about its origin; a closed mesh is turned right side out.
 
     Raises:
-        ConfigError: If the file is missing, unreadable, without a triangle, or holds a coordinate that is not finite.
+        ConfigError: If the file is missing, unreadable, without a triangle or a surface, if a triangle names a vertex that is
+            not there, or if a scaled coordinate is not a finite float32.
     """
     import trimesh
 
@@ -113,8 +114,15 @@ def load_mesh(path: str | Path, *, scale: float) -> "trimesh.Trimesh":
         raise ConfigError(f"mesh {path}: cannot be read ({error})") from None
     if len(mesh.faces) == 0:
         raise ConfigError(f"mesh {path}: holds no triangle")
-    if not np.isfinite(mesh.vertices).all():
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise ConfigError(
+            f"mesh {path}: a triangle names a vertex from {mesh.faces.min()} to {mesh.faces.max()}; "
+            f"there are {len(mesh.vertices)}, counted from 0"
+        )
+    if not (np.abs(mesh.vertices) * scale <= np.finfo(np.float32).max).all():
         raise ConfigError(f"mesh {path}: a vertex is not finite")
+    if not mesh.area > 0.0:
+        raise ConfigError(f"mesh {path}: has no surface: the corners of each triangle lie on a line")
     mesh.apply_scale(scale)
     merged = mesh.copy()
     merged.merge_vertices()

@@ -93,7 +93,7 @@ class TaskCfg:
     """Registered sim."""
 
     env: str
-    """Registered environment."""
+    """Registered environment, or path of an environment file."""
 
     robot: str
     """Registered robot."""

@@ -6,6 +6,7 @@ import torch
 
 from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config import load
+from aerial_gym.config.environment import EnvironmentCfg, load_environment
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager.catalog import SIMS
@@ -22,6 +23,13 @@ def robot_by_name(name: str | Path) -> RobotCfg:
     return ROBOTS.get(str(name))
 
 
+def environment_by_name(name: str | Path) -> EnvironmentCfg:
+    """Return a registered environment, or the one in an environment file if ``name`` ends in ``.yaml``."""
+    if str(name).endswith((".yaml", ".yml")):
+        return load_environment(name)
+    return ENVIRONMENTS.get(str(name))
+
+
 def _device(name: str | torch.device) -> torch.device:
     try:
         return resolve_device(name)
@@ -36,7 +44,7 @@ class SimBuilder:
         self,
         *,
         sim_name: str,
-        env_name: str,
+        env_name: str | Path,
         robot_name: str | Path,
         controller_name: str,
         num_envs: int,
@@ -47,7 +55,7 @@ class SimBuilder:
 
         Args:
             sim_name: Registered sim.
-            env_name: Registered environment.
+            env_name: Registered environment, or path of an environment file; see ``EnvironmentCfg`` for its fields.
             robot_name: Registered robot, or path of a robot file (``close-loop`` writes such files).
             controller_name: Registered controller.
             num_envs: Environments side by side.
@@ -60,7 +68,7 @@ class SimBuilder:
         """
         return EnvManager(
             sim=SIMS.get(sim_name),
-            env=ENVIRONMENTS.get(env_name),
+            env=environment_by_name(env_name),
             robot=robot_by_name(robot_name),
             controller=CONTROLLERS.get(controller_name),
             num_envs=num_envs,

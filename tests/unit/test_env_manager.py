@@ -1,10 +1,14 @@
 """The order of a step, reset by mask, and what stands in the Global Tensor Dictionary."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from aerial_gym import SimBuilder
 from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config import dump_yaml
+from aerial_gym.config.environment import AssetCfg, ShapeCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError, ShapeError, UnknownNameError
 from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse
@@ -250,3 +254,21 @@ def test_an_imu_on_board_measures_gravity_in_hover_and_nothing_else_moves() -> N
     torch.testing.assert_close(hover[:, 2], torch.full((8,), 9.81), rtol=0.0, atol=0.12)
     torch.testing.assert_close(fall[:, :3], torch.zeros(8, 3), rtol=0.0, atol=0.12)
     assert (hover[:, 3:].abs() < 0.2).all()
+
+
+def test_an_environment_can_be_a_file(tmp_path) -> None:
+    file = tmp_path / "mine.yaml"
+    box = AssetCfg(
+        name="box",
+        shapes=(ShapeCfg(kind="box", size=(1.0, 1.0, 1.0)),),
+        count=2,
+        position_ratio_low=(0.5, 0.5, 0.5),
+        position_ratio_high=(0.5, 0.5, 0.5),
+    )
+    file.write_text(dump_yaml(replace(ENVIRONMENTS.get("empty_env"), assets=(box,))), encoding="utf-8")
+    env = build(env_name=str(file))
+    assert env.cfg.assets == (box,)
+    env.reset()
+    assert env.gtd["obstacle_position"].shape[1:] == (2, 3)
+    with pytest.raises(ConfigError, match="none.yaml"):
+        build(env_name=str(tmp_path / "none.yaml"))

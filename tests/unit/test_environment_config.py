@@ -209,6 +209,19 @@ def test_mesh_files_are_found_beside_the_environment_file(tmp_path) -> None:
     assert load_mesh(shape.path or "", scale=shape.scale).extents == pytest.approx([0.5, 1.0, 1.5])
 
 
+FAR_PLY = (
+    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n"
+    "property list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n"
+)
+
+
+def test_a_scale_that_leaves_no_number_is_refused(tmp_path) -> None:
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(ConfigError, match=r"a.obj: a vertex is not finite"):
+        load_mesh(tmp_path / "a.obj", scale=1e39)
+    assert load_mesh(tmp_path / "a.obj", scale=2.0).area == pytest.approx(2.0)
+
+
 def test_mesh_files_that_cannot_be_used_are_named(tmp_path) -> None:
     with pytest.raises(ConfigError, match=r"none.obj: no such file"):
         load_mesh(tmp_path / "none.obj", scale=1.0)
@@ -217,6 +230,9 @@ def test_mesh_files_that_cannot_be_used_are_named(tmp_path) -> None:
         ("points.obj", "v 0 0 1\nv 1 0 0\n", "points.obj: holds no triangle"),
         ("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "nan.obj: a vertex is not finite"),
         ("inf.obj", "v 0 0 inf\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "inf.obj: a vertex is not finite"),
+        ("huge.obj", "v 0 0 0\nv 1e39 0 0\nv 0 1 0\nf 1 2 3\n", "huge.obj: a vertex is not finite"),
+        ("line.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "line.obj: has no surface"),
+        ("far.ply", FAR_PLY, "far.ply: a triangle names a vertex from 0 to 7; there are 3, counted from 0"),
         ("mesh.unknown", "?", "mesh.unknown: cannot be read"),
     ):
         (tmp_path / name).write_text(text)
