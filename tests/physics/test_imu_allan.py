@@ -8,7 +8,7 @@ import torch
 
 from aerial_gym.config.imu import load_imu
 from aerial_gym.sensors.allan import allan_deviation
-from benchmarks.imu_allan import ImuAllanCmd, Record, compare, crossing_s, fit_densities, interval, lowest_point
+from benchmarks.imu_allan import ImuAllanCmd, Record, compare, crossing_s, fit_densities, interval, lowest_point, shares
 
 NOISE, WALK, DT = 0.7, 0.2, 0.25
 
@@ -30,6 +30,13 @@ def test_known_densities_are_found_whatever_is_assumed_and_their_intervals_hold_
             assert found == pytest.approx(truth, rel=0.25)
             held[column] += low <= truth <= high
     assert ((held >= 88) & (held <= 100)).all()
+
+
+def test_shares_are_the_variances_of_a_sampled_walk_by_hand() -> None:
+    """Steps s of variance 1: neighbours differ by s, averages of two by (s1 + 2 s2 + s3) / 2. Half the variance of each."""
+    found = shares(torch.tensor([1.0, 2.0]), 1.0)
+    torch.testing.assert_close(found, torch.tensor([[1.0, 0.5], [0.5, 0.75]]))
+    torch.testing.assert_close(shares(torch.tensor([3.0]), 3.0), torch.tensor([[1.0 / 3.0, 1.5]]))
 
 
 def test_interval_is_that_of_the_mean() -> None:
