@@ -215,6 +215,7 @@ class AssetManager:
             shape_index=first[asset] + choice,
             semantic_id=torch.where(semantic >= 0, semantic, FIRST_INSTANCE_ID + self._rank),
             asset_state=self._state,
+            lamps=self.cfg.lamps,
         )
 
     def _park_all(self) -> None:

@@ -32,7 +32,6 @@ class Shape:
     ray_mesh: wp.uint64  # the same triangles in the tree that rays are fastest in
     position: wp.vec3  # of the shape in the frame of its asset [m]
     attitude: wp.quat  # shape to asset, xyzw, unit
-    color: wp.vec3  # red, green, blue
     kind: wp.int32  # BOX, SPHERE, CYLINDER, CAPSULE, MESH or PLANE
     radius: wp.float32  # of the bounding sphere about the shape's origin [m]
     size: wp.vec3  # box: half edges; else: radius, half height along z, 0 [m]

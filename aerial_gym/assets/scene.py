@@ -20,7 +20,7 @@ from torch import Tensor
 from aerial_gym.assets.scene_arrays import SceneArrays
 from aerial_gym.assets.shapes import ShapeTable
 from aerial_gym.assets.views import check_tensor, vector_view
-from aerial_gym.config.environment import ShapeCfg
+from aerial_gym.config.environment import LampCfg, ShapeCfg
 from aerial_gym.errors import ShapeError
 from aerial_gym.interop import on_torch_stream, start_warp
 
@@ -32,7 +32,13 @@ class Scene:
     """Instances of shared shapes in E environments."""
 
     def __init__(
-        self, shapes: Sequence[ShapeCfg], *, shape_index: Tensor, semantic_id: Tensor, asset_state: Tensor
+        self,
+        shapes: Sequence[ShapeCfg],
+        *,
+        shape_index: Tensor,
+        semantic_id: Tensor,
+        asset_state: Tensor,
+        lamps: Sequence[LampCfg] = (),
     ) -> None:
         """Read the shapes and take views of the poses.
 
@@ -42,6 +48,7 @@ class Scene:
             semantic_id: What segmentation shows, integer, (E, A) or (A,).
             asset_state: The caller's poses and velocities, float32, (E, A, 13): position [m], attitude xyzw (shape to
                 world, unit), velocity, angular velocity; world. May be strided, but for the last axis. Kept.
+            lamps: Lights in colour images, the same in all environments.
 
         Raises:
             ShapeError: If shapes do not fit, or if an index has no row.
@@ -50,7 +57,7 @@ class Scene:
         if asset_state.dim() != 3 or asset_state.shape[-1] != 13:
             raise ShapeError(f"asset_state has shape {tuple(asset_state.shape)}, expected (E, A, 13)")
         start_warp()
-        self.asset_state = asset_state
+        self.asset_state, self.lamps = asset_state, tuple(lamps)
         self.num_envs, self.num_instances = asset_state.shape[:2]
         self.device = asset_state.device
         with on_torch_stream(asset_state):

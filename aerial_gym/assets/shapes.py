@@ -11,6 +11,7 @@ import torch
 import warp as wp
 
 from aerial_gym.assets.geometry import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE, Shape
+from aerial_gym.assets.looks import LookTable, MeshLook, look_of_mesh
 from aerial_gym.assets.urdf import load_urdf_shape
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.errors import ConfigError
@@ -48,12 +49,15 @@ class ShapeTable:
         self.parts: tuple[PartCfg, ...] = tuple(part for group in parts for part in group)
         self.num_parts = torch.tensor([len(group) for group in parts], dtype=torch.int64, device=device)
         self.first_part = self.num_parts.cumsum(0) - self.num_parts
+        inherited = [shape.color for shape, group in zip(self.shapes, parts, strict=True) for _ in group]
+        looks = LookTable()
         rows = np.zeros(len(self.parts), dtype=Shape.numpy_dtype())  # type: ignore[call-overload]
-        for row, part in zip(rows, self.parts, strict=True):
+        for row, part, color in zip(rows, self.parts, inherited, strict=True):
             cfg = part.shape
+            looks.add(cfg, inherited=color, mesh=self._mesh(cfg).look if cfg.kind == "mesh" else None)
             row["kind"], row["size"] = _KINDS[cfg.kind], _half_size(cfg)
             row["radius"], row["half"] = _MARGIN * _bounding_radius(cfg), _half_box(cfg)
-            row["position"], row["color"] = part.position, cfg.color
+            row["position"] = part.position
             row["attitude"] = quat_from_euler(torch.tensor(part.euler, dtype=torch.float64)).numpy()
             if cfg.kind == "mesh":
                 mesh = self._mesh(cfg)
@@ -61,6 +65,7 @@ class ShapeTable:
                 row["center"] = 0.5 * (mesh.bounds[0] + mesh.bounds[1])
                 row["half"] = 0.5 * _MARGIN * (mesh.bounds[1] - mesh.bounds[0]) + _FLAT * mesh.radius
         self.array = wp.array(rows, dtype=Shape, device=self._device)
+        self.looks = looks.arrays(self._device)
         self.radius = torch.tensor(rows["radius"], device=device)
 
     def __len__(self) -> int:
@@ -74,7 +79,8 @@ class ShapeTable:
     def _mesh(self, cfg: ShapeCfg) -> "_Mesh":
         key = (str(cfg.path), cfg.scale)
         if key not in self._meshes:
-            surface = load_mesh(key[0], scale=cfg.scale)
+            pieces = _read_mesh(key[0], scale=cfg.scale)
+            surface = _join(pieces, scale=cfg.scale)
             points = wp.array(surface.vertices.astype(np.float32), dtype=wp.vec3, device=self._device)
             indices = wp.array(surface.faces.astype(np.int32).ravel(), dtype=wp.int32, device=self._device)
             solid = wp.Mesh(points=points, indices=indices, support_winding_number=True)
@@ -83,6 +89,7 @@ class ShapeTable:
                 rays=wp.Mesh(points=points, indices=indices, **RAY_TREE) if self._device.is_cuda else solid,
                 radius=float(np.linalg.norm(surface.vertices, axis=1).max()),
                 bounds=np.asarray(surface.bounds, dtype=np.float32),
+                look=look_of_mesh(pieces, np.asarray(surface.faces)),
             )
         return self._meshes[key]
 
@@ -95,6 +102,7 @@ class _Mesh:
     rays: wp.Mesh
     radius: float
     bounds: np.ndarray
+    look: MeshLook | None
 
 
 def load_mesh(path: str | Path, *, scale: float) -> "trimesh.Trimesh":
@@ -104,25 +112,43 @@ def load_mesh(path: str | Path, *, scale: float) -> "trimesh.Trimesh":
         ConfigError: If the file is missing, unreadable, without a triangle or a surface, if a triangle names a vertex that is
             not there, or if a scaled coordinate is not a finite float32.
     """
+    return _join(_read_mesh(path, scale=scale), scale=scale)
+
+
+def _read_mesh(path: str | Path, *, scale: float) -> list["trimesh.Trimesh"]:
+    """Return the geometries of a mesh file in place, with their colours; raise ``ConfigError`` if there is nothing usable."""
     import trimesh
 
     if not Path(path).is_file():
         raise ConfigError(f"mesh {path}: no such file")
     try:
-        mesh = trimesh.load_mesh(path, process=False)
+        found = trimesh.load_scene(path, process=False).dump()
     except Exception as error:  # trimesh's readers raise whatever their format's library raises
         raise ConfigError(f"mesh {path}: cannot be read ({error})") from None
-    if len(mesh.faces) == 0:
+    pieces = [piece for piece in found if isinstance(piece, trimesh.Trimesh)]
+    if sum(len(piece.faces) for piece in pieces) == 0:
         raise ConfigError(f"mesh {path}: holds no triangle")
-    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        raise ConfigError(
-            f"mesh {path}: a triangle names a vertex from {mesh.faces.min()} to {mesh.faces.max()}; "
-            f"there are {len(mesh.vertices)}, counted from 0"
-        )
-    if not (np.abs(mesh.vertices) * scale <= np.finfo(np.float32).max).all():
-        raise ConfigError(f"mesh {path}: a vertex is not finite")
-    if not mesh.area > 0.0:
+    for piece in pieces:
+        if len(piece.faces) and (piece.faces.min() < 0 or piece.faces.max() >= len(piece.vertices)):
+            raise ConfigError(
+                f"mesh {path}: a triangle names a vertex from {piece.faces.min()} to {piece.faces.max()}; "
+                f"there are {len(piece.vertices)}, counted from 0"
+            )
+        if not (np.abs(piece.vertices) * scale <= np.finfo(np.float32).max).all():
+            raise ConfigError(f"mesh {path}: a vertex is not finite")
+    if not sum(piece.area for piece in pieces) > 0.0:
         raise ConfigError(f"mesh {path}: has no surface: the corners of each triangle lie on a line")
+    return pieces
+
+
+def _join(pieces: Sequence["trimesh.Trimesh"], *, scale: float) -> "trimesh.Trimesh":
+    """Return one mesh without colours, vertices and triangles in the order of the pieces, scaled about its origin."""
+    import trimesh
+
+    first = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
+    faces = [piece.faces + offset for piece, offset in zip(pieces, first, strict=False)]
+    vertices = np.concatenate([piece.vertices for piece in pieces])
+    mesh = trimesh.Trimesh(vertices=vertices, faces=np.concatenate(faces), process=False)
     mesh.apply_scale(scale)
     merged = mesh.copy()
     merged.merge_vertices()

@@ -1,9 +1,10 @@
-"""URDF files as compounds: one part for every geometry of every link, joints fixed at zero.
+"""URDF files as compounds: one part for every geometry of every link, joints fixed at zero, in the colours of the materials.
 
 Frames: the compound's frame is that of the root link; z up, metres, radians.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
@@ -11,18 +12,20 @@ from xml.etree import ElementTree
 import numpy as np
 
 from aerial_gym.config.environment import PartCfg, ShapeCfg
+from aerial_gym.config.robot import Vec3
 from aerial_gym.errors import ConfigError
 
 if TYPE_CHECKING:
     from yourdfpy import URDF
-    from yourdfpy.urdf import Geometry
+    from yourdfpy.urdf import Geometry, Link, Material
 
 _JOINTS = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 
 
 def load_urdf_shape(shape: ShapeCfg) -> ShapeCfg:
-    """Return the compound that a shape of kind ``urdf`` stands for."""
-    return load_urdf(str(shape.path), link_ids=shape.link_ids or {}, first_link_id=shape.first_link_id)
+    """Return the compound that a shape of kind ``urdf`` stands for; its colour is that of links without a material."""
+    found = load_urdf(str(shape.path), link_ids=shape.link_ids or {}, first_link_id=shape.first_link_id)
+    return replace(found, color=shape.color)
 
 
 def load_urdf(
@@ -50,14 +53,44 @@ def load_urdf(
         own = None if first_link_id is None or name in link_ids else first_link_id + counted.index(name)
         to_root = robot.get_transform(name)
         try:
-            for body in link.collisions or link.visuals:
+            bodies = link.collisions or link.visuals
+            colors = _colors(robot, link, count=len(bodies))
+            for body, color in zip(bodies, colors, strict=True):
                 pose = to_root if body.origin is None else to_root @ body.origin
-                parts.append(_part(body.geometry, pose, link_ids.get(name, own), Path(path).resolve().parent))
+                parts.append(_part(body.geometry, pose, link_ids.get(name, own), color, Path(path).resolve().parent))
         except ConfigError as error:
             raise ConfigError(f"URDF {path}: link {name!r}: {error}") from None
     if not parts:
         raise ConfigError(f"URDF {path}: holds no geometry")
     return ShapeCfg(kind="compound", parts=tuple(parts))
+
+
+def _colors(robot: "URDF", link: "Link", *, count: int) -> list[Vec3 | None]:
+    """Return a colour for each of ``count`` geometries of a link: that of its own visual, or of the first one that has any.
+
+    Collision geometries have no materials; where a link has as many visuals, they are taken to be the same in order.
+
+    Raises:
+        ConfigError: If a colour is not four numbers in 0 to 1.
+    """
+    found = [_color(robot, visual.material) for visual in link.visuals]
+    if len(found) == count:
+        return found
+    return [next((color for color in found if color is not None), None)] * count
+
+
+def _color(robot: "URDF", material: "Material | None") -> Vec3 | None:
+    """Return the colour of a material, which may stand at the top of the file and be named only; None without one."""
+    if material is None:
+        return None
+    named = {other.name: other for other in robot.robot.materials}
+    color = material.color or (named[material.name].color if material.name in named else None)
+    if color is None:
+        return None
+    rgba = np.asarray(color.rgba, dtype=float)
+    if rgba.shape != (4,) or not ((rgba >= 0.0) & (rgba <= 1.0)).all():
+        raise ConfigError(f"material {material.name!r}: rgba {rgba.tolist()} must be four numbers in 0 to 1")
+    return float(rgba[0]), float(rgba[1]), float(rgba[2])
 
 
 def _read(path: str | Path) -> "URDF":
@@ -113,14 +146,14 @@ def _check_tree(root: ElementTree.Element) -> None:
             raise ConfigError(f"link {name!r} is its own ancestor")
 
 
-def _part(geometry: "Geometry", pose: np.ndarray, semantic_id: int | None, folder: Path) -> PartCfg:
+def _part(geometry: "Geometry", pose: np.ndarray, semantic_id: int | None, color: Vec3 | None, folder: Path) -> PartCfg:
     from trimesh.transformations import euler_from_matrix
 
     if not np.isfinite(pose).all():
         raise ConfigError("an origin is not finite")
     x, y, z = (float(value) for value in pose[:3, 3])
     roll, pitch, yaw = (float(angle) for angle in euler_from_matrix(pose, "sxyz"))
-    shape = _shape(geometry, folder)
+    shape = replace(_shape(geometry, folder), color=color)
     return PartCfg(shape=shape, position=(x, y, z), euler=(roll, pitch, yaw), semantic_id=semantic_id)
 
 

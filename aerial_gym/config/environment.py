@@ -8,10 +8,18 @@ from math import inf, pi
 from pathlib import Path
 
 from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.lamp import LampCfg
 from aerial_gym.config.loader import load
 from aerial_gym.config.motion import AT_BOUNDS, MOTIONS, MotionCfg
 from aerial_gym.config.robot import Vec3, require_finite, require_ordered
-from aerial_gym.config.shape import FIRST_INSTANCE_ID, FamilyCfg, PartCfg, ShapeCfg
+from aerial_gym.config.shape import (
+    FIRST_INSTANCE_ID,
+    CheckerCfg,
+    FamilyCfg,
+    PartCfg,
+    ShapeCfg,
+    absolute_paths,
+)
 from aerial_gym.errors import ConfigError
 
 __all__ = [
@@ -20,8 +28,10 @@ __all__ = [
     "MOTIONS",
     "AssetCfg",
     "ContactCfg",
+    "CheckerCfg",
     "EnvironmentCfg",
     "FamilyCfg",
+    "LampCfg",
     "MotionCfg",
     "PartCfg",
     "ShapeCfg",
@@ -132,6 +142,10 @@ class EnvironmentCfg:
     """How ground and obstacles push the robot back, and which touch is then a crash; without it, nothing pushes and every
     touch is a crash."""
 
+    lamps: tuple[LampCfg, ...] = ()
+    """Lights at a point, in colour images beside the sun and the sky of the sensor; none cost nothing, each of them a ray per
+    pixel that it lights where the sensor has shadows."""
+
     source: str
     """Where the numbers come from."""
 
@@ -179,13 +193,7 @@ def load_environment(path: str | Path) -> EnvironmentCfg:
     """Return the environment in a YAML file; its mesh and URDF paths are taken relative to that file."""
     folder = Path(path).resolve().parent
     cfg = load(EnvironmentCfg, path)
-    return replace(cfg, assets=tuple(_with_absolute_paths(asset, folder) for asset in cfg.assets))
-
-
-def _with_absolute_paths(asset: AssetCfg, folder: Path) -> AssetCfg:
-    def absolute(shape: ShapeCfg) -> ShapeCfg:
-        if shape.parts:
-            return replace(shape, parts=tuple(replace(part, shape=absolute(part.shape)) for part in shape.parts))
-        return replace(shape, path=str(folder / shape.path)) if shape.path else shape
-
-    return replace(asset, shapes=tuple(absolute(shape) for shape in asset.shapes))
+    assets = (
+        replace(asset, shapes=tuple(absolute_paths(shape, folder) for shape in asset.shapes)) for asset in cfg.assets
+    )
+    return replace(cfg, assets=tuple(assets))

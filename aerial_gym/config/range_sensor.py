@@ -8,7 +8,7 @@ Letters: E environments, S sensors of one kind, H x W pixels (row 0 on top, colu
 from dataclasses import dataclass
 from math import inf, isfinite, pi
 
-from aerial_gym.config.robot import Vec3, require_finite, require_ordered
+from aerial_gym.config.checks import Vec3, require_finite, require_ordered
 from aerial_gym.errors import ConfigError
 
 KINDS = ("depth", "range")
@@ -55,23 +55,29 @@ class NoiseCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class LightCfg:
-    """A sun and a sky that lights every side alike; surfaces are matt (Lambert), shadows sharp."""
+    """A sun and a sky that lights every side alike, beside the lamps of the environment; surfaces are matt (Lambert), shadows
+    sharp.
 
-    sun: Vec3 = (0.4, 0.3, 0.866)
-    """Direction to the sun, world, of any length > 0."""
+    A surface has its colour times ``ambient + (1 - ambient) max(n . s, 0)``, and its colour times that of every lamp, no
+    channel above 1; there is no light from one surface to another. What lies beyond the range of a sensor throws no shadow in
+    its image.
+    """
+
+    sun: Vec3 | None = (0.4, 0.3, 0.866)
+    """Direction to the sun, world, of any length > 0; None for none, which leaves the sky and the lamps."""
 
     ambient: float = 0.35
     """Share of the light that comes from the sky, 0 to 1; the rest comes from the sun."""
 
     shadows: bool = True
-    """Whether what stands before the sun takes its light away: one more ray for every lit pixel."""
+    """Whether what stands before the sun or a lamp takes its light away: one more ray for every lit pixel and light."""
 
     sky: Vec3 = (0.6, 0.75, 0.9)
     """Red, green, blue of a pixel that sees nothing, each 0 to 1."""
 
     def __post_init__(self) -> None:
-        require_finite(self, "sun", "sky", "ambient")
-        if not any(self.sun):
+        require_finite(self, "sky", "ambient", *(["sun"] if self.sun is not None else []))
+        if self.sun is not None and not any(self.sun):
             raise ConfigError(f"LightCfg.sun = {self.sun!r}: must point somewhere")
         if not 0.0 <= self.ambient <= 1.0:
             raise ConfigError(f"LightCfg.ambient = {self.ambient!r}: must lie in 0 to 1")

@@ -4,10 +4,11 @@ Frames: each shape's own, z up; lengths in metres, angles in radians.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf, pi
+from pathlib import Path
 
-from aerial_gym.config.robot import Vec3, require_finite
+from aerial_gym.config.checks import Vec3, require_finite
 from aerial_gym.errors import ConfigError
 
 FIRST_INSTANCE_ID = 100
@@ -23,6 +24,35 @@ _FIELDS_OF_KIND = {
     "compound": ("parts",),
     "urdf": ("path",),
 }
+
+
+def require_color(config: object, *names: str) -> None:
+    """Raise ``ConfigError`` unless the named colours, where they are given, are red, green and blue in 0 to 1."""
+    for name in names:
+        value = getattr(config, name)
+        if value is not None and not all(0.0 <= share <= 1.0 for share in value):
+            raise ConfigError(f"{type(config).__name__}.{name} = {value!r}: red, green and blue must lie in 0 to 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckerCfg:
+    """Fields of a second colour, as in a chessboard: a texture that shows how a camera moves.
+
+    The board is solid: cubes of two colours fill the frame of the shape, with a corner of eight of them at its origin, and
+    the surface shows what it cuts, looked up 1 % of a field below the surface so that faces may lie between cubes. It moves
+    and turns with the shape. Each pixel shows the field that its ray meets; far fields are not blurred.
+    """
+
+    size: float
+    """Edge of a field [m], > 0."""
+
+    color: Vec3 = (0.25, 0.25, 0.25)
+    """Red, green, blue of every second field, each 0 to 1."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.size < inf:
+            raise ConfigError(f"CheckerCfg.size = {self.size!r}: must be > 0 and finite")
+        require_color(self, "color")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +105,14 @@ class ShapeCfg:
     parts: tuple[PartCfg, ...] | None = None
     """What a compound consists of; at least one."""
 
-    color: Vec3 = (0.7, 0.7, 0.7)
-    """Red, green, blue of its surface as colour cameras see it, each 0 to 1; parts of a compound have their own."""
+    color: Vec3 | None = None
+    """Red, green, blue of its surface as colour cameras see it, each 0 to 1. If not given: a mesh has the colours of its
+    file (of vertices or faces, textures, materials), a part of a compound that of the compound, a link of a URDF that of its
+    material, and what has none of these a plain colour of its kind. A given one replaces the colours of a mesh file; that of
+    a compound or a URDF is for the parts and links without one."""
+
+    checker: CheckerCfg | None = None
+    """Fields of a second colour, in the shape's own frame; a compound and a URDF have none, but their parts may."""
 
     scale: float = 1.0
     """Factor on the coordinates of a mesh, > 0; 1 for every other kind."""
@@ -102,8 +138,9 @@ class ShapeCfg:
             for length in value if isinstance(value, tuple) else (value,):
                 if isinstance(length, (int, float)) and not 0.0 < length < inf:
                     raise ConfigError(f"ShapeCfg.{name} = {value!r}: must be > 0 and finite")
-        if not all(0.0 <= share <= 1.0 for share in self.color):
-            raise ConfigError(f"ShapeCfg.color = {self.color!r}: red, green and blue must lie in 0 to 1")
+        require_color(self, "color")
+        if self.checker is not None and self.kind in ("compound", "urdf"):
+            raise ConfigError(f"ShapeCfg.checker: a {self.kind} has none; give it to its parts")
         if self.parts == ():
             raise ConfigError("ShapeCfg.parts: a compound needs at least one part")
         if not 0.0 < self.scale < inf:
@@ -143,3 +180,11 @@ class FamilyCfg:
         for name, (low, high) in self.ranges.items():
             if not 0.0 <= low <= high < inf:
                 raise ConfigError(f"FamilyCfg {self.name!r}: {name} = {(low, high)!r} needs 0 <= low <= high < inf")
+
+
+def absolute_paths(shape: ShapeCfg, folder: Path) -> ShapeCfg:
+    """Return a shape whose files, also those of its parts, are found from anywhere; they stand relative to a folder."""
+    if shape.parts:
+        parts = tuple(replace(part, shape=absolute_paths(part.shape, folder)) for part in shape.parts)
+        return replace(shape, parts=parts)
+    return replace(shape, path=str(folder / shape.path)) if shape.path else shape

@@ -14,7 +14,8 @@ from functools import cache
 
 import warp as wp
 
-from aerial_gym.assets.geometry import BOX, CAPSULE, CYLINDER, MESH, PLANE
+from aerial_gym.sensors.shading import Light, seen_color
+from aerial_gym.sensors.surface import surface_at
 from aerial_gym.sensors.view import View, is_blocked
 
 MISS_ID = wp.constant(-2)
@@ -36,6 +37,7 @@ class Outputs:
     stereo: bool
     color: bool
     shadows: bool
+    lamps: bool
 
 
 @wp.struct
@@ -65,15 +67,6 @@ class Noise:
     dropout: wp.float32  # probability
     seed: wp.array[wp.int32]  # (1,)
     image: wp.array[wp.int32]  # (1,) how many images were taken
-
-
-@wp.struct
-class Light:
-    """What lights the surfaces."""
-
-    sun: wp.vec3  # unit direction to the sun, world
-    ambient: wp.float32  # share of the light that comes from the sky
-    sky: wp.vec3  # colour of a miss
 
 
 @wp.struct
@@ -119,70 +112,6 @@ def limit_of(limits: Limits, ray: wp.vec3) -> float:
     return wp.where(limits.projected, limits.max_range / ray[0], limits.max_range)
 
 
-@wp.struct
-class Surface:
-    """Where a ray meets a part."""
-
-    normal: wp.vec3  # unit, sensor frame, towards the sensor
-    face: (
-        wp.int32
-    )  # triangle of a mesh; box: 2 axis + (1 for the upper side); cylinder: 0 side, 1 bottom, 2 top; else 0
-
-
-@wp.func
-def surface_at(view: View, env: int, mount: int, part: int, ray: wp.vec3, distance: float) -> Surface:
-    """Return normal and face where a ray meets a part.
-
-    In the frame of the bounding box the surface is F(p) = 0 with p = A r + o; its normal in the frame of r is A^T grad F.
-    """
-    x = view.rows[mount, 3 * part]
-    y = view.rows[mount, 3 * part + 1]
-    z = view.rows[mount, 3 * part + 2]
-    a = wp.vec3(x[0], x[1], x[2])
-    b = wp.vec3(y[0], y[1], y[2])
-    c = wp.vec3(z[0], z[1], z[2])
-    seen = distance * ray
-    p = wp.vec3(wp.dot(a, seen) + x[3], wp.dot(b, seen) + y[3], wp.dot(c, seen) + z[3])
-    slope = p
-    face = wp.int32(0)
-    kind = view.kind[mount, part]
-    if kind == BOX:
-        size = wp.vec3(wp.abs(p[0]), wp.abs(p[1]), wp.abs(p[2]))
-        axis = wp.where(size[0] >= size[1], 0, 1)
-        if size[2] > size[axis]:
-            axis = 2
-        slope = wp.vec3(0.0, 0.0, 0.0)
-        slope[axis] = wp.sign(p[axis])
-        face = 2 * axis + wp.where(p[axis] > 0.0, 1, 0)
-    elif kind == CYLINDER:
-        shape = view.shapes[view.part_shape[env, part]]
-        beside = wp.abs(1.0 - wp.sqrt(p[0] * p[0] + p[1] * p[1])) * shape.half[0]
-        above = wp.abs(1.0 - wp.abs(p[2])) * shape.half[2]
-        slope = wp.vec3(p[0], p[1], 0.0)
-        if above < beside:
-            slope = wp.vec3(0.0, 0.0, wp.sign(p[2]))
-            face = wp.where(p[2] > 0.0, 2, 1)
-    elif kind == CAPSULE:
-        shape = view.shapes[view.part_shape[env, part]]
-        own = wp.cw_mul(p, shape.half)
-        along = wp.clamp(own[2], -shape.size[1], shape.size[1])
-        slope = wp.cw_mul(wp.vec3(own[0], own[1], own[2] - along), shape.half)
-    elif kind == PLANE:
-        slope = wp.vec3(0.0, 0.0, 1.0)
-    elif kind == MESH:
-        shape = view.shapes[view.part_shape[env, part]]
-        start = wp.cw_mul(wp.vec3(x[3], y[3], z[3]), shape.half) + shape.center
-        heading = wp.cw_mul(wp.vec3(wp.dot(a, ray), wp.dot(b, ray), wp.dot(c, ray)), shape.half)
-        query = wp.mesh_query_ray(shape.ray_mesh, start, heading, 1.001 * distance + 1.0e-4)
-        slope = wp.cw_mul(query.normal, shape.half)
-        face = query.face
-    normal = wp.normalize(slope[0] * a + slope[1] * b + slope[2] * c)
-    surface = Surface()
-    surface.normal = wp.where(wp.dot(normal, ray) > 0.0, -normal, normal)
-    surface.face = face
-    return surface
-
-
 SURFACE_SKIN = wp.constant(1.0e-4)
 """Share of a distance by which a point may lie behind what the second camera sees there: round-off of its surface."""
 
@@ -198,37 +127,12 @@ def second_camera_sees(view: View, limits: Limits, env: int, mount: int, point: 
     return not is_blocked(view, env, mount, start, to / distance, (1.0 - SURFACE_SKIN) * distance)
 
 
-SHADOW_LIFT = wp.constant(1.0e-3)
-"""Height above a surface from which the ray to the sun starts, per distance and at least in metres: it must not meet the
-surface itself."""
-
-
-@wp.func
-def sunlight(
-    view: View, env: int, mount: int, surface: Surface, point: wp.vec3, sun: wp.vec3, shadows: wp.bool
-) -> float:
-    """Return the share of the sun's light on a surface, ``max(n . s, 0)``, or 0 in shadow; all in the sensor's frame.
-
-    Source: Lambert (1760), Photometria: matt surfaces.
-    """
-    share = wp.max(wp.dot(surface.normal, sun), 0.0)
-    if shadows and share > 0.0:
-        start = point + SHADOW_LIFT * wp.max(wp.length(point), 1.0) * surface.normal
-        if is_blocked(view, env, mount, start, sun, FAR_AWAY):
-            return 0.0
-    return share
-
-
-FAR_AWAY = wp.constant(1.0e4)
-"""Distance [m] before which something on the way to the sun casts a shadow."""
-
-
 @cache
 def make_write_pixel(outputs: Outputs) -> wp.Function:
     """Return the function that writes a pixel of a sensor with these outputs."""
     has_noise, segments, faces, stereo = outputs.noise, outputs.segmentation, outputs.face_ids, outputs.stereo
     points, points_in_world = outputs.points is not None, outputs.points == "world"
-    colors, shadows = outputs.color, outputs.shadows
+    colors, shadows, lamps = outputs.color, outputs.shadows, outputs.lamps
     normals, normals_in_world = outputs.normals is not None, outputs.normals == "world"
 
     @wp.func
@@ -288,10 +192,21 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
             if hit >= 0:
                 surface = surface_at(view, env, mount, hit, ray, nearest)
                 if wp.static(colors):
-                    sun = wp.quat_rotate_inv(images.attitude[mount], light.sun)
-                    lit = sunlight(view, env, mount, surface, nearest * ray, sun, wp.static(shadows))
-                    bright = light.ambient + (1.0 - light.ambient) * lit
-                    color = bright * view.shapes[view.part_shape[env, hit]].color
+                    place = images.origin[mount]
+                    turn = images.attitude[mount]
+                    color = seen_color(
+                        view,
+                        light,
+                        env,
+                        mount,
+                        hit,
+                        surface,
+                        nearest * ray,
+                        place,
+                        turn,
+                        wp.static(shadows),
+                        wp.static(lamps),
+                    )
                 normal = surface.normal
                 face = surface.face
             if wp.static(normals_in_world):

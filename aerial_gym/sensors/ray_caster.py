@@ -12,6 +12,7 @@ Letters: E environments, S sensors of one kind, M = E * S mounts, H x W = N pixe
 from dataclasses import dataclass, fields
 from math import hypot, radians, tan
 
+import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
@@ -23,9 +24,10 @@ from aerial_gym.errors import ShapeError
 from aerial_gym.interop import launch_side_by_side, on_torch_stream, split
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.math.random import uniform
-from aerial_gym.sensors.pixels import MISS_ID, Images, Light, Limits, Noise, Outputs, locate
+from aerial_gym.sensors.pixels import MISS_ID, Images, Limits, Noise, Outputs, locate
 from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_kernel
 from aerial_gym.sensors.rays import ray_table
+from aerial_gym.sensors.shading import Light
 from aerial_gym.sensors.tiles import make_tiles
 from aerial_gym.sensors.view import View, look
 
@@ -198,9 +200,10 @@ class RayCaster:
             stereo=isinstance(cfg, StereoCfg),
             color=cfg.light is not None,
             shadows=cfg.light is not None and cfg.light.shadows,
+            lamps=cfg.light is not None and bool(scene.lamps),
         )
         images, due = self._make_images(scene), wp.from_torch(self.due)
-        inputs = [self._view, rays, _limits(cfg), self._make_noise(), _light(cfg), self.num_sensors, due, images]
+        inputs = [self._view, rays, _limits(cfg), self._make_noise(), _light(cfg, scene), self.num_sensors, due, images]
         mounts = self._view.kind.shape[0]
 
         def record(kernel: wp.Kernel, dim: int, *more: int) -> wp.Launch:
@@ -281,13 +284,20 @@ def _limits(cfg: RangeSensorCfg) -> Limits:
     return limits
 
 
-def _light(cfg: RangeSensorCfg) -> Light:
+def _light(cfg: RangeSensorCfg, scene: Scene) -> Light:
     light = Light()
-    if cfg.light is not None:
-        size = hypot(*cfg.light.sun)
-        light.sun = wp.vec3(*(part / size for part in cfg.light.sun))
-        light.ambient = cfg.light.ambient
-        light.sky = wp.vec3(*cfg.light.sky)
+    if cfg.light is None:
+        return light
+    sun, device = cfg.light.sun or (0.0, 0.0, 0.0), wp.device_from_torch(scene.device)
+    size = hypot(*sun) or 1.0
+    light.sun = wp.vec3(*(part / size for part in sun))
+    light.ambient = cfg.light.ambient
+    light.sky = wp.vec3(*cfg.light.sky)
+    position = [lamp.position for lamp in scene.lamps]
+    power = [tuple(lamp.intensity * part for part in lamp.color) for lamp in scene.lamps]
+    light.lamp_position = wp.array(np.array(position).reshape(-1, 3), dtype=wp.vec3, device=device)
+    light.lamp_power = wp.array(np.array(power).reshape(-1, 3), dtype=wp.vec3, device=device)
+    light.looks = scene.shape_table.looks
     return light
 
 

@@ -12,7 +12,8 @@ from functools import cache
 import warp as wp
 
 from aerial_gym.assets.geometry import MESH
-from aerial_gym.sensors.pixels import Images, Light, Limits, Noise, Outputs, limit_of, make_write_pixel
+from aerial_gym.sensors.pixels import Images, Limits, Noise, Outputs, limit_of, make_write_pixel
+from aerial_gym.sensors.shading import Light
 from aerial_gym.sensors.view import View, ballot, entry_of, least_lane, lowest_bit, trace
 
 

@@ -1,0 +1,172 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""Colours: what a surface is painted with, and how much light it has from sky, sun and lamps.
+
+Only kernels that write a colour image contain any of this.
+Frames: a sensor looks along its own x. Letters: E environments, M mounts (sensors of all environments), L lamps.
+"""
+
+import warp as wp
+
+from aerial_gym.assets.looks import NOTHING, Looks, Texture
+from aerial_gym.sensors.surface import Surface
+from aerial_gym.sensors.view import View, is_blocked
+
+
+@wp.struct
+class Light:
+    """What lights the surfaces, and how they look."""
+
+    sun: wp.vec3  # unit direction to the sun, world; 0 without a sun
+    ambient: wp.float32  # share of the light that comes from the sky
+    sky: wp.vec3  # colour of a miss
+    lamp_position: wp.array[wp.vec3]  # (L,) world [m]
+    lamp_power: wp.array[wp.vec3]  # (L,) brightness of a white surface that faces it, times squared distance [m²]
+    looks: Looks
+
+
+SHADOW_LIFT = wp.constant(1.0e-3)
+"""Height above a surface from which the ray to a light starts, per distance and at least in metres: it must not meet the
+surface itself."""
+
+FAR_AWAY = wp.constant(1.0e4)
+"""Distance [m] before which something on the way to the sun casts a shadow."""
+
+NEAREST = wp.constant(1.0e-6)
+"""Least squared distance [m²] at which a lamp shines on a surface: 1 mm, so that a lamp on a surface stays finite."""
+
+DEPTH_OF_FIELDS = wp.constant(0.01)
+"""How far below the surface a checkerboard is looked up, per field: a face between two layers of cubes shows one of them."""
+
+
+@wp.func
+def lift_off(surface: Surface, point: wp.vec3) -> wp.vec3:
+    """Return where a ray to a light starts, in the sensor's frame."""
+    return point + SHADOW_LIFT * wp.max(wp.length(point), 1.0) * surface.normal
+
+
+@wp.func
+def sunlight(
+    view: View, env: int, mount: int, surface: Surface, point: wp.vec3, sun: wp.vec3, shadows: wp.bool
+) -> float:
+    """Return the share of the sun's light on a surface, ``max(n . s, 0)``, or 0 in shadow; all in the sensor's frame.
+
+    Source: Lambert (1760), Photometria: matt surfaces.
+    """
+    share = wp.max(wp.dot(surface.normal, sun), 0.0)
+    if shadows and share > 0.0:
+        start = lift_off(surface, point)
+        if is_blocked(view, env, mount, start, sun, FAR_AWAY):
+            return 0.0
+    return share
+
+
+@wp.func
+def lamplight(
+    view: View, env: int, mount: int, surface: Surface, point: wp.vec3, lamp: wp.vec3, shadows: wp.bool
+) -> float:
+    """Return ``max(n . l, 0) / r²`` of a lamp at distance r in direction l [1/m²], or 0 if something stands before it.
+
+    Point and lamp [m] are in the sensor's frame.
+
+    Source: Lambert (1760), Photometria: matt surfaces and the square of the distance.
+    """
+    to = lamp - point
+    square = wp.max(wp.dot(to, to), NEAREST)
+    share = wp.max(wp.dot(surface.normal, to) / wp.sqrt(square), 0.0) / square
+    if shadows and share > 0.0:
+        start = lift_off(surface, point)
+        way = lamp - start
+        distance = wp.length(way)
+        if is_blocked(view, env, mount, start, wp.normalize(way), distance):
+            return 0.0
+    return share
+
+
+@wp.func
+def texel(looks: Looks, texture: Texture, column: int, row: int) -> wp.vec3:
+    """Return the colour of a pixel of an image that goes on without end in both directions."""
+    x = column - texture.width * int(wp.floor(float(column) / float(texture.width)))
+    y = row - texture.height * int(wp.floor(float(row) / float(texture.height)))
+    x = wp.clamp(x, 0, texture.width - 1)
+    y = wp.clamp(y, 0, texture.height - 1)
+    found = looks.texels[texture.first + y * texture.width + x]
+    return wp.vec3(float(found[0]), float(found[1]), float(found[2])) / 255.0
+
+
+@wp.func
+def texture_color(looks: Looks, texture: Texture, uv: wp.vec2) -> wp.vec3:
+    """Return the colour of an image at (u, v), linear between the middles of its pixels; the image repeats."""
+    u = uv[0] - wp.floor(uv[0])
+    v = uv[1] - wp.floor(uv[1])
+    x = u * float(texture.width) - 0.5
+    y = (1.0 - v) * float(texture.height) - 0.5
+    column = wp.floor(x)
+    row = wp.floor(y)
+    right = x - column
+    down = y - row
+    i = int(column)
+    j = int(row)
+    above = (1.0 - right) * texel(looks, texture, i, j) + right * texel(looks, texture, i + 1, j)
+    below = (1.0 - right) * texel(looks, texture, i, j + 1) + right * texel(looks, texture, i + 1, j + 1)
+    return (1.0 - down) * above + down * below
+
+
+@wp.func
+def paint(view: View, looks: Looks, env: int, part: int, surface: Surface) -> wp.vec3:
+    """Return the colour of a surface in white light."""
+    row = view.part_shape[env, part]
+    look = looks.shape[row]
+    color = look.color
+    if look.first_face != NOTHING and surface.face >= 0:
+        face = look.first_face + surface.face
+        w = 1.0 - surface.u - surface.v
+        a = 3 * face
+        color = (
+            surface.u * looks.corner_color[a] + surface.v * looks.corner_color[a + 1] + w * looks.corner_color[a + 2]
+        )
+        image = looks.face_texture[face]
+        if image != NOTHING:
+            uv = surface.u * looks.corner_uv[a] + surface.v * looks.corner_uv[a + 1] + w * looks.corner_uv[a + 2]
+            color = wp.cw_mul(color, texture_color(looks, looks.textures[image], uv))
+    if look.checker_size > 0.0:
+        shape = view.shapes[row]
+        outward = wp.normalize(wp.cw_div(surface.slope, shape.half))
+        own = wp.cw_mul(surface.place, shape.half) + shape.center - DEPTH_OF_FIELDS * look.checker_size * outward
+        fields = wp.floor(own[0] / look.checker_size) + wp.floor(own[1] / look.checker_size)
+        fields += wp.floor(own[2] / look.checker_size)
+        if int(fields) & 1:
+            color = look.checker_color
+    return color
+
+
+@wp.func
+def seen_color(
+    view: View,
+    light: Light,
+    env: int,
+    mount: int,
+    part: int,
+    surface: Surface,
+    point: wp.vec3,
+    place: wp.vec3,
+    turn: wp.quat,
+    shadows: wp.bool,
+    lamps: wp.bool,
+) -> wp.vec3:
+    """Return the colour of a pixel, no channel above 1.
+
+    The point is in the sensor's frame [m]; ``place`` and ``turn`` are where the sensor is, world.
+    """
+    sun = wp.quat_rotate_inv(turn, light.sun)
+    lit = sunlight(view, env, mount, surface, point, sun, shadows)
+    bright = light.ambient + (1.0 - light.ambient) * lit
+    power = wp.vec3(bright, bright, bright)
+    if lamps:
+        for k in range(light.lamp_position.shape[0]):
+            lamp = wp.quat_rotate_inv(turn, light.lamp_position[k] - place)
+            power += lamplight(view, env, mount, surface, point, lamp, shadows) * light.lamp_power[k]
+    color = wp.cw_mul(power, paint(view, light.looks, env, part, surface))
+    return wp.min(color, wp.vec3(1.0, 1.0, 1.0))
