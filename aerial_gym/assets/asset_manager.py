@@ -3,6 +3,8 @@
 Frames: world of each environment, z up. Letters: E environments, A instances.
 """
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -14,7 +16,7 @@ from aerial_gym.assets.obstacles import view_obstacles
 from aerial_gym.assets.placement import Placement, draw_kinds
 from aerial_gym.assets.scene import PARKED_Z, Scene
 from aerial_gym.assets.views import check_tensor
-from aerial_gym.config.environment import FIRST_INSTANCE_ID, EnvironmentCfg
+from aerial_gym.config.environment import FIRST_INSTANCE_ID, EnvironmentCfg, PartCfg
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 
@@ -39,6 +41,8 @@ class AssetManager:
         bounds_max: Tensor,
         asset_state: Tensor | None = None,
         robot_radius: float = 0.0,
+        robot_parts: Sequence[PartCfg] = (),
+        robot_state: Tensor | None = None,
     ) -> None:
         """Draw which obstacles each environment has, build the scene and park everything until the first reset.
 
@@ -52,6 +56,8 @@ class AssetManager:
             bounds_max: Upper corner [m], world, (E, 3).
             asset_state: Memory for the obstacle states, float32, (E, A, 13); allocated if not given.
             robot_radius: How far the robot reaches from its origin [m]; ``cfg.clearance`` is counted from there.
+            robot_parts: What sensors see of the robot, in its body frame.
+            robot_state: Its states, float32, (E, 13); needed if anything of it is seen.
 
         Raises:
             ConfigError: If a mesh or URDF file cannot be used.
@@ -66,7 +72,7 @@ class AssetManager:
         self._declare(gtd, asset_state)
         asset, choice = draw_kinds(self._assets, num_envs=num_envs, generator=generator)
         self._rank = torch.arange(self.num_assets, device=self._device)
-        self.scene = self._build_scene(asset, choice)
+        self.scene = self._build_scene(asset, choice, robot_parts, robot_state)
         self._mask = torch.zeros(num_envs, dtype=torch.bool, device=self._device)
         self._seed = torch.zeros(1, dtype=torch.int32, device=self._device)
         self._episode = torch.zeros(num_envs, dtype=torch.int32, device=self._device)
@@ -205,7 +211,9 @@ class AssetManager:
             meaning = "ends of the path of obstacles with waypoints"
             self._waypoints = declare("obstacle_waypoints", (*rows, 2, 3), "m", meaning, None, real)
 
-    def _build_scene(self, asset: Tensor, choice: Tensor) -> Scene:
+    def _build_scene(
+        self, asset: Tensor, choice: Tensor, robot_parts: Sequence[PartCfg], robot_state: Tensor | None
+    ) -> Scene:
         assets, device = self._assets, self._device
         counts = torch.tensor([len(a.shapes) for a in assets], device=device, dtype=torch.int64)
         first = counts.cumsum(0) - counts
@@ -215,6 +223,9 @@ class AssetManager:
             shape_index=first[asset] + choice,
             semantic_id=torch.where(semantic >= 0, semantic, FIRST_INSTANCE_ID + self._rank),
             asset_state=self._state,
+            fixed=() if self.cfg.ground is None else (self.cfg.ground,),
+            robot=robot_parts,
+            robot_state=robot_state,
             lamps=self.cfg.lamps,
         )
 

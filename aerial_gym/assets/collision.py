@@ -76,6 +76,8 @@ class CollisionTest:
         check_tensor("crashes_out", crashes_out, envs, device=device, dtype=torch.bool)
         rows = torch.tensor([(*s.center, s.radius) for s in spheres], dtype=torch.float32, device=device).view(-1, 4)
         self._out = distance_out
+        self.has_solids = scene.num_solid > 0
+        """Whether there is anything to touch."""
         self._inputs = [
             scene.arrays,
             vector_view("position", position, (*envs, 3), device=device),

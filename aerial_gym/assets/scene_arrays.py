@@ -15,17 +15,24 @@ ABSENT_BELOW = wp.constant(-500.0)
 """Height [m] below which an instance is absent; half way to the parking place, so that drifting there does not matter."""
 
 
+WORLD, BODY = wp.constant(-1), wp.constant(-2)
+"""Carriers of parts that belong to no instance: the world itself, and the robot."""
+
+
 @wp.struct
 class SceneArrays:
     """What a kernel needs to know of a scene."""
 
     shapes: wp.array[Shape]
     part_shape: wp.array2d[wp.int32]  # (E, P) row of the shape table, -1 where there is no part
-    part_instance: wp.array2d[wp.int32]  # (E, P) which instance carries it
+    part_instance: wp.array2d[wp.int32]  # (E, P) which instance carries it, or WORLD or BODY
+    num_solid: wp.int32  # parts from there on are seen and not touched
     semantic_id: wp.array2d[wp.int32]  # (E, P)
     radius: wp.array2d[float]  # (E, P) of the bounding sphere about the part's origin [m]
     position: wp.array2d[wp.vec3]  # (E, A) world [m]
     attitude: wp.array2d[wp.quat]  # (E, A) instance to world, xyzw, unit
+    body_position: wp.array[wp.vec3]  # (E,) of the robot, world [m]
+    body_attitude: wp.array[wp.quat]  # (E,) robot to world, xyzw, unit; both empty where the robot is not seen
 
 
 @wp.func
@@ -33,14 +40,23 @@ def part_position(scene: SceneArrays, env: int, part: int) -> wp.vec3:
     """Return where the origin of a part is [m], world."""
     a = scene.part_instance[env, part]
     offset = scene.shapes[scene.part_shape[env, part]].position
+    if a == WORLD:
+        return offset
+    if a == BODY:
+        return scene.body_position[env] + wp.quat_rotate(scene.body_attitude[env], offset)
     return scene.position[env, a] + wp.quat_rotate(scene.attitude[env, a], offset)
 
 
 @wp.func
 def part_attitude(scene: SceneArrays, env: int, part: int) -> wp.quat:
     """Return how a part is turned, part to world."""
+    a = scene.part_instance[env, part]
     turn = scene.shapes[scene.part_shape[env, part]].attitude
-    return scene.attitude[env, scene.part_instance[env, part]] * turn
+    if a == WORLD:
+        return turn
+    if a == BODY:
+        return scene.body_attitude[env] * turn
+    return scene.attitude[env, a] * turn
 
 
 @wp.func
@@ -48,14 +64,17 @@ def part_is_present(scene: SceneArrays, env: int, part: int) -> wp.bool:
     """Return whether there is such a part and its instance is not parked."""
     if scene.part_shape[env, part] < 0:
         return False
-    return scene.position[env, scene.part_instance[env, part]][2] > ABSENT_BELOW
+    a = scene.part_instance[env, part]
+    if a < 0:
+        return True
+    return scene.position[env, a][2] > ABSENT_BELOW
 
 
 @wp.func
 def scene_distance(scene: SceneArrays, env: int, point: wp.vec3, limit: float) -> float:
-    """Return the signed distance of a world point to the nearest present part [m], or ``limit`` if that is smaller."""
+    """Return the signed distance of a world point to the nearest present solid part [m], or ``limit`` if that is smaller."""
     nearest = float(limit)
-    for part in range(scene.part_shape.shape[1]):
+    for part in range(scene.num_solid):
         if part_is_present(scene, env, part):
             offset = point - part_position(scene, env, part)
             if wp.length(offset) - scene.radius[env, part] < nearest:

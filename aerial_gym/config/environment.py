@@ -14,11 +14,13 @@ from aerial_gym.config.motion import AT_BOUNDS, MOTIONS, MotionCfg
 from aerial_gym.config.robot import Vec3, require_finite, require_ordered
 from aerial_gym.config.shape import (
     FIRST_INSTANCE_ID,
+    GROUND_ID,
     CheckerCfg,
     FamilyCfg,
     PartCfg,
     ShapeCfg,
     absolute_paths,
+    require_color,
 )
 from aerial_gym.errors import ConfigError
 
@@ -136,7 +138,17 @@ class EnvironmentCfg:
     It moves or parks obstacles whose place is drawn; those whose place is given, such as walls, stay."""
 
     ground_height: float | None = None
-    """Height of the ground [m], world, which counts as a crash when touched; none in open air."""
+    """Height of the ground [m], world; none in open air. Touching it is a crash, ``robot_clearance`` counts it, and every
+    sensor sees it as a plane without end. It is no asset: it has no row and is never moved."""
+
+    ground_semantic_id: int = GROUND_ID
+    """What segmentation shows for the ground, 0 to 99."""
+
+    ground_color: Vec3 = (0.42, 0.45, 0.36)
+    """Red, green, blue of the ground, each 0 to 1."""
+
+    ground_checker: CheckerCfg | None = None
+    """Fields of a second colour on the ground."""
 
     contact: ContactCfg | None = None
     """How ground and obstacles push the robot back, and which touch is then a crash; without it, nothing pushes and every
@@ -154,6 +166,11 @@ class EnvironmentCfg:
             require_finite(self, "ground_height")
         if self.contact is not None and self.ground_height is None and not self.assets:
             raise ConfigError("EnvironmentCfg.contact: there is nothing to touch. Give ground_height or assets")
+        require_color(self, "ground_color")
+        if not 0 <= self.ground_semantic_id < FIRST_INSTANCE_ID:
+            raise ConfigError(
+                f"EnvironmentCfg.ground_semantic_id = {self.ground_semantic_id!r}: must be 0 to {FIRST_INSTANCE_ID - 1}"
+            )
         if not 0.0 <= self.clearance < inf:
             raise ConfigError(f"EnvironmentCfg.clearance = {self.clearance!r}: must be >= 0 and finite")
         if self.physics_steps_per_env_step < 1:
@@ -177,6 +194,14 @@ class EnvironmentCfg:
     def moves(self) -> bool:
         """Whether any asset moves between resets."""
         return any(asset.motion.kind != "none" for asset in self.assets)
+
+    @property
+    def ground(self) -> PartCfg | None:
+        """The ground as a part of the world; None where there is none."""
+        if self.ground_height is None:
+            return None
+        plane = ShapeCfg(kind="plane", color=self.ground_color, checker=self.ground_checker)
+        return PartCfg(shape=plane, position=(0.0, 0.0, self.ground_height), semantic_id=self.ground_semantic_id)
 
     @property
     def num_assets(self) -> int:

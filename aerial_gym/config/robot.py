@@ -5,13 +5,33 @@ SI units throughout; rotor speeds in rad/s.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf, isfinite
+from pathlib import Path
 
 import numpy as np
 
 from aerial_gym.config.checks import Vec3, require_finite, require_ordered, require_positive
+from aerial_gym.config.loader import load
+from aerial_gym.config.shape import ROBOT_ID, PartCfg, ShapeCfg, absolute_paths
 from aerial_gym.errors import ConfigError
+
+__all__ = [
+    "BodyCfg",
+    "CollisionCfg",
+    "InitialStateCfg",
+    "MountCfg",
+    "MountsCfg",
+    "RandomizationCfg",
+    "RobotCfg",
+    "RotorCfg",
+    "SphereCfg",
+    "Vec3",
+    "load_robot",
+    "require_finite",
+    "require_ordered",
+    "require_positive",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,6 +269,15 @@ class RobotCfg:
     imu: str | None = None
     """Name of an IMU of ``config/imus``; its measurement stands in ``imu_measurement``."""
 
+    visible: bool = False
+    """Whether sensors see it: its own, and the shadow that it throws in their colour images. It is never part of the
+    collision test nor of the placement of obstacles."""
+
+    visual: tuple[PartCfg, ...] = ()
+    """What is seen of it: shapes in the body frame; its collision spheres if there is none. A ray that starts inside a
+    shape sees it from within, so sensors belong outside. Segmentation shows 0 unless a part has an id of its own.
+    ``load_robot`` takes mesh paths relative to the robot's own file."""
+
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Physical effects beyond rigid body and rotors: parameters by effect name (``aerial-gym list effects``)."""
 
@@ -260,8 +289,27 @@ class RobotCfg:
         """Number of rotors R."""
         return len(self.mounts.layout)
 
+    @property
+    def seen_parts(self) -> tuple[PartCfg, ...]:
+        """What sensors see of it, in the body frame; nothing unless it is visible."""
+        spheres = (
+            PartCfg(shape=ShapeCfg(kind="sphere", radius=sphere.radius), position=sphere.center)
+            for sphere in self.collision.spheres
+        )
+        parts = (self.visual or tuple(spheres)) if self.visible else ()
+        return tuple(replace(part, semantic_id=ROBOT_ID) if part.semantic_id is None else part for part in parts)
+
     def __post_init__(self) -> None:
+        if self.visible and not self.visual and not self.collision.spheres:
+            raise ConfigError("RobotCfg.visible: there is nothing to see. List shapes in visual, or collision spheres")
         for effect, params in self.effects.items():
             for name, value in params.items():
                 if not isfinite(value):
                     raise ConfigError(f"RobotCfg.effects.{effect}.{name} = {value!r}: must be finite")
+
+
+def load_robot(path: str | Path) -> RobotCfg:
+    """Return the robot in a YAML file; mesh paths of its visual shapes are taken relative to that file."""
+    cfg, folder = load(RobotCfg, path), Path(path).resolve().parent
+    parts = (replace(part, shape=absolute_paths(part.shape, folder)) for part in cfg.visual)
+    return replace(cfg, visual=tuple(parts))

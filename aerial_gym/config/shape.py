@@ -14,6 +14,12 @@ from aerial_gym.errors import ConfigError
 FIRST_INSTANCE_ID = 100
 """Instance ids start here, so that the semantic ids 0 to 99 never meet one. Source: parity with Aerial Gym (3.5)."""
 
+ROBOT_ID = 0
+"""What segmentation shows for a robot that can be seen. Source: parity with Aerial Gym (3.5)."""
+
+GROUND_ID = 15
+"""What segmentation shows for the ground: the first id after those of the walls, 9 to 14 (parity 2.2)."""
+
 _FIELDS_OF_KIND = {
     "box": ("size",),
     "sphere": ("radius",),

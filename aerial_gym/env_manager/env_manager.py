@@ -59,6 +59,8 @@ class EnvManager:
             bounds_max=bounds[1],
             asset_state=root[:, 1:],
             robot_radius=max((hypot(*s.center) + s.radius for s in robot.collision.spheres), default=0.0),
+            robot_parts=robot.seen_parts,
+            robot_state=root[:, 0],
         )
         self.robot_manager = RobotManager(
             robot, sim, self.gtd, root_state=root[:, 0], bounds=bounds, generator=self.generator, seed=seed
@@ -108,7 +110,7 @@ class EnvManager:
             declare(TensorSpec(key=key, shape=("E", 3), unit="m", frame="world", owner="env", meaning=meaning))
         declare(TensorSpec(
             key="robot_clearance", shape=("E",), unit="m", frame="-", owner="env",
-            meaning="signed distance of the robot's collision spheres to the scene; inf where there is nothing",
+            meaning="signed distance of the robot's collision spheres to obstacles and ground; inf where there is nothing",
         ))  # fmt: skip
         for key, dtype, meaning in (
             (
@@ -166,10 +168,15 @@ class EnvManager:
         gtd["sim_steps"].add_(1)
 
     def _advance(self) -> None:
-        """Advance the physics; where there are obstacles, move them and look for contact after every physics step."""
+        """Advance the physics; where there are obstacles, move them and look for contact after every physics step.
+
+        The physics itself looks for contact with the ground after every step of its own; without obstacles that is all.
+        """
         steps = self.cfg.physics_steps_per_env_step
         if self.cfg.num_assets == 0:
             self.robot_manager.advance(steps)
+            if self._collision.has_solids:
+                self._collision.measure()
             return
         for _ in range(steps):
             self.robot_manager.advance(1)
@@ -201,7 +208,7 @@ class EnvManager:
         self.sensor_manager.reset(mask)
         if self._imu is not None:
             self._imu.reset(mask)
-        if self.cfg.num_assets:
+        if self._collision.has_solids:
             self._collision.measure()
         for key in ("crashes", "truncations", "sim_steps"):
             self.gtd[key].masked_fill_(mask, 0)

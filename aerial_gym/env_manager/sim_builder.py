@@ -5,9 +5,8 @@ from pathlib import Path
 import torch
 
 from aerial_gym.assets import ENVIRONMENTS
-from aerial_gym.config import load
 from aerial_gym.config.environment import EnvironmentCfg, load_environment
-from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.robot import RobotCfg, load_robot
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager.catalog import SIMS
 from aerial_gym.env_manager.env_manager import EnvManager
@@ -19,7 +18,7 @@ from aerial_gym.robots import ROBOTS
 def robot_by_name(name: str | Path) -> RobotCfg:
     """Return a registered robot, or the one in a robot file if ``name`` ends in ``.yaml``."""
     if str(name).endswith((".yaml", ".yml")):
-        return load(RobotCfg, name)
+        return load_robot(name)
     return ROBOTS.get(str(name))
 
 

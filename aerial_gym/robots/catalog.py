@@ -2,14 +2,14 @@
 
 from dataclasses import replace
 
-from aerial_gym.config import CONFIG_DIR, load
-from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config import CONFIG_DIR
+from aerial_gym.config.robot import RobotCfg, load_robot
 from aerial_gym.registry import Registry
 
 ROBOTS: Registry[RobotCfg] = Registry("robot")
 
 _FOLDER = CONFIG_DIR / "robots"
-_BASE = load(RobotCfg, _FOLDER / "base_quadrotor.yaml")
+_BASE = load_robot(_FOLDER / "base_quadrotor.yaml")
 
 ROBOTS.register("base_quadrotor", _BASE)
 ROBOTS.register(
@@ -46,4 +46,4 @@ ROBOTS.register(
     ),
 )
 for _name in ("tinyprop", "crazyflie_21_brushless"):
-    ROBOTS.register(_name, load(RobotCfg, _FOLDER / f"{_name}.yaml"))
+    ROBOTS.register(_name, load_robot(_FOLDER / f"{_name}.yaml"))
