@@ -1,8 +1,13 @@
 """``aerial-gym render-gallery``: a page with the pictures that were asked for."""
 
+import base64
+import re
+from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from aerial_gym.cli.main import main
 
@@ -25,3 +30,20 @@ def test_an_unknown_sensor_is_refused_before_anything_is_written(
     assert main(["render-gallery", "--out", str(out), "--sensors", "base_lida"]) == 2
     assert "Did you mean 'base_lidar'?" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_the_colour_camera_shows_obstacles_of_different_colours(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The walls, panels and boxes of a hall with lamps: no colour fills half of the picture, and there are many of them."""
+    out = str(tmp_path / "gallery")
+    command = ["render-gallery", "--out", out, "--environments", "env_with_obstacles", "--sensors", "base_rgb_camera"]
+    assert main(command) == 0
+    page = Path(capsys.readouterr().out.strip()).read_text(encoding="utf-8")
+    pictures = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
+    assert len(pictures) == 3
+    colors = np.asarray(Image.open(BytesIO(base64.b64decode(pictures[2])))).reshape(-1, 3)
+    hue, count = np.unique(colors // 32, axis=0, return_counts=True)
+    assert len(hue) > 20
+    assert count.max() < 0.5 * len(colors)
+    assert (np.ptp(colors.astype(int), axis=1) > 40).mean() > 0.05

@@ -270,3 +270,9 @@ def test_the_ground_has_the_color_and_the_fields_of_its_configuration() -> None:
     assert ground is not None
     assert (ground.shape.color, ground.shape.checker, ground.position[2]) == ((0.1, 0.2, 0.3), board, 1.5)
     assert OPEN_AIR.ground is None
+
+
+def test_the_lamps_of_a_hall_are_those_of_its_scene(device) -> None:
+    env = ENVIRONMENTS.get("env_with_obstacles")
+    assert len(env.lamps) == 2
+    assert build(BASE, env, device).asset_manager.scene.lamps == env.lamps

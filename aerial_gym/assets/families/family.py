@@ -6,12 +6,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from aerial_gym.config.environment import FIRST_INSTANCE_ID, FamilyCfg, PartCfg, ShapeCfg
+from aerial_gym.config.robot import Vec3
 from aerial_gym.errors import ConfigError
 
 Range = tuple[float, float]
 
 WALL_IDS = {"front": 9, "back": 10, "left": 11, "right": 12, "bottom": 13, "top": 14}
 """What segmentation shows for the faces of rooms and corridors. Source: parity 2.2."""
+
+WALL_COLORS: dict[int, Vec3] = {
+    WALL_IDS["front"]: (0.72, 0.74, 0.78),
+    WALL_IDS["back"]: (0.64, 0.66, 0.70),
+    WALL_IDS["left"]: (0.74, 0.70, 0.64),
+    WALL_IDS["right"]: (0.66, 0.70, 0.66),
+    WALL_IDS["bottom"]: (0.46, 0.44, 0.42),
+    WALL_IDS["top"]: (0.86, 0.86, 0.84),
+}
+"""What they look like, as the walls of the registered environments. Plain choices."""
 
 assert max(WALL_IDS.values()) < FIRST_INSTANCE_ID
 
@@ -69,4 +80,5 @@ class Family:
 
 def box(size: tuple[float, float, float], at: tuple[float, float, float], semantic_id: int | None = None) -> PartCfg:
     """Return a box as a part; edge lengths and place of its centre [m]."""
-    return PartCfg(shape=ShapeCfg(kind="box", size=size), position=at, semantic_id=semantic_id)
+    color = None if semantic_id is None else WALL_COLORS.get(semantic_id)
+    return PartCfg(shape=ShapeCfg(kind="box", size=size, color=color), position=at, semantic_id=semantic_id)

@@ -5,6 +5,9 @@ from math import cos, pi, sin
 from aerial_gym.assets.families.family import Draw, Family
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 
+TRUNK, BRANCH = (0.40, 0.28, 0.18), (0.30, 0.46, 0.22)
+"""Colours of a trunk and of what grows on it. Plain choices: bark and leaves."""
+
 
 def _branch(draw: Draw, tree_height: float) -> PartCfg:
     """Return a branch: it leaves the trunk somewhere above its lowest third, in any direction, and rises."""
@@ -12,7 +15,7 @@ def _branch(draw: Draw, tree_height: float) -> PartCfg:
     length, tilt, heading = draw("branch_length"), 0.5 * pi - draw("rise"), draw.between(-pi, pi)
     middle = 0.5 * length
     return PartCfg(
-        shape=ShapeCfg(kind="cylinder", radius=draw("branch_radius"), height=length),
+        shape=ShapeCfg(kind="cylinder", radius=draw("branch_radius"), height=length, color=BRANCH),
         position=(middle * sin(tilt) * cos(heading), middle * sin(tilt) * sin(heading), foot + middle * cos(tilt)),
         euler=(0.0, tilt, heading),
     )
@@ -20,7 +23,7 @@ def _branch(draw: Draw, tree_height: float) -> PartCfg:
 
 def _make(draw: Draw) -> ShapeCfg:
     height = draw("height")
-    trunk = ShapeCfg(kind="cylinder", radius=draw("trunk_radius"), height=height)
+    trunk = ShapeCfg(kind="cylinder", radius=draw("trunk_radius"), height=height, color=TRUNK)
     branches = tuple(_branch(draw, height) for _ in range(draw.count("branches")))
     return ShapeCfg(kind="compound", parts=(PartCfg(shape=trunk, position=(0.0, 0.0, 0.5 * height)), *branches))
 
