@@ -81,6 +81,7 @@ def _pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
     import torch
 
     from aerial_gym.config.sensor import StereoCfg
+    from aerial_gym.math.quaternion import quat_rotate
     from aerial_gym.sensors import RayCaster, SensorImages
 
     shape = (1, cfg.count, cfg.height, cfg.width)
@@ -96,6 +97,7 @@ def _pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
         face_ids=image(dtype=torch.int32) if cfg.face_ids else None,
         color=image(3) if cfg.light else None,
         disparity=image() if isinstance(cfg, StereoCfg) else None,
+        optical_flow=image(2) if cfg.optical_flow else None,
     )
     caster = RayCaster(
         cfg,
@@ -103,6 +105,8 @@ def _pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
         images,
         position=env.gtd["robot_position"],
         attitude=env.gtd["robot_orientation"],
+        lin_vel=quat_rotate(env.gtd["robot_orientation"], torch.tensor([[1.0, 0.0, 0.0]], device=env.device)),
+        ang_vel=torch.zeros(1, 3, device=env.device),
         generator=env.generator,
     )
     caster.reset(torch.ones(1, dtype=torch.bool, device=env.device))
@@ -122,6 +126,8 @@ def _pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
     if images.disparity is not None:
         shift = first(images.disparity)
         found.append({"title": "disparity", "url": _colored(1.0 - shift / max(float(shift.max()), 1e-6))})
+    if images.optical_flow is not None:
+        found.append({"title": "optical flow at 1 m/s ahead", "url": _directed(first(images.optical_flow))})
     if images.color is not None:
         found.append({"title": "colour", "url": _png(first(images.color))})
     if images.points is not None:
@@ -139,6 +145,20 @@ def _colored(share: "np.ndarray") -> str:
     colors = colormaps["viridis_r"](np.nan_to_num(np.clip(share, 0.0, 1.0)))[..., :3]
     colors[np.isnan(share)] = 0.85
     return _png(colors)
+
+
+def _directed(flow: "np.ndarray") -> str:
+    """Return vectors in the hue of their direction (right is red, down is yellow-green), the fuller the longer; 0 is white.
+
+    What only one pixel in a hundred exceeds has the full colour.
+    """
+    import numpy as np
+    from matplotlib.colors import hsv_to_rgb
+
+    length = np.hypot(flow[..., 0], flow[..., 1])
+    hue = np.mod(np.arctan2(flow[..., 1], flow[..., 0]) / (2.0 * np.pi), 1.0)
+    full = np.clip(length / max(float(np.quantile(length, 0.99)), 1e-6), 0.0, 1.0)
+    return _png(hsv_to_rgb(np.stack((hue, full, np.ones_like(hue)), axis=-1)))
 
 
 def _numbered(ids: "np.ndarray") -> str:

@@ -31,6 +31,11 @@ class CameraCfg(RangeSensorCfg):
                 "A fisheye camera sees more"
             )
 
+    @property
+    def has_image_plane(self) -> bool:
+        """A lens projects points onto an image."""
+        return True
+
 
 @dataclass(frozen=True, kw_only=True)
 class StereoCfg(CameraCfg):
@@ -75,3 +80,8 @@ class FisheyeCfg(RangeSensorCfg):
                 f"FisheyeCfg.hfov_deg = {self.hfov_deg!r}: the corner of {self.width} x {self.height} pixels would look "
                 f"{radius * self.hfov_deg:.1f} degrees off the axis; hfov_deg must be less than {180.0 / radius:.1f}"
             )
+
+    @property
+    def has_image_plane(self) -> bool:
+        """A lens projects points onto an image."""
+        return True

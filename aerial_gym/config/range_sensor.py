@@ -130,6 +130,10 @@ class RangeSensorCfg:
     face_ids: bool = False
     """Whether it also writes which face of its shape each pixel sees."""
 
+    optical_flow: bool = False
+    """Whether a camera also writes how fast the image of what each pixel sees moves [pixel/s]: right, down. Sensors without an
+    image plane refuse it."""
+
     light: LightCfg | None = None
     """Light by which it also writes a colour image; None writes none."""
 
@@ -187,6 +191,11 @@ class RangeSensorCfg:
         _check_timing(self)
 
     @property
+    def has_image_plane(self) -> bool:
+        """Whether the model projects points onto an image, which optical flow needs."""
+        return False
+
+    @property
     def active_noise(self) -> NoiseCfg | None:
         """The noise to apply: None if there is none or it is switched off."""
         return self.noise if self.noise_enabled else None
@@ -236,6 +245,10 @@ def _check_outputs(cfg: RangeSensorCfg) -> None:
     for name in ("points", "normals"):
         if getattr(cfg, name) not in (None, *FRAMES):
             raise ConfigError(f"{_of(cfg, name)}: must be one of {', '.join(FRAMES)}, or None for no such image")
+    if cfg.optical_flow and not cfg.has_image_plane:
+        raise ConfigError(
+            f"{_of(cfg, 'optical_flow')}: a {cfg.model} has no image plane; a pinhole, stereo or fisheye camera has one"
+        )
     if not _is_count(cfg.count):
         raise ConfigError(f"{_of(cfg, 'count')}: must be at least 1 sensor, and whole")
 

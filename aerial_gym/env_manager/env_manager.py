@@ -78,6 +78,8 @@ class EnvManager:
             scene,
             position=pose["position"],
             attitude=pose["attitude"],
+            lin_vel=self.gtd["robot_linvel"],
+            ang_vel=self.gtd["robot_body_angvel"],
             num_envs=num_envs,
             device=device,
             dt=self.dt,

@@ -11,6 +11,7 @@ for _name in (
     "depth_camera_64",
     "base_rgb_camera",
     "base_normal_face_id_camera",
+    "base_optical_flow_camera",
     "rs_d455",
     "intel_realsense_d455",
     "luxonis_oak_d",

@@ -14,6 +14,7 @@ from functools import cache
 
 import warp as wp
 
+from aerial_gym.sensors.flow import Flow, flow_of
 from aerial_gym.sensors.shading import Light, seen_color
 from aerial_gym.sensors.surface import surface_at
 from aerial_gym.sensors.view import View, is_blocked
@@ -38,6 +39,7 @@ class Outputs:
     color: bool
     shadows: bool
     lamps: bool
+    flow: bool
 
 
 @wp.struct
@@ -83,6 +85,7 @@ class Images:
     semantic_id: wp.array2d[wp.int32]  # (E, P) of the scene
     origin: wp.array[wp.vec3]  # (M,) of the sensor, world [m]
     attitude: wp.array[wp.quat]  # (M,) sensor to world
+    flow: Flow
 
 
 @wp.kernel(enable_backward=False)
@@ -134,6 +137,7 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
     points, points_in_world = outputs.points is not None, outputs.points == "world"
     colors, shadows, lamps = outputs.color, outputs.shadows, outputs.lamps
     normals, normals_in_world = outputs.normals is not None, outputs.normals == "world"
+    flows = outputs.flow
 
     @wp.func
     def write_pixel(
@@ -177,6 +181,8 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
             if hit >= 0:
                 seen = images.semantic_id[env, hit]
             images.segmentation[mount, pixel] = seen
+        if wp.static(flows):
+            images.flow.image[mount, pixel] = flow_of(images.flow, env, mount, pixel, ray, nearest, hit)
         valid = hit >= 0 and not dropped and measured >= limits.min_range and measured <= limits.max_range
         if wp.static(stereo):
             images.disparity[mount, pixel] = wp.where(valid, limits.focal_baseline * along / (measured * ray[0]), 0.0)

@@ -20,10 +20,11 @@ from torch import Tensor
 from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.sensor import RangeSensorCfg, StereoCfg
-from aerial_gym.errors import ShapeError
+from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.interop import launch_side_by_side, on_torch_stream, split
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.math.random import uniform
+from aerial_gym.sensors.flow import Flow, make_flow, record_motion
 from aerial_gym.sensors.pixels import MISS_ID, Images, Limits, Noise, Outputs, locate
 from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_kernel
 from aerial_gym.sensors.rays import ray_table
@@ -68,6 +69,10 @@ class SensorImages:
     """Of a stereo camera: by how many pixels the second image is shifted, ``f |b| / z``; 0 where a pixel is invalid, float32,
     (E, S, H, W)."""
 
+    optical_flow: Tensor | None = None
+    """Velocity of the image of what each pixel sees: right, down [pixel/s], of the true hit whatever noise and limits make of
+    its distance; a miss is at infinity, and flows only as the sensor turns. float32, (E, S, H, W, 2)."""
+
     def check(self, cfg: RangeSensorCfg, num_envs: int, device: torch.device) -> None:
         """Raise ``ShapeError`` unless exactly the images that ``cfg`` asks for are here, and fit."""
         shape = (num_envs, cfg.count, cfg.height, cfg.width)
@@ -79,6 +84,7 @@ class SensorImages:
             "face_ids": cfg.face_ids,
             "color": cfg.light is not None,
             "disparity": isinstance(cfg, StereoCfg),
+            "optical_flow": cfg.optical_flow,
         }
         for name, wanted in asked.items():
             image = getattr(self, name)
@@ -88,6 +94,7 @@ class SensorImages:
                 continue
             dtype = torch.int32 if name in ("segmentation", "face_ids") else torch.float32
             full = (*shape, 3) if name in ("points", "normals", "color") else shape
+            full = (*shape, 2) if name == "optical_flow" else full
             check_tensor(name, image, full, device=device, dtype=dtype)
             if not image.is_contiguous():
                 raise ShapeError(f"{name} has stride {image.stride()}: images must be contiguous")
@@ -104,6 +111,8 @@ class RayCaster:
         *,
         position: Tensor,
         attitude: Tensor,
+        lin_vel: Tensor | None = None,
+        ang_vel: Tensor | None = None,
         generator: torch.Generator | None = None,
         seed: int = 0,
     ) -> None:
@@ -115,11 +124,14 @@ class RayCaster:
             images: What it writes.
             position: Body origin [m], world, (E, 3); may be strided, but for the last axis.
             attitude: Body to world, xyzw, unit, (E, 4); likewise.
+            lin_vel: Velocity of the body's origin [m/s], world, (E, 3); likewise. Needed for optical flow.
+            ang_vel: Angular velocity of the body [rad/s], body frame, (E, 3); likewise.
             generator: Source of placements drawn at reset, on the device of the scene; needed only by sensors that draw.
             seed: Of the noise, which is drawn in the kernel from this, the number of the image and the pixel.
 
         Raises:
             ShapeError: If a tensor does not fit sensor and scene.
+            ConfigError: If the sensor needs the velocities of the body, and they are not given.
         """
         envs, device = scene.num_envs, scene.device
         images.check(cfg, envs, device)
@@ -138,8 +150,13 @@ class RayCaster:
             vector_view("mount_position", self.mount_position, (*mounts, 3), device=device),
             vector_view("mount_attitude", self.mount_attitude, (*mounts, 4), device=device),
         ]
+        twist = _twist_views(cfg, lin_vel, ang_vel, envs, device)
         self._view = _make_view(scene, envs * cfg.count)
         self._prepare = self._record_preparations(scene, pose)
+        self._flow = Flow()
+        if images.optical_flow is not None:
+            self._flow = make_flow(cfg, scene, images.optical_flow)
+            self._prepare.append(record_motion(self._flow, scene, pose, twist))
         self._launches = self._record_rays(scene)
 
     def _place_mounts(self, envs: int) -> None:
@@ -201,6 +218,7 @@ class RayCaster:
             color=cfg.light is not None,
             shadows=cfg.light is not None and cfg.light.shadows,
             lamps=cfg.light is not None and bool(scene.lamps),
+            flow=cfg.optical_flow,
         )
         images, due = self._make_images(scene), wp.from_torch(self.due)
         inputs = [self._view, rays, _limits(cfg), self._make_noise(), _light(cfg, scene), self.num_sensors, due, images]
@@ -234,6 +252,7 @@ class RayCaster:
         images.face, images.semantic_id = view(given.face_ids, wp.int32), scene.arrays.semantic_id
         images.color, images.disparity = view(given.color, wp.vec3), view(given.disparity, wp.float32)
         images.origin, images.attitude = self._origin, self._attitude
+        images.flow = self._flow
         return images
 
     def _make_noise(self) -> Noise:
@@ -269,6 +288,18 @@ class RayCaster:
         """Begin the noise of a seed anew."""
         self._seed.fill_(seed % 2**31)
         self._image_number.zero_()
+
+
+def _twist_views(
+    cfg: RangeSensorCfg, lin_vel: Tensor | None, ang_vel: Tensor | None, envs: int, device: torch.device
+) -> list[wp.array]:
+    """Return views of the velocities that a sensor needs, none if it needs none."""
+    if not cfg.optical_flow:
+        return []
+    if lin_vel is None or ang_vel is None:
+        raise ConfigError(f"{type(cfg).__name__}.optical_flow needs lin_vel and ang_vel, the velocities of the body")
+    velocities = {"lin_vel": lin_vel, "ang_vel": ang_vel}
+    return [vector_view(name, given, (envs, 3), device=device) for name, given in velocities.items()]
 
 
 def _limits(cfg: RangeSensorCfg) -> Limits:

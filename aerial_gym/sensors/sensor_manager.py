@@ -33,6 +33,8 @@ class SensorManager:
         *,
         position: Tensor,
         attitude: Tensor,
+        lin_vel: Tensor | None = None,
+        ang_vel: Tensor | None = None,
         num_envs: int,
         device: torch.device,
         dt: float | None = None,
@@ -45,10 +47,12 @@ class SensorManager:
             cfgs: Sensors by name, in order.
             gtd: Receives ``depth_range_pixels`` (E, S, H, W) and, as far as a sensor has them, ``segmentation_pixels``,
                 ``face_id_pixels``, ``disparity_pixels``, and ``point_cloud_pixels``, ``normal_pixels``, ``rgb_pixels``
-                (E, S, H, W, 3); for further sensors with ``<name>_`` in front.
+                (E, S, H, W, 3), ``optical_flow_pixels`` (E, S, H, W, 2); for further sensors with ``<name>_`` in front.
             scene: What they see.
             position: Body origin [m], world, (E, 3), strided or not; read at every capture.
             attitude: Body to world, xyzw, unit, (E, 4), likewise.
+            lin_vel: Velocity of the body's origin [m/s], world, (E, 3), likewise; needed by sensors with optical flow.
+            ang_vel: Angular velocity of the body [rad/s], body frame, (E, 3), likewise.
             num_envs: Number of environments E.
             device: Where the tensors are.
             dt: Time between two captures [s]; needed by sensors with a rate or a latency.
@@ -83,6 +87,8 @@ class SensorManager:
                 taken,
                 position=position,
                 attitude=attitude,
+                lin_vel=lin_vel,
+                ang_vel=ang_vel,
                 generator=generator,
                 seed=seed + len(self.casters),
             )
@@ -136,9 +142,9 @@ class SensorManager:
 def _declare_images(
     gtd: GlobalTensorDictionary, cfg: RangeSensorCfg, shape: tuple[str | int, ...], *, prefix: str
 ) -> SensorImages:
-    def declare(key: str, unit: str, frame: str, meaning: str, *, ids: bool = False, vector: bool = False) -> Tensor:
+    def declare(key: str, unit: str, frame: str, meaning: str, *, ids: bool = False, vector: int = 0) -> Tensor:
         return gtd.declare(TensorSpec(
-            key=f"{prefix}{key}", shape=(*shape, 3) if vector else shape, unit=unit, frame=frame, owner=_OWNER,
+            key=f"{prefix}{key}", shape=(*shape, vector) if vector else shape, unit=unit, frame=frame, owner=_OWNER,
             meaning=meaning, dtype=torch.int32 if ids else torch.float32,
         ))  # fmt: skip
 
@@ -146,22 +152,25 @@ def _declare_images(
     unit = f"{cfg.max_range:g} m" if cfg.normalize else "m"
     limits = f"too far {cfg.far_pixel:g}, too near {cfg.near_pixel:g}"
     distance = declare("depth_range_pixels", unit, "sensor", f"distance {kind}; {limits}")
-    segmentation = points = normals = faces = color = disparity = None
+    segmentation = points = normals = faces = color = disparity = flow = None
     if cfg.segmentation:
         seen = "semantic id of what the pixel sees; nothing -2"
         segmentation = declare("segmentation_pixels", "-", "sensor", seen, ids=True)
     if cfg.points is not None:
         where = "what the pixel sees; the sensor's origin without a valid distance"
-        points = declare("point_cloud_pixels", "m", cfg.points, where, vector=True)
+        points = declare("point_cloud_pixels", "m", cfg.points, where, vector=3)
     if cfg.normals is not None:
-        normals = declare("normal_pixels", "-", cfg.normals, "unit normal of the surface; 0 for nothing", vector=True)
+        normals = declare("normal_pixels", "-", cfg.normals, "unit normal of the surface; 0 for nothing", vector=3)
     if cfg.face_ids:
         faces = declare("face_id_pixels", "-", "sensor", "face of the shape; nothing -1", ids=True)
     if isinstance(cfg, StereoCfg):
         shift = "by how much the second image is shifted; 0 for an invalid pixel"
         disparity = declare("disparity_pixels", "pixel", "sensor", shift)
     if cfg.light is not None:
-        color = declare("rgb_pixels", "-", "sensor", "red, green, blue, each 0 to 1", vector=True)
+        color = declare("rgb_pixels", "-", "sensor", "red, green, blue, each 0 to 1", vector=3)
+    if cfg.optical_flow:
+        moves = "velocity of the image of what the pixel sees: right, down; nothing is at infinity"
+        flow = declare("optical_flow_pixels", "pixel/s", "image", moves, vector=2)
     return SensorImages(
         color=color,
         disparity=disparity,
@@ -170,4 +179,5 @@ def _declare_images(
         points=points,
         normals=normals,
         face_ids=faces,
+        optical_flow=flow,
     )

@@ -12,7 +12,7 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.interop import start_warp
 from aerial_gym.physics import EFFECTS, Ground, WarpBackend, build_model, vehicle_from_config
 from aerial_gym.robots import ROBOTS, derived, initial_state, scene_contact
-from aerial_gym.sensors import imu, view
+from aerial_gym.sensors import flow, imu, view
 from aerial_gym.sensors.pixels import Outputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
 from aerial_gym.task import goals
@@ -40,6 +40,7 @@ def test_ray_kernels_compile(rich: bool, tmp_path: Path) -> None:
         color=rich,
         shadows=rich,
         lamps=rich,
+        flow=rich,
     )
     compile_for_gpu(make_warp_kernel(outputs).module, tmp_path)
 
@@ -75,6 +76,6 @@ def test_the_physics_kernel_with_contact_compiles(tmp_path: Path) -> None:
     compile_for_gpu(backend.kernel.module, tmp_path)
 
 
-@pytest.mark.parametrize("module", [derived, initial_state, imu, scene_contact, goals, view, collision])
+@pytest.mark.parametrize("module", [derived, initial_state, imu, scene_contact, goals, view, collision, flow])
 def test_kernels_of_modules_compile(module, tmp_path: Path) -> None:
     compile_for_gpu(wp.get_module(module.__name__), tmp_path)

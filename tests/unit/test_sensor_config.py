@@ -61,7 +61,7 @@ LIDARS = {
 
 
 def test_every_shipped_sensor_is_in_a_table_of_this_test() -> None:
-    assert set(SENSORS.names()) == {*CAMERAS, *LIDARS, "depth_camera_64", "base_rgb_camera"}
+    assert set(SENSORS.names()) == {*CAMERAS, *LIDARS, "depth_camera_64", "base_rgb_camera", "base_optical_flow_camera"}
 
 
 @pytest.mark.parametrize("name", CAMERAS)

@@ -1,0 +1,171 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""Optical flow: how fast the image of what each pixel sees moves over the image.
+
+A material point at p in the sensor's frame moves with dp/dt = a + b x p, where the twist (a, b) is that of its instance
+relative to the sensor, worked out once per image; its image moves with J dp/dt / |p|, J being the derivative of the
+projection at the pixel's unit direction. A miss is a point at infinity, of which only the turning of the sensor is left.
+
+Frames: a sensor looks along its own x, y left, z up; flow is right and down. World is the environment's own.
+Letters: E environments, S sensors of one kind, M = E * S mounts, H x W = N pixels, A instances, P parts.
+"""
+
+from math import radians, tan
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.assets.scene import Scene
+from aerial_gym.assets.scene_arrays import SceneArrays
+from aerial_gym.assets.views import vector_view
+from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, RangeSensorCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.sensors.rays import ray_table
+
+LEAST_DISTANCE = wp.constant(1.0e-6)
+"""Distance [m] that stands for less: what touches the pupil would flow infinitely fast."""
+
+
+@wp.struct
+class Flow:
+    """What the kernel needs of the motion, and where it writes."""
+
+    right: wp.array[wp.vec3]  # (N,) derivative of the column by the point, at distance 1 [pixel]
+    down: wp.array[wp.vec3]  # (N,) derivative of the row
+    drift: wp.array2d[
+        wp.vec3
+    ]  # (M, A + 1) a of an instance, sensor frame [m/s]; the last entry is what lies at infinity
+    turn: wp.array2d[wp.vec3]  # (M, A + 1) b of an instance, sensor frame [rad/s]
+    part_instance: wp.array2d[wp.int32]  # (E, P)
+    image: wp.array2d[wp.vec2]  # (M, N) [pixel/s]
+
+
+@wp.kernel(enable_backward=False)
+def relate(
+    # scene
+    scene: SceneArrays,
+    instance_lin_vel: wp.array2d[wp.vec3],  # (E, A) world [m/s]
+    instance_ang_vel: wp.array2d[wp.vec3],  # (E, A) world [rad/s]
+    # state
+    body_position: wp.array[wp.vec3],  # (E,) world [m]
+    body_attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
+    body_lin_vel: wp.array[wp.vec3],  # (E,) world [m/s]
+    body_ang_vel: wp.array[wp.vec3],  # (E,) body frame [rad/s]
+    # sensor
+    mount_position: wp.array2d[wp.vec3],  # (E, S) body frame [m]
+    mount_attitude: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
+    # out
+    drift_out: wp.array2d[wp.vec3],  # (M, A + 1) sensor frame [m/s]
+    turn_out: wp.array2d[wp.vec3],  # (M, A + 1) sensor frame [rad/s]
+):
+    """Write how one instance moves as one sensor sees it: points at p have the velocity a + b x p."""
+    mount, a = wp.tid()
+    env = mount // mount_position.shape[1]
+    sensor = mount - env * mount_position.shape[1]
+    turn = -wp.quat_rotate_inv(mount_attitude[env, sensor], body_ang_vel[env])
+    drift = wp.vec3(0.0, 0.0, 0.0)
+    if a < scene.position.shape[1]:
+        lever = mount_position[env, sensor]
+        attitude = body_attitude[env] * mount_attitude[env, sensor]
+        origin = body_position[env] + wp.quat_rotate(body_attitude[env], lever)
+        own = body_lin_vel[env] + wp.quat_rotate(body_attitude[env], wp.cross(body_ang_vel[env], lever))
+        spin = instance_ang_vel[env, a]
+        there = instance_lin_vel[env, a] + wp.cross(spin, origin - scene.position[env, a])
+        drift = wp.quat_rotate_inv(attitude, there - own)
+        turn += wp.quat_rotate_inv(attitude, spin)
+    drift_out[mount, a] = drift
+    turn_out[mount, a] = turn
+
+
+@wp.func
+def flow_of(flow: Flow, env: int, mount: int, pixel: int, ray: wp.vec3, distance: float, part: int) -> wp.vec2:
+    """Return the flow [pixel/s] of what a ray meets at a distance; part -1 is a miss, at infinity."""
+    a = flow.drift.shape[1] - 1
+    if part >= 0:
+        a = flow.part_instance[env, part]
+    rate = flow.drift[mount, a] / wp.max(distance, LEAST_DISTANCE) + wp.cross(flow.turn[mount, a], ray)
+    return wp.vec2(wp.dot(flow.right[pixel], rate), wp.dot(flow.down[pixel], rate))
+
+
+def make_flow(cfg: RangeSensorCfg, scene: Scene, image: Tensor) -> Flow:
+    """Return what the kernel of a camera needs to write its flow into ``image``, float32, (E, S, H, W, 2)."""
+    device, mounts = wp.device_from_torch(scene.device), scene.num_envs * cfg.count
+    table = flow_table(cfg, device=scene.device).view(-1, 2, 3)
+    flow = Flow()
+    flow.right = wp.from_torch(table[:, 0].contiguous(), dtype=wp.vec3)
+    flow.down = wp.from_torch(table[:, 1].contiguous(), dtype=wp.vec3)
+    flow.drift = wp.zeros((mounts, scene.num_instances + 1), dtype=wp.vec3, device=device)
+    flow.turn = wp.zeros((mounts, scene.num_instances + 1), dtype=wp.vec3, device=device)
+    flow.part_instance = scene.arrays.part_instance
+    flow.image = wp.from_torch(image.view(mounts, -1, 2), dtype=wp.vec2)
+    return flow
+
+
+def record_motion(flow: Flow, scene: Scene, pose: list[wp.array], twist: list[wp.array]) -> wp.Launch:
+    """Record the launch that works out the motions before the rays are traced.
+
+    Args:
+        flow: Receives them.
+        scene: Whose instances move with the velocities in its ``asset_state``.
+        pose: Body position and attitude, mount position and attitude.
+        twist: Velocity of the body's origin, world, and angular velocity, body frame.
+    """
+    inputs = [scene.arrays, *instance_twists(scene), *pose[:2], *twist, *pose[2:]]
+    outputs, device = [flow.drift, flow.turn], wp.device_from_torch(scene.device)
+    launch = wp.launch(relate, dim=flow.drift.shape, inputs=inputs, outputs=outputs, device=device, record_cmd=True)
+    assert launch is not None
+    return launch
+
+
+def instance_twists(scene: Scene) -> list[wp.array]:
+    """Return views of the velocities [m/s] and angular velocities [rad/s] of the instances of a scene, world, (E, A) each."""
+    shape = (scene.num_envs, scene.num_instances, 3)
+    columns = {"asset velocity": slice(7, 10), "asset angular velocity": slice(10, 13)}
+    return [vector_view(name, scene.asset_state[..., at], shape, device=scene.device) for name, at in columns.items()]
+
+
+def flow_table(cfg: RangeSensorCfg, *, device: torch.device) -> Tensor:
+    """Return the derivatives of column and row by the point in the sensor's frame, at distance 1 [pixel], (H, W, 2, 3).
+
+    At the distance d they are 1/d of that. Computed in float64, given in float32.
+
+    Raises:
+        ConfigError: If the sensor has no model of an image plane.
+    """
+    if isinstance(cfg, CameraCfg):
+        derivative, focal = _pinhole_derivative, 0.5 * cfg.width / tan(0.5 * radians(cfg.hfov_deg))
+    elif isinstance(cfg, FisheyeCfg):
+        derivative, focal = _fisheye_derivative, cfg.width / radians(cfg.hfov_deg)
+    else:
+        raise ConfigError(f"{type(cfg).__name__}.optical_flow: only pinhole, stereo and fisheye cameras have a flow")
+    rays = ray_table(cfg, device=torch.device("cpu")).double()
+    return (focal * derivative(rays)).to(device=device, dtype=torch.float32)
+
+
+def _pinhole_derivative(rays: Tensor) -> Tensor:
+    """Return the gradients of ``-y / x`` and ``-z / x`` at unit directions, (..., 2, 3)."""
+    x, y, z = rays.unbind(-1)
+    zero = torch.zeros_like(x)
+    right = torch.stack((y / x, -torch.ones_like(x), zero), dim=-1)
+    down = torch.stack((z / x, zero, -torch.ones_like(x)), dim=-1)
+    return torch.stack((right, down), dim=-2) / x[..., None, None]
+
+
+def _fisheye_derivative(rays: Tensor) -> Tensor:
+    """Return the gradients of ``-theta y / rho`` and ``-theta z / rho`` at unit directions, (..., 2, 3).
+
+    With ``rho = hypot(y, z)``, ``theta = atan2(rho, x)``, ``c = y / rho``, ``s = z / rho``: the gradient of theta is
+    ``(-rho, x c, x s)`` and that of c is ``(0, s², -c s) / rho``. In the middle ``theta / rho`` is 1, whatever c and s are.
+    """
+    x, y, z = rays.unbind(-1)
+    rho = torch.hypot(y, z)
+    beside = rho > 0.0
+    c, s = torch.where(beside, y / rho, 1.0), torch.where(beside, z / rho, 0.0)
+    wide = torch.where(beside, torch.atan2(rho, x) / rho, 1.0)
+    mixed = (x - wide) * c * s
+    right = torch.stack((-y, x * c * c + wide * s * s, mixed), dim=-1)
+    down = torch.stack((-z, mixed, x * s * s + wide * c * c), dim=-1)
+    return -torch.stack((right, down), dim=-2)

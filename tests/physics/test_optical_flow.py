@@ -1,0 +1,319 @@
+"""Optical flow: closed forms of turning and moving cameras, and finite differences of projected material points."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import radians, tan
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym.assets import Scene
+from aerial_gym.config.environment import PartCfg, ShapeCfg
+from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, LidarCfg, NoiseCfg, RangeSensorCfg, RayTableCfg, StereoCfg
+from aerial_gym.errors import ConfigError, ShapeError
+from aerial_gym.math.quaternion import quat_exp, quat_from_euler, quat_multiply, quat_rotate, quat_rotate_inverse
+from aerial_gym.registry import GlobalTensorDictionary
+from aerial_gym.sensors import RayCaster, SensorImages, SensorManager
+
+DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
+COMMON = {
+    "summary": "test", "width": 36, "height": 28, "min_range": 0.0, "max_range": 20.0, "optical_flow": True,
+    "source": "chosen for the test",
+}  # fmt: skip
+PINHOLE = CameraCfg(**COMMON, hfov_deg=80.0)
+STEREO = StereoCfg(**COMMON, hfov_deg=80.0, baseline=-0.1)
+FISHEYE = FisheyeCfg(**{**COMMON, "width": 35, "height": 27}, hfov_deg=200.0)
+"""Odd numbers of pixels: one looks along the axis."""
+
+FOCAL = 18.0 / tan(radians(40.0))
+LEVEL = torch.tensor([0.0, 0.0, 0.0, 1.0])
+WALL = ShapeCfg(kind="box", size=(0.2, 60.0, 60.0))
+
+
+@pytest.fixture(params=DEVICES)
+def device(request: pytest.FixtureRequest) -> torch.device:
+    return torch.device(request.param)
+
+
+def make_images(cfg: RangeSensorCfg, num_envs: int, device: torch.device) -> SensorImages:
+    shape = (num_envs, cfg.count, cfg.height, cfg.width)
+
+    def poisoned(*more: int) -> Tensor:
+        return torch.full((*shape, *more), float("nan"), device=device)
+
+    return SensorImages(
+        distance=poisoned(),
+        segmentation=torch.full(shape, -12345, dtype=torch.int32, device=device),
+        points=poisoned(3) if cfg.points else None,
+        disparity=poisoned() if isinstance(cfg, StereoCfg) else None,
+        optical_flow=poisoned(2),
+    )
+
+
+def wall_at(depth: float, device: torch.device, *, twist: Sequence[float] = (0.0,) * 6) -> Scene:
+    """Return a scene with a wall across the x axis, whose near side is at a depth, and which has a twist."""
+    state = torch.tensor([[[depth + 0.1, 0.0, 0.0, *LEVEL.tolist(), *twist]]], device=device)
+    return Scene([WALL], shape_index=torch.zeros(1), semantic_id=torch.zeros(1), asset_state=state)
+
+
+def flow_at(
+    cfg: RangeSensorCfg, scene: Scene, *, velocity: Sequence[float] = (0.0,) * 3, rates: Sequence[float] = (0.0,) * 3
+) -> Tensor:
+    """Return the flow that one level sensor at the origin sees, (H, W, 2)."""
+    device = scene.device
+    images = make_images(cfg, 1, device)
+    pose = {"position": torch.zeros(1, 3, device=device), "attitude": LEVEL.repeat(1, 1).to(device)}
+    lin_vel, ang_vel = torch.tensor([velocity], device=device), torch.tensor([rates], device=device)
+    RayCaster(cfg, scene, images, **pose, lin_vel=lin_vel, ang_vel=ang_vel).cast()
+    assert images.optical_flow is not None
+    return images.optical_flow[0, 0].cpu()
+
+
+def pixels(cfg: RangeSensorCfg) -> tuple[Tensor, Tensor]:
+    """Return how far right of and below the middle every pixel is, (H, W) each."""
+    right = torch.arange(cfg.width) + 0.5 - 0.5 * cfg.width
+    down = torch.arange(cfg.height) + 0.5 - 0.5 * cfg.height
+    v, u = torch.meshgrid(down, right, indexing="ij")
+    return u, v
+
+
+def close(found: Tensor, right: Tensor, down: Tensor) -> None:
+    """Compare with the two parts of the flow; float32 keeps some 1e-6 of the largest of them."""
+    expected = torch.stack((right.expand_as(found[..., 0]), down.expand_as(found[..., 0])), dim=-1)
+    torch.testing.assert_close(found, expected, rtol=0.0, atol=4e-6 * float(expected.abs().max() + 1.0))
+
+
+# ------------------------------------------------------------------------------------------------ closed forms
+
+
+@pytest.mark.parametrize("cfg", [PINHOLE, STEREO])
+@pytest.mark.parametrize("rates", [(0.7, 0.0, 0.0), (0.0, 0.7, 0.0), (0.0, 0.0, 0.7), (0.3, -0.5, 0.9)])
+def test_a_turning_pinhole_camera_has_the_flow_of_its_rates_whatever_it_sees(
+    cfg: CameraCfg, rates: tuple[float, float, float], device: torch.device
+) -> None:
+    """With U = u / f, V = v / f and roll, pitch, yaw rates p, q, r: du = p v + f (r (1 + U²) - q U V),
+    dv = -p u + f (r U V - q (1 + V²)); near, far and for nothing at all."""
+    u, v = pixels(cfg)
+    a, b, (p, q, r) = u / FOCAL, v / FOCAL, rates
+    right = p * v + FOCAL * (r * (1.0 + a * a) - q * a * b)
+    down = -p * u + FOCAL * (r * a * b - q * (1.0 + b * b))
+    for depth in (0.5, 5.0, 50.0):
+        close(flow_at(cfg, wall_at(depth, device), rates=rates), right, down)
+
+
+def test_a_turning_fisheye_camera_has_the_flow_of_its_rates(device: torch.device) -> None:
+    """Roll turns the image; r = f theta makes the pixels of the middle row move by f per radian of yaw, wherever they are,
+    and those of the middle column by f per radian of pitch."""
+    u, v = pixels(FISHEYE)
+    focal = 35.0 / radians(200.0)
+    scene = wall_at(3.0, device)
+    close(flow_at(FISHEYE, scene, rates=(0.6, 0.0, 0.0)), 0.6 * v, -0.6 * u)
+    yaw = flow_at(FISHEYE, scene, rates=(0.0, 0.0, 0.6))[13]
+    close(yaw, torch.tensor(0.6 * focal), torch.tensor(0.0))
+    pitch = flow_at(FISHEYE, scene, rates=(0.0, 0.6, 0.0))[:, 17]
+    close(pitch, torch.tensor(0.0), torch.tensor(-0.6 * focal))
+
+
+@pytest.mark.parametrize("depth", [0.5, 4.0])
+def test_flying_at_a_wall_spreads_its_image_from_where_the_camera_goes(depth: float, device: torch.device) -> None:
+    """du = (u - u0) vx / Z with the focus of expansion u0 = -f vy / vx, v0 = -f vz / vx."""
+    velocity = (2.0, -0.6, 0.5)
+    u, v = pixels(PINHOLE)
+    right = (u + FOCAL * velocity[1] / velocity[0]) * velocity[0] / depth
+    down = (v + FOCAL * velocity[2] / velocity[0]) * velocity[0] / depth
+    close(flow_at(PINHOLE, wall_at(depth, device), velocity=velocity), right, down)
+
+
+def test_flying_along_a_wall_shifts_its_image_by_f_v_over_z(device: torch.device) -> None:
+    """To the left the image goes right, upwards it goes down; what is at infinity stays."""
+    zero = torch.tensor(0.0)
+    scene = wall_at(4.0, device)
+    close(flow_at(PINHOLE, scene, velocity=(0.0, 1.5, 0.0)), torch.tensor(FOCAL * 1.5 / 4.0), zero)
+    close(flow_at(PINHOLE, scene, velocity=(0.0, 0.0, 1.5)), zero, torch.tensor(FOCAL * 1.5 / 4.0))
+    assert (flow_at(PINHOLE, wall_at(30.0, device), velocity=(0.0, 1.5, 0.0)) == 0.0).all()
+
+
+def test_a_camera_ahead_of_the_body_is_carried_sideways_when_it_yaws(device: torch.device) -> None:
+    """At the lever l the camera moves to the left by r l: du = f r (1 + U²) + f r l / Z."""
+    u, v = pixels(PINHOLE)
+    a, b, r = u / FOCAL, v / FOCAL, 0.8
+    found = flow_at(replace(PINHOLE, position=(0.5, 0.0, 0.0)), wall_at(2.5, device), rates=(0.0, 0.0, r))
+    close(found, FOCAL * r * (1.0 + a * a) + FOCAL * r * 0.5 / 2.0, FOCAL * r * a * b)
+
+
+def test_a_camera_at_rest_sees_the_motion_of_a_wall(device: torch.device) -> None:
+    """A wall that turns about the optical axis turns its image, one that comes closer spreads it."""
+    u, v = pixels(PINHOLE)
+    close(flow_at(PINHOLE, wall_at(4.0, device, twist=(0.0, 0.0, 0.0, 0.9, 0.0, 0.0))), -0.9 * v, 0.9 * u)
+    moving = wall_at(4.0, device, twist=(-1.0, 0.2, 0.4, 0.0, 0.0, 0.0))
+    close(flow_at(PINHOLE, moving), 0.25 * u - FOCAL * 0.05, 0.25 * v - FOCAL * 0.1)
+
+
+def test_what_moves_along_with_the_robot_stands_still_in_the_image(device: torch.device) -> None:
+    """Robot and wall as one rigid body: v + w x (place of the wall) is the velocity of the wall."""
+    velocity, rates = torch.tensor([1.0, -0.5, 0.3]), torch.tensor([0.4, -0.7, 0.9])
+    there = velocity + torch.linalg.cross(rates, torch.tensor([4.1, 0.0, 0.0]))
+    scene = wall_at(4.0, device, twist=(*there.tolist(), *rates.tolist()))
+    camera = replace(PINHOLE, position=(0.2, 0.1, -0.1), euler=(0.1, 0.2, -0.1))
+    found = flow_at(camera, scene, velocity=velocity.tolist(), rates=rates.tolist())
+    assert found.abs().max() < 2e-5  # round-off of terms of some 30 pixels a second
+
+
+def test_noise_and_limits_of_the_distance_leave_the_flow_alone(device: torch.device) -> None:
+    scene, velocity = wall_at(4.0, device), (1.0, 0.5, 0.0)
+    noisy = replace(PINHOLE, noise=NoiseCfg(std_c=0.3, dropout=0.3), min_range=4.5)
+    assert torch.equal(flow_at(noisy, scene, velocity=velocity), flow_at(PINHOLE, scene, velocity=velocity))
+
+
+# ------------------------------------------------------------------------------------------------ finite differences
+
+TREE = ShapeCfg(
+    kind="compound",
+    parts=(
+        PartCfg(shape=ShapeCfg(kind="cylinder", radius=0.3, height=2.0), position=(0.0, 0.0, -0.5)),
+        PartCfg(
+            shape=ShapeCfg(kind="capsule", radius=0.3, height=1.0), position=(0.2, 0.1, 1.0), euler=(0.5, 1.0, 0.2)
+        ),
+    ),
+)
+SHAPES = [TREE, ShapeCfg(kind="box", size=(1.0, 1.4, 0.8)), ShapeCfg(kind="sphere", radius=0.8), ShapeCfg(kind="plane")]
+
+
+def crowd(device: torch.device) -> Scene:
+    """Return two environments with the same shapes in another order, at their own poses, with their own twists."""
+    draw = torch.Generator().manual_seed(4)
+    state = torch.zeros(2, 4, 13)
+    order = torch.tensor([[0, 1, 2, 3], [2, 3, 1, 0]])
+    places = torch.tensor([[3.0, 1.2, 0.3], [3.0, -0.4, 0.2], [3.5, -2.0, 1.0], [0.0, 0.0, -1.5]])
+    state[..., :3] = places[order] + 0.2 * torch.rand(2, 4, 3, generator=draw)
+    state[..., 3:7] = quat_from_euler(0.4 * torch.rand(2, 4, 3, generator=draw) - 0.2)
+    state[..., 7:] = 2.0 * torch.rand(2, 4, 6, generator=draw) - 1.0
+    ids = torch.arange(4).repeat(2, 1)
+    return Scene(SHAPES, shape_index=order, semantic_id=ids, asset_state=state.to(device))
+
+
+def project(cfg: RangeSensorCfg, point: Tensor) -> Tensor:
+    """Return where a point in the sensor's frame is in the image, right of and below the middle [pixel], (..., 2)."""
+    x, y, z = point.unbind(-1)
+    if isinstance(cfg, FisheyeCfg):
+        off_axis = torch.arccos((x / point.norm(dim=-1)).clamp(-1.0, 1.0))
+        radius = cfg.width / radians(cfg.hfov_deg) * off_axis
+        bearing = torch.atan2(-z, -y)
+        return torch.stack((radius * torch.cos(bearing), radius * torch.sin(bearing)), dim=-1)
+    return 0.5 * cfg.width / tan(0.5 * radians(cfg.hfov_deg)) * torch.stack((-y / x, -z / x), dim=-1)
+
+
+def difference(cfg: RangeSensorCfg, setting: dict[str, Tensor], dt: float) -> Tensor:
+    """Return how fast the images of the material points go in a time dt, by projecting them before and after, in float64."""
+
+    def image(t: float) -> Tensor:
+        turned = quat_exp(setting["spin"] * t)
+        at_instance = setting["place"] + setting["velocity"] * t
+        world = at_instance + quat_rotate(turned, setting["point"] - setting["place"])
+        attitude = quat_multiply(setting["attitude"], quat_exp(setting["rates"] * t))
+        position = setting["position"] + setting["own_velocity"] * t
+        sky = quat_rotate(setting["attitude"], quat_rotate(setting["mount"], setting["ray"]))
+        body = quat_rotate_inverse(attitude, world - position) - torch.tensor(cfg.position, dtype=torch.float64)
+        body = torch.where(setting["hit"], body, quat_rotate_inverse(attitude, sky))
+        return project(cfg, quat_rotate_inverse(setting["mount"], body))
+
+    return (image(dt) - image(0.0)) / dt
+
+
+@pytest.mark.parametrize("cfg", [PINHOLE, STEREO, FISHEYE], ids=lambda cfg: cfg.model)
+def test_flow_is_the_limit_of_the_differences_of_projected_points(cfg: RangeSensorCfg, device: torch.device) -> None:
+    """The points seen are carried along by obstacles and projected again: forward differences converge with the first order
+    in dt, and their extrapolation agrees. Two environments with two sensors each, anywhere on the robot."""
+    cfg = replace(cfg, points="world", count=2, position=(0.3, -0.2, 0.1), euler=(0.2, 0.1, -0.3), kind="range")
+    scene = crowd(device)
+    draw = torch.Generator().manual_seed(5)
+    position, lin_vel, ang_vel = (0.6 * torch.rand(2, 3, generator=draw) - 0.3 for _ in range(3))
+    attitude = quat_from_euler(0.4 * torch.rand(2, 3, generator=draw) - 0.2)
+    lin_vel, ang_vel = 3.0 * lin_vel, 3.0 * ang_vel
+    images = make_images(cfg, 2, device)
+    given = (position, attitude, lin_vel, ang_vel)
+    keys = ("position", "attitude", "lin_vel", "ang_vel")
+    caster = RayCaster(cfg, scene, images, **dict(zip(keys, (t.to(device) for t in given), strict=True)))
+    caster.cast()
+    assert images.optical_flow is not None
+    assert images.points is not None
+    assert images.segmentation is not None
+    ids, size = images.segmentation.cpu(), images.segmentation.shape
+    assert all((ids == instance).any() for instance in (-2, 0, 1, 2, 3))
+
+    def per_pixel(of_env: Tensor) -> Tensor:
+        return of_env.double().view(2, 1, 1, 1, -1).expand(*size, -1)
+
+    state = scene.asset_state.cpu().double()
+    seen = torch.stack([state[env][ids[env].clamp(min=0).long()] for env in range(2)])
+    setting = {
+        "place": seen[..., :3], "velocity": seen[..., 7:10], "spin": seen[..., 10:13],
+        "point": images.points.cpu().double(), "hit": (ids >= 0).unsqueeze(-1),
+        "position": per_pixel(position), "attitude": per_pixel(attitude / attitude.norm(dim=-1, keepdim=True)),
+        "own_velocity": per_pixel(lin_vel), "rates": per_pixel(ang_vel),
+        "ray": caster.direction.cpu().double().expand(*size, 3),
+        "mount": quat_from_euler(torch.tensor(cfg.euler, dtype=torch.float64)).expand(*size, 4),
+    }  # fmt: skip
+    found = images.optical_flow.cpu().double()
+    at_rest = torch.zeros_like(setting["rates"])
+    shown = difference(
+        cfg, {**setting, "rates": at_rest, "own_velocity": at_rest, "spin": at_rest, "velocity": at_rest}, 1
+    )
+    assert (shown == 0.0).all()
+    near = (
+        found.norm(dim=-1) < 200.0
+    )  # what passes at a hand's breadth does not move evenly for a thousandth of a second
+    if isinstance(cfg, StereoCfg):
+        near &= images.distance.cpu() > 0.0  # a pixel that the second camera does not share has no point
+        near |= ids < 0
+    assert near.float().mean() > 0.5
+    steps = [2e-3, 1e-3, 5e-4]
+    coarse = [difference(cfg, setting, dt)[near] for dt in steps]
+    errors = torch.stack([(one - found[near]).norm(dim=-1).mean() for one in coarse]).log2()
+    orders = errors[:-1] - errors[1:]
+    assert ((orders - 1.0).abs() < 0.1).all(), orders
+    extrapolated = 2.0 * coarse[2] - coarse[1]
+    error = (extrapolated - found[near]).norm(dim=-1) / (1.0 + found[near].norm(dim=-1))
+    assert error.max() < 1e-3
+    assert error.mean() < 1e-5
+
+
+# ------------------------------------------------------------------------------------------------ wiring
+
+
+def test_flow_stands_in_the_gtd_for_every_sensor_and_environment(device: torch.device) -> None:
+    """Two cameras with their own prefix; the flow follows velocities that are written between two images."""
+    gtd = GlobalTensorDictionary(device=device, sizes={"E": 1})
+    pose = {"position": torch.zeros(1, 3, device=device), "attitude": LEVEL.repeat(1, 1).to(device)}
+    twist = {"lin_vel": torch.zeros(1, 3, device=device), "ang_vel": torch.zeros(1, 3, device=device)}
+    cameras = {"front": PINHOLE, "wide": FISHEYE, "late": replace(PINHOLE, latency_s=0.01)}
+    manager = SensorManager(cameras, gtd, wall_at(4.0, device), num_envs=1, device=device, dt=0.01, **pose, **twist)
+    manager.capture()
+    assert gtd["optical_flow_pixels"].shape == (1, 1, 28, 36, 2)
+    assert (gtd["optical_flow_pixels"] == 0.0).all()
+    twist["lin_vel"][0, 1] = 1.0
+    manager.capture()
+    close(gtd["optical_flow_pixels"][0, 0].cpu(), torch.tensor(FOCAL / 4.0), torch.tensor(0.0))
+    assert gtd["wide_optical_flow_pixels"][0, 0, 13, 17, 0].item() == pytest.approx(
+        35.0 / radians(200.0) / 4.0, rel=1e-5
+    )
+    assert (gtd["late_optical_flow_pixels"] == 0.0).all()
+
+
+def test_flow_is_refused_where_there_is_no_image_plane_or_no_velocity(device: torch.device) -> None:
+    common = {**COMMON, "width": 2, "height": 1}
+    with pytest.raises(
+        ConfigError, match=r"LidarCfg.optical_flow = True: a lidar has no image plane; a pinhole, stereo"
+    ):
+        LidarCfg(**common, elevation_low_deg=-10.0, elevation_high_deg=10.0)
+    with pytest.raises(ConfigError, match=r"RayTableCfg.optical_flow = True: a ray_table has no image plane"):
+        RayTableCfg(**common, rays=((1.0, 0.0, 0.0), (1.0, 1.0, 0.0)))
+    scene, images = wall_at(4.0, device), make_images(PINHOLE, 1, device)
+    pose = {"position": torch.zeros(1, 3, device=device), "attitude": LEVEL.repeat(1, 1).to(device)}
+    with pytest.raises(ConfigError, match=r"CameraCfg.optical_flow needs lin_vel and ang_vel"):
+        RayCaster(PINHOLE, scene, images, **pose)
+    with pytest.raises(ShapeError, match=r"optical_flow must be given exactly if the sensor has such an image"):
+        RayCaster(replace(PINHOLE, optical_flow=False), scene, images, **pose)
+    with pytest.raises(ShapeError, match=r"lin_vel is \(2, 3\)"):
+        RayCaster(PINHOLE, scene, images, **pose, lin_vel=torch.zeros(2, 3, device=device), ang_vel=torch.zeros(1, 3))
