@@ -8,13 +8,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import Scene
+from aerial_gym.assets import ENVIRONMENTS, Scene
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, LidarCfg, NoiseCfg, RangeSensorCfg, RayTableCfg, StereoCfg
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import quat_exp, quat_from_euler, quat_multiply, quat_rotate, quat_rotate_inverse
 from aerial_gym.registry import GlobalTensorDictionary
-from aerial_gym.sensors import RayCaster, SensorImages, SensorManager
+from aerial_gym.robots import ROBOTS
+from aerial_gym.sensors import SENSORS, RayCaster, SensorImages, SensorManager
 
 DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 COMMON = {
@@ -317,3 +320,33 @@ def test_flow_is_refused_where_there_is_no_image_plane_or_no_velocity(device: to
         RayCaster(replace(PINHOLE, optical_flow=False), scene, images, **pose)
     with pytest.raises(ShapeError, match=r"lin_vel is \(2, 3\)"):
         RayCaster(PINHOLE, scene, images, **pose, lin_vel=torch.zeros(2, 3, device=device), ang_vel=torch.zeros(1, 3))
+
+
+def test_the_environment_gives_its_cameras_the_velocities_of_the_robot() -> None:
+    """A camera of a level robot that flies ahead at v and yaws at r about its origin: du = f r (1 + U²) + (u v + f r l) / Z
+    at a depth Z, with the lever l = 0.1 m of the mount."""
+    speed, rate = 1.5, 0.4
+    env = EnvManager(
+        sim=SIMS.get("base_sim"),
+        env=ENVIRONMENTS.get("env_with_obstacles"),
+        robot=replace(ROBOTS.get("base_quadrotor"), sensors=("base_optical_flow_camera",)),
+        controller=CONTROLLERS.get("lee_velocity_control"),
+        num_envs=2,
+        device=torch.device("cpu"),
+        seed=0,
+    )
+    env.reset()
+    env.gtd["robot_orientation"].copy_(LEVEL)
+    env.gtd["robot_linvel"].copy_(torch.tensor([speed, 0.0, 0.0]))
+    env.gtd["robot_body_angvel"].copy_(torch.tensor([0.0, 0.0, rate]))
+    env.render()
+    cfg = SENSORS.get("base_optical_flow_camera")
+    assert isinstance(cfg, CameraCfg)
+    u, _ = pixels(cfg)
+    focal = 0.5 * cfg.width / tan(0.5 * radians(cfg.hfov_deg))
+    depth, found = env.gtd["depth_range_pixels"][:, 0], env.gtd["optical_flow_pixels"][:, 0, ..., 0]
+    seen = depth > 0.0
+    assert seen.float().mean() > 0.02
+    near = torch.where(seen, (u * speed + focal * rate * 0.1) / depth, 0.0)
+    expected = focal * rate * (1.0 + (u / focal) ** 2) + near
+    torch.testing.assert_close(found[seen], expected[seen], rtol=1e-4, atol=1e-3)
