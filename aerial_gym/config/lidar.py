@@ -40,8 +40,21 @@ class LidarCfg(RangeSensorCfg):
     """Elevation of every row [deg], H of them, within +-90, each smaller than the one before: row 0 is on top."""
 
     scan_s: float | None = None
-    """Time of one revolution [s], > 0, in which azimuth falls at a constant rate: a column whose azimuth is b above that
-    of the last one was measured ``scan_s b / 360 deg`` earlier, from where the sensor was then. None: all at once."""
+    """Time of one revolution [s], > 0, at a constant rate: a column b away from the last one was measured
+    ``scan_s b / 360 deg`` before the capture, from where the sensor was then. None: all at once.
+
+    Robot and obstacles came to where they are at the capture with the velocities that they have then. Distances, and points
+    and normals in the frame ``sensor``, belong to the sensor as it was at the column's own time, as drivers give them;
+    those in the frame ``world`` are where they really were, which is what perfect deskewing gives."""
+
+    scan_clockwise: bool = True
+    """Sense of turning, seen from the sensor's +z. True: azimuth falls, columns come from left to right, and the right one at
+    the capture. False: they come from right to left, and the left one at the capture."""
+
+    scan_columns: int = 1
+    """Neighbouring columns that share one pose, that of the middle of their time, >= 1. With 1 the motion is exact; more need
+    less memory and time (``docs/results/rendering.md``): each group of columns holds 52 bytes for every part of the scene in
+    every environment."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -57,6 +70,10 @@ class LidarCfg(RangeSensorCfg):
             self._check_beams(self.beam_elevations_deg)
         if self.scan_s is not None and not 0.0 < self.scan_s < inf:
             raise ConfigError(f"LidarCfg.scan_s = {self.scan_s!r}: must be > 0 and finite, or None")
+        if not (isinstance(self.scan_columns, int) and 1 <= self.scan_columns <= self.width):
+            raise ConfigError(
+                f"LidarCfg.scan_columns = {self.scan_columns!r}: must be a whole number from 1 to width = {self.width}"
+            )
 
     @property
     def full_turn(self) -> bool:

@@ -40,6 +40,7 @@ class Outputs:
     shadows: bool
     lamps: bool
     flow: bool
+    scan: bool
 
 
 @wp.struct
@@ -83,8 +84,8 @@ class Images:
     color: wp.array2d[wp.vec3]  # (M, N)
     disparity: wp.array2d[float]  # (M, N) [pixel]
     semantic_id: wp.array2d[wp.int32]  # (E, P) of the scene
-    origin: wp.array[wp.vec3]  # (M,) of the sensor, world [m]
-    attitude: wp.array[wp.quat]  # (M,) sensor to world
+    origin: wp.array[wp.vec3]  # (M,) of the sensor, world [m]; of a turning lidar (M * G,), for every seat
+    attitude: wp.array[wp.quat]  # (M,) sensor to world; likewise
     flow: Flow
 
 
@@ -139,6 +140,7 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
     normals, normals_in_world = outputs.normals is not None, outputs.normals == "world"
     flows = outputs.flow
 
+    # mount: whose image it is; seat: from where it is seen, a row of the view, which differs for a turning lidar
     @wp.func
     def write_pixel(
         images: Images,
@@ -148,6 +150,7 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
         view: View,
         env: int,
         mount: int,
+        seat: int,
         pixel: int,
         ray: wp.vec3,
         nearest: float,
@@ -167,7 +170,7 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
             measured = wp.min(measured, limits.max_range)
         if wp.static(stereo):  # noqa: SIM102 - a condition of the composition, and one of the pixel
             if hit >= 0:
-                dropped = dropped or not second_camera_sees(view, limits, env, mount, nearest * ray)
+                dropped = dropped or not second_camera_sees(view, limits, env, seat, nearest * ray)
         value = measured / limits.divisor
         if hit < 0 or measured > limits.max_range:
             value = limits.far_pixel
@@ -189,22 +192,22 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
         if wp.static(points):
             point = wp.where(valid, (measured / along) * ray, wp.vec3(0.0, 0.0, 0.0))
             if wp.static(points_in_world):
-                point = images.origin[mount] + wp.quat_rotate(images.attitude[mount], point)
+                point = images.origin[seat] + wp.quat_rotate(images.attitude[seat], point)
             images.point[mount, pixel] = point
         if wp.static(normals or faces or colors):
             normal = wp.vec3(0.0, 0.0, 0.0)
             face = wp.int32(MISS_FACE)
             color = light.sky
             if hit >= 0:
-                surface = surface_at(view, env, mount, hit, ray, nearest)
+                surface = surface_at(view, env, seat, hit, ray, nearest)
                 if wp.static(colors):
-                    place = images.origin[mount]
-                    turn = images.attitude[mount]
+                    place = images.origin[seat]
+                    turn = images.attitude[seat]
                     color = seen_color(
                         view,
                         light,
                         env,
-                        mount,
+                        seat,
                         hit,
                         surface,
                         nearest * ray,
@@ -216,7 +219,7 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
                 normal = surface.normal
                 face = surface.face
             if wp.static(normals_in_world):
-                normal = wp.quat_rotate(images.attitude[mount], normal)
+                normal = wp.quat_rotate(images.attitude[seat], normal)
             if wp.static(normals):
                 images.normal[mount, pixel] = normal
             if wp.static(faces):

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.views import check_tensor, vector_view
-from aerial_gym.config.sensor import RangeSensorCfg, StereoCfg
+from aerial_gym.config.sensor import LidarCfg, RangeSensorCfg, StereoCfg
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.interop import launch_side_by_side, on_torch_stream, split
 from aerial_gym.math.quaternion import quat_from_euler
@@ -28,6 +28,7 @@ from aerial_gym.sensors.flow import Flow, make_flow, record_motion
 from aerial_gym.sensors.pixels import MISS_ID, Images, Limits, Noise, Outputs, locate
 from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_kernel
 from aerial_gym.sensors.rays import ray_table
+from aerial_gym.sensors.scan import Scan
 from aerial_gym.sensors.shading import Light
 from aerial_gym.sensors.tiles import make_tiles
 from aerial_gym.sensors.view import View, look
@@ -124,7 +125,8 @@ class RayCaster:
             images: What it writes.
             position: Body origin [m], world, (E, 3); may be strided, but for the last axis.
             attitude: Body to world, xyzw, unit, (E, 4); likewise.
-            lin_vel: Velocity of the body's origin [m/s], world, (E, 3); likewise. Needed for optical flow.
+            lin_vel: Velocity of the body's origin [m/s], world, (E, 3); likewise. Needed for optical flow
+                and by a lidar with a scan time.
             ang_vel: Angular velocity of the body [rad/s], body frame, (E, 3); likewise.
             generator: Source of placements drawn at reset, on the device of the scene; needed only by sensors that draw.
             seed: Of the noise, which is drawn in the kernel from this, the number of the image and the pixel.
@@ -151,7 +153,12 @@ class RayCaster:
             vector_view("mount_attitude", self.mount_attitude, (*mounts, 4), device=device),
         ]
         twist = _twist_views(cfg, lin_vel, ang_vel, envs, device)
-        self._view = _make_view(scene, envs * cfg.count)
+        self._scan: Scan | None = None
+        if isinstance(cfg, LidarCfg) and cfg.scan_s is not None:
+            self._scan = Scan(cfg, scene, pose, twist)
+            pose = self._scan.pose
+        self._groups = 1 if self._scan is None else self._scan.groups
+        self._view = _make_view(scene, envs * cfg.count * self._groups)
         self._prepare = self._record_preparations(scene, pose)
         self._flow = Flow()
         if images.optical_flow is not None:
@@ -176,15 +183,17 @@ class RayCaster:
 
     def _record_preparations(self, scene: Scene, pose: list[wp.array]) -> list[wp.Launch]:
         """Record what comes before the rays: where the sensors are, and how they see each part."""
-        mounts = self._view.kind.shape[0]
+        mounts = self._view.kind.shape[0]  # seats of a turning lidar
         device = wp.device_from_torch(self._device)
         self._origin = wp.zeros(mounts, dtype=wp.vec3, device=device)
         self._attitude = wp.zeros(mounts, dtype=wp.quat, device=device)
-        found = []
+        found: list = [] if self._scan is None else [self._scan.record_placement()]
         if "world" in (self.cfg.points, self.cfg.normals) or self.cfg.light is not None:
             where = [self._origin, self._attitude]
             found.append(wp.launch(locate, dim=mounts, inputs=pose, outputs=where, device=device, record_cmd=True))
-        if scene.num_parts:
+        if scene.num_parts and self._scan is not None:
+            found.append(self._scan.record_look(self._view, self._reach()))
+        elif scene.num_parts:
             out = [self._view.rows, self._view.kind]
             inputs = [scene.arrays, *pose, self._reach()]
             found.append(
@@ -203,8 +212,13 @@ class RayCaster:
         """Record the launches that trace the rays."""
         cfg, on_gpu = self.cfg, self._device.type == "cuda"
         height, width = GPU_TILE if on_gpu else CPU_TILE
-        tiles = make_tiles(self.direction, height=height, width=width)
         rays = Rays()
+        rays.groups = self._groups
+        if self._scan is None:
+            tiles = make_tiles(self.direction, height=height, width=width)
+        else:
+            tiles, group = self._scan.make_tiles(self.direction, height=height, width=width)
+            rays.group = wp.from_torch(group)
         rays.direction, rays.pixel = wp.from_torch(tiles.direction, dtype=wp.vec3), wp.from_torch(tiles.pixel)
         rays.middle = wp.from_torch(tiles.middle, dtype=wp.vec3)
         rays.spread = wp.from_torch(tiles.spread, dtype=wp.vec3)
@@ -219,10 +233,11 @@ class RayCaster:
             shadows=cfg.light is not None and cfg.light.shadows,
             lamps=cfg.light is not None and bool(scene.lamps),
             flow=cfg.optical_flow,
+            scan=self._scan is not None,
         )
         images, due = self._make_images(scene), wp.from_torch(self.due)
         inputs = [self._view, rays, _limits(cfg), self._make_noise(), _light(cfg, scene), self.num_sensors, due, images]
-        mounts = self._view.kind.shape[0]
+        mounts = self._view.kind.shape[0] // self._groups
 
         def record(kernel: wp.Kernel, dim: int, *more: int) -> wp.Launch:
             device = wp.device_from_torch(self._device)
@@ -294,10 +309,12 @@ def _twist_views(
     cfg: RangeSensorCfg, lin_vel: Tensor | None, ang_vel: Tensor | None, envs: int, device: torch.device
 ) -> list[wp.array]:
     """Return views of the velocities that a sensor needs, none if it needs none."""
-    if not cfg.optical_flow:
+    scan = isinstance(cfg, LidarCfg) and cfg.scan_s is not None
+    if not (cfg.optical_flow or scan):
         return []
     if lin_vel is None or ang_vel is None:
-        raise ConfigError(f"{type(cfg).__name__}.optical_flow needs lin_vel and ang_vel, the velocities of the body")
+        name = "scan_s" if scan else "optical_flow"
+        raise ConfigError(f"{type(cfg).__name__}.{name} needs lin_vel and ang_vel, the velocities of the body")
     velocities = {"lin_vel": lin_vel, "ang_vel": ang_vel}
     return [vector_view(name, given, (envs, 3), device=device) for name, given in velocities.items()]
 

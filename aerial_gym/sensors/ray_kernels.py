@@ -25,6 +25,8 @@ class Rays:
     pixel: wp.array[wp.int32]  # (T * L,) which pixel of the image, or -1
     middle: wp.array[wp.vec3]  # (T,) of the directions of a tile
     spread: wp.array[wp.vec3]  # (T,) half of what they differ by
+    group: wp.array[wp.int32]  # (T,) group of columns of a turning lidar
+    groups: wp.int32  # number of groups G; the view has a row for each of every mount
 
 
 @cache
@@ -56,6 +58,9 @@ def make_warp_kernel(outputs: Outputs) -> wp.Kernel:
         env = mount // sensors
         if not due[env]:
             return
+        seat = mount
+        if wp.static(outputs.scan):
+            seat = mount * rays.groups + rays.group[tile]
         middle = rays.middle[tile]
         spread = rays.spread[tile]
         ray = rays.direction[tile * 32 + lane]
@@ -69,14 +74,14 @@ def make_warp_kernel(outputs: Outputs) -> wp.Kernel:
             entry = float(wp.inf)
             mesh = wp.bool(False)
             if a < count:
-                entry = entry_of(view, mount, a, middle, spread)
-                mesh = view.kind[mount, a] == MESH
+                entry = entry_of(view, seat, a, middle, spread)
+                mesh = view.kind[seat, a] == MESH
             analytic = ballot(entry < wp.inf and not mesh)
             meshes = ballot(entry < wp.inf and mesh)
             while analytic != wp.uint32(0):
                 i = first + lowest_bit(analytic)
                 analytic = analytic & (analytic - wp.uint32(1))
-                distance = trace(view, env, mount, i, ray, nearest)
+                distance = trace(view, env, seat, i, ray, nearest)
                 if distance < nearest:
                     nearest = distance
                     hit = i
@@ -88,13 +93,13 @@ def make_warp_kernel(outputs: Outputs) -> wp.Kernel:
                 meshes = meshes & ~(wp.uint32(1) << wp.uint32(closest))
                 if lane == closest:
                     entry = wp.inf
-                distance = trace(view, env, mount, i, ray, nearest)
+                distance = trace(view, env, seat, i, ray, nearest)
                 if distance < nearest:
                     nearest = distance
                     hit = i
             first += 32
         if pixel >= 0:
-            write_pixel(images, limits, noise, light, view, env, mount, pixel, ray, nearest, hit)
+            write_pixel(images, limits, noise, light, view, env, mount, seat, pixel, ray, nearest, hit)
 
     return cast_by_warp
 
@@ -152,14 +157,17 @@ def make_tile_kernel(outputs: Outputs, num_parts: int) -> wp.Kernel:
         env = mount // sensors
         if not due[env]:
             return
-        analytic = find_candidates(view, mount, rays.middle[tile], rays.spread[tile], False)
-        meshes = find_candidates(view, mount, rays.middle[tile], rays.spread[tile], True)
+        seat = mount
+        if wp.static(outputs.scan):
+            seat = mount * rays.groups + rays.group[tile]
+        analytic = find_candidates(view, seat, rays.middle[tile], rays.spread[tile], False)
+        meshes = find_candidates(view, seat, rays.middle[tile], rays.spread[tile], True)
         for i in range(per_tile):
             pixel = rays.pixel[tile * per_tile + i]
             if pixel >= 0:
                 ray = rays.direction[tile * per_tile + i]
-                nearest, hit = nearest_of(view, env, mount, analytic, ray, limit_of(limits, ray), -1)
-                nearest, hit = nearest_of(view, env, mount, meshes, ray, nearest, hit)
-                write_pixel(images, limits, noise, light, view, env, mount, pixel, ray, nearest, hit)
+                nearest, hit = nearest_of(view, env, seat, analytic, ray, limit_of(limits, ray), -1)
+                nearest, hit = nearest_of(view, env, seat, meshes, ray, nearest, hit)
+                write_pixel(images, limits, noise, light, view, env, mount, seat, pixel, ray, nearest, hit)
 
     return cast_by_tile

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from aerial_gym.assets import Scene
 from aerial_gym.assets.views import check_tensor
-from aerial_gym.config.sensor import LidarCfg, RangeSensorCfg, StereoCfg
+from aerial_gym.config.sensor import RangeSensorCfg, StereoCfg
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.sensors.delay import DelayLine, like
@@ -51,7 +51,8 @@ class SensorManager:
             scene: What they see.
             position: Body origin [m], world, (E, 3), strided or not; read at every capture.
             attitude: Body to world, xyzw, unit, (E, 4), likewise.
-            lin_vel: Velocity of the body's origin [m/s], world, (E, 3), likewise; needed by sensors with optical flow.
+            lin_vel: Velocity of the body's origin [m/s], world, (E, 3), likewise; needed by sensors with optical flow
+                or a scan time.
             ang_vel: Angular velocity of the body [rad/s], body frame, (E, 3), likewise.
             num_envs: Number of environments E.
             device: Where the tensors are.
@@ -61,7 +62,8 @@ class SensorManager:
 
         Raises:
             ShapeError: If a tensor does not fit.
-            ConfigError: If a sensor has a rate or a latency and ``dt`` is not given, or a scan time, which is not simulated.
+            ConfigError: If a sensor has a rate or a latency and ``dt`` is not given, or if it needs the
+                velocities of the body and they are not given.
         """
         if num_envs != scene.num_envs:
             raise ShapeError(f"num_envs = {num_envs}: the scene has {scene.num_envs} environments")
@@ -99,10 +101,6 @@ class SensorManager:
         for field in ("rate_hz", "latency_s"):
             if getattr(cfg, field) and self._dt is None:
                 raise ConfigError(f"sensor {name}: {field} = {getattr(cfg, field)!r} needs the length of a step")
-        if isinstance(cfg, LidarCfg) and cfg.scan_s is not None:
-            raise ConfigError(
-                f"sensor {name}: scan_s = {cfg.scan_s!r}: motion distortion is not simulated; leave it out"
-            )
 
     def capture(self) -> None:
         """Take the images that are due from the present poses; launched on torch's current stream, not waited for.

@@ -31,6 +31,34 @@ class View:
     part_shape: wp.array2d[wp.int32]  # (E, P)
 
 
+@wp.func
+def see_part(
+    scene: SceneArrays,
+    env: int,
+    a: int,
+    origin: wp.vec3,
+    attitude: wp.quat,
+    reach: float,
+    row: int,
+    rows_out: wp.array2d[wp.vec4],
+    kind_out: wp.array2d[wp.int32],
+):
+    """Write into one row how a sensor at a pose (sensor to world) sees one part."""
+    kind = wp.int32(ABSENT)
+    if part_is_present(scene, env, a):
+        offset = origin - part_position(scene, env, a)
+        if wp.length(offset) - scene.radius[env, a] < reach:
+            shape = scene.shapes[scene.part_shape[env, a]]
+            kind = shape.kind
+            own = part_attitude(scene, env, a)
+            turn = wp.quat_to_matrix(wp.quat_inverse(own) * attitude)
+            start = wp.quat_rotate_inv(own, offset) - shape.center
+            for k in range(3):
+                scale = 1.0 / shape.half[k]
+                rows_out[row, 3 * a + k] = scale * wp.vec4(turn[k, 0], turn[k, 1], turn[k, 2], start[k])
+    kind_out[row, a] = kind
+
+
 @wp.kernel(enable_backward=False)
 def look(
     # scene
@@ -52,19 +80,7 @@ def look(
     sensor = mount - env * mount_position.shape[1]
     body = body_attitude[env]
     origin = body_position[env] + wp.quat_rotate(body, mount_position[env, sensor])
-    kind = wp.int32(ABSENT)
-    if part_is_present(scene, env, a):
-        offset = origin - part_position(scene, env, a)
-        if wp.length(offset) - scene.radius[env, a] < reach:
-            shape = scene.shapes[scene.part_shape[env, a]]
-            kind = shape.kind
-            attitude = part_attitude(scene, env, a)
-            turn = wp.quat_to_matrix(wp.quat_inverse(attitude) * (body * mount_attitude[env, sensor]))
-            start = wp.quat_rotate_inv(attitude, offset) - shape.center
-            for k in range(3):
-                scale = 1.0 / shape.half[k]
-                rows_out[mount, 3 * a + k] = scale * wp.vec4(turn[k, 0], turn[k, 1], turn[k, 2], start[k])
-    kind_out[mount, a] = kind
+    see_part(scene, env, a, origin, body * mount_attitude[env, sensor], reach, mount, rows_out, kind_out)
 
 
 @wp.func

@@ -212,6 +212,18 @@ def test_rendering_gives_frames_rays_and_the_time_of_a_move(scene: str, capsys: 
     assert found["move_s"] > 0.0
 
 
+def test_rendering_measures_a_lidar_whose_columns_share_poses(capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ("--scene", "clutter", "--num-envs", "2", "--width", "64", "--height", "16", "--lidar", "--json")
+    status, out, _ = run(capsys, "bench", "render", *argv, "--scan-columns", "16", *QUICK)
+    assert status == 0
+    found = json.loads(out)
+    assert (found["lidar"], found["scan_columns"]) == (True, 16)
+    assert found["frames_per_s"] > 0.0
+    status, _, err = run(capsys, "bench", "render", "--scan-columns", "16", *QUICK)
+    assert status == 2
+    assert "--scan-columns 16: needs --lidar" in err
+
+
 def test_merged_meshes_show_the_same_depths(capsys: pytest.CaptureFixture[str]) -> None:
     """The baseline sees what we see: boxes to round-off; the median leaves out pixels along edges."""
     from aerial_gym.cli.bench.merged import MergedMeshes

@@ -41,6 +41,7 @@ def test_ray_kernels_compile(rich: bool, tmp_path: Path) -> None:
         shadows=rich,
         lamps=rich,
         flow=rich,
+        scan=rich,
     )
     compile_for_gpu(make_warp_kernel(outputs).module, tmp_path)
 

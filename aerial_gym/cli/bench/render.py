@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import torch
 
+    from aerial_gym.config.sensor import RangeSensorCfg
+
 
 @dataclass(frozen=True, kw_only=True)
 class RenderBench:
@@ -29,6 +31,12 @@ class RenderBench:
 
     segmentation: bool = False
     """Whether the camera also writes what each pixel sees."""
+
+    lidar: bool = False
+    """Whether a lidar of a full turn, 45 degrees high, sees the scene instead of the camera."""
+
+    scan_columns: int | None = None
+    """Columns of a lidar that share a pose while it turns in 0.1 s and moves at 1 m/s; all at once if not given."""
 
     against: tuple[str, ...] = ()
     """Renderers measured beside ours: merged (one triangle mesh per environment), shared_mesh (one for all, where they
@@ -84,6 +92,8 @@ class RenderBench:
 
         require_at_least(1, num_envs=self.num_envs, width=self.width, height=self.height)
         device, names, threads = device_by_name(self.device), names_of(self.against), self.threads
+        if names and self.lidar:
+            raise ConfigError("--against: the others draw with a camera, not with --lidar")
         if names and device.type == "cpu":
             if threads not in (None, 1):
                 raise ConfigError(f"--threads {threads} with --against: others draw with one thread. Use --threads 1")
@@ -100,31 +110,30 @@ class RenderBench:
         from aerial_gym.cli.bench.measure import WorkloadError, spread
         from aerial_gym.cli.bench.output import device_name, provenance
         from aerial_gym.cli.bench.scenes import make_scene
-        from aerial_gym.config.sensor import CameraCfg
         from aerial_gym.sensors import RayCaster, SensorImages
 
         provided, scene = provenance(), make_scene(self.scene, self.num_envs, device=device)
-        camera = CameraCfg(
-            summary="benchmark camera",
-            width=self.width,
-            height=self.height,
-            hfov_deg=87.0,
-            min_range=0.0,
-            max_range=scene.max_range,
-            segmentation=self.segmentation,
-            source="the depth camera of base_quadrotor_with_camera",
-        )
+        sensor = self._sensor(scene.max_range)
         image = (self.num_envs, 1, self.height, self.width)
         depth = torch.zeros(image, device=device)
         ids = torch.zeros(image, dtype=torch.int32, device=device) if self.segmentation else None
         images = SensorImages(distance=depth, segmentation=ids)
-        caster = RayCaster(camera, scene.build(), images, position=scene.position, attitude=scene.attitude)
+        ahead = torch.tensor([1.0, 0.0, 0.0], device=device).repeat(self.num_envs, 1)
+        caster = RayCaster(
+            sensor,
+            scene.build(),
+            images,
+            position=scene.position,
+            attitude=scene.attitude,
+            lin_vel=ahead,
+            ang_vel=torch.zeros_like(ahead),
+        )
         seconds = self._time(caster.cast, depth)
         elsewhere = scene.state.clone()
         move = statistics.median(self._time(lambda: scene.state.copy_(elsewhere), depth))
         beside = Beside(
             scene=scene,
-            camera=camera,
+            camera=sensor,
             images=images,
             direction=caster.direction,
             pythons=self.peer_python,
@@ -153,6 +162,8 @@ class RenderBench:
             "width": self.width,
             "height": self.height,
             "segmentation": self.segmentation,
+            "lidar": self.lidar,
+            "scan_columns": self.scan_columns,
             "threads": threads,
             "frames_per_s": median,
             "frames_per_s_min": low,
@@ -163,6 +174,38 @@ class RenderBench:
             **provided,
         }
         return [ours, *(other.row(median, self.num_envs) for other in others)], failures
+
+    def _sensor(self, max_range: float) -> "RangeSensorCfg":
+        """Return the camera or the lidar."""
+        from aerial_gym.config.sensor import CameraCfg, LidarCfg
+        from aerial_gym.errors import ConfigError
+
+        if self.scan_columns is not None and not self.lidar:
+            raise ConfigError(f"--scan-columns {self.scan_columns}: needs --lidar; a camera does not turn")
+        if self.lidar:
+            return LidarCfg(
+                summary="benchmark lidar",
+                width=self.width,
+                height=self.height,
+                elevation_low_deg=-22.5,
+                elevation_high_deg=22.5,
+                min_range=0.0,
+                max_range=max_range,
+                segmentation=self.segmentation,
+                scan_s=None if self.scan_columns is None else 0.1,
+                scan_columns=self.scan_columns or 1,
+                source="the angles of os1_64",
+            )
+        return CameraCfg(
+            summary="benchmark camera",
+            width=self.width,
+            height=self.height,
+            hfov_deg=87.0,
+            min_range=0.0,
+            max_range=max_range,
+            segmentation=self.segmentation,
+            source="the depth camera of base_quadrotor_with_camera",
+        )
 
     def _time(self, call: "Callable[[], object]", depth: "torch.Tensor") -> list[float]:
         """Return the time of one call in each repeat [s]."""

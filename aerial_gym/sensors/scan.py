@@ -1,0 +1,155 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""Motion distortion: a turning lidar measures its columns one after the other, while robot and obstacles move.
+
+Columns that are measured at once are a group, and each group sees the scene from a seat of its own: where the sensor was
+then. The image is complete at the instant of capture; robot and obstacles came there with the twists that they have then.
+
+Frames: body is x forward, y left, z up; world is the environment's own. Letters: E environments, S sensors of one kind,
+M = E * S mounts, G groups, A instances, P parts.
+"""
+
+from math import gcd
+
+import torch
+import warp as wp
+
+from aerial_gym.assets.scene import Scene
+from aerial_gym.assets.scene_arrays import SceneArrays
+from aerial_gym.config.sensor import LidarCfg
+from aerial_gym.sensors.flow import instance_twists
+from aerial_gym.sensors.tiles import Tiles, make_tiles
+from aerial_gym.sensors.view import View, see_part
+
+
+@wp.func
+def turn_by(ang_vel: wp.vec3, time: float) -> wp.quat:
+    """Return the turn by ``ang_vel * time`` [rad]."""
+    return wp.quat_from_axis_angle(wp.normalize(ang_vel), wp.length(ang_vel) * time)
+
+
+@wp.kernel(enable_backward=False)
+def place_seats(
+    # state
+    body_attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
+    body_lin_vel: wp.array[wp.vec3],  # (E,) world [m/s]
+    body_ang_vel: wp.array[wp.vec3],  # (E,) body frame [rad/s]
+    # sensor
+    mount_position: wp.array2d[wp.vec3],  # (E, S) body frame [m]
+    mount_attitude: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
+    age: wp.array[float],  # (G,) how long ago a group was measured [s]
+    # out
+    position_out: wp.array2d[wp.vec3],  # (E, S * G) present body frame [m]
+    attitude_out: wp.array2d[wp.quat],  # (E, S * G) sensor to present body
+):
+    """Write where a sensor was in the present body frame: it turned and went there by constant twist."""
+    env, seat = wp.tid()
+    sensor = seat // age.shape[0]
+    ago = age[seat - sensor * age.shape[0]]
+    back = turn_by(body_ang_vel[env], -ago)
+    gone = wp.quat_rotate_inv(body_attitude[env], ago * body_lin_vel[env])
+    position_out[env, seat] = wp.quat_rotate(back, mount_position[env, sensor]) - gone
+    attitude_out[env, seat] = back * mount_attitude[env, sensor]
+
+
+@wp.kernel(enable_backward=False)
+def look_back(
+    # scene
+    scene: SceneArrays,
+    instance_lin_vel: wp.array2d[wp.vec3],  # (E, A) world [m/s]
+    instance_ang_vel: wp.array2d[wp.vec3],  # (E, A) world [rad/s]
+    # state
+    body_position: wp.array[wp.vec3],  # (E,) world [m]
+    body_attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
+    # sensor
+    seat_position: wp.array2d[wp.vec3],  # (E, S * G) body frame [m]
+    seat_attitude: wp.array2d[wp.quat],  # (E, S * G) sensor to body, xyzw
+    age: wp.array[float],  # (G,) [s]
+    reach: float,  # [m] beyond which nothing is seen
+    # out
+    rows_out: wp.array2d[wp.vec4],  # (M * G, 3 P)
+    kind_out: wp.array2d[wp.int32],  # (M * G, P)
+):
+    """Write how one seat saw one part.
+
+    Instead of the instance the seat is moved: it sees the present instance from where, relative to it, it was.
+    """
+    row, a = wp.tid()
+    env = row // seat_position.shape[1]
+    seat = row - env * seat_position.shape[1]
+    body = body_attitude[env]
+    origin = body_position[env] + wp.quat_rotate(body, seat_position[env, seat])
+    attitude = body * seat_attitude[env, seat]
+    if scene.part_shape[env, a] >= 0:
+        instance = scene.part_instance[env, a]
+        velocity = instance_lin_vel[env, instance]
+        spin = instance_ang_vel[env, instance]
+        if wp.length_sq(velocity) + wp.length_sq(spin) > 0.0:
+            ago = age[seat - (seat // age.shape[0]) * age.shape[0]]
+            forth = turn_by(spin, ago)
+            place = scene.position[env, instance]
+            origin = place + wp.quat_rotate(forth, origin + ago * velocity - place)
+            attitude = forth * attitude
+    see_part(scene, env, a, origin, attitude, reach, row, rows_out, kind_out)
+
+
+class Scan:
+    """The seats of a turning lidar, and the launches that place them and look from them."""
+
+    def __init__(self, cfg: LidarCfg, scene: Scene, pose: list[wp.array], twist: list[wp.array]) -> None:
+        """Take what the seats depend on.
+
+        Args:
+            cfg: A lidar with a scan time.
+            scene: What it sees; instances move with the velocities in its ``asset_state``.
+            pose: Body position and attitude, mount position and attitude.
+            twist: Velocity of the body's origin, world, and angular velocity, body frame.
+        """
+        self._cfg, self._scene, self._mount, self._twist = cfg, scene, pose, twist
+        self._device = wp.device_from_torch(scene.device)
+        ages = group_ages(cfg)
+        self.groups = len(ages)
+        """Number of groups G."""
+        self._age = wp.array(ages, dtype=wp.float32, device=self._device)
+        seats = (scene.num_envs, cfg.count * self.groups)
+        position = wp.zeros(seats, dtype=wp.vec3, device=self._device)
+        attitude = wp.zeros(seats, dtype=wp.quat, device=self._device)
+        self.pose = [*pose[:2], position, attitude]
+        """Body position and attitude, seat position and attitude (E, S * G); seats stand where mounts do otherwise."""
+
+    def record_placement(self) -> wp.Launch:
+        """Record the launch that places the seats."""
+        _, attitude, *mount = self._mount
+        inputs = [attitude, *self._twist, *mount, self._age]
+        return self._record(place_seats, self.pose[2].shape, inputs, self.pose[2:])
+
+    def record_look(self, view: View, reach: float) -> wp.Launch:
+        """Record the launch that works out how every seat sees every part within a reach [m]."""
+        inputs = [self._scene.arrays, *instance_twists(self._scene), *self.pose, self._age, reach]
+        return self._record(look_back, view.kind.shape, inputs, [view.rows, view.kind])
+
+    def _record(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list, outputs: list) -> wp.Launch:
+        launch = wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self._device, record_cmd=True)
+        assert launch is not None
+        return launch
+
+    def make_tiles(self, direction: torch.Tensor, *, height: int, width: int) -> tuple[Tiles, torch.Tensor]:
+        """Return tiles of as many rays as ``height`` x ``width``, each within one group, and the group of each, int32."""
+        narrow = gcd(self._cfg.scan_columns, width)
+        tiles = make_tiles(direction, height=height * width // narrow, width=narrow)
+        across = -(-direction.shape[1] // narrow)
+        column = torch.arange(tiles.num_tiles, device=direction.device) % across
+        return tiles, (column * narrow // self._cfg.scan_columns).int()
+
+
+def group_ages(cfg: LidarCfg) -> list[float]:
+    """Return how long before the capture each group of columns was measured [s]: the middle of its columns, G numbers."""
+    assert cfg.scan_s is not None
+    span = cfg.azimuth_high_deg - cfg.azimuth_low_deg
+    steps = cfg.width if cfg.full_turn else max(cfg.width - 1, 1)
+    per_column = cfg.scan_s * span / 360.0 / steps
+    firsts = range(0, cfg.width, cfg.scan_columns)
+    middles = [0.5 * (first + min(first + cfg.scan_columns, cfg.width) - 1) for first in firsts]
+    return [per_column * (cfg.width - 1 - middle if cfg.scan_clockwise else middle) for middle in middles]
