@@ -89,11 +89,16 @@ class RotorCfg:
     thrust_range: tuple[float, float]
     """Lowest and highest thrust [N] that may be commanded, 0 <= low < high < inf."""
 
+    radius: float | None = None
+    """Of the propeller [m], > 0; only effects that depend on it need it."""
+
     source: str
     """Where the numbers come from."""
 
     def __post_init__(self) -> None:
-        require_positive(self, "time_constant_up", "time_constant_down")
+        require_positive(
+            self, "time_constant_up", "time_constant_down", *(("radius",) if self.radius is not None else ())
+        )
         require_finite(self, "thrust_map", "thrust_range")
         if self.thrust_map[2] <= 0.0:
             raise ConfigError(f"RotorCfg.thrust_map = {self.thrust_map!r}: the coefficient of w² must be > 0")

@@ -142,6 +142,7 @@ class EnvManager:
             dt=self.dt,
             gravity=self.sim_cfg.gravity,
             seed=self.seed,
+            errors=self.robot_manager.model.imu,
         )
 
     @property

@@ -13,7 +13,7 @@ from torch import Tensor
 from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize, quat_rotate
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import angular_acceleration, body_wrench, com_acceleration
-from aerial_gym.physics.rotors import lag_speed
+from aerial_gym.physics.rotors import lag_acceleration, lag_speed
 from aerial_gym.physics.state import BodyState
 
 
@@ -70,9 +70,9 @@ def _rotor_speed_after(model: Model, speed: Tensor, command: Tensor, dt: float) 
     return lag_speed(speed, command, vehicle.time_constant_up, vehicle.time_constant_down, dt)
 
 
-def _derivative(model: Model, state: MassState) -> tuple[Tensor, Tensor]:
+def _derivative(model: Model, state: MassState, rotor_acc: Tensor) -> tuple[Tensor, Tensor]:
     position, attitude, lin_vel, ang_vel, rotor_speed = vars(state).values()
-    force, torque = body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed)
+    force, torque = body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
     return com_acceleration(model, attitude, force), angular_acceleration(model, ang_vel, torque)
 
 
@@ -83,7 +83,8 @@ def semi_implicit_euler(model: Model, state: MassState, rotor_command: Tensor, d
     Integration, I.1.2 (symplectic Euler).
     """
     rotor_speed = _rotor_speed_after(model, state.rotor_speed, rotor_command, dt)
-    acc, ang_acc = _derivative(model, MassState(**{**vars(state), "rotor_speed": rotor_speed}))
+    rotor_acc = (rotor_speed - state.rotor_speed) / dt  # over the step: the momentum that the rotors gain is exact
+    acc, ang_acc = _derivative(model, MassState(**{**vars(state), "rotor_speed": rotor_speed}), rotor_acc)
     lin_vel, ang_vel = state.lin_vel + dt * acc, state.ang_vel + dt * ang_acc
     return MassState(
         position=state.position + dt * lin_vel,
@@ -101,10 +102,12 @@ def rk4(model: Model, state: MassState, rotor_command: Tensor, dt: float) -> Mas
     """
     half = _rotor_speed_after(model, state.rotor_speed, rotor_command, 0.5 * dt)
     end = _rotor_speed_after(model, state.rotor_speed, rotor_command, dt)
+    lag, jump = (model.vehicle.time_constant_up, model.vehicle.time_constant_down), rotor_command - state.rotor_speed
     slopes, stage = [], state
     for speed, weight in ((state.rotor_speed, 0.5), (half, 0.5), (half, 1.0), (end, 0.0)):
         stage = MassState(**{**vars(stage), "rotor_speed": speed})
-        acc, ang_acc = _derivative(model, stage)
+        rotor_acc = lag_acceleration(speed, rotor_command, *lag, jump, dt)
+        acc, ang_acc = _derivative(model, stage, rotor_acc)
         slopes.append((stage.lin_vel, _attitude_rate(stage.attitude, stage.ang_vel), acc, ang_acc))
         stage = _advance(state, slopes[-1], weight * dt)
     mean = [(a + 2.0 * b + 2.0 * c + d) / 6.0 for a, b, c, d in zip(*slopes, strict=True)]

@@ -10,8 +10,17 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import ShapeError
-from aerial_gym.physics.effects import EFFECTS, Effect, VehicleEffect, WindEffect, WrenchEffect
+from aerial_gym.errors import ConfigError, ShapeError
+from aerial_gym.physics.effects import (
+    EFFECTS,
+    Effect,
+    ImuEffect,
+    RotorEffect,
+    RotorSensorEffect,
+    VehicleEffect,
+    WindEffect,
+    WrenchEffect,
+)
 from aerial_gym.physics.vehicle import Vehicle, is_shared, share_row
 
 STANDARD_GRAVITY = 9.81
@@ -34,14 +43,37 @@ class Model:
     winds: tuple[tuple[WindEffect, Tensor], ...]
     """Effects that move the air."""
 
+    rotors: tuple[tuple[RotorEffect, Tensor], ...]
+    """Effects that change the thrust of the rotors."""
+
     wrenches: tuple[tuple[WrenchEffect, Tensor], ...]
     """Effects that push and turn the body."""
+
+    imu: tuple[tuple[ImuEffect, Tensor], ...]
+    """Errors of the inertial sensors, in the order in which they act."""
+
+    rotor_sensors: tuple[tuple[RotorSensorEffect, Tensor], ...]
+    """Errors of the sensors of rotor speed."""
 
     gravity: float
     """Downward acceleration of free fall [m/s²]."""
 
+    ground_height: float = 0.0
+    """Height of the ground [m], world, for effects near it."""
 
-def build_model(vehicle: Vehicle, effects: Sequence[EffectParams] = (), *, gravity: float = STANDARD_GRAVITY) -> Model:
+    @property
+    def forces(self) -> tuple[EffectParams, ...]:
+        """Effects that act in every step: winds, rotors, wrenches."""
+        return (*self.winds, *self.rotors, *self.wrenches)
+
+
+def build_model(
+    vehicle: Vehicle,
+    effects: Sequence[EffectParams] = (),
+    *,
+    gravity: float = STANDARD_GRAVITY,
+    ground_height: float = 0.0,
+) -> Model:
     """Return the model of a declared vehicle with effects added; differentiable in vehicle and parameters.
 
     Raises:
@@ -57,8 +89,12 @@ def build_model(vehicle: Vehicle, effects: Sequence[EffectParams] = (), *, gravi
         vehicle=vehicle,
         inertia_inverse=_inverse(vehicle.inertia),
         winds=tuple((effect, params) for effect, params in effects if isinstance(effect, WindEffect)),
+        rotors=tuple((effect, params) for effect, params in effects if isinstance(effect, RotorEffect)),
         wrenches=tuple((effect, params) for effect, params in effects if isinstance(effect, WrenchEffect)),
+        imu=tuple((effect, params) for effect, params in effects if isinstance(effect, ImuEffect)),
+        rotor_sensors=tuple((effect, params) for effect, params in effects if isinstance(effect, RotorSensorEffect)),
         gravity=gravity,
+        ground_height=ground_height,
     )
 
 
@@ -85,6 +121,13 @@ def effects_from_config(
 
 
 def check_effects(robot: RobotCfg) -> None:
-    """Raise the errors of ``effects_from_config`` without making a tensor."""
+    """Raise the errors of ``effects_from_config`` without making a tensor, and what an effect misses in the robot file."""
     for name, values in robot.effects.items():
-        EFFECTS.get(name).params_from(values)
+        effect = EFFECTS.get(name)
+        effect.check(robot)
+        row = dict(zip((p.name for p in effect.parameters), effect.params_from(values), strict=True))
+        for parameter in effect.parameters:
+            if parameter.kind == "rotor" and row[parameter.name] not in range(1, robot.num_rotors + 1):
+                raise ConfigError(
+                    f"effect {name}.{parameter.name} = {row[parameter.name]:g}: must be a rotor, 1 to {robot.num_rotors}"
+                )

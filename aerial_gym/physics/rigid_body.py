@@ -4,7 +4,7 @@ Pure functions of tensors. Frames: body is x forward, y left, z up; world is z u
 Letters: E environments, R rotors. Subscripts: o body origin, c centre of mass.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -29,7 +29,13 @@ def air_velocity(model: Model, position: Tensor, attitude: Tensor, com_vel: Tens
 
 
 def body_wrench(
-    model: Model, position: Tensor, attitude: Tensor, com_vel: Tensor, ang_vel: Tensor, rotor_speed: Tensor
+    model: Model,
+    position: Tensor,
+    attitude: Tensor,
+    com_vel: Tensor,
+    ang_vel: Tensor,
+    rotor_speed: Tensor,
+    rotor_acc: Tensor,
 ) -> tuple[Tensor, Tensor]:
     """Return all force but gravity [N] and torque about the centre of mass [N m], body, each (E, 3).
 
@@ -40,12 +46,12 @@ def body_wrench(
         com_vel: Velocity of the centre of mass [m/s], world, (E, 3).
         ang_vel: Angular velocity [rad/s], body, (E, 3).
         rotor_speed: Rotor speeds [rad/s], (E, R).
+        rotor_acc: Angular accelerations of the rotors [rad/s²], (E, R).
     """
     vehicle = model.vehicle
-    thrust = evaluate_map(vehicle.thrust_map, rotor_speed)
-    force, torque = rotor_wrench(vehicle, thrust, evaluate_map(vehicle.torque_map, rotor_speed))
-    if not model.wrenches:
-        return force, torque
+    thrust, drag = evaluate_map(vehicle.thrust_map, rotor_speed), evaluate_map(vehicle.torque_map, rotor_speed)
+    if not model.rotors and not model.wrenches:
+        return rotor_wrench(vehicle, thrust, drag)
     condition = Condition(
         position=position,
         attitude=attitude,
@@ -53,7 +59,14 @@ def body_wrench(
         ang_vel=ang_vel,
         rotor_speed=rotor_speed,
         rotor_thrust=thrust,
+        rotor_acc=rotor_acc,
+        ground_height=model.ground_height,
+        vehicle=vehicle,
     )
+    more = [effect.thrust(condition, params) for effect, params in model.rotors]
+    thrust = sum(more, thrust)
+    force, torque = rotor_wrench(vehicle, thrust, drag)
+    condition = replace(condition, rotor_thrust=thrust)
     for effect, params in model.wrenches:
         wrench = effect.wrench(condition, params)
         force, torque = force + wrench[:, :3], torque + wrench[:, 3:]
@@ -83,8 +96,10 @@ class Accelerations:
     """Angular acceleration [rad/s²], body, (E, 3)."""
 
 
-def accelerations(model: Model, state: BodyState) -> Accelerations:
+def accelerations(model: Model, state: BodyState, rotor_acc: Tensor | None = None) -> Accelerations:
     """Return specific force and angular acceleration in a state; each row may be a moment of a flight log.
+
+    ``rotor_acc`` are the angular accelerations of the rotors [rad/s²], (E, R); none if not given.
 
     ``f_o = F / m - alpha x c - w x (w x c)`` with c from the origin to the centre of mass.
 
@@ -94,7 +109,8 @@ def accelerations(model: Model, state: BodyState) -> Accelerations:
     com, ang_vel = model.vehicle.com, state.ang_vel
     position = state.position + quat_rotate(state.attitude, com)
     com_vel = state.lin_vel + quat_rotate(state.attitude, torch.linalg.cross(ang_vel, com))
-    force, torque = body_wrench(model, position, state.attitude, com_vel, ang_vel, state.rotor_speed)
+    spin_up = torch.zeros_like(state.rotor_speed) if rotor_acc is None else rotor_acc
+    force, torque = body_wrench(model, position, state.attitude, com_vel, ang_vel, state.rotor_speed, spin_up)
     ang_acc = angular_acceleration(model, ang_vel, torque)
     lever = torch.linalg.cross(ang_acc, com) + torch.linalg.cross(ang_vel, torch.linalg.cross(ang_vel, com))
     return Accelerations(specific_force=force / model.vehicle.mass.unsqueeze(-1) - lever, ang_acc=ang_acc)

@@ -33,6 +33,29 @@ def lag_speed(speed: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, 
     return command + (speed - command) * torch.exp(-dt / tau)
 
 
+def lag_acceleration(
+    speed: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, jump: Tensor, dt: float
+) -> Tensor:
+    """Return the angular acceleration of the rotors [rad/s²], (E, R): ``(w_c - w) / tau``.
+
+    A rotor without lag follows at once: it is given the mean acceleration ``jump / dt`` of the step.
+
+    Args:
+        speed: Rotor speeds w [rad/s], (E, R).
+        command: Commanded speeds w_c [rad/s], (E, R).
+        tau_up: Time constant where the command is above the speed [s], (E, R).
+        tau_down: Time constant where it is below [s], (E, R).
+        jump: Command minus the speed at the start of the step [rad/s], (E, R).
+        dt: Length of the step [s].
+
+    Source:
+        Derived: linear first-order equation.
+    """
+    tau = torch.where(command > speed, tau_up, tau_down)
+    lags = tau > 0.0
+    return torch.where(lags, (command - speed) / torch.where(lags, tau, torch.ones_like(tau)), jump / dt)
+
+
 def evaluate_map(coefficients: Tensor, speed: Tensor) -> Tensor:
     """Return ``c0 + c1 w + c2 w²``: thrust [N] or drag torque [N m].
 

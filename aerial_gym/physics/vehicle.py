@@ -6,6 +6,7 @@ Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 """
 
 from dataclasses import dataclass
+from math import nan
 
 import torch
 from torch import Tensor
@@ -57,6 +58,9 @@ class Vehicle:
     time_constant_down: Tensor
     """Lag of a falling speed [s], (E, R)."""
 
+    rotor_radius: Tensor
+    """Radii of the propellers [m], (E, R); NaN where the robot file gives none."""
+
     speed_low: Tensor
     """Lowest speed that can be commanded [rad/s], (E, R)."""
 
@@ -95,6 +99,7 @@ def vehicle_from_config(
         torque_map=rows([rotor.torque_coefficients] * count),
         time_constant_up=rows([rotor.time_constant_up] * count),
         time_constant_down=rows([rotor.time_constant_down] * count),
+        rotor_radius=rows([nan if rotor.radius is None else rotor.radius] * count),
         speed_low=rows([rotor.speed_at(rotor.thrust_range[0])] * count),
         speed_high=rows([rotor.speed_at(rotor.thrust_range[1])] * count),
     )

@@ -14,7 +14,15 @@ from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop import launch_side_by_side, on_torch_stream, split, start_warp
 from aerial_gym.physics.backend import BACKENDS, Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
-from aerial_gym.physics.effects import EFFECTS, VehicleEffect, WindEffect, WrenchEffect
+from aerial_gym.physics.effects import (
+    EFFECTS,
+    ImuEffect,
+    RotorEffect,
+    RotorSensorEffect,
+    VehicleEffect,
+    WindEffect,
+    WrenchEffect,
+)
 from aerial_gym.physics.effects.base import Effect
 from aerial_gym.physics.fused.command import NoGains
 from aerial_gym.physics.fused.contact import contact_parameters
@@ -49,9 +57,11 @@ def has_warp_twin(effect: Effect) -> bool:
     """Return whether an effect can run in the fused kernel."""
     if isinstance(effect, WindEffect):
         return type(effect).warp_wind is not WindEffect.warp_wind
+    if isinstance(effect, RotorEffect):
+        return type(effect).warp_thrust is not RotorEffect.warp_thrust
     if isinstance(effect, WrenchEffect):
         return type(effect).warp_wrench is not WrenchEffect.warp_wrench
-    return isinstance(effect, VehicleEffect)
+    return isinstance(effect, (VehicleEffect, ImuEffect, RotorSensorEffect))  # they cost nothing in a step
 
 
 class _GroundArrays(NamedTuple):
@@ -104,7 +114,7 @@ class WarpBackend:
         """
         if integrator not in STAGES:
             raise CapabilityError(f"backend warp: no integrator {integrator!r}. Known: {', '.join(STAGES)}")
-        for effect, _ in (*model.winds, *model.wrenches):
+        for effect, _ in model.forces:
             if not has_warp_twin(effect):
                 raise CapabilityError(f"backend warp: cannot run effect {effect.name!r}. Use backend 'torch'.")
         law = control.fused()

@@ -24,7 +24,7 @@ from aerial_gym.physics import (
     vehicle_from_config,
 )
 from aerial_gym.physics.ground import Ground
-from aerial_gym.physics.model import Model
+from aerial_gym.physics.model import Model, check_effects
 from aerial_gym.physics.rotors import speed_for_thrust
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.robots.initial_state import InitialState
@@ -82,6 +82,7 @@ class RobotManager:
             seed: Seed of the initial states.
         """
         self.cfg, self._sim, self._gtd, self._generator = robot, sim, gtd, generator
+        check_effects(robot)
         self._bounds, self._seed = bounds, seed
         self._num_envs = root_state.shape[0]
         self.declared: Vehicle = vehicle_from_config(robot, num_envs=self._num_envs, device=gtd.device)
@@ -122,7 +123,7 @@ class RobotManager:
         Raises:
             ConfigError: If there should be contact and the robot has no collision shape.
         """
-        self.controller = controller
+        self.controller, self._ground_height = controller, ground_height or 0.0
         gtd = self._gtd
         gtd.define_size("U", len(controller.action_names))
         self.tensors: RobotTensors = declare_robot_tensors(gtd, self._root_state)
@@ -213,7 +214,7 @@ class RobotManager:
                 time_constant_up=vehicle.time_constant_up * lag,
                 time_constant_down=vehicle.time_constant_down * lag,
             )
-        self.model = build_model(vehicle, self._effects, gravity=self._sim.gravity)
+        self.model = build_model(vehicle, self._effects, gravity=self._sim.gravity, ground_height=self._ground_height)
         self._mass.copy_(self.model.vehicle.mass)
         self._inertia.copy_(self.model.vehicle.inertia)
         self._com.copy_(self.model.vehicle.com)

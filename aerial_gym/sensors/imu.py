@@ -20,6 +20,7 @@ whatever other environments do, and new at each replay of a captured step.
 Frames: world z up; body x forward, y left, z up. Letters: E environments.
 """
 
+from collections.abc import Sequence
 from math import inf, radians, sqrt
 
 import torch
@@ -31,6 +32,7 @@ from aerial_gym.config.imu import ImuCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import on_torch_stream, start_warp
 from aerial_gym.math.quaternion import quat_from_euler
+from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn
 
 STREAM = wp.constant(0x696D75)
@@ -54,6 +56,10 @@ class Unit:
     gyro_range: wp.float32  # [rad/s]
     gravity: wp.float32  # [m/s²]
     dt: wp.float32  # [s]
+    accel_gain: wp.mat33  # of the robot's own effects on inertial sensors, body axes
+    accel_offset: wp.vec3  # [m/s²]
+    gyro_gain: wp.mat33
+    gyro_offset: wp.vec3  # [rad/s]
 
 
 @wp.struct
@@ -125,8 +131,16 @@ def _write(
     gyro_bias: wp.vec3,
 ):
     """Write biases, and what the IMU makes of specific force [m/s²] and angular velocity [rad/s] in body axes."""
-    accel = rotate_inverse(mount, force) + accel_bias + _normal(random, 0, unit.accel_noise)
-    gyro = rotate_inverse(mount, ang_vel) + gyro_bias + _normal(random, 1, unit.gyro_noise)
+    accel = (
+        rotate_inverse(mount, unit.accel_gain * force + unit.accel_offset)
+        + accel_bias
+        + _normal(random, 0, unit.accel_noise)
+    )
+    gyro = (
+        rotate_inverse(mount, unit.gyro_gain * ang_vel + unit.gyro_offset)
+        + gyro_bias
+        + _normal(random, 1, unit.gyro_noise)
+    )
     out.bias[e, 0] = accel_bias
     out.bias[e, 1] = gyro_bias
     out.measurement[e, 0] = _limit(accel, unit.accel_range)
@@ -181,6 +195,7 @@ class Imu:
         dt: float,
         gravity: float,
         seed: int,
+        errors: Sequence[tuple[ImuEffect, Tensor]] = (),
     ) -> None:
         """Take views of the tensors, which must stay where they are, and load the kernels; then ``reset`` all rows.
 
@@ -193,6 +208,7 @@ class Imu:
             dt: Time between two samples [s], > 0: the environment step.
             gravity: Downward acceleration of free fall [m/s²].
             seed: Of all draws; another one for a second IMU on the same robot.
+            errors: Effects of the robot on its inertial sensors with their parameters, (E, P), the same in every environment.
 
         Raises:
             ConfigError: If ``dt`` is not positive and finite.
@@ -217,7 +233,7 @@ class Imu:
         motion.attitude = vector_view("attitude", attitude, (envs, 4), device=device)
         motion.lin_vel = vector_view("lin_vel", lin_vel, (envs, 3), device=device)
         motion.ang_vel = vector_view("ang_vel", ang_vel, (envs, 3), device=device)
-        inputs = [motion, _make_unit(cfg, dt, gravity), wp.from_torch(self._seed), self._make_outputs()]
+        inputs = [motion, _make_unit(cfg, dt, gravity, errors), wp.from_torch(self._seed), self._make_outputs()]
 
         launch = {"dim": envs, "device": wp.device_from_torch(device), "record_cmd": True}
         self._measure_command = wp.launch(_measure, inputs=inputs, **launch)
@@ -256,8 +272,20 @@ class Imu:
         self._sample.zero_()
 
 
-def _make_unit(cfg: ImuCfg, dt: float, gravity: float) -> Unit:
+def _affine(errors: Sequence[tuple[ImuEffect, Tensor]]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return gain (3, 3) and offset (3,) of the specific force, and those of the angular velocity: the effects are affine."""
+    rows = torch.cat((torch.zeros(1, 3, dtype=torch.float64), torch.eye(3, dtype=torch.float64)))
+    force = ang_vel = rows
+    for effect, params in errors:
+        force, ang_vel = effect.measure(force, ang_vel, params[:1].cpu().double().expand(4, -1))
+    return (force[1:] - force[0]).T, force[0], (ang_vel[1:] - ang_vel[0]).T, ang_vel[0]
+
+
+def _make_unit(cfg: ImuCfg, dt: float, gravity: float, errors: Sequence[tuple[ImuEffect, Tensor]]) -> Unit:
     unit = Unit()
+    accel_gain, accel_offset, gyro_gain, gyro_offset = _affine(errors)
+    unit.accel_gain, unit.accel_offset = wp.mat33(*accel_gain.flatten().tolist()), wp.vec3(*accel_offset.tolist())
+    unit.gyro_gain, unit.gyro_offset = wp.mat33(*gyro_gain.flatten().tolist()), wp.vec3(*gyro_offset.tolist())
     unit.dt, unit.gravity = dt, gravity
     unit.position, unit.mount = wp.vec3(*cfg.position), wp.quat(*quat_from_euler(torch.tensor(cfg.euler)).tolist())
     unit.misalignment = wp.vec3(*(radians(angle) for angle in cfg.misalignment_deg))

@@ -25,6 +25,10 @@ RELATIVE = 2e-5
 """Of the largest entry: some 200 units in the last place of float32, for some thousand operations."""
 
 
+OVERRULED = "motor_time_constant"
+"""Replaced by what motor_asymmetry says."""
+
+
 def gradients(backend, dtype: torch.dtype, controller: str, integrator: str) -> dict[str, Tensor]:
     """Return the gradients of a generic function of the state after a rollout, by what they are taken for."""
     robot = lopsided_robot()
@@ -36,10 +40,13 @@ def gradients(backend, dtype: torch.dtype, controller: str, integrator: str) -> 
     effects = []
     for name in EFFECTS.names():
         effect = EFFECTS.get(name)
+        if effect.acts_on == "sensor" or name == OVERRULED:
+            continue
         row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
         leaves[name] = torch.tensor(row, dtype=dtype).expand(NUM_ENVS, -1).clone().requires_grad_()
         effects.append((effect, leaves[name]))
     start = {k: v.to(dtype).requires_grad_() for k, v in vars(random_state(NUM_ENVS, seed=2)).items()}
+    start["position"] = (start["position"].detach() + 4.0).requires_grad_()  # above the ground
     leaves |= start
     g = torch.Generator().manual_seed(0)
     action = torch.rand(NUM_ENVS, 4, dtype=torch.float64, generator=g).to(dtype)

@@ -17,7 +17,15 @@ from aerial_gym.physics import (
     effects_from_config,
     vehicle_from_config,
 )
-from aerial_gym.physics.effects import Effect, VehicleEffect, WindEffect, WrenchEffect
+from aerial_gym.physics.effects import (
+    Effect,
+    ImuEffect,
+    RotorEffect,
+    RotorSensorEffect,
+    VehicleEffect,
+    WindEffect,
+    WrenchEffect,
+)
 from aerial_gym.physics.model import Model
 from aerial_gym.robots import ROBOTS
 from tests.physics.test_rigid_body import SpeedControl
@@ -181,7 +189,7 @@ def test_every_effect_states_what_it_is(name: str) -> None:
     assert effect.name == name
     assert effect.summary
     assert effect.excitation
-    assert isinstance(effect, (VehicleEffect, WindEffect, WrenchEffect))
+    assert isinstance(effect, (VehicleEffect, WindEffect, RotorEffect, WrenchEffect, ImuEffect, RotorSensorEffect))
     neutral = effect.neutral(ROBOTS.get("tinyprop"))
     assert len(neutral) == len(effect.parameters)
     for value, parameter in zip(neutral, effect.parameters, strict=True):

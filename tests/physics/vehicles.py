@@ -25,6 +25,7 @@ def lopsided_robot(*, com: tuple[float, float, float] = (0.01, -0.02, 0.03)) -> 
             time_constant_up=0.03,
             time_constant_down=0.05,
             thrust_range=(0.0, 8.0),
+            radius=0.1,
             source="test",
         ),
         mounts=MountsCfg(

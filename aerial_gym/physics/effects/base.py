@@ -17,6 +17,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
+from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics.vehicle import Vehicle
 
 ActsOn = Literal["rotor", "actuation", "wrench", "inertia", "environment", "sensor"]
@@ -44,6 +45,9 @@ class Parameter:
     meaning: str
     """One line."""
 
+    kind: Literal["number", "rotor", "convention"] = "number"
+    """A number that a fit may change, the number of a rotor (1 to R), or a convention that a fit keeps."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Condition:
@@ -67,9 +71,47 @@ class Condition:
     rotor_thrust: Tensor
     """Rotor thrusts [N], (E, R)."""
 
+    rotor_acc: Tensor
+    """Angular accelerations of the rotors about their axes, positive where they speed up [rad/s²], (E, R)."""
+
+    ground_height: float
+    """Height of the ground [m], world."""
+
+    vehicle: Vehicle
+    """Gives the geometry."""
+
+    @property
+    def lever(self) -> Tensor:
+        """Hubs from the centre of mass [m], body, (E, R, 3)."""
+        return self.vehicle.rotor_position - self.vehicle.com.unsqueeze(1)
+
+    @property
+    def hub_velocity(self) -> Tensor:
+        """Velocity of the hubs through the air [m/s], body, (E, R, 3): ``v + w x l``, in the wind at the centre of mass."""
+        return self.air_velocity.unsqueeze(1) + torch.linalg.cross(self.ang_vel.unsqueeze(1), self.lever, dim=-1)
+
+    @property
+    def hub_height(self) -> Tensor:
+        """Height of the hubs above the ground [m], (E, R)."""
+        up = quat_rotate_inverse(self.attitude, self.position.new_tensor((0.0, 0.0, 1.0)).expand_as(self.position))
+        return self.position[:, 2:] + (self.lever @ up.unsqueeze(-1)).squeeze(-1) - self.ground_height
+
+    @property
+    def axial_velocity(self) -> Tensor:
+        """Velocity of the hubs through the air along their rotors' axes [m/s], (E, R)."""
+        return (self.hub_velocity * self.vehicle.rotor_axis).sum(-1)
+
+    @property
+    def edgewise_velocity(self) -> Tensor:
+        """Velocity of the hubs through the air in the planes of their rotors [m/s], body, (E, R, 3)."""
+        return self.hub_velocity - self.axial_velocity.unsqueeze(-1) * self.vehicle.rotor_axis
+
 
 class Effect(ABC):
-    """A named physical effect. Subclasses say where they act: ``VehicleEffect``, ``WindEffect``, ``WrenchEffect``."""
+    """A named physical effect. Subclasses say where they act.
+
+    ``VehicleEffect``, ``WindEffect``, ``RotorEffect``, ``WrenchEffect``, ``ImuEffect``, ``RotorSensorEffect``.
+    """
 
     name: ClassVar[str]
     summary: ClassVar[str]
@@ -84,6 +126,10 @@ class Effect(ABC):
         """Return the parameters with which the robot behaves as declared; zeros unless a subclass says otherwise."""
         del robot
         return (0.0,) * len(self.parameters)
+
+    def check(self, robot: RobotCfg) -> None:
+        """Raise ``ConfigError`` if the robot file lacks a number that the effect needs."""
+        del robot
 
     def params_from(self, values: Mapping[str, float]) -> tuple[float, ...]:
         """Return the parameters in order; raise ``ConfigError`` if one is unknown, missing or out of bounds."""
@@ -125,6 +171,29 @@ class WindEffect(Effect):
         return None
 
 
+class RotorEffect(Effect):
+    """A change of thrust, rotor by rotor. The drag torque of the rotors stays what it is."""
+
+    acts_on = "rotor"
+
+    @abstractmethod
+    def thrust(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return the thrust that comes to the rotors' own [N], (E, R); ``condition.rotor_thrust`` is their own."""
+
+    def warp_thrust(self, condition: type, hub: type) -> wp.Function | None:
+        """Return the twin of ``thrust`` for one rotor, or None: the effect then runs on the torch backend only.
+
+        Args:
+            condition: The ``wp.struct`` with the fields of ``Condition`` for this number of rotors.
+            hub: The ``wp.struct`` with what one rotor feels.
+
+        Returns:
+            A ``wp.func`` (condition, hub, params: vector of P) -> thrust [N].
+        """
+        del condition, hub
+        return None
+
+
 class WrenchEffect(Effect):
     """A force and torque on the body that is linear in its parameters."""
 
@@ -149,3 +218,27 @@ class WrenchEffect(Effect):
         """
         del condition
         return None
+
+
+class ImuEffect(Effect):
+    """An error of the inertial sensors: the vehicle flies as before, but is measured otherwise."""
+
+    acts_on = "sensor"
+
+    @abstractmethod
+    def measure(self, specific_force: Tensor, ang_vel: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
+        """Return what is measured of a true specific force [m/s²] and angular velocity [rad/s], body, each (E, 3)."""
+
+
+class RotorSensorEffect(Effect):
+    """An error of the sensors of rotor speed: the vehicle flies as before, but is measured otherwise."""
+
+    acts_on = "sensor"
+
+    @abstractmethod
+    def measure(self, rotor_speed: Tensor, params: Tensor) -> Tensor:
+        """Return what is measured of true rotor speeds [rad/s], (E, R)."""
+
+    @abstractmethod
+    def true_speed(self, measured: Tensor, params: Tensor) -> Tensor:
+        """Return the rotor speeds behind measured ones [rad/s], (E, R), the inverse of ``measure``."""

@@ -1,12 +1,27 @@
 """Every effect that comes with the package, in one table. Adding an effect is adding one file and one line here."""
 
+from aerial_gym.physics.effects.axial_inflow import AxialInflow
 from aerial_gym.physics.effects.base import Effect
 from aerial_gym.physics.effects.com_offset import ComOffset
 from aerial_gym.physics.effects.constant_wind import ConstantWind
+from aerial_gym.physics.effects.ground_effect import GroundEffect
+from aerial_gym.physics.effects.h_force_flapping import HForceFlapping
+from aerial_gym.physics.effects.imu_bias import ImuBias
+from aerial_gym.physics.effects.imu_misalignment import ImuMisalignment
+from aerial_gym.physics.effects.inertia_error import InertiaError
+from aerial_gym.physics.effects.motor_asymmetry import MotorAsymmetry
+from aerial_gym.physics.effects.motor_tilt import MotorTilt
 from aerial_gym.physics.effects.motor_time_constant import MotorTimeConstant
+from aerial_gym.physics.effects.payload_mass import PayloadMass
 from aerial_gym.physics.effects.quadratic_drag import QuadraticDrag
 from aerial_gym.physics.effects.rotor_drag import RotorDrag
+from aerial_gym.physics.effects.rotor_inertia import RotorInertia
+from aerial_gym.physics.effects.rotor_speed_scale import RotorSpeedScale
 from aerial_gym.physics.effects.thrust_coefficient import ThrustCoefficient
+from aerial_gym.physics.effects.torque_ratio import TorqueRatio
+from aerial_gym.physics.effects.translational_lift import TranslationalLift
+from aerial_gym.physics.effects.weak_motor import WeakMotor
+from aerial_gym.physics.effects.wind_shear import WindShear
 from aerial_gym.registry import Registry
 
 EFFECTS: Registry[Effect] = Registry("effect")
@@ -14,9 +29,24 @@ EFFECTS: Registry[Effect] = Registry("effect")
 for _effect in (
     RotorDrag(),
     QuadraticDrag(),
+    HForceFlapping(),
+    AxialInflow(),
+    TranslationalLift(),
     ThrustCoefficient(),
-    ComOffset(),
+    WeakMotor(),
+    TorqueRatio(),
     MotorTimeConstant(),
+    MotorAsymmetry(),
+    RotorInertia(),
+    MotorTilt(),
+    ComOffset(),
+    PayloadMass(),
+    InertiaError(),
     ConstantWind(),
+    WindShear(),
+    GroundEffect(),
+    ImuBias(),
+    ImuMisalignment(),
+    RotorSpeedScale(),
 ):
     EFFECTS.register(_effect.name, _effect)

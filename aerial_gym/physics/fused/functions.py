@@ -50,6 +50,15 @@ def attitude_rate(q: wp.quat, ang_vel: wp.vec3) -> wp.quat:
 
 
 @wp.func
+def lag_acceleration(speed: float, command: float, decay_up: float, decay_down: float, jump: float, dt: float) -> float:
+    """Return ``rotors.lag_acceleration`` of one rotor, from its decay over half a step."""
+    decay = wp.where(command > speed, decay_up, decay_down)
+    if decay > 0.0:
+        return -2.0 * wp.log(decay) / dt * (command - speed)
+    return jump / dt
+
+
+@wp.func
 def lag_speed(speed: float, command: float, decay_up: float, decay_down: float) -> float:
     """Return the rotor speed [rad/s] after a span in which the distance to the command shrinks by ``exp(-span / tau)``."""
     return command + (speed - command) * wp.where(command > speed, decay_up, decay_down)

@@ -84,6 +84,10 @@ def _make_vehicle_reader(num_rotors: int, places: dict[str, int]) -> wp.Function
             vehicle.rotor_axis = rows(source, wp.static(at("rotor_axis", 0)), env)
         if wp.static("rotor_moment" in places):
             vehicle.rotor_moment = rows(source, wp.static(at("rotor_moment", 0)), env)
+        if wp.static("rotor_lever" in places):
+            vehicle.rotor_lever = rows(source, wp.static(at("rotor_lever", 0)), env)
+        if wp.static("rotor_radius" in places):
+            vehicle.rotor_radius = vector(source, wp.static(at("rotor_radius", 0)), env)
         if wp.static("rotor_reaction" in places):
             vehicle.rotor_reaction = rows(source, wp.static(at("rotor_reaction", 0)), env)
         if wp.static("decay_up" in places):

@@ -54,7 +54,7 @@ def vehicle_fields(model: Model, stage: float) -> list[Field]:
     def moment(position: Tensor, com: Tensor, axis: Tensor) -> Tensor:
         return torch.linalg.cross(position - com.unsqueeze(1), axis)
 
-    return [
+    fields = [
         Field("mass_inverse", (v.mass,), lambda mass: 1.0 / mass.unsqueeze(1)),
         Field("inertia", (v.inertia,), _same),
         Field("inertia_inverse", (model.inertia_inverse,), _same),
@@ -67,6 +67,12 @@ def vehicle_fields(model: Model, stage: float) -> list[Field]:
         Field("decay_up", (v.time_constant_up,), decay),
         Field("decay_down", (v.time_constant_down,), decay),
     ]
+    if model.rotors or model.wrenches:
+        fields += [
+            Field("rotor_lever", (v.rotor_position, v.com), lambda position, com: position - com.unsqueeze(1)),
+            Field("rotor_radius", (v.rotor_radius,), _same),
+        ]
+    return fields
 
 
 def command_fields(law: FusedLaw) -> list[Field]:
@@ -92,8 +98,8 @@ def gain_fields(law: FusedLaw) -> list[Field]:
 
 
 def effect_rows(model: Model) -> list[Tensor]:
-    """Return the parameters (E, P) of the effects that act in a step: winds first, then wrenches."""
-    return [params for _, params in (*model.winds, *model.wrenches)]
+    """Return the parameters (E, P) of the effects that act in a step: winds first, then rotors, then wrenches."""
+    return [params for _, params in model.forces]
 
 
 @dataclass(frozen=True)

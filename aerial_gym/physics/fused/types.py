@@ -37,6 +37,18 @@ class RotorTypes:
     """``wp.struct`` of what a force may depend on: ``effects.Condition`` for one environment."""
 
 
+@wp.struct
+class Hub:
+    """What one rotor feels."""
+
+    speed: float  # [rad/s]
+    thrust: float  # of its own [N]
+    radius: float  # [m]
+    height: float  # above the ground [m]
+    axis: wp.vec3  # body
+    velocity: wp.vec3  # through the air [m/s], body
+
+
 def vector_of(length: int) -> Any:
     """Return the type of a vector of floats."""
     return wp.types.vector(length=length, dtype=wp.float32)
@@ -59,6 +71,8 @@ def rotor_types(num_rotors: int) -> RotorTypes:
         torque_map: rows  # q0, q1, q2 [N m, N m s, N m s²]
         rotor_axis: rows  # direction of thrust
         rotor_moment: rows  # torque per thrust about the centre of mass [m], (r - c) x a
+        rotor_lever: rows  # hub from the centre of mass [m], r - c
+        rotor_radius: vector  # [m]
         rotor_reaction: rows  # torque per drag torque, -s a
         decay_up: vector  # exp(-span / tau) of a rising speed over one stage of the stepper
         decay_down: vector
@@ -78,5 +92,9 @@ def rotor_types(num_rotors: int) -> RotorTypes:
         ang_vel: wp.vec3  # [rad/s], body
         rotor_speed: vector  # [rad/s]
         rotor_thrust: vector  # [N]
+        rotor_acc: vector  # [rad/s²]
+        rotor_axis: rows  # direction of thrust, body
+        rotor_reaction: rows  # minus spin times axis
+        lever: rows  # hub from the centre of mass [m], body
 
     return RotorTypes(vector, rows, matrix, VehicleParameters, CommandParameters, Condition)

@@ -1,0 +1,45 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""Thrust falls where air comes from above and grows where it comes from below: a rotor meets its inflow.
+
+``dT = -ka w v_a`` for a rotor of speed w whose hub moves with v_a along its axis through the air; a roll rate changes the
+thrust of both sides against it and so is damped.
+Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 3.3 (blade element in axial flight): the angle of
+attack falls by v_a / (w r), the lift by that times w²; Svacha, Mohta, Kumar (2017), Improving quadrotor trajectory
+tracking by compensating for aerodynamic effects, eq. 6.
+"""
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.physics.effects.base import Condition, Parameter, RotorEffect
+
+
+class AxialInflow(RotorEffect):
+    """Thrust against the velocity along the rotor axis."""
+
+    name = "axial_inflow"
+    summary = "thrust that falls with the velocity along the rotor axis"
+    parameters = (
+        Parameter(
+            name="ka", unit="N s²/(m rad)", low=0.0, high=0.1, scale=1e-5, meaning="thrust per speed and velocity"
+        ),
+    )
+    excitation = "climb and descent; roll and pitch rates tell it from a drag along z"
+    confused_with = ("rotor_drag", "quadratic_drag", "thrust_coefficient")
+
+    def thrust(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return ``-ka w v_a``."""
+        return -params[:, :1] * condition.rotor_speed * condition.axial_velocity
+
+    def warp_thrust(self, condition: type, hub: type) -> wp.Function:
+        """Return the same in Warp."""
+        params = wp.types.vector(length=1, dtype=wp.float32)
+
+        @wp.func
+        def axial_inflow(at: condition, rotor: hub, ka: params) -> float:
+            return -ka[0] * rotor.speed * wp.dot(rotor.velocity, rotor.axis)
+
+        return axial_inflow

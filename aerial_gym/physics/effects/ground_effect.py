@@ -1,0 +1,60 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""Rotors near the ground give more thrust at the same speed: the ground holds up their wake.
+
+``T' = T / (1 - k (R / 4 h)²)`` for a rotor of radius R whose hub is at a height h; k = 1 for a single rotor by the
+method of images, larger for several rotors side by side. Below ``h = R / 2`` the formula is not meant to hold, and the
+gain stays what it is there.
+Source: Cheeseman, Bennett (1955), The effect of the ground on a helicopter rotor in forward flight, ARC R&M 3021; factor
+for multirotors: Sanchez-Cuevas, Heredia, Ollero (2017), Characterization of the aerodynamic ground effect.
+"""
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics.effects.base import Condition, Parameter, RotorEffect
+
+LOWEST = wp.constant(0.5)
+"""Least height of a hub that makes a difference, in radii."""
+
+
+class GroundEffect(RotorEffect):
+    """Gain of thrust near the ground."""
+
+    name = "ground_effect"
+    summary = "gain of thrust near the ground"
+    parameters = (
+        Parameter(name="k", unit="-", low=0.0, high=3.5, scale=1.0, meaning="strength; 1 is a rotor by itself"),
+    )
+    excitation = (
+        "flight within two rotor diameters of the ground, and away from it; heights above the ground in the log"
+    )
+    confused_with = ("thrust_coefficient", "battery_sag", "axial_inflow")
+
+    def check(self, robot: RobotCfg) -> None:
+        """Raise ``ConfigError`` unless the radius of the rotors is known."""
+        if robot.rotor.radius is None:
+            raise ConfigError("effect ground_effect: the robot file must give rotor.radius [m]")
+
+    def thrust(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return ``T (1 / (1 - k (R / 4 h)²) - 1)``."""
+        radius = condition.vehicle.rotor_radius
+        height = condition.hub_height.maximum(LOWEST * radius)
+        share = params[:, :1] * (radius / (4.0 * height)).square()
+        return condition.rotor_thrust * share / (1.0 - share)
+
+    def warp_thrust(self, condition: type, hub: type) -> wp.Function:
+        """Return the same in Warp."""
+        params = wp.types.vector(length=1, dtype=wp.float32)
+
+        @wp.func
+        def ground_effect(at: condition, rotor: hub, k: params) -> float:
+            ratio = rotor.radius / (4.0 * wp.max(rotor.height, LOWEST * rotor.radius))
+            share = k[0] * ratio * ratio
+            return rotor.thrust * share / (1.0 - share)
+
+        return ground_effect

@@ -1,0 +1,62 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""Blade flapping in sideways flow: a force against the motion in the plane of a rotor, and a moment at its hub.
+
+At a hub l that moves with v through the air, with the part ``v_e`` of it in the plane of a rotor of axis a and speed w:
+``F = -kh w v_e`` at the hub, and ``tau = l x F + kf w (v_e x a)``: in forward flight the disc tilts back, and lifts the nose.
+Source: Mahony, Kumar, Corke (2012), Multirotor Aerial Vehicles, section "blade flapping"; Hoffmann, Huang, Waslander, Tomlin
+(2007), Quadrotor helicopter flight dynamics and control, section III.B. A lift that is linear in the tip speed makes both
+proportional to w v.
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect
+
+
+class HForceFlapping(WrenchEffect):
+    """In-plane force and hub moment of the rotors."""
+
+    name = "h_force_flapping"
+    summary = "in-plane force and hub moment of rotors in sideways flow"
+    parameters = (
+        Parameter(
+            name="kh", unit="N s²/(m rad)", low=0.0, high=0.1, scale=1e-5, meaning="force per speed and velocity"
+        ),
+        Parameter(
+            name="kf", unit="N s²/rad", low=-0.1, high=0.1, scale=1e-6, meaning="hub moment per speed and velocity"
+        ),
+    )
+    excitation = "sideways velocity in both directions; the moment also needs the rotor speeds one by one"
+    confused_with = ("rotor_drag", "com_offset", "constant_wind")
+
+    def regressor(self, condition: Condition) -> Tensor:
+        """Return (E, 6, 2), the sums over the rotors."""
+        flow = condition.rotor_speed.unsqueeze(-1) * condition.edgewise_velocity
+        force = -flow.sum(1)
+        torque = -torch.linalg.cross(condition.lever, flow, dim=-1).sum(1)
+        moment = torch.linalg.cross(flow, condition.vehicle.rotor_axis.expand_as(flow), dim=-1).sum(1)
+        in_plane = torch.cat((force, torque), dim=1)
+        return torch.stack((in_plane, torch.cat((torch.zeros_like(moment), moment), dim=1)), dim=2)
+
+    def warp_wrench(self, condition: type) -> wp.Function:
+        """Return the same in Warp."""
+
+        @wp.func
+        def h_force_flapping(at: condition, k: wp.vec2) -> wp.spatial_vector:
+            force = wp.vec3()
+            torque = wp.vec3()
+            for i in range(len(at.rotor_speed)):
+                axis = wp.vec3(at.rotor_axis[i, 0], at.rotor_axis[i, 1], at.rotor_axis[i, 2])
+                lever = wp.vec3(at.lever[i, 0], at.lever[i, 1], at.lever[i, 2])
+                hub = at.air_velocity + wp.cross(at.ang_vel, lever)
+                flow = at.rotor_speed[i] * (hub - wp.dot(hub, axis) * axis)
+                force -= k[0] * flow
+                torque += k[1] * wp.cross(flow, axis) - k[0] * wp.cross(lever, flow)
+            return wp.spatial_vector(force, torque)
+
+        return h_force_flapping

@@ -1,0 +1,37 @@
+"""The inertia about the body axes is not what was declared.
+
+``J' = S J S`` with the diagonal ``S = sqrt(s)``: moments of inertia scale by s, and J' stays positive definite.
+Source: Derived: a congruence keeps a matrix positive definite (Sylvester's law of inertia).
+"""
+
+from dataclasses import replace
+
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.vehicle import Vehicle
+
+
+class InertiaError(VehicleEffect):
+    """A factor on the moment of inertia about each body axis."""
+
+    name = "inertia_error"
+    summary = "moments of inertia that differ from the declared ones"
+    acts_on = "inertia"
+    parameters = tuple(
+        Parameter(name=f"s{axis}", unit="-", low=0.1, high=10.0, scale=0.1, meaning=f"true per declared, body {axis}")
+        for axis in "xyz"
+    )
+    excitation = "angular accelerations about each body axis"
+    confused_with = ("torque_ratio", "thrust_coefficient", "rotor_inertia")
+
+    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
+        """Return 1: inertia as declared."""
+        del robot
+        return 1.0, 1.0, 1.0
+
+    def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
+        """Return the vehicle with the inertia scaled."""
+        stretch = params.sqrt()
+        return replace(vehicle, inertia=stretch.unsqueeze(-1) * vehicle.inertia * stretch.unsqueeze(-2))

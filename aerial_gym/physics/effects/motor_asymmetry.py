@@ -1,0 +1,36 @@
+"""Rotors speed up with another lag than they slow down: a motor drives a rotor, but only drag brakes it.
+
+``tau_up dw/dt = w_command - w`` where the command is above the speed, ``tau_down`` where it is below.
+Source: Foerster (2015), System identification of the Crazyflie 2.0, section 3.3, measures steps of both signs.
+"""
+
+from dataclasses import replace
+
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.vehicle import Vehicle
+
+
+class MotorAsymmetry(VehicleEffect):
+    """Two time constants for all rotors, in place of the declared ones."""
+
+    name = "motor_asymmetry"
+    summary = "different first-order lags of rising and falling rotor speeds, in place of the declared ones"
+    acts_on = "actuation"
+    parameters = (
+        Parameter(name="tau_up", unit="s", low=1e-3, high=1.0, scale=0.01, meaning="time constant of rise"),
+        Parameter(name="tau_down", unit="s", low=1e-3, high=1.0, scale=0.01, meaning="time constant of fall"),
+    )
+    excitation = "quick changes of the rotor commands, up and down"
+    confused_with = ("motor_time_constant", "actuation_delay", "battery_sag")
+
+    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
+        """Return the declared lags."""
+        return robot.rotor.time_constant_up, robot.rotor.time_constant_down
+
+    def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
+        """Return the vehicle with both time constants replaced."""
+        up, down = (params[:, k : k + 1].expand_as(vehicle.time_constant_up) for k in (0, 1))
+        return replace(vehicle, time_constant_up=up, time_constant_down=down)

@@ -1,0 +1,44 @@
+"""One rotor does not push along its declared axis: a bent arm or a skewed motor mount.
+
+The axis a is turned by a roll about body x, then by a pitch about body y: ``a' = R_y(pitch) R_x(roll) a``.
+Source: Derived: rotation of a vector, e.g. Siciliano et al. (2009), Robotics, section 2.2.
+"""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.effects.one_rotor import ROTOR, chosen_rotor
+from aerial_gym.physics.vehicle import Vehicle
+
+
+class MotorTilt(VehicleEffect):
+    """A turn of the axis of one rotor."""
+
+    name = "motor_tilt"
+    summary = "the axis of one rotor is turned from its declared direction"
+    acts_on = "rotor"
+    parameters = (
+        ROTOR,
+        Parameter(name="roll", unit="rad", low=-1.0, high=1.0, scale=0.03, meaning="turn about body x"),
+        Parameter(name="pitch", unit="rad", low=-1.0, high=1.0, scale=0.03, meaning="then about body y"),
+    )
+    excitation = "thrust of that rotor that varies; yaw tells it from a shifted centre of mass"
+    confused_with = ("com_offset", "weak_motor", "imu_misalignment", "torque_ratio")
+
+    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
+        """Return no turn of the first rotor."""
+        del robot
+        return 1.0, 0.0, 0.0
+
+    def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
+        """Return the vehicle with one axis turned."""
+        chosen = chosen_rotor(vehicle, params[:, 0])
+        roll, pitch = (chosen * params[:, k : k + 1] for k in (1, 2))
+        x, y, z = vehicle.rotor_axis.unbind(-1)
+        y, z = roll.cos() * y - roll.sin() * z, roll.sin() * y + roll.cos() * z
+        x, z = pitch.cos() * x + pitch.sin() * z, pitch.cos() * z - pitch.sin() * x
+        return replace(vehicle, rotor_axis=torch.stack((x, y, z), dim=-1))

@@ -1,0 +1,32 @@
+"""The vehicle weighs more, or less, than declared: something rigid at its centre of mass.
+
+``m = m_declared + dm``; the inertia about the centre of mass stays as it is.
+Source: Derived: Newton's second law.
+"""
+
+from dataclasses import replace
+
+from torch import Tensor
+
+from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.vehicle import Vehicle
+
+LEAST_SHARE = 0.1
+"""A part that is missing leaves at least this share of the declared mass."""
+
+
+class PayloadMass(VehicleEffect):
+    """Mass at the centre of mass."""
+
+    name = "payload_mass"
+    summary = "mass that is not declared, at the centre of mass"
+    acts_on = "inertia"
+    parameters = (
+        Parameter(name="dm", unit="kg", low=-10.0, high=50.0, scale=0.02, meaning="true minus declared mass"),
+    )
+    excitation = "thrust together with angular accelerations or drag: in hover alone a weaker thrust looks the same"
+    confused_with = ("thrust_coefficient", "battery_sag", "weak_motor")
+
+    def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
+        """Return the vehicle with the mass added."""
+        return replace(vehicle, mass=(vehicle.mass + params[:, 0]).maximum(LEAST_SHARE * vehicle.mass))

@@ -1,0 +1,52 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""The rotors' own inertia: speeding one up turns the body the other way, and turning the body tilts a spinning one.
+
+With the momentum ``h = jr sum s w a`` of rotors of spin s, speed w and axis a, the body feels ``tau = -h' - w_body x h``.
+Source: Derived: balance of angular momentum in a turning frame; e.g. Bouabdallah (2007), Design and control of quadrotors
+with application to autonomous flying, section 2.3.
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect
+
+
+class RotorInertia(WrenchEffect):
+    """Reaction and gyroscopic torque of the rotors."""
+
+    name = "rotor_inertia"
+    summary = "reaction to rotor acceleration, and gyroscopic torque"
+    parameters = (
+        Parameter(name="jr", unit="kg m²", low=0.0, high=0.01, scale=1e-6, meaning="of one rotor about its axis"),
+    )
+    excitation = "quick yaw commands, or fast turns with unequal rotor speeds"
+    confused_with = ("torque_ratio", "inertia_error")
+
+    def regressor(self, condition: Condition) -> Tensor:
+        """Return (E, 6, 1)."""
+        axis = condition.vehicle.rotor_spin.unsqueeze(-1) * condition.vehicle.rotor_axis
+        momentum = (condition.rotor_speed.unsqueeze(-1) * axis).sum(1)
+        change = (condition.rotor_acc.unsqueeze(-1) * axis).sum(1)
+        torque = -change - torch.linalg.cross(condition.ang_vel, momentum)
+        return torch.cat((torch.zeros_like(torque), torque), dim=1).unsqueeze(-1)
+
+    def warp_wrench(self, condition: type) -> wp.Function:
+        """Return the same in Warp."""
+        params = wp.types.vector(length=1, dtype=wp.float32)
+
+        @wp.func
+        def rotor_inertia(at: condition, jr: params) -> wp.spatial_vector:
+            momentum = wp.vec3()
+            change = wp.vec3()
+            for i in range(len(at.rotor_speed)):
+                axis = -wp.vec3(at.rotor_reaction[i, 0], at.rotor_reaction[i, 1], at.rotor_reaction[i, 2])
+                momentum += at.rotor_speed[i] * axis
+                change += at.rotor_acc[i] * axis
+            return wp.spatial_vector(wp.vec3(), -jr[0] * (change + wp.cross(at.ang_vel, momentum)))
+
+        return rotor_inertia

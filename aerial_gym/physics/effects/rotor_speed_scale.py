@@ -1,0 +1,35 @@
+"""The log's rotor speeds are off by a factor: a wrong number of magnet poles or marks, or a wrong unit.
+
+``w_measured = k w``; the vehicle itself flies as before.
+Source: Derived: a tachometer counts k times as many events per turn as assumed.
+"""
+
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics.effects.base import Parameter, RotorSensorEffect
+
+
+class RotorSpeedScale(RotorSensorEffect):
+    """A factor on measured rotor speeds."""
+
+    name = "rotor_speed_scale"
+    summary = "measured rotor speeds that are off by a factor"
+    parameters = (
+        Parameter(name="scale", unit="-", low=0.05, high=20.0, scale=0.05, meaning="measured per true speed"),
+    )
+    excitation = "measured speeds beside commands; without commands a thrust coefficient looks the same"
+    confused_with = ("thrust_coefficient", "battery_sag")
+
+    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
+        """Return 1: speeds as measured."""
+        del robot
+        return (1.0,)
+
+    def measure(self, rotor_speed: Tensor, params: Tensor) -> Tensor:
+        """Return ``k w``."""
+        return params[:, :1] * rotor_speed
+
+    def true_speed(self, measured: Tensor, params: Tensor) -> Tensor:
+        """Return ``w_measured / k``."""
+        return measured / params[:, :1]

@@ -1,0 +1,35 @@
+"""The drag torque of all rotors is another share of their thrust than declared.
+
+``q = k q_declared`` at every speed; thrust stays as it is.
+Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.2.5: torque coefficient.
+"""
+
+from dataclasses import replace
+
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.vehicle import Vehicle
+
+
+class TorqueRatio(VehicleEffect):
+    """One factor on the drag torque of all rotors."""
+
+    name = "torque_ratio"
+    summary = "one factor on the drag torque of all rotors"
+    acts_on = "rotor"
+    parameters = (
+        Parameter(name="scale", unit="-", low=0.1, high=5.0, scale=0.1, meaning="true drag torque per declared one"),
+    )
+    excitation = "yaw accelerations that the rotors cause"
+    confused_with = ("inertia_error", "motor_tilt", "rotor_inertia")
+
+    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
+        """Return 1: torque as declared."""
+        del robot
+        return (1.0,)
+
+    def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
+        """Return the vehicle with a scaled torque map."""
+        return replace(vehicle, torque_map=params[:, :1].unsqueeze(-1) * vehicle.torque_map)

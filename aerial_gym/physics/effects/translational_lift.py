@@ -1,0 +1,42 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""Thrust grows in sideways flow: a rotor that moves sideways breathes air that it has not yet accelerated.
+
+``dT = kt |v_e|²`` for a rotor whose hub moves with v_e in its own plane through the air.
+Source: Svacha, Mohta, Kumar (2017), Improving quadrotor trajectory tracking by compensating for aerodynamic effects, eq. 6;
+Leishman (2006), Principles of Helicopter Aerodynamics, section 2.14.2 (Glauert's formula, expanded at low speed).
+"""
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.physics.effects.base import Condition, Parameter, RotorEffect
+
+
+class TranslationalLift(RotorEffect):
+    """Thrust with the square of the sideways velocity."""
+
+    name = "translational_lift"
+    summary = "thrust that grows with the square of the velocity in the rotor plane"
+    parameters = (
+        Parameter(name="kt", unit="N s²/m²", low=0.0, high=1.0, scale=0.005, meaning="thrust per velocity squared"),
+    )
+    excitation = "several different sideways speeds, some of them high"
+    confused_with = ("thrust_coefficient", "quadratic_drag", "payload_mass")
+
+    def thrust(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return ``kt |v_e|²``."""
+        return params[:, :1] * condition.edgewise_velocity.square().sum(-1)
+
+    def warp_thrust(self, condition: type, hub: type) -> wp.Function:
+        """Return the same in Warp."""
+        params = wp.types.vector(length=1, dtype=wp.float32)
+
+        @wp.func
+        def translational_lift(at: condition, rotor: hub, kt: params) -> float:
+            along = wp.dot(rotor.velocity, rotor.axis)
+            return kt[0] * (wp.length_sq(rotor.velocity) - along * along)
+
+        return translational_lift

@@ -1,0 +1,39 @@
+"""One rotor gives less, or more, than the others at the same speed: a chipped or wrong propeller.
+
+``T = k T_declared`` and ``q = k q_declared`` for that rotor: a blade that has lost area loses lift and drag with it.
+Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.2.5: both coefficients grow with the blade area.
+"""
+
+from dataclasses import replace
+
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.effects.one_rotor import ROTOR, chosen_rotor
+from aerial_gym.physics.vehicle import Vehicle
+
+
+class WeakMotor(VehicleEffect):
+    """A factor on thrust and drag torque of one rotor."""
+
+    name = "weak_motor"
+    summary = "one rotor gives less thrust and drag torque than declared"
+    acts_on = "rotor"
+    parameters = (
+        ROTOR,
+        Parameter(name="scale", unit="-", low=0.1, high=2.0, scale=0.05, meaning="true thrust per declared thrust"),
+    )
+    excitation = "thrust that varies, and yaw: in hover alone a shifted centre of mass looks the same"
+    confused_with = ("com_offset", "thrust_coefficient", "motor_tilt", "payload_mass")
+
+    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
+        """Return 1 for the first rotor: thrust as declared."""
+        del robot
+        return 1.0, 1.0
+
+    def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
+        """Return the vehicle with the maps of one rotor scaled."""
+        factor = 1.0 + chosen_rotor(vehicle, params[:, 0]) * (params[:, 1:] - 1.0)
+        scale = factor.unsqueeze(-1)
+        return replace(vehicle, thrust_map=scale * vehicle.thrust_map, torque_map=scale * vehicle.torque_map)
