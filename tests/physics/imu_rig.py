@@ -38,7 +38,7 @@ NOISY = replace(
 class Rig:
     """An IMU on a body that is moved by hand. Everything it writes is NaN beforehand."""
 
-    def __init__(self, cfg: ImuCfg, num_envs: int = 1, *, dt: float = 0.01, seed: int = 0) -> None:
+    def __init__(self, cfg: ImuCfg, num_envs: int = 1, *, dt: float = 0.01, seed: int = 0, errors=()) -> None:
         self.attitude = torch.zeros(num_envs, 4)
         self.attitude[:, 3] = 1.0
         self.lin_vel, self.ang_vel = torch.zeros(num_envs, 3), torch.zeros(num_envs, 3)
@@ -53,6 +53,7 @@ class Rig:
             dt=dt,
             gravity=G,
             seed=seed,
+            errors=errors,
         )
         for tensor in (self.imu.bias, self.imu.mount_attitude, self.imu._point_vel):
             tensor.fill_(nan)

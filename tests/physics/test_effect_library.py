@@ -324,3 +324,12 @@ def test_a_rotor_speed_scale_is_undone() -> None:
     params = torch.tensor([[7.0]], dtype=F64)
     near(effect.measure(speed, params)[0], [700.0, 1400.0], size=1e3)
     near(effect.true_speed(effect.measure(speed, params), params)[0], [100.0, 200.0], size=1e3)
+
+
+def test_a_motor_tilt_is_a_rotation_of_any_axis() -> None:
+    """R = R_y(pitch) R_x(roll), as the quaternion of these Euler angles turns it."""
+    vehicle = vehicle_from_config(lopsided_robot(), num_envs=1, dtype=F64)
+    tilted = build_model(vehicle, effects_of({"motor_tilt": {"motor": 1, "roll": 0.3, "pitch": -0.4}}, 1)).vehicle
+    turn = quat_from_euler(torch.tensor([[0.3, -0.4, 0.0]], dtype=F64))
+    torch.testing.assert_close(tilted.rotor_axis[:, 0], quat_rotate(turn, vehicle.rotor_axis[:, 0]))
+    torch.testing.assert_close(tilted.rotor_axis[:, 1:], vehicle.rotor_axis[:, 1:])

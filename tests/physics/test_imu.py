@@ -31,6 +31,7 @@ from aerial_gym.physics import (
     WarpBackend,
     accelerations,
     build_model,
+    effects_from_config,
     state_at_rest,
     vehicle_from_config,
 )
@@ -338,3 +339,21 @@ def test_tensors_and_times_that_do_not_fit_are_refused() -> None:
         bad = {**good, name: torch.zeros(2, 5)}
         with pytest.raises(ShapeError, match=rf"{name} is \(2, 5\)"):
             Imu(IDEAL, **bad, dt=0.01, gravity=G, seed=0)
+
+
+def test_effects_of_the_robot_act_in_body_axes_before_the_mount() -> None:
+    """Turned by +0.1 about x, then a bias of 0.2 m/s² on body y; the IMU is mounted with its x along body y."""
+    errors = effects_from_config(
+        {
+            "imu_misalignment": {"roll": 0.1, "pitch": 0.0, "yaw": 0.0},
+            "imu_bias": {"ax": 0.0, "ay": 0.2, "az": 0.0, "gx": 0.03, "gy": 0.0, "gz": 0.0},
+        },
+        num_envs=2,
+        device=torch.device("cpu"),
+        dtype=torch.float32,
+    )
+    rig = Rig(replace(IDEAL, euler=(0.0, 0.0, pi / 2)), 2, errors=errors)
+    sample = rig.reset()[1]
+    in_body = (0.0, G * sin(0.1) + 0.2, G * cos(0.1))
+    expected = torch.tensor([in_body[1], -in_body[0], in_body[2], 0.0, -0.03, 0.0])
+    torch.testing.assert_close(sample, expected, rtol=0.0, atol=2e-6)
