@@ -23,11 +23,10 @@ from aerial_gym.sim2real.fit import best_step, params_of, scales, with_params
 from aerial_gym.sim2real.flights import Flight, load_flights
 from aerial_gym.sim2real.mapping import find_mapping
 from aerial_gym.sim2real.noise import noise_floor
-from aerial_gym.sim2real.prediction import Channel, Point, Predictor, declared_point, find_channels
+from aerial_gym.sim2real.prediction import KINEMATIC, Channel, Point, Predictor, declared_point, find_channels
 from aerial_gym.sim2real.runtime import check_out_dir, whole_folder, write_record
 from aerial_gym.sim2real.scoring import Criteria
 from aerial_gym.sim2real.selection import Progress, Selection, select_effects
-from aerial_gym.sim2real.stand_ins import STAND_INS
 from aerial_gym.sim2real.structure import Structure, find_structure
 from aerial_gym.sim2real.tolerances import Tolerances
 from aerial_gym.sim2real.verdict import Verdict, decide, material_remains, named_effects
@@ -187,6 +186,7 @@ def judge_flights(
     rms = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
     rms = np.minimum(rms, [channel.value for channel in after.residual])  # tolerances only ever explain
     remaining = material_remains(rms, floor, selection.left_out.tolerated)
+    remaining &= [channel.kind not in KINEMATIC for channel in channels]  # those hold no dynamics to be explained
     structure = Structure()
     if remaining.any():
         both = [*train_predictor.residuals(within), *left]
@@ -244,7 +244,7 @@ def not_testable(selection: Selection) -> dict[str, str]:
     found = dict(selection.not_testable)
     for name in selection.accepted:
         for other in EFFECTS.get(name).confused_with:
-            if other not in EFFECTS and other not in STAND_INS:
+            if other not in EFFECTS:
                 found.setdefault(other, f"looks like {name}; there is no registered effect of this name to weigh it")
     return found
 

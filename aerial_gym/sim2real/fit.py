@@ -68,7 +68,9 @@ class Fit:
     @property
     def free_effects(self) -> Indices:
         """Return the parameters of effects that are fitted."""
-        return np.array([k for k, owner in enumerate(self.owners) if owner not in self.frozen], dtype=int)
+        return np.array(
+            [k for k, owner in enumerate(self.owners) if owner not in self.frozen and is_number(*owner)], dtype=int
+        )
 
     @property
     def free_all(self) -> Indices:
@@ -78,6 +80,11 @@ class Fit:
     def columns_of(self, effect: str) -> Indices:
         """Return the places of an effect's parameters."""
         return np.array([k for k, (name, _) in enumerate(self.owners) if name == effect], dtype=int)
+
+
+def is_number(effect: str, place: int) -> bool:
+    """Return whether a parameter is one that a fit may change: not the number of a rotor, nor a convention."""
+    return EFFECTS.get(effect).parameters[place].kind == "number"
 
 
 def scales(effects: Sequence[str]) -> Array:
@@ -105,8 +112,12 @@ def effect_jacobian(predictor: Predictor, point: Point, effects: Sequence[str], 
     """Return the derivative of the prediction by the effects' parameters, per scale, each (rows, C, P)."""
     here, scale = params_of(point, effects), scales(effects)
     highest = np.array([p.high for name in effects for p in EFFECTS.get(name).parameters])
+    owners = [(name, place) for name in effects for place in range(len(EFFECTS.get(name).parameters))]
     columns = []
-    for k in range(here.size):
+    for k, owner in enumerate(owners):
+        if not is_number(*owner):
+            columns.append([np.zeros_like(b) for b in base])
+            continue
         step = STEP * scale[k] if here[k] + STEP * scale[k] <= highest[k] else -STEP * scale[k]
         there = here.copy()
         there[k] += step
@@ -129,15 +140,10 @@ def tolerance_jacobian(predictor: Predictor, point: Point, base: list[Array]) ->
     return [np.stack([c[i] for c in columns], axis=2) for i in range(len(base))]
 
 
-def prior_precision(fit: Fit, released: Indices | None = None) -> Array:
-    """Return the inverse prior variance of each parameter, (K,): one for tolerances, almost none for effects.
-
-    ``released`` are places of tolerances that are free, as if they were effects.
-    """
+def prior_precision(fit: Fit) -> Array:
+    """Return the inverse prior variance of each parameter, (K,): one for tolerances, almost none for effects."""
     precision = np.ones(fit.low.size)
     precision[: fit.num_effect_params] = WEAK_PRIOR**-2
-    if released is not None:
-        precision[released] = (100.0 * WEAK_PRIOR) ** -2
     return precision
 
 
@@ -148,24 +154,16 @@ def normal_equations(fit: Fit, weight: Array, blocks: Indices | None = None) -> 
     return product, np.einsum("c,bck->k", weight, fit.moments.gradient[chosen])
 
 
-def best_step(
-    fit: Fit, weight: Array, free: Indices, blocks: Indices | None = None, released: Indices | None = None
-) -> Array:
-    """Return the step (K,) that minimises the weighted squares plus the prior, within the bounds; 0 where not free.
-
-    ``released`` are tolerances without prior and bounds.
-    """
+def best_step(fit: Fit, weight: Array, free: Indices, blocks: Indices | None = None) -> Array:
+    """Return the step (K,) that minimises the weighted squares plus the prior, within the bounds; 0 where not free."""
     step = np.zeros(fit.low.size)
     if free.size == 0:
         return step
     product, gradient = normal_equations(fit, weight, blocks)
-    a = product[np.ix_(free, free)] + np.diag(prior_precision(fit, released)[free])
+    a = product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free])
     b = gradient[free]
     found = np.linalg.solve(a, b)
-    low, high = fit.low.copy(), fit.high.copy()
-    if released is not None:
-        low[released], high[released] = -np.inf, np.inf
-    low, high = low[free], high[free]
+    low, high = fit.low[free], fit.high[free]
     if np.any(found < low) or np.any(found > high):
         root = np.linalg.cholesky(a).T
         open_low, open_high = np.minimum(low, -1e-12), np.maximum(high, 1e-12)

@@ -62,6 +62,9 @@ class Flight:
     specific_force: Array | None
     """[m/s²], body, (T, 3)."""
 
+    accelerometer: bool
+    """Whether ``specific_force`` was measured; if not, it was derived from the velocity."""
+
     rotor_speed: Array | None
     """Measured [rad/s], (T, R)."""
 
@@ -169,6 +172,7 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = ()) -> Flight:
         ang_vel=ang_vel,
         gyro=log.ang_vel is not None,
         specific_force=specific_force,
+        accelerometer=log.specific_force is not None,
         rotor_speed=log.rotor_speed,
         rotor_command=log.rotor_command,
         notes=tuple(said),

@@ -3,7 +3,10 @@
 Each row is one environment of the simulator: the specific force and angular acceleration of a measured state come from
 ``physics.accelerations``, the rotor speeds from ``physics.lag_speed`` and the commands. One thing is measured where the
 simulator would predict it: the angular acceleration in the lever arm of the accelerometer.
-Channels: specific force x, y, z; angular acceleration x, y, z; speed of each rotor. Letters: E rows, C channels, R rotors.
+Two kinds of channel hold without any dynamics, and so show errors of the inertial sensors alone: the specific force and the
+angular velocity that velocity and attitude imply by kinematics, against what the sensors read.
+Channels: specific force x, y, z; angular acceleration x, y, z; speed of each rotor; kinematic force x, y, z; kinematic
+rate x, y, z. Letters: E rows, C channels, R rotors.
 """
 
 from collections.abc import Sequence
@@ -17,7 +20,10 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
+from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics import EFFECTS, BodyState, Vehicle, accelerations, build_model, vehicle_from_config
+from aerial_gym.physics.model import STANDARD_GRAVITY
+from aerial_gym.sim2real.checks import body_rate_of
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.rotor_replay import RotorReplay
 from aerial_gym.sim2real.signals import edge_rows, lowpass
@@ -38,12 +44,25 @@ SETTLE_S = 0.5
 """Dropped at the start where rotor speeds are simulated from commands [s]."""
 
 
+UNITS = {
+    "specific_force": "m/s²",
+    "angular_acceleration": "rad/s²",
+    "rotor_speed": "rad/s",
+    "kinematic_force": "m/s²",
+    "kinematic_rate": "rad/s",
+}
+"""Of each kind of channel, in their order."""
+
+KINEMATIC = ("kinematic_force", "kinematic_rate")
+"""Kinds that need no dynamics."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Channel:
     """One compared quantity."""
 
     kind: str
-    """specific_force, angular_acceleration or rotor_speed."""
+    """specific_force, angular_acceleration, rotor_speed, kinematic_force or kinematic_rate."""
 
     axis: str
     """x, y, z, or the number of the rotor."""
@@ -51,7 +70,7 @@ class Channel:
     @property
     def unit(self) -> str:
         """SI unit."""
-        return {"specific_force": "m/s²", "angular_acceleration": "rad/s²", "rotor_speed": "rad/s"}[self.kind]
+        return UNITS[self.kind]
 
     @property
     def name(self) -> str:
@@ -94,6 +113,10 @@ def find_channels(flights: Sequence[Flight]) -> tuple[Channel, ...]:
         found += [Channel(kind="rotor_speed", axis=str(n + 1)) for n in range(flights[0].num_rotors)]
     if not found:
         raise DataError("the flights have no quantity in common that can be compared; log acc or omega in all of them")
+    if all(flight.accelerometer and flight.lin_vel is not None for flight in flights):
+        found += [Channel(kind="kinematic_force", axis=axis) for axis in "xyz"]
+    if all(flight.gyro for flight in flights):
+        found += [Channel(kind="kinematic_rate", axis=axis) for axis in "xyz"]
     return tuple(found)
 
 
@@ -136,7 +159,13 @@ class Predictor:
             None if self._simulated else torch.cat([self._thin(i, "rotor_speed") for i in range(len(flights))])
         )
 
-        self._measured_ang_acc = torch.cat([self._turning(index) for index in range(len(flights))])
+        self._measured_ang_acc = torch.cat([self._derivative(i, "ang_vel") for i in range(len(flights))])
+        self._measured_spin_up = (
+            None if self._simulated else torch.cat([self._derivative(i, "rotor_speed") for i in range(len(flights))])
+        )
+        self._kinematic_force, self._kinematic_rate = (
+            torch.cat([of(i) for i in range(len(flights))]) for of in (self._implied_force, self._implied_rate)
+        )
 
     @property
     def num_tolerances(self) -> int:
@@ -146,16 +175,13 @@ class Predictor:
     def predict(self, point: Point) -> list[Array]:
         """Return the predicted channels of each flight, (rows kept, C)."""
         vehicle, deviation = self._vehicle(point)
-        lag = build_model(vehicle, self._effects(point, 1)).vehicle
         speeds: list[Array | None] | None = None
         if self._simulated or any(channel.kind == "rotor_speed" for channel in self.channels):
-            speeds = self._replay.speeds(
-                lag.time_constant_up[0], lag.time_constant_down[0], command_shift(self.tolerances, deviation)
-            )
-        if not any(channel.kind != "rotor_speed" for channel in self.channels):
-            rows = None
-        else:
-            rows = self._accelerations(point, vehicle, deviation, speeds)
+            one = build_model(vehicle, self._effects(point, 1))
+            lag = one.vehicle.time_constant_up[0], one.vehicle.time_constant_down[0]
+            sensors = () if self._simulated else one.rotor_sensors
+            speeds = self._replay.speeds(*lag, command_shift(self.tolerances, deviation), sensors)
+        rows = self._rows(point, vehicle, deviation, speeds)
         return [self._band(index, rows, speeds) for index in range(len(self.flights))]
 
     def residuals(self, point: Point) -> list[Array]:
@@ -175,39 +201,56 @@ class Predictor:
             for name, params in point.effects.items()
         ]
 
-    def _accelerations(
+    def _rows(
         self, point: Point, vehicle: Vehicle, deviation: Tensor, speeds: list[Array | None] | None
-    ) -> Array:
-        """Return specific force and angular acceleration of every row, (E, 6)."""
+    ) -> dict[str, Array]:
+        """Return what the inertial sensors would read in every row, (E, 3) by kind of channel."""
+        kinds = {channel.kind for channel in self.channels} - {"rotor_speed"}
+        if not kinds:
+            return {}
         rows = self._state["attitude"].shape[0]
-        speed = self._measured_speed
-        if speed is None:
-            assert speeds is not None
-            speed = torch.cat([self._thin_values(i, s) for i, s in enumerate(speeds) if s is not None])
         model = build_model(expand_rows(vehicle, rows), self._effects(point, rows))
-        found = accelerations(model, BodyState(rotor_speed=speed, **self._state))
-        force = found.specific_force + accelerometer_bias(self.tolerances, deviation)
+        if self._measured_speed is None or self._measured_spin_up is None:
+            assert speeds is not None
+            replayed = [(i, s) for i, s in enumerate(speeds) if s is not None]
+            speed = torch.cat([self._thin_values(i, s) for i, s in replayed])
+            spin_up = torch.cat([self._derivative_of(i, s) for i, s in replayed])
+        else:
+            speed, spin_up = self._measured_speed, self._measured_spin_up
+            for effect, params in model.rotor_sensors:
+                speed, spin_up = effect.true_speed(speed, params), effect.true_speed(spin_up, params)
+        found = accelerations(model, BodyState(rotor_speed=speed, **self._state), spin_up)
         # The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
-        force = force + torch.linalg.cross(found.ang_acc - self._measured_ang_acc, model.vehicle.com)
-        return torch.cat((force, found.ang_acc), dim=1).numpy()
+        force = found.specific_force + torch.linalg.cross(found.ang_acc - self._measured_ang_acc, model.vehicle.com)
+        turning, rate, still = found.ang_acc, self._kinematic_rate, torch.zeros_like(force)
+        kinematic_force = self._kinematic_force
+        for effect, params in model.imu:
+            force, rate = effect.measure(force, rate, params)
+            kinematic_force, moved = effect.measure(kinematic_force, turning, params)
+            turning = moved - effect.measure(still, still, params)[1]  # a constant error has no derivative
+        bias = accelerometer_bias(self.tolerances, deviation)
+        return {
+            "specific_force": (force + bias).numpy(),
+            "angular_acceleration": turning.numpy(),
+            "kinematic_force": (kinematic_force + bias).numpy(),
+            "kinematic_rate": rate.numpy(),
+        }
 
-    def _band(self, index: int, rows: Array | None, speeds: list[Array | None] | None) -> Array:
+    def _band(self, index: int, rows: dict[str, Array], speeds: list[Array | None] | None) -> Array:
         """Return the predicted channels of a flight in the band, (rows kept, C)."""
-        flight, stride, parts = self.flights[index], self._stride[index], []
-        columns = [
-            3 * (channel.kind == "angular_acceleration") + "xyz".index(channel.axis)
-            for channel in self.channels
-            if channel.kind != "rotor_speed"
-        ]
-        if rows is not None:
-            slow = lowpass(rows[self._spans[index]][:, columns], flight.rate / stride, self.bandwidth)
-            parts.append(slow[self._kept[index] // stride])
-        if len(columns) < len(self.channels):
+        flight, stride, parts = self.flights[index], self._stride[index], {}
+        kinds = dict.fromkeys(channel.kind for channel in self.channels)
+        thin = [kind for kind in kinds if kind != "rotor_speed"]
+        if thin:
+            together = np.concatenate([rows[kind][self._spans[index]] for kind in thin], axis=1)
+            slow = lowpass(together, flight.rate / stride, self.bandwidth)[self._kept[index] // stride]
+            parts = dict(zip(thin, np.split(slow, len(thin), axis=1), strict=True))
+        if "rotor_speed" in kinds:
             assert speeds is not None
             speed = speeds[index]
             assert speed is not None
-            parts.append(lowpass(speed, flight.rate, self.bandwidth)[self._kept[index]])
-        return np.concatenate(parts, axis=1)
+            parts["rotor_speed"] = lowpass(speed, flight.rate, self.bandwidth)[self._kept[index]]
+        return np.concatenate([parts[kind] for kind in kinds], axis=1)
 
     def _measure(self, index: int) -> Array:
         """Return the measured channels of a flight in the band, (rows kept, C)."""
@@ -216,6 +259,8 @@ class Predictor:
             "specific_force": (flight.specific_force, False),
             "angular_acceleration": (flight.ang_vel, True),
             "rotor_speed": (flight.rotor_speed, False),
+            "kinematic_force": (flight.specific_force, False),
+            "kinematic_rate": (flight.ang_vel, False),
         }
         parts = []
         for kind in dict.fromkeys(channel.kind for channel in self.channels):
@@ -244,12 +289,32 @@ class Predictor:
         values = getattr(self.flights[index], name)
         return self._thin_values(index, np.zeros((self.flights[index].num_rows, 3)) if values is None else values)
 
-    def _turning(self, index: int) -> Tensor:
-        """Return the derivative of the angular velocity [rad/s²] at the rows of a flight, (E, 3)."""
-        flight, stride = self.flights[index], self._stride[index]
-        band = PREFILTER * flight.rate / stride if flight.gyro else self.bandwidth
-        slow = lowpass(flight.ang_vel, flight.rate, band, derivative=True)
-        return torch.from_numpy(np.ascontiguousarray(slow[::stride]))
+    def _derivative(self, index: int, name: str) -> Tensor:
+        """Return the derivative of a quantity at the rows of a flight, (E, any); zeros where the log lacks it."""
+        values = getattr(self.flights[index], name)
+        return self._derivative_of(index, np.zeros((self.flights[index].num_rows, 3)) if values is None else values)
+
+    def _derivative_of(self, index: int, values: Array) -> Tensor:
+        slow = lowpass(values, self.flights[index].rate, self._wide(index), derivative=True)
+        return torch.from_numpy(np.ascontiguousarray(slow[:: self._stride[index]]))
+
+    def _wide(self, index: int) -> float:
+        """Return the band of derivatives [Hz]: wider than the comparison, unless the angular velocity is itself derived."""
+        flight = self.flights[index]
+        return PREFILTER * flight.rate / self._stride[index] if flight.gyro else self.bandwidth
+
+    def _implied_force(self, index: int) -> Tensor:
+        """Return ``R^T (v' + g e_z)`` [m/s²], body, (E, 3): what an accelerometer without errors reads."""
+        acceleration = self._derivative(index, "lin_vel")
+        acceleration[:, 2] += STANDARD_GRAVITY
+        attitude = self._thin(index, "attitude")
+        return quat_rotate_inverse(attitude / attitude.norm(dim=1, keepdim=True), acceleration)
+
+    def _implied_rate(self, index: int) -> Tensor:
+        """Return the angular velocity that the attitude implies [rad/s], body, (E, 3)."""
+        flight = self.flights[index]
+        rate = body_rate_of(flight.attitude, flight.rate, self._wide(index))
+        return torch.from_numpy(np.ascontiguousarray(rate[:: self._stride[index]]))
 
     def _thin_values(self, index: int, values: Array) -> Tensor:
         """Return every n-th row of values that were low-passed below half of that rate."""

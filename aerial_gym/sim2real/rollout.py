@@ -196,7 +196,7 @@ class _Run:
             attitude=self._gather("attitude", rows),
             lin_vel=self._gather("lin_vel", rows),
             ang_vel=self._gather("ang_vel", rows),
-            rotor_speed=self._gather("rotor_speed", rows, instead="rotor_command"),
+            rotor_speed=self._true_speed(self._gather("rotor_speed", rows, instead="rotor_command")),
         )
 
     def _action(self, step: int) -> Tensor:
@@ -206,8 +206,14 @@ class _Run:
         values = [self._gather(name, first + k) for k in range(self._stride)]
         if not self._commanded:  # between rows a speed runs in a straight line
             values += [0.5 * (self._gather(name, first + self._stride) - values[0])]
-            return sum(values[:-1], values[-1]) / self._stride
+            return self._true_speed(sum(values[:-1], values[-1]) / self._stride)
         return sum(values[1:], values[0]) / self._stride
+
+    def _true_speed(self, measured: Tensor) -> Tensor:
+        """Return measured rotor speeds without the errors of their sensors."""
+        for effect, params in reversed(self._model.rotor_sensors):
+            measured = effect.true_speed(measured, params)
+        return measured
 
     def _gather(self, name: str, rows: NDArray[np.int64], *, instead: str | None = None) -> Tensor:
         """Return a quantity at a row of each window's flight, (W, any); zeros where the log lacks it."""

@@ -114,12 +114,11 @@ class LeftOut:
         parts = min(QUARTERS, flight.size)
         return np.arange(flight.size) * parts // flight.size
 
-    def squares(self, fit: Fit, released: Indices | None = None) -> Array:
-        """Return the squares (B, C) of each fold under the fit of the others; ``released`` tolerances are fitted too."""
-        free = fit.free_effects if released is None else np.concatenate((fit.free_effects, released))
+    def squares(self, fit: Fit) -> Array:
+        """Return the squares (B, C) of each fold under the fit of the others."""
         steps, fold = np.zeros((self.fold.size, fit.low.size)), self.fold
         for left in np.unique(fold):
-            steps[fold == left] = best_step(fit, self.weights.weight, free, np.flatnonzero(fold != left), released)
+            steps[fold == left] = best_step(fit, self.weights.weight, fit.free_effects, np.flatnonzero(fold != left))
         return fit.moments.squares_after(steps)
 
     def gain(self, less: Array, more: Array) -> Gain:

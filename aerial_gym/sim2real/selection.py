@@ -11,12 +11,22 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.fit import Fit, Frozen, fit_effects, params_of, scales, tolerance_jacobian, weighting
+from aerial_gym.sim2real.fit import (
+    Fit,
+    Frozen,
+    fit_effects,
+    is_number,
+    params_of,
+    scales,
+    tolerance_jacobian,
+    weighting,
+)
 from aerial_gym.sim2real.moments import Weighting
 from aerial_gym.sim2real.prediction import Point, Predictor
 from aerial_gym.sim2real.scoring import Criteria, Gain, LeftOut, Scored
-from aerial_gym.sim2real.stand_ins import SENSOR_STAND_INS, stand_ins
 from aerial_gym.sim2real.uncertainty import uncertainty, wald_probability
 
 Array = NDArray[np.float64]
@@ -41,20 +51,27 @@ class Trial:
     probability: float = 1.0
     """That noise and tolerances alone show such parameters."""
 
-    doubles: tuple[str, ...] = ()
-    """Explanations outside the registered effects that these flights cannot tell from it."""
-
-    as_good: tuple[str, ...] = ()
-    """Errors of sensors that do as well, for which it is not accepted."""
-
-    better: tuple[str, ...] = ()
-    """Explanations that do better, for which it is not accepted."""
-
     objections: tuple[str, ...] = ()
     """Why it is not accepted; empty if it may be."""
 
     only_harms: bool = False
     """Whether the only objection is that a channel gets worse."""
+
+    @property
+    def num_free(self) -> int:
+        """Return how many parameters of the effect the fit could choose."""
+        if self.scored is None:
+            return 0
+        own = set(self.scored.fit.columns_of(self.effect).tolist())
+        return len(own & set(self.scored.fit.free_effects.tolist()))
+
+    @property
+    def label(self) -> str:
+        """Return the name of the effect, with its rotor if it has one."""
+        parameters = EFFECTS.get(self.effect).parameters
+        if self.scored is None or parameters[0].kind != "rotor":
+            return self.effect
+        return f"{self.effect} of rotor {self.scored.fit.point.effects[self.effect][0]:.0f}"
 
     @property
     def score(self) -> float:
@@ -99,8 +116,10 @@ class _Selector:
     def __init__(self, predictor: Predictor, declared: Point, criteria: Criteria, progress: Progress) -> None:
         self.predictor, self.declared, self.criteria, self.progress = predictor, declared, criteria, progress
         self.candidates = tuple(EFFECTS)
+        self.lacking = {name: reason for name in self.candidates if (reason := lacks(name, predictor.robot))}
         self.tolerance = tolerance_jacobian(predictor, declared, predictor.predict(declared))
-        self.weights = weighting(predictor, declared, self.candidates, self.tolerance)
+        common = tuple(n for n in self.candidates if n not in self.lacking and not has_rotor(n))
+        self.weights = weighting(predictor, declared, common, self.tolerance)
         squares = np.concatenate([(part**2).sum(axis=2) for part in self.tolerance])
         self.left_out = LeftOut(
             moments=self._fit((), declared, frozenset()).moments,
@@ -119,7 +138,7 @@ class _Selector:
             trials = self.try_all(current, len(rounds))
             rounds.append(tuple(trials))
             passed = [trial for trial in trials if not trial.objections]
-            chosen = passed[:1] or self.best_pair(trials, current)
+            chosen = self.simplest(passed) or self.best_pair(trials, current)
             if not chosen:
                 break
             acceptance |= {trial.effect: trial for trial in chosen}
@@ -150,11 +169,34 @@ class _Selector:
                 trials.append(self.try_effect(name, current))
         return sorted(trials, key=lambda trial: -trial.score)
 
+    def simplest(self, passed: list[Trial]) -> list[Trial]:
+        """Return the trial with the fewest parameters among the best one and those that it does not clearly beat.
+
+        So a cause is not given the name of a family that contains it. ``passed`` comes best score first.
+        """
+        if not passed:
+            return []
+        best = passed[0].scored
+        assert best is not None
+        tied = [passed[0]]
+        for trial in passed[1:]:
+            assert trial.scored is not None
+            if self.left_out.gain(trial.scored.left_out, best.left_out).chance > self.criteria.rival_significance:
+                tied.append(trial)
+        return [min(tied, key=lambda trial: trial.num_free)]  # the first, and so the best, of equals
+
     def neutral(self, name: str) -> Array:
         """Return the parameters with which an effect changes nothing: declared ones, else its neutral ones."""
         if name in self.declared.effects:
             return self.declared.effects[name]
         return np.array(EFFECTS.get(name).neutral(self.predictor.robot), dtype=float)
+
+    def starts(self, name: str) -> list[Array]:
+        """Return where fits of an effect start: its neutral parameters, once for each rotor if it acts on one."""
+        neutral = self.neutral(name)
+        if not has_rotor(name) or name in self.declared.effects:
+            return [neutral]
+        return [np.array([rotor, *neutral[1:]]) for rotor in range(1, self.predictor.robot.num_rotors + 1)]
 
     def _fit(self, effects: tuple[str, ...], start: Point, frozen: Frozen) -> Fit:
         return fit_effects(self.predictor, effects, start, self.tolerance, self.weights.weight, frozen=frozen)
@@ -171,20 +213,28 @@ class _Selector:
         return self.score(current.effects, point, current.fit.frozen)
 
     def try_effect(self, name: str, current: Scored) -> Trial:
-        """Return how one more effect does on top of the accepted ones."""
-        start = current.fit.point
-        if name not in start.effects:
-            start = start.with_effect(name, self.neutral(name))
+        """Return how one more effect does on top of the accepted ones; of several rotors the best one."""
+        if name in self.lacking:
+            return Trial(effect=name, scored=None, objections=(self.lacking[name],))
+        if name in current.fit.point.effects:
+            return self.try_from(name, current, current.fit.point)
+        trials = [
+            self.try_from(name, current, current.fit.point.with_effect(name, start)) for start in self.starts(name)
+        ]
+        return max(trials, key=lambda trial: (not trial.objections, trial.score))
+
+    def try_from(self, name: str, current: Scored, start: Point) -> Trial:
+        """Return how one more effect does from some parameters on."""
         effects, frozen = (*current.effects, name), current.fit.frozen
         scored = self.score(effects, start, frozen)
         blind = {owner for owner in blind_parameters(scored) if owner[0] == name}
-        if len(blind) == len(EFFECTS.get(name).parameters):
+        places = range(len(EFFECTS.get(name).parameters))
+        if len(blind) == sum(is_number(name, place) for place in places):
             reason = f"these flights do not show it; needed: {EFFECTS.get(name).excitation}"
             return Trial(effect=name, scored=None, objections=(reason,))
         if blind:
             scored = self.score(effects, start, frozen | blind)
-        trial = self.judge(name, current, scored)
-        return trial if trial.objections else self.weigh_stand_ins(trial, current, scored)
+        return self.judge(name, current, scored)
 
     def judge(self, name: str, current: Scored, scored: Scored) -> Trial:
         """Return the trial with every objection to accepting the effect."""
@@ -202,54 +252,14 @@ class _Selector:
             only_harms=bool(objections) and objections == self.left_out.harms(gain),
         )
 
-    def weigh_stand_ins(self, trial: Trial, current: Scored, scored: Scored) -> Trial:
-        """Return the trial with explanations that cannot be told from the effect, and objections from better ones.
-
-        The effect is fitted together with the tolerances that an explanation sets free. It is superfluous if it is then
-        no longer significant. Then the explanation does better if what it sets free lies outside its tolerance and matters;
-        the error of a sensor does as well if the effect is not clearly better in its place.
-        """
-        rules, judge = self.criteria, self.left_out
-        doubles, as_good, better = [], [], []
-        for name, places in stand_ins(self.predictor.tolerances.names(self.predictor.robot.num_rotors)).items():
-            released = places + scored.fit.num_effect_params
-            if self.probability_neutral(trial.effect, scored, released) < rules.significance:
-                continue
-            both = judge.squares(scored.fit, released)
-            instead = judge.squares(current.fit, places + current.fit.num_effect_params)
-            outside = self.probability_within(scored, released) < rules.significance
-            if outside and not judge.objections(judge.gain(scored.left_out, both)):
-                better.append(name)
-            elif name in SENSOR_STAND_INS and judge.gain(instead, scored.left_out).chance > rules.rival_significance:
-                as_good.append(name)
-            else:
-                doubles.append(name)
-        objections = [f"{name} explains the flights better" for name in better]
-        objections += [f"{name} explains the flights as well" for name in as_good]
-        return replace(
-            trial,
-            doubles=tuple(doubles),
-            as_good=tuple(as_good),
-            better=tuple(better),
-            objections=(*trial.objections, *objections),
-        )
-
-    def probability_neutral(self, name: str, scored: Scored, released: NDArray[np.int64] | None = None) -> float:
+    def probability_neutral(self, name: str, scored: Scored) -> float:
         """Return the probability that an effect's parameters are neutral, given noise and tolerances."""
-        fit = scored.fit
-        spread = scored.spread if released is None else uncertainty(fit, self.weights.weight, released)
+        fit, spread = scored.fit, scored.spread
         places = [i for i, k in enumerate(spread.columns) if k in fit.columns_of(name)]
         neutral = np.concatenate([self.neutral(effect) for effect in fit.effects])
         distance = (params_of(fit.point, fit.effects) - neutral) / scales(fit.effects)
         distance = distance + spread.step[: fit.num_effect_params]
         return wald_probability(distance[spread.columns[places]], spread.part(places))
-
-    def probability_within(self, scored: Scored, released: NDArray[np.int64]) -> float:
-        """Return the probability of tolerances set free lying where they do, if they are as stated."""
-        spread = uncertainty(scored.fit, self.weights.weight, released)
-        part = spread.part([i for i, k in enumerate(spread.columns) if k in released])
-        stated = replace(part, tolerance=part.tolerance + np.eye(released.size))
-        return wald_probability(spread.step[released], stated)
 
     def without(self, scored: Scored, name: str) -> Scored:
         """Return the model with one effect taken back to neutral and the others fitted again."""
@@ -300,6 +310,20 @@ class _Selector:
                 back = self.left_out.gain(trial.scored.left_out, final.left_out)
                 trials.append(replace(trial, gain=replace(gain, chance=back.chance)))
         return tuple(sorted(trials, key=lambda trial: -trial.score))
+
+
+def has_rotor(name: str) -> bool:
+    """Return whether an effect acts on one rotor, which must be chosen."""
+    return any(parameter.kind == "rotor" for parameter in EFFECTS.get(name).parameters)
+
+
+def lacks(name: str, robot: RobotCfg) -> str:
+    """Return what the robot file lacks for an effect; empty if nothing."""
+    try:
+        EFFECTS.get(name).check(robot)
+    except ConfigError as error:
+        return str(error)
+    return ""
 
 
 def blind_parameters(scored: Scored) -> set[tuple[str, int]]:

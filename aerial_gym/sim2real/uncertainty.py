@@ -71,8 +71,8 @@ class Uncertainty:
         return self.half_width / NORMAL_95
 
 
-def uncertainty(fit: Fit, weight: Array, released: NDArray[np.int64] | None = None) -> Uncertainty:
-    """Return the spread of the fitted effects, and of ``released`` tolerances fitted with them.
+def uncertainty(fit: Fit, weight: Array) -> Uncertainty:
+    """Return the spread of the fitted effects.
 
     ``A = sum w J J^T``, scores ``s = sum w J r`` of a block or a flight: ``A^-1 (sum s s^T) A^-1`` (sandwich), and
     ``G G^T`` with ``G = A^-1 sum w J J_t^T`` for deviations t of unit variance that the fit leaves out.
@@ -81,10 +81,10 @@ def uncertainty(fit: Fit, weight: Array, released: NDArray[np.int64] | None = No
         Liang, Zeger (1986), Longitudinal data analysis using generalized linear models, section 2 (sandwich over
         clusters); Schmidt (1966), Application of state-space methods to navigation problems ("consider" parameters).
     """
-    free = fit.free_effects if released is None else np.concatenate((fit.free_effects, released))
+    free = fit.free_effects
     product, _ = normal_equations(fit, weight)
-    bread = np.linalg.inv(product[np.ix_(free, free)] + np.diag(prior_precision(fit, released)[free]))
-    step = best_step(fit, weight, free, released=released)
+    bread = np.linalg.inv(product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free]))
+    step = best_step(fit, weight, free)
     change = np.einsum("bckl,l->bck", fit.moments.product, step)
     scores = np.einsum("c,bck->bk", weight, fit.moments.gradient - change)[:, free]
     by_flight = np.stack([scores[fit.moments.flight == f].sum(axis=0) for f in np.unique(fit.moments.flight)])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.evaluation import Evaluation
-from aerial_gym.sim2real.fit import params_of, scales
+from aerial_gym.sim2real.fit import is_number, params_of, scales
 from aerial_gym.sim2real.selection import Selection, Trial
 from aerial_gym.sim2real.structure import Structure
 
@@ -137,7 +137,7 @@ def named_effects(selection: Selection) -> tuple[NamedEffect, ...]:
                 params={key: float(values[k]) for key, k in own.items()},
                 std={key: float(std[k] * scale[k]) for key, k in own.items() if k in std},
                 noise_std={key: float(noise[k] * scale[k]) for key, k in own.items() if k in noise},
-                frozen=tuple(key for key, k in own.items() if k not in std),
+                frozen=tuple(key for key, k in own.items() if k not in std and is_number(*fit.owners[k])),
                 confidence=_confidence(name, selection),
             )
         )
@@ -152,14 +152,17 @@ def serious_rivals(name: str, selection: Selection) -> list[Trial]:
 def _confidence(name: str, selection: Selection) -> float:
     own = selection.acceptance[name]
     doubts = [own.probability, own.gain.chance if own.gain else 1.0]
-    doubts += [trial.gain.chance for trial in serious_rivals(name, selection) if trial.gain]
+    doubts += [
+        trial.gain.chance for trial in serious_rivals(name, selection) if trial.gain and trial.num_free <= own.num_free
+    ]
     return float(min(1.0 - max(doubts), MOST_CONFIDENT))
 
 
 def tied_rivals(name: str, selection: Selection) -> list[str]:
-    """Return the registered effects that cannot be told from an accepted one."""
-    limit = selection.criteria.rival_significance
-    return [t.effect for t in serious_rivals(name, selection) if t.gain and t.gain.chance > limit]
+    """Return the registered effects that cannot be told from an accepted one, and are as simple."""
+    limit, size = selection.criteria.rival_significance, selection.acceptance[name].num_free
+    rivals = [t for t in serious_rivals(name, selection) if t.gain and t.num_free <= size]
+    return [t.effect for t in rivals if t.gain and t.gain.chance > limit]
 
 
 def material_remains(rms: Array, floor: Array | None, tolerated: Array) -> NDArray[np.bool_]:
@@ -181,18 +184,12 @@ def decide(selection: Selection, remains: tuple[str, ...], floor_known: bool) ->
     tied = {name: tied_rivals(name, selection) for name in selection.accepted}
     candidates = list(selection.accepted)
     for name in selection.accepted:
-        candidates += [*tied[name], *selection.acceptance[name].doubles]
-    overruled = [trial for trial in selection.rounds[-1] if trial.better or trial.as_good]
-    for trial in overruled:
-        candidates += [*([trial.effect] if trial.as_good else []), *trial.better, *trial.as_good]
+        candidates += tied[name]
     names = ", ".join(selection.accepted)
     unique = tuple(dict.fromkeys(candidates))
     if any(tied.values()):
         rivals = ", ".join(rival for rivals in tied.values() for rival in rivals)
         return "ambiguous", f"{names} cannot be told from {rivals} on flights left out", unique
-    if any(trial.as_good and not trial.better for trial in overruled):
-        pairs = "; ".join(f"{t.effect} or {', '.join(t.as_good)}" for t in overruled if t.as_good)
-        return "ambiguous", f"two explanations do equally well: {pairs}", unique
     if remains:
         start = f"{names} found, but" if names else "no registered effect explains it:"
         return "unexplained", f"{start} more than noise and tolerances remains in {', '.join(remains)}", unique

@@ -51,7 +51,7 @@ def test_the_verdict_names_the_hidden_drag(result: Path) -> None:
         assert low < DRAG < high
     assert 0.99 < effect["confidence"] < 1.0
     assert effect["material"] is True
-    assert set(verdict["not_testable"]) == {"motor_time_constant"}
+    assert set(verdict["not_testable"]) == {"motor_time_constant", "motor_asymmetry", "ground_effect"}
     assert verdict["structure"]["kind"] == "none"
     before, after = verdict["before"], verdict["after"]
     for axis in "xy":

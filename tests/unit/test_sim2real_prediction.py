@@ -70,7 +70,7 @@ def test_a_shifted_centre_of_mass_feels_the_measured_turning(tmp_path: Path) -> 
     lift = (1.2e-6 * found.rotor_speed**2).sum(axis=1)[rows]
     torque = np.cross(-shift, np.stack((0 * lift, 0 * lift, lift), axis=1))
     expected = torque / np.diag(ROBOT.body.inertia)
-    np.testing.assert_allclose(change[:, 3:], expected, atol=0.02 * np.abs(expected).max())
+    np.testing.assert_allclose(change[:, 3:6], expected, atol=0.02 * np.abs(expected).max())
 
 
 def test_thinned_rows_predict_what_all_rows_do(tmp_path: Path) -> None:
@@ -147,9 +147,10 @@ def test_flights_with_and_without_measured_rotors_do_not_mix(tmp_path: Path) -> 
 
 def test_channels_are_what_every_flight_has(tmp_path: Path) -> None:
     found = load(tmp_path)
-    assert [channel.kind for channel in find_channels([found])] == ["specific_force"] * 3 + ["angular_acceleration"] * 3
-    blind = replace(found, specific_force=None)
-    assert {channel.kind for channel in find_channels([found, blind])} == {"angular_acceleration"}
+    kinds = ("specific_force", "angular_acceleration", "kinematic_force", "kinematic_rate")
+    assert [channel.kind for channel in find_channels([found])] == [kind for kind in kinds for _ in range(3)]
+    blind = replace(found, specific_force=None, accelerometer=False)
+    assert {channel.kind for channel in find_channels([found, blind])} == {"angular_acceleration", "kinematic_rate"}
     with pytest.raises(DataError, match="no quantity in common"):
         find_channels([replace(blind, gyro=False)])
 
