@@ -82,10 +82,11 @@ def _shallowest(pairs: TouchingPairs) -> int:
 def _find_pairs(
     scene: SceneArrays, motion: SceneMotion, body: RobotBody, env: int, center_of_mass: wp.vec3, attitude: wp.quat
 ) -> TouchingPairs:
-    """Return the pairs that overlap, the deepest ``MAX_CONTACTS`` if there are more."""
+    """Return the pairs that overlap, the deepest ``MAX_CONTACTS`` if there are more; instances alone, not the ground."""
     pairs = TouchingPairs()
-    for part in range(scene.part_shape.shape[1]):
-        if part_is_present(scene, env, part):
+    for part in range(scene.num_solid):
+        a = scene.part_instance[env, part]
+        if a >= 0 and part_is_present(scene, env, part):
             shape = scene.shapes[scene.part_shape[env, part]]
             turn = part_attitude(scene, env, part)
             origin = part_position(scene, env, part)
@@ -102,7 +103,6 @@ def _find_pairs(
                     if gap < pairs.gaps[i]:
                         normal = wp.quat_rotate(turn, outward_normal(shape, local))
                         lever = offset - radius * normal
-                        a = scene.part_instance[env, part]
                         arm = center_of_mass + lever - scene.position[env, a]
                         pairs.gaps[i] = gap
                         pairs.levers[i] = lever

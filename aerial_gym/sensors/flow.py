@@ -19,7 +19,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets.scene import Scene
-from aerial_gym.assets.scene_arrays import SceneArrays
+from aerial_gym.assets.scene_arrays import BODY, WORLD, SceneArrays
 from aerial_gym.assets.views import vector_view
 from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, RangeSensorCfg
 from aerial_gym.errors import ConfigError
@@ -35,10 +35,9 @@ class Flow:
 
     right: wp.array[wp.vec3]  # (N,) derivative of the column by the point, at distance 1 [pixel]
     down: wp.array[wp.vec3]  # (N,) derivative of the row
-    drift: wp.array2d[
-        wp.vec3
-    ]  # (M, A + 1) a of an instance, sensor frame [m/s]; the last entry is what lies at infinity
-    turn: wp.array2d[wp.vec3]  # (M, A + 1) b of an instance, sensor frame [rad/s]
+    # of the instances, then of the robot, of the world and of what lies at infinity:
+    drift: wp.array2d[wp.vec3]  # (M, A + 3) a, sensor frame [m/s]
+    turn: wp.array2d[wp.vec3]  # (M, A + 3) b, sensor frame [rad/s]
     part_instance: wp.array2d[wp.int32]  # (E, P)
     image: wp.array2d[wp.vec2]  # (M, N) [pixel/s]
 
@@ -58,24 +57,30 @@ def relate(
     mount_position: wp.array2d[wp.vec3],  # (E, S) body frame [m]
     mount_attitude: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
     # out
-    drift_out: wp.array2d[wp.vec3],  # (M, A + 1) sensor frame [m/s]
-    turn_out: wp.array2d[wp.vec3],  # (M, A + 1) sensor frame [rad/s]
+    drift_out: wp.array2d[wp.vec3],  # (M, A + 3) sensor frame [m/s]
+    turn_out: wp.array2d[wp.vec3],  # (M, A + 3) sensor frame [rad/s]
 ):
-    """Write how one instance moves as one sensor sees it: points at p have the velocity a + b x p."""
+    """Write how one instance, the robot or the world moves as one sensor sees it: points at p have the velocity a + b x p."""
     mount, a = wp.tid()
     env = mount // mount_position.shape[1]
     sensor = mount - env * mount_position.shape[1]
     turn = -wp.quat_rotate_inv(mount_attitude[env, sensor], body_ang_vel[env])
     drift = wp.vec3(0.0, 0.0, 0.0)
-    if a < scene.position.shape[1]:
+    count = scene.position.shape[1]
+    if a < count or a == count + 1:
         lever = mount_position[env, sensor]
         attitude = body_attitude[env] * mount_attitude[env, sensor]
         origin = body_position[env] + wp.quat_rotate(body_attitude[env], lever)
         own = body_lin_vel[env] + wp.quat_rotate(body_attitude[env], wp.cross(body_ang_vel[env], lever))
-        spin = instance_ang_vel[env, a]
-        there = instance_lin_vel[env, a] + wp.cross(spin, origin - scene.position[env, a])
+        spin = wp.vec3(0.0, 0.0, 0.0)
+        there = wp.vec3(0.0, 0.0, 0.0)
+        if a < count:
+            spin = instance_ang_vel[env, a]
+            there = instance_lin_vel[env, a] + wp.cross(spin, origin - scene.position[env, a])
         drift = wp.quat_rotate_inv(attitude, there - own)
         turn += wp.quat_rotate_inv(attitude, spin)
+    elif a == count:  # the robot moves with its sensors
+        turn = wp.vec3(0.0, 0.0, 0.0)
     drift_out[mount, a] = drift
     turn_out[mount, a] = turn
 
@@ -83,9 +88,14 @@ def relate(
 @wp.func
 def flow_of(flow: Flow, env: int, mount: int, pixel: int, ray: wp.vec3, distance: float, part: int) -> wp.vec2:
     """Return the flow [pixel/s] of what a ray meets at a distance; part -1 is a miss, at infinity."""
-    a = flow.drift.shape[1] - 1
+    count = flow.drift.shape[1] - 3
+    a = count + 2
     if part >= 0:
         a = flow.part_instance[env, part]
+        if a == BODY:
+            a = count
+        elif a == WORLD:
+            a = count + 1
     rate = flow.drift[mount, a] / wp.max(distance, LEAST_DISTANCE) + wp.cross(flow.turn[mount, a], ray)
     return wp.vec2(wp.dot(flow.right[pixel], rate), wp.dot(flow.down[pixel], rate))
 
@@ -97,8 +107,8 @@ def make_flow(cfg: RangeSensorCfg, scene: Scene, image: Tensor) -> Flow:
     flow = Flow()
     flow.right = wp.from_torch(table[:, 0].contiguous(), dtype=wp.vec3)
     flow.down = wp.from_torch(table[:, 1].contiguous(), dtype=wp.vec3)
-    flow.drift = wp.zeros((mounts, scene.num_instances + 1), dtype=wp.vec3, device=device)
-    flow.turn = wp.zeros((mounts, scene.num_instances + 1), dtype=wp.vec3, device=device)
+    flow.drift = wp.zeros((mounts, scene.num_instances + 3), dtype=wp.vec3, device=device)
+    flow.turn = wp.zeros((mounts, scene.num_instances + 3), dtype=wp.vec3, device=device)
     flow.part_instance = scene.arrays.part_instance
     flow.image = wp.from_torch(image.view(mounts, -1, 2), dtype=wp.vec2)
     return flow

@@ -17,7 +17,7 @@ import torch
 import warp as wp
 
 from aerial_gym.assets.scene import Scene
-from aerial_gym.assets.scene_arrays import SceneArrays
+from aerial_gym.assets.scene_arrays import BODY, SceneArrays
 from aerial_gym.config.sensor import LidarCfg
 from aerial_gym.sensors.flow import instance_twists
 from aerial_gym.sensors.tiles import Tiles, make_tiles
@@ -66,6 +66,8 @@ def look_back(
     # sensor
     seat_position: wp.array2d[wp.vec3],  # (E, S * G) body frame [m]
     seat_attitude: wp.array2d[wp.quat],  # (E, S * G) sensor to body, xyzw
+    mount_position: wp.array2d[wp.vec3],  # (E, S) body frame [m], of the sensors themselves
+    mount_attitude: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
     age: wp.array[float],  # (G,) [s]
     reach: float,  # [m] beyond which nothing is seen
     # out
@@ -74,7 +76,8 @@ def look_back(
 ):
     """Write how one seat saw one part.
 
-    Instead of the instance the seat is moved: it sees the present instance from where, relative to it, it was.
+    Instead of the instance the seat is moved: it sees the present instance from where, relative to it, it was. Relative to
+    the robot that is where the sensor is now.
     """
     row, a = wp.tid()
     env = row // seat_position.shape[1]
@@ -82,8 +85,12 @@ def look_back(
     body = body_attitude[env]
     origin = body_position[env] + wp.quat_rotate(body, seat_position[env, seat])
     attitude = body * seat_attitude[env, seat]
-    if scene.part_shape[env, a] >= 0:
-        instance = scene.part_instance[env, a]
+    instance = scene.part_instance[env, a]
+    if instance == BODY:
+        sensor = seat // age.shape[0]
+        origin = body_position[env] + wp.quat_rotate(body, mount_position[env, sensor])
+        attitude = body * mount_attitude[env, sensor]
+    elif instance >= 0 and scene.part_shape[env, a] >= 0:
         velocity = instance_lin_vel[env, instance]
         spin = instance_ang_vel[env, instance]
         if wp.length_sq(velocity) + wp.length_sq(spin) > 0.0:
@@ -127,7 +134,7 @@ class Scan:
 
     def record_look(self, view: View, reach: float) -> wp.Launch:
         """Record the launch that works out how every seat sees every part within a reach [m]."""
-        inputs = [self._scene.arrays, *instance_twists(self._scene), *self.pose, self._age, reach]
+        inputs = [self._scene.arrays, *instance_twists(self._scene), *self.pose, *self._mount[2:], self._age, reach]
         return self._record(look_back, view.kind.shape, inputs, [view.rows, view.kind])
 
     def _record(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list, outputs: list) -> wp.Launch:

@@ -21,7 +21,7 @@ from aerial_gym.cli.bench.peers.runs import (
     why_missing,
 )
 from aerial_gym.cli.bench.scenes import RenderScene
-from aerial_gym.config.sensor import CameraCfg
+from aerial_gym.config.sensor import CameraCfg, RangeSensorCfg
 from aerial_gym.errors import UnknownNameError
 from aerial_gym.sensors import SensorImages
 
@@ -85,7 +85,7 @@ class Beside:
         self,
         *,
         scene: RenderScene,
-        camera: CameraCfg,
+        camera: RangeSensorCfg,
         images: SensorImages,
         direction: Tensor,
         pythons: tuple[str, ...],
@@ -125,6 +125,7 @@ class Beside:
         return Other(name=name, seconds=seconds, differing=differing, more={"triangles": meshes.num_triangles})
 
     def _peer(self, name: str) -> Other:
+        assert isinstance(self._camera, CameraCfg)
         height = vertical_field_deg(self._camera.hfov_deg, width=self._camera.width, height=self._camera.height)
         ids = self._images.segmentation
         arrays = scene_arrays(self._scene, self._direction, vfov_deg=height, segmentation=ids is not None)
