@@ -35,6 +35,7 @@ COMMANDS: dict[str, _Home] = {
     "evaluate": _Home("aerial_gym.cli.evaluate", "EvaluateCmd"),
     "replay": _Home("aerial_gym.cli.replay", "ReplayCmd"),
     "close-loop": _Home("aerial_gym.cli.close_loop", "CloseLoopCmd"),
+    "identify": _Home("aerial_gym.cli.identify", "IdentifyCmd"),
     "bench": _Home("aerial_gym.cli.bench.command", "BenchCmd"),
     "render-gallery": _Home("aerial_gym.cli.render_gallery", "RenderGalleryCmd"),
     "demo": _Home("aerial_gym.cli.demo.command", "DemoCmd"),

@@ -1,0 +1,195 @@
+"""``aerial-gym identify``: numbers of a robot file from bench measurements, with intervals and held-out errors."""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from aerial_gym.cli.progress import progress_bar
+from aerial_gym.errors import ConfigError
+
+if TYPE_CHECKING:
+    from aerial_gym.config.robot import RobotCfg
+    from aerial_gym.sim2real.bench.report import Study
+    from aerial_gym.sim2real.bench.tables import Bench
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotorCmd:
+    """Thrust and torque maps from static tests, time constants, slew limits and delay from step responses."""
+
+    files: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """CSV tables: speed, thrust and torque at rest, or time, commanded and measured speed; told apart by their columns."""
+
+    num_motors: int = 1
+    """Motors whose thrust and torque were measured together."""
+
+    columns: dict[str, str] = field(default_factory=dict)
+    """Column by quantity where the usual name is not used: speed, thrust, torque, time, command, measured."""
+
+    units: dict[str, str] = field(default_factory=dict)
+    """Unit by quantity where the name does not tell it: rad/s, rpm, rev/s; N, mN, gf, kgf; N m, mN m, gf cm; s, ms, us."""
+
+    robot: str | None = None
+    """Registered robot or robot file that gets the new rotor numbers (robot.yaml in --out)."""
+
+    out: Path | None = None
+    """Folder for report.md, figures, result.json and robot.yaml or rotor.yaml; nothing is written if not given."""
+
+    json: bool = False
+    """Print one JSON object on stdout instead of tables."""
+
+    def run(self) -> int:
+        """Identify and print; return the exit status."""
+        from aerial_gym.sim2real.bench.studies import study_motor
+
+        if self.num_motors < 1:
+            raise ConfigError(f"num_motors = {self.num_motors}: must be at least 1")
+        with progress_bar() as progress:
+            benches = _read(self.files, self.columns, self.units)
+            progress("fitting maps and lags, each also without every row or step", 0.1)
+            study = study_motor(benches, num_motors=self.num_motors, robot=_robot(self.robot))
+            _write(self.out, study, vars(self), self.files)
+        return _show(study, self.out, as_json=self.json)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointCmd:
+    """The law of a compliant joint from the record of a load that is let go: spring, damping, creep."""
+
+    file: Annotated[Path, tyro.conf.Positional]
+    """CSV table: time and angle of the joint, from before the release on."""
+
+    release_s: float = 0.0
+    """Time of the release in the file [s]."""
+
+    columns: dict[str, str] = field(default_factory=dict)
+    """Column by quantity where the usual name is not used: time, angle."""
+
+    units: dict[str, str] = field(default_factory=dict)
+    """Unit by quantity where the name does not tell it: s, ms, us; rad, deg."""
+
+    out: Path | None = None
+    """Folder for report.md, figures, result.json and joint.yaml; nothing is written if not given."""
+
+    json: bool = False
+    """Print one JSON object on stdout instead of tables."""
+
+    def run(self) -> int:
+        """Identify and print; return the exit status."""
+        from aerial_gym.sim2real.bench.studies import study_joint
+
+        with progress_bar() as progress:
+            (bench,) = _read((self.file,), self.columns, self.units)
+            progress("fitting springs and creep, each also without every block of time", 0.1)
+            study = study_joint(bench, release=self.release_s)
+            _write(self.out, study, vars(self), (self.file,))
+        return _show(study, self.out, as_json=self.json)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HoverCmd:
+    """The thrust coefficient from hover: the rotors carry the weight."""
+
+    flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Flight logs with measured rotor speeds that hover for a while."""
+
+    robot: str | None = None
+    """Registered robot or robot file: its mass, and its thrust map to compare with."""
+
+    mass_kg: float | None = None
+    """Mass of the vehicle [kg]; that of the robot if not given."""
+
+    mass_std_kg: float = 0.0
+    """Standard deviation of the mass [kg]: it widens the interval."""
+
+    mapping: str | None = None
+    """Layout of the logs: a name (idsia_nanodrone) or a mapping file (.yaml); the package's own layout if not given."""
+
+    out: Path | None = None
+    """Folder for report.md, a figure, result.json and robot.yaml; nothing is written if not given."""
+
+    json: bool = False
+    """Print one JSON object on stdout instead of tables."""
+
+    def run(self) -> int:
+        """Identify and print; return the exit status."""
+        from aerial_gym.sim2real.bench.studies import study_hover
+        from aerial_gym.sim2real.mapping import find_mapping
+
+        robot = _robot(self.robot)
+        mass = self.mass_kg if self.mass_kg is not None else (None if robot is None else robot.body.mass)
+        if mass is None:
+            raise ConfigError("identify hover needs a mass: give --robot or --mass-kg")
+        layout = None if self.mapping is None else find_mapping(self.mapping)
+        with progress_bar() as progress:
+            progress("reading flights", 0.1)
+            study = study_hover(self.flights, layout=layout, mass=mass, mass_std=self.mass_std_kg, robot=robot)
+            _write(self.out, study, vars(self), self.flights)
+        return _show(study, self.out, as_json=self.json)
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifyCmd:
+    """Identify rotors or a compliant joint from bench CSVs, or the thrust coefficient from hover."""
+
+    what: tyro.conf.OmitArgPrefixes[
+        tyro.conf.OmitSubcommandPrefixes[
+            Annotated[MotorCmd, tyro.conf.subcommand("motor")]
+            | Annotated[JointCmd, tyro.conf.subcommand("joint")]
+            | Annotated[HoverCmd, tyro.conf.subcommand("hover")]
+        ]
+    ]
+    """What is identified."""
+
+    def run(self) -> int:
+        """Identify and print; return the exit status."""
+        return self.what.run()
+
+
+def _read(files: tuple[Path, ...], columns: dict[str, str], units: dict[str, str]) -> "list[Bench]":
+    from aerial_gym.sim2real.bench.tables import KNOWN, read_columns
+
+    for quantity in (*columns, *units):
+        if quantity not in KNOWN:
+            raise ConfigError(f"no quantity {quantity!r}. Known: {', '.join(KNOWN)}")
+    if not files:
+        raise ConfigError("give at least one CSV file")
+    return [read_columns(path, given=columns, units=units) for path in files]
+
+
+def _robot(name: str | None) -> "RobotCfg | None":
+    from aerial_gym.env_manager.sim_builder import robot_by_name
+
+    return None if name is None else robot_by_name(name)
+
+
+def _write(out: Path | None, study: "Study", options: dict[str, object], inputs: tuple[Path, ...]) -> None:
+    from aerial_gym.sim2real.bench.report import write_study
+
+    if out is not None:
+        write_study(out, study, {"command": f"identify {study.title}", **options}, inputs)
+
+
+def _show(study: "Study", out: Path | None, *, as_json: bool) -> int:
+    if as_json:
+        print(json.dumps(study.mapping, ensure_ascii=False, allow_nan=False))
+        return 0
+    console = Console(markup=False)
+    console.print(f"{study.title}. {study.intro}")
+    for part in study.tables:
+        table = Table(title=part.title, box=None, pad_edge=False)
+        for head in part.head:
+            table.add_column(head)
+        for row in part.rows:
+            table.add_row(*row)
+        console.print(table)
+    for note in study.notes:
+        console.print(f"note: {note}")
+    if out is not None:
+        console.print(f"written: {', '.join(f'{out}/{name}' for name in ('report.md', 'result.json', *study.files))}")
+    return 0
