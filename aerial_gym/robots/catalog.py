@@ -45,5 +45,21 @@ ROBOTS.register(
         sensors=("base_normal_face_id_camera",),
     ),
 )
-for _name in ("tinyprop", "crazyflie_21_brushless"):
+for _name in ("tinyprop", "crazyflie_21_brushless", "crazyflie_21", "neural_fly_quad"):
     ROBOTS.register(_name, load_robot(_FOLDER / f"{_name}.yaml"))
+
+_CRAZYFLIE = ROBOTS.get("crazyflie_21")
+ROBOTS.register(
+    "crazyflie_2x_arpl",
+    replace(
+        _CRAZYFLIE,
+        summary="crazyflie_21 with the rotor offsets that the ARPL flights declare",
+        mounts=replace(
+            _CRAZYFLIE.mounts,
+            layout=tuple(
+                replace(m, position=tuple(0.028 / 0.0325 * p for p in m.position)) for m in _CRAZYFLIE.mounts.layout
+            ),
+            source="README of the ARPL flights: offsets of 0.028 m, order and signs",
+        ),
+    ),
+)

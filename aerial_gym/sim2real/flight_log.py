@@ -5,20 +5,26 @@ Letters: T rows, R rotors.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.mapping import UNITS, ColumnsCfg, LogMapping, find_mapping, mapping_names
+from aerial_gym.sim2real.ulog import ulog_table
 
 Array = NDArray[np.float64]
 
 HEADER_LINES = 1
+
+COMPANION_GAP_S = 0.1
+"""Longest gap [s] in another vehicle's log across which its position is interpolated."""
+
 FLIP = np.array([1.0, -1.0, -1.0])
 """From body frd to body flu."""
 
@@ -54,6 +60,15 @@ class FlightLog:
     rotor_command: Array | None = None
     """Speeds commanded from each row on [rad/s], (T, R)."""
 
+    collective: bool = False
+    """Whether all rotors share one command: it says nothing about torques."""
+
+    battery: Array | None = None
+    """Voltage [V], (T,)."""
+
+    other_position: Array | None = None
+    """Body origin of another vehicle flown at the same time [m], world, (T, 3); NaN where its log has a gap."""
+
     notes: tuple[str, ...] = ()
     """What was done to the log, for the report."""
 
@@ -74,17 +89,18 @@ class FlightLog:
 
 
 def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None) -> FlightLog:
-    """Return the flight in a CSV file with one header line.
+    """Return the flight in a CSV file with one header line, or in a PX4 ULog (.ulg).
 
     Args:
         path: The file.
-        mapping: Layout; None takes that of this package.
+        mapping: Layout; None takes that of this package, or ``px4_ulog`` for a .ulg file.
 
     Raises:
         DataError: If file, columns or fields cannot be used; the message names file, row or column and the way out.
     """
-    layout = mapping or find_mapping("aerial_gym")
-    table = _read_table(Path(path), layout)
+    ulog = Path(path).suffix.lower() == ".ulg"
+    layout = mapping or find_mapping("px4_ulog" if ulog else "aerial_gym")
+    table = ulog_table(Path(path)) if ulog else _read_table(Path(path), layout)
     time = _time(table, layout, str(path))
     values: dict[str, Array] = {}
     notes: list[str] = []
@@ -93,9 +109,73 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None) -> F
             continue
         columns = _columns(table, quantity, name, str(path))
         if columns:
-            values[name] = _fields(table, columns, quantity, time, str(path), notes) * UNITS[quantity.unit]
+            raw = _fields(table, columns, quantity, time, str(path), notes)
+            values[name] = _converted(raw, table, quantity, time, str(path)) * UNITS[quantity.unit]
+    if layout.lacks:
+        notes.append(layout.lacks)
+    if "attitude" not in values and layout.attitude is None:
+        _integrate_attitude(values, time, layout, str(path), notes)
     _require(values, layout, list(table.columns), str(path))
-    return FlightLog(path=str(path), time=time, notes=tuple(notes), **_to_package_frames(values, layout))
+    battery = values.pop("battery", None)
+    command = layout.rotor_command
+    return FlightLog(
+        path=str(path),
+        time=time,
+        battery=None if battery is None else battery[:, 0],
+        collective=command is not None and command.repeat > 1,
+        other_position=_companion(Path(path), layout, time, notes),
+        notes=tuple(notes),
+        **_to_package_frames(values, layout),
+    )
+
+
+def _converted(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, time: Array, path: str) -> Array:
+    """Return ``offset + gain (raw times / over)^power``, 0 where raw is 0, once per rotor, (T, columns)."""
+    if quantity.plain:
+        return raw
+    values = raw
+    for column, power in ((quantity.times, 1.0), (quantity.over, -1.0)):
+        if column is None:
+            continue
+        if column not in table.columns:
+            raise DataError(_missing(column, list(table.columns), path))
+        other = _fields(table, [column], ColumnsCfg(columns=(column,)), time, path, [])
+        if np.any(other <= 0.0):
+            row = int(np.argmax(other[:, 0] <= 0.0))
+            raise DataError(f"{path}, line {row + 1 + HEADER_LINES}: {column} = {other[row, 0]:g}, must be > 0")
+        values = values * other**power
+    if quantity.power != 1.0 and np.any(values < 0.0):
+        raise DataError(f"{path}: {quantity.columns[0]} is negative and cannot be raised to {quantity.power:g}")
+    values = np.where(raw == 0.0, 0.0, quantity.offset + quantity.gain * values**quantity.power)
+    return np.repeat(values, quantity.repeat, axis=1)
+
+
+def _integrate_attitude(values: dict[str, Array], time: Array, layout: LogMapping, path: str, notes: list[str]) -> None:
+    """Write an attitude that starts level and turns with the gyro; refuse logs in which it would be compared with the world."""
+    if "ang_vel" not in values or "position" in values or "lin_vel" in values:
+        raise DataError(f"{path}: has no attitude. {layout.lacks or 'Log it, or map it.'}")
+    turns = Rotation.from_rotvec(0.5 * (values["ang_vel"][1:] + values["ang_vel"][:-1]) * np.diff(time)[:, None])
+    attitude = [Rotation.identity()]
+    for turn in turns:
+        attitude.append(attitude[-1] * turn)
+    values["attitude"] = np.array([turn.as_quat() for turn in attitude])
+    notes.append("attitude not logged: integrated from the gyro, level at the start; only body axes are compared")
+
+
+def _companion(path: Path, layout: LogMapping, time: Array, notes: list[str]) -> Array | None:
+    """Return the position of the vehicle whose file has a name that the layout derives from this one, (T, 3)."""
+    for text, other in layout.companion.items():
+        partner = path.with_name(path.name.replace(text, other))
+        if text not in path.name or partner == path or not partner.exists() or layout.position is None:
+            continue
+        log = read_flight_log(partner, mapping=replace(layout, companion={}))
+        assert log.position is not None
+        place = np.stack([np.interp(time, log.time, p, left=np.nan, right=np.nan) for p in log.position.T], axis=1)
+        after = np.clip(np.searchsorted(log.time, time), 1, log.time.size - 1)
+        place[log.time[after] - log.time[after - 1] > COMPANION_GAP_S] = np.nan
+        notes.append(f"position of the other vehicle from {partner.name}")
+        return place
+    return None
 
 
 def _read_table(path: Path, layout: LogMapping) -> pd.DataFrame:
@@ -214,7 +294,7 @@ def _fill(numbers: Array, quantity: ColumnsCfg, time: Array, where: str) -> Arra
 
 def _require(values: dict[str, Array], layout: LogMapping, known: list[str], path: str) -> None:
     """Raise ``DataError`` unless the log has what every use of it needs."""
-    if "attitude" not in values:
+    if "attitude" not in values and layout.attitude is not None:
         column = next((name for name in layout.attitude.columns if name not in known), layout.attitude.columns[0])
         raise DataError(_missing(column, known, path))
     for one, other in (("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")):
@@ -241,7 +321,10 @@ def _mapping_hint(known: list[str]) -> str:
     """Return the advice to use a mapping, naming one that fits the columns if there is one."""
     for name in mapping_names():
         layout = find_mapping(name)
-        if name != "aerial_gym" and {*layout.time.columns, *layout.attitude.columns} <= set(known):
+        wanted = {
+            column for quantity in layout.quantities().values() for column in quantity.columns if "{n}" not in column
+        }
+        if name != "aerial_gym" and wanted <= set(known):
             return f" The columns look like the mapping {name!r}: give --mapping {name}."
     return " Rename the columns, or describe them in a mapping file (--mapping FILE.yaml)."
 

@@ -57,7 +57,7 @@ class Flight:
     """[rad/s], body, (T, 3)."""
 
     gyro: bool
-    """Whether ``ang_vel`` was measured; if not, its derivative is no channel."""
+    """Whether ``ang_vel`` was measured and the rotors' torques are known; if not, its derivative is no channel."""
 
     specific_force: Array | None
     """[m/s²], body, (T, 3)."""
@@ -73,6 +73,12 @@ class Flight:
 
     notes: tuple[str, ...]
     """What was done to the log."""
+
+    battery: Array | None = None
+    """Voltage [V], (T,)."""
+
+    other_position: Array | None = None
+    """Body origin of another vehicle flown at the same time [m], world, (T, 3); NaN where it is not known."""
 
     @property
     def num_rows(self) -> int:
@@ -161,6 +167,8 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = ()) -> Flight:
     if ang_vel is None:
         ang_vel = body_rate_of(log.attitude, rate, band)
         said.append("angular velocity derived from attitude; angular acceleration is not compared")
+    if log.collective:
+        said.append("one command for all rotors: angular acceleration is not compared")
     return Flight(
         name=log.name,
         path=log.path,
@@ -170,10 +178,12 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = ()) -> Flight:
         attitude=log.attitude,
         lin_vel=log.lin_vel,
         ang_vel=ang_vel,
-        gyro=log.ang_vel is not None,
+        gyro=log.ang_vel is not None and not log.collective,
         specific_force=specific_force,
         accelerometer=log.specific_force is not None,
         rotor_speed=log.rotor_speed,
         rotor_command=log.rotor_command,
+        battery=log.battery,
+        other_position=log.other_position,
         notes=tuple(said),
     )

@@ -3,7 +3,9 @@
 A mapping is a YAML file. The layout of this package is one itself, ``mappings/aerial_gym.yaml``.
 """
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from math import isfinite
 from pathlib import Path
 
 from aerial_gym.config import load
@@ -44,6 +46,24 @@ class ColumnsCfg:
     fill_gap_s: float = 0.0
     """Longest run of empty fields [s] that is filled by straight lines; 0 refuses the first empty field."""
 
+    times: str | None = None
+    """Column that every value is multiplied by, such as the battery voltage of a duty cycle."""
+
+    over: str | None = None
+    """Column that every value is divided by, such as the setpoint at hover."""
+
+    power: float = 1.0
+    """Power that the product is raised to: 0.5 makes a speed of a thrust."""
+
+    gain: float = 1.0
+    """Factor on the result."""
+
+    offset: float = 0.0
+    """Added to the result, but a raw value of 0 stays 0: a motor that is off does not turn."""
+
+    repeat: int = 1
+    """Times that a single column stands for: 4 for a collective command of four rotors. Torques are then not compared."""
+
     def __post_init__(self) -> None:
         if not self.columns:
             raise ConfigError("ColumnsCfg.columns: must name at least one column")
@@ -51,6 +71,19 @@ class ColumnsCfg:
             raise ConfigError(f"ColumnsCfg.unit = {self.unit!r}: must be one of {', '.join(UNITS)}")
         if not 0.0 <= self.fill_gap_s <= 1.0:
             raise ConfigError(f"ColumnsCfg.fill_gap_s = {self.fill_gap_s!r}: must lie in [0, 1] s")
+        for name in ("power", "gain", "offset"):
+            if not isfinite(getattr(self, name)):
+                raise ConfigError(f"ColumnsCfg.{name} = {getattr(self, name)!r}: must be finite")
+        if self.gain == 0.0 or self.power == 0.0:
+            raise ConfigError(f"ColumnsCfg: gain = {self.gain!r} and power = {self.power!r} must not be 0")
+        if self.repeat < 1 or (self.repeat > 1 and len(self.columns) > 1):
+            raise ConfigError(f"ColumnsCfg.repeat = {self.repeat!r}: must be >= 1, and 1 for more than one column")
+
+    @property
+    def plain(self) -> bool:
+        """Whether values are in the file as they are, up to their unit."""
+        untouched = self.times is None and self.over is None
+        return untouched and (self.power, self.gain, self.offset, self.repeat) == (1.0, 1.0, 0.0, 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,8 +96,9 @@ class LogMapping:
     time: ColumnsCfg
     """Time [s]."""
 
-    attitude: ColumnsCfg
-    """Unit quaternion; name its columns in the order x, y, z, w, however the file orders them."""
+    attitude: ColumnsCfg | None = None
+    """Unit quaternion; name its columns in the order x, y, z, w, however the file orders them. Without it, and without
+    position and velocity, it is integrated from the angular velocity: enough for what is compared in body axes."""
 
     position: ColumnsCfg | None = None
     """Body origin [m], world."""
@@ -83,6 +117,16 @@ class LogMapping:
 
     rotor_command: ColumnsCfg | None = None
     """Commanded rotor speeds [rad/s]."""
+
+    battery: ColumnsCfg | None = None
+    """Battery voltage [V]."""
+
+    companion: Mapping[str, str] = field(default_factory=dict)
+    """Text in the name of a file, and what stands in its place in that of another vehicle flown at the same time on the same
+    clock: its position becomes the companion's."""
+
+    lacks: str = ""
+    """What these logs do not have and what follows, one sentence: it stands in the notes and in the message of a refusal."""
 
     body_frame: str = "flu"
     """Axes of body quantities in the file: flu (x forward, y left, z up) or frd."""
@@ -104,14 +148,14 @@ class LogMapping:
         ):
             if getattr(self, name) not in known:
                 raise ConfigError(f"LogMapping.{name} = {getattr(self, name)!r}: must be one of {', '.join(known)}")
-        for name, count in (("time", 1), ("attitude", 4), *((key, 3) for key in VECTORS)):
+        for name, count in (("time", 1), ("battery", 1), ("attitude", 4), *((key, 3) for key in VECTORS)):
             quantity = getattr(self, name)
             if quantity is not None and len(quantity.columns) != count:
                 raise ConfigError(f"LogMapping.{name}.columns = {quantity.columns!r}: must name {count} columns")
 
     def quantities(self) -> dict[str, ColumnsCfg]:
         """Return the mapped quantities by field name, time first."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         return {name: value for name, value in values.items() if isinstance(value, ColumnsCfg)}
 
 

@@ -3,7 +3,7 @@
 Everything here uses future samples: it is for logs, not for flight. Letters: T rows.
 """
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ LONGEST_GAP_ROWS = 5
 
 LONGEST_GAP_S = 0.1
 """[s]."""
+
+LOOSE_END = 0.05
+"""Rows beyond a gap are cut off if they are no more than this share of a log."""
 
 LARGEST_SHIFT_S = 0.05
 """Clock offsets of the rotor log are looked for up to this [s]; measured_data.md 2: 0 to 0.03 s."""
@@ -94,6 +97,7 @@ def uniform_log(log: FlightLog) -> FlightLog:
     Raises:
         DataError: If rows are missing for longer than can be bridged.
     """
+    log = _without_loose_ends(log)
     steps = np.diff(log.time)
     step = float(np.median(steps))
     gap = int(np.argmax(steps))
@@ -126,8 +130,25 @@ def uniform_log(log: FlightLog) -> FlightLog:
         specific_force=line(log.specific_force),
         rotor_speed=line(log.rotor_speed),
         rotor_command=None if log.rotor_command is None else log.rotor_command[before],
+        battery=None if log.battery is None else np.interp(time, log.time, log.battery),
+        other_position=line(log.other_position),
         notes=(*log.notes, f"unequal time steps ({steps.min():.3g} to {steps.max():.3g} s) resampled to {step:.3g} s"),
     )
+
+
+def _without_loose_ends(log: FlightLog) -> FlightLog:
+    """Return the log without a short piece at either end that a gap cuts off, and say so."""
+    steps = np.diff(log.time)
+    limit = max(LONGEST_GAP_ROWS * float(np.median(steps)), LONGEST_GAP_S)
+    edges = [0, *(np.flatnonzero(steps > limit) + 1).tolist(), log.time.size]
+    sizes = np.diff(edges)
+    longest = int(np.argmax(sizes))
+    if len(sizes) == 1 or sizes[longest] < (1.0 - LOOSE_END) * log.time.size:
+        return log
+    part = slice(edges[longest], edges[longest + 1])
+    arrays = {f.name: value[part] for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
+    note = f"{log.time.size - sizes[longest]} rows beyond a gap of {steps.max():.3g} s at the end or start were cut off"
+    return replace(log, **arrays, notes=(*log.notes, note))
 
 
 def rotor_log_lead(measured: Array, predicted: Array, others: Array, rate: float, bandwidth: float) -> int:
@@ -181,6 +202,8 @@ def shift_rotor_log(log: FlightLog, lead: int) -> FlightLog:
         lin_vel=cut(log.lin_vel, kept),
         ang_vel=cut(log.ang_vel, kept),
         specific_force=cut(log.specific_force, kept),
+        battery=cut(log.battery, kept),
+        other_position=cut(log.other_position, kept),
         rotor_speed=cut(log.rotor_speed, moved),
         rotor_command=cut(log.rotor_command, moved),
         notes=(*log.notes, f"rotor log leads the other sensors by {lead} rows and was moved back"),

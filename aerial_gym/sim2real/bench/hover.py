@@ -183,7 +183,7 @@ def fit_hover(
     models = {"c_t w²": _model("c_t w²", (0.0, 0.0, 1.0), moments, force, mass, group)}
     scale = None
     if declared is not None:
-        carried = np.asarray(moments @ np.array(declared))
+        carried = (moments * declared).sum(axis=1)
         scale = _ratio(carried, target, [p.force.size for p in parts], mass_std / mass)
         left = force - carried / mass
         models = {
