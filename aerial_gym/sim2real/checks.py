@@ -14,6 +14,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.physics.model import STANDARD_GRAVITY
 from aerial_gym.sim2real.flight_log import FlightLog
+from aerial_gym.sim2real.kinematics import kinematic_agreement
 from aerial_gym.sim2real.mapping import UNITS
 from aerial_gym.sim2real.signals import lowpass
 
@@ -48,7 +49,7 @@ def check_log(log: FlightLog, robot: RobotCfg) -> list[str]:
     _check_velocity(log, attitude)
     _check_force_frame(log, attitude)
     _check_rotor_unit(log, robot)
-    return notes
+    return notes + [text for agreement in kinematic_agreement(log) for text in agreement.sentences()]
 
 
 def rate_of(log: FlightLog) -> float:
