@@ -99,6 +99,16 @@ def test_the_map_and_the_ratio_are_found_and_the_intervals_hold_them(tmp_path: P
     assert fit.thrust_map.after.value < fit.thrust_map.before.value
 
 
+def test_held_out_errors_are_those_of_fits_without_the_row(tmp_path: Path) -> None:
+    """Every row predicted by a polynomial that numpy fits to the others."""
+    fit = only(static_table(np.random.default_rng(8), 0.02), tmp_path)
+    found = fit.thrust_map.candidates["w², w and constant"].held_out
+    for row in range(fit.speed.size):
+        others = np.arange(fit.speed.size) != row
+        expected = fit.thrust[row] - np.polyval(np.polyfit(fit.speed[others], fit.thrust[others], 2), fit.speed[row])
+        assert found[row] == pytest.approx(expected, rel=1e-6, abs=1e-9)
+
+
 def test_no_term_is_added_that_does_not_pay(tmp_path: Path) -> None:
     """Thrust that is w² alone: held-out error takes w² alone in most draws, and never by the fit to its own rows."""
     chosen = []
