@@ -318,14 +318,18 @@ def _missing(column: str, known: list[str], path: str) -> str:
 
 
 def _mapping_hint(known: list[str]) -> str:
-    """Return the advice to use a mapping, naming one that fits the columns if there is one."""
+    """Return the advice to use a mapping, naming the one that uses most of the columns if there is one."""
+    fits: dict[str, int] = {}
     for name in mapping_names():
         layout = find_mapping(name)
         wanted = {
             column for quantity in layout.quantities().values() for column in quantity.columns if "{n}" not in column
         }
         if name != "aerial_gym" and wanted <= set(known):
-            return f" The columns look like the mapping {name!r}: give --mapping {name}."
+            fits[name] = len(wanted)
+    if fits:
+        best = max(fits, key=lambda name: fits[name])
+        return f" The columns look like the mapping {best!r}: give --mapping {best}."
     return " Rename the columns, or describe them in a mapping file (--mapping FILE.yaml)."
 
 

@@ -119,7 +119,7 @@ def test_every_controller_keeps_flying_for_a_stretch(controller: str) -> None:
 
 
 def test_all_effects_together_keep_flying_for_a_stretch() -> None:
-    flight = small_flight(effects=EFFECTS.names())
+    flight = small_flight(robot="tinyprop", effects=EFFECTS.names())
     for _ in range(flight.batches_per_stretch):
         flight.run_batch()
     flight.check(started=True)

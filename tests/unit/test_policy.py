@@ -98,7 +98,7 @@ def test_policy_is_the_mean_action_of_the_sample_factory_network(
 class ScriptedTask:
     """Four flights of 3 s at 2 steps a second, with distances that are known."""
 
-    cfg, env = SimpleNamespace(episode_len_steps=6), SimpleNamespace(dt=0.5)
+    cfg, env = SimpleNamespace(episode_len_steps=6, success_radius=None), SimpleNamespace(dt=0.5)
     num_envs, device = 4, torch.device("cpu")
     distances = torch.tensor(
         [

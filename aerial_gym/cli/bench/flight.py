@@ -128,6 +128,7 @@ def moderate_effects(
     found = []
     for name in names:
         effect = EFFECTS.get(name)
+        effect.check(robot)
         pairs = zip(effect.neutral(robot), effect.parameters, strict=True)
         row = torch.tensor([min(max(value + p.scale, p.low), p.high) for value, p in pairs], device=device)
         found.append((effect, row.expand(num_envs, -1).clone()))

@@ -18,7 +18,7 @@ import importlib
 import json
 import time
 from collections.abc import Callable
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
@@ -46,7 +46,16 @@ def main() -> None:
     depth, identity = images()
     np.savez(asked.images, depth=depth, **({} if identity is None else {"identity": identity}))
     seconds = measure(run, wait, repeats=asked.repeats, repeat_time_s=asked.repeat_time_s)
-    print(json.dumps({"seconds": seconds, "versions": {name: version(name) for name in peer.PACKAGES}}))
+    print(json.dumps({"seconds": seconds, "versions": {name: version_of(name) for name in peer.PACKAGES}}))
+
+
+def version_of(package: str) -> str:
+    """Return the version of a package; of one without metadata, what its module says."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        module = importlib.import_module(package.removesuffix("-lang").replace("-", "_"))
+        return str(getattr(module, "__version__", "unknown"))
 
 
 def batched(draw: Callable[[], None], device: str) -> tuple[Callable[[], None], Callable[[], None]]:
