@@ -14,10 +14,13 @@ from aerial_gym.physics.effects import Condition
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import evaluate_map, rotor_wrench
 from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.vehicle import is_shared
 
 
 def multiply_rows(matrix: Tensor, vector: Tensor) -> Tensor:
     """Return ``A v`` row by row: (E, 3, 3) times (E, 3) gives (E, 3)."""
+    if is_shared(matrix):
+        return vector @ matrix[0].T
     return (matrix * vector.unsqueeze(-2)).sum(-1)
 
 

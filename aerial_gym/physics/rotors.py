@@ -7,7 +7,7 @@ Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 import torch
 from torch import Tensor
 
-from aerial_gym.physics.vehicle import Vehicle
+from aerial_gym.physics.vehicle import Vehicle, is_shared
 
 
 def lag_speed(speed: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, dt: float) -> Tensor:
@@ -106,7 +106,15 @@ def rotor_wrench(vehicle: Vehicle, thrust: Tensor, torque: Tensor) -> tuple[Tens
     Source:
         Mahony, Kumar, Corke (2012), Multirotor Aerial Vehicles, eq. 6-8, for arbitrary axes.
     """
-    force = thrust.unsqueeze(-1) * vehicle.rotor_axis
-    lever = vehicle.rotor_position - vehicle.com.unsqueeze(1)
-    reaction = (vehicle.rotor_spin * torque).unsqueeze(-1) * vehicle.rotor_axis
-    return force.sum(1), (torch.linalg.cross(lever, force) - reaction).sum(1)
+    geometry = (vehicle.rotor_position, vehicle.com, vehicle.rotor_axis, vehicle.rotor_spin)
+    if all(is_shared(rows) for rows in geometry):  # worked out once for all environments
+        geometry = tuple(rows[:1] for rows in geometry)
+    position, com, axis, spin = geometry
+    moment = torch.linalg.cross(position - com.unsqueeze(1), axis, dim=-1)
+    reaction = -spin.unsqueeze(-1) * axis
+    return _sum_over_rotors(thrust, axis), _sum_over_rotors(thrust, moment) + _sum_over_rotors(torque, reaction)
+
+
+def _sum_over_rotors(weight: Tensor, rows: Tensor) -> Tensor:
+    """Return ``sum_r weight_r rows_r``, (E, 3), for weights (E, R) and rows (E, R, 3) or (1, R, 3)."""
+    return weight @ rows[0] if rows.shape[0] == 1 else torch.einsum("er,erk->ek", weight, rows)

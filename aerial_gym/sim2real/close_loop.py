@@ -175,13 +175,13 @@ def judge_flights(
     selection = select_effects(
         train_predictor, declared, criteria or Criteria(), lambda stage, share: progress(stage, 0.05 + 0.6 * share)
     )
-    final = rounded(selection.final.fit.point, selection.accepted)
+    final = rounded(robot, selection.final.fit.point, selection.accepted)
     progress("rollouts of the declared and the corrected model", 0.7)
     floor = noise_floor(robot, test, final, channels, bandwidth=band)
     before = evaluate(robot, test, test_predictor, declared, floor=floor, seed=seed)
     progress("rollouts of the corrected model", 0.85)
     after = evaluate(robot, test, test_predictor, final, floor=floor, seed=seed) if selection.accepted else before
-    within = best_within_tolerances(selection)
+    within = best_within_tolerances(robot, selection)
     left = test_predictor.residuals(within)
     rms = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
     rms = np.minimum(rms, [channel.value for channel in after.residual])  # tolerances only ever explain
@@ -231,12 +231,12 @@ def judge_flights(
     )
 
 
-def best_within_tolerances(selection: Selection) -> Point:
+def best_within_tolerances(robot: RobotCfg, selection: Selection) -> Point:
     """Return the final model with the deviations within the tolerances that fit the training flights best."""
     fit = selection.final.fit
     step = best_step(fit, selection.weights.weight, fit.free_all)
     values = params_of(fit.point, fit.effects) + scales(fit.effects) * step[: fit.num_effect_params]
-    return replace(with_params(fit.point, fit.effects, values), deviation=step[fit.num_effect_params :])
+    return replace(with_params(robot, fit.point, fit.effects, values), deviation=step[fit.num_effect_params :])
 
 
 def not_testable(selection: Selection) -> dict[str, str]:
@@ -249,10 +249,10 @@ def not_testable(selection: Selection) -> dict[str, str]:
     return found
 
 
-def rounded(point: Point, effects: Sequence[str]) -> Point:
+def rounded(robot: RobotCfg, point: Point, effects: Sequence[str]) -> Point:
     """Return the point with the parameters as the robot file will hold them."""
     values = np.array([float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in params_of(point, effects)])
-    return with_params(point, effects, values)
+    return with_params(robot, point, effects, values)
 
 
 def corrected_robot(robot: RobotCfg, final: Point, accepted: Sequence[str], flights: Sequence[str]) -> RobotCfg:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.moments import Moments, Weighting, block_moments, weights_from
 from aerial_gym.sim2real.prediction import Point, Predictor
@@ -97,21 +98,26 @@ def params_of(point: Point, effects: Sequence[str]) -> Array:
     return np.concatenate([point.effects[name] for name in effects]) if effects else np.zeros(0)
 
 
-def with_params(point: Point, effects: Sequence[str], values: Array) -> Point:
+def bounds_of(robot: RobotCfg, effects: Sequence[str]) -> tuple[Array, Array]:
+    """Return the lowest and highest possible values of the parameters of some effects in a row."""
+    pairs = [pair for name in effects for pair in EFFECTS.get(name).bounds(robot)]
+    return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
+
+
+def with_params(robot: RobotCfg, point: Point, effects: Sequence[str], values: Array) -> Point:
     """Return the point with other parameters, held within their bounds."""
-    start = 0
+    held, start = np.clip(values, *bounds_of(robot, effects)), 0
     for name in effects:
-        known = EFFECTS.get(name).parameters
-        low, high = [p.low for p in known], [p.high for p in known]
-        point = point.with_effect(name, np.clip(values[start : start + len(known)], low, high))
-        start += len(known)
+        width = len(EFFECTS.get(name).parameters)
+        point = point.with_effect(name, held[start : start + width])
+        start += width
     return point
 
 
 def effect_jacobian(predictor: Predictor, point: Point, effects: Sequence[str], base: list[Array]) -> list[Array]:
     """Return the derivative of the prediction by the effects' parameters, per scale, each (rows, C, P)."""
     here, scale = params_of(point, effects), scales(effects)
-    highest = np.array([p.high for name in effects for p in EFFECTS.get(name).parameters])
+    highest = bounds_of(predictor.robot, effects)[1]
     owners = [(name, place) for name in effects for place in range(len(EFFECTS.get(name).parameters))]
     columns = []
     for k, owner in enumerate(owners):
@@ -121,7 +127,7 @@ def effect_jacobian(predictor: Predictor, point: Point, effects: Sequence[str], 
         step = STEP * scale[k] if here[k] + STEP * scale[k] <= highest[k] else -STEP * scale[k]
         there = here.copy()
         there[k] += step
-        moved = predictor.predict(with_params(point, effects, there))
+        moved = predictor.predict(with_params(predictor.robot, point, effects, there))
         columns.append([(m - b) * (scale[k] / step) for m, b in zip(moved, base, strict=True)])
     return [
         np.stack([c[i] for c in columns], axis=2) if columns else np.zeros((*base[i].shape, 0))
@@ -185,22 +191,30 @@ def linearise(
     residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
     effect = effect_jacobian(predictor, point, effects, predicted)
     jacobians = [np.concatenate((e, t), axis=2) for e, t in zip(effect, tolerance, strict=True)]
-    return _fit_at(predictor, effects, point, residuals, jacobians), residuals, jacobians
+    return fit_at(predictor, effects, point, residuals, jacobians), residuals, jacobians
 
 
-def _fit_at(
-    predictor: Predictor, effects: tuple[str, ...], point: Point, residuals: list[Array], jacobians: list[Array]
+def fit_at(
+    predictor: Predictor,
+    effects: tuple[str, ...],
+    point: Point,
+    residuals: list[Array],
+    jacobians: list[Array],
+    *,
+    frozen: Frozen = frozenset(),
 ) -> Fit:
+    """Return the model at a point from its residuals there and their derivatives (rows, C, K)."""
     here, scale = params_of(point, effects), scales(effects)
-    known = [p for name in effects for p in EFFECTS.get(name).parameters]
+    lowest, highest = bounds_of(predictor.robot, effects)
     farthest = np.full(jacobians[0].shape[2] - here.size, FARTHEST_DEVIATION)
     return Fit(
         effects=effects,
         point=point,
         moments=block_moments(predictor.times, residuals, jacobians),
-        low=np.concatenate((np.array([p.low for p in known]) / scale - here / scale, -farthest)),
-        high=np.concatenate((np.array([p.high for p in known]) / scale - here / scale, farthest)),
+        low=np.concatenate(((lowest - here) / scale, -farthest)),
+        high=np.concatenate(((highest - here) / scale, farthest)),
         num_effect_params=here.size,
+        frozen=frozen,
     )
 
 
@@ -233,14 +247,14 @@ def fit_effects(
         if not np.any(own):
             return fit
         values = params_of(fit.point, effects) + scales(effects) * own
-        point = with_params(fit.point, effects, values)
+        point = with_params(predictor.robot, fit.point, effects, values)
         predicted = predictor.predict(point)
         moved = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
         linear = [r - j[:, :, : own.size] @ own for r, j in zip(residuals, jacobians, strict=True)]
         miss = sum(float((weight * (m - expected) ** 2).sum()) for m, expected in zip(moved, linear, strict=True))
         size = sum(float((weight * m**2).sum()) for m in moved)
         if miss <= CONVERGED**2 * size:
-            return replace(_fit_at(predictor, effects, point, moved, jacobians), frozen=frozen)
+            return fit_at(predictor, effects, point, moved, jacobians, frozen=frozen)
         fit, residuals, jacobians = linearise(predictor, effects, point, tolerance, base=predicted)
     return replace(fit, frozen=frozen)
 
@@ -261,5 +275,6 @@ def weighting(predictor: Predictor, start: Point, effects: tuple[str, ...], tole
         step = best_step(fit, found.weight, fit.free_all)
         left = [r - j @ step for r, j in zip(residuals, jacobians, strict=True)]
         found = weights_from(left)
-        point = with_params(point, effects, params_of(point, effects) + scales(effects) * step[: fit.num_effect_params])
+        values = params_of(point, effects) + scales(effects) * step[: fit.num_effect_params]
+        point = with_params(predictor.robot, point, effects, values)
     return found

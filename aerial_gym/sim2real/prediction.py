@@ -22,7 +22,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics import EFFECTS, BodyState, Vehicle, accelerations, build_model, vehicle_from_config
-from aerial_gym.physics.model import STANDARD_GRAVITY
+from aerial_gym.physics.model import STANDARD_GRAVITY, Model
 from aerial_gym.sim2real.checks import body_rate_of
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.rotor_replay import RotorReplay
@@ -125,6 +125,24 @@ def expand_rows(vehicle: Vehicle, rows: int) -> Vehicle:
     return Vehicle(**{f.name: (v := getattr(vehicle, f.name)).expand(rows, *v.shape[1:]) for f in fields(Vehicle)})
 
 
+def expand_model(model: Model, rows: int) -> Model:
+    """Return the model of one environment in every row, without copies."""
+
+    def expand(effects: tuple) -> tuple:
+        return tuple((effect, params.expand(rows, -1)) for effect, params in effects)
+
+    return replace(
+        model,
+        vehicle=expand_rows(model.vehicle, rows),
+        inertia_inverse=model.inertia_inverse.expand(rows, 3, 3),
+        winds=expand(model.winds),
+        rotors=expand(model.rotors),
+        wrenches=expand(model.wrenches),
+        imu=expand(model.imu),
+        rotor_sensors=expand(model.rotor_sensors),
+    )
+
+
 class Predictor:
     """Measured channels of some flights, and the predictions of any model for them."""
 
@@ -208,8 +226,7 @@ class Predictor:
         kinds = {channel.kind for channel in self.channels} - {"rotor_speed"}
         if not kinds:
             return {}
-        rows = self._state["attitude"].shape[0]
-        model = build_model(expand_rows(vehicle, rows), self._effects(point, rows))
+        model = expand_model(build_model(vehicle, self._effects(point, 1)), self._state["attitude"].shape[0])
         if self._measured_speed is None or self._measured_spin_up is None:
             assert speeds is not None
             replayed = [(i, s) for i, s in enumerate(speeds) if s is not None]

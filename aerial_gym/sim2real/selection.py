@@ -4,7 +4,7 @@ An effect is accepted if it predicts flights better that its fit has not seen, i
 more than noise and the tolerances of the declared vehicle explain, if it matters, and if it makes no channel worse.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -27,6 +27,7 @@ from aerial_gym.sim2real.fit import (
 from aerial_gym.sim2real.moments import Weighting
 from aerial_gym.sim2real.prediction import Point, Predictor
 from aerial_gym.sim2real.scoring import Criteria, Gain, LeftOut, Scored
+from aerial_gym.sim2real.screening import Screen
 from aerial_gym.sim2real.uncertainty import uncertainty, wald_probability
 
 Array = NDArray[np.float64]
@@ -35,6 +36,12 @@ Progress = Callable[[str, float], None]
 
 USUAL_ROUNDS = 4
 """For the estimate of the time left."""
+
+MOST_FITTED = 6
+"""Effects that are fitted in a round; the others gain less at first sight."""
+
+MOST_PAIRS = 6
+"""Pairs that are tried where no effect holds alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +60,9 @@ class Trial:
 
     objections: tuple[str, ...] = ()
     """Why it is not accepted; empty if it may be."""
+
+    glance: Gain | None = None
+    """Of an effect that was not fitted: what it would gain if the model were linear in it."""
 
     only_harms: bool = False
     """Whether the only objection is that a channel gets worse."""
@@ -145,7 +155,7 @@ class _Selector:
             assert chosen[0].scored is not None
             current = self.prune(chosen[0].scored, newest={trial.effect for trial in chosen})
             current = self.linearise_tolerances(current)
-        untestable = {trial.effect: trial.objections[0] for trial in rounds[-1] if trial.scored is None}
+        untestable = {t.effect: t.objections[0] for t in rounds[-1] if t.scored is None and t.glance is None}
         return Selection(
             declared=declared,
             final=current,
@@ -161,12 +171,38 @@ class _Selector:
 
     def try_all(self, current: Scored, done: int) -> list[Trial]:
         """Return every effect that is not in the model, tried on top of it, best score first."""
-        trials = []
-        for count, name in enumerate(self.candidates):
-            if name not in current.effects:
-                share = (done + count / len(self.candidates)) / USUAL_ROUNDS
+        return self.try_each([name for name in self.candidates if name not in current.effects], current, done)
+
+    def try_each(self, names: Sequence[str], current: Scored, done: int | None = None) -> list[Trial]:
+        """Return trials of some effects on top of a model, best score first.
+
+        Every effect is looked at as if the model were linear in it; those that then look best are fitted.
+        """
+        screen = Screen(self.predictor, current.fit, current.left_out, self.tolerance, self.left_out)
+        trials, glances = [], []
+        for count, name in enumerate(names):
+            if done is not None:
+                share = (done + 0.5 * count / len(names)) / USUAL_ROUNDS
                 self.progress(f"round {done + 1}: {name}", min(1.0, share))
-                trials.append(self.try_effect(name, current))
+            if name in self.lacking:
+                trials.append(Trial(effect=name, scored=None, objections=(self.lacking[name],)))
+                continue
+            looks = [screen.look(name, start, current.fit.frozen) for start in self.points(name, current)]
+            glances.append(max(looks, key=lambda glance: (not glance.blind, glance.gain.score)))
+        glances.sort(key=lambda glance: -glance.gain.score)
+        worth = [glance for glance in glances if not glance.blind and glance.gain.score > 0.0][:MOST_FITTED]
+        for count, glance in enumerate(worth):
+            if done is not None:
+                share = (done + 0.5 + 0.5 * count / len(worth)) / USUAL_ROUNDS
+                self.progress(f"round {done + 1}: {glance.effect}", min(1.0, share))
+            trials.append(self.try_from(glance.effect, current, glance.start))
+        for glance in glances:
+            if glance.blind:
+                reason = f"these flights do not show it; needed: {EFFECTS.get(glance.effect).excitation}"
+                trials.append(Trial(effect=glance.effect, scored=None, objections=(reason,)))
+            elif glance not in worth:
+                reason = "gains nothing" if glance.gain.score <= 0.0 else "gains less than others at first sight"
+                trials.append(Trial(effect=glance.effect, scored=None, glance=glance.gain, objections=(reason,)))
         return sorted(trials, key=lambda trial: -trial.score)
 
     def simplest(self, passed: list[Trial]) -> list[Trial]:
@@ -191,12 +227,16 @@ class _Selector:
             return self.declared.effects[name]
         return np.array(EFFECTS.get(name).neutral(self.predictor.robot), dtype=float)
 
-    def starts(self, name: str) -> list[Array]:
+    def points(self, name: str, current: Scored) -> list[Point]:
         """Return where fits of an effect start: its neutral parameters, once for each rotor if it acts on one."""
+        here = current.fit.point
+        if name in here.effects:
+            return [here]
         neutral = self.neutral(name)
         if not has_rotor(name) or name in self.declared.effects:
-            return [neutral]
-        return [np.array([rotor, *neutral[1:]]) for rotor in range(1, self.predictor.robot.num_rotors + 1)]
+            return [here.with_effect(name, neutral)]
+        rotors = range(1, self.predictor.robot.num_rotors + 1)
+        return [here.with_effect(name, np.array([rotor, *neutral[1:]])) for rotor in rotors]
 
     def _fit(self, effects: tuple[str, ...], start: Point, frozen: Frozen) -> Fit:
         return fit_effects(self.predictor, effects, start, self.tolerance, self.weights.weight, frozen=frozen)
@@ -211,17 +251,6 @@ class _Selector:
         point = current.fit.point
         self.tolerance = tolerance_jacobian(self.predictor, point, self.predictor.predict(point))
         return self.score(current.effects, point, current.fit.frozen)
-
-    def try_effect(self, name: str, current: Scored) -> Trial:
-        """Return how one more effect does on top of the accepted ones; of several rotors the best one."""
-        if name in self.lacking:
-            return Trial(effect=name, scored=None, objections=(self.lacking[name],))
-        if name in current.fit.point.effects:
-            return self.try_from(name, current, current.fit.point)
-        trials = [
-            self.try_from(name, current, current.fit.point.with_effect(name, start)) for start in self.starts(name)
-        ]
-        return max(trials, key=lambda trial: (not trial.objections, trial.score))
 
     def try_from(self, name: str, current: Scored, start: Point) -> Trial:
         """Return how one more effect does from some parameters on."""
@@ -241,6 +270,10 @@ class _Selector:
         gain = self.left_out.gain(current.left_out, scored.left_out)
         probability = self.probability_neutral(name, scored)
         objections = self.left_out.objections(gain)
+        objections += [
+            f"{parameter} runs into its physical bound"
+            for parameter in at_bounds(name, scored.fit, self.neutral(name), self.predictor.robot)
+        ]
         if probability > self.criteria.significance:
             objections.insert(0, f"parameters within noise and tolerances (p = {probability:.2g})")
         return Trial(
@@ -274,11 +307,15 @@ class _Selector:
 
         Alone, one makes a channel worse that the other would mend. Together, each must pass beside the other.
         """
+        fitted = [trial for trial in trials if trial.scored is not None]
+        pairs = [(one, other) for one, other in combinations(fitted, 2) if one.only_harms or other.only_harms]
         found: list[list[Trial]] = []
-        for one, other in combinations([trial for trial in trials if trial.scored is not None], 2):
-            if one.scored is None or not (one.only_harms or other.only_harms):
-                continue
-            both = self.try_effect(other.effect, one.scored)
+        for one, other in sorted(pairs, key=lambda pair: -pair[0].score - pair[1].score)[:MOST_PAIRS]:
+            assert one.scored is not None
+            both = max(
+                (self.try_from(other.effect, one.scored, point) for point in self.points(other.effect, one.scored)),
+                key=lambda trial: trial.score,
+            )
             if both.scored is None or both.objections:
                 continue
             again = self.judge(one.effect, self.without(both.scored, one.effect), both.scored)
@@ -288,10 +325,11 @@ class _Selector:
         return max(found, key=lambda pair: pair[0].score, default=[])
 
     def prune(self, scored: Scored, *, newest: set[str]) -> Scored:
-        """Return the model without effects that the newest have made superfluous."""
+        """Return the model without effects that the newest have made superfluous: what no longer pays, not what also harms."""
         for name in [effect for effect in scored.effects if effect not in newest]:
             less = self.without(scored, name)
-            if self.judge(name, less, scored).objections:
+            trial = self.judge(name, less, scored)
+            if trial.objections and not trial.only_harms:
                 scored = less
         return scored
 
@@ -301,10 +339,10 @@ class _Selector:
         Their gain is over the final model; its chance: that the final model is no better than they are.
         """
         less, trials = self.without(final, name), []
-        for other in self.candidates:
-            if other in final.effects or other in untestable:
-                continue
-            trial = self.try_effect(other, less)
+        others = [
+            n for n in self.candidates if n not in final.effects and n not in untestable and n not in self.lacking
+        ]
+        for trial in self.try_each(others, less):
             if trial.scored is not None:
                 gain = self.left_out.gain(final.left_out, trial.scored.left_out)
                 back = self.left_out.gain(trial.scored.left_out, final.left_out)
@@ -324,6 +362,18 @@ def lacks(name: str, robot: RobotCfg) -> str:
     except ConfigError as error:
         return str(error)
     return ""
+
+
+def at_bounds(name: str, fit: Fit, neutral: Array, robot: RobotCfg) -> list[str]:
+    """Return the parameters of an effect that end at a bound that is not neutral: the cause is another one."""
+    effect, found = EFFECTS.get(name), []
+    rows = zip(effect.parameters, effect.bounds(robot), fit.point.effects[name], neutral, strict=True)
+    for parameter, bounds, value, start in rows:
+        near = 1e-6 * parameter.scale
+        ends = [bound for bound in bounds if abs(value - bound) <= near]
+        if parameter.kind == "number" and ends and abs(start - ends[0]) > near:
+            found.append(parameter.name)
+    return found
 
 
 def blind_parameters(scored: Scored) -> set[tuple[str, int]]:

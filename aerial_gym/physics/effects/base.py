@@ -9,6 +9,7 @@ Frames: body is x forward, y left, z up; world is z up.
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, Literal
 
 import torch
@@ -18,7 +19,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate_inverse
-from aerial_gym.physics.vehicle import Vehicle
+from aerial_gym.physics.vehicle import Vehicle, is_shared
 
 ActsOn = Literal["rotor", "actuation", "wrench", "inertia", "environment", "sensor"]
 
@@ -80,31 +81,49 @@ class Condition:
     vehicle: Vehicle
     """Gives the geometry."""
 
-    @property
+    @cached_property
     def lever(self) -> Tensor:
-        """Hubs from the centre of mass [m], body, (E, R, 3)."""
-        return self.vehicle.rotor_position - self.vehicle.com.unsqueeze(1)
+        """Hubs from the centre of mass [m], body, (E, R, 3); (1, R, 3) where all environments have the same."""
+        hubs, com = self.vehicle.rotor_position, self.vehicle.com
+        same = is_shared(hubs) and is_shared(com)
+        return (hubs[:1] if same else hubs) - (com[:1] if same else com).unsqueeze(1)
 
-    @property
+    @cached_property
+    def axis(self) -> Tensor:
+        """Directions of thrust, body, (E, R, 3); (1, R, 3) where all environments have the same."""
+        axis = self.vehicle.rotor_axis
+        return axis[:1] if is_shared(axis) else axis
+
+    @cached_property
     def hub_velocity(self) -> Tensor:
         """Velocity of the hubs through the air [m/s], body, (E, R, 3): ``v + w x l``, in the wind at the centre of mass."""
-        return self.air_velocity.unsqueeze(1) + torch.linalg.cross(self.ang_vel.unsqueeze(1), self.lever, dim=-1)
+        return self.air_velocity.unsqueeze(1) + _turn(self.ang_vel, self.lever)
 
-    @property
+    @cached_property
     def hub_height(self) -> Tensor:
         """Height of the hubs above the ground [m], (E, R)."""
         up = quat_rotate_inverse(self.attitude, self.position.new_tensor((0.0, 0.0, 1.0)).expand_as(self.position))
-        return self.position[:, 2:] + (self.lever @ up.unsqueeze(-1)).squeeze(-1) - self.ground_height
+        return self.position[:, 2:] + (self.lever * up.unsqueeze(1)).sum(-1) - self.ground_height
 
-    @property
+    @cached_property
     def axial_velocity(self) -> Tensor:
         """Velocity of the hubs through the air along their rotors' axes [m/s], (E, R)."""
-        return (self.hub_velocity * self.vehicle.rotor_axis).sum(-1)
+        return (self.hub_velocity * self.axis).sum(-1)
 
-    @property
+    @cached_property
     def edgewise_velocity(self) -> Tensor:
         """Velocity of the hubs through the air in the planes of their rotors [m/s], body, (E, R, 3)."""
-        return self.hub_velocity - self.axial_velocity.unsqueeze(-1) * self.vehicle.rotor_axis
+        return self.hub_velocity - self.axial_velocity.unsqueeze(-1) * self.axis
+
+
+def _turn(ang_vel: Tensor, lever: Tensor) -> Tensor:
+    """Return ``w x l``, (E, R, 3), for w (E, 3) and l (E, R, 3) or (1, R, 3)."""
+    if lever.shape[0] != 1:
+        return torch.linalg.cross(ang_vel.unsqueeze(1), lever, dim=-1)
+    x, y, z = lever[0].unbind(-1)
+    zero = torch.zeros_like(x)
+    rows = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).view(-1, 3, 3)  # e_k x l
+    return (ang_vel @ rows.transpose(0, 1).reshape(3, -1)).view(-1, lever.shape[1], 3)
 
 
 class Effect(ABC):
@@ -126,6 +145,11 @@ class Effect(ABC):
         """Return the parameters with which the robot behaves as declared; zeros unless a subclass says otherwise."""
         del robot
         return (0.0,) * len(self.parameters)
+
+    def bounds(self, robot: RobotCfg) -> list[tuple[float, float]]:
+        """Return the lowest and highest value of each parameter that is physically possible for a robot."""
+        del robot
+        return [(parameter.low, parameter.high) for parameter in self.parameters]
 
     def check(self, robot: RobotCfg) -> None:
         """Raise ``ConfigError`` if the robot file lacks a number that the effect needs."""
@@ -205,6 +229,8 @@ class WrenchEffect(Effect):
 
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return force and torque (E, 6), body axes: the regressor times the parameters (E, P)."""
+        if is_shared(params):
+            return self.regressor(condition) @ params[0]
         return torch.einsum("eip,ep->ei", self.regressor(condition), params)
 
     def warp_wrench(self, condition: type) -> wp.Function | None:

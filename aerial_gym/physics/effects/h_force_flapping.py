@@ -39,7 +39,7 @@ class HForceFlapping(WrenchEffect):
         flow = condition.rotor_speed.unsqueeze(-1) * condition.edgewise_velocity
         force = -flow.sum(1)
         torque = -torch.linalg.cross(condition.lever, flow, dim=-1).sum(1)
-        moment = torch.linalg.cross(flow, condition.vehicle.rotor_axis.expand_as(flow), dim=-1).sum(1)
+        moment = torch.linalg.cross(flow, condition.axis, dim=-1).sum(1)
         in_plane = torch.cat((force, torque), dim=1)
         return torch.stack((in_plane, torch.cat((torch.zeros_like(moment), moment), dim=1)), dim=2)
 

@@ -8,11 +8,12 @@ from dataclasses import replace
 
 from torch import Tensor
 
+from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import Parameter, VehicleEffect
 from aerial_gym.physics.vehicle import Vehicle
 
-LEAST_SHARE = 0.1
-"""A part that is missing leaves at least this share of the declared mass."""
+LEAST_SHARE = 0.7
+"""Parts that are missing leave at least this share of the declared mass."""
 
 
 class PayloadMass(VehicleEffect):
@@ -26,6 +27,11 @@ class PayloadMass(VehicleEffect):
     )
     excitation = "thrust together with angular accelerations or drag: in hover alone a weaker thrust looks the same"
     confused_with = ("thrust_coefficient", "battery_sag", "weak_motor")
+
+    def bounds(self, robot: RobotCfg) -> list[tuple[float, float]]:
+        """Return the bounds: a vehicle was weighed, and has not lost a third of its mass."""
+        (most,) = self.parameters
+        return [((LEAST_SHARE - 1.0) * robot.body.mass, most.high)]
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with the mass added."""

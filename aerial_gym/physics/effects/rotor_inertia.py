@@ -29,9 +29,11 @@ class RotorInertia(WrenchEffect):
 
     def regressor(self, condition: Condition) -> Tensor:
         """Return (E, 6, 1)."""
-        axis = condition.vehicle.rotor_spin.unsqueeze(-1) * condition.vehicle.rotor_axis
-        momentum = (condition.rotor_speed.unsqueeze(-1) * axis).sum(1)
-        change = (condition.rotor_acc.unsqueeze(-1) * axis).sum(1)
+        spin = condition.vehicle.rotor_spin[: condition.axis.shape[0]]  # shared wherever the axes are
+        momentum, change = (
+            ((spin * speed).unsqueeze(-1) * condition.axis).sum(1)
+            for speed in (condition.rotor_speed, condition.rotor_acc)
+        )
         torque = -change - torch.linalg.cross(condition.ang_vel, momentum)
         return torch.cat((torch.zeros_like(torque), torque), dim=1).unsqueeze(-1)
 

@@ -1,0 +1,77 @@
+"""A first look at many candidates: what each would gain if the model were linear in it, without fitting it.
+
+The residual of the present model is linearised once; of each candidate only its own derivatives are needed, one prediction a
+parameter. Full fits are then made of the candidates that look best. Letters: C channels, P parameters of the present model
+and the candidate together, N tolerances.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.sim2real.fit import (
+    Fit,
+    Frozen,
+    effect_jacobian,
+    fit_at,
+    normal_equations,
+    prior_precision,
+)
+from aerial_gym.sim2real.prediction import Point, Predictor
+from aerial_gym.sim2real.scoring import Gain, LeftOut
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Glance:
+    """One candidate at first sight."""
+
+    effect: str
+    start: Point
+    """The present model with the candidate at its neutral parameters."""
+
+    gain: Gain
+    """Over the present model, on flights left out."""
+
+    blind: bool
+    """Whether the flights leave all its parameters unknown by more than their scale."""
+
+
+class Screen:
+    """The present model, linearised."""
+
+    def __init__(
+        self, predictor: Predictor, present: Fit, less: Array, tolerance: list[Array], left_out: LeftOut
+    ) -> None:
+        """Take a model and its squares on flights left out, ``less``."""
+        self._predictor, self._present, self._less = predictor, present, less
+        self._tolerance, self._left_out = tolerance, left_out
+        self._predicted = predictor.predict(present.point)
+        self._own = effect_jacobian(predictor, present.point, present.effects, self._predicted)
+
+    def look(self, name: str, start: Point, frozen: Frozen) -> Glance:
+        """Return what a candidate would gain from ``start``."""
+        predictor, effects = self._predictor, (*self._present.effects, name)
+        predicted = predictor.predict(start)  # neutral need not be as declared: one lag in place of two
+        more = effect_jacobian(predictor, start, (name,), predicted)
+        jacobians = [np.concatenate((own, new), axis=2) for own, new in zip(self._own, more, strict=True)]
+        residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
+        fit = fit_at(predictor, effects, start, residuals, jacobians, frozen=frozen)
+        gain = self._left_out.gain(self._less, self._left_out.squares(fit))
+        return Glance(effect=name, start=start, gain=gain, blind=self._is_blind(fit, jacobians, name))
+
+    def _is_blind(self, fit: Fit, jacobians: list[Array], name: str) -> bool:
+        """Return whether noise and tolerances leave every parameter of the candidate unknown by more than its scale."""
+        weight, free = self._left_out.weights.weight, fit.free_effects
+        product, _ = normal_equations(fit, weight)
+        bread = np.linalg.inv(product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free]))
+        cross = sum(
+            np.einsum("rck,c,rcn->kn", j[:, :, free], weight, t, optimize=True)
+            for j, t in zip(jacobians, self._tolerance, strict=True)
+        )
+        shift = bread @ cross
+        variance = np.diag(bread) + (shift**2).sum(axis=1)
+        own = [i for i, k in enumerate(free) if k in fit.columns_of(name)]
+        return bool(np.all(variance[own] > 1.0)) if own else True
