@@ -243,6 +243,7 @@ def test_colors_come_from_the_shape_its_compound_or_its_kind(device) -> None:
 
 def test_links_of_a_urdf_have_the_colors_of_their_materials(device, tmp_path: Path) -> None:
     """A material in the visual, one that is named at the top of the file, and a link without any."""
+    pytest.importorskip("yourdfpy")
     geometry = '<geometry><box size="0.4 0.4 0.4"/></geometry>'
     links = {
         "a": f'<visual>{geometry}<material name="x"><color rgba="0.9 0.1 0.2 1"/></material></visual>',
