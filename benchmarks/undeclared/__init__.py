@@ -4,6 +4,6 @@ Referee of the system identification: shares no code with the package it judges.
 """
 
 from benchmarks.undeclared.cases import CaseFiles, make_case
-from benchmarks.undeclared.effects import EFFECTS, SIZES
+from benchmarks.undeclared.catalog import EFFECTS, FEATURES, SIZES, UNKNOWN
 
-__all__ = ["EFFECTS", "SIZES", "CaseFiles", "make_case"]
+__all__ = ["EFFECTS", "FEATURES", "SIZES", "UNKNOWN", "CaseFiles", "make_case"]

@@ -4,13 +4,23 @@ import argparse
 import sys
 from pathlib import Path
 
-from benchmarks.undeclared import EFFECTS, SIZES, make_case
+from benchmarks.undeclared import EFFECTS, FEATURES, SIZES, UNKNOWN, make_case
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.undeclared", description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder of the case")
-    parser.add_argument("--effect", action="append", default=[], choices=tuple(EFFECTS), help="hidden; may repeat")
+    parser.add_argument(
+        "--effect",
+        action="append",
+        default=[],
+        choices=(*EFFECTS, *UNKNOWN),
+        metavar="EFFECT",
+        help="hidden; may repeat",
+    )
+    parser.add_argument(
+        "--pair", nargs=2, default=[], metavar="EFFECT", help="two hidden at once: two --effect in one flag"
+    )
     parser.add_argument("--size", default="moderate", choices=SIZES, help="size of every --effect")
     parser.add_argument(
         "--param", action="append", default=[], metavar="EFFECT.KEY=VALUE", help="explicit value, SI; may repeat"
@@ -20,6 +30,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--num-test", type=int, default=3)
     parser.add_argument("--duration-s", type=float, default=16.0)
     parser.add_argument("--rate-hz", type=int, default=400)
+    parser.add_argument(
+        "--feature", action="append", default=[], choices=FEATURES, help="of the flights, beside what effects need"
+    )
     parser.add_argument("--nuisance", action="store_true", help="make mass, rotors, inertia and sensors slightly off")
     return parser
 
@@ -43,13 +56,14 @@ def main(argv: list[str] | None = None) -> int:
     try:
         files = make_case(
             args.out,
-            effects=_requested(args.effect, args.size, args.param),
+            effects=_requested([*args.effect, *args.pair], args.size, args.param),
             seed=args.seed,
             num_train=args.num_train,
             num_test=args.num_test,
             duration_s=args.duration_s,
             nuisance=args.nuisance,
             rate_hz=args.rate_hz,
+            features=args.feature,
         )
     except ValueError as error:
         print(error, file=sys.stderr)

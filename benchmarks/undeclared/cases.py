@@ -1,19 +1,35 @@
 """Make one case: flights of a true vehicle that the declared one does not fully describe."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.undeclared import effects as hidden_effects
 from benchmarks.undeclared.logs import vehicle_document, write_log, write_robot
-from benchmarks.undeclared.nuisance import NO_BIAS, Nuisance, disturb
+from benchmarks.undeclared.nuisance import NO_BIAS, Bias, Nuisance, disturb
 from benchmarks.undeclared.sensors import Noise, Sensors
-from benchmarks.undeclared.simulate import CONTROL_RATE, SUBSTEPS, fly, summarise
-from benchmarks.undeclared.trajectories import TEST_FAMILIES, TRAIN_FAMILIES, Reference, plan, stack
-from benchmarks.undeclared.vehicle import DECLARED
+from benchmarks.undeclared.simulate import CONTROL_RATE, SUBSTEPS, Record, fly, summarise
+from benchmarks.undeclared.surroundings import (
+    CEILING_HEIGHT,
+    NOMINAL_VOLTAGE,
+    VOLTAGE_NOISE,
+    Battery,
+    Surroundings,
+    companion,
+    gusts,
+)
+from benchmarks.undeclared.trajectories import (
+    LOWEST_HEIGHT,
+    TEST_FAMILIES,
+    TRAIN_FAMILIES,
+    Reference,
+    plan,
+    stack,
+)
+from benchmarks.undeclared.vehicle import DECLARED, Vehicle
 
 SETTLE_S = 2.0
 """Hover before a log starts [s], in which the integrals of the autopilot find their values."""
@@ -45,22 +61,154 @@ class Flight:
     stream: tuple[int, int]
     """Keys of its random streams, beside the seed of the case."""
 
+    lowest: float = LOWEST_HEIGHT
+    """Of the reference [m], above the ground or below the ceiling."""
 
-def flights_of(num_train: int, num_test: int) -> list[Flight]:
+    ease: float = 1.0
+    """Scale of the reference."""
+
+    below_ceiling: bool = False
+    """Whether the reference hangs from the ceiling."""
+
+
+NEAR = {
+    "train": (("multisine", 5.0, 1.0), ("waypoints", 0.3, 0.5), ("low_passes", 0.2, 1.0), ("low_hover", 0.15, 1.0)),
+    "test": (("figure_eight", 0.25, 0.6), ("square", 5.0, 1.0), ("lissajous", 0.2, 0.5)),
+}
+"""Family, lowest height [m] and scale of flights near the ground or a ceiling; some stay away for comparison."""
+
+CEILING_ROOM = 0.03
+"""Further from a ceiling than from the ground [m]: a ceiling attracts, and the autopilot must win."""
+
+HEIGHTS = {"train": (0.8, 12.0, 3.0, 25.0), "test": (1.5, 8.0, 20.0)}
+"""Lowest heights of flights that tell a wind that grows with height [m]."""
+
+
+def flights_of(num_train: int, num_test: int, features: Sequence[str] = ()) -> list[Flight]:
     """Return the flights of a case; families repeat in turn when there are more flights than families."""
-    train = [Flight(name=f"train_{i + 1}", family=TRAIN_FAMILIES[i % 4], stream=(3, i)) for i in range(num_train)]
-    test = [Flight(name=f"test_{i + 1}", family=TEST_FAMILIES[i % 3], stream=(4, i)) for i in range(num_test)]
-    return train + test
+    flights = []
+    for part, count, families, key in (("train", num_train, TRAIN_FAMILIES, 3), ("test", num_test, TEST_FAMILIES, 4)):
+        for i in range(count):
+            flight = Flight(name=f"{part}_{i + 1}", family=families[i % len(families)], stream=(key, i))
+            flights.append(_placed(flight, part, i, features))
+    return flights
+
+
+def _placed(flight: Flight, part: str, i: int, features: Sequence[str]) -> Flight:
+    """Return the flight where the features want it; with ground and ceiling they take turns."""
+    if "low" in features or "ceiling" in features:
+        family, lowest, ease = NEAR[part][i % len(NEAR[part])]
+        hanging = "ceiling" in features and ("low" not in features or i % 2 == 1)
+        lowest += CEILING_ROOM if hanging else 0.0
+        flight = replace(flight, family=family, lowest=lowest, ease=ease, below_ceiling=hanging)
+    if "heights" in features and flight.lowest == LOWEST_HEIGHT:
+        flight = replace(flight, lowest=HEIGHTS[part][i % len(HEIGHTS[part])])
+    return flight
 
 
 def plan_all(flights: list[Flight], *, seed: int, duration_s: float, settle_s: float = SETTLE_S) -> Reference:
     """Return the references of all flights, stacked (T, F, ...)."""
     streams = [np.random.default_rng([seed, *flight.stream]) for flight in flights]
     plans = [
-        plan(flight.family, duration=duration_s, rate=CONTROL_RATE, settle=settle_s, rng=rng)
+        plan(
+            flight.family,
+            duration=duration_s,
+            rate=CONTROL_RATE,
+            settle=settle_s,
+            rng=rng,
+            lowest=flight.lowest,
+            ease=flight.ease,
+            ceiling=CEILING_HEIGHT if flight.below_ceiling else None,
+        )
         for flight, rng in zip(flights, streams, strict=True)
     ]
     return stack(plans)
+
+
+def surround(
+    true: Vehicle, flights: list[Flight], reference: Reference, *, seed: int, features: Sequence[str]
+) -> tuple[Surroundings, Battery | None]:
+    """Return what is around the flights, and the battery: each partly used, by 0 to 1500 C, when its flight begins."""
+    gust = other = battery = None
+    if true.extra.gust[0] > 0.0:
+        series = [gusts(*true.extra.gust, len(reference.yaw), CONTROL_RATE, _stream(seed, 20, f)) for f in flights]
+        gust = np.stack(series, axis=1)
+    if "other" in features:
+        paths = [companion(reference, i, CONTROL_RATE, _stream(seed, 30, f)) for i, f in enumerate(flights)]
+        other = np.stack(paths, axis=1)
+    if "battery" in features:
+        battery = Battery(true, np.array([_stream(seed, 40, f).uniform(0.0, 1500.0) for f in flights]))
+    ceiling = CEILING_HEIGHT if "ceiling" in features else None
+    return Surroundings(gust=gust, other=other, ceiling=ceiling, rate=CONTROL_RATE), battery
+
+
+def _stream(seed: int, kind: int, flight: Flight) -> np.random.Generator:
+    return np.random.default_rng([seed, kind + flight.stream[0], flight.stream[1]])
+
+
+def _read_voltage(record: Record, flights: list[Flight], seed: int) -> Record:
+    """Return the record with noise on the voltage."""
+    noise = [_stream(seed, 50, f).standard_normal(len(record.voltage)) for f in flights]
+    return replace(record, voltage=record.voltage + VOLTAGE_NOISE * np.stack(noise, axis=1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlownCase:
+    """A case in memory; flights include the hover before the logs."""
+
+    params: dict[str, dict[str, float]]
+    """Hidden effects and their parameters."""
+
+    declared: Vehicle
+    true: Vehicle
+    bias: Bias
+    """Of the IMU, by nuisance."""
+
+    features: tuple[str, ...]
+    flights: list[Flight]
+    reference: Reference
+    record: Record
+
+
+def fly_case(
+    *,
+    effects: Mapping[str, str | Mapping[str, float]],
+    seed: int,
+    num_train: int = 4,
+    num_test: int = 3,
+    duration_s: float = 16.0,
+    nuisance: bool = False,
+    noise: Noise | None = None,
+    features: Sequence[str] = (),
+) -> FlownCase:
+    """Return the flights of a case; arguments and errors as in ``make_case``."""
+    params = hidden_effects.resolve(effects, declared=DECLARED, seed=seed)
+    declared, true = hidden_effects.split(DECLARED, params)
+    bias = NO_BIAS
+    if nuisance:
+        true, bias = disturb(true, Nuisance(), hidden=params, seed=seed)
+    features = hidden_effects.features_of(effects, features)
+    flights = flights_of(num_train, num_test, features)
+    reference = plan_all(flights, seed=seed, duration_s=duration_s)
+    streams = [_stream(seed, 10, flight) for flight in flights]
+    sensors = Sensors(noise or Noise(), bias, streams, len(reference.yaw), extra=true.extra)
+    around, battery = surround(true, flights, reference, seed=seed, features=features)
+    record = fly(
+        true=true, declared=declared, reference=reference, sensors=sensors, surroundings=around, battery=battery
+    )
+    _require_air(record, flights)
+    if battery is not None:
+        record = _read_voltage(record, flights, seed)
+    return FlownCase(
+        params=params,
+        declared=declared,
+        true=true,
+        bias=bias,
+        features=features,
+        flights=flights,
+        reference=reference,
+        record=record,
+    )
 
 
 def make_case(
@@ -74,6 +222,7 @@ def make_case(
     nuisance: bool = False,
     rate_hz: int = CONTROL_RATE,
     noise: Noise | None = None,
+    features: Sequence[str] = (),
 ) -> CaseFiles:
     """Simulate a case and write its logs, the declared robot and the truth.
 
@@ -81,53 +230,86 @@ def make_case(
         out_dir: Folder, made if missing.
         effects: Hidden effect to its size (small, moderate, large: values drawn from the seed) or to its parameters.
             Empty: nothing is hidden.
-        seed: Decides values, trajectories and noise; flights and noise do not depend on the effects.
+        seed: Decides values, trajectories and noise; flights and noise do not depend on the effects, but for the
+            features that these need.
         num_train: Training flights.
         num_test: Test flights.
         duration_s: Length of each log [s].
         nuisance: Whether mass, rotors, inertia, lag, centre of mass and sensors are slightly off.
         rate_hz: Rate of the logs [Hz], a divisor of 400.
         noise: Sensor noise; None takes the defaults.
+        features: Of the flights (``catalog.FEATURES``), beside those that the effects need; for controls.
 
     Raises:
-        ValueError: For an unknown effect, size or parameter, or a number out of range.
+        ValueError: For an unknown effect, size, parameter or feature, a number out of range, or a flight that came too
+            near to the ground or the ceiling.
     """
     if rate_hz <= 0 or CONTROL_RATE % rate_hz:
         raise ValueError(f"rate_hz = {rate_hz!r}: must divide {CONTROL_RATE}")
     if num_train < 0 or num_test < 0 or num_train + num_test == 0 or not duration_s >= 1.0:
         raise ValueError(f"{num_train=}, {num_test=}, {duration_s=}: needs a flight, of at least 1 s")
-    params = hidden_effects.resolve(effects, declared=DECLARED, seed=seed)
-    declared, true = hidden_effects.split(DECLARED, params)
-    bias = NO_BIAS
-    if nuisance:
-        true, bias = disturb(true, Nuisance(), hidden=params, seed=seed)
     noise = noise or Noise()
-    flights = flights_of(num_train, num_test)
-    reference = plan_all(flights, seed=seed, duration_s=duration_s)
-    streams = [np.random.default_rng([seed, 10 + kind, index]) for kind, index in (f.stream for f in flights)]
-    sensors = Sensors(noise, bias, streams, len(reference.yaw))
-    record = fly(true=true, declared=declared, reference=reference, sensors=sensors)
+    case = fly_case(
+        effects=effects,
+        seed=seed,
+        num_train=num_train,
+        num_test=num_test,
+        duration_s=duration_s,
+        nuisance=nuisance,
+        noise=noise,
+        features=features,
+    )
     first = round(SETTLE_S * CONTROL_RATE)
-    summaries = summarise(record, reference, declared=declared, first=first)
-
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
-    paths = [out / f"{flight.name}.csv" for flight in flights]
+    paths = [out / f"{flight.name}.csv" for flight in case.flights]
     for index, path in enumerate(paths):
-        write_log(path, record, index, first=first, every=CONTROL_RATE // rate_hz)
-    write_robot(out / "robot.yaml", declared)
-    truth = {
-        "effects": params,
-        "sizes": {name: value if isinstance(value, str) else "explicit" for name, value in effects.items()},
-        "seed": seed,
-        "noise": asdict(noise),
-        "nuisance": asdict(Nuisance()) if nuisance else None,
-        "bias": {"acc": bias.acc.tolist(), "gyro": bias.gyro.tolist()},
-        "true_vehicle": vehicle_document(true),
-        "declared_vehicle": vehicle_document(declared),
-        "rates_hz": {"log": rate_hz, "autopilot": CONTROL_RATE, "plant": CONTROL_RATE * SUBSTEPS},
-        "flights": {f.name: {"family": f.family, **asdict(s)} for f, s in zip(flights, summaries, strict=True)},
-    }
+        write_log(path, case.record, index, first=first, every=CONTROL_RATE // rate_hz)
+    near = "low" in case.features or "ceiling" in case.features
+    write_robot(out / "robot.yaml", case.declared, radius=near)
+    sizes = {name: value if isinstance(value, str) else "explicit" for name, value in effects.items()}
+    truth = _truth(case, first=first, sizes=sizes, seed=seed, noise=noise, nuisance=nuisance, rate_hz=rate_hz)
     (out / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")
     train, test = tuple(paths[:num_train]), tuple(paths[num_train:])
     return CaseFiles(train=train, test=test, robot=out / "robot.yaml", truth=out / "truth.json")
+
+
+def _truth(
+    case: FlownCase,
+    *,
+    first: int,
+    sizes: dict[str, str],
+    seed: int,
+    noise: Noise,
+    nuisance: bool,
+    rate_hz: int,
+) -> dict[str, object]:
+    """Return all that is hidden as plain data."""
+    ceiling = case.record.surroundings.ceiling
+    around = {"features": case.features, "nominal_voltage": NOMINAL_VOLTAGE, "ceiling": ceiling}
+    summaries = summarise(case.record, case.reference, declared=case.declared, first=first)
+    flights = zip(case.flights, summaries, strict=True)
+    return {
+        "effects": case.params,
+        "sizes": sizes,
+        "seed": seed,
+        "noise": asdict(noise),
+        "nuisance": asdict(Nuisance()) if nuisance else None,
+        "bias": {"acc": case.bias.acc.tolist(), "gyro": case.bias.gyro.tolist()},
+        "true_vehicle": vehicle_document(case.true),
+        "declared_vehicle": vehicle_document(case.declared),
+        "rates_hz": {"log": rate_hz, "autopilot": CONTROL_RATE, "plant": CONTROL_RATE * SUBSTEPS},
+        **(around if case.features else {}),
+        "flights": {f.name: {"family": f.family, **asdict(s)} for f, s in flights},
+    }
+
+
+def _require_air(record: Record, flights: list[Flight]) -> None:
+    """Raise if a flight came within 5 cm of the ground or the ceiling: neither has contact."""
+    height = record.position[:, :, 2]
+    gap = height.min(axis=0)
+    if record.surroundings.ceiling is not None:
+        gap = np.minimum(gap, record.surroundings.ceiling - height.max(axis=0))
+    for flight, room in zip(flights, gap, strict=True):
+        if not room > 0.05:
+            raise ValueError(f"{flight.name}: came within {room:.3f} m of ground or ceiling; take a smaller effect")

@@ -4,7 +4,7 @@ The attitude is a rotation matrix R (body to world). One state is a row of 22 nu
 position of the centre of mass (3, world), its velocity (3, world), R (9, row by row), angular velocity (3, body),
 rotor speeds (4). Letters: F flights.
 
-Not modelled, on purpose: rotor inertia and gyroscopic torque, thrust that depends on inflow, ground, flexible parts.
+``FullPlant`` in full_dynamics.py adds what the other hidden effects need.
 """
 
 import numpy as np
@@ -53,13 +53,28 @@ class Plant:
         self._gravity = np.array([0.0, 0.0, -GRAVITY])
         self._has_quadratic = bool(np.any(vehicle.quadratic_drag))
 
+    def begin(self, index: int, voltage: Array) -> None:
+        """Start sample ``index`` at a battery voltage [V], (F,): nothing here depends on them."""
+
+    def rest(self, state: Array) -> Array:
+        """Return states at rest with the parts that this plant adds to (F, 22): none."""
+        return state
+
     def body_force(self, state: Array) -> Array:
         """Return thrust plus drag [N], body frame, (F, 3): all but gravity."""
         return (state[:, ROTOR] ** 2 @ self._wrench_map)[:, :3] + self._drag(state)
 
+    def _air(self, state: Array) -> Array:
+        """Return the airspeed of the centre of mass [m/s], body axes, (F, 3)."""
+        return ((state[:, VEL] - self._wind(state))[:, None, :] @ rotation(state))[:, 0]
+
+    def _wind(self, _state: Array) -> Array:
+        """Return the velocity of the air [m/s], world, (3,) or (F, 3)."""
+        return self.vehicle.wind_world
+
     def _drag(self, state: Array) -> Array:
         """Return ``-(d1 + d2 |u|) u`` with the airspeed u of the centre of mass in body axes, (F, 3)."""
-        air = ((state[:, VEL] - self.vehicle.wind_world)[:, None, :] @ rotation(state))[:, 0]
+        air = self._air(state)
         if not self._has_quadratic:
             return -self.vehicle.linear_drag * air
         speed = np.sqrt((air * air).sum(axis=1, keepdims=True))

@@ -8,10 +8,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from benchmarks.undeclared.simulate import CONTROL_RATE, Record
-from benchmarks.undeclared.vehicle import SOURCE, Array, Vehicle
-
-BATTERY_VOLTAGE = 16.0
-"""Constant in every log [V]: the plant has no battery."""
+from benchmarks.undeclared.vehicle import ROTOR_RADIUS, SOURCE, Array, Vehicle
 
 COLUMNS = (
     *("t", "p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w", "v_x", "v_y", "v_z"),
@@ -19,7 +16,10 @@ COLUMNS = (
     *(f"{name}_{number}" for name in ("rotor", "cmd") for number in (1, 2, 3, 4)),
     "vbat",
 )
-_DIGITS = ["%.6f"] * 4 + ["%.8f"] * 4 + ["%.6f"] * 9 + ["%.4f"] * 8 + ["%.2f"]
+OTHER_COLUMNS, CEILING_COLUMN = ("other_p_x", "other_p_y", "other_p_z"), "ceiling_z"
+"""Further columns [m], world, of logs with another vehicle or a ceiling."""
+
+_DIGITS = ["%.6f"] * 4 + ["%.8f"] * 4 + ["%.6f"] * 9 + ["%.4f"] * 8
 
 
 def quaternion(matrix: Array) -> Array:
@@ -35,13 +35,23 @@ def write_log(path: Path, record: Record, flight: int, *, first: int, every: int
     rows = slice(first, None, every)
     seen = {name: values[rows, flight] for name, values in record.measured.items()}
     time = np.arange(len(seen["rate"]))[:, None] * (every / CONTROL_RATE)
-    battery = np.full_like(time, BATTERY_VOLTAGE)
-    parts = (time, seen["position"], quaternion(seen["rotation"]), seen["velocity"], seen["rate"], seen["acc"])
-    table = np.hstack((*parts, seen["rotor"], record.command[rows, flight], battery))
-    np.savetxt(path, table, fmt=_DIGITS, delimiter=",", header=",".join(COLUMNS), comments="")
+    battery = record.voltage[rows, flight, None]
+    parts = [time, seen["position"], quaternion(seen["rotation"]), seen["velocity"], seen["rate"], seen["acc"]]
+    parts += [seen["rotor"], record.command[rows, flight], battery]
+    columns, digits, around = list(COLUMNS), [*_DIGITS, "%.2f"], record.surroundings
+    if around.other is not None:
+        parts, columns, digits = (
+            [*parts, around.other[rows, flight]],
+            [*columns, *OTHER_COLUMNS],
+            [*digits, *["%.4f"] * 3],
+        )
+    if around.ceiling is not None:
+        parts, columns = [*parts, np.full_like(time, around.ceiling)], [*columns, CEILING_COLUMN]
+        digits = [*digits, "%.4f"]
+    np.savetxt(path, np.hstack(parts), fmt=digits, delimiter=",", header=",".join(columns), comments="")
 
 
-def robot_document(vehicle: Vehicle) -> dict[str, object]:
+def robot_document(vehicle: Vehicle, *, radius: bool = False) -> dict[str, object]:
     """Return the declared robot as plain data; the centre of mass is declared at the body origin."""
     hubs = zip(vehicle.rotor_position.tolist(), vehicle.rotor_axis.tolist(), vehicle.rotor_spin, strict=True)
     drag = {key: float(d) for key, d in zip(("dx", "dy", "dz"), vehicle.linear_drag, strict=True)}
@@ -54,6 +64,7 @@ def robot_document(vehicle: Vehicle) -> dict[str, object]:
             "time_constant_up": vehicle.tau_up,
             "time_constant_down": vehicle.tau_down,
             "thrust_range": list(vehicle.thrust_range),
+            **({"radius": ROTOR_RADIUS} if radius else {}),
             "source": SOURCE,
         },
         "mounts": {
@@ -65,11 +76,15 @@ def robot_document(vehicle: Vehicle) -> dict[str, object]:
     }
 
 
-def write_robot(path: Path, vehicle: Vehicle) -> None:
-    """Write the declared robot as YAML."""
-    path.write_text(yaml.safe_dump(robot_document(vehicle), sort_keys=False, default_flow_style=None, width=120))
+def write_robot(path: Path, vehicle: Vehicle, *, radius: bool = False) -> None:
+    """Write the declared robot as YAML, with the radius of its propellers if asked."""
+    document = robot_document(vehicle, radius=radius)
+    path.write_text(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120))
 
 
 def vehicle_document(vehicle: Vehicle) -> dict[str, object]:
-    """Return every number of a vehicle as plain data."""
-    return {key: v.tolist() if isinstance(v, np.ndarray) else v for key, v in asdict(vehicle).items()}
+    """Return every number of a vehicle as plain data; of ``extra`` those that are not neutral."""
+    plain = {
+        key: v.tolist() if isinstance(v, np.ndarray) else v for key, v in asdict(vehicle).items() if key != "extra"
+    }
+    return {**plain, **vehicle.extra.document()}

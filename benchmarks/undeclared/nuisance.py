@@ -45,14 +45,23 @@ class Bias:
     """Gyro [rad/s], (3,)."""
 
 
+EXACT = {
+    "mass": ("payload_mass",),
+    "inertia": ("inertia_error",),
+    "tau": ("motor_time_constant", "motor_asymmetry"),
+    "com": ("com_offset",),
+    "bias": ("imu_bias",),
+}
+"""Which hidden effects state a number exactly."""
+
 NO_BIAS = Bias(acc=np.zeros(3), gyro=np.zeros(3))
 
 
 def disturb(true: Vehicle, cfg: Nuisance, *, hidden: Container[str], seed: int) -> tuple[Vehicle, Bias]:
     """Return the vehicle with small errors, and the sensor biases.
 
-    A parameter that a hidden effect states exactly (``com``, ``tau``) keeps that value; the draws of the others do not
-    depend on it. The inertia becomes ``S I S`` with a diagonal S, which stays positive definite.
+    A parameter that a hidden effect states exactly (``EXACT``) keeps that value; the draws of the others do not depend
+    on it. The inertia becomes ``S I S`` with a diagonal S, which stays positive definite.
     """
     rng = np.random.default_rng([seed, 2])
 
@@ -62,15 +71,19 @@ def disturb(true: Vehicle, cfg: Nuisance, *, hidden: Container[str], seed: int) 
     mass, coeff, inertia = draw(cfg.mass, 1), draw(cfg.thrust_coeff, 4), draw(cfg.inertia, 3)
     tau, com = draw(cfg.tau, 1), draw(cfg.com, 3)
     bias = Bias(acc=draw(cfg.acc_bias, 3), gyro=draw(cfg.gyro_bias, 3))
-    stretch = np.sqrt(1.0 + inertia)
-    factor = 1.0 if "motor_time_constant" in hidden else 1.0 + float(tau[0])
+
+    def free(number: str) -> bool:
+        return not any(effect in hidden for effect in EXACT[number])
+
+    stretch = np.sqrt(1.0 + inertia) if free("inertia") else np.ones(3)
+    factor = 1.0 + float(tau[0]) if free("tau") else 1.0
     vehicle = replace(
         true,
-        mass=true.mass * (1.0 + float(mass[0])),
+        mass=true.mass * (1.0 + float(mass[0])) if free("mass") else true.mass,
         thrust_coeff=true.thrust_coeff * (1.0 + coeff),
         inertia=true.inertia * np.outer(stretch, stretch),
         tau_up=true.tau_up * factor,
         tau_down=true.tau_down * factor,
-        com=true.com if "com_offset" in hidden else true.com + com,
+        com=true.com + com if free("com") else true.com,
     )
-    return vehicle, bias
+    return vehicle, bias if free("bias") else NO_BIAS

@@ -7,8 +7,10 @@ vehicle. Letters: F flights, T samples.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from benchmarks.undeclared.dynamics import RATE, ROTOR, Plant, hat, rotation
+from benchmarks.undeclared.extra import NEUTRAL, Extra
 from benchmarks.undeclared.nuisance import Bias
 from benchmarks.undeclared.vehicle import Array
 
@@ -53,10 +55,10 @@ class Sample:
     """Body to world, (F, 3, 3)."""
 
     rate: Array
-    """Angular velocity [rad/s], body, (F, 3)."""
+    """Angular velocity [rad/s], IMU axes, (F, 3)."""
 
     acc: Array
-    """Specific force at the body origin [m/s²], body, (F, 3)."""
+    """Specific force at the body origin [m/s²], IMU axes, (F, 3)."""
 
     rotor: Array
     """Rotor speeds [rad/s], (F, 4)."""
@@ -65,20 +67,32 @@ class Sample:
 class Sensors:
     """Draws the noise of all flights at construction, each flight from its own generator."""
 
-    def __init__(self, noise: Noise, bias: Bias, generators: list[np.random.Generator], num_samples: int) -> None:
-        self._bias = bias
+    def __init__(
+        self,
+        noise: Noise,
+        bias: Bias,
+        generators: list[np.random.Generator],
+        num_samples: int,
+        *,
+        extra: Extra = NEUTRAL,
+    ) -> None:
+        self._bias = Bias(acc=bias.acc + extra.imu_bias[:3], gyro=bias.gyro + extra.imu_bias[3:])
+        self._turn = Rotation.from_euler("xyz", extra.imu_turn).as_matrix() if any(extra.imu_turn) else None
+        self._rotor_reading = extra.rotor_reading
         scale = (noise.position, noise.velocity, noise.attitude, noise.gyro, noise.acc)
         scale19 = np.concatenate((np.repeat(scale, 3), np.full(4, noise.rotor)))
         self._draws = np.stack([rng.standard_normal((num_samples, 19)) for rng in generators], axis=1) * scale19
 
     def sample(self, index: int, plant: Plant, state: Array) -> Sample:
         """Return sample ``index`` of every flight, for states (F, 22)."""
-        draw = self._draws[index]
+        draw, rate, acc = self._draws[index], state[:, RATE], plant.specific_force(state)
+        if self._turn is not None:
+            rate, acc = rate @ self._turn, acc @ self._turn
         return Sample(
             position=plant.origin_position(state) + draw[:, 0:3],
             velocity=plant.origin_velocity(state) + draw[:, 3:6],
             rotation=rotation(state) @ (np.eye(3) + hat(draw[:, 6:9])),
-            rate=state[:, RATE] + draw[:, 9:12] + self._bias.gyro,
-            acc=plant.specific_force(state) + draw[:, 12:15] + self._bias.acc,
-            rotor=state[:, ROTOR] * (1.0 + draw[:, 15:19]),
+            rate=rate + draw[:, 9:12] + self._bias.gyro,
+            acc=acc + draw[:, 12:15] + self._bias.acc,
+            rotor=self._rotor_reading * state[:, ROTOR] * (1.0 + draw[:, 15:19]),
         )

@@ -8,8 +8,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from benchmarks.undeclared.autopilot import Autopilot
-from benchmarks.undeclared.dynamics import STATE_SIZE, Plant, orthonormalise, rest_state
+from benchmarks.undeclared.dynamics import ROTOR, STATE_SIZE, orthonormalise, rest_state
+from benchmarks.undeclared.full_dynamics import make_plant
 from benchmarks.undeclared.sensors import Sample, Sensors
+from benchmarks.undeclared.surroundings import NOMINAL_VOLTAGE, Battery, Surroundings
 from benchmarks.undeclared.trajectories import Reference
 from benchmarks.undeclared.vehicle import Array, Vehicle
 
@@ -31,32 +33,63 @@ class Record:
     """Rotor speeds held from each instant on [rad/s], (T, F, 4)."""
 
     state: Array
-    """True states, as in dynamics.py, (T, F, 22)."""
+    """True states, as in dynamics.py, (T, F, 22), with a slung load (T, F, 28)."""
 
     position: Array
     """True position of the body origin [m], world, (T, F, 3)."""
 
+    voltage: Array
+    """True battery voltage [V], (T, F); the nominal one without a battery."""
 
-def fly(*, true: Vehicle, declared: Vehicle, reference: Reference, sensors: Sensors) -> Record:
-    """Return the record of all flights of ``reference``; the autopilot is built from ``declared`` alone."""
+    surroundings: Surroundings
+    """As given to ``fly``."""
+
+
+def fly(
+    *,
+    true: Vehicle,
+    declared: Vehicle,
+    reference: Reference,
+    sensors: Sensors,
+    surroundings: Surroundings | None = None,
+    battery: Battery | None = None,
+) -> Record:
+    """Return the record of all flights of ``reference``; the autopilot is built from ``declared`` alone.
+
+    A delay of the true vehicle is rounded to whole steps of the plant; before the first command arrives it holds.
+    """
     num_samples, num_flights = reference.yaw.shape
-    plant, dt = Plant(true), 1.0 / CONTROL_RATE
+    surroundings = surroundings or Surroundings()
+    plant, dt = make_plant(true, surroundings), 1.0 / CONTROL_RATE
+    late = round(true.extra.delay * CONTROL_RATE * SUBSTEPS)
     autopilot = Autopilot(declared, num_flights, dt)
-    state = rest_state(declared, reference.position[0], reference.yaw[0])
+    state = plant.rest(rest_state(declared, reference.position[0], reference.yaw[0]))
     samples: list[Sample] = []
     command = np.empty((num_samples, num_flights, 4))
-    states = np.empty((num_samples, num_flights, STATE_SIZE))
+    states = np.empty((num_samples, *state.shape))
+    voltage = np.full((num_samples, num_flights), NOMINAL_VOLTAGE)
     for index in range(num_samples):
+        if battery is not None:
+            voltage[index] = battery.discharge(state[:, ROTOR], dt)
+        plant.begin(index, voltage[index])
         sample = sensors.sample(index, plant, state)
         samples.append(sample)
         states[index] = state
         command[index] = autopilot.command(sample, reference, index)
-        for _ in range(SUBSTEPS):
-            state = plant.step(state, command[index], dt / SUBSTEPS)
+        for step in range(index * SUBSTEPS, (index + 1) * SUBSTEPS):
+            state = plant.step(state, command[max(0, step - late) // SUBSTEPS], dt / SUBSTEPS)
         orthonormalise(state)
     measured = {f.name: np.stack([getattr(s, f.name) for s in samples]) for f in fields(Sample)}
-    position = plant.origin_position(states.reshape(-1, STATE_SIZE)).reshape(num_samples, num_flights, 3)
-    return Record(measured=measured, command=command, state=states, position=position)
+    rows = states[:, :, :STATE_SIZE].reshape(-1, STATE_SIZE)
+    position = plant.origin_position(rows).reshape(num_samples, num_flights, 3)
+    return Record(
+        measured=measured,
+        command=command,
+        state=states,
+        position=position,
+        voltage=voltage,
+        surroundings=surroundings,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

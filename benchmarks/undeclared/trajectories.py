@@ -19,7 +19,7 @@ MAX_YAW_RATE = 2.0
 """Largest yaw rate of a reference [rad/s]."""
 
 LOWEST_HEIGHT = 5.0
-"""Lowest point of a reference [m]: far from any ground effect."""
+"""Lowest point of a reference [m], where none is asked for: far from any ground effect."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +138,25 @@ def hover_steps(t: Array, rng: np.random.Generator) -> Shape:
     return Shape(path=curve[:, :3], yaw=curve[:, 3], excite=excite)
 
 
+def low_hover(t: Array, rng: np.random.Generator) -> Shape:
+    """Rests at several heights, half of them the lowest, with small moves and a little excitation."""
+    low, high = np.array([-0.5, -0.5, 0.0, -0.8]), np.array([0.5, 0.5, 0.5, 0.8])
+    curve = _moves(t, rng, lambda k: rng.uniform(low, high) * (1.0, 1.0, k % 2, 1.0), move=1.0, hold=1.2)
+    excite = _excitation(t, rng, rate=0.4, yaw_rate=0.4, acceleration=0.3)
+    return Shape(path=curve[:, :3], yaw=curve[:, 3], excite=excite)
+
+
+def low_passes(t: Array, rng: np.random.Generator) -> Shape:
+    """Passes from side to side that touch the lowest height at every second end."""
+    side, high = rng.uniform((1.5, -0.8), (2.0, 0.8)), rng.uniform(0.3, 0.8, 64)
+    curve = _moves(
+        t, rng, lambda k: np.array([*(side * (-1.0) ** k), high[k % 64] * (k // 2 % 2), 0.8 * k]), move=1.6, hold=0.3
+    )
+    return Shape(
+        path=curve[:, :3], yaw=curve[:, 3], excite=_excitation(t, rng, rate=0.2, yaw_rate=0.2, acceleration=0.2)
+    )
+
+
 def figure_eight(t: Array, rng: np.random.Generator) -> Shape:
     """A lying eight with changing height, in a random direction, the heading swinging to both sides."""
     phase, turn = _ramped_phase(t, rng.uniform(1.1, 1.4)), rng.uniform(-np.pi, np.pi)
@@ -171,27 +190,43 @@ TOP_SPEED: dict[str, tuple[float, float]] = {
     "figure_eight": (3.5, 5.0),
     "square": (3.5, 4.5),
     "lissajous": (3.0, 4.5),
+    "low_hover": (0.8, 1.2),
+    "low_passes": (2.0, 3.0),
 }
 """Range from which the top speed of a flight is drawn [m/s]."""
 
 FAMILIES: dict[str, Family] = {
-    f.__name__: f for f in (multisine, waypoints, vertical, hover_steps, figure_eight, square, lissajous)
+    f.__name__: f
+    for f in (multisine, waypoints, vertical, hover_steps, figure_eight, square, lissajous, low_hover, low_passes)
 }
 TRAIN_FAMILIES = ("multisine", "waypoints", "vertical", "hover_steps")
 TEST_FAMILIES = ("figure_eight", "square", "lissajous")
 
 
-def plan(family: str, *, duration: float, rate: float, settle: float, rng: np.random.Generator) -> Reference:
+def plan(
+    family: str,
+    *,
+    duration: float,
+    rate: float,
+    settle: float,
+    rng: np.random.Generator,
+    lowest: float = LOWEST_HEIGHT,
+    ease: float = 1.0,
+    ceiling: float | None = None,
+) -> Reference:
     """Return a flight of ``duration`` [s] at ``rate`` [Hz], after ``settle`` [s] of hover at its start.
 
-    The path is scaled to a drawn top speed, or less where that would exceed ``MAX_ACCELERATION``.
+    The path is scaled to a drawn top speed, or less where that would exceed ``MAX_ACCELERATION``, and then by ``ease``.
+    Its lowest point is at ``lowest`` [m]; under a ``ceiling`` [m] the path is upside down: the highest is that far below.
     """
     t = np.arange(round(duration * rate) + 1) / rate
     shape = FAMILIES[family](t, rng)
     speed, acceleration = _largest(shape.path, 1, rate), _largest(shape.path, 2, rate)
-    path = shape.path * min(rng.uniform(*TOP_SPEED[family]) / speed, MAX_ACCELERATION / acceleration)
+    path = shape.path * min(rng.uniform(*TOP_SPEED[family]) / speed, MAX_ACCELERATION / acceleration) * ease
     yaw = shape.yaw * min(1.0, MAX_YAW_RATE / max(_largest(shape.yaw[:, None], 1, rate), 1e-9))
-    path[:, 2] += LOWEST_HEIGHT - path[:, 2].min()
+    path[:, 2] += lowest - path[:, 2].min()
+    if ceiling is not None:
+        path[:, 2] = ceiling - path[:, 2]
     rows = round(settle * rate)
     position, heading, excite = (_hold_first(x, rows) for x in (path, yaw + rng.uniform(-np.pi, np.pi), shape.excite))
     velocity = np.gradient(position, 1.0 / rate, axis=0)

@@ -9,10 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.undeclared.extra import NEUTRAL, Extra
+
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 """Magnitude of gravity [m/s²], along world -z."""
+
+ROTOR_RADIUS = 0.0635
+"""Of the propellers [m]: 5 inch in diameter."""
 
 SOURCE = "invented for this benchmark: a 0.75 kg X quadrotor with 5 inch propellers on 4 cells; no real vehicle"
 
@@ -62,6 +67,9 @@ class Vehicle:
 
     wind_world: Array
     """Velocity of the air [m/s], world, (3,)."""
+
+    extra: Extra = NEUTRAL
+    """What only some hidden effects need."""
 
     def __post_init__(self) -> None:
         positive = {"mass": self.mass, "tau_up": self.tau_up, "tau_down": self.tau_down}

@@ -1,0 +1,216 @@
+"""Equations of motion with everything that a hidden effect can add; README.md lists formulas and sources.
+
+A load on a cable adds six numbers to the state: its direction from the vehicle (unit) and the rate of that, world.
+Letters: F flights.
+"""
+
+import numpy as np
+
+from benchmarks.undeclared.dynamics import POS, RATE, ROT, ROTOR, VEL, Plant, hat, rotation
+from benchmarks.undeclared.extra import NEUTRAL
+from benchmarks.undeclared.surroundings import NOMINAL_VOLTAGE, Surroundings
+from benchmarks.undeclared.vehicle import ROTOR_RADIUS, Array, Vehicle
+
+CABLE, CABLE_RATE = slice(22, 25), slice(25, 28)
+
+LARGEST_GAIN = 2.0
+"""Largest ratio of thrust near a surface to thrust far from it: the formulas diverge at the surface."""
+
+LOWEST_SHEAR = 0.1
+"""Height below which the wind no longer changes [m]."""
+
+
+def near_surface(strength: float, distance: Array) -> Array:
+    """Return thrust near a surface over thrust far away, ``1 / (1 - k (r / (4 d))²)``, cut at ``LARGEST_GAIN``."""
+    loss = strength * (ROTOR_RADIUS / (4.0 * np.maximum(distance, 1e-3))) ** 2
+    return 1.0 / np.maximum(1.0 - loss, 1.0 / LARGEST_GAIN)
+
+
+class FullPlant(Plant):
+    """``Plant`` with the numbers of ``vehicle.extra`` at work."""
+
+    def __init__(self, vehicle: Vehicle, surroundings: Surroundings | None = None) -> None:
+        super().__init__(vehicle)
+        self._extra = extra = vehicle.extra
+        self._surroundings = surroundings or Surroundings()
+        self._hub = vehicle.rotor_position - vehicle.com
+        self._spin_axis = extra.rotor_inertia * vehicle.rotor_spin[:, None] * vehicle.rotor_axis
+        self._inflow, self._thrust_map, self._side_map = self._rotor_maps()
+        self._has_outside = any((extra.downwash[0], extra.attraction[3], extra.periodic[0], extra.shadow[0]))
+        near = extra.ground or extra.ceiling
+        aero = extra.h_force or extra.flapping or extra.axial_inflow or extra.translational_lift
+        self._aero, self._near = bool(aero), bool(near)
+        self._slung = extra.slung[0] > 0.0
+        self._index, self._time, self._supply = 0, 0.0, 1.0
+        self._command: Array | None = None
+        if extra.ceiling and self._surroundings.ceiling is None:
+            raise ValueError("ceiling_effect: needs a ceiling in the surroundings")
+        if extra.downwash[0] and self._surroundings.other is None:
+            raise ValueError("downwash: needs another vehicle in the surroundings")
+
+    def begin(self, index: int, voltage: Array) -> None:
+        """Start sample ``index`` at a battery voltage [V], (F,)."""
+        self._index, self._time = index, index / self._surroundings.rate
+        self._supply = (1.0 + self._extra.battery_gain * (voltage / NOMINAL_VOLTAGE - 1.0))[:, None]
+
+    def rest(self, state: Array) -> Array:
+        """Return states at rest with the load straight below, (F, 28), or as they are without a load."""
+        if not self._slung:
+            return state
+        return np.hstack((state, np.tile([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], (len(state), 1))))
+
+    def step(self, state: Array, command: Array, dt: float) -> Array:
+        """Return the states after ``dt`` [s] under a held command; the time of each stage is its own."""
+        self._command, start = command, self._time
+        k1 = self.derivative(state, command)
+        self._time = start + 0.5 * dt
+        k2 = self.derivative(state + (0.5 * dt) * k1, command)
+        k3 = self.derivative(state + (0.5 * dt) * k2, command)
+        self._time = start + dt
+        k4 = self.derivative(state + dt * k3, command)
+        state = state + (dt / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+        if self._slung:
+            state[:, CABLE] /= np.linalg.norm(state[:, CABLE], axis=1, keepdims=True)
+        return state
+
+    def derivative(self, state: Array, command: Array) -> Array:
+        """Return the time derivative of each state, (F, 22) or (F, 28)."""
+        out = np.zeros_like(state)
+        rot, rate = rotation(state), state[:, RATE]
+        turn = hat(rate)
+        rotor_dot = self._rotor_dot(state, command)
+        force, torque = self._loads(state, rotor_dot, turn)
+        world = (rot @ force[:, :, None])[:, :, 0]
+        if self._slung:
+            world, out[:, CABLE_RATE] = self._pull(state, world)
+            out[:, CABLE] = state[:, CABLE_RATE]
+        momentum = (rate @ self._inertia)[:, :, None]
+        out[:, POS] = state[:, VEL]
+        out[:, VEL] = world / self.vehicle.mass + self._gravity
+        out[:, ROT] = (rot @ turn).reshape(-1, 9)
+        out[:, RATE] = (torque - (turn @ momentum)[:, :, 0]) @ self._inverse
+        out[:, ROTOR] = rotor_dot
+        return out
+
+    def body_force(self, state: Array) -> Array:
+        """Return all forces but gravity [N], body frame, (F, 3), the pull of a load included."""
+        command = state[:, ROTOR] if self._command is None else self._command
+        acceleration = self.derivative(state, command)[:, VEL] - self._gravity
+        return self.vehicle.mass * (acceleration[:, None, :] @ rotation(state))[:, 0]
+
+    def specific_force(self, state: Array) -> Array:
+        """Return what an ideal accelerometer at the body origin reads [m/s²], body frame, (F, 3); see ``Plant``."""
+        command = state[:, ROTOR] if self._command is None else self._command
+        slope, com, turn = self.derivative(state, command), self.vehicle.com, hat(state[:, RATE])
+        force = ((slope[:, VEL] - self._gravity)[:, None, :] @ rotation(state))[:, 0]
+        return force - hat(slope[:, RATE]) @ com - (turn @ turn) @ com
+
+    def _rotor_maps(self) -> tuple[Array, Array, Array]:
+        """Return constant matrices of the rotors.
+
+        From airspeed of the centre of mass and angular velocity (6) to the airspeed at each hub along its axis (4) and
+        across it (12); from thrust added along each axis (4), and from n times the airspeed across (12), to the wrench (6).
+        """
+        axis, extra, count = self.vehicle.rotor_axis, self._extra, len(self._hub)
+        at_hub = np.stack([np.hstack((np.eye(3), -hat(r[None])[0])) for r in self._hub])  # u + w x r
+        along = np.einsum("ri,rij->rj", axis, at_hub)
+        across = at_hub - axis[:, :, None] * along[:, None, :]
+        inflow = np.vstack((along, across.reshape(3 * count, 6))).T
+        thrust = np.hstack((axis, np.cross(self._hub, axis)))
+        side = [
+            np.vstack(
+                (-extra.h_force * np.eye(3), -extra.h_force * hat(r[None])[0] - extra.flapping * hat(a[None])[0])
+            ).T
+            for r, a in zip(self._hub, axis, strict=True)
+        ]
+        return inflow, thrust, np.vstack(side)
+
+    def _wind(self, state: Array) -> Array:
+        x, y, reference, exponent = self._extra.shear
+        wind, gust = self.vehicle.wind_world, self._surroundings.gust
+        if gust is not None:
+            wind = wind + gust[self._index]
+        if x or y:
+            growth = (np.maximum(state[:, 2:3], LOWEST_SHEAR) / reference) ** exponent
+            wind = wind + growth * (x, y, 0.0)
+        return wind
+
+    def _rotor_dot(self, state: Array, command: Array) -> Array:
+        """Return ``(supply n_cmd - n) / tau`` [rad/s²], (F, 4)."""
+        error = self._supply * command - state[:, ROTOR]
+        return error / np.where(error > 0.0, self.vehicle.tau_up, self.vehicle.tau_down)
+
+    def _loads(self, state: Array, rotor_dot: Array, turn: Array) -> tuple[Array, Array]:
+        """Return force and torque about the centre of mass, body frame, (F, 3) each, without gravity and cable."""
+        extra, rotor = self._extra, state[:, ROTOR]
+        squared = rotor * rotor
+        if extra.fading[0]:
+            squared = squared * (1.0 - extra.fading[0] * (1.0 - np.exp(-self._time / extra.fading[1])))
+        wrench = squared @ self._wrench_map
+        force, torque = wrench[:, :3] + self._drag(state), wrench[:, 3:]
+        if self._aero or self._near:
+            push, moment = self._rotor_changes(state, squared)
+            force, torque = force + push, torque + moment
+        if extra.rotor_inertia:
+            spin = rotor @ self._spin_axis
+            torque = torque - rotor_dot @ self._spin_axis - (turn @ spin[:, :, None])[:, :, 0]
+        return force + self._outside(state) if self._has_outside else force, torque
+
+    def _rotor_changes(self, state: Array, squared: Array) -> tuple[Array, Array]:
+        """Return force and torque that inflow, flapping and surfaces add to ``c n²`` of each rotor, (F, 3) each."""
+        extra, rotor, count = self._extra, state[:, ROTOR], len(self._hub)
+        plain = self.vehicle.thrust_coeff * squared
+        thrust, wrench = plain, 0.0
+        if self._aero:
+            flow = np.hstack((self._air(state), state[:, RATE])) @ self._inflow
+            along, across = flow[:, :count], flow[:, count:].reshape(-1, count, 3)
+            thrust = plain - extra.axial_inflow * rotor * along
+            thrust = thrust + extra.translational_lift * (across * across).sum(axis=2)
+            wrench = (rotor[:, :, None] * across).reshape(len(state), -1) @ self._side_map
+        if self._near:
+            height = state[:, 2:3] + rotation(state)[:, 2] @ self._hub.T
+            gain = near_surface(extra.ground, height)
+            if self._surroundings.ceiling is not None:
+                gain = gain * near_surface(extra.ceiling, self._surroundings.ceiling - height)
+            thrust = thrust * gain
+        wrench = wrench + (thrust - plain) @ self._thrust_map
+        return wrench[:, :3], wrench[:, 3:]
+
+    def _outside(self, state: Array) -> Array:
+        """Return the forces on the centre of mass that are neither of rotors nor of drag [N], body frame, (F, 3)."""
+        extra, force, rot = self._extra, np.zeros((len(state), 3)), rotation(state)
+        if extra.downwash[0] and self._surroundings.other is not None:
+            apart = self._surroundings.other[self._index] - state[:, POS]
+            wake = np.exp(-0.5 * (apart[:, 0] ** 2 + apart[:, 1] ** 2) / extra.downwash[1] ** 2)
+            force[:, 2] -= extra.downwash[0] * wake * (apart[:, 2] > 0.0)
+        if extra.attraction[3]:
+            apart = (np.asarray(extra.attraction[:3]) - state[:, POS]) / extra.attraction[4]
+            force += extra.attraction[3] * apart * np.exp(0.5 - 0.5 * (apart * apart).sum(axis=1, keepdims=True))
+        body = (force[:, None, :] @ rot)[:, 0]
+        if extra.periodic[0]:
+            body[:, 0] += extra.periodic[0] * np.sin(2.0 * np.pi * extra.periodic[1] * self._time)
+        if extra.shadow[0]:
+            yaw = np.arctan2(rot[:, 1, 0], rot[:, 0, 0])
+            body[:, 1] += extra.shadow[0] * np.maximum(np.cos(yaw - extra.shadow[1]), 0.0)
+        return body
+
+    def _pull(self, state: Array, force: Array) -> tuple[Array, Array]:
+        """Return the world force with the pull of the load, and the second derivative of the cable direction q.
+
+        Derived: m a = F + S q + d l q' + m g and M a_L = -S q - d l q' + M g, with ``a_L - a = l q''`` and
+        ``q . q'' = -|q'|²``; S is the tension of a cable that stays taut. It hangs from the centre of mass: no torque.
+        """
+        mass, length, damping = self._extra.slung
+        q, q_dot = state[:, CABLE], state[:, CABLE_RATE]
+        speed = (q_dot * q_dot).sum(axis=1, keepdims=True)
+        along = (force * q).sum(axis=1, keepdims=True)
+        inverse = 1.0 / mass + 1.0 / self.vehicle.mass
+        tension = (length * speed - along / self.vehicle.mass) / inverse
+        swing = -speed * q - (force - along * q) / (self.vehicle.mass * length) - damping * inverse * q_dot
+        return force + tension * q + damping * length * q_dot, swing
+
+
+def make_plant(vehicle: Vehicle, surroundings: Surroundings | None = None) -> Plant:
+    """Return the plain plant if it is enough for the vehicle and its surroundings."""
+    gusty = surroundings is not None and surroundings.gust is not None
+    return FullPlant(vehicle, surroundings) if gusty or vehicle.extra != NEUTRAL else Plant(vehicle)

@@ -1,0 +1,563 @@
+"""The further hidden effects of the truth plant against closed forms, conservation laws and signed cases."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from benchmarks.undeclared import EFFECTS, FEATURES, UNKNOWN, make_case
+from benchmarks.undeclared.cases import flights_of, fly_case, plan_all
+from benchmarks.undeclared.catalog import SIZES
+from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, rest_state, rotation
+from benchmarks.undeclared.effects import features_of, resolve, split
+from benchmarks.undeclared.extra import NEUTRAL, Extra
+from benchmarks.undeclared.full_dynamics import CABLE, CABLE_RATE, FullPlant, make_plant
+from benchmarks.undeclared.logs import vehicle_document
+from benchmarks.undeclared.nuisance import NO_BIAS, Nuisance, disturb
+from benchmarks.undeclared.sensors import NOISELESS, Sensors
+from benchmarks.undeclared.simulate import CONTROL_RATE, SUBSTEPS, summarise
+from benchmarks.undeclared.surroundings import (
+    FULL_VOLTAGE,
+    RESISTANCE,
+    VOLTAGE_PER_CHARGE,
+    Battery,
+    Surroundings,
+    companion,
+    gusts,
+)
+from benchmarks.undeclared.vehicle import DECLARED, GRAVITY, ROTOR_RADIUS, Array, Vehicle
+
+BARE = replace(DECLARED, linear_drag=np.zeros(3), inertia=np.diag([2e-3, 3e-3, 4e-3]))
+HOVER = DECLARED.hover_speed()
+WEIGHT = 0.75 * GRAVITY
+SPEED = 1000.0
+"""Of all rotors in the closed forms below [rad/s]."""
+
+
+def having(vehicle: Vehicle = BARE, **extra: object) -> Vehicle:
+    return replace(vehicle, extra=replace(NEUTRAL, **extra))
+
+
+def hidden(vehicle: Vehicle = BARE, **effects: dict[str, float]) -> Vehicle:
+    """Return the vehicle with effects applied as a case does it."""
+    return split(vehicle, resolve(effects, declared=vehicle, seed=0))[1]
+
+
+def level(*, height: float = 5.0, rotor: float = SPEED, flights: int = 1) -> Array:
+    state = rest_state(DECLARED, np.tile([0.0, 0.0, height], (flights, 1)), np.zeros(flights))
+    state[:, ROTOR] = rotor
+    return state
+
+
+def loads(plant: Plant, state: Array) -> tuple[Array, Array]:
+    """Return force and angular momentum rate about the centre of mass, body frame, (3,) each, from the accelerations."""
+    slope = plant.derivative(state, state[:, ROTOR])
+    vehicle, rate = plant.vehicle, state[0, RATE]
+    force = vehicle.mass * (slope[0, VEL] + (0.0, 0.0, GRAVITY)) @ rotation(state)[0]
+    return force, vehicle.inertia @ slope[0, RATE] + np.cross(rate, vehicle.inertia @ rate)
+
+
+def added(vehicle: Vehicle, state: Array, surroundings: Surroundings | None = None) -> tuple[Array, Array]:
+    """Return what a vehicle feels beyond the bare one."""
+    full, bare = loads(FullPlant(vehicle, surroundings), state), loads(Plant(replace(vehicle, extra=NEUTRAL)), state)
+    return full[0] - bare[0], full[1] - bare[1]
+
+
+def tumbling() -> Array:
+    state = level(height=0.4)
+    state[:, VEL], state[:, RATE], state[:, ROTOR] = (2.0, -1.0, 0.5), (3.0, -4.0, 2.0), (900.0, 1200.0, 1300.0, 1000.0)
+    return state
+
+
+def everything() -> FullPlant:
+    """Return a plant with all forces and torques at work at once."""
+    extra = Extra(
+        h_force=5e-5,
+        flapping=3e-7,
+        axial_inflow=8e-5,
+        translational_lift=0.01,
+        rotor_inertia=2e-5,
+        slung=(0.1, 0.7, 0.03),
+        shear=(3.0, -1.0, 10.0, 0.3),
+        ground=2.0,
+        periodic=(0.3, 7.0),
+        attraction=(0.5, 0.5, 1.0, 0.5, 1.0),
+        fading=(0.2, 0.1),
+        shadow=(0.3, 0.5),
+    )
+    return FullPlant(replace(DECLARED, com=np.array([0.03, -0.05, 0.04]), extra=extra))
+
+
+def test_neutral_extras_change_nothing() -> None:
+    """The full plant without extras has the derivative of the plain one, to round-off, and is not used for it."""
+    state, command = tumbling(), np.full((1, 4), 1100.0)
+    expected = Plant(DECLARED).derivative(state, command)
+    np.testing.assert_allclose(FullPlant(DECLARED).derivative(state, command), expected, rtol=1e-12, atol=1e-12)
+    assert type(make_plant(DECLARED, Surroundings(ceiling=9.0))) is Plant
+
+
+def test_values_of_the_first_effects_are_fixed() -> None:
+    """What seed 3 draws; a new effect must not change the old ones, so it goes to the end of the table."""
+    params = resolve(dict.fromkeys(list(EFFECTS)[:6], "moderate"), declared=DECLARED, seed=3)
+    first = [next(iter(values.values())) for values in params.values()]
+    expected = [
+        0.19169996034979464,
+        0.04752592812756322,
+        0.9512606322403725,
+        -0.004233882317750705,
+        0.06248253136610584,
+        -2.1697157141040098,
+    ]
+    np.testing.assert_allclose(first, expected, rtol=1e-12)
+    assert list(UNKNOWN) == ["unknown_periodic", "unknown_position", "unknown_time", "unknown_heading"]
+
+
+def test_full_step_has_order_four() -> None:
+    """The error falls with dt^4, within 0.15, with every smooth load at work and time in the equations."""
+    start = everything().rest(tumbling())
+    start[:, CABLE_RATE] = (0.5, -0.3, 0.0)
+
+    def end(steps: int) -> Array:
+        plant, state, command = everything(), start, np.full((1, 4), 1600.0)
+        for _ in range(steps):
+            state = plant.step(state, command, 0.04 / steps)
+        return state[0, : CABLE.start]
+
+    fine = end(256)
+    errors = [np.linalg.norm(end(n) - fine) for n in (8, 16, 32)]
+    np.testing.assert_allclose(np.diff(np.log2(errors)), -4.0, atol=0.15)
+
+
+def test_specific_force_is_the_second_derivative_at_the_origin_with_everything() -> None:
+    """acc = R^T (p_O'' - g): central differences at h = 0.2 ms agree to h² / 6 |v'''| with |v'''| < 1.5e5 m/s^4."""
+    plant, h = everything(), 0.0002
+    states = [plant.rest(tumbling())]
+    command = np.array([[1000.0, 1250.0, 1200.0, 1100.0]])
+    for _ in range(2):
+        for _ in range(4):
+            states.append(plant.step(states[-1], command, h / 4))
+        states[-4:] = states[-1:]
+    velocity = [plant.origin_velocity(s)[0] for s in states]
+    slope = (velocity[2] - velocity[0]) / (2.0 * h)
+    plant._time = h  # of the state in the middle
+    seen = plant.specific_force(states[1])[0]
+    np.testing.assert_allclose(rotation(states[1])[0].T @ (slope + np.array([0.0, 0.0, GRAVITY])), seen, atol=1e-3)
+
+
+def test_h_force_pushes_back_and_flapping_lifts_the_nose() -> None:
+    """u = (3, 0, 0), four rotors at n: force -4 kh n 3 along x; moment about y -4 kf n 3, and -z_hub 4 kh n 3 by the lever."""
+    state = level()
+    state[:, VEL] = (3.0, 0.0, 0.0)
+    force, torque = added(hidden(h_force_flapping={"kh": 4e-5, "kf": 2e-7}), state)
+    push = 4 * 4e-5 * SPEED * 3.0
+    np.testing.assert_allclose(force, (-push, 0.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(torque, (0.0, -0.012 * push - 4 * 2e-7 * SPEED * 3.0, 0.0), atol=1e-12)
+
+
+def test_h_force_damps_yaw() -> None:
+    """Turning at w about z each hub moves at w r: torque -4 kh n r² w, r² = 0.085² + 0.08²."""
+    state = level()
+    state[:, RATE] = (0.0, 0.0, 5.0)
+    force, torque = added(having(h_force=4e-5), state)
+    np.testing.assert_allclose(force, 0.0, atol=1e-12)
+    np.testing.assert_allclose(torque, (0.0, 0.0, -4 * 4e-5 * SPEED * (0.085**2 + 0.08**2) * 5.0), atol=1e-12)
+
+
+def test_axial_inflow_takes_thrust_from_a_climb_and_damps_roll() -> None:
+    """Climb at 2 m/s: -4 ka n 2 along z. Roll at p: a hub at y moves at p y, torque -4 ka n y² p, y = 0.08."""
+    vehicle, state = hidden(axial_inflow={"ka": 6e-5}), level()
+    state[:, VEL] = (0.0, 0.0, 2.0)
+    np.testing.assert_allclose(added(vehicle, state)[0], (0.0, 0.0, -4 * 6e-5 * SPEED * 2.0), atol=1e-12)
+    state[:, VEL], state[:, RATE] = 0.0, (3.0, 0.0, 0.0)
+    np.testing.assert_allclose(added(vehicle, state)[1], (-4 * 6e-5 * SPEED * 0.08**2 * 3.0, 0.0, 0.0), atol=1e-12)
+
+
+def test_translational_lift_grows_with_the_square_of_the_airspeed_in_the_disc() -> None:
+    """|u| = 5 in the disc, of which wind is a part: 4 kt 25 upwards; climb does not count."""
+    state = level()
+    state[:, VEL] = (1.0, 4.0, 7.0)
+    vehicle = replace(hidden(translational_lift={"kt": 0.012}), wind_world=np.array([-2.0, 0.0, 0.0]))
+    np.testing.assert_allclose(added(vehicle, state)[0], (0.0, 0.0, 4 * 0.012 * 25.0), atol=1e-12)
+
+
+@pytest.mark.parametrize(("motor", "roll", "pitch"), [(1, -1, -1), (2, -1, 1), (3, 1, 1), (4, 1, -1)])
+def test_weak_motor_counts_from_one_and_lowers_its_corner(motor: int, roll: int, pitch: int) -> None:
+    """A loss of 0.1 f of rotor i: torque opposite to that of its thrust, drag torque weaker, too."""
+    vehicle = hidden(weak_motor={"motor": motor, "scale": 0.9})
+    lost = 0.1 * 1.45e-6 * SPEED**2
+    force, torque = loads(Plant(vehicle), level())
+    assert force[2] == pytest.approx(4 * 1.45 - lost, rel=1e-12)
+    np.testing.assert_allclose(torque[:2], (-roll * 0.08 * lost, -pitch * 0.085 * lost), atol=1e-14)
+    assert torque[2] == pytest.approx((1 if motor % 2 else -1) * 0.014 * lost)
+
+
+def test_tilted_motor_pushes_sideways() -> None:
+    """Rolled by a, rotor 1 at (0.085, -0.08) pushes -f sin a along y: yaw torque -0.085 f sin a; pitched, +f sin a along x."""
+    thrust, a = 1.45e-6 * SPEED**2, 0.1
+    force, torque = loads(Plant(hidden(motor_tilt={"motor": 1, "roll": a})), level())
+    np.testing.assert_allclose(force, (0.0, -thrust * np.sin(a), 4 * thrust - thrust * (1 - np.cos(a))), atol=1e-12)
+    assert torque[2] == pytest.approx(-0.085 * thrust * np.sin(a) + 0.014 * thrust * (1 - np.cos(a)))
+    force, _ = loads(Plant(hidden(motor_tilt={"motor": 1, "pitch": a})), level())
+    np.testing.assert_allclose(force[:2], (thrust * np.sin(a), 0.0), atol=1e-12)
+
+
+def test_parameters_of_the_vehicle_change_by_what_they_say() -> None:
+    """Torque of two opposite rotors by the scale; hover thrust lifts m + dm short of g dm / (m + dm); w' by 1 / s."""
+    state = level()
+    state[0, ROTOR] = (SPEED, 0.0, SPEED, 0.0)
+    _, torque = loads(Plant(hidden(torque_ratio={"scale": 1.3})), state)
+    assert torque[2] == pytest.approx(-2 * 1.3 * 0.014 * 1.45e-6 * SPEED**2)
+    heavy = Plant(hidden(payload_mass={"dm": 0.05}))
+    fall = heavy.derivative(level(rotor=HOVER), np.full((1, 4), HOVER))[0, 5]
+    assert fall == pytest.approx(-GRAVITY * 0.05 / 0.80)
+    state[0, ROTOR] = (SPEED, 1.1 * SPEED, 1.2 * SPEED, SPEED)
+    scaled = Plant(hidden(inertia_error={"sx": 1.2, "sy": 0.9, "sz": 1.1})).derivative(state, state[:, ROTOR])[0, RATE]
+    plain = Plant(BARE).derivative(state, state[:, ROTOR])[0, RATE]
+    np.testing.assert_allclose(plain / scaled, (1.2, 0.9, 1.1), rtol=1e-12)
+    slow = hidden(motor_asymmetry={"tau_up": 0.03, "tau_down": 0.06})
+    rates = Plant(slow).derivative(level(), np.array([[1030.0, 970.0, 1030.0, 970.0]]))[0, ROTOR]
+    np.testing.assert_allclose(rates, (1000.0, -500.0, 1000.0, -500.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.0025, 0.008])
+def test_rotors_follow_the_command_of_that_long_ago(delay: float) -> None:
+    """Exponential towards the command that was sent ``delay`` ago, also within a sample; Runge-Kutta to (h / tau)^4."""
+    case = fly_case(
+        effects={"actuation_delay": {"delay": delay}}, seed=4, num_train=1, num_test=0, duration_s=1.0, noise=NOISELESS
+    )
+    rotor, command = case.record.measured["rotor"][:, 0], case.record.command[:, 0]
+    h, late = 1.0 / CONTROL_RATE / SUBSTEPS, delay * CONTROL_RATE
+    for k in range(10, len(rotor) - 1, 7):
+        speed = rotor[k]
+        for j in range(SUBSTEPS):
+            sent = command[int(np.floor(k + j / SUBSTEPS - late + 1e-9))]
+            speed = sent + (speed - sent) * np.exp(-h / 0.038)
+        np.testing.assert_allclose(rotor[k + 1], speed, rtol=1e-8)
+    assert np.ptp(command, axis=0).min() > 1.0  # a command that moves
+
+
+def test_rotor_speed_follows_the_voltage() -> None:
+    """Steady speed n = cmd (1 + gain (V / 16 - 1)): at 14.4 V and gain 0.5, 5 % less."""
+    plant = FullPlant(hidden(battery_sag={"gain": 0.5}))
+    plant.begin(0, np.array([14.4, 16.0]))
+    state = level(flights=2)
+    state[:, ROTOR] = np.array([[950.0], [1000.0]])
+    np.testing.assert_allclose(plant.derivative(state, np.full((2, 4), 1000.0))[:, ROTOR], 0.0, atol=1e-9)
+
+
+def test_battery_gives_the_power_and_loses_the_charge() -> None:
+    """V I = P and V = V0 - R I with P the power of the drag torque over the efficiency; dV0 = -slope I dt."""
+    battery, rotor = Battery(DECLARED, np.array([0.0, 900.0])), np.array([[1126.0] * 4, [1500.0] * 4])
+    power = 4 * 0.014 * 1.45e-6 * np.array([1126.0, 1500.0]) ** 3 / 0.6
+    opened = FULL_VOLTAGE - VOLTAGE_PER_CHARGE * np.array([0.0, 900.0])
+    for _ in range(3):
+        voltage = battery.discharge(rotor, 10.0)
+        current = power / voltage
+        np.testing.assert_allclose(voltage, opened - RESISTANCE * current, rtol=1e-12)
+        opened = opened - VOLTAGE_PER_CHARGE * current * 10.0
+    assert voltage[0] > voltage[1]
+
+
+def test_spinning_rotors_share_angular_momentum_with_the_body() -> None:
+    """R (I w + sum J s n a) is constant without thrust, while rotors speed up by themselves; drift within (h / tau)^4."""
+    vehicle = replace(having(rotor_inertia=2e-5), thrust_coeff=np.full(4, 1e-30))
+    plant, state = FullPlant(vehicle), level()
+    state[:, RATE] = (2.0, -1.0, 0.5)
+
+    def momentum(state: Array) -> Array:
+        spin = 2e-5 * (state[0, ROTOR] * vehicle.rotor_spin) @ vehicle.rotor_axis
+        return rotation(state)[0] @ (vehicle.inertia @ state[0, RATE] + spin)
+
+    start, command = momentum(state), np.array([[2000.0, 800.0, 1500.0, 300.0]])
+    for _ in range(200):
+        state = plant.step(state, command, 0.0005)
+    np.testing.assert_allclose(momentum(state), start, rtol=0.0, atol=1e-9 * np.linalg.norm(start) + 1e-10)
+    assert abs(state[0, RATE][2] - 0.5) > 1.0
+
+
+def test_rotor_that_speeds_up_turns_the_body_the_other_way() -> None:
+    """Rotor 1 turns about +z: while n' = 10000 rad/s² the body feels -J n'; pitching at q with net spin h: torque -w x h."""
+    plant, state = FullPlant(having(rotor_inertia=2e-5)), level(rotor=0.0)
+    slope = plant.derivative(state, np.array([[380.0, 0.0, 0.0, 0.0]]))[0]
+    np.testing.assert_allclose(slope[RATE], (0.0, 0.0, -2e-5 * 1e4 / 4e-3), rtol=1e-12)
+    state[0, ROTOR], state[0, RATE] = (1e-3, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+    torque = added(having(rotor_inertia=20.0), state)[1]
+    np.testing.assert_allclose(torque, (-20.0 * 1e-3, 0.0, 0.0), atol=1e-12)  # -(y x z) = -x
+
+
+def test_slung_load_swings_at_the_frequency_of_the_pair() -> None:
+    """w = sqrt(g / l (1 + M / m)): back after a period and opposite after half of it, to the square of the angle."""
+    mass, length, angle = 0.15, 0.8, 0.01
+    plant = FullPlant(having(slung=(mass, length, 0.0)))
+    speed = np.sqrt((0.75 + mass) * GRAVITY / 4 / 1.45e-6)
+    state = plant.rest(level(rotor=speed))
+    state[0, CABLE] = (np.sin(angle), 0.0, -np.cos(angle))
+    half = np.pi / np.sqrt(GRAVITY / length * (1.0 + mass / 0.75))
+    for sign in (-1.0, 1.0):
+        for _ in range(500):
+            state = plant.step(state, np.full((1, 4), speed), half / 500)
+        np.testing.assert_allclose(state[0, CABLE], (sign * np.sin(angle), 0.0, -np.cos(angle)), atol=angle**2)
+
+
+def test_slung_load_keeps_momentum_and_damping_takes_energy() -> None:
+    """Free fall of a turning pair: m v + M (v + l q') = -(m + M) g t; swing energy kept without damping, lost with it.
+
+    In the falling frame the energy is ``m M / (m + M) l² |q'|² / 2``, and damping c takes it at the rate
+    ``2 c (1 / m + 1 / M)``.
+    """
+    mass, length, span = 0.15, 0.8, 0.5
+    for damping in (0.0, 0.05):
+        plant = FullPlant(having(slung=(mass, length, damping)))
+        state = plant.rest(level(rotor=0.0))
+        state[0, CABLE_RATE] = (2.0, 1.0, 0.0)
+        before = (0.75 + mass) * state[0, VEL] + mass * length * state[0, CABLE_RATE]
+        for _ in range(500):
+            state = plant.step(state, np.zeros((1, 4)), span / 500)
+        after = (0.75 + mass) * state[0, VEL] + mass * length * state[0, CABLE_RATE]
+        np.testing.assert_allclose(after - before, (0.0, 0.0, -(0.75 + mass) * GRAVITY * span), atol=1e-8)
+        share = np.exp(-2.0 * damping * (1.0 / 0.75 + 1.0 / mass) * span)
+        assert np.sum(state[0, CABLE_RATE] ** 2) == pytest.approx(5.0 * share, rel=1e-7)
+        assert np.linalg.norm(state[0, CABLE]) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_hanging_load_weighs_down() -> None:
+    """At rest the pull is M g down: hover thrust of the pair balances, and the accelerometer still reads g."""
+    plant = FullPlant(hidden(slung_payload={"mass": 0.1, "length": 0.7, "damping": 0.02}))
+    state = plant.rest(level(rotor=np.sqrt(0.85 * GRAVITY / 4 / 1.45e-6)))
+    np.testing.assert_allclose(plant.derivative(state, state[:, ROTOR]), 0.0, atol=1e-11)
+    np.testing.assert_allclose(plant.specific_force(state)[0], (0.0, 0.0, GRAVITY), atol=1e-11)
+
+
+def test_ground_adds_a_fifteenth_at_one_radius() -> None:
+    """k = 1, hub at a height of one radius: thrust times 1 / (1 - 1/16) = 16 / 15; far away nothing."""
+    vehicle = hidden(ground_effect={"k": 1.0})
+    for height, ratio in ((ROTOR_RADIUS, 16.0 / 15.0), (2.0 * ROTOR_RADIUS, 64.0 / 63.0), (50.0, 1.0)):
+        force, _ = loads(FullPlant(vehicle), level(height=height - 0.012, rotor=HOVER))
+        assert force[2] / WEIGHT == pytest.approx(ratio, abs=1e-6)
+    strong = loads(FullPlant(hidden(ground_effect={"k": 3.0})), level(height=2.0 * ROTOR_RADIUS - 0.012, rotor=HOVER))[
+        0
+    ]
+    assert strong[2] / WEIGHT == pytest.approx(64.0 / 61.0)
+
+
+def test_ground_rights_a_tilted_vehicle_and_a_ceiling_does_not() -> None:
+    """Rolled about +x the right side is lower: nearer to the ground it is lifted, torque -x; nearer to a ceiling +x."""
+    state = level(height=0.2)
+    rotation(state)[0] = [[1.0, 0.0, 0.0], [0.0, np.cos(0.2), -np.sin(0.2)], [0.0, np.sin(0.2), np.cos(0.2)]]
+    assert added(having(ground=2.0), state)[1][0] < -1e-4
+    under = Surroundings(ceiling=0.4)
+    assert added(having(ceiling=2.0), state, under)[1][0] > 1e-4
+
+
+def test_ceiling_adds_a_fifteenth_at_one_radius_below() -> None:
+    vehicle = hidden(ceiling_effect={"k": 1.0})
+    state = level(height=3.0 - ROTOR_RADIUS - 0.012, rotor=HOVER)
+    assert loads(FullPlant(vehicle, Surroundings(ceiling=3.0)), state)[0][2] / WEIGHT == pytest.approx(16.0 / 15.0)
+    with pytest.raises(ValueError, match="ceiling_effect: needs a ceiling"):
+        FullPlant(vehicle)
+
+
+def test_wind_grows_with_a_power_of_the_height() -> None:
+    """Drag of air at rest relative to the vehicle: force d w (z / 10)^a; at 20 m, a = 0.5, times sqrt(2)."""
+    vehicle = replace(
+        hidden(wind_shear={"x": 3.0, "y": -1.0, "z_ref": 10.0, "exponent": 0.5}), linear_drag=np.full(3, 0.2)
+    )
+    for height, factor in ((10.0, 1.0), (20.0, np.sqrt(2.0)), (2.5, 0.5)):
+        force, _ = added(vehicle, level(height=height))
+        np.testing.assert_allclose(force, np.array([0.6, -0.2, 0.0]) * factor, atol=1e-12)
+
+
+def test_gusts_have_their_spread_and_memory() -> None:
+    """Variance and correlation exp(-t / T) of 1000 correlation times, three axes, within five standard errors."""
+    series = gusts(1.5, 0.5, 200_000, 400.0, np.random.default_rng(0))
+    error = np.sqrt(2.0 / 3000.0)
+    assert series.var() == pytest.approx(2.25, rel=5.0 * error)
+    for lag, expected in ((200, np.exp(-1.0)), (100, np.exp(-0.5)), (1200, np.exp(-6.0))):
+        found = (series[lag:] * series[:-lag]).mean() / series.var()
+        assert found == pytest.approx(expected, abs=5.0 * error)
+    assert abs(series.mean()) < 5.0 * 1.5 * error
+
+
+def test_gusts_push_through_drag() -> None:
+    """A gust of 2 m/s along world x on a vehicle at rest: force d 2 along x; the next sample has its own."""
+    series = np.array([[[2.0, 0.0, 0.0]], [[0.0, -1.0, 0.0]]])
+    plant = FullPlant(replace(BARE, linear_drag=np.full(3, 0.2)), Surroundings(gust=series))
+    still = loads(Plant(BARE), level())[0]
+    np.testing.assert_allclose(loads(plant, level())[0] - still, (0.4, 0.0, 0.0), atol=1e-12)
+    plant.begin(1, np.array([16.0]))
+    np.testing.assert_allclose(loads(plant, level())[0] - still, (0.0, -0.2, 0.0), atol=1e-12)
+
+
+def test_downwash_is_a_bell_below_the_other_vehicle() -> None:
+    """Force straight below, its exp(-1/2) at one sigma to the side, none above the other vehicle."""
+    vehicle = hidden(downwash={"force": 0.5, "sigma": 0.3})
+    for other, force in (((0.0, 0.0, 7.0), 0.5), ((0.18, -0.24, 9.0), 0.5 * np.exp(-0.5)), ((0.0, 0.0, 4.0), 0.0)):
+        around = Surroundings(other=np.array([[other]]))
+        np.testing.assert_allclose(added(vehicle, level(), around)[0], (0.0, 0.0, -force), atol=1e-12)
+    with pytest.raises(ValueError, match="downwash: needs another vehicle"):
+        FullPlant(vehicle)
+
+
+def test_another_vehicle_stays_above() -> None:
+    case_flights = features_of(["downwash"], ())
+    assert case_flights == ("battery", "other")
+    reference = plan_all(flights_of(2, 0), seed=3, duration_s=3.0)
+    for flight in (0, 1):
+        path = companion(reference, flight, CONTROL_RATE, np.random.default_rng(1))
+        assert np.all(path[:, 2] > reference.position[:, flight, 2] + 0.9)
+    assert np.ptp(path[:, :2], axis=0).max() == 0.0  # the second one hovers
+
+
+def _read(vehicle: Vehicle, state: Array) -> object:
+    sensors = Sensors(NOISELESS, NO_BIAS, [np.random.default_rng(0)], 1, extra=vehicle.extra)
+    return sensors.sample(0, make_plant(vehicle), state)
+
+
+def test_turned_imu_sees_gravity_from_the_other_side() -> None:
+    """Hover, IMU rolled by +a: acc = g (0, sin a, cos a); pitched: g (-sin a, 0, cos a); yawed, a roll rate p reads
+    p (cos a, -sin a, 0). Attitude is not of the IMU and stays."""
+    state, a = level(rotor=HOVER), 0.1
+    rolled = _read(hidden(imu_misalignment={"roll": a}), state)
+    np.testing.assert_allclose(rolled.acc[0], GRAVITY * np.array([0.0, np.sin(a), np.cos(a)]), atol=1e-12)
+    pitched = _read(hidden(imu_misalignment={"pitch": a}), state)
+    np.testing.assert_allclose(pitched.acc[0], GRAVITY * np.array([-np.sin(a), 0.0, np.cos(a)]), atol=1e-12)
+    state[:, RATE] = (2.0, 0.0, 0.0)
+    yawed = _read(hidden(imu_misalignment={"yaw": a}), state)
+    np.testing.assert_allclose(yawed.rate[0], 2.0 * np.array([np.cos(a), -np.sin(a), 0.0]), atol=1e-12)
+    np.testing.assert_array_equal(yawed.rotation, rotation(state))
+
+
+def test_biases_and_rotor_scale_are_in_the_readings_only() -> None:
+    bias = {"ax": 0.1, "ay": -0.2, "az": 0.3, "gx": 0.01, "gy": -0.02, "gz": 0.03}
+    read = _read(hidden(imu_bias=bias, rotor_speed_scale={"scale": 1.05}), level(rotor=HOVER))
+    np.testing.assert_allclose(read.acc[0], (0.1, -0.2, GRAVITY + 0.3), atol=1e-12)
+    np.testing.assert_allclose(read.rate[0], (0.01, -0.02, 0.03), atol=1e-15)
+    np.testing.assert_allclose(read.rotor[0], 1.05 * HOVER, rtol=1e-12)
+
+
+def test_unknown_periodic_force() -> None:
+    """F sin(2 pi f t) along body x: after half a period v = F / (m pi f), after a whole one none."""
+    plant, state, half = FullPlant(hidden(unknown_periodic={"force": 0.3, "freq": 7.0})), level(rotor=0.0), 0.5 / 7.0
+    for expected in (0.3 / (0.75 * np.pi * 7.0), 0.0):
+        for _ in range(50):
+            state = plant.step(state, np.zeros((1, 4)), half / 50)
+        np.testing.assert_allclose(state[0, 3:5], (expected, 0.0), atol=1e-7)
+
+
+def test_unknown_attraction_is_largest_at_its_radius_and_has_a_potential() -> None:
+    """Force F towards the centre at one radius; |v|² / 2 m - F r exp((1 - d²) / 2) + m g z is constant."""
+    vehicle = hidden(unknown_position={"x": 1.0, "z": 5.0, "force": 0.4, "radius": 1.0})
+    np.testing.assert_allclose(added(vehicle, level())[0], (0.4, 0.0, 0.0), atol=1e-12)
+    plant, state = FullPlant(vehicle), level(rotor=0.0)
+
+    def energy(state: Array) -> float:
+        apart = state[0, POS] - (1.0, 0.0, 5.0)
+        kinetic = 0.375 * state[0, VEL] @ state[0, VEL]
+        return float(kinetic - 0.4 * np.exp(0.5 - 0.5 * apart @ apart) + WEIGHT * state[0, 2])
+
+    start = energy(state)
+    for _ in range(200):
+        state = plant.step(state, np.zeros((1, 4)), 0.005)
+    assert energy(state) == pytest.approx(start, abs=1e-7)
+
+
+def test_unknown_fading_and_heading() -> None:
+    """Thrust loses (1 - 1/e) of the loss in one time constant; the side force is largest at its heading, none opposite."""
+    plant, state = FullPlant(hidden(unknown_time={"loss": 0.2, "time": 8.0})), level(rotor=HOVER)
+    plant.begin(round(8.0 * CONTROL_RATE), np.array([16.0]))
+    assert loads(plant, state)[0][2] / WEIGHT == pytest.approx(1.0 - 0.2 * (1.0 - np.exp(-1.0)))
+    vehicle = hidden(unknown_heading={"force": 0.3, "heading": 0.5})
+    for yaw, force in ((0.5, 0.3), (0.5 + np.pi / 3, 0.15), (0.5 + np.pi, 0.0)):
+        state = rest_state(BARE, np.zeros((1, 3)), np.array([yaw]))
+        np.testing.assert_allclose(added(vehicle, state)[0], (0.0, force, 0.0), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", [*list(EFFECTS)[6:], *UNKNOWN])
+def test_draws_are_what_their_parameters_say(name: str) -> None:
+    """Every size of every seed has all parameters, gives a valid vehicle, and differs from the declared one."""
+    effect = {**EFFECTS, **UNKNOWN}[name]
+    assert set(effect.needs) <= set(FEATURES)
+    for size in SIZES:
+        for seed in range(5):
+            params = resolve({name: size}, declared=DECLARED, seed=seed)
+            assert set(params[name]) == set(effect.params)
+            assert vehicle_document(split(DECLARED, params)[1]) != vehicle_document(DECLARED)
+    values = [resolve({name: "moderate"}, declared=DECLARED, seed=seed)[name] for seed in range(4)]
+    assert any(value != values[0] for value in values)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        ("h_force_flapping", "axial_inflow", "translational_lift", "gusts"),
+        ("battery_sag", "actuation_delay", "rotor_inertia", "motor_tilt", "weak_motor"),
+        ("slung_payload", "inertia_error", "torque_ratio", "wind_shear"),
+        ("ground_effect", "ceiling_effect", "downwash", "payload_mass"),
+        ("imu_bias", "imu_misalignment", "rotor_speed_scale", "motor_asymmetry"),
+        tuple(UNKNOWN),
+    ],
+)
+def test_flights_follow_their_reference_with_several_effects(effects: tuple[str, ...]) -> None:
+    """The autopilot holds on to its reference within 0.25 m with four or more moderate effects at once."""
+    case = fly_case(effects=dict.fromkeys(effects, "moderate"), seed=5, num_train=2, num_test=0, duration_s=1.5)
+    first = round(2.0 * CONTROL_RATE)
+    for flight in summarise(case.record, case.reference, declared=case.declared, first=first):
+        assert flight.rms_position_error < 0.25
+        assert flight.top_tilt < np.deg2rad(60.0)
+        assert flight.saturated_share < 0.01
+
+
+def test_nuisance_leaves_stated_values_alone() -> None:
+    """Mass, inertia, lag and biases keep what the hidden effect says."""
+    names = ("payload_mass", "inertia_error", "motor_asymmetry", "imu_bias")
+    vehicle, bias = disturb(DECLARED, Nuisance(), hidden=names, seed=1)
+    assert vehicle.mass == DECLARED.mass
+    np.testing.assert_array_equal(vehicle.inertia, DECLARED.inertia)
+    assert vehicle.tau_down == DECLARED.tau_down
+    np.testing.assert_array_equal((bias.acc, bias.gyro), 0.0)
+
+
+def test_flights_have_the_features_they_need(tmp_path: Path) -> None:
+    """Near the ground and below the ceiling in turn, columns of the other vehicle and the ceiling, a radius, a battery."""
+    short = {"seed": 2, "num_train": 4, "num_test": 0, "duration_s": 1.0}
+    files = make_case(tmp_path / "all", effects={}, features=FEATURES, **short)
+    tables = [np.genfromtxt(path, delimiter=",", names=True) for path in files.train]
+    assert tables[0].dtype.names[-5:] == ("vbat", "other_p_x", "other_p_y", "other_p_z", "ceiling_z")
+    heights = [table["p_z"] for table in tables]
+    assert 0.05 < heights[2].min() < 0.6
+    assert 13.3 < heights[3].max() < 13.95
+    for table in tables:
+        assert np.all(table["other_p_z"] > table["p_z"])
+        assert np.ptp(table["vbat"]) > 0.05
+    assert yaml.safe_load(files.robot.read_text())["rotor"]["radius"] == ROTOR_RADIUS
+    plain = make_case(tmp_path / "plain", effects={"rotor_drag": "small"}, **{**short, "num_train": 1})
+    assert np.genfromtxt(plain.train[0], delimiter=",", names=True)["vbat"].std() == 0.0
+    assert "radius" not in yaml.safe_load(plain.robot.read_text())["rotor"]
+    assert "features" not in plain.truth.read_text()
+
+
+def test_shear_flights_have_heights_that_differ() -> None:
+    heights = [f.lowest for f in flights_of(4, 3, features_of(["wind_shear"], ()))]
+    assert max(heights[:4]) / min(heights[:4]) > 10.0
+    assert max(heights[4:]) / min(heights[4:]) > 10.0
+
+
+@pytest.mark.parametrize(
+    ("effects", "features", "message"),
+    [
+        ({"weak_motor": {"motor": 5, "scale": 0.9}}, (), "motor = 5.0: must be a whole number from 1 to 4"),
+        ({"actuation_delay": {"delay": 0.0101}}, (), "delay = 0.0101: must be a multiple of 0.0005 s"),
+        ({}, ("lowest",), r"no feature \['lowest'\]. Known: battery"),
+    ],
+)
+def test_wrong_requests_are_refused(effects: dict, features: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_case(tmp_path, effects=effects, seed=0, features=features)
+
+
+def test_a_flight_into_the_ground_is_refused(tmp_path: Path) -> None:
+    """A load that the rotors cannot carry near the ground: said by the name of the flight."""
+    with pytest.raises(ValueError, match="train_1: came within"):
+        make_case(tmp_path, effects={"payload_mass": {"dm": 3.0}}, seed=0, num_train=1, num_test=0, duration_s=1.0)
