@@ -2,7 +2,7 @@
 PYTHON ?= python3.11
 BIN := .venv/bin
 
-.PHONY: setup demo test test-slow lint format clean
+.PHONY: setup demo test test-slow undeclared lint format clean
 setup: .venv/ready
 
 .venv/ready: pyproject.toml constraints.txt
@@ -18,6 +18,16 @@ test: setup
 
 test-slow: setup
 	$(BIN)/python -m pytest -m slow
+
+# Hours: every effect, size and seed that the truth plant can hide. Interrupt and start again at will; SEEDS, JOBS and ARGS
+# (such as --nuisance or --write docs/results/undeclared.md) may be given.
+SEEDS ?= 301 302 303
+JOBS ?= $(shell nproc)
+PAIRS := com_offset+constant_wind thrust_coefficient+motor_time_constant weak_motor+rotor_drag payload_mass+actuation_delay \
+	ground_effect+battery_sag imu_bias+quadratic_drag
+undeclared: setup
+	$(BIN)/python -m benchmarks.score_undeclared --effects all --sizes small moderate large --unknown --pairs $(PAIRS) \
+		--seeds $(SEEDS) --jobs $(JOBS) --out out/undeclared $(ARGS)
 
 lint: setup
 	$(BIN)/ruff check .

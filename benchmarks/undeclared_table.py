@@ -1,0 +1,158 @@
+"""Summaries of scored cases as markdown: names, parameters, coverage, controls and unknown causes."""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.stats import beta
+
+from benchmarks.undeclared import UNKNOWN
+
+Row = dict
+JUDGEMENTS = ("right", "near", "wrong", "missed", "error")
+
+
+def clopper_pearson(hits: int, total: int, level: float = 0.95) -> tuple[float, float]:
+    """Return the exact interval of a probability of which ``hits`` of ``total`` draws were seen.
+
+    Source: C. Clopper, E. Pearson, "The use of confidence or fiducial limits illustrated in the case of the binomial",
+    Biometrika 1934, through quantiles of the beta distribution.
+    """
+    tail = 0.5 * (1.0 - level)
+    low = float(beta.ppf(tail, hits, total - hits + 1)) if hits else 0.0
+    high = float(beta.ppf(1.0 - tail, hits + 1, total - hits)) if hits < total else 1.0
+    return low, high
+
+
+def share(hits: int, total: int) -> str:
+    """Return ``hits of total (percentage, its 95 % interval)``."""
+    if not total:
+        return "-"
+    low, high = clopper_pearson(hits, total)
+    return f"{hits} of {total} ({100 * hits / total:.0f} %, {100 * low:.0f} to {100 * high:.0f})"
+
+
+def right_line(rows: list[Row]) -> str:
+    """Return the totals in one line."""
+    inside, total = sum(r.get("inside", 0) for r in rows), sum(r.get("intervals", 0) for r in rows)
+    right = sum(bool(r["right"]) for r in rows)
+    return f"right {right} of {len(rows)}; true value inside {inside} of {total} intervals"
+
+
+def markdown(rows: list[Row]) -> str:
+    """Return all tables that have a row."""
+    hidden = [r for r in rows if r["effects"] and not _unknown(r)]
+    parts = [
+        _names("## Names, by effect and size", hidden, lambda r: (r["hidden"], r["size"])),
+        _names("## Names, by size", hidden, lambda r: ("all", r["size"])),
+        _parameters(hidden),
+        _controls([r for r in rows if not r["effects"]]),
+        _unknown_table([r for r in rows if _unknown(r)]),
+        _time(rows),
+    ]
+    return "\n\n".join(part for part in parts if part)
+
+
+def _unknown(row: Row) -> bool:
+    return any(name in UNKNOWN for name in row["effects"])
+
+
+def _groups(rows: list[Row], key: Callable[[Row], tuple[str, ...]]) -> dict[tuple[str, ...], list[Row]]:
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(key(row), []).append(row)
+    return groups
+
+
+def _judged(row: Row) -> str:
+    return "error" if "error" in row else row["judgement"]
+
+
+def _names(title: str, rows: list[Row], key: Callable[[Row], tuple[str, ...]]) -> str:
+    """Near: only the hidden effects and what the package lists as confused with them; missed: nothing named."""
+    if not rows:
+        return ""
+    lines = [title, "", "| hidden | size | cases | right | near | wrong | missed | error | named instead |"]
+    lines.append("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    for (name, size), group in _groups(rows, key).items():
+        counts = " | ".join(str(sum(_judged(r) == judgement for r in group)) for judgement in JUDGEMENTS)
+        others = sorted({"+".join(r["named"]) for r in group if _judged(r) != "right" and r["named"]})
+        lines.append(f"| {name} | {size} | {len(group)} | {counts} | {', '.join(others) or '-'} |")
+    return "\n".join(lines)
+
+
+def _parameters(rows: list[Row]) -> str:
+    """Return errors and coverage of the parameters of effects that were named, whatever else was."""
+    found = [(r["size"], p) for r in rows for p in r.get("parameters", [])]
+    if not found:
+        return ""
+    lines = [
+        "## Parameters of the effects that were named",
+        "",
+        "Error: median and largest of |estimate - truth|, in units of the parameter. Coverage: truth inside the 95 % interval, "
+        "with the 95 % Clopper-Pearson interval of that share.",
+        "",
+        "| effect | parameter | number | median error | largest error | median relative error | coverage |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    groups: dict[tuple[str, str], list[dict]] = {}
+    for _, p in found:
+        groups.setdefault((p["effect"], p["name"]), []).append(p)
+    for (effect, name), group in groups.items():
+        error = np.array([abs(p["value"] - p["true"]) for p in group])
+        true = np.array([abs(p["true"]) for p in group])
+        relative = np.median(error[true > 0.0] / true[true > 0.0]) if np.any(true > 0.0) else np.nan
+        cover = share(sum(_inside(p) for p in group), len(group))
+        lines.append(
+            f"| {effect} | {name} | {len(group)} | {np.median(error):.3g} | {error.max():.3g} | {relative:.2%} | {cover} |"
+        )
+    everything = share(sum(_inside(p) for _, p in found), len(found))
+    lines.append(f"| all | all | {len(found)} | - | - | - | {everything} |")
+    return "\n".join(lines)
+
+
+def _inside(parameter: dict) -> bool:
+    return abs(parameter["value"] - parameter["true"]) < 1.96 * parameter["std"]
+
+
+def _controls(rows: list[Row]) -> str:
+    if not rows:
+        return ""
+    lines = [
+        "## False alarms, nothing hidden",
+        "",
+        "| flights | cases | false alarms | named |",
+        "| --- | --- | --- | --- |",
+    ]
+    for (flights,), group in _groups(rows, lambda r: (" ".join(r["features"]) or "plain",)).items():
+        alarms = [r for r in group if _judged(r) == "false alarm"]
+        named = ", ".join(sorted({"+".join(r["named"]) for r in alarms})) or "-"
+        lines.append(f"| {flights} | {len(group)} | {share(len(alarms), len(group))} | {named} |")
+    return "\n".join(lines)
+
+
+def _unknown_table(rows: list[Row]) -> str:
+    if not rows:
+        return ""
+    lines = ["## Causes outside the package", ""]
+    lines += ["| cause | size | cases | given a name of the package | which | verdicts | structure |"]
+    lines += ["| --- | --- | --- | --- | --- | --- | --- |"]
+    for (name, size), group in _groups(rows, lambda r: (r["hidden"], r["size"])).items():
+        given = [r for r in group if _judged(r) == "given a name"]
+        which = ", ".join(sorted({"+".join(r["named"]) for r in given})) or "-"
+        verdicts = ", ".join(sorted({r["verdict"] for r in group}))
+        kinds = ", ".join(sorted({str((r.get("structure") or {}).get("kind", "-")) for r in group}))
+        lines.append(
+            f"| {name} | {size} | {len(group)} | {share(len(given), len(group))} | {which} | {verdicts} | {kinds} |"
+        )
+    return "\n".join(lines)
+
+
+def _time(rows: list[Row]) -> str:
+    timed = [r for r in rows if "loop_s" in r]
+    if not timed:
+        return ""
+    fly, loop = (np.array([r[key] for r in timed]) for key in ("fly_s", "loop_s"))
+    return (
+        f"Time of a case: {np.median(fly):.0f} s to fly (at most {fly.max():.0f}), {np.median(loop):.0f} s in the loop "
+        f"(at most {loop.max():.0f})."
+    )
