@@ -480,10 +480,13 @@ def test_draws_are_what_their_parameters_say(name: str) -> None:
     effect = {**EFFECTS, **UNKNOWN}[name]
     assert set(effect.needs) <= set(FEATURES)
     for size in SIZES:
-        for seed in range(5):
+        for seed in range(20):
             params = resolve({name: size}, declared=DECLARED, seed=seed)
             assert set(params[name]) == set(effect.params)
-            assert vehicle_document(split(DECLARED, params)[1]) != vehicle_document(DECLARED)
+            vehicle = split(DECLARED, params)[1]
+            assert vehicle_document(vehicle) != vehicle_document(DECLARED)
+            moments = np.linalg.eigvalsh(vehicle.inertia)
+            assert moments[2] < moments[0] + moments[1]  # of a body
     values = [resolve({name: "moderate"}, declared=DECLARED, seed=seed)[name] for seed in range(4)]
     assert any(value != values[0] for value in values)
 
