@@ -117,15 +117,14 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None) -> F
         _integrate_attitude(values, time, layout, str(path), notes)
     _require(values, layout, list(table.columns), str(path))
     battery = values.pop("battery", None)
-    command = layout.rotor_command
+    command, companion = layout.rotor_command, _companion(Path(path), layout, time, notes)
     return FlightLog(
         path=str(path),
         time=time,
         battery=None if battery is None else battery[:, 0],
         collective=command is not None and command.repeat > 1,
-        other_position=_companion(Path(path), layout, time, notes),
         notes=tuple(notes),
-        **_to_package_frames(values, layout),
+        **{"other_position": companion, **_to_package_frames(values, layout)},
     )
 
 
@@ -323,7 +322,10 @@ def _mapping_hint(known: list[str]) -> str:
     for name in mapping_names():
         layout = find_mapping(name)
         wanted = {
-            column for quantity in layout.quantities().values() for column in quantity.columns if "{n}" not in column
+            column
+            for key, quantity in layout.quantities().items()
+            for column in quantity.columns
+            if "{n}" not in column and key != "battery"
         }
         if name != "aerial_gym" and wanted <= set(known):
             fits[name] = len(wanted)
@@ -339,7 +341,7 @@ def _to_package_frames(values: dict[str, Array], layout: LogMapping) -> dict[str
     if layout.attitude_direction == "world_to_body":
         result["attitude"] = result["attitude"] * (-1.0, -1.0, -1.0, 1.0)
     if layout.world_frame == "ned":
-        for name in ("position", "lin_vel"):
+        for name in ("position", "lin_vel", "other_position"):
             if name in result:
                 result[name] = result[name][:, [1, 0, 2]] * (1.0, 1.0, -1.0)
         x, y, z, w = result["attitude"].T  # q_ned_to_enu q with q_ned_to_enu = (1, 1, 0, 0) / sqrt(2), xyzw

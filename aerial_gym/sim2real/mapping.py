@@ -121,9 +121,12 @@ class LogMapping:
     battery: ColumnsCfg | None = None
     """Battery voltage [V]."""
 
+    other_position: ColumnsCfg | None = None
+    """Position of another vehicle that flies near [m], world."""
+
     companion: Mapping[str, str] = field(default_factory=dict)
     """Text in the name of a file, and what stands in its place in that of another vehicle flown at the same time on the same
-    clock: its position becomes the companion's."""
+    clock: its position becomes ``other_position``."""
 
     lacks: str = ""
     """What these logs do not have and what follows, one sentence: it stands in the notes and in the message of a refusal."""
@@ -159,7 +162,7 @@ class LogMapping:
         return {name: value for name, value in values.items() if isinstance(value, ColumnsCfg)}
 
 
-VECTORS = ("position", "lin_vel", "ang_vel", "specific_force")
+VECTORS = ("position", "lin_vel", "ang_vel", "specific_force", "other_position")
 
 
 def mapping_names() -> tuple[str, ...]:

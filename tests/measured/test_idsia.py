@@ -13,15 +13,20 @@ DATA = Path(__file__).parents[2].parent / "shared" / "data" / "idsia_nanodrone"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights are not on this machine: {DATA}")
 
 
-def test_the_loop_names_rotor_drag_first_and_takes_three_quarters_off_the_lateral_residual(tmp_path: Path) -> None:
-    """Train on square, random and multisine flights; judged on the two melon flights, which no fit has seen."""
-    train = sorted(path for pattern in ("square_*", "random*", "multisine_*") for path in DATA.glob(pattern))
+HOVER_SUM = 4 * 1695.0
+"""Sum of the four rotor speeds in hover [rad/s]: 0.045 kg on the declared thrust map."""
+
+
+def test_the_loop_names_flapping_first_and_takes_most_off_the_residuals(tmp_path: Path) -> None:
+    """Train on every other square, random and multisine flight; judged on the two melon flights, which no fit has seen."""
+    train = sorted(path for pattern in ("square_*", "random*", "multisine_*") for path in DATA.glob(pattern))[::2]
     test = sorted(DATA.glob("melon_*"))
-    assert (len(train), len(test)) == (12, 2)
+    assert (len(train), len(test)) == (6, 2)
     out = tmp_path / "out"
     close_loop("crazyflie_21_brushless", train, test, out, mapping="idsia_nanodrone")
     verdict = json.loads((out / "verdict.json").read_text())
-    assert verdict["effects"][0]["name"] == "rotor_drag"
+    named = {effect["name"]: effect["params"] for effect in verdict["effects"]}
+    assert verdict["effects"][0]["name"] == "h_force_flapping"
     before, after = verdict["before"]["specific_force"], verdict["after"]["specific_force"]
     assert before["x"]["rms"] == pytest.approx(0.48, abs=0.02)
     assert before["y"]["rms"] == pytest.approx(0.39, abs=0.02)
@@ -32,10 +37,14 @@ def test_the_loop_names_rotor_drag_first_and_takes_three_quarters_off_the_latera
         assert error["after"]["rms"] < error["before"]["rms"]
         low, high = error["after"]["interval"]
         assert low < error["after"]["rms"] < high
-    # The drag that other people found on other flights (drone-models, 0.0215 N s/m) lies in the interval.
+    # The moment that grows with speed: measured_data.md 3.2 takes 61 and 65 % off before any gain is fitted.
+    for axis in "xy":
+        turn = {when: verdict[when]["angular_acceleration"][axis]["rms"] for when in ("before", "after")}
+        assert turn["after"] < 0.45 * turn["before"]
+    # Other people found 0.0215 N s/m on other flights (drone-models); here it is shared by the rotors and the body.
+    body = named.get("rotor_drag", {"dx": 0.0, "dy": 0.0})
     for axis in ("dx", "dy"):
-        low, high = verdict["effects"][0]["interval"][axis]
-        assert low < 0.0215 < high
+        assert named["h_force_flapping"]["kh"] * HOVER_SUM + body[axis] == pytest.approx(0.0215, rel=0.15)
     for name in ("report.html", "report.md", "residuals.csv"):
         assert (out / name).stat().st_size > 1000
     env = SimBuilder().build_env(
@@ -47,4 +56,4 @@ def test_the_loop_names_rotor_drag_first_and_takes_three_quarters_off_the_latera
         device="cpu",
     )
     env.reset()
-    assert env.gtd["effect_rotor_drag"][0, 0] == pytest.approx(verdict["effects"][0]["params"]["dx"], rel=1e-5)
+    assert env.gtd["effect_h_force_flapping"][0, 1] == pytest.approx(named["h_force_flapping"]["kf"], rel=1e-5)

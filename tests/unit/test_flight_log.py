@@ -171,3 +171,13 @@ def test_mappings_say_what_is_wrong_with_them(tmp_path: Path) -> None:
     (tmp_path / "m.yaml").write_text("summary: x\ntimes: {columns: [t]}\n")
     with pytest.raises(ConfigError, match=r"unknown field 'times'\. Did you mean 'time'\?"):
         find_mapping(tmp_path / "m.yaml")
+
+
+def test_battery_and_another_vehicle_are_read_if_they_are_there(table: pd.DataFrame, tmp_path: Path) -> None:
+    assert read_flight_log(write(table.drop(columns="vbat", errors="ignore"), tmp_path / "a.csv")).battery is None
+    more = table.assign(vbat=16.0 - 0.01 * table["t"], other_p_x=1.0, other_p_y=2.0, other_p_z=3.0)
+    log = read_flight_log(write(more, tmp_path / "b.csv"))
+    assert log.battery is not None
+    assert log.other_position is not None
+    np.testing.assert_allclose(log.battery, more["vbat"])
+    np.testing.assert_allclose(log.other_position[-1], (1.0, 2.0, 3.0))
