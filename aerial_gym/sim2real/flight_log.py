@@ -66,6 +66,9 @@ class FlightLog:
     battery: Array | None = None
     """Voltage [V], (T,)."""
 
+    attitude_integrated: bool = False
+    """Whether the attitude is that which the gyro implies, and so no check of the gyro."""
+
     other_position: Array | None = None
     """Body origin of another vehicle flown at the same time [m], world, (T, 3); NaN where its log has a gap."""
 
@@ -113,7 +116,8 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None) -> F
             values[name] = _converted(raw, table, quantity, time, str(path)) * UNITS[quantity.unit]
     if layout.lacks:
         notes.append(layout.lacks)
-    if "attitude" not in values and layout.attitude is None:
+    integrated = "attitude" not in values and layout.attitude is None
+    if integrated:
         _integrate_attitude(values, time, layout, str(path), notes)
     _require(values, layout, list(table.columns), str(path))
     battery = values.pop("battery", None)
@@ -123,6 +127,7 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None) -> F
         time=time,
         battery=None if battery is None else battery[:, 0],
         collective=command is not None and command.repeat > 1,
+        attitude_integrated=integrated,
         notes=tuple(notes),
         **{"other_position": companion, **_to_package_frames(values, layout)},
     )

@@ -56,6 +56,9 @@ class Flight:
     ang_vel: Array
     """[rad/s], body, (T, 3)."""
 
+    attitude_integrated: bool
+    """Whether ``attitude`` is that which the gyro implies."""
+
     gyro: bool
     """Whether ``ang_vel`` was measured and the rotors' torques are known; if not, its derivative is no channel."""
 
@@ -178,6 +181,7 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = ()) -> Flight:
         attitude=log.attitude,
         lin_vel=log.lin_vel,
         ang_vel=ang_vel,
+        attitude_integrated=log.attitude_integrated,
         gyro=log.ang_vel is not None and not log.collective,
         specific_force=specific_force,
         accelerometer=log.specific_force is not None,

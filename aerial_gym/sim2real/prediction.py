@@ -115,7 +115,7 @@ def find_channels(flights: Sequence[Flight]) -> tuple[Channel, ...]:
         raise DataError("the flights have no quantity in common that can be compared; log acc or omega in all of them")
     if all(flight.accelerometer and flight.lin_vel is not None for flight in flights):
         found += [Channel(kind="kinematic_force", axis=axis) for axis in "xyz"]
-    if all(flight.gyro for flight in flights):
+    if all(flight.gyro and not flight.attitude_integrated for flight in flights):
         found += [Channel(kind="kinematic_rate", axis=axis) for axis in "xyz"]
     return tuple(found)
 

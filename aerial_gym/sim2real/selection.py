@@ -154,7 +154,7 @@ class _Selector:
             acceptance |= {trial.effect: trial for trial in chosen}
             assert chosen[0].scored is not None
             current = self.prune(chosen[0].scored, newest={trial.effect for trial in chosen})
-            current = self.linearise_tolerances(current)
+            current = self.within_bounds(self.linearise_tolerances(current))
         untestable = {t.effect: t.objections[0] for t in rounds[-1] if t.scored is None and t.glance is None}
         return Selection(
             declared=declared,
@@ -324,6 +324,15 @@ class _Selector:
                 found.append([replace(again, gain=gain), replace(both, gain=gain)])
         return max(found, key=lambda pair: pair[0].score, default=[])
 
+    def within_bounds(self, scored: Scored) -> Scored:
+        """Return the model without effects that the last fit drove into a bound; they are not tried again."""
+        for name in scored.effects:
+            ends = at_bounds(name, scored.fit, self.neutral(name), self.predictor.robot)
+            if ends:
+                self.lacking[name] = f"runs into its physical bound beside the other effects: {', '.join(ends)}"
+                return self.within_bounds(self.without(scored, name))
+        return scored
+
     def prune(self, scored: Scored, *, newest: set[str]) -> Scored:
         """Return the model without effects that the newest have made superfluous: what no longer pays, not what also harms."""
         for name in [effect for effect in scored.effects if effect not in newest]:
@@ -369,7 +378,7 @@ def at_bounds(name: str, fit: Fit, neutral: Array, robot: RobotCfg) -> list[str]
     effect, found = EFFECTS.get(name), []
     rows = zip(effect.parameters, effect.bounds(robot), fit.point.effects[name], neutral, strict=True)
     for parameter, bounds, value, start in rows:
-        near = 1e-6 * parameter.scale
+        near = 1e-3 * parameter.scale
         ends = [bound for bound in bounds if abs(value - bound) <= near]
         if parameter.kind == "number" and ends and abs(start - ends[0]) > near:
             found.append(parameter.name)
