@@ -141,6 +141,10 @@ class EnvironmentCfg:
     """Height of the ground [m], world; none in open air. Touching it is a crash, ``robot_clearance`` counts it, and every
     sensor sees it as a plane without end. It is no asset: it has no row and is never moved."""
 
+    ceiling_height: float | None = None
+    """Height of the ceiling [m], world, for effects on the rotors near it; none in open air. It is nothing to touch or see: put
+    a wall there for that."""
+
     ground_semantic_id: int = GROUND_ID
     """What segmentation shows for the ground, 0 to 99."""
 
@@ -164,6 +168,13 @@ class EnvironmentCfg:
     def __post_init__(self) -> None:
         if self.ground_height is not None:
             require_finite(self, "ground_height")
+        if self.ceiling_height is not None:
+            require_finite(self, "ceiling_height")
+            if self.ground_height is not None and self.ceiling_height <= self.ground_height:
+                raise ConfigError(
+                    f"EnvironmentCfg.ceiling_height = {self.ceiling_height!r}: "
+                    f"must be above ground_height = {self.ground_height!r}"
+                )
         if self.contact is not None and self.ground_height is None and not self.assets:
             raise ConfigError("EnvironmentCfg.contact: there is nothing to touch. Give ground_height or assets")
         require_color(self, "ground_color")

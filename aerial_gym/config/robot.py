@@ -17,6 +17,7 @@ from aerial_gym.config.shape import ROBOT_ID, PartCfg, ShapeCfg, absolute_paths
 from aerial_gym.errors import ConfigError
 
 __all__ = [
+    "BatteryCfg",
     "BodyCfg",
     "CollisionCfg",
     "InitialStateCfg",
@@ -125,6 +126,43 @@ class RotorCfg:
         c0, c1, c2 = self.thrust_map
         ratio = self.torque_ratio or 0.0
         return ratio * c0, ratio * c1, ratio * c2
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatteryCfg:
+    """What the battery gives under load; only effects that depend on it need it."""
+
+    nominal_voltage: float
+    """At which the rotors reach the commanded speeds [V], > 0."""
+
+    full_voltage: float
+    """Without load, fully charged [V], > 0. Each reset starts here."""
+
+    empty_voltage: float
+    """Without load, when ``capacity`` is drawn [V], > 0 and at most ``full_voltage``."""
+
+    internal_resistance: float
+    """Of cells, wires and plugs together [Ohm], >= 0."""
+
+    capacity: float
+    """Charge from full to empty [A s], > 0; 1 A h is 3600 A s."""
+
+    efficiency: float = 1.0
+    """Mechanical power of the rotors per electrical power of the battery, in (0, 1]."""
+
+    source: str
+    """Where the numbers come from."""
+
+    def __post_init__(self) -> None:
+        require_positive(self, "nominal_voltage", "full_voltage", "empty_voltage", "capacity", "efficiency")
+        if self.empty_voltage > self.full_voltage:
+            raise ConfigError(
+                f"BatteryCfg.empty_voltage = {self.empty_voltage!r}: must be at most full_voltage = {self.full_voltage!r}"
+            )
+        if not 0.0 <= self.internal_resistance < inf:
+            raise ConfigError(f"BatteryCfg.internal_resistance = {self.internal_resistance!r}: must be >= 0 and finite")
+        if self.efficiency > 1.0:
+            raise ConfigError(f"BatteryCfg.efficiency = {self.efficiency!r}: must be at most 1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,6 +305,9 @@ class RobotCfg:
 
     randomization: RandomizationCfg = RandomizationCfg()
     """What differs between environments."""
+
+    battery: BatteryCfg | None = None
+    """The battery; only effects that depend on it need it."""
 
     sensors: tuple[str, ...] = ()
     """Names of registered sensors on board."""

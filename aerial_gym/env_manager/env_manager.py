@@ -68,7 +68,12 @@ class EnvManager:
         law = make_controller(controller, self.robot_manager.declared, sim.gravity)
         scene = self.asset_manager.scene
         self.robot_manager.attach(
-            law, ground_height=env.ground_height, crashes=self.gtd["crashes"], contact=env.contact, scene=scene
+            law,
+            ground_height=env.ground_height,
+            ceiling_height=env.ceiling_height,
+            crashes=self.gtd["crashes"],
+            contact=env.contact,
+            scene=scene,
         )
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
         cameras = {name: SENSORS.get(name) for name in robot.sensors}

@@ -74,6 +74,10 @@ class PhysicsBackend(Protocol):
         """Forget what the backend remembers of the environments in ``mask``, bool (E,)."""
         ...
 
+    def restart(self, seed: int) -> None:
+        """Begin the random numbers of the effects anew with a seed."""
+        ...
+
     def set_model(self, model: Model) -> None:
         """Take other parameters of the same shapes: after a randomised reset."""
         ...

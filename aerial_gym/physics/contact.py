@@ -95,6 +95,7 @@ def push(
         lin_vel=state.lin_vel + delta[:, :3],
         ang_vel=state.ang_vel + quat_rotate_inverse(state.attitude, delta[:, 3:]),
         rotor_speed=state.rotor_speed,
+        load=state.load,
     )
     touches = (contacts.gap < 0.0).any(dim=1, keepdim=True)
     kept = {name: torch.where(touches, new, getattr(state, name)) for name, new in vars(after).items()}

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize, quat_rotate
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rigid_body import angular_acceleration, body_wrench, com_acceleration
+from aerial_gym.physics.rigid_body import angular_acceleration, body_wrench, com_acceleration, with_load
 from aerial_gym.physics.rotors import lag_acceleration, lag_speed
 from aerial_gym.physics.state import BodyState
 
@@ -36,13 +36,16 @@ class MassState:
     rotor_speed: Tensor
     """Rotor speeds [rad/s], (E, R)."""
 
+    load: Tensor
+    """Direction of the link on which a body hangs, and its rate [1/s], world, (E, 6); (E, 0) without one."""
+
 
 Stepper = Callable[[Model, MassState, Tensor, float], MassState]
 """``(model, state, rotor_command (E, R) [rad/s], dt [s]) -> state after dt``."""
 
 
-def to_mass_state(model: Model, state: BodyState) -> MassState:
-    """Return the motion of the centre of mass: ``p_c = p_o + R c``, ``v_c = v_o + R (w x c)``."""
+def to_mass_state(model: Model, state: BodyState, load: Tensor | None = None) -> MassState:
+    """Return the motion of the centre of mass, ``p_c = p_o + R c``, ``v_c = v_o + R (w x c)``, with that of a load (E, 6)."""
     com = model.vehicle.com
     return MassState(
         position=state.position + quat_rotate(state.attitude, com),
@@ -50,6 +53,7 @@ def to_mass_state(model: Model, state: BodyState) -> MassState:
         lin_vel=state.lin_vel + quat_rotate(state.attitude, torch.linalg.cross(state.ang_vel, com)),
         ang_vel=state.ang_vel,
         rotor_speed=state.rotor_speed,
+        load=state.position[:, :0] if load is None else load,
     )
 
 
@@ -70,10 +74,21 @@ def _rotor_speed_after(model: Model, speed: Tensor, command: Tensor, dt: float) 
     return lag_speed(speed, command, vehicle.time_constant_up, vehicle.time_constant_down, dt)
 
 
-def _derivative(model: Model, state: MassState, rotor_acc: Tensor) -> tuple[Tensor, Tensor]:
-    position, attitude, lin_vel, ang_vel, rotor_speed = vars(state).values()
-    force, torque = body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
-    return com_acceleration(model, attitude, force), angular_acceleration(model, ang_vel, torque)
+def _derivative(model: Model, state: MassState, rotor_acc: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    position, attitude, lin_vel, ang_vel, rotor_speed, load = vars(state).values()
+    motion = position, attitude, lin_vel, ang_vel
+    force, torque = body_wrench(model, *motion, rotor_speed, rotor_acc)
+    acc, ang_acc = com_acceleration(model, attitude, force), angular_acceleration(model, ang_vel, torque)
+    return with_load(model, *motion, load, acc, ang_acc)
+
+
+def _settle(load: Tensor) -> Tensor:
+    """Return direction and rate of a link with ``|n| = 1``, ``n . n' = 0``."""
+    if load.shape[1] == 0:
+        return load
+    direction = load[:, :3] / load[:, :3].norm(dim=-1, keepdim=True)
+    rate = load[:, 3:]
+    return torch.cat((direction, rate - (rate * direction).sum(-1, keepdim=True) * direction), dim=-1)
 
 
 def semi_implicit_euler(model: Model, state: MassState, rotor_command: Tensor, dt: float) -> MassState:
@@ -84,14 +99,16 @@ def semi_implicit_euler(model: Model, state: MassState, rotor_command: Tensor, d
     """
     rotor_speed = _rotor_speed_after(model, state.rotor_speed, rotor_command, dt)
     rotor_acc = (rotor_speed - state.rotor_speed) / dt  # over the step: the momentum that the rotors gain is exact
-    acc, ang_acc = _derivative(model, MassState(**{**vars(state), "rotor_speed": rotor_speed}), rotor_acc)
+    acc, ang_acc, swing = _derivative(model, MassState(**{**vars(state), "rotor_speed": rotor_speed}), rotor_acc)
     lin_vel, ang_vel = state.lin_vel + dt * acc, state.ang_vel + dt * ang_acc
+    rate = state.load[:, 3:] + dt * swing
     return MassState(
         position=state.position + dt * lin_vel,
         attitude=quat_normalize(quat_multiply(state.attitude, quat_exp(dt * ang_vel))),
         lin_vel=lin_vel,
         ang_vel=ang_vel,
         rotor_speed=rotor_speed,
+        load=_settle(torch.cat((state.load[:, :3] + dt * rate, rate), dim=-1)),
     )
 
 
@@ -107,12 +124,14 @@ def rk4(model: Model, state: MassState, rotor_command: Tensor, dt: float) -> Mas
     for speed, weight in ((state.rotor_speed, 0.5), (half, 0.5), (half, 1.0), (end, 0.0)):
         stage = MassState(**{**vars(stage), "rotor_speed": speed})
         rotor_acc = lag_acceleration(speed, rotor_command, *lag, jump, dt)
-        acc, ang_acc = _derivative(model, stage, rotor_acc)
-        slopes.append((stage.lin_vel, _attitude_rate(stage.attitude, stage.ang_vel), acc, ang_acc))
+        acc, ang_acc, swing = _derivative(model, stage, rotor_acc)
+        turning = _attitude_rate(stage.attitude, stage.ang_vel)
+        slopes.append((stage.lin_vel, turning, acc, ang_acc, torch.cat((stage.load[:, 3:], swing), dim=-1)))
         stage = _advance(state, slopes[-1], weight * dt)
     mean = [(a + 2.0 * b + 2.0 * c + d) / 6.0 for a, b, c, d in zip(*slopes, strict=True)]
     final = _advance(state, mean, dt)
-    return MassState(**{**vars(final), "attitude": quat_normalize(final.attitude), "rotor_speed": end})
+    settled = {"attitude": quat_normalize(final.attitude), "rotor_speed": end, "load": _settle(final.load)}
+    return MassState(**{**vars(final), **settled})
 
 
 def _attitude_rate(attitude: Tensor, ang_vel: Tensor) -> Tensor:
@@ -127,6 +146,7 @@ def _advance(state: MassState, slope: tuple[Tensor, ...] | list[Tensor], dt: flo
         lin_vel=state.lin_vel + dt * slope[2],
         ang_vel=state.ang_vel + dt * slope[3],
         rotor_speed=state.rotor_speed,
+        load=state.load + dt * slope[4],
     )
 
 

@@ -5,6 +5,7 @@ Frames: body is x forward, y left, z up; world is z up. Letters: E environments,
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 
 import torch
 from torch import Tensor
@@ -13,8 +14,11 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.physics.effects import (
     EFFECTS,
+    CommandEffect,
+    DelayEffect,
     Effect,
     ImuEffect,
+    LoadEffect,
     RotorEffect,
     RotorSensorEffect,
     VehicleEffect,
@@ -49,6 +53,15 @@ class Model:
     wrenches: tuple[tuple[WrenchEffect, Tensor], ...]
     """Effects that push and turn the body."""
 
+    commands: tuple[tuple[CommandEffect, Tensor], ...]
+    """Effects between commands and the speeds to which they lead the rotors."""
+
+    delays: tuple[tuple[DelayEffect, Tensor], ...]
+    """The effect by which commands act late; one at most."""
+
+    loads: tuple[tuple[LoadEffect, Tensor], ...]
+    """The body that hangs on the vehicle; one at most."""
+
     imu: tuple[tuple[ImuEffect, Tensor], ...]
     """Errors of the inertial sensors, in the order in which they act."""
 
@@ -58,13 +71,29 @@ class Model:
     gravity: float
     """Downward acceleration of free fall [m/s²]."""
 
-    ground_height: float = 0.0
+    ground_height: float
     """Height of the ground [m], world, for effects near it."""
+
+    ceiling_height: float | None
+    """Height of the ceiling [m], world, for effects near it."""
+
+    other_position: Tensor
+    """Another vehicle, whose wake streams down [m], world, (E, 3)."""
 
     @property
     def forces(self) -> tuple[EffectParams, ...]:
-        """Effects that act in every step: winds, rotors, wrenches."""
-        return (*self.winds, *self.rotors, *self.wrenches)
+        """Effects that act in every step: winds, rotors, wrenches, commands, delays, loads."""
+        return (*self.winds, *self.rotors, *self.wrenches, *self.commands, *self.delays, *self.loads)
+
+    @property
+    def remembering(self) -> tuple[str, ...]:
+        """Names of the effects with memory of their own."""
+        return tuple(effect.name for effect, _ in self.forces if effect.remembers)
+
+    @property
+    def longest_delay(self) -> float:
+        """Span of which commands must be remembered [s]."""
+        return max((effect.longest for effect, _ in self.delays), default=0.0)
 
 
 def build_model(
@@ -73,12 +102,28 @@ def build_model(
     *,
     gravity: float = STANDARD_GRAVITY,
     ground_height: float = 0.0,
+    ceiling_height: float | None = None,
+    other_position: Tensor | None = None,
 ) -> Model:
     """Return the model of a declared vehicle with effects added; differentiable in vehicle and parameters.
 
+    Args:
+        vehicle: As declared.
+        effects: With their parameters (E, P).
+        gravity: Downward acceleration of free fall [m/s²].
+        ground_height: Height of the ground [m], world.
+        ceiling_height: Height of the ceiling [m], world; None where there is none.
+        other_position: Another vehicle, whose wake streams down [m], world, (E, 3); if not given, infinitely high over the
+            origin.
+
     Raises:
         ShapeError: If the parameters of an effect are not (E, P).
+        ConfigError: If an effect lacks something of the scene, or if two want what only one can have.
     """
+    _check_scene(effects, ceiling_height)
+    if other_position is None:
+        above = torch.tensor((0.0, 0.0, inf), dtype=vehicle.mass.dtype, device=vehicle.mass.device)
+        other_position = share_row(above, vehicle.num_envs)
     for effect, params in effects:
         expected = (vehicle.num_envs, len(effect.parameters))
         if tuple(params.shape) != expected:
@@ -91,11 +136,28 @@ def build_model(
         winds=tuple((effect, params) for effect, params in effects if isinstance(effect, WindEffect)),
         rotors=tuple((effect, params) for effect, params in effects if isinstance(effect, RotorEffect)),
         wrenches=tuple((effect, params) for effect, params in effects if isinstance(effect, WrenchEffect)),
+        commands=tuple((effect, params) for effect, params in effects if isinstance(effect, CommandEffect)),
+        delays=tuple((effect, params) for effect, params in effects if isinstance(effect, DelayEffect)),
+        loads=tuple((effect, params) for effect, params in effects if isinstance(effect, LoadEffect)),
         imu=tuple((effect, params) for effect, params in effects if isinstance(effect, ImuEffect)),
         rotor_sensors=tuple((effect, params) for effect, params in effects if isinstance(effect, RotorSensorEffect)),
         gravity=gravity,
         ground_height=ground_height,
+        ceiling_height=ceiling_height,
+        other_position=other_position,
     )
+
+
+def _check_scene(effects: Sequence[EffectParams], ceiling_height: float | None) -> None:
+    for effect, _ in effects:
+        if "ceiling_height" in effect.needs and ceiling_height is None:
+            raise ConfigError(
+                f"effect {effect.name}: there is no ceiling. Give ceiling_height [m] in the environment file"
+            )
+    for kind, what in ((LoadEffect, "load"), (DelayEffect, "delay")):
+        names = [effect.name for effect, _ in effects if isinstance(effect, kind)]
+        if len(names) > 1:
+            raise ConfigError(f"effects {names[0]} and {names[1]}: a vehicle has one {what} at most. Drop one of them")
 
 
 def _inverse(inertia: Tensor) -> Tensor:

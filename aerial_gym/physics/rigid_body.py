@@ -5,12 +5,14 @@ Letters: E environments, R rotors. Subscripts: o body origin, c centre of mass.
 """
 
 from dataclasses import dataclass, replace
+from math import nan
 
 import torch
 from torch import Tensor
 
-from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
-from aerial_gym.physics.effects import Condition
+from aerial_gym.errors import CapabilityError
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse, quat_to_matrix
+from aerial_gym.physics.effects import Condition, Suspension
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import evaluate_map, rotor_wrench
 from aerial_gym.physics.state import BodyState
@@ -64,6 +66,8 @@ def body_wrench(
         rotor_thrust=thrust,
         rotor_acc=rotor_acc,
         ground_height=model.ground_height,
+        ceiling_height=nan if model.ceiling_height is None else model.ceiling_height,
+        other_position=model.other_position,
         vehicle=vehicle,
     )
     more = [effect.thrust(condition, params) for effect, params in model.rotors]
@@ -88,6 +92,61 @@ def com_acceleration(model: Model, attitude: Tensor, force: Tensor) -> Tensor:
     return torch.stack((ax, ay, az - model.gravity), dim=-1)
 
 
+def with_load(
+    model: Model,
+    position: Tensor,
+    attitude: Tensor,
+    com_vel: Tensor,
+    ang_vel: Tensor,
+    load: Tensor,
+    acc: Tensor,
+    ang_acc: Tensor,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return accelerations of the vehicle with the load that hangs on it, and n'' of the load [1/s²], each (E, 3).
+
+    Args:
+        model: Vehicle and effects; without a load the accelerations come back, and an empty n'' (E, 0).
+        position: Centre of mass [m], world, (E, 3).
+        attitude: Body to world, xyzw, (E, 4).
+        com_vel: Velocity of the centre of mass [m/s], world, (E, 3).
+        ang_vel: Angular velocity [rad/s], body, (E, 3).
+        load: Direction n of the link and its rate n' [1/s], world, (E, 6).
+        acc: Acceleration of the centre of mass without the load [m/s²], world, (E, 3).
+        ang_acc: Angular acceleration without it [rad/s²], body, (E, 3).
+
+    Source:
+        Derived: a force F at the origin o, at r = -c from the centre of mass, gives ``a_o = a + (1/m - [r] J^-1 [r]) F``.
+    """
+    swing = load[:, :0]
+    for effect, params in model.loads:
+        lever = -model.vehicle.com
+        cross = _skew(lever)
+        rotation = quat_to_matrix(attitude)
+        turning = torch.linalg.cross(ang_acc, lever)
+        turning = turning + torch.linalg.cross(ang_vel, torch.linalg.cross(ang_vel, lever))
+        mobility = -cross @ model.inertia_inverse @ cross
+        mobility = mobility + torch.eye(3, dtype=cross.dtype, device=cross.device) / model.vehicle.mass[:, None, None]
+        air = air_velocity(model, position, attitude, com_vel) + torch.linalg.cross(ang_vel, lever)
+        suspension = Suspension(
+            acceleration=acc + quat_rotate(attitude, turning),
+            air_velocity=quat_rotate(attitude, air),
+            mobility=rotation @ mobility @ rotation.mT,
+            gravity=model.gravity,
+        )
+        force, swing = effect.pull(suspension, load, params)
+        acc = acc + force / model.vehicle.mass.unsqueeze(-1)
+        torque = torch.linalg.cross(lever, quat_rotate_inverse(attitude, force))
+        ang_acc = ang_acc + multiply_rows(model.inertia_inverse, torque)
+    return acc, ang_acc, swing
+
+
+def _skew(vector: Tensor) -> Tensor:
+    """Return the matrices of ``v x``, (E, 3, 3)."""
+    x, y, z = vector.unbind(-1)
+    zero = torch.zeros_like(x)
+    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).unflatten(-1, (3, 3))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Accelerations:
     """What inertial sensors at the body origin measure, without their errors."""
@@ -106,9 +165,17 @@ def accelerations(model: Model, state: BodyState, rotor_acc: Tensor | None = Non
 
     ``f_o = F / m - alpha x c - w x (w x c)`` with c from the origin to the centre of mass.
 
+    Raises:
+        CapabilityError: If an effect has memory: a state alone does not say what it does.
+
     Source:
         Derived: acceleration of two points of a rigid body, ``a_c = a_o + alpha x c + w x (w x c)``.
     """
+    for effect, _ in (*model.winds, *model.rotors, *model.wrenches, *model.loads):
+        if effect.remembers:
+            raise CapabilityError(
+                f"effect {effect.name}: has memory, so a single state does not tell its force. Fly it with a backend instead"
+            )
     com, ang_vel = model.vehicle.com, state.ang_vel
     position = state.position + quat_rotate(state.attitude, com)
     com_vel = state.lin_vel + quat_rotate(state.attitude, torch.linalg.cross(ang_vel, com))

@@ -33,6 +33,32 @@ def lag_speed(speed: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, 
     return command + (speed - command) * torch.exp(-dt / tau)
 
 
+def held_command(
+    speed: Tensor, earlier: Tensor, later: Tensor, share: Tensor, tau_up: Tensor, tau_down: Tensor, dt: float
+) -> Tensor:
+    """Return the held command that leads to the same speed after ``dt`` as two commands one after the other, (E, R) [rad/s].
+
+    ``u = w + (w(dt) - w) / (1 - exp(-dt / tau))`` with the exact speed w(dt) under both commands.
+
+    Args:
+        speed: Rotor speeds w at the start [rad/s], (E, R).
+        earlier: First command [rad/s], (E, R).
+        later: Second command [rad/s], (E, R).
+        share: Part of dt for which the first one holds, 0 to 1, (E, 1).
+        tau_up: Time constant where the command is above the speed [s], (E, R). Zero follows at once.
+        tau_down: Time constant where it is below [s], (E, R).
+        dt: Span [s].
+
+    Source:
+        Derived: ``lag_speed`` twice, solved for one command.
+    """
+    up, down = torch.exp(-dt / tau_up), torch.exp(-dt / tau_down)
+    first = (earlier - speed) * (1.0 - torch.where(earlier > speed, up, down) ** share)
+    middle = speed + first
+    rise = first + (later - middle) * (1.0 - torch.where(later > middle, up, down) ** (1.0 - share))
+    return speed + rise / (1.0 - torch.where(rise > 0.0, up, down))
+
+
 def lag_acceleration(
     speed: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, jump: Tensor, dt: float
 ) -> Tensor:

@@ -8,7 +8,16 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.physics.backend import BACKENDS, Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
 from aerial_gym.physics.ground import Ground, push_off_ground, touches_ground
-from aerial_gym.physics.integrators import INTEGRATORS, Stepper, to_body_state, to_mass_state
+from aerial_gym.physics.integrators import INTEGRATORS, MassState, Stepper, to_body_state, to_mass_state
+from aerial_gym.physics.memory import (
+    Memory,
+    begin_substep,
+    end_substep,
+    forget,
+    load_of,
+    make_memory,
+    num_past_commands,
+)
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
 
@@ -17,6 +26,8 @@ def advance(
     model: Model, stepper: Stepper, control: ControlLaw, state: BodyState, command: Tensor, dt: float, substeps: int
 ) -> BodyState:
     """Return the state after ``substeps`` of ``dt`` [s]; the control law runs before each. Differentiable.
+
+    Effects with memory begin as after a reset; a backend keeps what they remember between calls.
 
     Args:
         model: Vehicle and effects.
@@ -27,10 +38,25 @@ def advance(
         dt: Length of one substep [s].
         substeps: How many.
     """
+    memory = make_memory(model, dt) if model.remembering else None
     for _ in range(substeps):
         rotor_command = control.rotor_command(state, command)
-        state = to_body_state(model, stepper(model, to_mass_state(model, state), rotor_command, dt))
+        _, after, memory = _substep(model, stepper, state, rotor_command, dt, memory)
+        state = to_body_state(model, after)
     return state
+
+
+def _substep(
+    model: Model, stepper: Stepper, state: BodyState, rotor_command: Tensor, dt: float, memory: Memory | None
+) -> tuple[MassState, MassState, Memory | None]:
+    """Return the motion before and after a substep, and what is remembered after it."""
+    if memory is None:
+        before = to_mass_state(model, state)
+        return before, stepper(model, before, rotor_command, dt), None
+    now, rotor_command, memory = begin_substep(model, memory, state.rotor_speed, rotor_command, dt)
+    before = to_mass_state(model, state, load_of(model, memory))
+    after = stepper(now, before, rotor_command, dt)
+    return before, after, end_substep(memory, after.load)
 
 
 class TorchBackend:
@@ -47,6 +73,8 @@ class TorchBackend:
     _model: Model
     _control: ControlLaw
     _stepper: Stepper
+    _memory: Memory | None = None
+    _seed = 0
 
     def allocate(self, model: Model, control: ControlLaw, *, integrator: str, ground: Ground | None = None) -> None:
         """Take model, control law, stepper by name, and ground."""
@@ -54,6 +82,7 @@ class TorchBackend:
             raise CapabilityError(f"backend torch: no integrator {integrator!r}. Known: {', '.join(INTEGRATORS)}")
         self._stepper, self._control, self._ground = INTEGRATORS[integrator], control, ground
         self._share = POSITION_SHARE[integrator]
+        self._memory = None
         self.set_model(model)
 
     def set_model(self, model: Model) -> None:
@@ -61,19 +90,48 @@ class TorchBackend:
         self._model = model
 
     def advance(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> BodyState:
-        """Return the state after ``substeps`` of ``dt`` [s], differentiable; a ground that pushes does so here as well."""
-        if self._ground is None or self._ground.cfg is None:
-            return advance(self._model, self._stepper, self._control, state, command, dt, substeps)
+        """Return the state after ``substeps`` of ``dt`` [s], differentiable; a ground that pushes does so here as well.
+
+        Effects go on with what they remember from the call before, through which gradients flow back as well.
+        """
         for _ in range(substeps):
-            state, _, _ = self._advance_on_ground(self._ground, self._ground.cfg, state, command, dt)
+            if self._ground is None or self._ground.cfg is None:
+                _, after = self._free_substep(state, command, dt)
+                state = to_body_state(self._model, after)
+            else:
+                state, _, _ = self._advance_on_ground(self._ground, self._ground.cfg, state, command, dt)
         return state
+
+    def _free_substep(self, state: BodyState, command: Tensor, dt: float) -> tuple[MassState, MassState]:
+        """Return the motion before and after a substep without contact."""
+        memory = self._memory_for(dt)
+        rotor_command = self._control.rotor_command(state, command)
+        before, after, memory = _substep(self._model, self._stepper, state, rotor_command, dt, memory)
+        self._remember(memory)
+        return before, after
+
+    def _memory_for(self, dt: float) -> Memory | None:
+        """Return the memory, made anew where substeps of another length need another number of commands."""
+        if not self._model.remembering:
+            return None
+        if self._memory is None or self._memory.past.shape[1] != num_past_commands(self._model, dt):
+            self._memory = make_memory(self._model, dt, seed=self._seed)
+        return self._memory
+
+    def _remember(self, memory: Memory | None) -> None:
+        """Keep the memory: in place, as a captured step needs it, unless gradients are to flow through it."""
+        old = self._memory
+        if memory is None or old is None or any(part.requires_grad for part in (*memory.tensors(), *old.tensors())):
+            self._memory = memory
+            return
+        for kept, new in zip(old.tensors(), memory.tensors(), strict=True):
+            kept.copy_(new)
 
     def _advance_on_ground(
         self, ground: Ground, cfg: ContactCfg, state: BodyState, command: Tensor, dt: float
     ) -> tuple[BodyState, Tensor, Tensor]:
         """Return the state after one substep, the impulse of the ground (E, 3) and which crash (E,)."""
-        before = to_mass_state(self._model, state)
-        free = self._stepper(self._model, before, self._control.rotor_command(state, command), dt)
+        before, free = self._free_substep(state, command, dt)
         after, impulse, crashes = push_off_ground(ground, cfg, self._model, before, free, dt=dt, share=self._share)
         return to_body_state(self._model, after), impulse, crashes
 
@@ -96,8 +154,16 @@ class TorchBackend:
                 ground.impulse.add_(impulse)
 
     def reset(self, mask: Tensor) -> None:
-        """Nothing to forget: all memory is in the state."""
-        del mask
+        """Let the effects forget the environments in ``mask``."""
+        if self._memory is not None:
+            self._remember(forget(self._memory, mask))
+
+    def restart(self, seed: int) -> None:
+        """Begin the random numbers of the effects anew with a seed."""
+        self._seed = seed
+        if self._memory is not None:
+            self._memory.seed.fill_(seed % 2**31)
+            self._memory.count.zero_()
 
 
 BACKENDS.register("torch", TorchBackend)

@@ -61,6 +61,10 @@ class Vehicle:
     rotor_radius: Tensor
     """Radii of the propellers [m], (E, R); NaN where the robot file gives none."""
 
+    battery: Tensor
+    """Nominal, full and empty voltage [V], internal resistance [Ohm], capacity [A s] and efficiency, (E, 6); NaN where the
+    robot file gives none."""
+
     speed_low: Tensor
     """Lowest speed that can be commanded [rad/s], (E, R)."""
 
@@ -86,6 +90,11 @@ def vehicle_from_config(
     def rows(values: object) -> Tensor:
         return share_row(torch.tensor(values, dtype=dtype, device=device), num_envs)
 
+    cell = robot.battery
+    battery = [nan] * 6
+    if cell is not None:
+        voltages = cell.nominal_voltage, cell.full_voltage, cell.empty_voltage
+        battery = [*voltages, cell.internal_resistance, cell.capacity, cell.efficiency]
     rotor, layout, count = robot.rotor, robot.mounts.layout, robot.num_rotors
     axis = torch.tensor([mount.axis for mount in layout], dtype=dtype, device=device)
     return Vehicle(
@@ -100,6 +109,7 @@ def vehicle_from_config(
         time_constant_up=rows([rotor.time_constant_up] * count),
         time_constant_down=rows([rotor.time_constant_down] * count),
         rotor_radius=rows([nan if rotor.radius is None else rotor.radius] * count),
+        battery=rows(battery),
         speed_low=rows([rotor.speed_at(rotor.thrust_range[0])] * count),
         speed_high=rows([rotor.speed_at(rotor.thrust_range[1])] * count),
     )

@@ -3,7 +3,7 @@
 Letters: E environments, R rotors, U entries of an action, N numbers per environment.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import torch
@@ -16,7 +16,10 @@ from aerial_gym.physics.backend import BACKENDS, Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
 from aerial_gym.physics.effects import (
     EFFECTS,
+    CommandEffect,
+    DelayEffect,
     ImuEffect,
+    LoadEffect,
     RotorEffect,
     RotorSensorEffect,
     VehicleEffect,
@@ -29,6 +32,7 @@ from aerial_gym.physics.fused.contact import contact_parameters
 from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.fused.gradient import Rollout
 from aerial_gym.physics.fused.kernel import make_kernel
+from aerial_gym.physics.fused.memory import MemoryArrays, no_memory
 from aerial_gym.physics.fused.parameters import (
     Columns,
     Field,
@@ -42,6 +46,7 @@ from aerial_gym.physics.fused.parameters import (
 )
 from aerial_gym.physics.fused.types import rotor_types, vector_of
 from aerial_gym.physics.ground import Ground
+from aerial_gym.physics.memory import Memory, make_memory, num_past_commands
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import is_shared
@@ -55,6 +60,14 @@ MIN_STEPS_PER_THREAD = 4096
 
 def has_warp_twin(effect: Effect) -> bool:
     """Return whether an effect can run in the fused kernel."""
+    if type(effect).remember is not Effect.remember and type(effect).warp_remember is Effect.warp_remember:
+        return False
+    if isinstance(effect, LoadEffect):
+        return type(effect).warp_pull is not LoadEffect.warp_pull
+    if isinstance(effect, DelayEffect):
+        return type(effect).warp_delay is not DelayEffect.warp_delay
+    if isinstance(effect, CommandEffect):
+        return type(effect).warp_command is not CommandEffect.warp_command
     if isinstance(effect, WindEffect):
         return type(effect).warp_wind is not WindEffect.warp_wind
     if isinstance(effect, RotorEffect):
@@ -94,6 +107,8 @@ class WarpBackend:
     def __init__(self, *, differentiable: bool = False) -> None:
         """Make a backend; with ``differentiable`` ``advance`` passes gradients through Warp's tape."""
         self._differentiable = differentiable
+        self._seed = 0
+        self._memory: Memory | None = None
 
     @property
     def capabilities(self) -> Capabilities:
@@ -103,8 +118,11 @@ class WarpBackend:
             dtypes=(torch.float32,),
             integrators=tuple(STAGES),
             differentiable=self._differentiable,
-            effects=tuple(name for name in EFFECTS.names() if has_warp_twin(EFFECTS.get(name))),
+            effects=tuple(name for name in EFFECTS.names() if self._can_run(EFFECTS.get(name))),
         )
+
+    def _can_run(self, effect: Effect) -> bool:
+        return has_warp_twin(effect) and not (self._differentiable and effect.remembers)
 
     def allocate(self, model: Model, control: ControlLaw, *, integrator: str, ground: Ground | None = None) -> None:
         """Compose the kernel and make the buffers.
@@ -117,6 +135,11 @@ class WarpBackend:
         for effect, _ in model.forces:
             if not has_warp_twin(effect):
                 raise CapabilityError(f"backend warp: cannot run effect {effect.name!r}. Use backend 'torch'.")
+        if self._differentiable and model.remembering:
+            raise CapabilityError(
+                f"backend warp: a differentiable rollout cannot run effect {model.remembering[0]!r}, which has memory. "
+                "Use backend 'torch'."
+            )
         law = control.fused()
         if law is None:
             raise CapabilityError(f"backend warp: {type(control).__name__} has no Warp law. Use backend 'torch'.")
@@ -131,7 +154,7 @@ class WarpBackend:
         self._given_ground = ground
         self._device = model.vehicle.mass.device
         self._num_envs, self._num_rotors = model.vehicle.num_envs, model.vehicle.num_rotors
-        self._dt = 0.0
+        self._dt, self._memory = 0.0, None
         fields = self._fields(model, dt=1.0)
         self._columns: Columns = arrange(*fields, effect_rows(model), all_per_env=self._differentiable)
         self._per_env = torch.zeros(max(self._columns.total, 1), self._num_envs, device=self._device)
@@ -175,17 +198,30 @@ class WarpBackend:
         no longer shared, the kernel is composed anew: capture again then.
         """
         old, self._model = self._model, model
-        pairs = zip(vars(model.vehicle).values(), vars(old.vehicle).values(), strict=True)
+        pairs = [*zip(vars(model.vehicle).values(), vars(old.vehicle).values(), strict=True)]
+        pairs.append((model.other_position, old.other_position))
         if any(is_shared(kept) and new is not kept and not _same_row(new, kept) for new, kept in pairs):
+            memory = self._memory
             self.allocate(model, self._control, integrator=self._integrator, ground=self._given_ground)
+            self._memory = memory
         elif self._dt != 0.0:
             self._write_per_env()
 
     def reset(self, mask: Tensor) -> None:
-        """Take new gains where they are randomised; all other memory is in the state."""
-        del mask
+        """Let the effects forget the environments in ``mask``, and take new gains where they are randomised."""
+        if self._memory is not None:
+            numbers = self._memory.numbers
+            numbers.copy_(torch.where(mask, self._memory.initial.unsqueeze(-1), numbers))
+            self._memory.since.masked_fill_(mask, 0)
         if self._columns.gains is not None and self._dt != 0.0:
             self._write_per_env()
+
+    def restart(self, seed: int) -> None:
+        """Begin the random numbers of the effects anew with a seed."""
+        self._seed = seed
+        if self._memory is not None:
+            self._memory.seed.fill_(seed % 2**31)
+            self._memory.count.zero_()
 
     @torch.no_grad()
     def _write_per_env(self) -> None:
@@ -197,6 +233,7 @@ class WarpBackend:
         """Compute everything that depends on the length of a substep."""
         self._dt, self._binding = dt, None
         self._write_per_env()
+        self._arrange_memory(dt)
         vehicle, command, gains = self._fields(self._model, dt)
         types, columns = rotor_types(self._num_rotors), self._columns
         gains_type = self._law.gains_type or NoGains
@@ -206,6 +243,22 @@ class WarpBackend:
             shared_struct(types.command, command, columns.command),
             shared_struct(gains_type, shared_gains, {}),
         ]
+
+    def _arrange_memory(self, dt: float) -> None:
+        """Make the memory of the effects, unless there is one that fits; neighbouring environments side by side, (M, E)."""
+        if not self._model.remembering:
+            self._memory_arrays = no_memory(wp.device_from_torch(self._device))
+            return
+        self._memory_arrays = arrays = MemoryArrays()
+        slots = num_past_commands(self._model, dt)
+        memory = self._memory
+        if memory is None or memory.past.shape[0] != slots * self._num_rotors:
+            memory = make_memory(self._model, dt, seed=self._seed)
+            rows = {"numbers": memory.numbers.T.contiguous(), "past": memory.past.flatten(1).T.contiguous()}
+            self._memory = memory = replace(memory, **rows)
+        arrays.numbers, arrays.past = wp.from_torch(memory.numbers), wp.from_torch(memory.past)
+        arrays.since, arrays.count = wp.from_torch(memory.since), wp.from_torch(memory.count)
+        arrays.seed, arrays.slots = wp.from_torch(memory.seed), slots
 
     def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
         """Advance ``state`` in place: one launch, on torch's current stream, that waits for nothing."""
@@ -234,7 +287,7 @@ class WarpBackend:
                 wp.launch(
                     self.kernel,
                     dim=count,
-                    inputs=[*inputs, first],
+                    inputs=[*inputs, first, self._memory_arrays],
                     outputs=[*arrays, *ground[3:]],
                     device=wp.device_from_torch(self._device),
                     block_dim=BLOCK_DIM,

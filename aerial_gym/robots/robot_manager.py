@@ -4,6 +4,7 @@ Letters: E environments, R rotors, P parameters of an effect, U entries of an ac
 """
 
 from dataclasses import replace
+from math import inf
 
 import torch
 from torch import Tensor
@@ -106,6 +107,7 @@ class RobotManager:
         controller: Controller,
         *,
         ground_height: float | None,
+        ceiling_height: float | None = None,
         crashes: Tensor,
         contact: ContactCfg | None = None,
         scene: Scene | None = None,
@@ -115,15 +117,18 @@ class RobotManager:
         Args:
             controller: Turns actions into rotor commands.
             ground_height: Height of the ground plane [m], world; None where there is none.
+            ceiling_height: Height of the ceiling [m], world; None where there is none.
             crashes: Set by the physics where the robot touches the ground, and with ``contact`` where it touches an
                 obstacle, bool (E,).
             contact: How ground and obstacles push back; None if they do not.
             scene: The obstacles; only needed with ``contact``.
 
         Raises:
-            ConfigError: If there should be contact and the robot has no collision shape.
+            ConfigError: If there should be contact and the robot has no collision shape, or an effect near a ceiling and none
+                is there.
         """
         self.controller, self._ground_height = controller, ground_height or 0.0
+        self._ceiling_height = ceiling_height
         gtd = self._gtd
         gtd.define_size("U", len(controller.action_names))
         self.tensors: RobotTensors = declare_robot_tensors(gtd, self._root_state)
@@ -143,6 +148,13 @@ class RobotManager:
             stored = gtd.declare(spec)
             stored.copy_(params)
             self._effects[i] = (effect, stored)
+        self._other_position: Tensor | None = None
+        if any("other_position" in effect.needs for effect, _ in self._effects):
+            self._other_position = gtd.declare(TensorSpec(
+                key="downwash_position", shape=("E", 3), unit="m", frame="world", owner="robot",
+                meaning="vehicle whose wake streams down; call refresh_model() after writing",
+            ))  # fmt: skip
+            self._other_position[:, 2] = inf
         rows = [(*sphere.center, sphere.radius) for sphere in self.cfg.collision.spheres]
         spheres = torch.tensor(rows, dtype=torch.float32, device=gtd.device).view(-1, 4)
         self._declare_contact(contact, spheres)
@@ -152,6 +164,7 @@ class RobotManager:
                 height=ground_height, spheres=spheres, contact=crashes, cfg=contact, impulse=self._contact_force
             )
         self.backend.allocate(self._build_model(), controller, integrator=self._sim.integrator, ground=ground)
+        self.backend.restart(self._seed)
         if self._contact_force is not None and contact is not None and scene is not None and scene.num_instances:
             self._scene_contact = SceneContact(
                 scene,
@@ -214,7 +227,14 @@ class RobotManager:
                 time_constant_up=vehicle.time_constant_up * lag,
                 time_constant_down=vehicle.time_constant_down * lag,
             )
-        self.model = build_model(vehicle, self._effects, gravity=self._sim.gravity, ground_height=self._ground_height)
+        self.model = build_model(
+            vehicle,
+            self._effects,
+            gravity=self._sim.gravity,
+            ground_height=self._ground_height,
+            ceiling_height=self._ceiling_height,
+            other_position=self._other_position,
+        )
         self._mass.copy_(self.model.vehicle.mass)
         self._inertia.copy_(self.model.vehicle.inertia)
         self._com.copy_(self.model.vehicle.com)
@@ -225,8 +245,9 @@ class RobotManager:
         self.backend.set_model(self._build_model())
 
     def restart(self, seed: int) -> None:
-        """Begin the draws of the initial states anew with a seed."""
+        """Begin the draws of initial states and effects anew with a seed."""
         self._initial.restart(seed)
+        self.backend.restart(seed)
 
     def act(self, actions: Tensor) -> None:
         """Begin a step: store its action, (E, U), and keep the one before."""

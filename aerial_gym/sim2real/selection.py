@@ -365,7 +365,9 @@ def has_rotor(name: str) -> bool:
 
 
 def lacks(name: str, robot: RobotCfg) -> str:
-    """Return what the robot file lacks for an effect; empty if nothing."""
+    """Return what the robot file lacks for an effect, or that no flight can show it yet; empty if nothing."""
+    if not EFFECTS.get(name).identifiable:
+        return "not looked for in flights: it needs more than single rows, its own memory or what stands around the vehicle"
     try:
         EFFECTS.get(name).check(robot)
     except ConfigError as error:

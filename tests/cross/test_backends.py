@@ -19,7 +19,7 @@ from aerial_gym.physics.effects import WrenchEffect
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
-from tests.physics.vehicles import lopsided_robot, random_state
+from tests.physics.vehicles import CEILING, lopsided_robot, random_state
 
 FACTOR = 4.0
 ROUND_OFF = 2e-6
@@ -40,7 +40,7 @@ def build(robot, controller: ControllerCfg, num_envs: int, dtype: torch.dtype, e
         effect = EFFECTS.get(name)
         row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
         rows.append((effect, torch.tensor(row, dtype=dtype).expand(num_envs, -1).clone()))
-    return build_model(vehicle, rows), make_controller(controller, declared, 9.81)
+    return build_model(vehicle, rows, ceiling_height=CEILING), make_controller(controller, declared, 9.81)
 
 
 def actions_for(controller, model: Model, num_envs: int) -> Tensor:
@@ -152,7 +152,7 @@ def test_a_flight_that_amplifies_round_off_is_the_same_step_by_step() -> None:
 
 @pytest.mark.parametrize("effect", EFFECTS.names())
 def test_every_effect_flies_like_torch(effect: str) -> None:
-    effects = (effect,) if effect != "constant_wind" else (effect, "rotor_drag")
+    effects = (effect,) if effect not in ("constant_wind", "gusts") else (effect, "rotor_drag")
     robot = lopsided_robot()
     assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "rk4", effects=effects)
 
@@ -284,7 +284,7 @@ def test_what_it_cannot_run_is_refused_by_name() -> None:
         name = "untwinned"
         parameters = EFFECTS.get("rotor_drag").parameters
 
-        def regressor(self, condition):
+        def wrench(self, condition, params):
             raise NotImplementedError
 
     strange = replace(model, wrenches=((Untwinned(), torch.zeros(2, 3)),))

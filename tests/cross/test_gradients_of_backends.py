@@ -18,7 +18,7 @@ from aerial_gym.physics import (
     build_model,
     vehicle_from_config,
 )
-from tests.physics.vehicles import lopsided_robot, random_state
+from tests.physics.vehicles import CEILING, lopsided_robot, random_state
 
 NUM_ENVS, DT, SUBSTEPS = 3, 0.01, 5
 RELATIVE = 2e-5
@@ -40,7 +40,7 @@ def gradients(backend, dtype: torch.dtype, controller: str, integrator: str) -> 
     effects = []
     for name in EFFECTS.names():
         effect = EFFECTS.get(name)
-        if effect.acts_on == "sensor" or name == OVERRULED:
+        if effect.acts_on == "sensor" or effect.remembers or name == OVERRULED:
             continue
         row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
         leaves[name] = torch.tensor(row, dtype=dtype).expand(NUM_ENVS, -1).clone().requires_grad_()
@@ -52,7 +52,7 @@ def gradients(backend, dtype: torch.dtype, controller: str, integrator: str) -> 
     action = torch.rand(NUM_ENVS, 4, dtype=torch.float64, generator=g).to(dtype)
     action = 700.0 + 100.0 * action if controller == "rotor_speed_control" else 0.2 * action
     leaves["action"] = action.requires_grad_()
-    model = build_model(replace(vehicle, mass=mass, inertia=inertia), effects)
+    model = build_model(replace(vehicle, mass=mass, inertia=inertia), effects, ceiling_height=CEILING)
     backend.allocate(model, law, integrator=integrator)
     end = backend.advance(BodyState(**start), action, DT, SUBSTEPS)
     weights = [torch.rand(t.shape, dtype=torch.float64, generator=g).to(dtype) for t in end.tensors()]
@@ -99,6 +99,18 @@ def test_without_gradients_the_rollout_is_that_of_step() -> None:
         assert torch.equal(stepped.position, ends[-1].position)
     for name, tensor in vars(ends[0]).items():
         torch.testing.assert_close(getattr(ends[1], name), tensor, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", [name for name in EFFECTS.names() if EFFECTS.get(name).remembers])
+def test_a_differentiable_rollout_refuses_effects_with_memory(name: str) -> None:
+    robot, effect = lopsided_robot(), EFFECTS.get(name)
+    vehicle = vehicle_from_config(robot, num_envs=2)
+    law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81)
+    model = build_model(vehicle, [(effect, torch.tensor(effect.neutral(robot)).expand(2, -1))])
+    backend = WarpBackend(differentiable=True)
+    assert name not in (backend.capabilities.effects or ())
+    with pytest.raises(CapabilityError, match=f"cannot run effect '{name}', which has memory. Use backend 'torch'"):
+        backend.allocate(model, law, integrator="rk4")
 
 
 def test_a_differentiable_rollout_refuses_a_ground() -> None:

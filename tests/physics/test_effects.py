@@ -18,8 +18,11 @@ from aerial_gym.physics import (
     vehicle_from_config,
 )
 from aerial_gym.physics.effects import (
+    CommandEffect,
+    DelayEffect,
     Effect,
     ImuEffect,
+    LoadEffect,
     RotorEffect,
     RotorSensorEffect,
     VehicleEffect,
@@ -29,7 +32,19 @@ from aerial_gym.physics.effects import (
 from aerial_gym.physics.model import Model
 from aerial_gym.robots import ROBOTS
 from tests.physics.test_rigid_body import SpeedControl
-from tests.physics.vehicles import F64, lopsided_robot, random_state
+from tests.physics.vehicles import BATTERY, CEILING, F64, lopsided_robot, random_state
+
+KINDS = (
+    VehicleEffect,
+    WindEffect,
+    RotorEffect,
+    WrenchEffect,
+    LoadEffect,
+    DelayEffect,
+    CommandEffect,
+    ImuEffect,
+    RotorSensorEffect,
+)
 
 
 def effects_of(values: dict[str, dict[str, float]], num_envs: int) -> list[tuple[Effect, torch.Tensor]]:
@@ -37,9 +52,9 @@ def effects_of(values: dict[str, dict[str, float]], num_envs: int) -> list[tuple
 
 
 def symmetric_model(values: dict[str, dict[str, float]], num_envs: int = 1, gravity: float = 9.81) -> Model:
-    """Return tinyprop (centre of mass at the origin, thrust along z) with effects."""
-    vehicle = vehicle_from_config(ROBOTS.get("tinyprop"), num_envs=num_envs, dtype=F64)
-    return build_model(vehicle, effects_of(values, num_envs), gravity=gravity)
+    """Return tinyprop (centre of mass at the origin, thrust along z) with a battery, below a ceiling, with effects."""
+    vehicle = vehicle_from_config(replace(ROBOTS.get("tinyprop"), battery=BATTERY), num_envs=num_envs, dtype=F64)
+    return build_model(vehicle, effects_of(values, num_envs), gravity=gravity, ceiling_height=CEILING)
 
 
 def still(num_envs: int = 1, **changes: list[float]) -> BodyState:
@@ -189,7 +204,7 @@ def test_every_effect_states_what_it_is(name: str) -> None:
     assert effect.name == name
     assert effect.summary
     assert effect.excitation
-    assert isinstance(effect, (VehicleEffect, WindEffect, RotorEffect, WrenchEffect, ImuEffect, RotorSensorEffect))
+    assert isinstance(effect, KINDS)
     neutral = effect.neutral(ROBOTS.get("tinyprop"))
     assert len(neutral) == len(effect.parameters)
     for value, parameter in zip(neutral, effect.parameters, strict=True):

@@ -7,7 +7,7 @@ import torch
 
 from aerial_gym.physics import EFFECTS, INTEGRATORS, advance, build_model, vehicle_from_config
 from tests.physics.test_rigid_body import SpeedControl
-from tests.physics.vehicles import F64, lopsided_robot, random_state
+from tests.physics.vehicles import CEILING, F64, lopsided_robot, random_state
 
 
 @pytest.mark.parametrize("name", list(INTEGRATORS))
@@ -29,7 +29,7 @@ def test_gradients_of_a_rollout_with_every_effect(name: str) -> None:
 
     def final(command: torch.Tensor, velocity: torch.Tensor, *params: torch.Tensor) -> torch.Tensor:
         rows = [scale * row for scale, row in zip(scales, params, strict=True)]
-        model = build_model(vehicle, list(zip(effects, rows, strict=True)))
+        model = build_model(vehicle, list(zip(effects, rows, strict=True)), ceiling_height=CEILING)
         start = replace(state, lin_vel=velocity)
         end = advance(model, INTEGRATORS[name], SpeedControl(), start, command, 0.02, 5)
         return torch.cat(end.tensors(), dim=-1)

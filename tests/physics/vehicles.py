@@ -2,11 +2,24 @@
 
 import torch
 
-from aerial_gym.config.robot import BodyCfg, CollisionCfg, MountCfg, MountsCfg, RobotCfg, RotorCfg
+from aerial_gym.config.robot import BatteryCfg, BodyCfg, CollisionCfg, MountCfg, MountsCfg, RobotCfg, RotorCfg
 from aerial_gym.math.quaternion import quat_normalize
 from aerial_gym.physics import BodyState
 
 F64 = torch.float64
+
+BATTERY = BatteryCfg(
+    nominal_voltage=11.1,
+    full_voltage=12.6,
+    empty_voltage=10.5,
+    internal_resistance=0.05,
+    capacity=3600.0,
+    efficiency=0.6,
+    source="test",
+)
+
+CEILING = 9.0
+"""Height for effects near a ceiling [m]; above random states lifted by 4 m."""
 
 
 def lopsided_robot(*, com: tuple[float, float, float] = (0.01, -0.02, 0.03)) -> RobotCfg:
@@ -38,6 +51,7 @@ def lopsided_robot(*, com: tuple[float, float, float] = (0.01, -0.02, 0.03)) -> 
             source="test",
         ),
         collision=CollisionCfg(source="test"),
+        battery=BATTERY,
     )
 
 

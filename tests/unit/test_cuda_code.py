@@ -58,7 +58,7 @@ def test_physics_kernels_compile(controller: str, integrator: str, tmp_path: Pat
         effects.append((effect, torch.tensor(effect.neutral(robot)).expand(2, -1).clone()))
     backend = WarpBackend()
     law = make_controller(CONTROLLERS.get(controller), vehicle, 9.81)
-    backend.allocate(build_model(vehicle, effects), law, integrator=integrator)
+    backend.allocate(build_model(vehicle, effects, ceiling_height=3.0), law, integrator=integrator)
     compile_for_gpu(backend.kernel.module, tmp_path)
 
 

@@ -102,7 +102,8 @@ def make_flight(
     """Return a batch near hover, built from names.
 
     Raises:
-        AerialGymError: If a name is unknown, ``dt`` impossible, or the backend cannot run it.
+        AerialGymError: If a name is unknown, ``dt`` impossible, the backend cannot run it, or an effect lacks something of
+            the robot or the scene.
     """
     if not 0.0 < dt < float("inf"):
         raise ConfigError(f"--dt-s = {dt!r}: must be > 0 and finite")

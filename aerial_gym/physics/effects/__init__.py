@@ -1,12 +1,18 @@
 """Physical effects beyond rigid body and rotors, one file each; used by the simulator and by the identification."""
 
 from aerial_gym.physics.effects.base import (
+    CommandEffect,
     Condition,
+    DelayEffect,
     Effect,
     ImuEffect,
+    LinearWrenchEffect,
+    LoadEffect,
+    Moment,
     Parameter,
     RotorEffect,
     RotorSensorEffect,
+    Suspension,
     VehicleEffect,
     WindEffect,
     WrenchEffect,
@@ -15,12 +21,18 @@ from aerial_gym.physics.effects.catalog import EFFECTS
 
 __all__ = [
     "EFFECTS",
+    "CommandEffect",
     "Condition",
+    "DelayEffect",
     "Effect",
     "ImuEffect",
+    "LinearWrenchEffect",
+    "LoadEffect",
+    "Moment",
     "Parameter",
     "RotorEffect",
     "RotorSensorEffect",
+    "Suspension",
     "VehicleEffect",
     "WindEffect",
     "WrenchEffect",

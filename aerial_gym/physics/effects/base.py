@@ -78,6 +78,12 @@ class Condition:
     ground_height: float
     """Height of the ground [m], world."""
 
+    ceiling_height: float
+    """Height of the ceiling [m], world; not a number where there is none."""
+
+    other_position: Tensor
+    """Another vehicle, whose wake streams down [m], world, (E, 3)."""
+
     vehicle: Vehicle
     """Gives the geometry."""
 
@@ -100,10 +106,26 @@ class Condition:
         return self.air_velocity.unsqueeze(1) + _turn(self.ang_vel, self.lever)
 
     @cached_property
+    def up(self) -> Tensor:
+        """World z in body axes, (E, 3)."""
+        up = torch.zeros_like(self.position)
+        up[:, 2] = 1.0
+        return quat_rotate_inverse(self.attitude, up)
+
+    @cached_property
+    def hub_altitude(self) -> Tensor:
+        """World z of the hubs [m], (E, R)."""
+        return self.position[:, 2:] + (self.lever * self.up.unsqueeze(1)).sum(-1)
+
+    @cached_property
     def hub_height(self) -> Tensor:
         """Height of the hubs above the ground [m], (E, R)."""
-        up = quat_rotate_inverse(self.attitude, self.position.new_tensor((0.0, 0.0, 1.0)).expand_as(self.position))
-        return self.position[:, 2:] + (self.lever * up.unsqueeze(1)).sum(-1) - self.ground_height
+        return self.hub_altitude - self.ground_height
+
+    @cached_property
+    def hub_room(self) -> Tensor:
+        """Distance of the hubs to the ceiling above them [m], (E, R)."""
+        return self.ceiling_height - self.hub_altitude
 
     @cached_property
     def axial_velocity(self) -> Tensor:
@@ -126,10 +148,49 @@ def _turn(ang_vel: Tensor, lever: Tensor) -> Tensor:
     return (ang_vel @ rows.transpose(0, 1).reshape(3, -1)).view(-1, lever.shape[1], 3)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Moment:
+    """The start of a substep, at which an effect brings its memory up to date."""
+
+    rotor_speed: Tensor
+    """Rotor speeds [rad/s], (E, R)."""
+
+    since: Tensor
+    """Substeps since the environment was reset, int, (E,)."""
+
+    random: Tensor
+    """Random states of this substep, for ``math.random.counted_normal``, (E,)."""
+
+    dt: float
+    """Length of the substep [s]."""
+
+    vehicle: Vehicle
+    """With the effects on its parameters applied."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suspension:
+    """How the body origin, on which a load hangs, would move without the load."""
+
+    acceleration: Tensor
+    """Of the origin, gravity included [m/s²], world, (E, 3)."""
+
+    air_velocity: Tensor
+    """Of the origin through the air [m/s], world, (E, 3)."""
+
+    mobility: Tensor
+    """Acceleration of the origin per force on it [1/kg], world, (E, 3, 3)."""
+
+    gravity: float
+    """Downward acceleration of free fall [m/s²]."""
+
+
 class Effect(ABC):
     """A named physical effect. Subclasses say where they act.
 
-    ``VehicleEffect``, ``WindEffect``, ``RotorEffect``, ``WrenchEffect``, ``ImuEffect``, ``RotorSensorEffect``.
+    ``VehicleEffect``, ``WindEffect``, ``RotorEffect``, ``WrenchEffect``, ``LoadEffect``, ``DelayEffect``, ``CommandEffect``,
+    ``ImuEffect``, ``RotorSensorEffect``. An effect on the wind, rotors, wrench or command may remember M numbers of each
+    environment: the backend keeps them, and passes them behind the parameters wherever it calls the effect, (E, P + M).
     """
 
     name: ClassVar[str]
@@ -140,6 +201,38 @@ class Effect(ABC):
     """What must vary in a flight for the effect to be visible."""
     confused_with: ClassVar[tuple[str, ...]]
     """Names of effects that can look alike, and so must be weighed against this one."""
+    memory: ClassVar[tuple[float, ...]] = ()
+    """Values right after a reset of the M numbers that it remembers of each environment."""
+    needs: ClassVar[tuple[Literal["ceiling_height", "other_position"], ...]] = ()
+    """What of the scene it needs."""
+    identifiable: ClassVar[bool] = True
+    """Whether single rows of a flight show it, and so it can be looked for in flights."""
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it has memory of its own."""
+        return bool(self.memory)
+
+    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+        """Return what it remembers during the substep that begins, (E, M), from parameters and memory (E, P + M).
+
+        Forces of the substep are those of this memory, held: a splitting of order 1.
+        """
+        del moment
+        return values[:, len(self.parameters) :]
+
+    def warp_remember(self, vehicle: type, moment: type) -> wp.Function | None:
+        """Return the twin of ``remember``, or None: what is remembered never changes.
+
+        Args:
+            vehicle: The ``wp.struct`` of the vehicle.
+            moment: The ``wp.struct`` with the fields of ``Moment`` for this number of rotors.
+
+        Returns:
+            A ``wp.func`` (vehicle, moment, values: vector of P + M) -> parameters and new memory.
+        """
+        del vehicle, moment
+        return None
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return the parameters with which the robot behaves as declared; zeros unless a subclass says otherwise."""
@@ -219,19 +312,13 @@ class RotorEffect(Effect):
 
 
 class WrenchEffect(Effect):
-    """A force and torque on the body that is linear in its parameters."""
+    """A force and torque on the body."""
 
     acts_on = "wrench"
 
     @abstractmethod
-    def regressor(self, condition: Condition) -> Tensor:
-        """Return the matrix (E, 6, P) that maps parameters to force [N] and torque about the centre of mass [N m], body."""
-
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
-        """Return force and torque (E, 6), body axes: the regressor times the parameters (E, P)."""
-        if is_shared(params):
-            return self.regressor(condition) @ params[0]
-        return torch.einsum("eip,ep->ei", self.regressor(condition), params)
+        """Return force [N] and torque about the centre of mass [N m], body axes, (E, 6)."""
 
     def warp_wrench(self, condition: type) -> wp.Function | None:
         """Return the twin of ``wrench`` for one environment, or None: the effect then runs on the torch backend only.
@@ -243,6 +330,91 @@ class WrenchEffect(Effect):
             A ``wp.func`` (condition, params: vector of P) -> force and torque, body, ``wp.spatial_vector``.
         """
         del condition
+        return None
+
+
+class LinearWrenchEffect(WrenchEffect):
+    """A force and torque on the body that is linear in its parameters."""
+
+    @abstractmethod
+    def regressor(self, condition: Condition) -> Tensor:
+        """Return the matrix (E, 6, P) that maps parameters to force [N] and torque about the centre of mass [N m], body."""
+
+    def wrench(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return force and torque (E, 6), body axes: the regressor times the parameters (E, P)."""
+        if is_shared(params):
+            return self.regressor(condition) @ params[0]
+        return torch.einsum("eip,ep->ei", self.regressor(condition), params)
+
+
+class LoadEffect(Effect):
+    """A body that hangs on the body origin by a massless rigid link. A vehicle has one at most.
+
+    Its memory is the direction of the link, a unit vector n away from the origin, and its rate n', world. The steppers
+    integrate them together with the vehicle, to their own order.
+    """
+
+    acts_on = "wrench"
+    memory = (0.0, 0.0, -1.0, 0.0, 0.0, 0.0)
+
+    @abstractmethod
+    def pull(self, suspension: Suspension, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the force of the link on the body origin [N], world, (E, 3), and n'' [1/s²], (E, 3), for ``load`` (E, 6)."""
+
+    def warp_pull(self, suspension: type) -> wp.Function | None:
+        """Return the twin of ``pull``, or None: the effect then runs on the torch backend only.
+
+        Args:
+            suspension: The ``wp.struct`` with the fields of ``Suspension``.
+
+        Returns:
+            A ``wp.func`` (suspension, load: ``wp.spatial_vector``, params: vector of P) -> (force, n''), ``wp.vec3``.
+        """
+        del suspension
+        return None
+
+
+class DelayEffect(Effect):
+    """Commands that act late. A vehicle has one at most; the backend keeps the commands of the longest delay."""
+
+    acts_on = "actuation"
+    longest: ClassVar[float]
+    """Upper bound of the delay [s]."""
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it has memory of its own: the commands on their way."""
+        return True
+
+    @abstractmethod
+    def delay(self, params: Tensor) -> Tensor:
+        """Return the delay [s], (E,), from parameters (E, P)."""
+
+    def warp_delay(self) -> wp.Function | None:
+        """Return the twin of ``delay``, a ``wp.func`` (params: vector of P) -> delay [s], or None: torch backend only."""
+        return None
+
+
+class CommandEffect(Effect):
+    """A change of the speeds to which commands lead the rotors."""
+
+    acts_on = "actuation"
+
+    @abstractmethod
+    def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
+        """Return the speeds that the rotors tend to [rad/s], (E, R), under commanded ones (E, R)."""
+
+    def warp_command(self, vehicle: type, vector: type) -> wp.Function | None:
+        """Return the twin of ``command``, or None: the effect then runs on the torch backend only.
+
+        Args:
+            vehicle: The ``wp.struct`` of the vehicle.
+            vector: Type of a number for each rotor.
+
+        Returns:
+            A ``wp.func`` (command: vector, vehicle, params: vector of P + M) -> speeds [rad/s], vector.
+        """
+        del vehicle, vector
         return None
 
 

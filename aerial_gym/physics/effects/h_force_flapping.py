@@ -15,10 +15,10 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect
+from aerial_gym.physics.effects.base import Condition, LinearWrenchEffect, Parameter
 
 
-class HForceFlapping(WrenchEffect):
+class HForceFlapping(LinearWrenchEffect):
     """In-plane force and hub moment of the rotors."""
 
     name = "h_force_flapping"

@@ -13,10 +13,10 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect
+from aerial_gym.physics.effects.base import Condition, LinearWrenchEffect, Parameter
 
 
-class RotorDrag(WrenchEffect):
+class RotorDrag(LinearWrenchEffect):
     """Linear drag per body axis."""
 
     name = "rotor_drag"

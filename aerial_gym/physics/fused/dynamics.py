@@ -20,25 +20,12 @@ from aerial_gym.physics.fused.functions import (
     rotate_inverse,
     small_turn,
 )
-from aerial_gym.physics.fused.types import Hub, rotor_types, vector_of
+from aerial_gym.physics.fused.types import Hub, Suspension, rotor_types
+from aerial_gym.physics.fused.values import Pick, pickers, values_type
 from aerial_gym.physics.model import Model
 
 STAGES = {"euler": 1.0, "rk4": 0.5}
 """Part of a step over which a stepper follows the rotors at once."""
-
-
-def _picker(num_params: int, first: int, length: int) -> wp.Function:
-    """Return a function that takes the parameters of one effect out of those of all."""
-    params, own = vector_of(max(num_params, 1)), vector_of(length)
-
-    @wp.func
-    def pick(all_params: params) -> own:
-        picked = own()
-        for i in range(wp.static(length)):
-            picked[i] = all_params[wp.static(first) + i]
-        return picked
-
-    return pick
 
 
 def _sum_of_rotors(terms: list[tuple[wp.Function, wp.Function]], condition: Any, params: Any) -> wp.Function:
@@ -91,13 +78,15 @@ def _make_hub_at(num_rotors: int) -> wp.Function:
     vehicle_type, condition_type = types.vehicle, types.condition
 
     @wp.func
-    def hub_at(vehicle: vehicle_type, at: condition_type, i: int, thrust: float, ground: float) -> Hub:
+    def hub_at(vehicle: vehicle_type, at: condition_type, i: int, thrust: float, ground: float, ceiling: float) -> Hub:
         lever = wp.vec3(vehicle.rotor_lever[i, 0], vehicle.rotor_lever[i, 1], vehicle.rotor_lever[i, 2])
         hub = Hub()
         hub.speed = at.rotor_speed[i]
         hub.thrust = thrust
         hub.radius = vehicle.rotor_radius[i]
-        hub.height = at.position[2] + rotate(at.attitude, lever)[2] - ground
+        altitude = at.position[2] + rotate(at.attitude, lever)[2]
+        hub.height = altitude - ground
+        hub.room = ceiling - altitude
         hub.axis = wp.vec3(vehicle.rotor_axis[i, 0], vehicle.rotor_axis[i, 1], vehicle.rotor_axis[i, 2])
         hub.velocity = at.air_velocity + wp.cross(at.ang_vel, lever)
         return hub
@@ -109,19 +98,18 @@ def make_accelerations(model: Model) -> wp.Function:
     """Return a function to linear [m/s², world] and angular acceleration [rad/s², body] with just the model's effects."""
     num_rotors = model.vehicle.num_rotors
     types = rotor_types(num_rotors)
-    widths = [params.shape[1] for _, params in model.forces]
-    pickers = [_picker(sum(widths), sum(widths[:i]), width) for i, width in enumerate(widths)]
-    winds = [effect.warp_wind() for effect, _ in model.winds]
-    rotors = [effect.warp_thrust(types.condition, Hub) for effect, _ in model.rotors]
-    wrenches = [effect.warp_wrench(types.condition) for effect, _ in model.wrenches]
-    any_rotor, any_wrench, params_type = bool(rotors), bool(wrenches), vector_of(max(sum(widths), 1))
-    of_winds, of_rest = pickers[: len(winds)], pickers[len(winds) :]
-    of_rotors, of_wrenches = of_rest[: len(rotors)], of_rest[len(rotors) :]
-    wind = _sum_of(list(zip(winds, of_winds, strict=True)), wp.vec3, params_type, wp.vec3)
-    gain = _sum_of_rotors(list(zip(rotors, of_rotors, strict=True)), types.condition, params_type)
-    wrench = _sum_of(list(zip(wrenches, of_wrenches, strict=True)), types.condition, params_type, wp.spatial_vector)
+    params_type, picks = values_type(model), pickers(model)
+    winds = [(effect.warp_wind(), picks[effect.name].get) for effect, _ in model.winds]
+    rotors = [(effect.warp_thrust(types.condition, Hub), picks[effect.name].get) for effect, _ in model.rotors]
+    wrenches = [(effect.warp_wrench(types.condition), picks[effect.name].get) for effect, _ in model.wrenches]
+    any_rotor, any_wrench, any_load = bool(rotors), bool(wrenches), bool(model.loads)
+    wind = _sum_of(winds, wp.vec3, params_type, wp.vec3)
+    gain = _sum_of_rotors(rotors, types.condition, params_type)
+    wrench = _sum_of(wrenches, types.condition, params_type, wp.spatial_vector)
     vehicle_type, vector, condition_type = types.vehicle, types.vector, types.condition
     ground_height, hub_at = model.ground_height, _make_hub_at(num_rotors)
+    ceiling_height = 0.0 if model.ceiling_height is None else model.ceiling_height
+    hang = _make_hang(model, wind, picks)
 
     @wp.func
     def accelerations(
@@ -134,12 +122,14 @@ def make_accelerations(model: Model) -> wp.Function:
         ang_vel: wp.vec3,
         rotor_speed: vector,
         rotor_acc: vector,
+        load: wp.spatial_vector,
     ):
         force = wp.vec3()
         torque = wp.vec3()
         at = condition_type()
         thrusts = vector()
         ground = float(wp.static(ground_height))
+        ceiling = float(wp.static(ceiling_height))
         if wp.static(any_rotor or any_wrench):
             at.position = position
             at.attitude = attitude
@@ -150,11 +140,12 @@ def make_accelerations(model: Model) -> wp.Function:
             at.rotor_axis = vehicle.rotor_axis
             at.rotor_reaction = vehicle.rotor_reaction
             at.lever = vehicle.rotor_lever
+            at.other_position = vehicle.other_position
         for i in range(wp.static(num_rotors)):
             n = rotor_speed[i]
             thrust = vehicle.thrust_map[i, 0] + n * (vehicle.thrust_map[i, 1] + n * vehicle.thrust_map[i, 2])
             if wp.static(any_rotor):
-                thrust = thrust + gain(at, hub_at(vehicle, at, i, thrust, ground), params)
+                thrust = thrust + gain(at, hub_at(vehicle, at, i, thrust, ground, ceiling), params)
             drag = vehicle.torque_map[i, 0] + n * (vehicle.torque_map[i, 1] + n * vehicle.torque_map[i, 2])
             force += thrust * wp.vec3(vehicle.rotor_axis[i, 0], vehicle.rotor_axis[i, 1], vehicle.rotor_axis[i, 2])
             torque += thrust * wp.vec3(
@@ -170,16 +161,70 @@ def make_accelerations(model: Model) -> wp.Function:
             force += wp.spatial_top(more)
             torque += wp.spatial_bottom(more)
         acc = rotate(attitude, vehicle.mass_inverse * force) - wp.vec3(0.0, 0.0, gravity)
-        return acc, angular_acceleration(vehicle.inertia, vehicle.inertia_inverse, ang_vel, torque)
+        ang_acc = angular_acceleration(vehicle.inertia, vehicle.inertia_inverse, ang_vel, torque)
+        swing = wp.spatial_vector()
+        if wp.static(any_load):
+            acc, ang_acc, swing = hang(
+                vehicle, params, gravity, position, attitude, lin_vel, ang_vel, load, acc, ang_acc
+            )
+        return acc, ang_acc, swing
 
     return accelerations
+
+
+def _make_hang(model: Model, wind: wp.Function, picks: dict[str, Pick]) -> wp.Function | None:
+    """Return ``rigid_body.with_load`` for one environment; the last result is the rate of change of the load."""
+    if not model.loads:
+        return None
+    effect = model.loads[0][0]
+    pull, pick = effect.warp_pull(Suspension), picks[effect.name].get
+    vehicle_type, params_type = rotor_types(model.vehicle.num_rotors).vehicle, values_type(model)
+
+    @wp.func
+    def hang(
+        vehicle: vehicle_type,
+        params: params_type,
+        gravity: float,
+        position: wp.vec3,
+        attitude: wp.quat,
+        lin_vel: wp.vec3,
+        ang_vel: wp.vec3,
+        load: wp.spatial_vector,
+        acc: wp.vec3,
+        ang_acc: wp.vec3,
+    ):
+        lever = -vehicle.com
+        cross = wp.skew(lever)
+        rotation = wp.quat_to_matrix(attitude)
+        mobility = vehicle.mass_inverse * wp.identity(n=3, dtype=float) - cross * vehicle.inertia_inverse * cross
+        at = Suspension()
+        at.acceleration = acc + rotate(attitude, wp.cross(ang_acc, lever) + wp.cross(ang_vel, wp.cross(ang_vel, lever)))
+        at.air_velocity = lin_vel - wind(position, params) + rotate(attitude, wp.cross(ang_vel, lever))
+        at.mobility = rotation * mobility * wp.transpose(rotation)
+        at.gravity = gravity
+        force, swing = pull(at, load, pick(params))
+        torque = wp.cross(lever, rotate_inverse(attitude, force))
+        return (
+            acc + vehicle.mass_inverse * force,
+            ang_acc + vehicle.inertia_inverse * torque,
+            wp.spatial_vector(wp.spatial_bottom(load), swing),
+        )
+
+    return hang
+
+
+@wp.func
+def settle(load: wp.spatial_vector) -> wp.spatial_vector:
+    """Return direction and rate of a link with ``|n| = 1``, ``n . n' = 0``."""
+    direction = wp.normalize(wp.spatial_top(load))
+    rate = wp.spatial_bottom(load)
+    return wp.spatial_vector(direction, rate - wp.dot(rate, direction) * direction)
 
 
 def make_stepper(model: Model, integrator: str) -> wp.Function:
     """Return a function that advances the motion of the centre of mass and the rotors by one step."""
     types = rotor_types(model.vehicle.num_rotors)
-    num_params = sum(params.shape[1] for _, params in model.forces)
-    parts = (types.vehicle, types.vector, vector_of(max(num_params, 1)), make_accelerations(model))
+    parts = (types.vehicle, types.vector, values_type(model), make_accelerations(model), bool(model.loads))
     follow = _make_follow(model.vehicle.num_rotors)
     if integrator == "euler":
         return _make_euler(*parts, follow)
@@ -218,7 +263,7 @@ def _make_spin_up(num_rotors: int) -> wp.Function:
 
 
 def _make_euler(
-    vehicle_type: Any, vector: Any, params_type: Any, accelerations: wp.Function, follow: wp.Function
+    vehicle_type: Any, vector: Any, params_type: Any, accelerations: wp.Function, any_load: bool, follow: wp.Function
 ) -> wp.Function:
     @wp.func
     def euler(
@@ -230,15 +275,22 @@ def _make_euler(
         lin_vel: wp.vec3,
         ang_vel: wp.vec3,
         rotor_speed: vector,
+        load: wp.spatial_vector,
         command: vector,
         dt: float,
     ):
         rotors = follow(vehicle, rotor_speed, command)
         spin_up = (rotors - rotor_speed) / dt
-        acc, ang_acc = accelerations(vehicle, params, gravity, position, attitude, lin_vel, ang_vel, rotors, spin_up)
+        acc, ang_acc, swing = accelerations(
+            vehicle, params, gravity, position, attitude, lin_vel, ang_vel, rotors, spin_up, load
+        )
         v = lin_vel + dt * acc
         w = ang_vel + dt * ang_acc
-        return position + dt * v, wp.normalize(attitude * small_turn(dt * w)), v, w, rotors
+        hung = load
+        if wp.static(any_load):
+            rate = wp.spatial_bottom(load) + dt * wp.spatial_bottom(swing)
+            hung = settle(wp.spatial_vector(wp.spatial_top(load) + dt * rate, rate))
+        return position + dt * v, wp.normalize(attitude * small_turn(dt * w)), v, w, rotors, hung
 
     return euler
 
@@ -248,6 +300,7 @@ def _make_rk4(
     vector: Any,
     params_type: Any,
     accelerations: wp.Function,
+    any_load: bool,
     follow: wp.Function,
     spin_up: wp.Function,
 ) -> wp.Function:
@@ -261,6 +314,7 @@ def _make_rk4(
         lin_vel: wp.vec3,
         ang_vel: wp.vec3,
         rotor_speed: vector,
+        load: wp.spatial_vector,
         command: vector,
         dt: float,
     ):
@@ -270,30 +324,39 @@ def _make_rk4(
         n1 = spin_up(vehicle, rotor_speed, command, rotor_speed, dt)
         n2 = spin_up(vehicle, middle, command, rotor_speed, dt)
         n4 = spin_up(vehicle, end, command, rotor_speed, dt)
-        a1, b1 = accelerations(vehicle, params, gravity, position, attitude, lin_vel, ang_vel, rotor_speed, n1)
+        a1, b1, s1 = accelerations(
+            vehicle, params, gravity, position, attitude, lin_vel, ang_vel, rotor_speed, n1, load
+        )
         r1 = attitude_rate(attitude, ang_vel)
         v2 = lin_vel + half * a1
         w2 = ang_vel + half * b1
         q2 = attitude + half * r1
-        a2, b2 = accelerations(vehicle, params, gravity, position + half * lin_vel, q2, v2, w2, middle, n2)
+        l2 = load + half * s1
+        a2, b2, s2 = accelerations(vehicle, params, gravity, position + half * lin_vel, q2, v2, w2, middle, n2, l2)
         r2 = attitude_rate(q2, w2)
         v3 = lin_vel + half * a2
         w3 = ang_vel + half * b2
         q3 = attitude + half * r2
-        a3, b3 = accelerations(vehicle, params, gravity, position + half * v2, q3, v3, w3, middle, n2)
+        l3 = load + half * s2
+        a3, b3, s3 = accelerations(vehicle, params, gravity, position + half * v2, q3, v3, w3, middle, n2, l3)
         r3 = attitude_rate(q3, w3)
         v4 = lin_vel + dt * a3
         w4 = ang_vel + dt * b3
         q4 = attitude + dt * r3
-        a4, b4 = accelerations(vehicle, params, gravity, position + dt * v3, q4, v4, w4, end, n4)
+        l4 = load + dt * s3
+        a4, b4, s4 = accelerations(vehicle, params, gravity, position + dt * v3, q4, v4, w4, end, n4, l4)
         r4 = attitude_rate(q4, w4)
         sixth = dt / 6.0
+        hung = load
+        if wp.static(any_load):
+            hung = settle(load + sixth * (s1 + 2.0 * s2 + 2.0 * s3 + s4))
         return (
             position + sixth * (lin_vel + 2.0 * v2 + 2.0 * v3 + v4),
             wp.normalize(attitude + sixth * (r1 + 2.0 * r2 + 2.0 * r3 + r4)),
             lin_vel + sixth * (a1 + 2.0 * a2 + 2.0 * a3 + a4),
             ang_vel + sixth * (b1 + 2.0 * b2 + 2.0 * b3 + b4),
             end,
+            hung,
         )
 
     return rk4

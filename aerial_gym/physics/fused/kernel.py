@@ -17,8 +17,10 @@ from aerial_gym.physics.fused.contact import ContactParameters, make_push_off_gr
 from aerial_gym.physics.fused.dynamics import make_stepper
 from aerial_gym.physics.fused.functions import load_quat, load_vec4, rotate, store_quat, store_vec4
 from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.fused.memory import MemoryArrays, make_begin
 from aerial_gym.physics.fused.parameters import Columns
 from aerial_gym.physics.fused.types import rotor_types, vector_of
+from aerial_gym.physics.fused.values import num_values, values_type
 from aerial_gym.physics.model import Model
 
 
@@ -65,6 +67,7 @@ def _make_vehicle_reader(num_rotors: int, places: dict[str, int]) -> wp.Function
     vehicle_type = types.vehicle
     vec3, mat33 = _make_reader(wp.vec3, 3, 0), _make_reader(wp.mat33, 3, 3)
     vector, rows = _make_reader(types.vector, num_rotors, 0), _make_reader(types.rows, num_rotors, 3)
+    battery = _make_reader(vector_of(6), 6, 0)
 
     @wp.func
     def read(shared: vehicle_type, source: wp.array2d[float], env: int) -> vehicle_type:
@@ -94,6 +97,10 @@ def _make_vehicle_reader(num_rotors: int, places: dict[str, int]) -> wp.Function
             vehicle.decay_up = vector(source, wp.static(at("decay_up", 0)), env)
         if wp.static("decay_down" in places):
             vehicle.decay_down = vector(source, wp.static(at("decay_down", 0)), env)
+        if wp.static("battery" in places):
+            vehicle.battery = battery(source, wp.static(at("battery", 0)), env)
+        if wp.static("other_position" in places):
+            vehicle.other_position = vec3(source, wp.static(at("other_position", 0)), env)
         return vehicle
 
     return read
@@ -161,9 +168,11 @@ def make_kernel(
         com_offset: Whether the centre of mass is beside the body origin anywhere.
         differentiable: Whether Warp also makes the adjoint.
     """
-    num_rotors, num_params = model.vehicle.num_rotors, columns.num_effect_params
+    num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
     types = rotor_types(num_rotors)
-    vector, action_type, params_type = types.vector, vector_of(law.num_actions), vector_of(max(num_params, 1))
+    vector, action_type, params_type = types.vector, vector_of(law.num_actions), values_type(model)
+    remembers, any_load, num_loads = bool(model.remembering), bool(model.loads), 6 * len(model.loads)
+    begin = make_begin(model, integrator) if remembers else None
     vehicle_type, command_type, gains_type = types.vehicle, types.command, law.gains_type or NoGains
     step, command_of = make_stepper(model, integrator), make_command(law, num_rotors)
     read_vehicle = _make_vehicle_reader(num_rotors, dict(columns.vehicle))
@@ -188,7 +197,12 @@ def make_kernel(
         v: wp.vec3,
         w: wp.vec3,
         n: vector,
+        load: wp.spatial_vector,
         u: action_type,
+        memory: MemoryArrays,
+        env: int,
+        since: int,
+        count: int,
         dt: float,
     ):
         origin = x
@@ -197,7 +211,11 @@ def make_kernel(
             origin = x - rotate(q, vehicle.com)
             origin_vel = v - rotate(q, wp.cross(w, vehicle.com))
         command = command_of(command_params, gains, origin, q, origin_vel, w, u)
-        return step(vehicle, params, gravity, x, q, v, w, n, command, dt)
+        values = params
+        if wp.static(remembers):
+            values, command = begin(vehicle, params, command, n, memory, env, since, count, dt)
+        x, q, v, w, n, load = step(vehicle, values, gravity, x, q, v, w, n, load, command, dt)
+        return x, q, v, w, n, load, values
 
     @wp.kernel(module="unique", enable_backward=differentiable)
     def advance(
@@ -220,6 +238,7 @@ def make_kernel(
         dt: float,  # [s]
         substeps: int,
         first: int,  # environment of the first thread
+        memory: MemoryArrays,  # read and written
         # out
         position_out: wp.array[wp.vec3],
         attitude_out: wp.array[wp.quat],
@@ -244,14 +263,30 @@ def make_kernel(
         if wp.static(com_offset):
             x = x + rotate(q, vehicle.com)
             v = v + rotate(q, wp.cross(w, vehicle.com))
+        load = wp.spatial_vector()
+        since = wp.int32(0)
+        count = wp.int32(0)
+        if wp.static(remembers):
+            since = memory.since[env]
+            count = memory.count[env]
+            for i in range(wp.static(num_memory)):
+                params[wp.static(num_params) + i] = memory.numbers[i, env]
+        if wp.static(any_load):
+            for i in range(6):
+                load[i] = memory.numbers[wp.static(num_memory - num_loads) + i, env]
         if wp.static(differentiable):  # no loop: its adjoint would need the states on the way
-            x, q, v, w, n = step_once(vehicle, command_params, gains, params, gravity, x, q, v, w, n, u, dt)
+            x, q, v, w, n, load, params = step_once(
+                vehicle, command_params, gains, params, gravity, x, q, v, w, n, load, u, memory, env, since, count, dt
+            )
             substeps = 0
         total = wp.vec3()
-        for _k in range(substeps):
+        for k in range(substeps):
             first_v = v
             first_w = w
-            x, q, v, w, n = step_once(vehicle, command_params, gains, params, gravity, x, q, v, w, n, u, dt)
+            x, q, v, w, n, load, params = step_once(
+                vehicle, command_params, gains, params, gravity, x, q, v, w, n, load, u, memory, env,
+                since + k, count + k, dt,
+            )  # fmt: skip
             if wp.static(num_spheres > 0 and compliant):
                 x, q, v, w, impulse, crashes = push_off_ground(
                     vehicle, ground_law, spheres, ground_height, first_v, first_w, x, q, v, w, dt
@@ -266,6 +301,14 @@ def make_kernel(
                         center -= vehicle.com
                     if x[2] + rotate(q, center)[2] - spheres[i][3] < ground_height:
                         contact_out[env] = True
+        if wp.static(remembers):
+            memory.since[env] = since + substeps
+            memory.count[env] = count + substeps
+            for i in range(wp.static(num_memory - num_loads)):
+                memory.numbers[i, env] = params[wp.static(num_params) + i]
+        if wp.static(any_load):
+            for i in range(6):
+                memory.numbers[wp.static(num_memory - num_loads) + i, env] = load[i]
         if wp.static(com_offset):
             x = x - rotate(q, vehicle.com)
             v = v - rotate(q, wp.cross(w, vehicle.com))

@@ -67,6 +67,10 @@ def vehicle_fields(model: Model, stage: float) -> list[Field]:
         Field("decay_up", (v.time_constant_up,), decay),
         Field("decay_down", (v.time_constant_down,), decay),
     ]
+    if model.commands:
+        fields.append(Field("battery", (v.battery,), _same))
+    if model.wrenches:
+        fields.append(Field("other_position", (model.other_position,), _same))
     if model.rotors or model.wrenches:
         fields += [
             Field("rotor_lever", (v.rotor_position, v.com), lambda position, com: position - com.unsqueeze(1)),
@@ -98,7 +102,7 @@ def gain_fields(law: FusedLaw) -> list[Field]:
 
 
 def effect_rows(model: Model) -> list[Tensor]:
-    """Return the parameters (E, P) of the effects that act in a step: winds first, then rotors, then wrenches."""
+    """Return the parameters (E, P) of the effects that act in a step, in the order of ``Model.forces``."""
     return [params for _, params in model.forces]
 
 

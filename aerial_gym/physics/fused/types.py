@@ -36,6 +36,9 @@ class RotorTypes:
     condition: Any
     """``wp.struct`` of what a force may depend on: ``effects.Condition`` for one environment."""
 
+    moment: Any
+    """``wp.struct`` of the start of a substep: ``effects.Moment`` for one environment."""
+
 
 @wp.struct
 class Hub:
@@ -45,8 +48,19 @@ class Hub:
     thrust: float  # of its own [N]
     radius: float  # [m]
     height: float  # above the ground [m]
+    room: float  # below the ceiling [m]
     axis: wp.vec3  # body
     velocity: wp.vec3  # through the air [m/s], body
+
+
+@wp.struct
+class Suspension:
+    """How the body origin, on which a load hangs, would move without the load."""
+
+    acceleration: wp.vec3  # gravity included [m/s²], world
+    air_velocity: wp.vec3  # through the air [m/s], world
+    mobility: wp.mat33  # acceleration per force [1/kg], world
+    gravity: float  # [m/s²]
 
 
 def vector_of(length: int) -> Any:
@@ -60,6 +74,7 @@ def rotor_types(num_rotors: int) -> RotorTypes:
     vector = vector_of(num_rotors)
     rows = wp.types.matrix(shape=(num_rotors, 3), dtype=wp.float32)
     matrix = wp.types.matrix(shape=(num_rotors, 6), dtype=wp.float32)
+    six = vector_of(6)
 
     @wp.struct
     class VehicleParameters:
@@ -76,6 +91,8 @@ def rotor_types(num_rotors: int) -> RotorTypes:
         rotor_reaction: rows  # torque per drag torque, -s a
         decay_up: vector  # exp(-span / tau) of a rising speed over one stage of the stepper
         decay_down: vector
+        battery: six  # nominal, full, empty voltage [V], resistance [Ohm], capacity [A s], efficiency
+        other_position: wp.vec3  # another vehicle [m], world
 
     @wp.struct
     class CommandParameters:
@@ -96,5 +113,13 @@ def rotor_types(num_rotors: int) -> RotorTypes:
         rotor_axis: rows  # direction of thrust, body
         rotor_reaction: rows  # minus spin times axis
         lever: rows  # hub from the centre of mass [m], body
+        other_position: wp.vec3  # another vehicle [m], world
 
-    return RotorTypes(vector, rows, matrix, VehicleParameters, CommandParameters, Condition)
+    @wp.struct
+    class Moment:
+        rotor_speed: vector  # [rad/s]
+        since: int  # substeps since the reset
+        random: wp.uint32
+        dt: float  # [s]
+
+    return RotorTypes(vector, rows, matrix, VehicleParameters, CommandParameters, Condition, Moment)

@@ -1,0 +1,48 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""Commands reach the motors late: radio, bus and electronic speed controllers take their time.
+
+The rotors follow ``w_c(t - delay)``, with the command of each substep held over it. Where the delay is no multiple of the
+substep, the delayed command changes inside a substep, and the lag follows first one, then the other. Speeds at the ends of
+substeps are exact for every delay and any division into substeps; inside a substep, forces are those of the held command
+that leads to the same speed at its end (``rotors.held_command``). Before the first command after a reset has come through, the
+rotors keep their speeds.
+Source: Derived: transport delay of a piecewise constant signal; in multirotors e.g. Foerster (2015), System identification of
+the Crazyflie 2.0, section 3.2.
+"""
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.physics.effects.base import DelayEffect, Parameter
+
+LONGEST = 0.1
+"""Bound of the delay [s]; the backend keeps the commands of this span (51 at substeps of 2 ms)."""
+
+
+class ActuationDelay(DelayEffect):
+    """A dead time between commands and rotors."""
+
+    name = "actuation_delay"
+    summary = "dead time between the commands and the rotors"
+    parameters = (Parameter(name="delay", unit="s", low=0.0, high=LONGEST, scale=0.01, meaning="dead time"),)
+    excitation = "quick changes of the rotor commands, with measured rotor speeds"
+    confused_with = ("motor_time_constant", "motor_asymmetry")
+    identifiable = False
+    longest = LONGEST
+
+    def delay(self, params: Tensor) -> Tensor:
+        """Return the delay [s], (E,)."""
+        return params[:, 0]
+
+    def warp_delay(self) -> wp.Function:
+        """Return the same in Warp."""
+        params = wp.types.vector(length=1, dtype=wp.float32)
+
+        @wp.func
+        def actuation_delay(delay: params) -> float:
+            return delay[0]
+
+        return actuation_delay

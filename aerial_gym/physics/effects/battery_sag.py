@@ -1,0 +1,103 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""A battery under load gives less voltage, and the motors then reach less speed for the same command.
+
+A command leads to the speed ``w = w_c (1 - gain (1 - V / V_nominal))``: gain 0 is a controller that makes up for the voltage,
+1 a motor whose speed is proportional to it. In a flight V is measured. In the simulator it follows from the load at the start
+of each substep: with the mechanical power P of the rotors and the charge q drawn so far, ``V = E(q) - r I``,
+``V I = P / efficiency``, ``dq/dt = I``, where the open-circuit voltage E falls on a straight line from full to empty. A battery
+that is asked for more than it can give, ``E² / 4 r``, has V = E / 2.
+Source: Derived: Kirchhoff's voltage law, e.g. Tremblay, Dessaint (2009), Experimental validation of a battery dynamic model
+for EV applications, section 2, without polarisation; speed of a DC motor: Drela (2007), First-order DC electric motor model.
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics.effects.base import CommandEffect, Moment, Parameter
+from aerial_gym.physics.vehicle import Vehicle
+
+LEAST_SQUARE = wp.constant(1e-6)
+"""Of the discriminant over E²: beyond the power that the battery can give; keeps the slope of the root finite."""
+
+
+def speed_factor(voltage: Tensor, nominal: Tensor, gain: Tensor) -> Tensor:
+    """Return the speed that a motor reaches per commanded speed, ``1 - gain (1 - V / V_nominal)``, not below 0."""
+    return (1.0 - gain * (1.0 - voltage / nominal)).clamp_min(0.0)
+
+
+def voltage_under_load(open_voltage: Tensor, resistance: Tensor, power: Tensor) -> Tensor:
+    """Return the voltage [V] of a battery that gives a power [W]: the larger root of ``V (E - V) / r = P``."""
+    square = open_voltage.square()
+    root = (square - 4.0 * resistance * power).maximum(LEAST_SQUARE * square).sqrt()
+    return 0.5 * (open_voltage + root)
+
+
+class BatterySag(CommandEffect):
+    """Speeds that fall with the voltage of the battery."""
+
+    name = "battery_sag"
+    summary = "rotor speeds that fall with the voltage of the battery"
+    parameters = (
+        Parameter(name="gain", unit="-", low=0.0, high=2.0, scale=0.2, meaning="relative speed per relative voltage"),
+    )
+    excitation = "a long flight, or hard and gentle thrust, with the voltage and commands in the log"
+    confused_with = ("thrust_coefficient", "payload_mass", "motor_time_constant")
+    memory = (0.0, 0.0)
+    """Charge drawn [A s] and voltage [V]; the latter is written before it is first read."""
+    identifiable = False
+
+    def check(self, robot: RobotCfg) -> None:
+        """Raise ``ConfigError`` unless the battery is known."""
+        if robot.battery is None:
+            raise ConfigError(
+                "effect battery_sag: the robot file must give battery: {nominal_voltage, full_voltage, empty_voltage, "
+                "internal_resistance, capacity, source}"
+            )
+
+    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+        """Return charge at the end and voltage at the start of the substep, (E, 2)."""
+        vehicle, charge, speed = moment.vehicle, values[:, 1], moment.rotor_speed
+        _, full, empty, resistance, capacity, efficiency = vehicle.battery.unbind(-1)
+        q0, q1, q2 = vehicle.torque_map.unbind(-1)
+        power = ((q0 + speed * (q1 + speed * q2)) * speed).sum(-1) / efficiency
+        open_voltage = full - (full - empty) * (charge / capacity).clamp_max(1.0)
+        voltage = voltage_under_load(open_voltage, resistance, power)
+        return torch.stack((charge + moment.dt * power / voltage, voltage), dim=-1)
+
+    def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
+        """Return the commanded speeds times the factor."""
+        return command * speed_factor(params[:, 2], vehicle.battery[:, 0], params[:, 0]).unsqueeze(-1)
+
+    def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
+        """Return the same in Warp."""
+
+        @wp.func
+        def battery_state(plant: vehicle, now: moment, values: wp.vec3) -> wp.vec3:
+            power = wp.float32(0.0)
+            for i in range(len(now.rotor_speed)):
+                n = now.rotor_speed[i]
+                power += n * (plant.torque_map[i, 0] + n * (plant.torque_map[i, 1] + n * plant.torque_map[i, 2]))
+            power = power / plant.battery[5]
+            used = wp.min(values[1] / plant.battery[4], 1.0)
+            open_voltage = plant.battery[1] - (plant.battery[1] - plant.battery[2]) * used
+            square = open_voltage * open_voltage
+            root = wp.sqrt(wp.max(square - 4.0 * plant.battery[3] * power, LEAST_SQUARE * square))
+            voltage = 0.5 * (open_voltage + root)
+            return wp.vec3(values[0], values[1] + now.dt * power / voltage, voltage)
+
+        return battery_state
+
+    def warp_command(self, vehicle: type, vector: type) -> wp.Function:
+        """Return the same in Warp."""
+
+        @wp.func
+        def battery_sag(command: vector, plant: vehicle, values: wp.vec3) -> vector:
+            return command * wp.max(1.0 - values[0] * (1.0 - values[2] / plant.battery[0]), 0.0)
+
+        return battery_sag

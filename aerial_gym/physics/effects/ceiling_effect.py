@@ -1,0 +1,58 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""Rotors close below a ceiling give more thrust at the same speed: it keeps air from them, and they suck towards it.
+
+``T' = T / (1 - k (R / 4 h)²)`` for a rotor of radius R whose hub is a distance h below the ceiling. Closer than ``h = R / 2``
+the formula is not meant to hold, and the gain stays what it is there; above the ceiling as well.
+Source: Powers, Mellinger, Kushleyev, Kothmann, Kumar (2013), Influence of aerodynamics and proximity effects in quadrotor
+flight: ``T / T' = 1 - (1 / a_1) (R / (h + a_2))²`` near a ceiling; here a_2 = 0, and ``k = 16 / a_1`` is the factor of
+``ground_effect``, so that their strengths compare.
+"""
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics.effects.base import Condition, Parameter, RotorEffect
+
+CLOSEST = wp.constant(0.5)
+"""Least distance of a hub that makes a difference, in radii."""
+
+
+class CeilingEffect(RotorEffect):
+    """Gain of thrust near a ceiling."""
+
+    name = "ceiling_effect"
+    summary = "gain of thrust near the ceiling"
+    parameters = (Parameter(name="k", unit="-", low=0.0, high=3.5, scale=1.0, meaning="strength, as of ground_effect"),)
+    excitation = "flight within two rotor diameters of the ceiling, and away from it; its height"
+    confused_with = ("thrust_coefficient", "battery_sag", "ground_effect")
+    needs = ("ceiling_height",)
+    identifiable = False
+
+    def check(self, robot: RobotCfg) -> None:
+        """Raise ``ConfigError`` unless the radius of the rotors is known."""
+        if robot.rotor.radius is None:
+            raise ConfigError("effect ceiling_effect: the robot file must give rotor.radius [m]")
+
+    def thrust(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return ``T (1 / (1 - k (R / 4 h)²) - 1)``."""
+        radius = condition.vehicle.rotor_radius
+        room = condition.hub_room.maximum(CLOSEST * radius)
+        share = params[:, :1] * (radius / (4.0 * room)).square()
+        return condition.rotor_thrust * share / (1.0 - share)
+
+    def warp_thrust(self, condition: type, hub: type) -> wp.Function:
+        """Return the same in Warp."""
+        params = wp.types.vector(length=1, dtype=wp.float32)
+
+        @wp.func
+        def ceiling_effect(at: condition, rotor: hub, k: params) -> float:
+            ratio = rotor.radius / (4.0 * wp.max(rotor.room, CLOSEST * rotor.radius))
+            share = k[0] * ratio * ratio
+            return rotor.thrust * share / (1.0 - share)
+
+        return ceiling_effect

@@ -1,0 +1,62 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""The wake of a vehicle above pushes down whatever flies below it.
+
+``F = -force exp(-d² / 2 sigma²)`` along world z at the centre of mass, with the horizontal distance d to the other vehicle;
+nothing where the centre of mass is above it. In the simulator the other one is at ``downwash_position`` (GTD): infinitely high
+over the environment's origin, unless someone writes another place.
+Source: Gaussian profile of a developed jet: Pope (2000), Turbulent Flows, section 5.1; such forces between multirotors are
+measured by Shi, Honig, Shi, Yue, Chung (2022), Neural-Swarm2, IEEE T-RO. The decay of the jet with height is left out.
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect
+from aerial_gym.physics.fused.functions import rotate_inverse
+
+
+class Downwash(WrenchEffect):
+    """Downward force in the wake of another vehicle."""
+
+    name = "downwash"
+    summary = "downward force in the wake of a vehicle above"
+    parameters = (
+        Parameter(name="force", unit="N", low=0.0, high=100.0, scale=0.5, meaning="right below the other vehicle"),
+        Parameter(name="sigma", unit="m", low=0.01, high=10.0, scale=0.2, meaning="horizontal width"),
+    )
+    excitation = "passes below another vehicle whose position is in the log"
+    confused_with = ("gusts", "thrust_coefficient", "ground_effect")
+    needs = ("other_position",)
+    identifiable = False
+
+    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
+        """Return no force."""
+        del robot
+        return 0.0, 0.3
+
+    def wrench(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return force and torque (E, 6)."""
+        away = (condition.position - condition.other_position)[:, :2]
+        share = torch.exp(-0.5 * away.square().sum(-1) / params[:, 1].square())
+        below = condition.position[:, 2] < condition.other_position[:, 2]
+        force = -(params[:, 0] * torch.where(below, share, 0.0)).unsqueeze(-1) * condition.up
+        return torch.cat((force, torch.zeros_like(force)), dim=-1)
+
+    def warp_wrench(self, condition: type) -> wp.Function:
+        """Return the same in Warp."""
+
+        @wp.func
+        def downwash(at: condition, params: wp.vec2) -> wp.spatial_vector:
+            x = at.position[0] - at.other_position[0]
+            y = at.position[1] - at.other_position[1]
+            push = params[0] * wp.exp(-0.5 * (x * x + y * y) / (params[1] * params[1]))
+            if at.position[2] >= at.other_position[2]:
+                push = 0.0
+            return wp.spatial_vector(rotate_inverse(at.attitude, wp.vec3(0.0, 0.0, -push)), wp.vec3())
+
+        return downwash

@@ -1,0 +1,94 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""Gusts: wind that wanders about zero, each axis by itself, an Ornstein-Uhlenbeck process.
+
+``dw = -w dt / T + std sqrt(2 / T) dW``, with the variance std² and the autocorrelation ``exp(-|t| / T)``. Over a substep
+``w' = a w + std sqrt(1 - a²) N(0, 1)``, ``a = exp(-dt / T)``: exact at the ends of substeps for every length of them; inside a
+substep the wind is held. The first value after a reset is drawn from N(0, std²).
+Source: Gillespie (1996), Exact numerical simulation of the Ornstein-Uhlenbeck process and its integral, eq. 1.9; as a model of
+turbulence it is the longitudinal Dryden spectrum, MIL-F-8785C, section 3.7.
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.math.random import counted_normal
+from aerial_gym.physics.effects.base import Moment, Parameter, WindEffect
+
+SMALL = wp.constant(0.01)
+"""Below it ``1 - exp(-x)`` is its series, exact in float32 (next term 4e-10 of it)."""
+
+
+class Gusts(WindEffect):
+    """Random wind."""
+
+    name = "gusts"
+    summary = "random wind with a correlation time; acts through the drag effects"
+    parameters = (
+        Parameter(name="std", unit="m/s", low=0.0, high=20.0, scale=1.0, meaning="standard deviation of each axis"),
+        Parameter(name="corr_time", unit="s", low=0.01, high=100.0, scale=1.0, meaning="correlation time T"),
+    )
+    excitation = "a known drag, and flights much longer than the correlation time"
+    confused_with = ("constant_wind", "downwash")
+    memory = (0.0, 0.0, 0.0)
+    """Wind [m/s], world."""
+    identifiable = False
+
+    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
+        """Return no wind."""
+        del robot
+        return 0.0, 1.0
+
+    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+        """Return the wind of this substep, (E, 3)."""
+        share = moment.dt / values[:, 1:2]
+        begins = (moment.since == 0).unsqueeze(-1)
+        decay = torch.where(begins, 0.0, torch.exp(-share))
+        spread = values[:, :1] * torch.where(begins, 1.0, (-torch.expm1(-2.0 * share)).sqrt())
+        return decay * values[:, 2:] + spread * counted_normal(moment.random, 0, 3, dtype=values.dtype)
+
+    def wind(self, position: Tensor, params: Tensor) -> Tensor:
+        """Return the remembered wind, (E, 3)."""
+        del position
+        return params[:, 2:]
+
+    def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
+        """Return the same in Warp."""
+        numbers = wp.types.vector(length=5, dtype=wp.float32)
+
+        @wp.func
+        def next_gust(plant: vehicle, now: moment, values: numbers) -> numbers:
+            share = now.dt / values[1]
+            decay = wp.exp(-share)
+            twice = 2.0 * share
+            square = 1.0 - decay * decay
+            if twice < SMALL:
+                square = twice * (1.0 - 0.5 * twice * (1.0 - twice / 3.0 * (1.0 - 0.25 * twice)))
+            if now.since == 0:
+                decay = 0.0
+                square = 1.0
+            spread = values[0] * wp.sqrt(square)
+            stream = wp.rand_init(int(now.random), 0)
+            after = numbers()
+            after[0] = values[0]
+            after[1] = values[1]
+            after[2] = decay * values[2] + spread * wp.randn(stream)
+            after[3] = decay * values[3] + spread * wp.randn(stream)
+            after[4] = decay * values[4] + spread * wp.randn(stream)
+            return after
+
+        return next_gust
+
+    def warp_wind(self) -> wp.Function:
+        """Return the same in Warp."""
+        numbers = wp.types.vector(length=5, dtype=wp.float32)
+
+        @wp.func
+        def gusts(position: wp.vec3, values: numbers) -> wp.vec3:
+            return wp.vec3(values[2], values[3], values[4])
+
+        return gusts

@@ -1,0 +1,86 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""A point mass that swings below the body origin on a massless rigid link.
+
+With the unit vector n from the origin to the mass m at the distance l, the acceleration a of the origin, and the drag
+``F_d = -damping v`` of the mass by its velocity v through the air::
+
+    T = m (g . n - a . n + l n'²) + F_d . n        tension of the link, which pulls the origin by +T n
+    n'' = (1 - n n^T) (g + F_d / m - a) / l - n'² n
+
+a itself depends on T, by the mobility A of the origin: ``a = a_0 + A n T``; both equations are linear in T, so that the
+coupled accelerations are exact. The link also pushes (T < 0), like a rod. Neither ground nor obstacles touch the mass, and the
+impulse of a contact does not reach it. There is no singular direction: n and n' are vectors, put back to ``|n| = 1``,
+``n . n' = 0`` after each step.
+Source: Lee, Sreenath, Kumar (2013), Geometric control of cooperating multiple quadrotor UAVs with a suspended payload, eq. 1-4,
+for one vehicle, with a drag and a suspension beside the centre of mass added; derived from Newton's law for both bodies.
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics.effects.base import LoadEffect, Parameter, Suspension
+
+LEAST_MASS = wp.constant(1e-6)
+"""A lighter mass [kg] swings like this one; it pulls by what it weighs itself."""
+
+
+class SlungPayload(LoadEffect):
+    """A pendulum under the vehicle."""
+
+    name = "slung_payload"
+    summary = "point mass that swings below the body origin on a rigid link"
+    parameters = (
+        Parameter(name="mass", unit="kg", low=0.0, high=50.0, scale=0.05, meaning="of the payload"),
+        Parameter(name="length", unit="m", low=0.01, high=100.0, scale=0.2, meaning="from the body origin"),
+        Parameter(name="damping", unit="N s/m", low=0.0, high=10.0, scale=0.01, meaning="linear drag of the payload"),
+    )
+    excitation = "sideways accelerations, and flights of several swings"
+    confused_with = ("payload_mass", "gusts", "com_offset", "thrust_coefficient")
+    identifiable = False
+
+    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
+        """Return no mass."""
+        del robot
+        return 0.0, 1.0, 0.0
+
+    def pull(self, suspension: Suspension, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
+        """Return ``T n`` and n''."""
+        mass, length, damping = (params[:, k : k + 1] for k in range(3))
+        direction, rate = load[:, :3], load[:, 3:]
+        square = rate.square().sum(-1, keepdim=True)
+        drag = -damping * (suspension.air_velocity + length * rate)
+        yielding = (suspension.mobility * direction.unsqueeze(-2)).sum(-1)
+        ax, ay, az = suspension.acceleration.unbind(-1)
+        hanging = torch.stack((-ax, -ay, -az - suspension.gravity), dim=-1)
+        along = mass * ((hanging * direction).sum(-1, keepdim=True) + length * square)
+        along = along + (drag * direction).sum(-1, keepdim=True)
+        tension = along / (1.0 + mass * (yielding * direction).sum(-1, keepdim=True))
+        push = hanging - yielding * tension + drag / mass.clamp_min(LEAST_MASS)
+        across = push - (push * direction).sum(-1, keepdim=True) * direction
+        return tension * direction, across / length - square * direction
+
+    def warp_pull(self, suspension: type) -> wp.Function:
+        """Return the same in Warp."""
+
+        @wp.func
+        def slung_payload(at: suspension, load: wp.spatial_vector, params: wp.vec3):
+            mass = params[0]
+            length = params[1]
+            direction = wp.spatial_top(load)
+            rate = wp.spatial_bottom(load)
+            square = wp.dot(rate, rate)
+            drag = -params[2] * (at.air_velocity + length * rate)
+            yielding = at.mobility * direction
+            hanging = -at.acceleration - wp.vec3(0.0, 0.0, at.gravity)
+            along = mass * (wp.dot(hanging, direction) + length * square) + wp.dot(drag, direction)
+            tension = along / (1.0 + mass * wp.dot(yielding, direction))
+            push = hanging - yielding * tension + drag / wp.max(mass, LEAST_MASS)
+            across = push - wp.dot(push, direction) * direction
+            return tension * direction, across / length - square * direction
+
+        return slung_payload

@@ -1,0 +1,179 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""The start of a substep for one environment: what effects remember, and the command that the rotors follow.
+
+Twin of ``physics.memory``. Letters: E environments, R rotors, M numbers of all effects, S remembered commands.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from aerial_gym.physics.fused.dynamics import STAGES
+from aerial_gym.physics.fused.types import rotor_types
+from aerial_gym.physics.fused.values import pickers, values_type
+from aerial_gym.physics.memory import RANDOM_STREAM
+from aerial_gym.physics.model import Model
+
+
+@wp.struct
+class MemoryArrays:
+    """Memory of all effects in all environments."""
+
+    numbers: wp.array2d[float]  # (M, E)
+    past: wp.array2d[float]  # (S R, E) commands [rad/s], a ring
+    since: wp.array[int]  # (E,) substeps since the reset
+    count: wp.array[int]  # (E,) substeps since the seed was given
+    seed: wp.array[int]  # (1,)
+    slots: int  # S
+
+
+def no_memory(device: Any) -> MemoryArrays:
+    """Return empty arrays, for a kernel that remembers nothing."""
+    arrays = MemoryArrays()
+    arrays.numbers = arrays.past = wp.empty((0, 0), dtype=float, device=device)
+    arrays.since = arrays.count = arrays.seed = wp.empty(0, dtype=int, device=device)
+    return arrays
+
+
+def make_begin(model: Model, integrator: str) -> wp.Function:
+    """Return a function from values and command to those of a substep."""
+    types, values, num_rotors = rotor_types(model.vehicle.num_rotors), values_type(model), model.vehicle.num_rotors
+    moment, vehicle_type, vector = types.moment, types.vehicle, types.vector
+    remember, lead, any_delay = _make_remember(model), _make_lead(model), bool(model.delays)
+    delayed = _make_delayed(model, integrator, lead) if any_delay else None
+
+    @wp.func
+    def begin(
+        vehicle: vehicle_type,
+        all_values: values,
+        command: vector,
+        speed: vector,
+        arrays: MemoryArrays,
+        env: int,
+        since: int,
+        count: int,
+        dt: float,
+    ):
+        now = moment()
+        now.rotor_speed = speed
+        now.since = since
+        stream = wp.rand_init(arrays.seed[0], wp.static(RANDOM_STREAM))
+        now.random = wp.rand_init(int(wp.rand_init(int(stream), env)), count)
+        now.dt = dt
+        remembered = remember(vehicle, now, all_values)
+        followed = vector()
+        if wp.static(any_delay):
+            for i in range(wp.static(num_rotors)):
+                arrays.past[(since % arrays.slots) * wp.static(num_rotors) + i, env] = command[i]
+            followed = delayed(vehicle, now, remembered, arrays, env)
+        else:
+            followed = lead(vehicle, remembered, command)
+        return remembered, followed
+
+    return begin
+
+
+def _make_remember(model: Model) -> wp.Function:
+    """Return all ``Effect.remember`` as one function, chained like ``dynamics._sum_of``."""
+    types, values, picks = rotor_types(model.vehicle.num_rotors), values_type(model), pickers(model)
+    moment, vehicle_type = types.moment, types.vehicle
+
+    @wp.func
+    def nothing(vehicle: vehicle_type, now: moment, all_values: values) -> values:
+        return all_values
+
+    def after(rest: wp.Function, effect: wp.Function, get: wp.Function, put: wp.Function) -> wp.Function:
+        @wp.func
+        def remember(vehicle: vehicle_type, now: moment, all_values: values) -> values:
+            before = rest(vehicle, now, all_values)
+            return put(before, effect(vehicle, now, get(before)))
+
+        return remember
+
+    total = nothing
+    for effect, _ in model.forces:
+        twin = effect.warp_remember(vehicle_type, moment)
+        if twin is not None:
+            total = after(total, twin, picks[effect.name].get, picks[effect.name].put)
+    return total
+
+
+def _make_lead(model: Model) -> wp.Function:
+    """Return all ``CommandEffect.command`` as one function."""
+    types, values, picks = rotor_types(model.vehicle.num_rotors), values_type(model), pickers(model)
+    vehicle_type, vector = types.vehicle, types.vector
+
+    @wp.func
+    def straight(vehicle: vehicle_type, all_values: values, command: vector) -> vector:
+        return command
+
+    def after(rest: wp.Function, effect: wp.Function, get: wp.Function) -> wp.Function:
+        @wp.func
+        def lead(vehicle: vehicle_type, all_values: values, command: vector) -> vector:
+            return effect(rest(vehicle, all_values, command), vehicle, get(all_values))
+
+        return lead
+
+    total = straight
+    for effect, _ in model.commands:
+        total = after(total, effect.warp_command(vehicle_type, vector), picks[effect.name].get)
+    return total
+
+
+def _make_delayed(model: Model, integrator: str, lead: wp.Function) -> wp.Function:
+    """Return a function to the held command that does the same as those which arrive during the substep."""
+    types, values, num_rotors = rotor_types(model.vehicle.num_rotors), values_type(model), model.vehicle.num_rotors
+    effect = model.delays[0][0]
+    delay_of, pick, arrive = (
+        effect.warp_delay(),
+        pickers(model)[effect.name].get,
+        _make_arrive(num_rotors, lead, values),
+    )
+    moment, vehicle_type, vector = types.moment, types.vehicle, types.vector
+    stages = 1.0 / STAGES[integrator]
+
+    @wp.func
+    def delayed(vehicle: vehicle_type, now: moment, all_values: values, arrays: MemoryArrays, env: int) -> vector:
+        substeps = wp.clamp(delay_of(pick(all_values)) / now.dt, 0.0, float(arrays.slots - 2))
+        whole = wp.floor(substeps)
+        share = substeps - whole
+        earlier = arrive(vehicle, now, all_values, arrays, env, int(whole) + 1)
+        later = arrive(vehicle, now, all_values, arrays, env, int(whole))
+        held = vector()
+        for i in range(wp.static(num_rotors)):
+            up = wp.pow(vehicle.decay_up[i], wp.static(stages))
+            down = wp.pow(vehicle.decay_down[i], wp.static(stages))
+            held[i] = held_command(now.rotor_speed[i], earlier[i], later[i], share, up, down)
+        return held
+
+    return delayed
+
+
+def _make_arrive(num_rotors: int, lead: wp.Function, values: Any) -> wp.Function:
+    types = rotor_types(num_rotors)
+    moment, vehicle_type, vector = types.moment, types.vehicle, types.vector
+
+    @wp.func
+    def arrive(
+        vehicle: vehicle_type, now: moment, all_values: values, arrays: MemoryArrays, env: int, age: int
+    ) -> vector:
+        if age > now.since:  # nothing has been commanded yet
+            return now.rotor_speed
+        command = vector()
+        for i in range(wp.static(num_rotors)):
+            command[i] = arrays.past[((now.since - age) % arrays.slots) * wp.static(num_rotors) + i, env]
+        return lead(vehicle, all_values, command)
+
+    return arrive
+
+
+@wp.func
+def held_command(speed: float, earlier: float, later: float, share: float, up: float, down: float) -> float:
+    """Return ``rotors.held_command`` of one rotor, from its decays over the substep."""
+    first = (earlier - speed) * (1.0 - wp.pow(wp.where(earlier > speed, up, down), share))
+    middle = speed + first
+    rise = first + (later - middle) * (1.0 - wp.pow(wp.where(later > middle, up, down), 1.0 - share))
+    return speed + rise / (1.0 - wp.where(rise > 0.0, up, down))

@@ -1,0 +1,73 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""Parameters and memory of all effects of one environment in one vector: it stays in registers over the substeps.
+
+First all parameters, then all memory, each in the order of ``Model.forces``.
+Letters: P parameters, M remembered numbers of an effect.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from aerial_gym.physics.fused.types import vector_of
+from aerial_gym.physics.model import Model
+
+
+@dataclass(frozen=True)
+class Pick:
+    """Access to what belongs to one effect."""
+
+    get: wp.Function
+    """``wp.func`` (values of all effects) -> parameters of this one, and its memory behind them: vector of P + M."""
+
+    put: wp.Function
+    """``wp.func`` (values of all, vector of P + M) -> values of all with this memory."""
+
+
+def num_values(model: Model) -> tuple[int, int]:
+    """Return how many parameters and remembered numbers there are."""
+    return sum(p.shape[1] for _, p in model.forces), sum(len(effect.memory) for effect, _ in model.forces)
+
+
+def values_type(model: Model) -> Any:
+    """Return the type of the vector."""
+    return vector_of(max(sum(num_values(model)), 1))
+
+
+def pickers(model: Model) -> dict[str, Pick]:
+    """Return access to each effect by its name. A load keeps its memory with the motion, and is given parameters alone."""
+    found, first, (first_memory, _) = {}, 0, num_values(model)
+    loads = {effect.name for effect, _ in model.loads}
+    for effect, params in model.forces:
+        width, memory = params.shape[1], len(effect.memory)
+        found[effect.name] = _pick(
+            values_type(model), first, width, first_memory, 0 if effect.name in loads else memory
+        )
+        first, first_memory = first + width, first_memory + memory
+    return found
+
+
+def _pick(values: Any, first: int, width: int, first_memory: int, memory: int) -> Pick:
+    own = vector_of(width + memory)
+
+    @wp.func
+    def get(all_values: values) -> own:
+        picked = own()
+        for i in range(wp.static(width)):
+            picked[i] = all_values[wp.static(first) + i]
+        for i in range(wp.static(memory)):
+            picked[wp.static(width) + i] = all_values[wp.static(first_memory) + i]
+        return picked
+
+    @wp.func
+    def put(all_values: values, own_values: own) -> values:
+        after = all_values
+        for i in range(wp.static(memory)):
+            after[wp.static(first_memory) + i] = own_values[wp.static(width) + i]
+        return after
+
+    return Pick(get, put)

@@ -1,0 +1,148 @@
+"""What effects remember of each environment between substeps, and how a substep begins and ends with it.
+
+Letters: E environments, R rotors, P parameters and M remembered numbers of an effect, S remembered commands.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import ceil
+
+import torch
+from torch import Tensor
+
+from aerial_gym.math.random import counted_state
+from aerial_gym.physics.effects import Effect, Moment
+from aerial_gym.physics.model import Model
+from aerial_gym.physics.rotors import held_command
+
+RANDOM_STREAM = 0x656666
+"""Parts these draws from others of the same seed, such as the initial states; any number does."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Memory:
+    """Memory of all effects of a model."""
+
+    initial: Tensor
+    """Numbers right after a reset, (sum of M,)."""
+
+    numbers: Tensor
+    """Of the effects in the order of ``Model.forces``, (E, sum of M)."""
+
+    past: Tensor
+    """Commands of the control law [rad/s], newest first, (E, S, R); S is 0 without a delay."""
+
+    since: Tensor
+    """Substeps since the reset, int32, (E,)."""
+
+    count: Tensor
+    """Substeps since the seed was given, int32, (E,): random numbers depend on seed, environment and this."""
+
+    seed: Tensor
+    """Of the random numbers, int32, (1,)."""
+
+    def tensors(self) -> tuple[Tensor, ...]:
+        """Return the tensors in the order of the fields."""
+        return tuple(vars(self).values())
+
+
+def num_past_commands(model: Model, dt: float) -> int:
+    """Return how many commands S must be remembered for substeps of ``dt`` [s]: the longest delay ends between two of them."""
+    return ceil(model.longest_delay / dt - 1e-9) + 2 if model.delays else 0
+
+
+def make_memory(model: Model, dt: float, *, seed: int = 0) -> Memory:
+    """Return the memory of environments that have just been reset."""
+    mass, vehicle = model.vehicle.mass, model.vehicle
+    counts = torch.zeros(2, vehicle.num_envs, dtype=torch.int32, device=mass.device)
+    initial = mass.new_tensor([number for effect, _ in model.forces for number in effect.memory])
+    return Memory(
+        initial=initial,
+        numbers=initial.expand(vehicle.num_envs, -1).clone(),
+        past=mass.new_zeros(vehicle.num_envs, num_past_commands(model, dt), vehicle.num_rotors),
+        since=counts[0].clone(),
+        count=counts[1].clone(),
+        seed=torch.full((1,), seed % 2**31, dtype=torch.int32, device=mass.device),
+    )
+
+
+def forget(memory: Memory, mask: Tensor) -> Memory:
+    """Return the memory with the environments in ``mask``, bool (E,), as after a reset; others stay bit for bit.
+
+    Commands of before are not cleared: ``since`` says that they are not to be read.
+    """
+    numbers = torch.where(mask.unsqueeze(-1), memory.initial, memory.numbers)
+    return replace(memory, numbers=numbers, since=memory.since.masked_fill(mask, 0))
+
+
+def _places(model: Model) -> Iterator[tuple[Effect, Tensor, slice]]:
+    """Yield every effect with its parameters and the place of its numbers."""
+    first = 0
+    for effect, params in model.forces:
+        yield effect, params, slice(first, first + len(effect.memory))
+        first += len(effect.memory)
+
+
+def begin_substep(
+    model: Model, memory: Memory, rotor_speed: Tensor, command: Tensor, dt: float
+) -> tuple[Model, Tensor, Memory]:
+    """Return the model with what is remembered in it, the command that the rotors follow (E, R), and the memory of a substep.
+
+    Args:
+        model: Vehicle and effects.
+        memory: At the end of the substep before.
+        rotor_speed: Rotor speeds [rad/s], (E, R).
+        command: Speeds that the control law commands in this substep [rad/s], (E, R).
+        dt: Its length [s].
+    """
+    env = torch.arange(command.shape[0], device=command.device)
+    random = counted_state(counted_state(counted_state(memory.seed, RANDOM_STREAM), env), memory.count)
+    moment = Moment(rotor_speed=rotor_speed, since=memory.since, random=random, dt=dt, vehicle=model.vehicle)
+    values = {}
+    for effect, params, place in _places(model):
+        remembered = torch.cat((params, memory.numbers[:, place]), dim=-1)
+        values[effect.name] = torch.cat((params, effect.remember(moment, remembered)), dim=-1)
+    numbers = [values[effect.name][:, params.shape[1] :] for effect, params in model.forces]
+    kept = {
+        kind: tuple((e, values[e.name]) for e, _ in getattr(model, kind)) for kind in ("winds", "rotors", "wrenches")
+    }
+    model = replace(model, **kept, commands=tuple((e, values[e.name]) for e, _ in model.commands))
+    memory = replace(memory, numbers=torch.cat(numbers, dim=-1))
+    if not model.delays:
+        return model, _led_to(model, command), memory
+    memory = replace(memory, past=torch.cat((command.unsqueeze(1), memory.past[:, :-1]), dim=1))
+    return model, _delayed(model, memory, rotor_speed, dt), memory
+
+
+def _led_to(model: Model, command: Tensor) -> Tensor:
+    """Return the speeds (E, R) to which commands lead the rotors."""
+    for effect, values in model.commands:
+        command = effect.command(command, model.vehicle, values)
+    return command
+
+
+def _delayed(model: Model, memory: Memory, rotor_speed: Tensor, dt: float) -> Tensor:
+    """Return the held command that does the same as those which arrive during the substep, (E, R)."""
+    effect, params = model.delays[0]
+    substeps = (effect.delay(params) / dt).clamp(0.0, float(memory.past.shape[1] - 2))
+    whole = substeps.detach().floor()
+    arriving = []
+    for age in (whole.long() + 1, whole.long()):
+        rows = age[:, None, None].clamp_max(memory.past.shape[1] - 1).expand(-1, 1, rotor_speed.shape[1])
+        led_to = _led_to(model, memory.past.gather(1, rows).squeeze(1))
+        arriving.append(torch.where((age <= memory.since).unsqueeze(-1), led_to, rotor_speed))
+    vehicle, share = model.vehicle, (substeps - whole).unsqueeze(-1)
+    earlier, later = arriving
+    return held_command(rotor_speed, earlier, later, share, vehicle.time_constant_up, vehicle.time_constant_down, dt)
+
+
+def load_of(model: Model, memory: Memory) -> Tensor:
+    """Return direction and rate of the link of the load, (E, 6), or (E, 0) without one."""
+    width = sum(len(effect.memory) for effect, _ in model.loads)
+    return memory.numbers[:, memory.numbers.shape[1] - width :]
+
+
+def end_substep(memory: Memory, load: Tensor) -> Memory:
+    """Return the memory after a substep, with the load (E, 6) or (E, 0) as it then moves."""
+    numbers = torch.cat((memory.numbers[:, : memory.numbers.shape[1] - load.shape[1]], load), dim=-1)
+    return replace(memory, numbers=numbers, since=memory.since + 1, count=memory.count + 1)

@@ -1,0 +1,444 @@
+"""Delay, battery, gusts, ceiling and downwash against closed forms; what a backend remembers and forgets."""
+
+from dataclasses import replace
+from itertools import pairwise
+from math import exp, sqrt
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym.config.environment import EnvironmentCfg
+from aerial_gym.config.robot import BatteryCfg, RobotCfg
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.env_manager.env_manager import EnvManager
+from aerial_gym.env_manager.sim_builder import ENVIRONMENTS, SIMS
+from aerial_gym.errors import ConfigError
+from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
+from aerial_gym.physics import (
+    EFFECTS,
+    INTEGRATORS,
+    BodyState,
+    Model,
+    TorchBackend,
+    WarpBackend,
+    accelerations,
+    build_model,
+)
+from aerial_gym.physics.effects.battery_sag import speed_factor, voltage_under_load
+from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.memory import begin_substep, end_substep, forget, load_of, make_memory
+from aerial_gym.physics.vehicle import vehicle_from_config
+from aerial_gym.robots import ROBOTS
+from aerial_gym.sim2real.selection import lacks
+from tests.physics.swing import fly_remembering
+from tests.physics.test_effects import effects_of, still
+from tests.physics.test_rigid_body import SpeedControl
+from tests.physics.vehicles import BATTERY, CEILING, F64, lopsided_robot, random_state
+
+TAU_UP, TAU_DOWN = 0.03, 0.05
+"""Of ``lopsided_robot`` [s]."""
+
+REMEMBERING = [name for name in EFFECTS.names() if EFFECTS.get(name).remembers]
+
+
+def model_of(values: dict[str, dict[str, float]], num_envs: int = 1, robot: RobotCfg | None = None, **scene) -> Model:
+    vehicle = vehicle_from_config(robot or lopsided_robot(), num_envs=num_envs, dtype=F64)
+    return build_model(vehicle, effects_of(values, num_envs), **{"ceiling_height": CEILING, **scene})
+
+
+def single(state: BodyState) -> BodyState:
+    return BodyState(**{name: tensor.float() for name, tensor in vars(state).items()})
+
+
+class Straight(SpeedControl):
+    """Rotor speeds as actions, also in a kernel."""
+
+    def fused(self):
+        low, high = torch.zeros(4).expand(2, 4), torch.full((4,), 1e4).expand(2, 4)  # shared rows
+        return FusedLaw(output="speed", num_actions=4, low=low, high=high)
+
+
+# actuation delay
+
+
+def delayed_speed(time: float, delay: float, speed: float, commands: list[tuple[float, float]]) -> float:
+    """Return the speed under commands (from when, what), each of which acts ``delay`` later; none acts before."""
+    arrivals = [(start + delay, command) for start, command in commands] + [(time, 0.0)]
+    for (start, command), (end, _) in pairwise(arrivals):
+        if start < time:
+            tau = TAU_UP if command > speed else TAU_DOWN
+            speed = command + (speed - command) * exp(-(min(end, time) - start) / tau)
+    return speed
+
+
+@pytest.mark.parametrize("integrator", list(INTEGRATORS))
+@pytest.mark.parametrize("delay", [0.0, 0.012, 0.0092, 0.0999])
+def test_delayed_commands_act_exactly_that_much_later(delay: float, integrator: str) -> None:
+    """Three substeps, a fraction, and near the bound: the speed at every end of a substep, rising and falling."""
+    dt, model = 0.004, model_of({"actuation_delay": {"delay": delay}})
+    memory, state, levels = make_memory(model, dt), still(rotor_speed=[500.0] * 4), [900.0, 300.0, 700.0, 650.0]
+    commands = [(0.028 * k, level) for k, level in enumerate(levels)]
+    for step in range(50):
+        held = torch.full((1, 4), levels[min(step // 7, 3)], dtype=F64)
+        state, memory = fly_remembering(model, memory, state, [held], dt, integrator)
+        expected = delayed_speed((step + 1) * dt, delay, 500.0, commands)
+        assert abs(state.rotor_speed[0, 0].item() - expected) < 1e-9, step
+
+
+@pytest.mark.parametrize("integrator", list(INTEGRATORS))
+def test_the_kernel_delays_each_environment_by_its_own_delay(integrator: str) -> None:
+    delays, dt = torch.tensor([[0.0], [0.005], [0.0173], [0.1]]), 0.002
+    vehicle = vehicle_from_config(lopsided_robot(), num_envs=4)
+    backend, state = WarpBackend(), single(still(4, rotor_speed=[500.0] * 4))
+    model = build_model(vehicle, [(EFFECTS.get("actuation_delay"), delays)])
+    backend.allocate(model, Straight(), integrator=integrator)
+    action, levels = torch.zeros(4, 4), [900.0, 300.0, 700.0, 650.0]
+    commands = [(0.03 * k, level) for k, level in enumerate(levels)]
+    for step in range(22):
+        action.fill_(levels[min(step // 3, 3)])
+        backend.step(state, action, dt, 5)
+        for env, delay in enumerate(delays[:, 0].tolist()):
+            expected = delayed_speed((step + 1) * 5 * dt, delay, 500.0, commands)
+            assert abs(state.rotor_speed[env, 1].item() - expected) < 0.02, (step, env)
+
+
+def test_rotors_without_lag_follow_the_delayed_command() -> None:
+    model = model_of({"actuation_delay": {"delay": 0.006}})
+    none = torch.zeros_like(model.vehicle.time_constant_up)
+    model = replace(model, vehicle=replace(model.vehicle, time_constant_up=none, time_constant_down=none))
+    levels = [torch.full((1, 4), level, dtype=F64) for level in (700.0, 800.0, 900.0, 950.0)]
+    end, _ = fly_remembering(model, make_memory(model, 0.004), still(rotor_speed=[500.0] * 4), levels, 0.004)
+    torch.testing.assert_close(end.rotor_speed, torch.full((1, 4), 900.0, dtype=F64))
+
+
+# battery
+
+
+def test_the_voltage_under_load_obeys_kirchhoff() -> None:
+    """V = E - r I, V I = P; beyond E² / 4 r it is E / 2 (within 1e-3); without resistance E."""
+    open_voltage, resistance = torch.tensor(12.0, dtype=F64), torch.tensor(0.1, dtype=F64)
+    power = torch.tensor([0.0, 50.0, 200.0, 350.0], dtype=F64)
+    voltage = voltage_under_load(open_voltage, resistance, power)
+    torch.testing.assert_close(voltage, open_voltage - resistance * power / voltage, atol=1e-12, rtol=0)
+    assert (voltage > 6.0).all()
+    assert abs(voltage_under_load(open_voltage, resistance, 2.0 * power[3:]).item() / 6.0 - 1.0) < 2e-3
+    assert voltage_under_load(open_voltage, 0.0 * resistance, power[2]) == 12.0
+
+
+def test_the_speed_factor_is_linear_in_the_voltage() -> None:
+    found = speed_factor(
+        *(torch.tensor(value, dtype=F64) for value in ([11.1, 10.0, 12.6, 1.0], [11.1] * 4, [0.5, 1.0, 1.0, 2.0]))
+    )
+    torch.testing.assert_close(found, torch.tensor([1.0, 10.0 / 11.1, 12.6 / 11.1, 0.0], dtype=F64))
+
+
+def test_a_drained_battery_slows_the_rotors() -> None:
+    """No resistance, constant speed w: E dE / dt = -P (E_0 - E_1) / Q, so that E² falls on a line."""
+    battery = BatteryCfg(
+        nominal_voltage=11.0, full_voltage=12.0, empty_voltage=9.0, internal_resistance=0.0, capacity=60.0,
+        efficiency=0.5, source="test",
+    )  # fmt: skip
+    robot = replace(lopsided_robot(), battery=battery)
+    model, speed = model_of({"battery_sag": {"gain": 0.0}}, robot=robot), 800.0
+    held, dt = torch.full((1, 4), speed, dtype=F64), 0.01
+    memory, state = make_memory(model, dt), still(rotor_speed=[speed] * 4)
+    _, memory = fly_remembering(model, memory, state, [held] * 200, dt)
+    power = 4 * (2e-6 * speed + 5e-8 * speed**2) * speed / 0.5
+    charge = memory.numbers[0, 0].item()
+    open_voltage = sqrt(12.0**2 - 2.0 * power * 3.0 / 60.0 * 2.0)
+    assert abs(12.0 - 3.0 * charge / 60.0 - open_voltage) < dt * power / 9.0 * 3.0 / 60.0  # one Euler step
+    sagging = model_of({"battery_sag": {"gain": 0.7}}, robot=robot)
+    _, followed, memory = begin_substep(sagging, memory, state.rotor_speed, held, dt)
+    expected = speed * (1.0 - 0.7 * (1.0 - memory.numbers[0, 1].item() / 11.0))
+    torch.testing.assert_close(followed, torch.full((1, 4), expected, dtype=F64), atol=1e-9, rtol=0)
+    assert abs(memory.numbers[0, 1].item() - open_voltage) < 0.01
+
+
+def test_the_battery_current_is_that_of_power_and_voltage() -> None:
+    """dq/dt = P / (efficiency V) with V under load, at the first substep."""
+    model = model_of({"battery_sag": {"gain": 0.2}})
+    memory, speed = make_memory(model, 0.01), torch.full((1, 4), 900.0, dtype=F64)
+    _, _, memory = begin_substep(model, memory, speed, speed, 0.01)
+    power = 4 * (2e-6 * 900.0 + 5e-8 * 900.0**2) * 900.0 / BATTERY.efficiency
+    voltage = 0.5 * (12.6 + sqrt(12.6**2 - 4.0 * 0.05 * power))
+    torch.testing.assert_close(memory.numbers[0], torch.tensor([0.01 * power / voltage, voltage], dtype=F64))
+
+
+def test_battery_files_are_checked() -> None:
+    with pytest.raises(ConfigError, match=r"effect battery_sag: the robot file must give battery"):
+        EFFECTS.get("battery_sag").check(ROBOTS.get("tinyprop"))
+    EFFECTS.get("battery_sag").check(lopsided_robot())
+    for name, value in (("empty_voltage", 13.0), ("internal_resistance", -0.1), ("efficiency", 1.1), ("capacity", 0.0)):
+        with pytest.raises(ConfigError, match=f"BatteryCfg.{name}"):
+            replace(BATTERY, **{name: value})
+
+
+# gusts
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.2])
+def test_gusts_have_their_variance_and_correlation_at_every_step(dt: float) -> None:
+    """Variance std² at once and later, exp(-t / T) after 0.4 s, axes independent; bounds: five standard deviations."""
+    num, std, corr_time = 20000, 3.0, 0.5
+    model = model_of({"gusts": {"std": std, "corr_time": corr_time}}, num)
+    memory, rotors = make_memory(model, dt), torch.zeros(num, 4, dtype=F64)
+    winds: list[Tensor] = []
+    for _ in range(round(1.0 / dt) + 1):
+        _, _, memory = begin_substep(model, memory, rotors, rotors, dt)
+        winds.append(memory.numbers)
+        memory = end_substep(memory, load_of(model, memory))
+    back = round(0.4 / dt)
+    for wind in (winds[0], winds[-1]):
+        assert (wind.mean(0).abs() < 5.0 * std / sqrt(num)).all()
+        assert ((wind.var(0) / std**2 - 1.0).abs() < 5.0 * sqrt(2.0 / num)).all()
+    correlation = (winds[-1][:, None] * winds[-1 - back][..., None]).mean(0) / std**2  # rows: earlier axis
+    assert ((correlation - exp(-0.4 / corr_time) * torch.eye(3)).abs() < 5.0 / sqrt(num)).all()
+
+
+def gust_flight(backend, seed: int, num_envs: int = 4, steps: int = 5) -> Tensor:
+    """Return the velocities after some steps in gusts from rest, (E, 3)."""
+    vehicle = vehicle_from_config(lopsided_robot(), num_envs=num_envs)
+    rows = [(EFFECTS.get("gusts"), torch.tensor([3.0, 0.1]).expand(num_envs, -1))]
+    rows.append((EFFECTS.get("rotor_drag"), torch.ones(num_envs, 3)))
+    backend.allocate(build_model(vehicle, rows, gravity=0.0), Straight(), integrator="euler")
+    backend.restart(seed)
+    state = single(still(num_envs))
+    for _ in range(steps):
+        backend.step(state, torch.zeros(num_envs, 4), 0.01, 3)
+    return state.lin_vel
+
+
+@pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
+def test_gusts_depend_on_seed_and_environment_alone(backend) -> None:
+    first = gust_flight(backend(), 1)
+    assert torch.equal(first, gust_flight(backend(), 1))
+    assert torch.equal(first[:2], gust_flight(backend(), 1, num_envs=2))
+    assert not torch.isclose(first, gust_flight(backend(), 2)).any()
+    assert not torch.isclose(first[:1], first[1:]).any()
+
+
+def test_both_backends_draw_the_same_gusts() -> None:
+    torch.testing.assert_close(gust_flight(WarpBackend(), 7), gust_flight(TorchBackend(), 7), atol=2e-6, rtol=2e-5)
+
+
+# ceiling and downwash
+
+
+@pytest.mark.parametrize(("room", "felt"), [(0.3, 0.3), (0.1, 0.1), (0.04, 0.05), (-0.2, 0.05)])
+def test_a_ceiling_adds_thrust_by_the_distance_of_the_hub(room: float, felt: float) -> None:
+    """T' = T / (1 - k (R / 4 h)²) with R = 0.1 m; not closer than R / 2, and the same above the ceiling."""
+    robot = ROBOTS.get("tinyprop")
+    robot = replace(robot, rotor=replace(robot.rotor, radius=0.1))
+    state = still(rotor_speed=[1500.0] * 4, position=[0.0, 0.0, 2.0])
+    near = model_of({"ceiling_effect": {"k": 1.5}}, robot=robot, ceiling_height=2.0 + room)
+    found = accelerations(near, state).specific_force[0, 2]
+    own = accelerations(model_of({}, robot=robot), state).specific_force[0, 2]
+    torch.testing.assert_close(found, own / (1.0 - 1.5 * (0.1 / 4.0 / felt) ** 2), atol=0, rtol=1e-12)
+
+
+def test_a_ceiling_is_needed_by_name() -> None:
+    with pytest.raises(ConfigError, match="effect ceiling_effect: there is no ceiling. Give ceiling_height"):
+        model_of({"ceiling_effect": {"k": 1.0}}, ceiling_height=None)
+    with pytest.raises(ConfigError, match=r"effect ceiling_effect: the robot file must give rotor.radius"):
+        EFFECTS.get("ceiling_effect").check(
+            replace(ROBOTS.get("tinyprop"), rotor=replace(ROBOTS.get("tinyprop").rotor, radius=None))
+        )
+    corner = {
+        "bounds_lower_low": (0, 0, 0),
+        "bounds_lower_high": (0, 0, 0),
+        "bounds_upper_low": (1, 1, 1),
+        "bounds_upper_high": (1, 1, 1),
+    }
+    with pytest.raises(ConfigError, match=r"ceiling_height = 1.0: must be above ground_height = 2.0"):
+        EnvironmentCfg(
+            summary="", physics_steps_per_env_step=1, ground_height=2.0, ceiling_height=1.0, source="test", **corner
+        )
+
+
+@pytest.mark.parametrize(
+    ("place", "share"),
+    [((1.0, -2.0, 0.0), 1.0), ((1.3, -2.0, 0.0), exp(-0.5)), ((1.0, -2.6, 0.0), exp(-2.0)), ((1.0, -2.0, 3.1), 0.0)],
+)
+def test_downwash_pushes_down_by_the_horizontal_distance(place: tuple[float, ...], share: float) -> None:
+    """2 N right below, a Gaussian of 0.3 m beside, none above; along world z at any attitude, at the centre of mass."""
+    robot = ROBOTS.get("tinyprop")
+    other = torch.tensor([[1.0, -2.0, 3.0]], dtype=F64)
+    tilted = quat_from_euler(torch.tensor([[0.4, -0.7, 1.0]], dtype=F64))
+    state = still(position=list(place), attitude=tilted[0].tolist())
+    model = model_of({"downwash": {"force": 2.0, "sigma": 0.3}}, robot=robot, other_position=other)
+    found = accelerations(model, state)
+    force = quat_rotate(tilted, found.specific_force) * 0.373
+    torch.testing.assert_close(force, torch.tensor([[0.0, 0.0, -2.0 * share]], dtype=F64), atol=1e-12, rtol=0)
+    torch.testing.assert_close(found.ang_acc, torch.zeros(1, 3, dtype=F64))
+
+
+def test_the_wake_stands_over_the_origin_unless_it_is_moved() -> None:
+    high = still(position=[0.0, 0.0, 1000.0])
+    found = accelerations(model_of({"downwash": {"force": 2.0, "sigma": 0.3}}, robot=ROBOTS.get("tinyprop")), high)
+    torch.testing.assert_close(found.specific_force * 0.373, torch.tensor([[0.0, 0.0, -2.0]], dtype=F64))
+
+
+# what is remembered and forgotten
+
+
+def everything(backend, num_envs: int = 4, dtype: torch.dtype = torch.float32) -> BodyState:
+    """Give a backend all effects with memory; return a state."""
+    robot, rows = lopsided_robot(), []
+    for name in (*REMEMBERING, "rotor_drag"):
+        effect = EFFECTS.get(name)
+        row = [a + 0.7 * p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
+        rows.append((effect, torch.tensor(row, dtype=dtype).expand(num_envs, -1).clone()))
+    vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=dtype)
+    backend.allocate(build_model(vehicle, rows), Straight(), integrator="euler")
+    return BodyState(**{name: tensor.to(dtype) for name, tensor in vars(random_state(num_envs)).items()})
+
+
+@pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
+def test_a_reset_forgets_the_masked_rows_and_leaves_the_others_bit_for_bit(backend) -> None:
+    """Rows outside the mask fly on as if nothing was; those within begin like new, but in other gusts."""
+    actions = torch.full((4, 4), 850.0)
+    kept, reset = backend(), backend()
+    flown, begun = everything(kept), everything(reset)
+    start = [tensor.clone() for tensor in begun.tensors()]
+    for _ in range(10):
+        kept.step(flown, actions, 0.004, 5)
+        reset.step(begun, actions, 0.004, 5)
+    mask = torch.tensor([True, False, True, False])
+    reset.reset(mask)
+    for tensor, first in zip(begun.tensors(), start, strict=True):
+        tensor[mask] = first[mask]
+    fresh = backend()
+    new = everything(fresh)
+    for _ in range(2):
+        kept.step(flown, actions, 0.004, 5)
+        reset.step(begun, actions, 0.004, 5)
+        fresh.step(new, actions, 0.004, 5)
+    for a, b in zip(flown.tensors(), begun.tensors(), strict=True):
+        assert torch.equal(a[~mask], b[~mask])
+        assert not torch.equal(a[mask], b[mask])
+    torch.testing.assert_close(
+        begun.rotor_speed[mask], new.rotor_speed[mask], atol=1e-3, rtol=1e-5
+    )  # delay and battery
+    assert not torch.equal(begun.lin_vel[mask], new.lin_vel[mask])  # gusts
+
+
+def test_forgetting_gives_the_memory_of_a_new_environment() -> None:
+    model = model_of(
+        {"slung_payload": {"mass": 0.1, "length": 1.0, "damping": 0.0}, "actuation_delay": {"delay": 0.05}}, 3
+    )
+    commands = [torch.full((3, 4), 900.0, dtype=F64)] * 5
+    _, memory = fly_remembering(model, make_memory(model, 0.01), random_state(3), commands, 0.01)
+    mask = torch.tensor([False, True, False])
+    after, fresh = forget(memory, mask), make_memory(model, 0.01)
+    assert torch.equal(after.numbers[mask], fresh.numbers[mask])
+    assert torch.equal(after.numbers[~mask], memory.numbers[~mask])
+    assert after.since.tolist() == [5, 0, 5]
+    assert after.count.tolist() == [5, 5, 5]
+
+
+@pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
+def test_steps_go_on_with_what_is_remembered(backend) -> None:
+    """Ten steps of one substep are one of ten: memory is kept between calls, and the random numbers count substeps."""
+    ends, actions = [], torch.full((4, 4), 850.0)
+    for calls, substeps in ((10, 1), (1, 10)):
+        stepper = backend()
+        state = everything(stepper)
+        for _ in range(calls):
+            stepper.step(state, actions, 0.004, substeps)
+        ends.append(state)
+    for a, b in zip(ends[0].tensors(), ends[1].tensors(), strict=True):
+        torch.testing.assert_close(a, b, atol=1e-5, rtol=1e-5)
+
+
+def test_memory_survives_new_parameters() -> None:
+    """A shared mass that changes composes the kernel anew: the payload swings on, commands are still on their way."""
+    actions, ends = torch.full((4, 4), 850.0), []
+    for stepper in (TorchBackend(), WarpBackend()):
+        state = everything(stepper)
+        stepper.step(state, actions, 0.004, 5)
+        model = stepper._model
+        mass = (1.5 * model.vehicle.mass[:1]).as_strided((4,), (0,))
+        stepper.set_model(replace(model, vehicle=replace(model.vehicle, mass=mass)))
+        stepper.step(state, actions, 0.004, 5)
+        ends.append(torch.cat(state.tensors(), dim=-1))
+    torch.testing.assert_close(ends[1], ends[0], rtol=2e-5, atol=2e-5)
+
+
+def test_gradients_flow_through_memory_from_call_to_call() -> None:
+    """A command of the first call acts in the second; the gradient is that of one call over both."""
+    grads = []
+    for calls in ((2, 4), (6,)):
+        backend = TorchBackend()
+        state, command = everything(backend, dtype=F64), torch.full((4, 4), 850.0, dtype=F64, requires_grad=True)
+        for substeps in calls:
+            state = backend.advance(state, command, 0.004, substeps)
+        grads.append(torch.autograd.grad(state.lin_vel.sum(), command)[0])
+    assert (grads[0] != 0.0).all()
+    torch.testing.assert_close(grads[0], grads[1], atol=1e-14, rtol=1e-9)
+
+
+def test_a_vehicle_has_one_load_and_one_delay() -> None:
+    vehicle = vehicle_from_config(lopsided_robot(), num_envs=1, dtype=F64)
+    for name, what in (("slung_payload", "load"), ("actuation_delay", "delay")):
+        effect = EFFECTS.get(name)
+        twice = [(effect, torch.tensor([effect.neutral(lopsided_robot())], dtype=F64))] * 2
+        with pytest.raises(ConfigError, match=f"effects {name} and {name}: a vehicle has one {what} at most"):
+            build_model(vehicle, twice)
+
+
+def test_a_model_without_such_effects_remembers_nothing() -> None:
+    backend, state = TorchBackend(), random_state(2)
+    backend.allocate(model_of({"rotor_drag": {"dx": 0.1, "dy": 0.1, "dz": 0.1}}, 2), Straight(), integrator="rk4")
+    backend.step(state, torch.full((2, 4), 800.0, dtype=F64), 0.01, 2)
+    assert backend._memory is None
+
+
+def test_flights_are_not_asked_for_effects_with_memory() -> None:
+    for name in (*REMEMBERING, "ceiling_effect", "downwash"):
+        assert lacks(name, lopsided_robot()).startswith("not looked for in flights")
+    assert not lacks("ground_effect", lopsided_robot())
+
+
+def simulator(
+    backend: str, effects: dict[str, dict[str, float]], *, ceiling: float | None, seed: int = 3
+) -> EnvManager:
+    return EnvManager(
+        sim=replace(SIMS.get("base_sim"), backend=backend),
+        env=replace(ENVIRONMENTS.get("empty_env"), ceiling_height=ceiling),
+        robot=replace(lopsided_robot(), effects=effects),
+        controller=CONTROLLERS.get("lee_velocity_control"),
+        num_envs=2,
+        device=torch.device("cpu"),
+        seed=seed,
+    )
+
+
+@pytest.mark.parametrize("backend", ["torch", "warp"])
+def test_a_simulator_with_all_of_them_repeats_itself(backend: str) -> None:
+    """The same seed flies the same, another one does not; the wake stands where it is put."""
+    effects = {}
+    for name in (*REMEMBERING, "rotor_drag", "ceiling_effect", "downwash"):
+        effect = EFFECTS.get(name)
+        row = [a + 0.5 * p.scale for a, p in zip(effect.neutral(lopsided_robot()), effect.parameters, strict=True)]
+        effects[name] = dict(zip([p.name for p in effect.parameters], row, strict=True))
+    env, actions, ends = simulator(backend, effects, ceiling=20.0), torch.zeros(2, 4), []
+    assert torch.isinf(env.gtd["downwash_position"][:, 2]).all()
+    for seed, moved in ((3, False), (3, False), (4, False), (3, True)):
+        env.restart(seed)
+        env.reset()
+        env.gtd["downwash_position"][1] = env.gtd["robot_position"][1] + torch.tensor([0.0, 0.0, 1.0]) if moved else 1e3
+        env.robot_manager.refresh_model()
+        for _ in range(5):
+            env.step(actions)
+        ends.append(env.gtd["robot_linvel"].clone())
+    assert torch.isfinite(ends[0]).all()
+    assert torch.equal(ends[0], ends[1])
+    assert not torch.isclose(ends[0], ends[2]).any()
+    assert torch.equal(ends[0][0], ends[3][0])
+    assert ends[3][1, 2] < ends[0][1, 2] - 1e-3
+
+
+def test_a_robot_that_needs_a_ceiling_is_refused_where_there_is_none() -> None:
+    with pytest.raises(ConfigError, match="effect ceiling_effect: there is no ceiling"):
+        simulator("torch", {"ceiling_effect": {"k": 1.0}}, ceiling=None)
