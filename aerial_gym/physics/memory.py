@@ -98,20 +98,24 @@ def begin_substep(
     env = torch.arange(command.shape[0], device=command.device)
     random = counted_state(counted_state(counted_state(memory.seed, RANDOM_STREAM), env), memory.count)
     moment = Moment(rotor_speed=rotor_speed, since=memory.since, random=random, dt=dt, vehicle=model.vehicle)
-    values = {}
-    for effect, params, place in _places(model):
-        remembered = torch.cat((params, memory.numbers[:, place]), dim=-1)
-        values[effect.name] = torch.cat((params, effect.remember(moment, remembered)), dim=-1)
-    numbers = [values[effect.name][:, params.shape[1] :] for effect, params in model.forces]
-    kept = {
-        kind: tuple((e, values[e.name]) for e, _ in getattr(model, kind)) for kind in ("winds", "rotors", "wrenches")
-    }
-    model = replace(model, **kept, commands=tuple((e, values[e.name]) for e, _ in model.commands))
-    memory = replace(memory, numbers=torch.cat(numbers, dim=-1))
+    numbers = [
+        effect.remember(moment, torch.cat((params, memory.numbers[:, place]), dim=-1))
+        for effect, params, place in _places(model)
+    ]
+    model, memory = _with_numbers(model, numbers), replace(memory, numbers=torch.cat(numbers, dim=-1))
     if not model.delays:
         return model, _led_to(model, command), memory
     memory = replace(memory, past=torch.cat((command.unsqueeze(1), memory.past[:, :-1]), dim=1))
     return model, _delayed(model, memory, rotor_speed, dt), memory
+
+
+def _with_numbers(model: Model, numbers: list[Tensor]) -> Model:
+    """Return the model with what each effect remembers, (E, M), behind its parameters; a load keeps its parameters alone."""
+    rest, kept = iter(numbers), {}
+    for kind in ("winds", "rotors", "wrenches", "commands"):
+        effects = getattr(model, kind)
+        kept[kind] = tuple((effect, torch.cat((params, next(rest)), dim=-1)) for effect, params in effects)
+    return replace(model, **kept)
 
 
 def _led_to(model: Model, command: Tensor) -> Tensor:

@@ -8,11 +8,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager.env_manager import EnvManager
-from aerial_gym.env_manager.sim_builder import ENVIRONMENTS, SIMS
+from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
 from aerial_gym.physics import (
@@ -385,6 +385,22 @@ def test_a_vehicle_has_one_load_and_one_delay() -> None:
         twice = [(effect, torch.tensor([effect.neutral(lopsided_robot())], dtype=F64))] * 2
         with pytest.raises(ConfigError, match=f"effects {name} and {name}: a vehicle has one {what} at most"):
             build_model(vehicle, twice)
+
+
+@pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
+def test_an_effect_that_is_given_twice_acts_twice(backend) -> None:
+    """Two drags of 0.1 N s/m are one of 0.2; two gusts, which draw the same, of 1 and 2 m/s are one of 3 m/s."""
+    ends = []
+    for drags, gusts in (((0.1, 0.1), (1.0, 2.0)), ((0.2,), (3.0,))):
+        rows = [(EFFECTS.get("rotor_drag"), torch.full((2, 3), drag)) for drag in drags]
+        rows += [(EFFECTS.get("gusts"), torch.tensor([[std, 0.5]] * 2)) for std in gusts]
+        stepper, state = backend(), single(random_state(2))
+        model = build_model(vehicle_from_config(lopsided_robot(), num_envs=2), rows)
+        stepper.allocate(model, Straight(), integrator="rk4")
+        for _ in range(4):
+            stepper.step(state, torch.full((2, 4), 800.0), 0.01, 3)
+        ends.append(state.lin_vel)
+    torch.testing.assert_close(ends[0], ends[1], atol=1e-5, rtol=1e-5)
 
 
 def test_a_model_without_such_effects_remembers_nothing() -> None:

@@ -6,7 +6,13 @@ import pytest
 import torch
 
 from aerial_gym import SimBuilder, task_registry
+from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config.robot import BatteryCfg
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import CapabilityError
+from aerial_gym.physics import EFFECTS
+from aerial_gym.robots import ROBOTS
 from aerial_gym.task import Task
 from aerial_gym.task.observations import OBSERVATIONS, ObservationTerm
 
@@ -121,3 +127,49 @@ def test_a_captured_navigation_step_is_the_eager_step() -> None:
     assert close.float().mean() > 0.999  # a pixel at an edge may see the one or the other side
     assert found[1][2] == found[0][2]
     assert found[0][2][-1] > found[0][2][0]
+
+
+def test_a_captured_step_with_effects_that_remember_is_the_eager_step() -> None:
+    """Delay, battery, gusts and payload: memory stays where the graph reads it, gusts move on at each replay, and resets by
+    mask begin anew within the graph."""
+    robot, effects = ROBOTS.get("tinyprop"), {"rotor_drag": {"dx": 0.3, "dy": 0.3, "dz": 0.3}}
+    for name in (name for name in EFFECTS.names() if EFFECTS.get(name).remembers):
+        effect = EFFECTS.get(name)
+        row = [a + 0.5 * p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
+        effects[name] = dict(zip([p.name for p in effect.parameters], row, strict=True))
+    battery = BatteryCfg(
+        nominal_voltage=11.1, full_voltage=12.6, empty_voltage=10.5, internal_resistance=0.05, capacity=3600.0, source="test"
+    )  # fmt: skip
+    found = []
+    for capture in (False, True):
+        env = EnvManager(
+            sim=SIMS.get("base_sim"),
+            env=ENVIRONMENTS.get("empty_env"),
+            robot=replace(robot, effects=effects, effects_source="test", battery=battery),
+            controller=CONTROLLERS.get("lee_velocity_control"),
+            num_envs=64,
+            device=torch.device("cuda:0"),
+            seed=5,
+        )
+        env.reset()
+        actions, mask = torch.zeros(64, 4, device="cuda:0"), torch.arange(64, device="cuda:0") % 3 == 0
+
+        def step(env=env, actions=actions, mask=mask) -> None:
+            env.step(actions)
+            env.reset(mask & (env.gtd["sim_steps"] == 12))
+
+        replay = step
+        for _ in range(3):
+            step()
+        if capture:
+            graph = torch.cuda.CUDAGraph()
+            torch.cuda.synchronize()
+            with torch.cuda.graph(graph):
+                step()
+            replay = graph.replay
+        env.restart(5)
+        env.reset()
+        for _ in range(20):
+            replay()
+        found.append(env.gtd["robot_linvel"].clone())
+    torch.testing.assert_close(found[1], found[0], rtol=1e-4, atol=1e-4)

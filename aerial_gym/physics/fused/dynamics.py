@@ -21,7 +21,7 @@ from aerial_gym.physics.fused.functions import (
     small_turn,
 )
 from aerial_gym.physics.fused.types import Hub, Suspension, rotor_types
-from aerial_gym.physics.fused.values import Pick, pickers, values_type
+from aerial_gym.physics.fused.values import pickers, values_type
 from aerial_gym.physics.model import Model
 
 STAGES = {"euler": 1.0, "rk4": 0.5}
@@ -99,9 +99,13 @@ def make_accelerations(model: Model) -> wp.Function:
     num_rotors = model.vehicle.num_rotors
     types = rotor_types(num_rotors)
     params_type, picks = values_type(model), pickers(model)
-    winds = [(effect.warp_wind(), picks[effect.name].get) for effect, _ in model.winds]
-    rotors = [(effect.warp_thrust(types.condition, Hub), picks[effect.name].get) for effect, _ in model.rotors]
-    wrenches = [(effect.warp_wrench(types.condition), picks[effect.name].get) for effect, _ in model.wrenches]
+
+    def with_picks(kind: str, twins: list[wp.Function]) -> list[tuple[wp.Function, wp.Function]]:
+        return [(twin, pick.get) for twin, pick in zip(twins, picks[kind], strict=True)]
+
+    winds = with_picks("winds", [effect.warp_wind() for effect, _ in model.winds])
+    rotors = with_picks("rotors", [effect.warp_thrust(types.condition, Hub) for effect, _ in model.rotors])
+    wrenches = with_picks("wrenches", [effect.warp_wrench(types.condition) for effect, _ in model.wrenches])
     any_rotor, any_wrench, any_load = bool(rotors), bool(wrenches), bool(model.loads)
     wind = _sum_of(winds, wp.vec3, params_type, wp.vec3)
     gain = _sum_of_rotors(rotors, types.condition, params_type)
@@ -109,7 +113,7 @@ def make_accelerations(model: Model) -> wp.Function:
     vehicle_type, vector, condition_type = types.vehicle, types.vector, types.condition
     ground_height, hub_at = model.ground_height, _make_hub_at(num_rotors)
     ceiling_height = 0.0 if model.ceiling_height is None else model.ceiling_height
-    hang = _make_hang(model, wind, picks)
+    hang = _make_hang(model, wind)
 
     @wp.func
     def accelerations(
@@ -172,12 +176,12 @@ def make_accelerations(model: Model) -> wp.Function:
     return accelerations
 
 
-def _make_hang(model: Model, wind: wp.Function, picks: dict[str, Pick]) -> wp.Function | None:
+def _make_hang(model: Model, wind: wp.Function) -> wp.Function | None:
     """Return ``rigid_body.with_load`` for one environment; the last result is the rate of change of the load."""
     if not model.loads:
         return None
     effect = model.loads[0][0]
-    pull, pick = effect.warp_pull(Suspension), picks[effect.name].get
+    pull, pick = effect.warp_pull(Suspension), pickers(model)["loads"][0].get
     vehicle_type, params_type = rotor_types(model.vehicle.num_rotors).vehicle, values_type(model)
 
     @wp.func

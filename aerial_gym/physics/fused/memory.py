@@ -7,6 +7,7 @@
 Twin of ``physics.memory``. Letters: E environments, R rotors, M numbers of all effects, S remembered commands.
 """
 
+from itertools import chain
 from typing import Any
 
 import warp as wp
@@ -94,10 +95,10 @@ def _make_remember(model: Model) -> wp.Function:
         return remember
 
     total = nothing
-    for effect, _ in model.forces:
+    for (effect, _), pick in zip(model.forces, chain.from_iterable(picks.values()), strict=True):
         twin = effect.warp_remember(vehicle_type, moment)
         if twin is not None:
-            total = after(total, twin, picks[effect.name].get, picks[effect.name].put)
+            total = after(total, twin, pick.get, pick.put)
     return total
 
 
@@ -118,8 +119,8 @@ def _make_lead(model: Model) -> wp.Function:
         return lead
 
     total = straight
-    for effect, _ in model.commands:
-        total = after(total, effect.warp_command(vehicle_type, vector), picks[effect.name].get)
+    for (effect, _), pick in zip(model.commands, picks["commands"], strict=True):
+        total = after(total, effect.warp_command(vehicle_type, vector), pick.get)
     return total
 
 
@@ -129,7 +130,7 @@ def _make_delayed(model: Model, integrator: str, lead: wp.Function) -> wp.Functi
     effect = model.delays[0][0]
     delay_of, pick, arrive = (
         effect.warp_delay(),
-        pickers(model)[effect.name].get,
+        pickers(model)["delays"][0].get,
         _make_arrive(num_rotors, lead, values),
     )
     moment, vehicle_type, vector = types.moment, types.vehicle, types.vector

@@ -38,16 +38,16 @@ def values_type(model: Model) -> Any:
     return vector_of(max(sum(num_values(model)), 1))
 
 
-def pickers(model: Model) -> dict[str, Pick]:
-    """Return access to each effect by its name. A load keeps its memory with the motion, and is given parameters alone."""
+def pickers(model: Model) -> dict[str, list[Pick]]:
+    """Return access to each effect of each kind. A load keeps its memory with the motion, and is given parameters alone."""
     found, first, (first_memory, _) = {}, 0, num_values(model)
-    loads = {effect.name for effect, _ in model.loads}
-    for effect, params in model.forces:
-        width, memory = params.shape[1], len(effect.memory)
-        found[effect.name] = _pick(
-            values_type(model), first, width, first_memory, 0 if effect.name in loads else memory
-        )
-        first, first_memory = first + width, first_memory + memory
+    for kind in ("winds", "rotors", "wrenches", "commands", "delays", "loads"):
+        found[kind] = []
+        for effect, params in getattr(model, kind):
+            width, memory = params.shape[1], len(effect.memory)
+            shown = 0 if kind == "loads" else memory
+            found[kind].append(_pick(values_type(model), first, width, first_memory, shown))
+            first, first_memory = first + width, first_memory + memory
     return found
 
 
