@@ -153,10 +153,12 @@ class TorchBackend:
             if ground.impulse is not None:
                 ground.impulse.add_(impulse)
 
+    @torch.no_grad()
     def reset(self, mask: Tensor) -> None:
-        """Let the effects forget the environments in ``mask``."""
+        """Let the effects forget the environments in ``mask``; gradients through memory end here for all environments."""
         if self._memory is not None:
-            self._remember(forget(self._memory, mask))
+            cut = {name: tensor.detach() for name, tensor in vars(self._memory).items()}
+            self._remember(forget(Memory(**cut), mask))
 
     def restart(self, seed: int) -> None:
         """Begin the random numbers of the effects anew with a seed."""

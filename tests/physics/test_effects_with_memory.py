@@ -378,6 +378,20 @@ def test_gradients_flow_through_memory_from_call_to_call() -> None:
     torch.testing.assert_close(grads[0], grads[1], atol=1e-14, rtol=1e-9)
 
 
+def test_gradients_end_at_a_reset() -> None:
+    """Rollout after rollout, each with its own backward pass, as in training; the first and the one after a reset agree."""
+    backend, grads = TorchBackend(), []
+    start = everything(backend, dtype=F64)
+    backend.restart(0)
+    for _ in range(2):
+        command = torch.full((4, 4), 850.0, dtype=F64, requires_grad=True)
+        end = backend.advance(start, command, 0.004, 6)
+        end.rotor_speed.sum().backward()
+        grads.append(command.grad)
+        backend.reset(torch.ones(4, dtype=torch.bool))
+    torch.testing.assert_close(grads[0], grads[1], atol=0.0, rtol=1e-12)
+
+
 def test_a_vehicle_has_one_load_and_one_delay() -> None:
     vehicle = vehicle_from_config(lopsided_robot(), num_envs=1, dtype=F64)
     for name, what in (("slung_payload", "load"), ("actuation_delay", "delay")):
