@@ -17,6 +17,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.fit import (
     Fit,
     Frozen,
+    effect_jacobian,
     fit_effects,
     is_number,
     params_of,
@@ -129,7 +130,7 @@ class _Selector:
         self.lacking = {name: reason for name in self.candidates if (reason := lacks(name, predictor.robot))}
         self.tolerance = tolerance_jacobian(predictor, declared, predictor.predict(declared))
         common = tuple(n for n in self.candidates if n not in self.lacking and not has_rotor(n))
-        self.weights = weighting(predictor, declared, common, self.tolerance)
+        self.weights = weighting(predictor, declared, common, self.with_rotors(self.tolerance))
         squares = np.concatenate([(part**2).sum(axis=2) for part in self.tolerance])
         self.left_out = LeftOut(
             moments=self._fit((), declared, frozenset()).moments,
@@ -138,6 +139,16 @@ class _Selector:
             channels=predictor.channels,
             tolerated=np.sqrt(squares.mean(axis=0)),
         )
+
+    def with_rotors(self, columns: list[Array]) -> list[Array]:
+        """Return derivatives (rows, C, any) with those of every effect on one rotor beside them, once for each rotor."""
+        for name in self.candidates:
+            if has_rotor(name) and name not in self.lacking and name not in self.declared.effects:
+                for point in self.points(name, self.declared):
+                    base = self.predictor.predict(point)
+                    more = effect_jacobian(self.predictor, point, (name,), base)
+                    columns = [np.concatenate(pair, axis=2) for pair in zip(columns, more, strict=True)]
+        return columns
 
     def run(self) -> Selection:
         """Select, prune, weigh the rivals."""
@@ -187,7 +198,7 @@ class _Selector:
             if name in self.lacking:
                 trials.append(Trial(effect=name, scored=None, objections=(self.lacking[name],)))
                 continue
-            looks = [screen.look(name, start, current.fit.frozen) for start in self.points(name, current)]
+            looks = [screen.look(name, start, current.fit.frozen) for start in self.points(name, current.fit.point)]
             glances.append(max(looks, key=lambda glance: (not glance.blind, glance.gain.score)))
         glances.sort(key=lambda glance: -glance.gain.score)
         worth = [glance for glance in glances if not glance.blind and glance.gain.score > 0.0][:MOST_FITTED]
@@ -227,9 +238,8 @@ class _Selector:
             return self.declared.effects[name]
         return np.array(EFFECTS.get(name).neutral(self.predictor.robot), dtype=float)
 
-    def points(self, name: str, current: Scored) -> list[Point]:
-        """Return where fits of an effect start: its neutral parameters, once for each rotor if it acts on one."""
-        here = current.fit.point
+    def points(self, name: str, here: Point) -> list[Point]:
+        """Return where fits of an effect on top of a model start: its neutral parameters, once for each rotor it may act on."""
         if name in here.effects:
             return [here]
         neutral = self.neutral(name)
@@ -313,7 +323,10 @@ class _Selector:
         for one, other in sorted(pairs, key=lambda pair: -pair[0].score - pair[1].score)[:MOST_PAIRS]:
             assert one.scored is not None
             both = max(
-                (self.try_from(other.effect, one.scored, point) for point in self.points(other.effect, one.scored)),
+                (
+                    self.try_from(other.effect, one.scored, point)
+                    for point in self.points(other.effect, one.scored.fit.point)
+                ),
                 key=lambda trial: trial.score,
             )
             if both.scored is None or both.objections:
