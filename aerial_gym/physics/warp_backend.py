@@ -32,7 +32,7 @@ from aerial_gym.physics.fused.contact import contact_parameters
 from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.fused.gradient import Rollout
 from aerial_gym.physics.fused.kernel import make_kernel
-from aerial_gym.physics.fused.memory import MemoryArrays, no_memory
+from aerial_gym.physics.fused.memory import MemoryArrays, NoMemory
 from aerial_gym.physics.fused.parameters import (
     Columns,
     Field,
@@ -247,7 +247,7 @@ class WarpBackend:
     def _arrange_memory(self, dt: float) -> None:
         """Make the memory of the effects, unless there is one that fits; neighbouring environments side by side, (M, E)."""
         if not self._model.remembering:
-            self._memory_arrays = no_memory(wp.device_from_torch(self._device))
+            self._memory_arrays = NoMemory()
             return
         self._memory_arrays = arrays = MemoryArrays()
         slots = num_past_commands(self._model, dt)

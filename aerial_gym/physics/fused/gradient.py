@@ -12,7 +12,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.interop import on_torch_stream
-from aerial_gym.physics.fused.memory import no_memory
+from aerial_gym.physics.fused.memory import NoMemory
 
 
 class Rollout:
@@ -47,7 +47,7 @@ class _Rollout(torch.autograd.Function):
 
         *state_kinds, action_kind = rollout.kinds
         now = [view(tensor, kind) for tensor, kind in zip(state, state_kinds, strict=True)]
-        nothing = no_memory(now[0].device)
+        nothing = NoMemory()
         action, params = view(command, action_kind), view(per_env, wp.float32)
         ctx.inputs, ctx.tape = [params, action, *now], wp.Tape()
         with on_torch_stream(command), ctx.tape:

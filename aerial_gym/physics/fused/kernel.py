@@ -17,7 +17,7 @@ from aerial_gym.physics.fused.contact import ContactParameters, make_push_off_gr
 from aerial_gym.physics.fused.dynamics import make_stepper
 from aerial_gym.physics.fused.functions import load_quat, load_vec4, rotate, store_quat, store_vec4
 from aerial_gym.physics.fused.law import FusedLaw
-from aerial_gym.physics.fused.memory import MemoryArrays, make_begin
+from aerial_gym.physics.fused.memory import MemoryArrays, NoMemory, make_begin
 from aerial_gym.physics.fused.parameters import Columns
 from aerial_gym.physics.fused.types import rotor_types, vector_of
 from aerial_gym.physics.fused.values import num_values, values_type
@@ -173,6 +173,7 @@ def make_kernel(
     vector, action_type, params_type = types.vector, vector_of(law.num_actions), values_type(model)
     remembers, any_load, num_loads = bool(model.remembering), bool(model.loads), 6 * len(model.loads)
     begin = make_begin(model, integrator) if remembers else None
+    memory_type = MemoryArrays if remembers else NoMemory
     vehicle_type, command_type, gains_type = types.vehicle, types.command, law.gains_type or NoGains
     step, command_of = make_stepper(model, integrator), make_command(law, num_rotors)
     read_vehicle = _make_vehicle_reader(num_rotors, dict(columns.vehicle))
@@ -199,7 +200,7 @@ def make_kernel(
         n: vector,
         load: wp.spatial_vector,
         u: action_type,
-        memory: MemoryArrays,
+        memory: memory_type,
         env: int,
         since: int,
         count: int,
@@ -238,7 +239,7 @@ def make_kernel(
         dt: float,  # [s]
         substeps: int,
         first: int,  # environment of the first thread
-        memory: MemoryArrays,  # read and written
+        memory: memory_type,  # read and written
         # out
         position_out: wp.array[wp.vec3],
         attitude_out: wp.array[wp.quat],

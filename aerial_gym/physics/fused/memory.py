@@ -31,12 +31,11 @@ class MemoryArrays:
     slots: int  # S
 
 
-def no_memory(device: Any) -> MemoryArrays:
-    """Return empty arrays, for a kernel that remembers nothing."""
-    arrays = MemoryArrays()
-    arrays.numbers = arrays.past = wp.empty((0, 0), dtype=float, device=device)
-    arrays.since = arrays.count = arrays.seed = wp.empty(0, dtype=int, device=device)
-    return arrays
+@wp.struct
+class NoMemory:
+    """In its place where no effect remembers anything: a launch costs the more the longer its arguments are."""
+
+    slots: int  # 0
 
 
 def make_begin(model: Model, integrator: str) -> wp.Function:
