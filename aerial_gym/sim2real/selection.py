@@ -267,8 +267,11 @@ class _Selector:
         effects, frozen = (*current.effects, name), current.fit.frozen
         scored = self.score(effects, start, frozen)
         blind = {owner for owner in blind_parameters(scored) if owner[0] == name}
-        places = range(len(EFFECTS.get(name).parameters))
-        if len(blind) == sum(is_number(name, place) for place in places):
+        numbers = sum(is_number(name, place) for place in range(len(EFFECTS.get(name).parameters)))
+        if 0 < len(blind) < numbers:  # what is nothing at neutral may show where the fit has gone: a power of no wind
+            scored = self.score(effects, scored.fit.point, frozen)
+            blind = {owner for owner in blind_parameters(scored) if owner[0] == name}
+        if len(blind) == numbers:
             reason = f"these flights do not show it; needed: {EFFECTS.get(name).excitation}"
             return Trial(effect=name, scored=None, objections=(reason,))
         if blind:
