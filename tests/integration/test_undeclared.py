@@ -14,7 +14,7 @@ from benchmarks.undeclared import make_case
 SHORT = {"num_train": 4, "num_test": 2, "duration_s": 8.0, "rate_hz": 200}
 EFFECTS = (
     "rotor_drag", "quadratic_drag", "thrust_coefficient", "com_offset", "motor_time_constant", "constant_wind",
-    "h_force_flapping", "motor_tilt", "wind_shear", "imu_misalignment",
+    "h_force_flapping", "motor_tilt", "imu_misalignment",
 )  # fmt: skip
 
 
@@ -37,6 +37,16 @@ def test_the_hidden_effect_is_named_and_measured(effect: str, tmp_path: Path) ->
         for axis, entry in verdict["after"][kind].items():
             if axis != "unit":
                 assert entry["rms"] < 1.4 * entry["noise_floor"], (kind, axis)
+
+
+def test_wind_shear_is_found_with_its_power(tmp_path: Path) -> None:
+    """The plant and the package refer it to other heights; the wind at a height of the flights is the same."""
+    verdict, truth = run_case(tmp_path, {"wind_shear": "moderate"}, 211)
+    assert [found["name"] for found in verdict["effects"]] == ["wind_shear"]
+    found, true = verdict["effects"][0]["params"], truth["effects"]["wind_shear"]
+    for axis in "xy":
+        at_5m = [wind[axis] * (5.0 / wind["z_ref"]) ** wind["exponent"] for wind in (found, true)]
+        assert at_5m[0] == pytest.approx(at_5m[1], rel=0.05), axis
 
 
 def test_nothing_is_named_where_nothing_is_hidden(tmp_path: Path) -> None:
