@@ -138,8 +138,8 @@ class EnvironmentCfg:
     It moves or parks obstacles whose place is drawn; those whose place is given, such as walls, stay."""
 
     ground_height: float | None = None
-    """Height of the ground [m], world; none in open air. Touching it is a crash, ``robot_clearance`` counts it, and every
-    sensor sees it as a plane without end. It is no asset: it has no row and is never moved."""
+    """Height of the ground [m], world; none in open air. Touching it is a crash (see ``contact``), ``robot_clearance``
+    counts it, and every sensor sees it as a plane without end. It is no asset: it has no row and is never moved."""
 
     ceiling_height: float | None = None
     """Height of the ceiling [m], world, for effects on the rotors near it; none in open air. It is nothing to touch or see: put

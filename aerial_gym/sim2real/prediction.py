@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import DataError
+from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics import EFFECTS, BodyState, Vehicle, accelerations, build_model, vehicle_from_config
 from aerial_gym.physics.model import STANDARD_GRAVITY, Model
@@ -94,7 +94,16 @@ class Point:
 
 
 def declared_point(robot: RobotCfg) -> Point:
-    """Return the model that the robot file declares."""
+    """Return the model that the robot file declares.
+
+    Raises:
+        ConfigError: If it declares an effect that a replay of logged rows cannot follow, such as one with memory.
+    """
+    if later := [name for name in robot.effects if not EFFECTS.get(name).identifiable]:
+        raise ConfigError(
+            f"the robot file declares {', '.join(later)}: the simulator flies with it, but a replay of logged rows cannot "
+            "follow it yet. Leave it out of the robot file for replay and close-loop"
+        )
     return Point(effects={n: np.array(EFFECTS.get(n).params_from(values)) for n, values in robot.effects.items()})
 
 
