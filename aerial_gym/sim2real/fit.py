@@ -226,9 +226,10 @@ def fit_effects(
     weight: Array,
     *,
     frozen: Frozen = frozenset(),
-    with_tolerances: bool = False,
 ) -> Fit:
     """Return the model with some effects fitted by Gauss-Newton steps, until it is as good as linear.
+
+    Deviations within the tolerances take their share while the effects are fitted; they are not part of the model.
 
     Args:
         predictor: Training flights.
@@ -237,12 +238,11 @@ def fit_effects(
         tolerance: Derivatives by the deviations (``tolerance_jacobian``), taken as constant.
         weight: Of one row of each channel, (C,).
         frozen: Parameters that stay as they are.
-        with_tolerances: Whether deviations within the tolerances may take their share while the effects are fitted.
     """
     fit, residuals, jacobians = linearise(predictor, effects, start, tolerance)
     for _ in range(MOST_STEPS):
         fit = replace(fit, frozen=frozen)
-        step = best_step(fit, weight, fit.free_all if with_tolerances else fit.free_effects)
+        step = best_step(fit, weight, fit.free_all)
         own = step[: fit.num_effect_params]
         if not np.any(own):
             return fit

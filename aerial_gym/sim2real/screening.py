@@ -56,22 +56,16 @@ class Screen:
         predictor, effects = self._predictor, (*self._present.effects, name)
         predicted = predictor.predict(start)  # neutral need not be as declared: one lag in place of two
         more = effect_jacobian(predictor, start, (name,), predicted)
-        jacobians = [np.concatenate((own, new), axis=2) for own, new in zip(self._own, more, strict=True)]
+        jacobians = [np.concatenate(parts, axis=2) for parts in zip(self._own, more, self._tolerance, strict=True)]
         residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
         fit = fit_at(predictor, effects, start, residuals, jacobians, frozen=frozen)
         gain = self._left_out.gain(self._less, self._left_out.squares(fit))
-        return Glance(effect=name, start=start, gain=gain, blind=self._is_blind(fit, jacobians, name))
+        return Glance(effect=name, start=start, gain=gain, blind=self._is_blind(fit, name))
 
-    def _is_blind(self, fit: Fit, jacobians: list[Array], name: str) -> bool:
+    def _is_blind(self, fit: Fit, name: str) -> bool:
         """Return whether noise and tolerances leave every parameter of the candidate unknown by more than its scale."""
-        weight, free = self._left_out.weights.weight, fit.free_effects
-        product, _ = normal_equations(fit, weight)
-        bread = np.linalg.inv(product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free]))
-        cross = sum(
-            np.einsum("rck,c,rcn->kn", j[:, :, free], weight, t, optimize=True)
-            for j, t in zip(jacobians, self._tolerance, strict=True)
-        )
-        shift = bread @ cross
-        variance = np.diag(bread) + (shift**2).sum(axis=1)
+        free = fit.free_all
+        product, _ = normal_equations(fit, self._left_out.weights.weight)
+        variance = np.diag(np.linalg.inv(product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free])))
         own = [i for i, k in enumerate(free) if k in fit.columns_of(name)]
-        return bool(np.all(variance[own] > 1.0)) if own else True
+        return bool(np.all(variance[own] > 1.0))

@@ -406,5 +406,4 @@ def at_bounds(name: str, fit: Fit, neutral: Array, robot: RobotCfg) -> list[str]
 def blind_parameters(scored: Scored) -> set[tuple[str, int]]:
     """Return the fitted parameters, effect and place, that the flights leave unknown by more than their scale."""
     owners = scored.fit.owners
-    variance = np.diag(scored.spread.plain) + np.diag(scored.spread.tolerance)
-    return {owners[k] for k in scored.fit.free_effects[variance > 1.0]}
+    return {owners[k] for k in scored.fit.free_effects[np.diag(scored.spread.plain) > 1.0]}

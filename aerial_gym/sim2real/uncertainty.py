@@ -15,6 +15,9 @@ Array = NDArray[np.float64]
 
 NORMAL_95 = float(stats.norm.ppf(0.975))
 
+DOUBTFUL = 0.2
+"""Flights count as scattering more than their blocks explain if that were chance in no more than this share of cases."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Uncertainty:
@@ -27,7 +30,7 @@ class Uncertainty:
     """From where the fit is linearised to its best point, (K,)."""
 
     plain: Array
-    """Covariance if residuals were as weighted: shows what the flights cannot tell at all, (P, P)."""
+    """Covariance if residuals were as weighted, with the tolerances: shows what the flights cannot tell at all, (P, P)."""
 
     blocks: Array
     """Covariance from the scatter of blocks of time, (P, P)."""
@@ -36,7 +39,7 @@ class Uncertainty:
     """Covariance from the scatter of whole flights, (P, P); None with fewer than three."""
 
     tolerance: Array
-    """Covariance from what the vehicle may be off within its tolerances, (P, P)."""
+    """Covariance from what the flights do not tell about deviations within the tolerances, (P, P)."""
 
     num_blocks: int
     """B."""
@@ -58,11 +61,16 @@ class Uncertainty:
 
     @property
     def half_width(self) -> Array:
-        """Return half the 95 % interval, (P,): the wider of both scatters with its t quantile, plus the tolerances."""
-        scatter = stats.t.ppf(0.975, max(self.num_blocks - 1, 1)) ** 2 * np.diag(self.blocks)
+        """Return half the 95 % interval, (P,): scatter with its t quantile, plus the tolerances.
+
+        The scatter is that of blocks, unless whole flights scatter more than blocks explain.
+        """
+        count, blocks = max(self.num_blocks - 1, 1), np.diag(self.blocks)
+        scatter = stats.t.ppf(0.975, count) ** 2 * blocks
         if self.flights is not None:
-            wide = stats.t.ppf(0.975, self.num_flights - 1) ** 2 * np.diag(self.flights)
-            scatter = np.maximum(scatter, wide)
+            between, wide = self.num_flights - 1, np.diag(self.flights)
+            limit = stats.f.ppf(1.0 - DOUBTFUL, between, count)
+            scatter = np.where(wide > limit * blocks, stats.t.ppf(0.975, between) ** 2 * wide, scatter)
         return np.sqrt(scatter + NORMAL_95**2 * np.diag(self.tolerance))
 
     @property
@@ -72,32 +80,33 @@ class Uncertainty:
 
 
 def uncertainty(fit: Fit, weight: Array) -> Uncertainty:
-    """Return the spread of the fitted effects.
+    """Return the spread of the fitted effects, with deviations within the tolerances fitted beside them.
 
-    ``A = sum w J J^T``, scores ``s = sum w J r`` of a block or a flight: ``A^-1 (sum s s^T) A^-1`` (sandwich), and
-    ``G G^T`` with ``G = A^-1 sum w J J_t^T`` for deviations t of unit variance that the fit leaves out.
+    ``A = sum w J J^T + P`` over effects and deviations, P the inverse prior variance; scores ``s = sum w J r`` of a block or
+    a flight. Then ``A^-1 (sum s s^T) A^-1`` (sandwich) is what noise does, and ``A^-1 P A^-1`` what remains unknown of the
+    vehicle.
 
     Source:
         Liang, Zeger (1986), Longitudinal data analysis using generalized linear models, section 2 (sandwich over
-        clusters); Schmidt (1966), Application of state-space methods to navigation problems ("consider" parameters).
+        clusters); Hoerl, Kennard (1970), Ridge regression, section 4: variance and squared bias, the latter in the mean over
+        the prior.
     """
-    free = fit.free_effects
+    free, own = fit.free_all, fit.free_effects.size
     product, _ = normal_equations(fit, weight)
-    bread = np.linalg.inv(product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free]))
+    precision = prior_precision(fit)[free]
+    bread = np.linalg.inv(product[np.ix_(free, free)] + np.diag(precision))
     step = best_step(fit, weight, free)
     change = np.einsum("bckl,l->bck", fit.moments.product, step)
-    scores = np.einsum("c,bck->bk", weight, fit.moments.gradient - change)[:, free]
+    scores = np.einsum("c,bck->bk", weight, fit.moments.gradient - change)[:, free] @ bread[:, :own]
     by_flight = np.stack([scores[fit.moments.flight == f].sum(axis=0) for f in np.unique(fit.moments.flight)])
-    left = np.setdiff1d(np.arange(fit.num_effect_params, fit.low.size), free)
-    gain = bread @ product[np.ix_(free, left)]
     count, flights = scores.shape[0], len(by_flight)
     return Uncertainty(
-        columns=free,
+        columns=fit.free_effects,
         step=step,
-        plain=bread,
-        blocks=bread @ (scores.T @ scores) @ bread * (count / max(count - 1, 1)),
-        flights=None if flights < 3 else bread @ (by_flight.T @ by_flight) @ bread * flights / (flights - 1),
-        tolerance=gain @ gain.T,
+        plain=bread[:own, :own],
+        blocks=scores.T @ scores * (count / max(count - 1, 1)),
+        flights=None if flights < 3 else by_flight.T @ by_flight * (flights / (flights - 1)),
+        tolerance=(bread[:own] * precision) @ bread[:, :own],
         num_blocks=count,
         num_flights=flights,
     )

@@ -39,7 +39,7 @@ def linear_fit(
 
 @pytest.mark.parametrize("colour", [15.0, 2.0])
 def test_intervals_cover_the_truth_in_coloured_noise_and_with_a_vehicle_that_is_off(colour: float) -> None:
-    """95 % intervals hold at least about 95 % of the time: white noise or slow noise, deviations of one sigma drawn anew.
+    """95 % intervals hold 95 % of the time: white noise or slow noise, deviations of one sigma drawn anew.
 
     240 trials of 3 parameters: at 95 % the count of misses is 36 +- 8 if parameters of a trial are correlated at most 0.3.
     """
@@ -53,7 +53,7 @@ def test_intervals_cover_the_truth_in_coloured_noise_and_with_a_vehicle_that_is_
         inside.append(np.abs(spread.step[:NUM_PARAMS] - truth) < spread.half_width)
         widths.append(spread.half_width)
     coverage = float(np.mean(inside))
-    assert coverage > 0.94, coverage
+    assert 0.92 < coverage < 0.98, coverage
     assert np.median(widths) < 0.5  # no better by being useless
 
 
