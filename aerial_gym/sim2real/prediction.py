@@ -27,7 +27,7 @@ from aerial_gym.sim2real.checks import body_rate_of
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.rotor_replay import RotorReplay
 from aerial_gym.sim2real.signals import edge_rows, lowpass
-from aerial_gym.sim2real.tolerances import Tolerances, accelerometer_bias, command_shift, deviate
+from aerial_gym.sim2real.tolerances import Tolerances, command_shift, deviate, sensor_biases
 
 Array = NDArray[np.float64]
 
@@ -254,12 +254,12 @@ class Predictor:
             force, rate = effect.measure(force, rate, params)
             kinematic_force, moved = effect.measure(kinematic_force, turning, params)
             turning = moved - effect.measure(still, still, params)[1]  # a constant error has no derivative
-        bias = accelerometer_bias(self.tolerances, deviation)
+        force_bias, rate_bias = sensor_biases(self.tolerances, deviation)
         return {
-            "specific_force": (force + bias).numpy(),
+            "specific_force": (force + force_bias).numpy(),
             "angular_acceleration": turning.numpy(),
-            "kinematic_force": (kinematic_force + bias).numpy(),
-            "kinematic_rate": rate.numpy(),
+            "kinematic_force": (kinematic_force + force_bias).numpy(),
+            "kinematic_rate": (rate + rate_bias).numpy(),
         }
 
     def _band(self, index: int, rows: dict[str, Array], speeds: list[Array | None] | None) -> Array:

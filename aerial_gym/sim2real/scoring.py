@@ -115,10 +115,10 @@ class LeftOut:
         return np.arange(flight.size) * parts // flight.size
 
     def squares(self, fit: Fit) -> Array:
-        """Return the squares (B, C) of each fold under the fit of the others."""
+        """Return the squares (B, C) of each fold under the fit of the others, of effects and of what tolerances allow."""
         steps, fold = np.zeros((self.fold.size, fit.low.size)), self.fold
         for left in np.unique(fold):
-            steps[fold == left] = best_step(fit, self.weights.weight, fit.free_effects, np.flatnonzero(fold != left))
+            steps[fold == left] = best_step(fit, self.weights.weight, fit.free_all, np.flatnonzero(fold != left))
         return fit.moments.squares_after(steps)
 
     def gain(self, less: Array, more: Array) -> Gain:

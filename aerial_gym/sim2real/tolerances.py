@@ -35,16 +35,20 @@ class Tolerances:
     acc_bias: float = 0.02
     """Accelerometer, each axis [m/s²]."""
 
+    gyro_bias: float = 0.002
+    """Each axis [rad/s]."""
+
     command_hold: float = 0.3
     """How far into the step between two rows the effective command may lie: autopilots run faster than logs are written."""
 
     def __post_init__(self) -> None:
-        require_positive(self, "mass", "thrust", "inertia", "time_constant", "com", "acc_bias", "command_hold")
+        names = ("mass", "thrust", "inertia", "time_constant", "com", "acc_bias", "gyro_bias", "command_hold")
+        require_positive(self, *names)
 
     def names(self, num_rotors: int) -> tuple[str, ...]:
         """Return the names of the N tolerances, in the order of ``Deviation``."""
         rotors = [f"thrust_{number}" for number in range(1, num_rotors + 1)]
-        axes = [f"{name}_{axis}" for name in ("inertia", "com", "acc_bias") for axis in "xyz"]
+        axes = [f"{name}_{axis}" for name in ("inertia", "com", "acc_bias", "gyro_bias") for axis in "xyz"]
         return ("mass", *rotors, *axes, "time_constant", "command_hold")
 
 
@@ -58,7 +62,7 @@ def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehi
         tolerances: Their sizes.
         deviation: In standard deviations, (N,), in the order of ``Tolerances.names``.
     """
-    mass, rotors, inertia, com, _, lag, _ = torch.split(deviation, [1, vehicle.num_rotors, 3, 3, 3, 1, 1])
+    mass, rotors, inertia, com, _, lag, _ = torch.split(deviation, [1, vehicle.num_rotors, 3, 3, 6, 1, 1])
     factor = (1.0 + tolerances.thrust * rotors).unsqueeze(-1)
     stretch = (1.0 + tolerances.inertia * inertia).clamp_min(0.01).sqrt()
     slower = 1.0 + tolerances.time_constant * lag
@@ -74,9 +78,9 @@ def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehi
     )
 
 
-def accelerometer_bias(tolerances: Tolerances, deviation: Tensor) -> Tensor:
-    """Return the bias [m/s²], body, (3,)."""
-    return tolerances.acc_bias * deviation[-5:-2]
+def sensor_biases(tolerances: Tolerances, deviation: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the biases of accelerometer [m/s²] and gyro [rad/s], body, each (3,)."""
+    return tolerances.acc_bias * deviation[-8:-5], tolerances.gyro_bias * deviation[-5:-2]
 
 
 def command_shift(tolerances: Tolerances, deviation: Tensor) -> float:

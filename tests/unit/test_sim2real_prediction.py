@@ -16,7 +16,7 @@ from aerial_gym.sim2real.prediction import Channel, Point, Predictor, declared_p
 from aerial_gym.sim2real.rollout import find_windows, roll_out
 from aerial_gym.sim2real.rotor_replay import RotorReplay
 from aerial_gym.sim2real.signals import uniform_log
-from aerial_gym.sim2real.tolerances import Tolerances, deviate
+from aerial_gym.sim2real.tolerances import Tolerances, command_shift, deviate, sensor_biases
 from tests.unit.flat_flights import ROBOT, flight, write
 
 BAND = 10.0
@@ -190,6 +190,26 @@ def test_tolerances_change_what_they_say() -> None:
     assert torch.diagonal(off.inertia[0]).tolist() == pytest.approx([2e-3, 2.4e-3 * 1.02, 4e-3])
     assert off.com[0].tolist() == pytest.approx([0.0, 0.0, 0.0003])
     assert off.time_constant_up[0].tolist() == pytest.approx([0.04 * 1.03] * 4)
+    for name, size in (("acc_bias_y", 2.0), ("gyro_bias_x", -1.0), ("command_hold", 1.0)):
+        deviation[names.index(name)] = size
+    force, rate = sensor_biases(tolerances, deviation)
+    assert force.tolist() == pytest.approx([0.0, 0.04, 0.0])
+    assert rate.tolist() == pytest.approx([-0.002, 0.0, 0.0])
+    assert command_shift(tolerances, deviation) == pytest.approx(0.3)
+
+
+def test_a_gyro_that_is_off_within_its_tolerance_shows_in_the_kinematic_rate_alone(tmp_path: Path) -> None:
+    """A constant bias has no derivative, so that only the rate read beside the attitude moves, by that bias."""
+    found = load(tmp_path)
+    predictor = Predictor(
+        ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=(tolerances := Tolerances())
+    )
+    deviation = np.zeros(predictor.num_tolerances)
+    deviation[tolerances.names(4).index("gyro_bias_z")] = 3.0
+    moved = predictor.predict(Point(deviation=deviation))[0] - predictor.predict(Point())[0]
+    for place, channel in enumerate(predictor.channels):
+        expected = 0.006 if channel.name == "kinematic_rate.z" else 0.0
+        np.testing.assert_allclose(moved[:, place], expected, atol=1e-12, err_msg=channel.name)
 
 
 def test_the_noise_floor_is_the_residual_of_a_perfect_model(tmp_path: Path) -> None:
