@@ -1,6 +1,6 @@
 """Rotor speeds that follow from the logged commands, for all flights side by side.
 
-Letters: F flights, T rows, R rotors.
+Letters: F flights, T rows of a flight, N rows of all flights, R rotors.
 """
 
 from collections import OrderedDict
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.physics.effects import RotorSensorEffect
-from aerial_gym.physics.rotors import lag_speed
 from aerial_gym.sim2real.flights import Flight
+from aerial_gym.sim2real.rotor_lag import follow_commands
 
 Array = NDArray[np.float64]
 
@@ -25,11 +25,11 @@ class RotorReplay:
     """Runs the lag of the simulator through the commands, from the first measured speed on, without correction."""
 
     def __init__(self, flights: Sequence[Flight]) -> None:
-        self._groups: dict[float, list[int]] = {}
-        for index, flight in enumerate(flights):
-            if flight.rotor_command is not None:
-                self._groups.setdefault(flight.rate, []).append(index)
         self._flights = flights
+        self._members = [index for index, flight in enumerate(flights) if flight.rotor_command is not None]
+        rows = [flights[index].num_rows for index in self._members]
+        self._ends = torch.from_numpy(np.cumsum([0, *rows], dtype=np.int32))
+        self._step = torch.tensor([1.0 / flights[index].rate for index in self._members], dtype=torch.float64)
         self._results: OrderedDict[tuple[float, ...], list[Array | None]] = OrderedDict()
 
     def speeds(
@@ -60,27 +60,31 @@ class RotorReplay:
         self, up: Tensor, down: Tensor, shift: float, sensors: Sequence[tuple[RotorSensorEffect, Tensor]]
     ) -> list[Array | None]:
         result: list[Array | None] = [None] * len(self._flights)
-        for rate, members in self._groups.items():
-            rows = max(self._flights[index].num_rows for index in members)
-            command = torch.stack([self._command(index, rows, shift) for index in members], dim=1)  # (T, F, R)
-            speed = torch.stack([self._first(index, sensors) for index in members])
-            history = [speed]
-            for row in range(rows - 1):
-                history.append(speed := lag_speed(speed, command[row], up, down, 1.0 / rate))
-            table = torch.stack(history)
-            for effect, params in sensors:
-                table = effect.measure(table, params)
-            table = table.numpy()
-            for place, index in enumerate(members):
-                result[index] = table[: self._flights[index].num_rows, place]
+        if not self._members:
+            return result
+        command = torch.cat([self._command(index, shift) for index in self._members])
+        first = torch.stack([self._first(index, sensors) for index in self._members])
+        table = follow_commands(
+            first,
+            command,
+            command,
+            torch.zeros_like(self._step),
+            ends=self._ends,
+            step=self._step,
+            tau_up=up,
+            tau_down=down,
+        )
+        for effect, params in sensors:
+            table = effect.measure(table, params)
+        for place, index in enumerate(self._members):
+            result[index] = table[self._ends[place] : self._ends[place + 1]].numpy()
         return result
 
-    def _command(self, index: int, rows: int, shift: float) -> Tensor:
-        """Return the commands of a flight, (T, R), the last one repeated to ``rows``."""
+    def _command(self, index: int, shift: float) -> Tensor:
+        """Return the commands of a flight, (T, R), each moved towards the next one."""
         command = self._flights[index].rotor_command
         assert command is not None
-        longer = np.concatenate((command, np.repeat(command[-1:], rows - len(command), axis=0)))
-        return torch.from_numpy(longer + shift * np.diff(longer, axis=0, append=longer[-1:]))
+        return torch.from_numpy(command + shift * np.diff(command, axis=0, append=command[-1:]))
 
     def _first(self, index: int, sensors: Sequence[tuple[RotorSensorEffect, Tensor]]) -> Tensor:
         """Return the true speeds at the start, (R,): measured ones without the errors of the sensors, else the commands."""
