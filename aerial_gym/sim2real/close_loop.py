@@ -173,7 +173,11 @@ def judge_flights(
     )
     declared = declared_point(robot)
     selection = select_effects(
-        train_predictor, declared, criteria or Criteria(), lambda stage, share: progress(stage, 0.05 + 0.6 * share)
+        train_predictor,
+        declared,
+        criteria or Criteria(),
+        lambda stage, share: progress(stage, 0.05 + 0.6 * share),
+        test=test,
     )
     final = rounded(robot, selection.final.fit.point, selection.accepted)
     progress("rollouts of the declared and the corrected model", 0.7)

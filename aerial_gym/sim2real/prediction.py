@@ -1,7 +1,7 @@
 """What a model predicts for every row of a flight, beside what was measured, both in the same band.
 
 Each row is one environment of the simulator: the specific force and angular acceleration of a measured state come from
-``physics.accelerations``, the rotor speeds from ``physics.lag_speed`` and the commands. One thing is measured where the
+``physics.accelerations``, the rotor speeds from the commands (``RotorReplay``). One thing is measured where the
 simulator would predict it: the angular acceleration in the lever arm of the accelerometer.
 Two kinds of channel hold without any dynamics, and so show errors of the inertial sensors alone: the specific force and the
 angular velocity that velocity and attitude imply by kinematics, against what the sensors read.
@@ -205,9 +205,8 @@ class Predictor:
         speeds: list[Array | None] | None = None
         if self._simulated or any(channel.kind == "rotor_speed" for channel in self.channels):
             one = build_model(vehicle, self._effects(point, 1))
-            lag = one.vehicle.time_constant_up[0], one.vehicle.time_constant_down[0]
             sensors = () if self._simulated else one.rotor_sensors
-            speeds = self._replay.speeds(*lag, command_shift(self.tolerances, deviation), sensors)
+            speeds = self._replay.speeds(one, command_shift(self.tolerances, deviation), sensors)
         rows = self._rows(point, vehicle, deviation, speeds)
         return [self._band(index, rows, speeds) for index in range(len(self.flights))]
 

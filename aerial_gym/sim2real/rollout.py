@@ -1,7 +1,8 @@
 """Open-loop rollouts: every window of the flights is one environment of the simulator, released at a measured state.
 
-The rotors follow the logged commands through the lag of the model; without commands they turn as measured. A second
-variant is given the measured attitude, so that it shows forces alone. Letters: W windows (environments), R rotors.
+The rotors follow the logged commands through dead time, battery and lag of the model; without commands they turn as
+measured. A second variant is given the measured attitude, so that it shows forces alone.
+Letters: W windows (environments), R rotors.
 """
 
 from collections.abc import Sequence
@@ -15,8 +16,10 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.quaternion import quat_conjugate, quat_log, quat_multiply
 from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, advance, build_model, vehicle_from_config
+from aerial_gym.physics.effects.actuation_delay import LONGEST as LONGEST_DELAY
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.prediction import Point, expand_rows
+from aerial_gym.sim2real.rotor_commands import mean_commands
 
 Array = NDArray[np.float64]
 
@@ -28,6 +31,9 @@ STEP_S = 0.005
 
 WINDOW_EVERY_S = 0.5
 """Between the starts of two windows [s]."""
+
+FIRST_WINDOW_S = LONGEST_DELAY
+"""Start of the first window [s]: no command is longer on its way, so that all that arrive are in the log."""
 
 MOST_WINDOWS = 600
 """Windows are spread over all flights if there were more."""
@@ -92,7 +98,7 @@ def find_windows(flights: Sequence[Flight], horizons: Sequence[float]) -> Window
     every = max(WINDOW_EVERY_S, sum(spans) / MOST_WINDOWS)
     parts, cluster = [], 0
     for index, (flight, span) in enumerate(zip(flights, spans, strict=True)):
-        starts = np.arange(0.0, span, every)
+        starts = np.arange(FIRST_WINDOW_S, span, every)
         rows = np.round(starts * flight.rate).astype(int)
         groups = (starts / CLUSTER_S).astype(int)
         parts.append((np.full(rows.size, index), rows, groups + cluster))
@@ -119,9 +125,11 @@ def roll_out(
         given_attitude: Whether attitude and angular velocity are set to the measured ones after every step.
     """
     longest = max(float(flight.time[-1]) for flight in flights)
-    kept = tuple(h for h in horizons if h + 2.0 * STEP_S < longest)
+    kept = tuple(h for h in horizons if FIRST_WINDOW_S + h + 2.0 * STEP_S < longest)
     windows = find_windows(flights, kept)
     commanded = all(flight.rotor_command is not None for flight in flights)
+    if commanded:
+        flights = _with_arriving_commands(robot, flights, point)
     rows = {
         rate: np.flatnonzero([flights[f].rate == rate for f in windows.flight]) for rate in {f.rate for f in flights}
     }
@@ -140,6 +148,13 @@ def roll_out(
         attitude=None if given_attitude else errors["attitude"],
         driven_by="commands" if commanded else "measured rotor speeds",
     )
+
+
+def _with_arriving_commands(robot: RobotCfg, flights: Sequence[Flight], point: Point) -> list[Flight]:
+    """Return the flights with what arrives at the rotors as commands: so no window begins without those on their way."""
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+    model = build_model(vehicle, [(EFFECTS.get(n), torch.tensor(p).reshape(1, -1)) for n, p in point.effects.items()])
+    return [replace(flight, rotor_command=mean_commands(flight, model)) for flight in flights]
 
 
 class _Run:
@@ -166,7 +181,7 @@ class _Run:
             vehicle = replace(vehicle, time_constant_up=zero, time_constant_down=zero)
         used = {name: p for name, p in point.effects.items() if commanded or EFFECTS.get(name).acts_on != "actuation"}
         effects = [(EFFECTS.get(n), torch.from_numpy(np.asarray(p)).expand(members.size, -1)) for n, p in used.items()]
-        self._model = build_model(vehicle, effects)
+        self._model = replace(build_model(vehicle, effects), delays=(), commands=())  # they have acted
 
     def errors(self, horizons: Sequence[float], *, given_attitude: bool) -> dict[str, Array]:
         """Return the errors of each quantity, (W, horizons)."""

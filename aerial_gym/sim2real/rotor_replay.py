@@ -11,8 +11,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from aerial_gym.physics import Model
 from aerial_gym.physics.effects import RotorSensorEffect
 from aerial_gym.sim2real.flights import Flight
+from aerial_gym.sim2real.rotor_commands import arriving_commands
 from aerial_gym.sim2real.rotor_lag import follow_commands
 
 Array = NDArray[np.float64]
@@ -22,7 +24,10 @@ REMEMBERED = 8
 
 
 class RotorReplay:
-    """Runs the lag of the simulator through the commands, from the first measured speed on, without correction."""
+    """Runs lag, dead time and battery of a model through the commands, from the first measured speed on, uncorrected.
+
+    All flights of one robot: what the robot file declares of the battery is the same in all calls.
+    """
 
     def __init__(self, flights: Sequence[Flight]) -> None:
         self._flights = flights
@@ -30,61 +35,54 @@ class RotorReplay:
         rows = [flights[index].num_rows for index in self._members]
         self._ends = torch.from_numpy(np.cumsum([0, *rows], dtype=np.int32))
         self._step = torch.tensor([1.0 / flights[index].rate for index in self._members], dtype=torch.float64)
-        self._results: OrderedDict[tuple[float, ...], list[Array | None]] = OrderedDict()
+        self._results: OrderedDict[tuple[object, ...], list[Array | None]] = OrderedDict()
 
     def speeds(
-        self,
-        time_constant_up: Tensor,
-        time_constant_down: Tensor,
-        shift: float,
-        sensors: Sequence[tuple[RotorSensorEffect, Tensor]] = (),
+        self, model: Model, shift: float, sensors: Sequence[tuple[RotorSensorEffect, Tensor]] = ()
     ) -> list[Array | None]:
         """Return speeds [rad/s] of each flight as they are measured, (T, R); None for a flight without commands.
 
         Args:
-            time_constant_up: Lag of a rising speed [s], (R,).
-            time_constant_down: Lag of a falling speed [s], (R,).
+            model: Gives lag, dead time and what the battery does, one environment.
             shift: The command of a step lies this share of it towards the next row.
             sensors: Errors of the sensors of rotor speed, with parameters (1, P).
+
+        Raises:
+            DataError: If a log lacks what an effect of the model needs.
         """
-        key = (*time_constant_up.tolist(), *time_constant_down.tolist(), shift)
-        key += tuple(number for _, params in sensors for number in params[0].tolist())
+        vehicle, effects = model.vehicle, (*model.delays, *model.commands, *sensors)
+        numbers = [vehicle.time_constant_up, vehicle.time_constant_down, *(params for _, params in effects)]
+        key = (tuple(effect.name for effect, _ in effects), shift, *torch.cat(numbers, dim=1)[0].tolist())
         if key not in self._results:
-            self._results[key] = self._run(time_constant_up, time_constant_down, shift, sensors)
+            self._results[key] = self._run(model, shift, sensors)
             while len(self._results) > REMEMBERED:
                 self._results.popitem(last=False)
         self._results.move_to_end(key)
         return self._results[key]
 
     def _run(
-        self, up: Tensor, down: Tensor, shift: float, sensors: Sequence[tuple[RotorSensorEffect, Tensor]]
+        self, model: Model, shift: float, sensors: Sequence[tuple[RotorSensorEffect, Tensor]]
     ) -> list[Array | None]:
         result: list[Array | None] = [None] * len(self._flights)
         if not self._members:
             return result
-        command = torch.cat([self._command(index, shift) for index in self._members])
-        first = torch.stack([self._first(index, sensors) for index in self._members])
+        arriving = [arriving_commands(self._flights[index], model, shift=shift) for index in self._members]
+        earlier, later, shares = zip(*arriving, strict=True)
         table = follow_commands(
-            first,
-            command,
-            command,
-            torch.zeros_like(self._step),
+            torch.stack([self._first(index, sensors) for index in self._members]),
+            torch.cat(earlier),
+            torch.cat(later),
+            torch.tensor(shares, dtype=torch.float64),
             ends=self._ends,
             step=self._step,
-            tau_up=up,
-            tau_down=down,
+            tau_up=model.vehicle.time_constant_up[0],
+            tau_down=model.vehicle.time_constant_down[0],
         )
         for effect, params in sensors:
             table = effect.measure(table, params)
         for place, index in enumerate(self._members):
             result[index] = table[self._ends[place] : self._ends[place + 1]].numpy()
         return result
-
-    def _command(self, index: int, shift: float) -> Tensor:
-        """Return the commands of a flight, (T, R), each moved towards the next one."""
-        command = self._flights[index].rotor_command
-        assert command is not None
-        return torch.from_numpy(command + shift * np.diff(command, axis=0, append=command[-1:]))
 
     def _first(self, index: int, sensors: Sequence[tuple[RotorSensorEffect, Tensor]]) -> Tensor:
         """Return the true speeds at the start, (R,): measured ones without the errors of the sensors, else the commands."""

@@ -25,8 +25,10 @@ from aerial_gym.sim2real.fit import (
     tolerance_jacobian,
     weighting,
 )
+from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.moments import Weighting
 from aerial_gym.sim2real.prediction import Point, Predictor
+from aerial_gym.sim2real.rotor_commands import missing_in_logs, too_steady
 from aerial_gym.sim2real.scoring import Criteria, Gain, LeftOut, Scored
 from aerial_gym.sim2real.screening import Screen
 from aerial_gym.sim2real.uncertainty import uncertainty, wald_probability
@@ -116,18 +118,31 @@ class Selection:
     criteria: Criteria
 
 
-def select_effects(predictor: Predictor, declared: Point, criteria: Criteria, progress: Progress) -> Selection:
-    """Return the effects that the training flights ask for, on top of the declared model."""
-    return _Selector(predictor, declared, criteria, progress).run()
+def select_effects(
+    predictor: Predictor, declared: Point, criteria: Criteria, progress: Progress, *, test: Sequence[Flight] = ()
+) -> Selection:
+    """Return the effects that the training flights ask for, on top of the declared model.
+
+    Effects that a log of ``test`` has not what they need for are left out; nothing else is taken from those flights.
+    """
+    return _Selector(predictor, declared, criteria, progress, test).run()
 
 
 class _Selector:
     """Holds what the trials share."""
 
-    def __init__(self, predictor: Predictor, declared: Point, criteria: Criteria, progress: Progress) -> None:
+    def __init__(
+        self,
+        predictor: Predictor,
+        declared: Point,
+        criteria: Criteria,
+        progress: Progress,
+        test: Sequence[Flight],
+    ) -> None:
         self.predictor, self.declared, self.criteria, self.progress = predictor, declared, criteria, progress
         self.candidates = tuple(EFFECTS)
-        self.lacking = {name: reason for name in self.candidates if (reason := lacks(name, predictor.robot))}
+        reasons = {name: lacks(name, predictor.robot, predictor.flights, test) for name in self.candidates}
+        self.lacking = {name: reason for name, reason in reasons.items() if reason}
         self.tolerance = tolerance_jacobian(predictor, declared, predictor.predict(declared))
         common = tuple(n for n in self.candidates if n not in self.lacking and not has_rotor(n))
         self.weights = weighting(predictor, declared, common, self.with_rotors(self.tolerance))
@@ -380,15 +395,15 @@ def has_rotor(name: str) -> bool:
     return any(parameter.kind == "rotor" for parameter in EFFECTS.get(name).parameters)
 
 
-def lacks(name: str, robot: RobotCfg) -> str:
-    """Return what the robot file lacks for an effect, or that no flight can show it yet; empty if nothing."""
+def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight] = ()) -> str:
+    """Return what robot file or logs lack for an effect, or that no flight can show it yet; empty if nothing."""
     if not EFFECTS.get(name).identifiable:
         return "not looked for in flights: it needs more than single rows, its own memory or what stands around the vehicle"
     try:
         EFFECTS.get(name).check(robot)
     except ConfigError as error:
         return str(error)
-    return ""
+    return missing_in_logs(EFFECTS.get(name), [*train, *test]) or too_steady(EFFECTS.get(name), train)
 
 
 def at_bounds(name: str, fit: Fit, neutral: Array, robot: RobotCfg) -> list[str]:

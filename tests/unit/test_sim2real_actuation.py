@@ -6,16 +6,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.interpolate import CubicSpline
 
-from aerial_gym.errors import ShapeError
+from aerial_gym.config.robot import BatteryCfg, RobotCfg
+from aerial_gym.errors import DataError, ShapeError
+from aerial_gym.physics import EFFECTS, Model, build_model, vehicle_from_config
+from aerial_gym.sim2real.fit import fit_effects, tolerance_jacobian
 from aerial_gym.sim2real.flight_log import read_flight_log
 from aerial_gym.sim2real.flights import Flight, complete_flight
+from aerial_gym.sim2real.prediction import Channel, Point, Predictor, declared_point, find_channels
+from aerial_gym.sim2real.replay import replay_flights
+from aerial_gym.sim2real.rollout import roll_out
 from aerial_gym.sim2real.rotor_lag import follow_commands
 from aerial_gym.sim2real.rotor_replay import RotorReplay
+from aerial_gym.sim2real.selection import lacks
 from aerial_gym.sim2real.signals import uniform_log
-from tests.unit.flat_flights import flight, write
+from aerial_gym.sim2real.tolerances import Tolerances
+from tests.unit.flat_flights import ROBOT, flight, write
 
 F64 = torch.float64
+BATTERY = BatteryCfg(
+    nominal_voltage=16.0,
+    full_voltage=16.8,
+    empty_voltage=13.2,
+    internal_resistance=0.03,
+    capacity=4000.0,
+    source="test",
+)
+POWERED = replace(ROBOT, battery=BATTERY)
 TAU_UP, TAU_DOWN = 0.05, 0.03
 
 
@@ -36,15 +54,24 @@ def up_and_down(time: np.ndarray, start: float, high: float = 1100.0) -> np.ndar
     return np.where(time < start + 0.5, rise, fall)
 
 
-def lags(scale: float = 1.0) -> tuple[torch.Tensor, torch.Tensor]:
-    return torch.full((4,), scale * TAU_UP, dtype=F64), torch.full((4,), scale * TAU_DOWN, dtype=F64)
+def model_of(effects: dict[str, list[float]] | None = None, *, robot: RobotCfg = ROBOT) -> Model:
+    """Return the model of a robot with the lags of this file, and with effects."""
+    rotor = replace(robot.rotor, time_constant_up=TAU_UP, time_constant_down=TAU_DOWN)
+    vehicle = vehicle_from_config(replace(robot, rotor=rotor), num_envs=1, dtype=F64)
+    return build_model(vehicle, [(EFFECTS.get(n), torch.tensor([p], dtype=F64)) for n, p in (effects or {}).items()])
+
+
+def replayed(found: Flight, model: Model) -> np.ndarray:
+    speed = RotorReplay([found]).speeds(model, 0.0)[0]
+    assert speed is not None
+    return speed
 
 
 def test_flights_of_several_rates_and_lengths_rise_and_fall_by_their_own_lag(tmp_path: Path) -> None:
     """``w_c + (w_0 - w_c) exp(-t / tau)`` with one constant up and another down; a flight without commands stays None."""
     flights = [step_flight(tmp_path, rate=rate, seconds=3.0 + rate / 200.0) for rate in (100.0, 200.0)]
     flights.insert(1, replace(flights[0], rotor_command=None))
-    found = RotorReplay(flights).speeds(*lags(), 0.0)
+    found = RotorReplay(flights).speeds(model_of(), 0.0)
     assert found[1] is None
     for number in (0, 2):
         speed, time = found[number], np.arange(flights[number].num_rows) / flights[number].rate
@@ -55,13 +82,137 @@ def test_flights_of_several_rates_and_lengths_rise_and_fall_by_their_own_lag(tmp
 
 def test_rotors_without_lag_follow_at_once(tmp_path: Path) -> None:
     driven = step_flight(tmp_path, rate=100.0, seconds=3.0)
-    speed = RotorReplay([driven]).speeds(*lags(0.0), 0.0)[0]
-    assert speed is not None
     assert driven.rotor_command is not None
-    np.testing.assert_array_equal(speed[1:], driven.rotor_command[:-1])
+    model, none = model_of(), torch.zeros(1, 4, dtype=F64)
+    quick = replace(model, vehicle=replace(model.vehicle, time_constant_up=none, time_constant_down=none))
+    np.testing.assert_array_equal(replayed(driven, quick)[1:], driven.rotor_command[:-1])
 
 
 def test_tables_that_do_not_fit_are_refused() -> None:
     table, ends, one = torch.ones(5, 4, dtype=F64), torch.tensor([0, 6], dtype=torch.int32), torch.ones(1, dtype=F64)
     with pytest.raises(ShapeError, match=r"commands have shapes \(5, 4\) and \(5, 4\), expected \(6, 4\)"):
         follow_commands(table[:1], table, table, one, ends=ends, step=one, tau_up=table[0], tau_down=table[0])
+
+
+# dead time
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0013, 0.005, 0.0132, 0.0999])
+def test_a_delayed_step_arrives_that_much_later(delay: float, tmp_path: Path) -> None:
+    """The closed form of the step, later: part of a row of 5 ms, one row, some rows and a part, and near the bound."""
+    driven = step_flight(tmp_path, rate=200.0, seconds=4.0)
+    speed = replayed(driven, model_of({"actuation_delay": [delay]}))
+    np.testing.assert_allclose(speed[:, 0], up_and_down(np.arange(800) / 200.0, 0.5 + delay), rtol=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0132])
+def test_a_difference_of_microseconds_is_the_derivative_by_the_delay(delay: float, tmp_path: Path) -> None:
+    """dw / d(delay) = (w_0 - w_c) / tau exp(-(t - t_0 - delay) / tau), forward by 10 us: error 1e-5 / 2 tau = 1e-4 of it."""
+    driven = step_flight(tmp_path, rate=200.0, seconds=4.0)
+    here, there = (replayed(driven, model_of({"actuation_delay": [d]}))[105:195, 0] for d in (delay, delay + 1e-5))
+    time = np.arange(105, 195) / 200.0
+    slope = -200.0 / TAU_UP * np.exp(-(time - 0.5 - delay) / TAU_UP)
+    np.testing.assert_allclose((there - here) / 1e-5, slope, rtol=2e-4)
+
+
+# battery
+
+
+def test_a_falling_voltage_drags_the_speed_behind_it(tmp_path: Path) -> None:
+    """Speeds u_k that fall by s each row, through the lag: ``w_k = u_k + e_k``, ``e_k = (1 - a^k) s / (1 - a)``."""
+    still = step_flight(tmp_path, rate=200.0, seconds=4.0, high=900.0)
+    voltage, gain = np.linspace(16.0, 14.0, still.num_rows), 0.6
+    speed = replayed(replace(still, battery=voltage), model_of({"battery_sag": [gain]}, robot=POWERED))
+    target = 900.0 * (1.0 - gain * (1.0 - voltage / 16.0))
+    fall, kept = target[0] - target[1], np.exp(-0.005 / TAU_DOWN)
+    lead = fall * (1.0 - kept ** np.arange(still.num_rows)) / (1.0 - kept)
+    np.testing.assert_allclose(speed[:, 2], target + lead, rtol=1e-12)
+
+
+def test_the_voltage_acts_on_commands_when_they_arrive(tmp_path: Path) -> None:
+    """A voltage that halves at 1.5 s acts at once, also where commands come 50 ms late: 900 to 450 through the lag."""
+    still = step_flight(tmp_path, rate=200.0, seconds=4.0, high=900.0)
+    time = np.arange(still.num_rows) / 200.0
+    halved = replace(still, battery=np.where(time < 1.5 - 1e-9, 16.0, 8.0))
+    speed = replayed(halved, model_of({"actuation_delay": [0.05], "battery_sag": [1.0]}, robot=POWERED))
+    expected = 450.0 + 450.0 * np.exp(-np.maximum(time - 1.5, 0.0) / TAU_DOWN)
+    np.testing.assert_allclose(speed[:, 1], expected, rtol=1e-12)
+
+
+def test_what_logs_lack_for_the_battery_is_said(tmp_path: Path) -> None:
+    bare = step_flight(tmp_path, rate=100.0, seconds=3.0)
+    flat = replace(bare, battery=np.full(bare.num_rows, 15.8))
+    falling = replace(bare, battery=np.linspace(15.8, 15.0, bare.num_rows))
+    assert "the robot file must give battery" in lacks("battery_sag", ROBOT, [falling])
+    assert (
+        lacks("battery_sag", POWERED, [falling], [bare]) == "no battery voltage in 100; log it in volts (column vbat)"
+    )
+    assert "varies by 0.0% in these flights; needed: a long flight" in lacks("battery_sag", POWERED, [flat, flat])
+    assert lacks("battery_sag", POWERED, [flat, falling], [flat]) == ""
+    assert lacks("actuation_delay", ROBOT, [bare]) == ""
+    declared = replace(POWERED, effects={"battery_sag": {"gain": 0.3}})
+    with pytest.raises(DataError, match="effect battery_sag: no battery voltage in 100; log it"):
+        replay_flights(declared, [bare], bandwidth=10.0)
+
+
+# flights
+
+
+def commanded_flight(
+    folder: Path, *, delay: float, gain: float, seed: int = 3, seconds: float = 8.0, volt_noise: float = 0.0
+) -> Flight:
+    """Return an exact flight at 400 rows per second with the commands that lead to its speeds.
+
+    Inverted: ``c = (w + tau w') / factor``, sent ``delay`` earlier, in the middle of the row for which it holds.
+    """
+    path = write(flight(seed, rate=400.0, seconds=seconds), folder / f"flown{seed}.csv")
+    found = complete_flight(uniform_log(read_flight_log(path)))
+    assert found.rotor_speed is not None
+    sent = found.time + delay + 0.5 / 400.0
+    curve = CubicSpline(found.time, found.rotor_speed)
+    wanted = curve(sent) + 0.04 * curve(sent, 1)
+
+    def volts(time: np.ndarray) -> np.ndarray:
+        return 15.8 - 0.1 * time + 0.2 * np.sin(3.0 * time)
+
+    noise = volt_noise * np.random.default_rng(seed).standard_normal(found.num_rows)
+    factor = 1.0 - gain * (1.0 - volts(sent) / 16.0)
+    return replace(found, rotor_command=wanted / factor[:, None], battery=volts(found.time) + noise)
+
+
+def test_a_replay_finds_delay_and_gain_under_noise_of_the_voltage(tmp_path: Path) -> None:
+    """8.7 ms and 0.5, both at once, from neutral, with 20 mV on the voltage: to 0.05 ms and 1 %."""
+    flights = [commanded_flight(tmp_path, delay=0.0087, gain=0.5, seed=seed, volt_noise=0.02) for seed in (3, 4)]
+    channels = [Channel(kind="rotor_speed", axis=str(number)) for number in (1, 2, 3, 4)]
+    predictor = Predictor(POWERED, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
+    start = Point(effects={"actuation_delay": np.zeros(1), "battery_sag": np.zeros(1)})
+    tolerance = tolerance_jacobian(predictor, start, predictor.predict(start))
+    fit = fit_effects(predictor, ("actuation_delay", "battery_sag"), start, tolerance, np.ones(4))
+    assert fit.point.effects["actuation_delay"][0] == pytest.approx(0.0087, abs=5e-5)
+    assert fit.point.effects["battery_sag"][0] == pytest.approx(0.5, rel=0.01)
+
+
+def test_a_robot_file_with_delay_and_battery_predicts_and_rolls_out(tmp_path: Path) -> None:
+    """Open loop for 1 s from the commands: millimetres with the effects declared, far more without them."""
+    found = commanded_flight(tmp_path, delay=0.03, gain=1.0)
+    robot = replace(POWERED, effects={"actuation_delay": {"delay": 0.03}, "battery_sag": {"gain": 1.0}})
+    errors = [roll_out(robot, [found], point, horizons=(0.5, 1.0)) for point in (declared_point(robot), Point())]
+    assert errors[0].driven_by == "commands"
+    position = [error.position for error in errors]
+    assert position[0] is not None
+    assert position[1] is not None
+    assert position[0].max() < 0.005
+    assert np.median(position[1][:, 1]) > 20.0 * np.median(position[0][:, 1])
+    found = replay_flights(robot, [found], bandwidth=10.0)
+    rms = {c.name: r.value for c, r in zip(found.evaluation.channels, found.evaluation.residual, strict=True)}
+    assert max(value for name, value in rms.items() if name.startswith("rotor_speed")) < 0.5
+
+
+def test_without_measured_rotor_speeds_the_delay_shows_in_the_forces(tmp_path: Path) -> None:
+    found = replace(commanded_flight(tmp_path, delay=0.03, gain=0.0), rotor_speed=None)
+    channels = find_channels([found])
+    assert "rotor_speed" not in {channel.kind for channel in channels}
+    predictor = Predictor(POWERED, [found], bandwidth=10.0, channels=channels, tolerances=Tolerances())
+    left = [predictor.residuals(Point(effects={"actuation_delay": np.array([d])}))[0] for d in (0.0, 0.03)]
+    sizes = [np.sqrt((values[:, 2:5] ** 2).mean(axis=0)) for values in left]  # force z, angular acceleration x and y
+    assert np.all(sizes[1] < 0.1 * sizes[0])

@@ -53,7 +53,8 @@ def test_the_verdict_names_the_hidden_drag(result: Path) -> None:
     assert 0.99 < effect["confidence"] < 1.0
     assert effect["material"] is True
     later = {name for name in EFFECTS.names() if not EFFECTS.get(name).identifiable}
-    assert set(verdict["not_testable"]) == {"motor_time_constant", "motor_asymmetry", "ground_effect", *later}
+    without_commands = {"motor_time_constant", "motor_asymmetry", "actuation_delay"}
+    assert set(verdict["not_testable"]) == {*without_commands, "battery_sag", "ground_effect", *later}
     assert verdict["structure"]["kind"] == "none"
     before, after = verdict["before"], verdict["after"]
     for axis in "xy":

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.physics import build_model, vehicle_from_config
 from aerial_gym.sim2real.fit import effect_jacobian
 from aerial_gym.sim2real.flight_log import read_flight_log
 from aerial_gym.sim2real.flights import Flight, complete_flight, load_flights
@@ -125,8 +126,9 @@ def test_commands_drive_the_rotors_through_the_lag(tmp_path: Path) -> None:
     rows = found.num_rows
     step = np.where(np.arange(rows)[:, None] < 100, 900.0, 1100.0).repeat(4, axis=1)
     driven = replace(found, rotor_command=step, rotor_speed=np.full((rows, 4), 900.0))
-    tau = torch.full((4,), 0.05, dtype=torch.float64)
-    speeds = RotorReplay([driven]).speeds(tau, tau, 0.0)[0]
+    rotor = replace(ROBOT.rotor, time_constant_up=0.05, time_constant_down=0.05)
+    vehicle = vehicle_from_config(replace(ROBOT, rotor=rotor), num_envs=1, dtype=torch.float64)
+    speeds = RotorReplay([driven]).speeds(build_model(vehicle), 0.0)[0]
     assert speeds is not None
     time = np.maximum(np.arange(rows) - 100, 0) / found.rate
     np.testing.assert_allclose(speeds[:, 0], 1100.0 - 200.0 * np.exp(-time / 0.05), rtol=1e-9)
@@ -175,8 +177,6 @@ def test_missing_sensors_are_derived_or_left_out(tmp_path: Path) -> None:
 
 
 def test_tolerances_change_what_they_say() -> None:
-    from aerial_gym.physics import vehicle_from_config
-
     vehicle, tolerances = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64), Tolerances()
     names = tolerances.names(4)
     deviation = torch.zeros(len(names), dtype=torch.float64)
@@ -231,6 +231,6 @@ def test_no_floor_where_the_log_is_too_slow(tmp_path: Path) -> None:
 
 
 def test_a_declared_effect_with_memory_is_refused_by_name() -> None:
-    """A delay in the robot file would otherwise be left out of the prediction in silence."""
-    with pytest.raises(ConfigError, match="declares actuation_delay: the simulator flies with it"):
-        declared_point(replace(ROBOT, effects={"actuation_delay": {"delay": 0.01}}))
+    """Gusts in the robot file would otherwise be left out of the prediction in silence."""
+    with pytest.raises(ConfigError, match="declares gusts: the simulator flies with it"):
+        declared_point(replace(ROBOT, effects={"gusts": {"std": 1.0, "corr_time": 1.0}}))

@@ -28,9 +28,8 @@ class ActuationDelay(DelayEffect):
     name = "actuation_delay"
     summary = "dead time between the commands and the rotors"
     parameters = (Parameter(name="delay", unit="s", low=0.0, high=LONGEST, scale=0.01, meaning="dead time"),)
-    excitation = "quick changes of the rotor commands, with measured rotor speeds"
+    excitation = "quick changes of the rotor commands, best with measured rotor speeds"
     confused_with = ("motor_time_constant", "motor_asymmetry")
-    identifiable = False
     longest = LONGEST
 
     def delay(self, params: Tensor) -> Tensor:

@@ -206,7 +206,9 @@ class Effect(ABC):
     needs: ClassVar[tuple[Literal["ceiling_height", "other_position"], ...]] = ()
     """What of the scene it needs."""
     identifiable: ClassVar[bool] = True
-    """Whether single rows of a flight show it, and so it can be looked for in flights."""
+    """Whether it can be looked for in flights: rows show it, beside what ``logged`` names."""
+    logged: ClassVar[tuple[Literal["battery"], ...]] = ()
+    """What a log must hold in place of its memory."""
 
     @property
     def remembers(self) -> bool:
@@ -403,6 +405,10 @@ class CommandEffect(Effect):
     @abstractmethod
     def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
         """Return the speeds that the rotors tend to [rad/s], (E, R), under commanded ones (E, R)."""
+
+    @abstractmethod
+    def measured(self, voltage: Tensor) -> Tensor:
+        """Return its memory in a flight, (T, M), from the voltage of the battery in each row of the log [V], (T,)."""
 
     def warp_command(self, vehicle: type, vector: type) -> wp.Function | None:
         """Return the twin of ``command``, or None: the effect then runs on the torch backend only.

@@ -50,7 +50,7 @@ class BatterySag(CommandEffect):
     confused_with = ("thrust_coefficient", "payload_mass", "motor_time_constant")
     memory = (0.0, 0.0)
     """Charge drawn [A s] and voltage [V]; the latter is written before it is first read."""
-    identifiable = False
+    logged = ("battery",)
 
     def check(self, robot: RobotCfg) -> None:
         """Raise ``ConfigError`` unless the battery is known."""
@@ -73,6 +73,10 @@ class BatterySag(CommandEffect):
     def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
         """Return the commanded speeds times the factor."""
         return command * speed_factor(params[:, 2], vehicle.battery[:, 0], params[:, 0]).unsqueeze(-1)
+
+    def measured(self, voltage: Tensor) -> Tensor:
+        """Return no charge and the voltage, (T, 2)."""
+        return torch.stack((torch.zeros_like(voltage), voltage), dim=-1)
 
     def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
         """Return the same in Warp."""
