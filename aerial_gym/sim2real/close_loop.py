@@ -18,6 +18,7 @@ from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.model import check_effects
+from aerial_gym.sim2real.battery import with_battery
 from aerial_gym.sim2real.evaluation import evaluate
 from aerial_gym.sim2real.fit import best_step, params_of, scales, with_params
 from aerial_gym.sim2real.flights import Flight, load_flights
@@ -164,6 +165,7 @@ def judge_flights(
 ) -> Analysis:
     """Return the analysis of flights in memory; arguments as for ``close_loop``."""
     check_effects(robot)
+    stated, robot = robot, with_battery(robot, train)
     tolerances = tolerances or Tolerances()
     flights = [*train, *test]
     band = min(bandwidth, HIGHEST_BAND * min(flight.rate for flight in flights))
@@ -220,8 +222,13 @@ def judge_flights(
         notes=tuple(notes),
     )
     return Analysis(
-        robot=robot,
-        corrected=corrected_robot(robot, final, selection.accepted, [flight.name for flight in train]),
+        robot=stated,
+        corrected=corrected_robot(
+            robot if "battery_sag" in selection.accepted else stated,
+            final,
+            selection.accepted,
+            [flight.name for flight in train],
+        ),
         train=tuple(train),
         test=tuple(test),
         channels=channels,

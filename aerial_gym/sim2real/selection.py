@@ -399,11 +399,14 @@ def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Fl
     """Return what robot file or logs lack for an effect, or that no flight can show it yet; empty if nothing."""
     if not EFFECTS.get(name).identifiable:
         return "not looked for in flights: it needs more than single rows, its own memory or what stands around the vehicle"
+    effect = EFFECTS.get(name)
+    if reason := missing_in_logs(effect, [*train, *test]) or too_steady(effect, train):
+        return reason
     try:
-        EFFECTS.get(name).check(robot)
+        effect.check(robot)
     except ConfigError as error:
         return str(error)
-    return missing_in_logs(EFFECTS.get(name), [*train, *test]) or too_steady(EFFECTS.get(name), train)
+    return ""
 
 
 def at_bounds(name: str, fit: Fit, neutral: Array, robot: RobotCfg) -> list[str]:
