@@ -1,6 +1,5 @@
 """Small errors that every real vehicle has: nothing that an identification should call an effect."""
 
-from collections.abc import Container
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,23 +44,14 @@ class Bias:
     """Gyro [rad/s], (3,)."""
 
 
-EXACT = {
-    "mass": ("payload_mass",),
-    "inertia": ("inertia_error",),
-    "tau": ("motor_time_constant", "motor_asymmetry"),
-    "com": ("com_offset",),
-    "bias": ("imu_bias",),
-}
-"""Which hidden effects state a number exactly."""
-
 NO_BIAS = Bias(acc=np.zeros(3), gyro=np.zeros(3))
 
 
-def disturb(true: Vehicle, cfg: Nuisance, *, hidden: Container[str], seed: int) -> tuple[Vehicle, Bias]:
-    """Return the vehicle with small errors, and the sensor biases.
+def disturb(true: Vehicle, cfg: Nuisance, *, seed: int) -> tuple[Vehicle, Bias]:
+    """Return the vehicle with small errors beside what is hidden, and the sensor biases.
 
-    A parameter that a hidden effect states exactly (``EXACT``) keeps that value; the draws of the others do not depend
-    on it. The inertia becomes ``S I S`` with a diagonal S, which stays positive definite.
+    What a case states of its hidden effects is without them, as a scale or a bench would find it on a perfectly declared
+    vehicle. The inertia becomes ``S I S`` with a diagonal S, which stays positive definite.
     """
     rng = np.random.default_rng([seed, 2])
 
@@ -71,19 +61,14 @@ def disturb(true: Vehicle, cfg: Nuisance, *, hidden: Container[str], seed: int) 
     mass, coeff, inertia = draw(cfg.mass, 1), draw(cfg.thrust_coeff, 4), draw(cfg.inertia, 3)
     tau, com = draw(cfg.tau, 1), draw(cfg.com, 3)
     bias = Bias(acc=draw(cfg.acc_bias, 3), gyro=draw(cfg.gyro_bias, 3))
-
-    def free(number: str) -> bool:
-        return not any(effect in hidden for effect in EXACT[number])
-
-    stretch = np.sqrt(1.0 + inertia) if free("inertia") else np.ones(3)
-    factor = 1.0 + float(tau[0]) if free("tau") else 1.0
+    stretch, factor = np.sqrt(1.0 + inertia), 1.0 + float(tau[0])
     vehicle = replace(
         true,
-        mass=true.mass * (1.0 + float(mass[0])) if free("mass") else true.mass,
+        mass=true.mass * (1.0 + float(mass[0])),
         thrust_coeff=true.thrust_coeff * (1.0 + coeff),
         inertia=true.inertia * np.outer(stretch, stretch),
         tau_up=true.tau_up * factor,
         tau_down=true.tau_down * factor,
-        com=true.com + com if free("com") else true.com,
+        com=true.com + com,
     )
-    return vehicle, bias if free("bias") else NO_BIAS
+    return vehicle, bias

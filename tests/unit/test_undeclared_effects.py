@@ -15,7 +15,7 @@ from benchmarks.undeclared.effects import features_of, resolve, split
 from benchmarks.undeclared.extra import NEUTRAL, Extra
 from benchmarks.undeclared.full_dynamics import CABLE, CABLE_RATE, FullPlant, make_plant
 from benchmarks.undeclared.logs import vehicle_document
-from benchmarks.undeclared.nuisance import NO_BIAS, Nuisance, disturb
+from benchmarks.undeclared.nuisance import NO_BIAS
 from benchmarks.undeclared.sensors import NOISELESS, Sensors
 from benchmarks.undeclared.simulate import CONTROL_RATE, SUBSTEPS, summarise
 from benchmarks.undeclared.surroundings import (
@@ -510,16 +510,6 @@ def test_flights_follow_their_reference_with_several_effects(effects: tuple[str,
         assert flight.rms_position_error < 0.25
         assert flight.top_tilt < np.deg2rad(60.0)
         assert flight.saturated_share < 0.01
-
-
-def test_nuisance_leaves_stated_values_alone() -> None:
-    """Mass, inertia, lag and biases keep what the hidden effect says."""
-    names = ("payload_mass", "inertia_error", "motor_asymmetry", "imu_bias")
-    vehicle, bias = disturb(DECLARED, Nuisance(), hidden=names, seed=1)
-    assert vehicle.mass == DECLARED.mass
-    np.testing.assert_array_equal(vehicle.inertia, DECLARED.inertia)
-    assert vehicle.tau_down == DECLARED.tau_down
-    np.testing.assert_array_equal((bias.acc, bias.gyro), 0.0)
 
 
 def test_flights_have_the_features_they_need(tmp_path: Path) -> None:
