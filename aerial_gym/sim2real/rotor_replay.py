@@ -24,10 +24,7 @@ REMEMBERED = 8
 
 
 class RotorReplay:
-    """Runs lag, dead time and battery of a model through the commands, from the first measured speed on, uncorrected.
-
-    All flights of one robot: what the robot file declares of the battery is the same in all calls.
-    """
+    """Runs lag, dead time and battery of a model through the commands, from the first measured speed on, uncorrected."""
 
     def __init__(self, flights: Sequence[Flight]) -> None:
         self._flights = flights
@@ -51,7 +48,8 @@ class RotorReplay:
             DataError: If a log lacks what an effect of the model needs.
         """
         vehicle, effects = model.vehicle, (*model.delays, *model.commands, *sensors)
-        numbers = [vehicle.time_constant_up, vehicle.time_constant_down, *(params for _, params in effects)]
+        numbers = [vehicle.time_constant_up, vehicle.time_constant_down, vehicle.battery]
+        numbers += [params for _, params in effects]
         key = (tuple(effect.name for effect, _ in effects), shift, *torch.cat(numbers, dim=1)[0].tolist())
         if key not in self._results:
             self._results[key] = self._run(model, shift, sensors)

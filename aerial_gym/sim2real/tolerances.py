@@ -38,18 +38,21 @@ class Tolerances:
     gyro_bias: float = 0.002
     """Each axis [rad/s]."""
 
+    nominal_voltage: float = 0.003
+    """Relative: reading a voltmeter where rotors reach the commanded speeds."""
+
     command_hold: float = 0.3
     """How far into the step between two rows the effective command may lie: autopilots run faster than logs are written."""
 
     def __post_init__(self) -> None:
-        names = ("mass", "thrust", "inertia", "time_constant", "com", "acc_bias", "gyro_bias", "command_hold")
-        require_positive(self, *names)
+        names = ("mass", "thrust", "inertia", "time_constant", "com", "acc_bias", "gyro_bias", "nominal_voltage")
+        require_positive(self, *names, "command_hold")
 
     def names(self, num_rotors: int) -> tuple[str, ...]:
         """Return the names of the N tolerances, in the order of ``Deviation``."""
         rotors = [f"thrust_{number}" for number in range(1, num_rotors + 1)]
         axes = [f"{name}_{axis}" for name in ("inertia", "com", "acc_bias", "gyro_bias") for axis in "xyz"]
-        return ("mass", *rotors, *axes, "time_constant", "command_hold")
+        return ("mass", *rotors, *axes, "time_constant", "nominal_voltage", "command_hold")
 
 
 def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehicle:
@@ -62,10 +65,13 @@ def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehi
         tolerances: Their sizes.
         deviation: In standard deviations, (N,), in the order of ``Tolerances.names``.
     """
-    mass, rotors, inertia, com, _, lag, _ = torch.split(deviation, [1, vehicle.num_rotors, 3, 3, 6, 1, 1])
+    parts = torch.split(deviation, [1, vehicle.num_rotors, 3, 3, 6, 1, 1, 1])
+    mass, rotors, inertia, com, _, lag, voltage, _ = parts
     factor = (1.0 + tolerances.thrust * rotors).unsqueeze(-1)
     stretch = (1.0 + tolerances.inertia * inertia).clamp_min(0.01).sqrt()
     slower = 1.0 + tolerances.time_constant * lag
+    battery = vehicle.battery.clone()
+    battery[:, 0] *= 1.0 + tolerances.nominal_voltage * voltage
     return replace(
         vehicle,
         mass=vehicle.mass * (1.0 + tolerances.mass * mass),
@@ -75,12 +81,13 @@ def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehi
         com=vehicle.com + tolerances.com * com,
         time_constant_up=vehicle.time_constant_up * slower,
         time_constant_down=vehicle.time_constant_down * slower,
+        battery=battery,
     )
 
 
 def sensor_biases(tolerances: Tolerances, deviation: Tensor) -> tuple[Tensor, Tensor]:
     """Return the biases of accelerometer [m/s²] and gyro [rad/s], body, each (3,)."""
-    return tolerances.acc_bias * deviation[-8:-5], tolerances.gyro_bias * deviation[-5:-2]
+    return tolerances.acc_bias * deviation[-9:-6], tolerances.gyro_bias * deviation[-6:-3]
 
 
 def command_shift(tolerances: Tolerances, deviation: Tensor) -> float:

@@ -18,6 +18,7 @@ from aerial_gym.sim2real.rollout import find_windows, roll_out
 from aerial_gym.sim2real.rotor_replay import RotorReplay
 from aerial_gym.sim2real.signals import uniform_log
 from aerial_gym.sim2real.tolerances import Tolerances, command_shift, deviate, sensor_biases
+from tests.physics.vehicles import BATTERY
 from tests.unit.flat_flights import ROBOT, flight, write
 
 BAND = 10.0
@@ -177,11 +178,13 @@ def test_missing_sensors_are_derived_or_left_out(tmp_path: Path) -> None:
 
 
 def test_tolerances_change_what_they_say() -> None:
-    vehicle, tolerances = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64), Tolerances()
+    robot = replace(ROBOT, battery=BATTERY)
+    vehicle, tolerances = vehicle_from_config(robot, num_envs=1, dtype=torch.float64), Tolerances()
     names = tolerances.names(4)
     deviation = torch.zeros(len(names), dtype=torch.float64)
     for name, size in (("mass", 2.0), ("thrust_3", -1.0), ("inertia_y", 1.0), ("com_z", 1.0), ("time_constant", 1.0)):
         deviation[names.index(name)] = size
+    deviation[names.index("nominal_voltage")] = -1.0
     off = deviate(vehicle, tolerances, deviation)
     assert float(off.mass[0]) == pytest.approx(0.6 * 1.006)
     assert float(off.thrust_map[0, 2, 2]) == pytest.approx(1.2e-6 * 0.996)
@@ -190,6 +193,7 @@ def test_tolerances_change_what_they_say() -> None:
     assert torch.diagonal(off.inertia[0]).tolist() == pytest.approx([2e-3, 2.4e-3 * 1.02, 4e-3])
     assert off.com[0].tolist() == pytest.approx([0.0, 0.0, 0.0003])
     assert off.time_constant_up[0].tolist() == pytest.approx([0.04 * 1.03] * 4)
+    assert off.battery[0].tolist() == pytest.approx([BATTERY.nominal_voltage * 0.997, *vehicle.battery[0, 1:].tolist()])
     for name, size in (("acc_bias_y", 2.0), ("gyro_bias_x", -1.0), ("command_hold", 1.0)):
         deviation[names.index(name)] = size
     force, rate = sensor_biases(tolerances, deviation)
