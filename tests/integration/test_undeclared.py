@@ -14,7 +14,7 @@ from benchmarks.undeclared import make_case
 SHORT = {"num_train": 4, "num_test": 2, "duration_s": 8.0, "rate_hz": 200}
 EFFECTS = (
     "rotor_drag", "quadratic_drag", "thrust_coefficient", "com_offset", "motor_time_constant", "constant_wind",
-    "h_force_flapping", "motor_tilt", "imu_misalignment",
+    "h_force_flapping", "motor_tilt", "imu_misalignment", "actuation_delay", "battery_sag",
 )  # fmt: skip
 
 

@@ -424,10 +424,10 @@ def test_a_model_without_such_effects_remembers_nothing() -> None:
     assert backend._memory is None
 
 
-def test_flights_are_not_asked_for_effects_with_memory() -> None:
-    for name in (*REMEMBERING, "ceiling_effect", "downwash"):
-        assert lacks(name, lopsided_robot()).startswith("not looked for in flights")
-    assert not lacks("ground_effect", lopsided_robot())
+def test_flights_are_not_asked_for_effects_that_rows_cannot_show() -> None:
+    for name in ("gusts", "slung_payload", "ceiling_effect", "downwash"):
+        assert lacks(name, lopsided_robot(), []).startswith("not looked for in flights")
+    assert not lacks("ground_effect", lopsided_robot(), [])
 
 
 def simulator(

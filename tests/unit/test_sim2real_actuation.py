@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.errors import DataError, ShapeError
 from aerial_gym.physics import EFFECTS, Model, build_model, vehicle_from_config
+from aerial_gym.sim2real.battery import with_battery
 from aerial_gym.sim2real.fit import fit_effects, tolerance_jacobian
 from aerial_gym.sim2real.flight_log import read_flight_log
 from aerial_gym.sim2real.flights import Flight, complete_flight
@@ -158,25 +159,39 @@ def test_what_logs_lack_for_the_battery_is_said(tmp_path: Path) -> None:
 # flights
 
 
+def drained(time: np.ndarray, speed: np.ndarray, full: float) -> np.ndarray:
+    """Return the voltage under load: 0.05 Ohm, 1 mV per A s, ``V = E - r I`` and ``V I = P`` with the power of ROBOT."""
+    power = (0.015 * 1.2e-6 * speed**3).sum(axis=1)
+    open_voltage, voltage = full, np.empty(time.size)
+    for row, watt in enumerate(power):
+        voltage[row] = 0.5 * (open_voltage + np.sqrt(open_voltage**2 - 4.0 * 0.05 * watt))
+        open_voltage -= 1e-3 * watt / voltage[row] * (time[1] - time[0])
+    return voltage
+
+
 def commanded_flight(
-    folder: Path, *, delay: float, gain: float, seed: int = 3, seconds: float = 8.0, volt_noise: float = 0.0
+    folder: Path, *, delay: float, gain: float, seed: int = 3, full: float = 0.0, volt_noise: float = 0.0
 ) -> Flight:
     """Return an exact flight at 400 rows per second with the commands that lead to its speeds.
 
-    Inverted: ``c = (w + tau w') / factor``, sent ``delay`` earlier, in the middle of the row for which it holds.
+    Inverted: ``c = (w + tau w') / factor`` at the middle of the span for which a command holds, ``delay`` after its row.
+    The voltage is a made-up curve, or with ``full`` [V] that of a battery that is drained.
     """
-    path = write(flight(seed, rate=400.0, seconds=seconds), folder / f"flown{seed}.csv")
+    path = write(flight(seed, rate=400.0, seconds=8.0), folder / f"flown{seed}.csv")
     found = complete_flight(uniform_log(read_flight_log(path)))
     assert found.rotor_speed is not None
-    sent = found.time + delay + 0.5 / 400.0
+    arrives = found.time + delay + 0.5 / 400.0
     curve = CubicSpline(found.time, found.rotor_speed)
-    wanted = curve(sent) + 0.04 * curve(sent, 1)
+    wanted = curve(arrives) + 0.04 * curve(arrives, 1)
 
-    def volts(time: np.ndarray) -> np.ndarray:
-        return 15.8 - 0.1 * time + 0.2 * np.sin(3.0 * time)
-
+    volts = CubicSpline(
+        found.time,
+        drained(found.time, found.rotor_speed, full)
+        if full
+        else 15.8 - 0.1 * found.time + 0.2 * np.sin(3.0 * found.time),
+    )
     noise = volt_noise * np.random.default_rng(seed).standard_normal(found.num_rows)
-    factor = 1.0 - gain * (1.0 - volts(sent) / 16.0)
+    factor = 1.0 - gain * (1.0 - volts(arrives) / 16.0)
     return replace(found, rotor_command=wanted / factor[:, None], battery=volts(found.time) + noise)
 
 
@@ -216,3 +231,39 @@ def test_without_measured_rotor_speeds_the_delay_shows_in_the_forces(tmp_path: P
     left = [predictor.residuals(Point(effects={"actuation_delay": np.array([d])}))[0] for d in (0.0, 0.03)]
     sizes = [np.sqrt((values[:, 2:5] ** 2).mean(axis=0)) for values in left]  # force z, angular acceleration x and y
     assert np.all(sizes[1] < 0.1 * sizes[0])
+
+
+def test_a_battery_is_estimated_from_flights_that_drain_it(tmp_path: Path) -> None:
+    """Resistance, fall per charge and nominal voltage of the battery that was flown, with 20 mV on the voltage."""
+    flights = [
+        commanded_flight(tmp_path, delay=0.0, gain=0.3, seed=seed, full=full, volt_noise=0.02)
+        for seed, full in ((3, 16.6), (4, 16.3), (5, 16.1))
+    ]
+    battery = with_battery(ROBOT, flights).battery
+    assert battery is not None
+    slope = (battery.full_voltage - battery.empty_voltage) / battery.capacity
+    assert battery.internal_resistance == pytest.approx(0.05, rel=0.1)
+    assert slope == pytest.approx(1e-3, rel=0.1)
+    assert battery.full_voltage == pytest.approx(16.6, abs=0.02)
+    assert battery.nominal_voltage == pytest.approx(16.0, abs=0.02)
+    assert "from the flights" in battery.source
+
+
+def test_no_battery_is_made_up(tmp_path: Path) -> None:
+    """A declared battery stays; without voltage, with a steady one or without commands there is none."""
+    found = commanded_flight(tmp_path, delay=0.0, gain=0.0)
+    assert with_battery(POWERED, [found]) == POWERED
+    for poor in (replace(found, battery=None), replace(found, battery=np.full(found.num_rows, 16.0))):
+        assert with_battery(ROBOT, [found, poor] if poor.battery is None else [poor]) == ROBOT
+    assert with_battery(ROBOT, [replace(found, rotor_command=None)]) == ROBOT
+
+
+def test_the_nominal_voltage_is_the_highest_seen_where_speeds_do_not_follow_it(tmp_path: Path) -> None:
+    """The highest mean over half a second."""
+    found = commanded_flight(tmp_path, delay=0.0, gain=0.0)
+    assert found.battery is not None
+    for flown in (found, replace(found, rotor_speed=None)):
+        battery = with_battery(ROBOT, [flown]).battery
+        assert battery is not None
+        assert battery.nominal_voltage == pytest.approx(found.battery.reshape(16, 200).mean(axis=1).max(), rel=1e-5)
+        assert "highest voltage seen" in battery.source
