@@ -196,14 +196,17 @@ def commanded_flight(
 
 
 def test_a_replay_finds_delay_and_gain_under_noise_of_the_voltage(tmp_path: Path) -> None:
-    """8.7 ms and 0.5, both at once, from neutral, with 20 mV on the voltage: to 0.05 ms and 1 %."""
+    """8.7 ms and 0.5, both at once, from neutral, with 20 mV on the voltage: to 0.2 ms and 1 %.
+
+    Tolerances of 3 % of the lag and 0.75 ms of the hold of a command (0.3 rows) are fitted beside them.
+    """
     flights = [commanded_flight(tmp_path, delay=0.0087, gain=0.5, seed=seed, volt_noise=0.02) for seed in (3, 4)]
     channels = [Channel(kind="rotor_speed", axis=str(number)) for number in (1, 2, 3, 4)]
     predictor = Predictor(POWERED, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
     start = Point(effects={"actuation_delay": np.zeros(1), "battery_sag": np.zeros(1)})
     tolerance = tolerance_jacobian(predictor, start, predictor.predict(start))
     fit = fit_effects(predictor, ("actuation_delay", "battery_sag"), start, tolerance, np.ones(4))
-    assert fit.point.effects["actuation_delay"][0] == pytest.approx(0.0087, abs=5e-5)
+    assert fit.point.effects["actuation_delay"][0] == pytest.approx(0.0087, abs=2e-4)
     assert fit.point.effects["battery_sag"][0] == pytest.approx(0.5, rel=0.01)
 
 
