@@ -1,4 +1,4 @@
-"""Is this log what it claims to be: units, frames, order of the quaternion, sign of gravity, frozen rows.
+"""Is this log what it claims to be: units, frames, order of the quaternion, sign of gravity.
 
 Each check compares two things that were measured independently, and refuses only what no real vehicle could do.
 Letters: T rows.
@@ -34,22 +34,18 @@ QUIET_RATE = 0.1
 QUIET_SPEED = 0.3
 """Likewise for velocity [m/s]."""
 
-LONGEST_FROZEN_S = 0.25
-"""A run of equal rows longer than this, while the vehicle moves, is a frozen log."""
-
 
 def check_log(log: FlightLog, robot: RobotCfg) -> list[str]:
     """Raise ``DataError`` for a log that is not what it claims to be; return notes about lesser defects."""
     _check_size(log, robot)
     _check_constant_columns(log)
-    notes = _check_frozen_rows(log)
     attitude = Rotation.from_quat(log.attitude)
     _check_attitude_against_rate(log, attitude)
     _check_gravity(log, attitude)
     _check_velocity(log, attitude)
     _check_force_frame(log, attitude)
     _check_rotor_unit(log, robot)
-    return notes + [text for agreement in kinematic_agreement(log) for text in agreement.sentences()]
+    return [text for agreement in kinematic_agreement(log) for text in agreement.sentences()]
 
 
 def rate_of(log: FlightLog) -> float:
@@ -96,32 +92,6 @@ def _check_constant_columns(log: FlightLog) -> None:
                 f"{log.path}: {name} {still[0] + 1} is {values[0, still[0]]:.6g} in every row; "
                 "leave a sensor that did not work empty in all its columns"
             )
-
-
-def _check_frozen_rows(log: FlightLog) -> list[str]:
-    parts = [log.attitude, log.position, log.lin_vel, log.ang_vel, log.specific_force, log.rotor_speed]
-    table = np.concatenate([part for part in parts if part is not None], axis=1)
-    same = np.concatenate(([False], np.all(table[1:] == table[:-1], axis=1)))
-    moving = np.zeros(log.time.size, dtype=bool)
-    for values, least in ((log.lin_vel, 0.1), (log.ang_vel, 0.1)):
-        if values is not None:
-            moving |= np.linalg.norm(values, axis=1) > least
-    same &= moving
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], same.astype(int), [0]))))
-    starts, stops = edges[::2], edges[1::2]
-    lasting = log.time[np.minimum(stops, log.time.size - 1)] - log.time[starts - 1] if starts.size else np.zeros(0)
-    if lasting.size and lasting.max() > LONGEST_FROZEN_S:
-        first = int(np.argmax(lasting))
-        raise DataError(
-            f"{log.where(int(starts[first]))}: {stops[first] - starts[first]} rows repeat the one before while the vehicle "
-            "moves; the log was frozen, cut it there"
-        )
-    share = float(same.mean())
-    if share > 0.5:
-        raise DataError(
-            f"{log.path}: {share:.0%} of the rows repeat the one before; write each sample once, at its own t"
-        )
-    return [f"{share:.1%} of the rows repeat the one before"] if share > 0.005 else []
 
 
 def _rms(values: Array) -> float:

@@ -104,9 +104,10 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None) -> F
     ulog = Path(path).suffix.lower() == ".ulg"
     layout = mapping or find_mapping("px4_ulog" if ulog else "aerial_gym")
     table = ulog_table(Path(path)) if ulog else _read_table(Path(path), layout)
+    notes: list[str] = []
+    table = _without_copies(table, notes)
     time = _time(table, layout, str(path))
     values: dict[str, Array] = {}
-    notes: list[str] = []
     for name, quantity in layout.quantities().items():
         if name == "time":
             continue
@@ -239,6 +240,15 @@ def _columns(table: pd.DataFrame, quantity: ColumnsCfg, name: str, path: str) ->
             f"add it, or remove every column of {name}"
         )
     return present
+
+
+def _without_copies(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
+    """Return the table without rows that are the same as the one before in every column, time included."""
+    same = (table == table.shift()) | (table.isna() & table.shift().isna())
+    copies = np.asarray(same.all(axis=1)) & (np.arange(len(table)) > 0)
+    if copies.any():
+        notes.append(f"{int(copies.sum())} rows that are copies of the one before, time included, were left out")
+    return table[~copies] if copies.any() else table
 
 
 def _time(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:

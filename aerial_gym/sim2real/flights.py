@@ -19,6 +19,7 @@ from aerial_gym.physics.model import STANDARD_GRAVITY
 from aerial_gym.physics.rotors import evaluate_map, rotor_wrench
 from aerial_gym.sim2real.checks import body_rate_of, check_log, check_quaternion_norm, rate_of
 from aerial_gym.sim2real.flight_log import FlightLog, read_flight_log
+from aerial_gym.sim2real.held import mend_holds
 from aerial_gym.sim2real.mapping import LogMapping
 from aerial_gym.sim2real.signals import lowpass, rotor_log_lead, shift_rotor_log, uniform_log
 
@@ -119,10 +120,10 @@ def load_flights(
 
 
 def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None, bandwidth: float) -> Flight:
-    """Return one flight: read, made uniform, checked, rotor log aligned, missing states derived."""
+    """Return one flight: read, repeated values mended, made uniform, checked, rotor log aligned, missing states derived."""
     log = read_flight_log(path, mapping=mapping)
     check_quaternion_norm(log)
-    log = uniform_log(log)
+    log = uniform_log(mend_holds(log))
     notes = check_log(log, robot)
     return complete_flight(align_rotor_log(with_velocity(log), robot, bandwidth), notes)
 

@@ -119,17 +119,6 @@ def test_the_order_of_the_quaternion_shows_in_a_quiet_hover_too(tmp_path: Path) 
         check(hover.assign(q_x=1.0, q_w=0.0), tmp_path)
 
 
-def test_rows_that_repeat(table: pd.DataFrame, tmp_path: Path) -> None:
-    """A late packet now and then is a note, a frozen log is refused."""
-    values = table.to_numpy().copy()
-    values[20::10, 1:] = values[19:-1:10, 1:]
-    notes = check(pd.DataFrame(values, columns=table.columns), tmp_path)
-    assert notes == ["9.8% of the rows repeat the one before"]
-    values[300:340, 1:] = values[300, 1:]
-    with pytest.raises(DataError, match=r"line 302 .*: 40 rows repeat the one before while the vehicle moves"):
-        check(pd.DataFrame(values, columns=table.columns), tmp_path)
-
-
 def test_a_gap_in_time_is_refused_and_jitter_is_not(table: pd.DataFrame, tmp_path: Path) -> None:
     with pytest.raises(
         DataError, match=r"line 202 .*: 1\.01 s after the row before, where 0\.01 s are usual; cut the log"
