@@ -29,6 +29,9 @@ SURE = 1e-3
 
 SIGNIFICANT_DIGITS = 6
 
+PASSES = 3
+"""Speeds are replayed with the sag found before: it is a mean over the lag that is compared with a mean of the voltage."""
+
 FARTHEST = 1.2
 """A nominal voltage is not sought further from the voltages seen than by this factor."""
 
@@ -103,19 +106,29 @@ def _nominal_voltage(robot: RobotCfg, flights: Sequence[Flight]) -> tuple[float,
     guess = highest, "the highest voltage seen"
     if any(flight.rotor_speed is None for flight in flights):
         return guess
+    gain, nominal = 0.0, highest
+    for _ in range(PASSES):
+        voltage, ratio = _speed_ratios(robot, flights, gain, nominal)
+        line = stats.linregress(voltage, ratio * (1.0 - gain * (1.0 - voltage / nominal)))
+        if not (line.slope > 0.0 and line.pvalue < SURE):
+            return guess
+        nominal = float((1.0 - line.intercept) / line.slope)
+        gain = float(line.slope) * nominal
+        if not voltage.min() / FARTHEST < nominal < FARTHEST * voltage.max():
+            return guess
+    return nominal, "where rotors reach the commanded speeds"
+
+
+def _speed_ratios(robot: RobotCfg, flights: Sequence[Flight], gain: float, nominal: float) -> tuple[Array, Array]:
+    """Return voltage [V] and measured over replayed rotor speed with a sag in the replay, means over blocks, each (B,)."""
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
-    replayed = RotorReplay(flights).speeds(build_model(vehicle), 0.0)
-    pairs = []
-    for flight, speed in zip(flights, replayed, strict=True):
+    vehicle = replace(vehicle, battery=torch.full_like(vehicle.battery, nominal))  # a sag needs no other number
+    model = build_model(vehicle, [(EFFECTS.get("battery_sag"), torch.tensor([[gain]], dtype=torch.float64))])
+    means = []
+    for flight, speed in zip(flights, RotorReplay(flights).speeds(model, 0.0), strict=True):
         assert flight.rotor_speed is not None
         assert speed is not None
         sums = np.stack((_voltage(flight), flight.rotor_speed.sum(axis=1), speed.sum(axis=1)), axis=1)
-        pairs.append(_block_means(sums, flight.rate)[1:])
-    voltage, measured, commanded = np.concatenate(pairs).T
-    line = stats.linregress(voltage, measured / commanded)
-    if not (line.slope > 0.0 and line.pvalue < SURE):
-        return guess
-    nominal = float((1.0 - line.intercept) / line.slope)
-    if not voltage.min() / FARTHEST < nominal < FARTHEST * voltage.max():
-        return guess
-    return nominal, "where rotors reach the commanded speeds"
+        means.append(_block_means(sums, flight.rate)[1:])  # from the first measured speed on, noise and all
+    voltage, measured, replayed = np.concatenate(means).T
+    return voltage, measured / replayed
