@@ -110,10 +110,11 @@ def _nominal_voltage(robot: RobotCfg, flights: Sequence[Flight]) -> tuple[float,
     for _ in range(PASSES):
         voltage, ratio = _speed_ratios(robot, flights, gain, nominal)
         line = stats.linregress(voltage, ratio * (1.0 - gain * (1.0 - voltage / nominal)))
-        if not (line.slope > 0.0 and line.pvalue < SURE):
+        slope, intercept, _, probability, _ = np.array(line).tolist()
+        if not (slope > 0.0 and probability < SURE):
             return guess
-        nominal = float((1.0 - line.intercept) / line.slope)
-        gain = float(line.slope) * nominal
+        nominal = (1.0 - intercept) / slope
+        gain = slope * nominal
         if not voltage.min() / FARTHEST < nominal < FARTHEST * voltage.max():
             return guess
     return nominal, "where rotors reach the commanded speeds"
