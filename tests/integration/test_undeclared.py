@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from aerial_gym.env_manager.sim_builder import robot_by_name
+from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real import close_loop
 from benchmarks.undeclared import make_case
 
@@ -21,6 +23,7 @@ EFFECTS = (
 def run_case(folder: Path, effects: dict[str, str], seed: int) -> tuple[dict, dict]:
     files = make_case(folder / "case", effects=effects, seed=seed, **SHORT)
     close_loop(files.robot, files.train, files.test, folder / "out")
+    check_effects(robot_by_name(folder / "out" / "robot.yaml"))
     return json.loads((folder / "out" / "verdict.json").read_text()), json.loads(Path(files.truth).read_text())
 
 
