@@ -237,7 +237,10 @@ def test_without_measured_rotor_speeds_the_delay_shows_in_the_forces(tmp_path: P
 
 
 def test_a_battery_is_estimated_from_flights_that_drain_it(tmp_path: Path) -> None:
-    """Resistance, fall per charge and nominal voltage of the battery that was flown, with 20 mV on the voltage."""
+    """Resistance, fall per charge and nominal voltage of the battery that was flown, with 20 mV on the voltage.
+
+    The nominal voltage to five times what that noise leaves in a mean of 9600 rows, 0.2 mV.
+    """
     flights = [
         commanded_flight(tmp_path, delay=0.0, gain=0.3, seed=seed, full=full, volt_noise=0.02)
         for seed, full in ((3, 16.6), (4, 16.3), (5, 16.1))
@@ -248,7 +251,7 @@ def test_a_battery_is_estimated_from_flights_that_drain_it(tmp_path: Path) -> No
     assert battery.internal_resistance == pytest.approx(0.05, rel=0.1)
     assert slope == pytest.approx(1e-3, rel=0.1)
     assert battery.full_voltage == pytest.approx(16.6, abs=0.02)
-    assert battery.nominal_voltage == pytest.approx(16.0, abs=0.02)
+    assert battery.nominal_voltage == pytest.approx(16.0, abs=0.001)
     assert "from the flights" in battery.source
 
 
