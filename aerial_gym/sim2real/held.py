@@ -21,6 +21,9 @@ SENSORS = ("position", "attitude", "lin_vel", "ang_vel", "specific_force")
 LONGEST_FROZEN_S = 0.25
 """A sensor that repeats its value for longer than this, while the vehicle moves, is frozen."""
 
+LEAST_WAY = 0.05
+"""A pose, measured in steps, is frozen only if the vehicle goes or turns further than this meanwhile [m], [rad]."""
+
 LEAST_MOTION = 0.1
 """Above this speed [m/s] or angular velocity [rad/s] the vehicle moves."""
 
@@ -113,6 +116,10 @@ def _values(log: FlightLog, name: str) -> Array:
 def _refuse_frozen(log: FlightLog, name: str, holds: Holds) -> None:
     ends = np.append(holds.fresh[1:], holds.num_rows - 1)
     held = log.time[ends] - log.time[holds.fresh]
+    changes = {"position": log.lin_vel, "attitude": log.ang_vel}.get(name)
+    if changes is not None:
+        way = np.append(0.0, np.cumsum(np.linalg.norm(changes[:-1], axis=1) * np.diff(log.time)))
+        held = np.where(way[ends] - way[holds.fresh] > LEAST_WAY, held, 0.0)
     worst = int(np.argmax(held))
     if held[worst] > LONGEST_FROZEN_S:
         raise DataError(

@@ -68,6 +68,18 @@ def test_one_frozen_sensor_is_refused_where_it_froze(table: pd.DataFrame, tmp_pa
     mended(held(table, GYRO, np.arange(400, 440)), tmp_path)
 
 
+def test_an_attitude_in_coarse_steps_is_not_frozen(table: pd.DataFrame, tmp_path: Path) -> None:
+    """0.3 s at 0.12 rad/s are 0.036 rad: less than a step of a packed quaternion may be; at 0.3 rad/s they are not."""
+    slow = held(table, ATTITUDE, np.arange(400, 460))
+    slow.loc[399:460, GYRO] = [0.12, 0.0, 0.0]
+    slow.loc[400:460:2, GYRO] = [0.1201, 0.0, 0.0]
+    mended(slow, tmp_path)
+    fast = slow.copy()
+    fast.loc[399:460, GYRO] *= 2.5
+    with pytest.raises(DataError, match="attitude repeats one value"):
+        mended(fast, tmp_path)
+
+
 def test_a_log_that_repeats_whole_rows_is_refused(table: pd.DataFrame, tmp_path: Path) -> None:
     rows = np.setdiff1d(np.arange(1, len(table)), np.arange(0, len(table), 3))
     with pytest.raises(DataError, match=r"67% of the rows repeat the one before; write each sample once, at its own t"):
