@@ -7,7 +7,7 @@ from aerial_gym.physics.integrators import INTEGRATORS
 from aerial_gym.physics.model import Model, build_model, effects_from_config
 from aerial_gym.physics.rigid_body import Accelerations, accelerations
 from aerial_gym.physics.state import BodyState, state_at_rest
-from aerial_gym.physics.torch_backend import TorchBackend, advance
+from aerial_gym.physics.torch_backend import TorchBackend, advance, advance_remembering
 from aerial_gym.physics.vehicle import Vehicle, vehicle_from_config
 from aerial_gym.physics.warp_backend import WarpBackend
 
@@ -27,6 +27,7 @@ __all__ = [
     "WarpBackend",
     "accelerations",
     "advance",
+    "advance_remembering",
     "build_model",
     "effects_from_config",
     "state_at_rest",

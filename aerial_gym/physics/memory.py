@@ -146,6 +146,12 @@ def load_of(model: Model, memory: Memory) -> Tensor:
     return memory.numbers[:, memory.numbers.shape[1] - width :]
 
 
+def place_load(model: Model, memory: Memory, load: Tensor) -> Memory:
+    """Return the memory with direction and rate of the link of the load, (E, 6), in it."""
+    width = sum(len(effect.memory) for effect, _ in model.loads)
+    return replace(memory, numbers=torch.cat((memory.numbers[:, : memory.numbers.shape[1] - width], load), dim=-1))
+
+
 def end_substep(memory: Memory, load: Tensor) -> Memory:
     """Return the memory after a substep, with the load (E, 6) or (E, 0) as it then moves."""
     numbers = torch.cat((memory.numbers[:, : memory.numbers.shape[1] - load.shape[1]], load), dim=-1)

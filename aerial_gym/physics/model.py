@@ -71,11 +71,11 @@ class Model:
     gravity: float
     """Downward acceleration of free fall [m/s²]."""
 
-    ground_height: float
-    """Height of the ground [m], world, for effects near it."""
+    ground_height: float | Tensor
+    """Height of the ground [m], world, for effects near it; in plain torch it may differ between environments, (E, 1)."""
 
-    ceiling_height: float | None
-    """Height of the ceiling [m], world, for effects near it."""
+    ceiling_height: float | Tensor | None
+    """Height of the ceiling [m], world, for effects near it; None where there is none; likewise."""
 
     other_position: Tensor
     """Another vehicle, whose wake streams down [m], world, (E, 3)."""
@@ -101,8 +101,8 @@ def build_model(
     effects: Sequence[EffectParams] = (),
     *,
     gravity: float = STANDARD_GRAVITY,
-    ground_height: float = 0.0,
-    ceiling_height: float | None = None,
+    ground_height: float | Tensor = 0.0,
+    ceiling_height: float | Tensor | None = None,
     other_position: Tensor | None = None,
 ) -> Model:
     """Return the model of a declared vehicle with effects added; differentiable in vehicle and parameters.
@@ -111,8 +111,8 @@ def build_model(
         vehicle: As declared.
         effects: With their parameters (E, P).
         gravity: Downward acceleration of free fall [m/s²].
-        ground_height: Height of the ground [m], world.
-        ceiling_height: Height of the ceiling [m], world; None where there is none.
+        ground_height: Height of the ground [m], world; (E, 1) where it differs, which plain torch alone can do.
+        ceiling_height: Height of the ceiling [m], world, or likewise; None where there is none.
         other_position: Another vehicle, whose wake streams down [m], world, (E, 3); if not given, infinitely high over the
             origin.
 
@@ -148,7 +148,7 @@ def build_model(
     )
 
 
-def _check_scene(effects: Sequence[EffectParams], ceiling_height: float | None) -> None:
+def _check_scene(effects: Sequence[EffectParams], ceiling_height: float | Tensor | None) -> None:
     for effect, _ in effects:
         if "ceiling_height" in effect.needs and ceiling_height is None:
             raise ConfigError(

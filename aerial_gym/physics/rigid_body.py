@@ -158,10 +158,13 @@ class Accelerations:
     """Angular acceleration [rad/s²], body, (E, 3)."""
 
 
-def accelerations(model: Model, state: BodyState, rotor_acc: Tensor | None = None) -> Accelerations:
+def accelerations(
+    model: Model, state: BodyState, rotor_acc: Tensor | None = None, *, load: Tensor | None = None
+) -> Accelerations:
     """Return specific force and angular acceleration in a state; each row may be a moment of a flight log.
 
-    ``rotor_acc`` are the angular accelerations of the rotors [rad/s²], (E, R); none if not given.
+    ``rotor_acc`` are the angular accelerations of the rotors [rad/s²], (E, R); none if not given. ``load`` is direction and
+    rate of the link of a load that hangs on the vehicle, world, (E, 6).
 
     ``f_o = F / m - alpha x c - w x (w x c)`` with c from the origin to the centre of mass.
 
@@ -171,7 +174,7 @@ def accelerations(model: Model, state: BodyState, rotor_acc: Tensor | None = Non
     Source:
         Derived: acceleration of two points of a rigid body, ``a_c = a_o + alpha x c + w x (w x c)``.
     """
-    for effect, _ in (*model.winds, *model.rotors, *model.wrenches, *model.loads):
+    for effect, _ in (*model.winds, *model.rotors, *model.wrenches, *(model.loads if load is None else ())):
         if effect.remembers:
             raise CapabilityError(
                 f"effect {effect.name}: has memory, so a single state does not tell its force. Fly it with a backend instead"
@@ -182,5 +185,10 @@ def accelerations(model: Model, state: BodyState, rotor_acc: Tensor | None = Non
     spin_up = torch.zeros_like(state.rotor_speed) if rotor_acc is None else rotor_acc
     force, torque = body_wrench(model, position, state.attitude, com_vel, ang_vel, state.rotor_speed, spin_up)
     ang_acc = angular_acceleration(model, ang_vel, torque)
+    felt = force / model.vehicle.mass.unsqueeze(-1)
+    if load is not None:
+        alone = com_acceleration(model, state.attitude, force)
+        acc, ang_acc, _ = with_load(model, position, state.attitude, com_vel, ang_vel, load, alone, ang_acc)
+        felt = felt + quat_rotate_inverse(state.attitude, acc - alone)
     lever = torch.linalg.cross(ang_acc, com) + torch.linalg.cross(ang_vel, torch.linalg.cross(ang_vel, com))
-    return Accelerations(specific_force=force / model.vehicle.mass.unsqueeze(-1) - lever, ang_acc=ang_acc)
+    return Accelerations(specific_force=felt - lever, ang_acc=ang_acc)

@@ -39,11 +39,25 @@ def advance(
         substeps: How many.
     """
     memory = make_memory(model, dt) if model.remembering else None
+    return advance_remembering(model, stepper, control, state, command, dt, substeps, memory)[0]
+
+
+def advance_remembering(
+    model: Model,
+    stepper: Stepper,
+    control: ControlLaw,
+    state: BodyState,
+    command: Tensor,
+    dt: float,
+    substeps: int,
+    memory: Memory | None,
+) -> tuple[BodyState, Memory | None]:
+    """Return what ``advance`` does, from a memory on, and the memory at the end; None if no effect has one."""
     for _ in range(substeps):
         rotor_command = control.rotor_command(state, command)
         _, after, memory = _substep(model, stepper, state, rotor_command, dt, memory)
         state = to_body_state(model, after)
-    return state
+    return state, memory
 
 
 def _substep(

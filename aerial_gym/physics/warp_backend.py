@@ -140,6 +140,8 @@ class WarpBackend:
                 f"backend warp: a differentiable rollout cannot run effect {model.remembering[0]!r}, which has memory. "
                 "Use backend 'torch'."
             )
+        if isinstance(model.ground_height, torch.Tensor) or isinstance(model.ceiling_height, torch.Tensor):
+            raise CapabilityError("backend warp: one height of ground and ceiling for all. Use backend 'torch'.")
         law = control.fused()
         if law is None:
             raise CapabilityError(f"backend warp: {type(control).__name__} has no Warp law. Use backend 'torch'.")

@@ -25,10 +25,12 @@ from aerial_gym.sim2real.flights import Flight, load_flights
 from aerial_gym.sim2real.mapping import find_mapping
 from aerial_gym.sim2real.noise import noise_floor
 from aerial_gym.sim2real.prediction import KINEMATIC, Channel, Point, Predictor, declared_point, find_channels
+from aerial_gym.sim2real.random_wind import NAME, declared_wind, find_random_wind, with_random
 from aerial_gym.sim2real.runtime import check_out_dir, whole_folder, write_record
 from aerial_gym.sim2real.scoring import Criteria
 from aerial_gym.sim2real.selection import Progress, Selection, select_effects
 from aerial_gym.sim2real.structure import Structure, find_structure
+from aerial_gym.sim2real.surroundings import check_around
 from aerial_gym.sim2real.tolerances import Tolerances
 from aerial_gym.sim2real.verdict import Verdict, decide, material_remains, named_effects
 
@@ -174,16 +176,20 @@ def judge_flights(
         Predictor(robot, part, bandwidth=band, channels=channels, tolerances=tolerances) for part in (train, test)
     )
     declared = declared_point(robot)
+    check_around(tuple(robot.effects), flights)
+    criteria = criteria or Criteria()
     selection = select_effects(
         train_predictor,
         declared,
-        criteria or Criteria(),
+        criteria,
         lambda stage, share: progress(stage, 0.05 + 0.6 * share),
         test=test,
     )
     final = rounded(robot, selection.final.fit.point, selection.accepted)
     progress("rollouts of the declared and the corrected model", 0.7)
     floor = noise_floor(robot, test, final, channels, bandwidth=band)
+    if floor is not None:
+        floor = np.hypot(floor, declared_wind(robot).adds(test_predictor, final))
     before = evaluate(robot, test, test_predictor, declared, floor=floor, seed=seed)
     progress("rollouts of the corrected model", 0.85)
     after = evaluate(robot, test, test_predictor, final, floor=floor, seed=seed) if selection.accepted else before
@@ -192,15 +198,33 @@ def judge_flights(
     rms = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
     rms = np.minimum(rms, [channel.value for channel in after.residual])  # tolerances only ever explain
     remaining = material_remains(rms, floor, selection.left_out.tolerated)
-    remaining &= [channel.kind not in KINEMATIC for channel in channels]  # those hold no dynamics to be explained
+    dynamic = np.array([channel.kind not in KINEMATIC for channel in channels])
+    remaining &= dynamic  # the others hold nothing to be explained
+    wind = declared_wind(robot)
+    if not wind.accepted:
+        wind = find_random_wind(
+            train_predictor,
+            within,
+            criteria,
+            floor=floor,
+            tolerated=selection.left_out.tolerated,
+            remaining=remaining,
+        )
+        if wind.accepted and floor is not None:
+            floor = np.hypot(floor, wind.adds(test_predictor, final))
+            after = replace(after, floor=tuple(floor.tolist()))
+            remaining = dynamic & material_remains(rms, floor, selection.left_out.tolerated)
     structure = Structure()
     if remaining.any():
         both = [*train_predictor.residuals(within), *left]
         times = [*train_predictor.times, *test_predictor.times]
         structure = find_structure(flights, times, both, channels, np.flatnonzero(remaining).tolist())
     remains = tuple(channel.name for channel, some in zip(channels, remaining, strict=True) if some)
+    found = () if NAME in robot.effects or not wind.accepted else (wind.named(),)
     kind, reason, candidates = decide(selection, remains, floor is not None)
-    notes = [f"{flight.name}: {note}" for flight in flights for note in flight.notes]
+    if found:
+        kind, reason, candidates = wind.decision((kind, reason, candidates))
+    notes = [*wind.notes, *(f"{flight.name}: {note}" for flight in flights for note in flight.notes)]
     if band < bandwidth:
         notes.append(
             f"compared below {band:.3g} Hz: the slowest log has {min(f.rate for f in flights):.4g} rows per second"
@@ -212,9 +236,9 @@ def judge_flights(
     verdict = Verdict(
         verdict=kind,
         reason=reason,
-        effects=named_effects(selection),
+        effects=(*named_effects(selection), *found),
         candidates=candidates,
-        not_testable=not_testable(selection),
+        not_testable=not_testable(selection) | ({NAME: wind.untestable} if wind.untestable else {}),
         structure=structure,
         before=before,
         after=after,
@@ -225,8 +249,8 @@ def judge_flights(
         robot=stated,
         corrected=corrected_robot(
             robot if "battery_sag" in selection.accepted else stated,
-            final,
-            selection.accepted,
+            with_random(final, wind),
+            (*selection.accepted, *(effect.name for effect in found)),
             [flight.name for flight in train],
         ),
         train=tuple(train),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.mapping import UNITS, ColumnsCfg, LogMapping, find_mapping, mapping_names
+from aerial_gym.sim2real.mapping import HEIGHTS, UNITS, ColumnsCfg, LogMapping, find_mapping, mapping_names
 from aerial_gym.sim2real.ulog import ulog_table
 
 Array = NDArray[np.float64]
@@ -72,6 +72,12 @@ class FlightLog:
     other_position: Array | None = None
     """Body origin of another vehicle flown at the same time [m], world, (T, 3); NaN where its log has a gap."""
 
+    ground_height: float = 0.0
+    """World z of the ground [m]."""
+
+    ceiling_height: float | None = None
+    """World z of the ceiling [m]."""
+
     notes: tuple[str, ...] = ()
     """What was done to the log, for the report."""
 
@@ -113,7 +119,7 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None) -> F
             continue
         columns = _columns(table, quantity, name, str(path))
         if columns:
-            raw = _fields(table, columns, quantity, time, str(path), notes)
+            raw = _fields(table, columns, quantity, time, str(path), notes, gaps=name == "other_position")
             values[name] = _converted(raw, table, quantity, time, str(path)) * UNITS[quantity.unit]
     if layout.lacks:
         notes.append(layout.lacks)
@@ -122,6 +128,7 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None) -> F
         _integrate_attitude(values, time, layout, str(path), notes)
     _require(values, layout, list(table.columns), str(path))
     battery = values.pop("battery", None)
+    heights = {name: _height(values.pop(name), layout, name, str(path)) for name in HEIGHTS if name in values}
     command, companion = layout.rotor_command, _companion(Path(path), layout, time, notes)
     return FlightLog(
         path=str(path),
@@ -130,8 +137,18 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None) -> F
         collective=command is not None and command.repeat > 1,
         attitude_integrated=integrated,
         notes=tuple(notes),
-        **{"other_position": companion, **_to_package_frames(values, layout)},
+        **{"other_position": companion, **heights, **_to_package_frames(values, layout)},
     )
+
+
+def _height(values: Array, layout: LogMapping, name: str, path: str) -> float:
+    """Return the height of a level surface [m], z up; refuse one that changes in the flight."""
+    if np.ptp(values) > 0.0:
+        raise DataError(
+            f"{path}: {name} runs from {values.min():g} to {values.max():g} m; a flight has one number for it: cut the log "
+            "where it changes"
+        )
+    return float(values[0, 0]) * (-1.0 if layout.world_frame == "ned" else 1.0)
 
 
 def _converted(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, time: Array, path: str) -> Array:
@@ -248,7 +265,7 @@ def _without_copies(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
     copies = np.asarray(same.all(axis=1)) & (np.arange(len(table)) > 0)
     if copies.any():
         notes.append(f"{int(copies.sum())} rows that are copies of the one before, time included, were left out")
-    return table[~copies] if copies.any() else table
+    return table.drop(index=table.index[copies])
 
 
 def _time(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
@@ -269,9 +286,16 @@ def _time(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
 
 
 def _fields(
-    table: pd.DataFrame, columns: list[str], quantity: ColumnsCfg, time: Array, path: str, notes: list[str]
+    table: pd.DataFrame,
+    columns: list[str],
+    quantity: ColumnsCfg,
+    time: Array,
+    path: str,
+    notes: list[str],
+    *,
+    gaps: bool = False,
 ) -> Array:
-    """Return numbers (T, columns) with short gaps filled where the mapping allows it."""
+    """Return numbers (T, columns) with short gaps filled where the mapping allows it; ``gaps``: they may stay NaN."""
     found, filled = np.empty((len(table), len(columns))), 0
     for index, column in enumerate(columns):
         numbers = np.asarray(pd.to_numeric(table[column], errors="coerce"), dtype=np.float64)
@@ -281,6 +305,9 @@ def _fields(
                 f"{path}, line {bad[0] + 1 + HEADER_LINES}: {column} = {table[column].iloc[bad[0]]!s} is no finite "
                 "number; cut the flight there, or leave the whole column empty if it was not measured"
             )
+        if gaps:
+            found[:, index] = numbers
+            continue
         found[:, index] = _fill(numbers, quantity, time, f"{path}, line {{line}}: {column}")
         filled += int(np.isnan(numbers).sum())
     if filled:
@@ -340,7 +367,7 @@ def _mapping_hint(known: list[str]) -> str:
             column
             for key, quantity in layout.quantities().items()
             for column in quantity.columns
-            if "{n}" not in column and key != "battery"
+            if "{n}" not in column and key not in ("battery", *HEIGHTS)
         }
         if name != "aerial_gym" and wanted <= set(known):
             fits[name] = len(wanted)

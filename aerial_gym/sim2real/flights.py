@@ -84,6 +84,12 @@ class Flight:
     other_position: Array | None = None
     """Body origin of another vehicle flown at the same time [m], world, (T, 3); NaN where it is not known."""
 
+    ground_height: float = 0.0
+    """World z of the ground [m]."""
+
+    ceiling_height: float | None = None
+    """World z of the ceiling [m]; None if the log does not say."""
+
     @property
     def num_rows(self) -> int:
         """Number of rows T."""
@@ -190,5 +196,7 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = ()) -> Flight:
         rotor_command=log.rotor_command,
         battery=log.battery,
         other_position=log.other_position,
+        ground_height=log.ground_height,
+        ceiling_height=log.ceiling_height,
         notes=tuple(said),
     )

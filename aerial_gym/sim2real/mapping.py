@@ -121,6 +121,12 @@ class LogMapping:
     battery: ColumnsCfg | None = None
     """Battery voltage [V]."""
 
+    ground_height: ColumnsCfg | None = None
+    """Level of the ground [m], world, the same in every row; 0 if it is not mapped or not in the file."""
+
+    ceiling_height: ColumnsCfg | None = None
+    """Level of the ceiling [m], world, the same in every row."""
+
     other_position: ColumnsCfg | None = None
     """Position of another vehicle that flies near [m], world."""
 
@@ -151,7 +157,7 @@ class LogMapping:
         ):
             if getattr(self, name) not in known:
                 raise ConfigError(f"LogMapping.{name} = {getattr(self, name)!r}: must be one of {', '.join(known)}")
-        for name, count in (("time", 1), ("battery", 1), ("attitude", 4), *((key, 3) for key in VECTORS)):
+        for name, count in (*((key, 1) for key in SCALARS), ("attitude", 4), *((key, 3) for key in VECTORS)):
             quantity = getattr(self, name)
             if quantity is not None and len(quantity.columns) != count:
                 raise ConfigError(f"LogMapping.{name}.columns = {quantity.columns!r}: must name {count} columns")
@@ -162,6 +168,8 @@ class LogMapping:
         return {name: value for name, value in values.items() if isinstance(value, ColumnsCfg)}
 
 
+HEIGHTS = ("ground_height", "ceiling_height")
+SCALARS = ("time", "battery", *HEIGHTS)
 VECTORS = ("position", "lin_vel", "ang_vel", "specific_force", "other_position")
 
 

@@ -19,14 +19,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.errors import DataError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics import EFFECTS, BodyState, Vehicle, accelerations, build_model, vehicle_from_config
 from aerial_gym.physics.model import STANDARD_GRAVITY, Model
 from aerial_gym.sim2real.checks import body_rate_of
 from aerial_gym.sim2real.flights import Flight
+from aerial_gym.sim2real.load_replay import LoadReplay
 from aerial_gym.sim2real.rotor_replay import RotorReplay
 from aerial_gym.sim2real.signals import edge_rows, lowpass
+from aerial_gym.sim2real.surroundings import heights, other_at
 from aerial_gym.sim2real.tolerances import Tolerances, command_shift, deviate, sensor_biases
 
 Array = NDArray[np.float64]
@@ -94,17 +96,9 @@ class Point:
 
 
 def declared_point(robot: RobotCfg) -> Point:
-    """Return the model that the robot file declares.
-
-    Raises:
-        ConfigError: If it declares an effect that a replay of logged rows cannot follow, such as one with memory.
-    """
-    if later := [name for name in robot.effects if not EFFECTS.get(name).identifiable]:
-        raise ConfigError(
-            f"the robot file declares {', '.join(later)}: the simulator flies with it, but a replay of logged rows cannot "
-            "follow it yet. Leave it out of the robot file for replay and close-loop"
-        )
-    return Point(effects={n: np.array(EFFECTS.get(n).params_from(values)) for n, values in robot.effects.items()})
+    """Return the model that the robot file declares, without what is random."""
+    kept = {name: values for name, values in robot.effects.items() if not EFFECTS.get(name).random}
+    return Point(effects={name: np.array(EFFECTS.get(name).params_from(values)) for name, values in kept.items()})
 
 
 def find_channels(flights: Sequence[Flight]) -> tuple[Channel, ...]:
@@ -147,6 +141,7 @@ def expand_model(model: Model, rows: int) -> Model:
         winds=expand(model.winds),
         rotors=expand(model.rotors),
         wrenches=expand(model.wrenches),
+        loads=expand(model.loads),
         imu=expand(model.imu),
         rotor_sensors=expand(model.rotor_sensors),
     )
@@ -170,6 +165,7 @@ class Predictor:
         self.channels, self.tolerances = tuple(channels), tolerances
         self._declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         self._replay = RotorReplay(flights)
+        self._load_replay = LoadReplay(flights)
         self._stride = [1 if every_row else max(1, int(f.rate / (ROWS_PER_BAND * bandwidth))) for f in flights]
         self._kept = [self._kept_rows(f, s, every_row) for f, s in zip(flights, self._stride, strict=True)]
         self.measured = [self._measure(index) for index in range(len(flights))]
@@ -178,6 +174,10 @@ class Predictor:
         self._state = {name: torch.cat([state[name] for state in states]) for name in states[0]}
         ends = np.cumsum([0, *(state["attitude"].shape[0] for state in states)])
         self._spans = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+        self._row_times = [flight.time[::stride] for flight, stride in zip(flights, self._stride, strict=True)]
+        others = [other_at(f, np.arange(0, f.num_rows, s)) for f, s in zip(flights, self._stride, strict=True)]
+        rows = [state["attitude"].shape[0] for state in states]
+        self._heights, self._other = heights(flights, rows), torch.cat(others)
         simulated = [flight.rotor_speed is None for flight in flights]
         if any(simulated) and not all(simulated):
             raise DataError("some flights have measured rotor speeds and some have not; give flights of one kind")
@@ -204,7 +204,7 @@ class Predictor:
         vehicle, deviation = self._vehicle(point)
         speeds: list[Array | None] | None = None
         if self._simulated or any(channel.kind == "rotor_speed" for channel in self.channels):
-            one = build_model(vehicle, self._effects(point, 1))
+            one = build_model(vehicle, self._effects(point, 1), **self._heights, other_position=self._other)
             sensors = () if self._simulated else one.rotor_sensors
             speeds = self._replay.speeds(one, command_shift(self.tolerances, deviation), sensors)
         rows = self._rows(point, vehicle, deviation, speeds)
@@ -234,7 +234,8 @@ class Predictor:
         kinds = {channel.kind for channel in self.channels} - {"rotor_speed"}
         if not kinds:
             return {}
-        model = expand_model(build_model(vehicle, self._effects(point, 1)), self._state["attitude"].shape[0])
+        one = build_model(vehicle, self._effects(point, 1), **self._heights, other_position=self._other)
+        model = expand_model(one, self._state["attitude"].shape[0])
         if self._measured_speed is None or self._measured_spin_up is None:
             assert speeds is not None
             replayed = [(i, s) for i, s in enumerate(speeds) if s is not None]
@@ -244,7 +245,8 @@ class Predictor:
             speed, spin_up = self._measured_speed, self._measured_spin_up
             for effect, params in model.rotor_sensors:
                 speed, spin_up = effect.true_speed(speed, params), effect.true_speed(spin_up, params)
-        found = accelerations(model, BodyState(rotor_speed=speed, **self._state), spin_up)
+        load = self._load_replay.loads(model, self._row_times) if model.loads else None
+        found = accelerations(model, BodyState(rotor_speed=speed, **self._state), spin_up, load=load)
         # The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
         force = found.specific_force + torch.linalg.cross(found.ang_acc - self._measured_ang_acc, model.vehicle.com)
         turning, rate, still = found.ang_acc, self._kinematic_rate, torch.zeros_like(force)

@@ -18,6 +18,7 @@ from aerial_gym.sim2real.noise import noise_floor
 from aerial_gym.sim2real.prediction import Point, Predictor, declared_point, find_channels
 from aerial_gym.sim2real.runtime import check_out_dir, whole_folder, write_record
 from aerial_gym.sim2real.selection import Progress
+from aerial_gym.sim2real.surroundings import check_around
 from aerial_gym.sim2real.tolerances import Tolerances
 
 
@@ -99,6 +100,7 @@ def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: flo
     channels = find_channels(flights)
     predictor = Predictor(robot, flights, bandwidth=band, channels=channels, tolerances=Tolerances())
     point = declared_point(robot)
+    check_around(tuple(robot.effects), flights)
     floor = noise_floor(robot, flights, point, channels, bandwidth=band)
     return Replay(
         robot=robot,

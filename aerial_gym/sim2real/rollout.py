@@ -15,11 +15,15 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.quaternion import quat_conjugate, quat_log, quat_multiply
-from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, advance, build_model, vehicle_from_config
+from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, advance_remembering, build_model, vehicle_from_config
+from aerial_gym.physics.effects import CommandEffect, DelayEffect
 from aerial_gym.physics.effects.actuation_delay import LONGEST as LONGEST_DELAY
+from aerial_gym.physics.memory import Memory, make_memory, place_load
 from aerial_gym.sim2real.flights import Flight
+from aerial_gym.sim2real.load_replay import LoadReplay
 from aerial_gym.sim2real.prediction import Point, expand_rows
 from aerial_gym.sim2real.rotor_commands import mean_commands
+from aerial_gym.sim2real.surroundings import heights, other_at
 
 Array = NDArray[np.float64]
 
@@ -153,8 +157,14 @@ def roll_out(
 def _with_arriving_commands(robot: RobotCfg, flights: Sequence[Flight], point: Point) -> list[Flight]:
     """Return the flights with what arrives at the rotors as commands: so no window begins without those on their way."""
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
-    model = build_model(vehicle, [(EFFECTS.get(n), torch.tensor(p).reshape(1, -1)) for n, p in point.effects.items()])
+    acting = [(EFFECTS.get(name), params) for name, params in point.effects.items() if acts_on_commands(name)]
+    model = build_model(vehicle, [(effect, torch.tensor(params).reshape(1, -1)) for effect, params in acting])
     return [replace(flight, rotor_command=mean_commands(flight, model)) for flight in flights]
+
+
+def acts_on_commands(name: str) -> bool:
+    """Return whether an effect changes what commands lead to."""
+    return isinstance(EFFECTS.get(name), CommandEffect | DelayEffect)
 
 
 class _Run:
@@ -181,7 +191,8 @@ class _Run:
             vehicle = replace(vehicle, time_constant_up=zero, time_constant_down=zero)
         used = {name: p for name, p in point.effects.items() if commanded or EFFECTS.get(name).acts_on != "actuation"}
         effects = [(EFFECTS.get(n), torch.from_numpy(np.asarray(p)).expand(members.size, -1)) for n, p in used.items()]
-        self._model = replace(build_model(vehicle, effects), delays=(), commands=())  # they have acted
+        around = heights([flights[index] for index in self._flight], [1] * members.size)
+        self._model = replace(build_model(vehicle, effects, **around), delays=(), commands=())  # they have acted
 
     def errors(self, horizons: Sequence[float], *, given_attitude: bool) -> dict[str, Array]:
         """Return the errors of each quantity, (W, horizons)."""
@@ -189,10 +200,12 @@ class _Run:
         found = {name: np.zeros((self._row.size, len(horizons))) for name in QUANTITIES}
         state = self._measured(0)
         span = self._stride / self._rate
+        memory, stepper, law = self._memory(span / self._substeps), INTEGRATORS["rk4"], _Straight()
         for step in range(max(at)):
             action = self._action(step)
-            state = advance(
-                self._model, INTEGRATORS["rk4"], _Straight(), state, action, span / self._substeps, self._substeps
+            model = replace(self._model, other_position=self._other(step))
+            state, memory = advance_remembering(
+                model, stepper, law, state, action, span / self._substeps, self._substeps, memory
             )
             if given_attitude or step + 1 in at:
                 truth = self._measured(step + 1)
@@ -213,6 +226,28 @@ class _Run:
             ang_vel=self._gather("ang_vel", rows),
             rotor_speed=self._true_speed(self._gather("rotor_speed", rows, instead="rotor_command")),
         )
+
+    def _memory(self, dt: float) -> Memory | None:
+        """Return what effects remember at the starts: a load swings as it did in the flight."""
+        if not self._model.remembering:
+            return None
+        memory = make_memory(self._model, dt)
+        if not self._model.loads:
+            return memory
+        flown = np.unique(self._flight)
+        times = [self._row[self._flight == index] / self._rate for index in flown]
+        load = torch.empty(self._row.size, 6, dtype=torch.float64)
+        order = torch.from_numpy(np.argsort(self._flight, kind="stable"))
+        load[order] = LoadReplay([self._flights[index] for index in flown]).loads(self._model, times)
+        return place_load(self._model, memory, load)
+
+    def _other(self, step: int) -> Tensor:
+        """Return where the other vehicle is in the middle of a step [m], (W, 3)."""
+        rows, place = self._row + step * self._stride + self._stride // 2, torch.empty(self._row.size, 3).double()
+        for index in np.unique(self._flight):
+            chosen = self._flight == index
+            place[torch.from_numpy(chosen)] = other_at(self._flights[index], rows[chosen])
+        return place
 
     def _action(self, step: int) -> Tensor:
         """Return the mean command over a step, or the mean measured speed."""

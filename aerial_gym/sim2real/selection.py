@@ -31,6 +31,7 @@ from aerial_gym.sim2real.prediction import Point, Predictor
 from aerial_gym.sim2real.rotor_commands import missing_in_logs, too_steady
 from aerial_gym.sim2real.scoring import Criteria, Gain, LeftOut, Scored
 from aerial_gym.sim2real.screening import Screen
+from aerial_gym.sim2real.surroundings import lacks_around
 from aerial_gym.sim2real.uncertainty import uncertainty, wald_probability
 
 Array = NDArray[np.float64]
@@ -140,12 +141,12 @@ class _Selector:
         test: Sequence[Flight],
     ) -> None:
         self.predictor, self.declared, self.criteria, self.progress = predictor, declared, criteria, progress
-        self.candidates = tuple(EFFECTS)
+        self.candidates = tuple(name for name in EFFECTS if not EFFECTS.get(name).random)
         reasons = {name: lacks(name, predictor.robot, predictor.flights, test) for name in self.candidates}
         self.lacking = {name: reason for name, reason in reasons.items() if reason}
         self.tolerance = tolerance_jacobian(predictor, declared, predictor.predict(declared))
-        common = tuple(n for n in self.candidates if n not in self.lacking and not has_rotor(n))
-        self.weights = weighting(predictor, declared, common, self.with_rotors(self.tolerance))
+        common = tuple(n for n in self.candidates if n not in self.lacking and not self.has_starts(n))
+        self.weights = weighting(predictor, declared, common, self.with_starts(self.tolerance))
         squares = np.concatenate([(part**2).sum(axis=2) for part in self.tolerance])
         self.left_out = LeftOut(
             moments=self._fit((), declared, frozenset()).moments,
@@ -155,10 +156,14 @@ class _Selector:
             tolerated=np.sqrt(squares.mean(axis=0)),
         )
 
-    def with_rotors(self, columns: list[Array]) -> list[Array]:
-        """Return derivatives (rows, C, any) with those of every effect on one rotor beside them, once for each rotor."""
+    def has_starts(self, name: str) -> bool:
+        """Return whether fits of an effect start from several parameters."""
+        return len(EFFECTS.get(name).starts(self.predictor.robot)) > 1
+
+    def with_starts(self, columns: list[Array]) -> list[Array]:
+        """Return derivatives (rows, C, any) with those of effects that have several starts beside them, at each of these."""
         for name in self.candidates:
-            if has_rotor(name) and name not in self.lacking and name not in self.declared.effects:
+            if self.has_starts(name) and name not in self.lacking and name not in self.declared.effects:
                 for point in self.points(name, self.declared):
                     base = self.predictor.predict(point)
                     more = effect_jacobian(self.predictor, point, (name,), base)
@@ -254,14 +259,13 @@ class _Selector:
         return np.array(EFFECTS.get(name).neutral(self.predictor.robot), dtype=float)
 
     def points(self, name: str, here: Point) -> list[Point]:
-        """Return where fits of an effect on top of a model start: its neutral parameters, once for each rotor it may act on."""
+        """Return where fits of an effect on top of a model start."""
         if name in here.effects:
             return [here]
-        neutral = self.neutral(name)
-        if not has_rotor(name) or name in self.declared.effects:
-            return [here.with_effect(name, neutral)]
-        rotors = range(1, self.predictor.robot.num_rotors + 1)
-        return [here.with_effect(name, np.array([rotor, *neutral[1:]])) for rotor in rotors]
+        if name in self.declared.effects:
+            return [here.with_effect(name, self.neutral(name))]
+        starts = EFFECTS.get(name).starts(self.predictor.robot)
+        return [here.with_effect(name, np.array(start)) for start in starts]
 
     def _fit(self, effects: tuple[str, ...], start: Point, frozen: Frozen) -> Fit:
         return fit_effects(self.predictor, effects, start, self.tolerance, self.weights.weight, frozen=frozen)
@@ -390,17 +394,10 @@ class _Selector:
         return tuple(sorted(trials, key=lambda trial: -trial.score))
 
 
-def has_rotor(name: str) -> bool:
-    """Return whether an effect acts on one rotor, which must be chosen."""
-    return any(parameter.kind == "rotor" for parameter in EFFECTS.get(name).parameters)
-
-
 def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight] = ()) -> str:
-    """Return what robot file or logs lack for an effect, or that no flight can show it yet; empty if nothing."""
-    if not EFFECTS.get(name).identifiable:
-        return "not looked for in flights: it needs more than single rows, its own memory or what stands around the vehicle"
-    effect = EFFECTS.get(name)
-    if reason := missing_in_logs(effect, [*train, *test]) or too_steady(effect, train):
+    """Return what robot file or logs lack for an effect; empty if nothing."""
+    effect, flights = EFFECTS.get(name), [*train, *test]
+    if reason := missing_in_logs(effect, flights) or lacks_around(name, flights) or too_steady(effect, train):
         return reason
     try:
         effect.check(robot)

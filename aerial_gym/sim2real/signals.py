@@ -180,7 +180,8 @@ def rotor_log_lead(measured: Array, predicted: Array, others: Array, rate: float
 
     unmoved = left(0)
     best = min(range(-most, most + 1), key=left)
-    return best if left(best) < (1.0 - LEAST_SHIFT_GAIN) * unmoved and left(best) < 0.5 else 0
+    inside = abs(best) < most  # the least at an end of the range is no least: something else grows with the shift
+    return best if inside and left(best) < (1.0 - LEAST_SHIFT_GAIN) * unmoved and left(best) < 0.5 else 0
 
 
 def shift_rotor_log(log: FlightLog, lead: int) -> FlightLog:

@@ -16,7 +16,7 @@ from benchmarks.undeclared import make_case
 SHORT = {"num_train": 4, "num_test": 2, "duration_s": 8.0, "rate_hz": 200}
 EFFECTS = (
     "rotor_drag", "quadratic_drag", "thrust_coefficient", "com_offset", "motor_time_constant", "constant_wind",
-    "h_force_flapping", "motor_tilt", "imu_misalignment", "actuation_delay", "battery_sag",
+    "h_force_flapping", "motor_tilt", "imu_misalignment", "actuation_delay", "battery_sag", "ceiling_effect", "downwash",
 )  # fmt: skip
 
 
@@ -50,6 +50,37 @@ def test_wind_shear_is_found_with_its_power(tmp_path: Path) -> None:
     for axis in "xy":
         at_5m = [wind[axis] * (5.0 / wind["z_ref"]) ** wind["exponent"] for wind in (found, true)]
         assert at_5m[0] == pytest.approx(at_5m[1], rel=0.05), axis
+
+
+def test_a_slung_payload_is_found_with_its_mass_and_length(tmp_path: Path) -> None:
+    """The plant's damping acts at the suspension, that of the package is a drag in the air: it is not compared."""
+    verdict, truth = run_case(tmp_path, {"slung_payload": "moderate"}, 211)
+    assert verdict["effects"][0]["name"] == "slung_payload"
+    found, true = verdict["effects"][0]["params"], truth["effects"]["slung_payload"]
+    assert found["mass"] == pytest.approx(true["mass"], rel=0.05)
+    assert found["length"] == pytest.approx(true["length"], rel=0.05)
+
+
+def test_gusts_are_found_with_their_moments(tmp_path: Path) -> None:
+    """Within three standard deviations; no residual falls, and the noise floor holds what they add."""
+    verdict, truth = run_case(tmp_path, {"gusts": "moderate"}, 211)
+    assert [found["name"] for found in verdict["effects"]] == ["gusts"]
+    assert verdict["verdict"] == "explained"
+    found = verdict["effects"][0]
+    for name, std in found["std"].items():
+        assert abs(found["params"][name] - truth["effects"]["gusts"][name]) < 3.0 * std, name
+    for axis in "xyz":
+        before, after = (verdict[when]["specific_force"][axis] for when in ("before", "after"))
+        assert after["rms"] == before["rms"]
+        assert after["noise_floor"] > 3.0 * before["noise_floor"]
+    assert any("lower no residual" in note for note in verdict["notes"])
+
+
+@pytest.mark.parametrize("cause", ["unknown_periodic", "unknown_position", "unknown_time", "unknown_heading"])
+def test_an_unknown_force_is_never_called_gusts(cause: str, tmp_path: Path) -> None:
+    verdict, _ = run_case(tmp_path, {cause: "moderate"}, 213)
+    assert verdict["verdict"] == "unexplained"
+    assert "gusts" not in [found["name"] for found in verdict["effects"]]
 
 
 def test_nothing_is_named_where_nothing_is_hidden(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from aerial_gym.cli.main import main
 from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
-from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real import close_loop, replay
 from aerial_gym.sim2real.prediction import Channel
 from aerial_gym.sim2real.runtime import whole_folder
@@ -52,9 +51,10 @@ def test_the_verdict_names_the_hidden_drag(result: Path) -> None:
         assert low < DRAG < high
     assert 0.99 < effect["confidence"] < 1.0
     assert effect["material"] is True
-    later = {name for name in EFFECTS.names() if not EFFECTS.get(name).identifiable}
-    without_commands = {"motor_time_constant", "motor_asymmetry", "actuation_delay"}
-    assert set(verdict["not_testable"]) == {*without_commands, "battery_sag", "ground_effect", *later}
+    untold = {"motor_time_constant", "motor_asymmetry", "actuation_delay", "battery_sag"}
+    untold |= {"ground_effect", "ceiling_effect", "downwash"}
+    assert set(verdict["not_testable"]) == untold
+    assert "column ceiling_z" in verdict["not_testable_because"]["ceiling_effect"]
     assert verdict["structure"]["kind"] == "none"
     before, after = verdict["before"], verdict["after"]
     for axis in "xy":

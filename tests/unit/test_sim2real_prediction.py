@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.errors import DataError
 from aerial_gym.physics import build_model, vehicle_from_config
 from aerial_gym.sim2real.fit import effect_jacobian
 from aerial_gym.sim2real.flight_log import read_flight_log
@@ -232,9 +232,3 @@ def test_the_noise_floor_is_the_residual_of_a_perfect_model(tmp_path: Path) -> N
 def test_no_floor_where_the_log_is_too_slow(tmp_path: Path) -> None:
     found = load(tmp_path, rate=25.0)
     assert noise_floor(ROBOT, [found], Point(), [Channel(kind="specific_force", axis="x")], bandwidth=8.0) is None
-
-
-def test_a_declared_effect_with_memory_is_refused_by_name() -> None:
-    """Gusts in the robot file would otherwise be left out of the prediction in silence."""
-    with pytest.raises(ConfigError, match="declares gusts: the simulator flies with it"):
-        declared_point(replace(ROBOT, effects={"gusts": {"std": 1.0, "corr_time": 1.0}}))

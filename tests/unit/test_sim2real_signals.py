@@ -6,6 +6,7 @@ import pytest
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.flight_log import FlightLog
 from aerial_gym.sim2real.signals import (
+    LARGEST_SHIFT_S,
     continuous_quaternion,
     edge_rows,
     lowpass,
@@ -96,3 +97,12 @@ def test_a_lead_of_the_rotor_log_is_found_and_undone(lead: int) -> None:
 def test_a_signal_that_does_not_agree_at_all_is_not_shifted() -> None:
     rng = np.random.default_rng(3)
     assert rotor_log_lead(noise(rng, 3.0), noise(rng, 3.0), np.zeros((TIME.size, 0)), RATE, BAND) == 0
+
+
+def test_a_lead_at_the_end_of_the_range_is_not_believed() -> None:
+    """Something that lags by more than any clock, such as a load that swings below, is no offset of the rotor log."""
+    rng = np.random.default_rng(4)
+    thrust = 3.0 * noise(rng, 3.0)
+    most = round(LARGEST_SHIFT_S * RATE)
+    measured = 9.81 + np.roll(thrust, most) + 0.02 * rng.standard_normal(TIME.size)
+    assert rotor_log_lead(measured, 9.81 + thrust, np.zeros((TIME.size, 0)), RATE, BAND) == 0

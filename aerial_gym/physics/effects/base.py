@@ -75,11 +75,11 @@ class Condition:
     rotor_acc: Tensor
     """Angular accelerations of the rotors about their axes, positive where they speed up [rad/s²], (E, R)."""
 
-    ground_height: float
-    """Height of the ground [m], world."""
+    ground_height: float | Tensor
+    """Height of the ground [m], world; or (E, 1)."""
 
-    ceiling_height: float
-    """Height of the ceiling [m], world; not a number where there is none."""
+    ceiling_height: float | Tensor
+    """Height of the ceiling [m], world; not a number where there is none; or (E, 1)."""
 
     other_position: Tensor
     """Another vehicle, whose wake streams down [m], world, (E, 3)."""
@@ -205,10 +205,10 @@ class Effect(ABC):
     """Values right after a reset of the M numbers that it remembers of each environment."""
     needs: ClassVar[tuple[Literal["ceiling_height", "other_position"], ...]] = ()
     """What of the scene it needs."""
-    identifiable: ClassVar[bool] = True
-    """Whether it can be looked for in flights: rows show it, beside what ``logged`` names."""
     logged: ClassVar[tuple[Literal["battery"], ...]] = ()
     """What a log must hold in place of its memory."""
+    random: ClassVar[bool] = False
+    """Whether chance decides what it does, so that it predicts no row of a flight."""
 
     @property
     def remembers(self) -> bool:
@@ -240,6 +240,13 @@ class Effect(ABC):
         """Return the parameters with which the robot behaves as declared; zeros unless a subclass says otherwise."""
         del robot
         return (0.0,) * len(self.parameters)
+
+    def starts(self, robot: RobotCfg) -> list[tuple[float, ...]]:
+        """Return the parameters from which fits are tried: the neutral ones, once for each rotor if it acts on one."""
+        neutral = self.neutral(robot)
+        if self.parameters[0].kind != "rotor":
+            return [neutral]
+        return [(float(rotor), *neutral[1:]) for rotor in range(1, robot.num_rotors + 1)]
 
     def bounds(self, robot: RobotCfg) -> list[tuple[float, float]]:
         """Return the lowest and highest value of each parameter that is physically possible for a robot."""

@@ -31,7 +31,6 @@ class CeilingEffect(RotorEffect):
     excitation = "flight within two rotor diameters of the ceiling, and away from it; its height"
     confused_with = ("thrust_coefficient", "battery_sag", "ground_effect")
     needs = ("ceiling_height",)
-    identifiable = False
 
     def check(self, robot: RobotCfg) -> None:
         """Raise ``ConfigError`` unless the radius of the rotors is known."""

@@ -32,7 +32,6 @@ class Downwash(WrenchEffect):
     excitation = "passes below another vehicle whose position is in the log"
     confused_with = ("gusts", "thrust_coefficient", "ground_effect")
     needs = ("other_position",)
-    identifiable = False
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return no force."""

@@ -36,7 +36,7 @@ class Gusts(WindEffect):
     confused_with = ("constant_wind", "downwash")
     memory = (0.0, 0.0, 0.0)
     """Wind [m/s], world."""
-    identifiable = False
+    random = True
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return no wind."""

@@ -25,6 +25,15 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import LoadEffect, Parameter, Suspension
 
+FITTED_LENGTHS = (0.3, 0.5, 0.8, 1.3, 2.1)
+"""Links [m] from which fits are tried; frequencies a factor of 1.3 apart."""
+
+LIGHTEST = 1e-3
+"""Of the mass of the vehicle: the lightest payload that a fit tries."""
+
+DRAGGIEST = 0.1
+"""Of the mass of the vehicle per second: the strongest drag of a payload that a fit tries [1/s]."""
+
 LEAST_MASS = wp.constant(1e-6)
 """A lighter mass [kg] swings like this one; it pulls by what it weighs itself."""
 
@@ -41,12 +50,25 @@ class SlungPayload(LoadEffect):
     )
     excitation = "sideways accelerations, and flights of several swings"
     confused_with = ("payload_mass", "gusts", "com_offset", "thrust_coefficient")
-    identifiable = False
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return no mass."""
         del robot
         return 0.0, 1.0, 0.0
+
+    def starts(self, robot: RobotCfg) -> list[tuple[float, ...]]:
+        """Return a twentieth of the vehicle's mass on links of several lengths, with a drag that damps their swing strongly.
+
+        A weakly damped swing has a sharp frequency, so that a fit which starts at another one does not find it; a drag of
+        the mass per second widens it to about the distance between these lengths.
+        """
+        mass = 0.05 * robot.body.mass
+        return [(mass, length, mass) for length in FITTED_LENGTHS]
+
+    def bounds(self, robot: RobotCfg) -> list[tuple[float, float]]:
+        """Return the bounds: a vehicle lifts no more than it weighs; what is a thousandth of it does not show."""
+        mass = robot.body.mass
+        return [(LIGHTEST * mass, mass), (0.1, 20.0), (0.0, DRAGGIEST * mass)]
 
     def pull(self, suspension: Suspension, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
         """Return ``T n`` and n''."""

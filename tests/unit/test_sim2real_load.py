@@ -1,0 +1,165 @@
+"""A load that hangs on the vehicle: its swing along a measured flight, in predictions and in rollouts."""
+
+from dataclasses import replace
+from math import cos, sin, sqrt
+
+import numpy as np
+import pytest
+import torch
+
+from aerial_gym.math.quaternion import quat_rotate_inverse
+from aerial_gym.physics import (
+    EFFECTS,
+    INTEGRATORS,
+    BodyState,
+    Model,
+    accelerations,
+    advance_remembering,
+    build_model,
+    vehicle_from_config,
+)
+from aerial_gym.physics.effects import LoadEffect
+from aerial_gym.physics.memory import make_memory, place_load
+from aerial_gym.robots import ROBOTS
+from aerial_gym.sim2real.load_replay import STEP_S, LoadReplay, swing
+from aerial_gym.sim2real.prediction import Point, Predictor, find_channels
+from aerial_gym.sim2real.rollout import roll_out
+from aerial_gym.sim2real.surroundings import lacks_around
+from aerial_gym.sim2real.tolerances import Tolerances
+from tests.physics.vehicles import F64, lopsided_robot, random_state
+from tests.unit.flat_flights import ROBOT
+from tests.unit.test_sim2real_around import RATE, hover
+
+G = 9.81
+
+
+def slung() -> LoadEffect:
+    effect = EFFECTS.get("slung_payload")
+    assert isinstance(effect, LoadEffect)
+    return effect
+
+
+def model_of(*params: float) -> Model:
+    vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=F64)
+    return build_model(vehicle, [(slung(), torch.tensor([params], dtype=F64))])
+
+
+@pytest.mark.parametrize(("length", "damping"), [(0.4, 0.0), (1.5, 0.0), (0.8, 0.06)])
+def test_a_load_below_a_held_origin_swings_like_a_pendulum(length: float, damping: float) -> None:
+    """x'' = -g / l x - d / m x': damped cosine; order 4 over 4 s, for w dt = 0.2: 4 w t / 120 (w dt)^4 = 1e-3."""
+    mass, angle, steps = 0.1, 1e-4, 100
+    start = torch.tensor([[sin(angle), 0.0, -cos(angle), 0.0, 0.0, 0.0]], dtype=F64)
+    still = torch.zeros(2 * steps + 1, 1, 3, dtype=F64)
+    found = swing(slung(), torch.tensor([[mass, length, damping]], dtype=F64), start, still, still, G)[:, 0, 0]
+    decay = 0.5 * damping / mass
+    omega = sqrt(G / length - decay**2)
+    time = STEP_S * torch.arange(steps + 1, dtype=F64)
+    expected = (-decay * time).exp() * ((omega * time).cos() + decay / omega * (omega * time).sin()) * angle
+    bound = 4.0 * omega * time[-1].item() / 120.0 * (omega * STEP_S) ** 4 + 1e-6
+    assert (found - expected).abs().max().item() < bound * angle
+
+
+def test_a_load_follows_the_measured_motion_of_its_vehicle() -> None:
+    """X_load / X = w² / (w² - W² + i W d / m) once settled, with w² = g / l and a vehicle that sways at W."""
+    mass, length, damping, sway, size = 0.1, 1.0, 0.2, 2.0, 0.01
+    time = np.arange(round(20.0 * RATE)) / RATE
+    place, speed = np.zeros((time.size, 3)), np.zeros((time.size, 3))
+    place[:, 0], speed[:, 0] = size * np.sin(sway * time), size * sway * np.cos(sway * time)
+    flight = replace(hover("a", 1.0), time=time, position=place, lin_vel=speed)
+    load = LoadReplay([flight]).loads(model_of(mass, length, damping), [time])[:, 0].numpy()
+    gain = (G / length) / (G / length - sway**2 + 1j * sway * damping / mass) - 1.0
+    expected = size / length * np.imag(gain * np.exp(1j * sway * time))
+    late = time > 12.0  # the start has faded to exp(-12)
+    np.testing.assert_allclose(load[late], expected[late], atol=2e-3 * size * abs(gain))
+
+
+def test_a_load_starts_along_the_apparent_gravity_and_stays_there() -> None:
+    """Under a vehicle that speeds up evenly the link leans back by atan(a / g) and does not swing."""
+    rows = np.arange(400) / RATE
+    flight = replace(hover("a", 1.0), lin_vel=np.column_stack((3.0 * rows, np.zeros(400), np.zeros(400))))
+    load = LoadReplay([flight]).loads(model_of(0.1, 0.7, 0.0), [rows[:300]]).numpy()
+    lean = np.array([-3.0, 0.0, -G]) / np.hypot(3.0, G)
+    np.testing.assert_allclose(load[:, :3], np.tile(lean, (300, 1)), atol=2e-3)
+
+
+def test_a_still_load_is_felt_as_thrust_over_both_masses() -> None:
+    """Rotors that carry M g with a load m below: f = M g / (M + m) on z, and no torque about a centre of mass above it."""
+    flights = [hover("a", 1.0)]
+    predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+    found = predictor.predict(Point(effects={"slung_payload": np.array([0.15, 0.8, 0.0])}))[0]
+    np.testing.assert_allclose(found[:, :3], np.tile([0.0, 0.0, 0.6 * G / 0.75], (len(found), 1)), atol=1e-9)
+    np.testing.assert_allclose(found[:, 3:6], 0.0, atol=1e-9)
+
+
+def test_a_load_in_accelerations_is_that_of_the_simulator() -> None:
+    """Against the change of velocity over 1e-5 s of the coupled motion that it integrates: error of order 1e-5 of 100 /s."""
+    vehicle = vehicle_from_config(lopsided_robot(), num_envs=8, dtype=F64)
+    params = torch.tensor([0.3, 0.4, 0.02], dtype=F64).expand(8, -1)
+    model, state = build_model(vehicle, [(slung(), params)]), random_state(8)
+    generator = torch.Generator().manual_seed(1)
+    direction = torch.nn.functional.normalize(torch.randn(8, 3, dtype=F64, generator=generator), dim=-1)
+    rate = torch.randn(8, 3, dtype=F64, generator=generator)
+    load = torch.cat((direction, rate - (rate * direction).sum(-1, keepdim=True) * direction), dim=-1)
+    found = accelerations(model, state, load=load)
+    dt, law = 1e-5, _Held()
+    memory = place_load(model, make_memory(model, dt), load)
+    after, _ = advance_remembering(model, INTEGRATORS["rk4"], law, state, state.rotor_speed, dt, 1, memory)
+    turning = (after.ang_vel - state.ang_vel) / dt
+    torch.testing.assert_close(found.ang_acc, turning, atol=2e-2, rtol=1e-3)
+    felt = (after.lin_vel - state.lin_vel) / dt + torch.tensor([0.0, 0.0, G], dtype=F64)
+    torch.testing.assert_close(found.specific_force, quat_rotate_inverse(state.attitude, felt), atol=2e-2, rtol=1e-3)
+
+
+class _Held:
+    def rotor_command(self, state: BodyState, action: torch.Tensor) -> torch.Tensor:
+        del state
+        return action
+
+    def fused(self) -> None:
+        return None
+
+
+def test_a_rollout_carries_the_load_that_swings_in_the_flight() -> None:
+    """Rotors that carry vehicle and load: it stays; without the load it would rise by g m / M t² / 2."""
+    still = hover("a", 1.0)
+    assert still.rotor_speed is not None
+    lifted = replace(still, rotor_speed=still.rotor_speed * sqrt(0.75 / 0.6))
+    flights = [replace(lifted, name=name) for name in "ab"]
+    carried = Point(effects={"slung_payload": np.array([0.15, 0.8, 0.0])})
+    errors = [roll_out(ROBOT, flights, point, horizons=(0.5,)).position for point in (carried, Point())]
+    assert errors[0] is not None
+    assert errors[1] is not None
+    assert errors[0].max() < 1e-6
+    np.testing.assert_allclose(errors[1], G * 0.25 * 0.5**2 / 2.0, rtol=1e-6)
+
+
+def test_a_rollout_starts_with_the_swing_of_its_row() -> None:
+    """Beside a vehicle that speeds up at 3 m/s² the link leans back from the first step on, and pulls: -m a on x."""
+    rows = np.arange(400) / RATE
+    fast = np.column_stack((3.0 * rows, np.zeros(400), np.zeros(400)))
+    flight = replace(hover("a", 1.0), lin_vel=fast, position=np.column_stack((1.5 * rows**2, 0 * rows, 0 * rows)))
+    point = Point(effects={"slung_payload": np.array([0.15, 0.8, 0.0])})
+    errors = roll_out(ROBOT, [flight], point, horizons=(0.1,), given_attitude=True)
+    lean = np.array([-3.0, 0.0, -G]) / np.hypot(3.0, G)
+    # M a = F + M g + n m n . (g - a), and F = M g upwards: the load begins without a rate.
+    force = np.array([0.0, 0.0, 0.6 * G])
+    acc = np.linalg.solve(0.6 * np.eye(3) + 0.15 * np.outer(lean, lean), force) - np.array([0.0, 0.0, G])
+    expected = np.linalg.norm(acc - np.array([3.0, 0.0, 0.0])) * 0.1
+    assert errors.velocity is not None
+    np.testing.assert_allclose(errors.velocity[:, 0], expected, rtol=0.02)
+
+
+def test_fits_of_a_load_start_at_several_lengths_and_those_of_a_rotor_at_each() -> None:
+    robot = ROBOTS.get("tinyprop")
+    lengths = [start[1] for start in slung().starts(robot)]
+    assert lengths == sorted(lengths)
+    assert lengths[-1] / lengths[0] > 5.0
+    assert [start[0] for start in EFFECTS.get("weak_motor").starts(robot)] == [1.0, 2.0, 3.0, 4.0]
+    assert EFFECTS.get("gusts").starts(robot) == [EFFECTS.get("gusts").neutral(robot)]
+    for start in slung().starts(robot):
+        assert all(low < value < high for value, (low, high) in zip(start, slung().bounds(robot), strict=True))
+
+
+def test_a_load_cannot_be_followed_without_velocity() -> None:
+    bare = replace(hover("a", 1.0), lin_vel=None)
+    assert lacks_around("slung_payload", [bare]).startswith("a: without velocity or position")
