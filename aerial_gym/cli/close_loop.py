@@ -65,7 +65,7 @@ class CloseLoopCmd:
 
 
 def _print_verdict(verdict: "Verdict", out: Path) -> None:
-    from aerial_gym.sim2real.report import channel_rows, rollout_rows
+    from aerial_gym.sim2real.report_tables import channel_rows, rollout_rows
 
     console = Console(markup=False)
     console.print(f"{verdict.verdict}: {verdict.reason}")
@@ -74,7 +74,9 @@ def _print_verdict(verdict: "Verdict", out: Path) -> None:
             f"{key} = {value:.4g}" + (f" ± {1.96 * effect.std[key]:.2g}" if key in effect.std else " (not shown)")
             for key, value in effect.params.items()
         ]
-        console.print(f"  {effect.name}: {', '.join(parts)}; confidence {effect.confidence:.4g}")
+        console.print(
+            f"  {effect.name}: {', '.join(parts)}; confidence {effect.confidence:.4g}, inclusion {effect.inclusion:.0%}"
+        )
     after = verdict.after if verdict.effects else None
     table = Table(title="residual on the test flights (rms, 95 % interval)", box=None, pad_edge=False)
     for head in ("channel", "declared", "corrected", "change", "noise floor"):
@@ -89,6 +91,8 @@ def _print_verdict(verdict: "Verdict", out: Path) -> None:
         for row in rollout_rows(verdict, variant):
             table.add_row(row["quantity"], row["horizon"], row["before"], row["after"])
         console.print(table)
+    if verdict.manoeuvre is not None:
+        console.print(f"what would tell: {verdict.manoeuvre.text}")
     if verdict.not_testable:
         console.print(f"not testable: {', '.join(verdict.not_testable)}")
     console.print(f"written: {out}/report.html, report.md, verdict.json, robot.yaml, residuals.csv")

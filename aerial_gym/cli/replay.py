@@ -40,7 +40,7 @@ class ReplayCmd:
     def run(self) -> int:
         """Replay the flights and print the figures; return the exit status."""
         from aerial_gym.sim2real import replay
-        from aerial_gym.sim2real.report import channel_rows, interval
+        from aerial_gym.sim2real.report_tables import channel_rows, interval
         from aerial_gym.sim2real.rollout import QUANTITIES
 
         with progress_bar() as progress:

@@ -19,9 +19,13 @@ from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.battery import with_battery
+from aerial_gym.sim2real.breakdown import by_flight, where_it_acts
+from aerial_gym.sim2real.contribution import contributions
 from aerial_gym.sim2real.evaluation import evaluate
 from aerial_gym.sim2real.fit import best_step, params_of, scales, with_params
 from aerial_gym.sim2real.flights import Flight, load_flights
+from aerial_gym.sim2real.inclusion import inclusion
+from aerial_gym.sim2real.manoeuvre import Advice, Catalogue, showable, what_shows, what_tells
 from aerial_gym.sim2real.mapping import find_mapping
 from aerial_gym.sim2real.noise import noise_floor
 from aerial_gym.sim2real.prediction import KINEMATIC, Channel, Point, Predictor, declared_point, find_channels
@@ -32,7 +36,7 @@ from aerial_gym.sim2real.selection import Progress, Selection, select_effects
 from aerial_gym.sim2real.structure import Structure, find_structure
 from aerial_gym.sim2real.surroundings import check_around
 from aerial_gym.sim2real.tolerances import Tolerances
-from aerial_gym.sim2real.verdict import Verdict, decide, material_remains, named_effects
+from aerial_gym.sim2real.verdict import Verdict, decide, immaterial, material_remains, named_effects, tied_rivals
 
 Array = NDArray[np.float64]
 
@@ -186,6 +190,8 @@ def judge_flights(
         test=test,
     )
     final = rounded(robot, selection.final.fit.point, selection.accepted)
+    progress("selections on flights drawn again", 0.65)
+    included = inclusion(train_predictor, declared, selection, seed=seed)
     progress("rollouts of the declared and the corrected model", 0.7)
     floor = noise_floor(robot, test, final, channels, bandwidth=band)
     if floor is not None:
@@ -193,6 +199,17 @@ def judge_flights(
     before = evaluate(robot, test, test_predictor, declared, floor=floor, seed=seed)
     progress("rollouts of the corrected model", 0.85)
     after = evaluate(robot, test, test_predictor, final, floor=floor, seed=seed) if selection.accepted else before
+    progress("what each effect is worth", 0.93)
+    worth = contributions(
+        robot, test, (train_predictor, test_predictor), (declared, final), (before, after), selection, seed=seed
+    )
+    weight = selection.weights.weight
+    regimes = {
+        name: where_it_acts(test_predictor, declared, final, name, weight, after.floor, seed=seed)
+        for name in selection.accepted
+    }
+    named = named_effects(selection, included, worth, regimes)
+    manoeuvre, fly_next = what_to_fly(train_predictor, declared, selection)
     within = best_within_tolerances(robot, selection)
     left = test_predictor.residuals(within)
     rms = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
@@ -233,15 +250,20 @@ def judge_flights(
         notes.append(
             f"only {len(train)} training flights: intervals rest on blocks of time, not on the spread of flights"
         )
+    notes += immaterial(named)
     verdict = Verdict(
         verdict=kind,
         reason=reason,
-        effects=(*named_effects(selection), *found),
+        effects=(*named, *found),
         candidates=candidates,
         not_testable=not_testable(selection) | ({NAME: wind.untestable} if wind.untestable else {}),
+        manoeuvre=manoeuvre,
+        fly_next=fly_next,
+        inclusion=included,
         structure=structure,
         before=before,
         after=after,
+        flights=by_flight(test_predictor, declared, final, before, after, seed=seed),
         remains=remains,
         notes=tuple(notes),
     )
@@ -264,6 +286,16 @@ def judge_flights(
         test_predictor=test_predictor,
         verdict=verdict,
     )
+
+
+def what_to_fly(train: Predictor, declared: Point, selection: Selection) -> tuple[Advice | None, dict[str, Advice]]:
+    """Return the manoeuvre that tells tied candidates apart, and those that show what the flights do not."""
+    tied = {name: tied_rivals(name, selection) for name in selection.accepted}
+    hidden = showable(selection, train.robot, train.flights)
+    if not any(tied.values()) and not hidden:
+        return None, {}
+    catalogue = Catalogue(train, selection)
+    return what_tells(catalogue, selection, tied), what_shows(catalogue, selection, declared, hidden)
 
 
 def best_within_tolerances(robot: RobotCfg, selection: Selection) -> Point:

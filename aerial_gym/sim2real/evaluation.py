@@ -15,6 +15,9 @@ from aerial_gym.sim2real.rollout import QUANTITIES, RolloutErrors, roll_out
 
 Array = NDArray[np.float64]
 
+LEAST_GAP = 1.21
+"""There is something to close where the mean square is this many times the floor's: 10 % in rms."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
@@ -33,13 +36,22 @@ class Evaluation:
     rollout: dict[str, dict[str, dict[float, Rms]]]
     """Rms by variant, quantity and horizon [s]."""
 
-    def as_mapping(self) -> dict[str, object]:
-        """Return it for JSON."""
+    def gaps_closed(self, before: "Evaluation") -> list[float | None]:
+        """Return the share of what lay above the noise floor in each channel that this model takes away from another one's."""
+        floor = self.floor or (None,) * len(self.channels)
+        pairs = zip(before.residual, self.residual, floor, strict=True)
+        return [gap_closed(first.value, second.value, level) for first, second, level in pairs]
+
+    def as_mapping(self, *, before: "Evaluation | None" = None) -> dict[str, object]:
+        """Return it for JSON, with the share of the gap closed since ``before``."""
         result: dict[str, object] = {}
+        closed = None if before is None else self.gaps_closed(before)
         for place, (channel, rms) in enumerate(zip(self.channels, self.residual, strict=True)):
-            entry = rms.as_mapping()
+            entry: dict[str, object] = {**rms.as_mapping()}
             if self.floor is not None:
                 entry["noise_floor"] = self.floor[place]
+            if closed is not None:
+                entry["gap_closed"] = closed[place]
             kind = result.setdefault(channel.kind, {"unit": channel.unit})
             assert isinstance(kind, dict)
             kind[channel.axis] = entry
@@ -79,6 +91,19 @@ def evaluate(
         rollouts=rollouts,
         rollout={name: _rollout_rms(errors, seed) for name, errors in rollouts.items()},
     )
+
+
+def gap_closed(before: float, after: float, floor: float | None) -> float | None:
+    """Return the share of the closable gap that is closed, ``(b² - a²) / (b² - f²)``; None where there is none to close.
+
+    Args:
+        before: Residual (rms) of the declared model.
+        after: Of the corrected one.
+        floor: Noise floor (rms), or None where it is not known.
+    """
+    if floor is None or before**2 < LEAST_GAP * floor**2:
+        return None
+    return (before**2 - after**2) / (before**2 - floor**2)
 
 
 def time_groups(times: Sequence[Array]) -> NDArray[np.int64]:

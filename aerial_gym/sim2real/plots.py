@@ -3,6 +3,7 @@
 import base64
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import matplotlib
 
@@ -12,10 +13,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy import signal
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.evaluation import Evaluation
 from aerial_gym.sim2real.fit import effect_jacobian, scales
+from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.prediction import Channel, Point, Predictor
 from aerial_gym.sim2real.rollout import QUANTITIES
 
@@ -24,6 +27,28 @@ Array = NDArray[np.float64]
 BEFORE, AFTER, FLOOR = "#b0413e", "#2a6f97", "#888888"
 MOST_POINTS = 4000
 SHOWN_KINDS = ("specific_force", "angular_acceleration", "rotor_speed")
+
+
+BINS = 16
+"""Of a quantity against which a residual is drawn."""
+
+SEGMENT_S = 8.0
+"""Of a spectrum [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rest:
+    """What remains of one channel in one flight."""
+
+    flight: Flight
+    time: Array
+    """[s], (T,)."""
+
+    values: Array
+    """In body axes, (T,)."""
+
+    world: Array
+    """In world axes if it is a force, else the same, (T,)."""
 
 
 def png(figure: Figure) -> str:
@@ -58,14 +83,14 @@ def evidence(predictor: Predictor, point: Point, effect: str, neutral: Array) ->
 
     The slope of the line is the fitted value: a straight cloud is evidence, a round one is none.
     """
-    known = EFFECTS.get(effect).parameters
+    known = {k: parameter for k, parameter in enumerate(EFFECTS.get(effect).parameters) if parameter.kind == "number"}
     predicted = predictor.predict(point)
     jacobian = np.concatenate(effect_jacobian(predictor, point, (effect,), predicted))
     left = np.concatenate([m - p for m, p in zip(predictor.measured, predicted, strict=True)])
     change = (point.effects[effect] - neutral) / scales((effect,))
     figure = Figure(figsize=(3.4 * len(known), 3.0))
     axes = figure.subplots(1, len(known), squeeze=False)[0]
-    for k, (axis, parameter) in enumerate(zip(axes, known, strict=True)):
+    for axis, (k, parameter) in zip(axes, known.items(), strict=True):
         # The channel in which this parameter stands out most from what is left.
         place = int(np.argmax((jacobian[:, :, k] ** 2).mean(axis=0) / np.maximum((left**2).mean(axis=0), 1e-30)))
         _cloud(axis, predictor.channels[place], jacobian[:, place, k], left[:, place], change[k])
@@ -83,6 +108,76 @@ def _cloud(axis: Axes, channel: Channel, regressor: Array, left: Array, change: 
     axis.plot(ends, change * ends, color=AFTER, linewidth=1.5)
     axis.set_ylabel(f"{channel.kind.replace('_', ' ')} {channel.axis} [{channel.unit}]", fontsize=8)
     axis.tick_params(labelsize=7)
+
+
+def what_remains(parts: Sequence[Rest], channel: Channel) -> str:
+    """Return the spectrum of a rest, and its means against place, speed, time and voltage, flight by flight.
+
+    What all flights have alike is structure; what differs from flight to flight is noise.
+    """
+    known = [[against(part) for part in parts], [part.values for part in parts], [part.world for part in parts]]
+    titles = [title for title in known[0][0] if all(title in found for found in known[0])]
+    figure = Figure(figsize=(3.4 * 4, 2.6 * (1 + len(titles) // 4)))
+    axes = figure.subplots(1 + len(titles) // 4, 4, squeeze=False).ravel()
+    for part in parts:
+        rate = 1.0 / float(np.median(np.diff(part.time)))
+        length = min(part.values.size, round(SEGMENT_S * rate))
+        frequency, density = signal.welch(part.values, rate, nperseg=length, detrend="linear")
+        axes[0].semilogy(frequency[1:], np.sqrt(density[1:]), linewidth=0.7, alpha=0.7)
+    axes[0].set_xlabel("frequency [Hz]", fontsize=8)
+    axes[0].set_ylabel(f"{channel.unit} / √Hz", fontsize=8)
+    for axis, title in zip(axes[1:], titles, strict=False):
+        values = known[2] if title in PLACES else known[1]
+        _binned(axis, [found[title] for found in known[0]], values)
+        axis.set_xlabel(title, fontsize=8)
+        axis.set_ylabel(
+            f"{'world ' if title in PLACES and channel.kind == 'specific_force' else ''}[{channel.unit}]", fontsize=8
+        )
+    for axis in axes:
+        axis.tick_params(labelsize=7)
+    for axis in axes[1 + len(titles) :]:
+        axis.remove()
+    figure.suptitle(f"{channel.name}: a line per flight, thick: all together", fontsize=10)
+    figure.tight_layout()
+    return png(figure)
+
+
+PLACES = ("x [m]", "y [m]", "height [m]")
+
+
+def against(part: Rest) -> dict[str, Array]:
+    """Return the quantities against which a rest is drawn, as far as the log has them, each (T,)."""
+    rows, flight = np.round(part.time * part.flight.rate).astype(int), part.flight
+    found = {"time [s]": part.time}
+    if flight.position is not None:
+        found |= dict(zip(PLACES, flight.position[rows].T, strict=True))
+    if flight.lin_vel is not None:
+        found["speed [m/s]"] = np.linalg.norm(flight.lin_vel[rows], axis=1)
+    if flight.battery is not None and np.ptp(flight.battery[rows]) > 0.0:
+        found["voltage [V]"] = flight.battery[rows]
+    return found
+
+
+def _binned(axis: Axes, places: Sequence[Array], values: Sequence[Array]) -> None:
+    """Draw means over bins of equal count, a line per flight and a thick one of all."""
+    edges = np.unique(np.quantile(np.concatenate(places), np.linspace(0.0, 1.0, BINS + 1)))
+    if edges.size < 3:
+        return
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    together = np.concatenate(places), np.concatenate(values)
+    for place, value in (*zip(places, values, strict=True), together):
+        thick = place is together[0]
+        index = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, middle.size - 1)
+        count = np.bincount(index, minlength=middle.size)
+        mean = np.bincount(index, weights=value, minlength=middle.size) / np.maximum(count, 1)
+        axis.plot(
+            middle[count > 4],
+            mean[count > 4],
+            linewidth=2.0 if thick else 0.7,
+            alpha=1.0 if thick else 0.6,
+            color=AFTER if thick else None,
+        )
+    axis.axhline(0.0, color="black", linewidth=0.4)
 
 
 def residual_bars(before: Evaluation, after: Evaluation | None) -> str:

@@ -114,7 +114,8 @@ def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: flo
 
 def _write(folder: Path, result: Replay) -> None:
     from aerial_gym.sim2real import plots  # matplotlib is slow to import
-    from aerial_gym.sim2real.report import VARIANTS, channel_rows, interval, render, write_residuals
+    from aerial_gym.sim2real.report import VARIANTS, render, write_residuals
+    from aerial_gym.sim2real.report_tables import channel_rows, interval
     from aerial_gym.sim2real.rollout import QUANTITIES
 
     text = json.dumps(result.as_mapping(), indent=1, ensure_ascii=False, allow_nan=False)

@@ -11,14 +11,33 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real import plots
 from aerial_gym.sim2real.evaluation import Evaluation
-from aerial_gym.sim2real.intervals import Rms
-from aerial_gym.sim2real.prediction import Channel, Point, Predictor
-from aerial_gym.sim2real.rollout import QUANTITIES
-from aerial_gym.sim2real.selection import Selection, Trial
+from aerial_gym.sim2real.prediction import KINEMATIC, Channel, Point, Predictor
+from aerial_gym.sim2real.report_tables import (
+    channel_rows,
+    flight_rows,
+    number,
+    parameter_rows,
+    regime_rows,
+    rival_rows,
+    rollout_rows,
+    trial_rows,
+    worth_rows,
+)
+from aerial_gym.sim2real.selection import Selection
+from aerial_gym.sim2real.structure import world_forces
 from aerial_gym.sim2real.verdict import MEANINGS
 
 if TYPE_CHECKING:
     from aerial_gym.sim2real.close_loop import Analysis
+
+SHOWN_RIVALS = 3
+"""The others are folded away."""
+
+MOST_MODELS = 5
+"""Sets of effects that are told of those chosen on flights drawn again."""
+
+MOST_REMAINING = 3
+"""Channels of which the rest is drawn."""
 
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -56,16 +75,6 @@ def render(name: str, context: dict[str, object]) -> str:
     return environment.get_template(f"{name}.j2").render(context)
 
 
-def number(value: float, digits: int = 3) -> str:
-    """Return a number for people: three significant digits."""
-    return "–" if not np.isfinite(value) else f"{value:.{digits}g}"
-
-
-def interval(rms: Rms) -> str:
-    """Return a value with its 95 % interval."""
-    return f"{number(rms.value)} [{number(rms.low)}, {number(rms.high)}]"
-
-
 def report_context(analysis: "Analysis") -> dict[str, object]:
     """Return everything that the templates show."""
     verdict, selection = analysis.verdict, analysis.selection
@@ -80,117 +89,74 @@ def report_context(analysis: "Analysis") -> dict[str, object]:
         "test": [flight.name for flight in analysis.test],
         "effects": parameter_rows(analysis),
         "channels": channel_rows(verdict.before, after),
+        "worth": worth_rows(verdict),
+        "regimes": regime_rows(verdict),
+        "flights": flight_rows(verdict) if after else [],
+        "models": list(verdict.inclusion.models.items())[:MOST_MODELS],
+        "resamples": verdict.inclusion.resamples,
+        "least": selection.criteria.material,
+        "shown_rivals": SHOWN_RIVALS,
         "rollouts": [
             {"title": text, "driven_by": verdict.before.rollouts[name].driven_by, "rows": rollout_rows(verdict, name)}
             for name, text in VARIANTS.items()
             if name in verdict.before.rollout
         ],
         "rounds": [trial_rows(trials, analysis.channels) for trials in selection.rounds],
-        "rivals": {name: trial_rows(selection.rivals[name], analysis.channels) for name in selection.accepted},
+        "rivals": rival_rows(verdict),
         "criteria": vars(selection.criteria),
         "tolerances": vars(analysis.train_predictor.tolerances),
         "figures": figures(analysis, after, shown),
     }
 
 
-def parameter_rows(analysis: "Analysis") -> list[dict[str, object]]:
-    """Return one row per parameter of the accepted effects."""
-    rows = []
-    for effect in analysis.verdict.effects:
-        declared = analysis.robot.effects.get(effect.name, {})
-        neutral = EFFECTS.get(effect.name).neutral(analysis.robot)
-        for place, parameter in enumerate(EFFECTS.get(effect.name).parameters):
-            value, std = effect.params[parameter.name], effect.std.get(parameter.name)
-            rows.append(
-                {
-                    "effect": effect.name,
-                    "parameter": parameter.name,
-                    "unit": parameter.unit,
-                    "declared": declared.get(parameter.name, neutral[place]),
-                    "value": value,
-                    "low": None if std is None else value - 1.96 * std,
-                    "high": None if std is None else value + 1.96 * std,
-                    "confidence": effect.confidence,
-                }
-            )
-    return rows
-
-
-def channel_rows(before: Evaluation, after: Evaluation | None) -> list[dict[str, object]]:
-    """Return one row per channel."""
-    rows = []
-    for place, channel in enumerate(before.channels):
-        first = before.residual[place]
-        second = None if after is None else after.residual[place]
-        rows.append(
-            {
-                "name": f"{channel.kind.replace('_', ' ')} {channel.axis} [{channel.unit}]",
-                "before": interval(first),
-                "after": "–" if second is None else interval(second),
-                "change": "–" if second is None else f"{100.0 * (second.value / first.value - 1.0):+.0f} %",
-                "floor": "–" if before.floor is None else number(before.floor[place]),
-            }
-        )
-    return rows
-
-
-def rollout_rows(verdict: object, variant: str) -> list[dict[str, str]]:
-    """Return one row per quantity and horizon."""
-    before, after = verdict.before.rollout[variant], verdict.after.rollout[variant]  # type: ignore[attr-defined]
-    return [
-        {
-            "quantity": f"{quantity} [{QUANTITIES[quantity]}]",
-            "horizon": f"{horizon:g}",
-            "before": interval(rms),
-            "after": interval(after[quantity][horizon]),
-        }
-        for quantity, horizons in before.items()
-        for horizon, rms in horizons.items()
-    ]
-
-
-def trial_rows(trials: Sequence[Trial], channels: Sequence[Channel]) -> list[dict[str, str]]:
-    """Return one row per trial: what it explained of which residual, and why it was or was not accepted."""
-    rows = []
-    passed = next((trial.effect for trial in trials if not trial.objections), None)
-    for trial in trials:
-        gain = trial.gain
-        outcome = "; ".join(trial.objections) or ("best" if trial.effect == passed else "passes, but scores less")
-        best = None if gain is None else int(np.argmax(gain.falls))
-        rows.append(
-            {
-                "effect": trial.effect,
-                "score": "–" if gain is None else f"{gain.score:.0f}",
-                "share": "–" if gain is None or best is None else f"{explained(gain.falls[best]):.0%}",
-                "channel": "–" if best is None else channels[best].name,
-                "flights": "–" if gain is None else f"{gain.flights_better:.0%}",
-                "probability": "–" if gain is None else f"{trial.probability:.1e}",
-                "objections": outcome,
-            }
-        )
-    return rows
-
-
-def explained(fall: float) -> float:
-    """Return the share of a mean square that a relative fall of the rms takes away."""
-    return max(0.0, 1.0 - (1.0 - fall) ** 2)
-
-
-def figures(analysis: "Analysis", after: Evaluation | None, shown: Sequence[str]) -> list[dict[str, str]]:
-    """Return the figures of the page."""
+def figures(analysis: "Analysis", after: Evaluation | None, shown: Sequence[str]) -> dict[str, list[dict[str, str]]]:
+    """Return the figures of the page, by its sections."""
     before, final = analysis.verdict.before, analysis.final if after is not None else None
-    kinds = dict.fromkeys(channel.kind for channel in analysis.channels)
-    found = [{"title": "Before and after", "image": plots.residual_bars(before, after)}]
-    for variant, title in VARIANTS.items():
-        if variant in before.rollout:
-            found.append({"title": title, "image": plots.rollout_bars(before, after, variant)})
+    evidence = []
     for effect in shown:
         point, neutral = evidence_point(analysis.selection, effect, analysis)
         image = plots.evidence(analysis.train_predictor, point, effect, neutral)
-        found.append({"title": f"Evidence for {effect}", "image": image})
-    for kind in kinds:
-        image = plots.residuals_over_time(analysis.test_predictor, analysis.declared, final, kind)
-        found.append({"title": f"Residual of the {kind.replace('_', ' ')}", "image": image})
+        evidence.append({"title": f"Evidence for {effect}", "image": image})
+    bars = [{"title": "Residuals before and after", "image": plots.residual_bars(before, after)}]
+    bars += [
+        {"title": title, "image": plots.rollout_bars(before, after, variant)}
+        for variant, title in VARIANTS.items()
+        if variant in before.rollout
+    ]
+    rest = [
+        {"title": f"What remains of the {channel.name.replace('_', ' ')}", "image": plots.what_remains(parts, channel)}
+        for channel, parts in remaining(analysis)
+    ]
+    kinds = dict.fromkeys(channel.kind for channel in analysis.channels)
+    over_time = [
+        {
+            "title": f"Residual of the {kind.replace('_', ' ')} over time",
+            "image": plots.residuals_over_time(analysis.test_predictor, analysis.declared, final, kind),
+        }
+        for kind in kinds
+    ]
+    return {"evidence": evidence, "bars": bars, "rest": rest, "over_time": over_time}
+
+
+def remaining(analysis: "Analysis") -> list[tuple[Channel, list[plots.Rest]]]:
+    """Return what the corrected model leaves of the channels that matter: those named, else the farthest above its floor."""
+    channels, after, found = analysis.channels, analysis.verdict.after, []
+    dynamic = [place for place, channel in enumerate(channels) if channel.kind not in KINEMATIC]
+    named = [place for place in dynamic if channels[place].name in analysis.verdict.remains]
+    floor = after.floor or (1.0,) * len(channels)
+    above = {place: after.residual[place].value / max(floor[place], 1e-300) for place in named or dynamic}
+    order = sorted(above, key=lambda place: -above[place])
+    left = [
+        (predictor, predictor.residuals(analysis.final))
+        for predictor in (analysis.train_predictor, analysis.test_predictor)
+    ]
+    for place in order[: MOST_REMAINING if named else 1]:
+        parts = []
+        for predictor, residuals in left:
+            for flight, time, residual in zip(predictor.flights, predictor.times, residuals, strict=True):
+                turned = world_forces(flight, time, residual, channels)
+                parts.append(plots.Rest(flight=flight, time=time, values=residual[:, place], world=turned[:, place]))
+        found.append((channels[place], parts))
     return found
 
 

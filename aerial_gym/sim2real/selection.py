@@ -187,13 +187,16 @@ class _Selector:
             current = self.prune(chosen[0].scored, newest={trial.effect for trial in chosen})
             current = self.within_bounds(self.linearise_tolerances(current))
         untestable = {t.effect: t.objections[0] for t in rounds[-1] if t.scored is None and t.glance is None}
+        rivals = {name: self.weigh_rivals(name, current) for name in current.effects}
+        for trial in (trial for trials in rivals.values() for trial in trials):
+            untestable.pop(trial.effect, None)  # hidden only beside the effect that it could replace
         return Selection(
             declared=declared,
             final=current,
             accepted=current.effects,
             acceptance=acceptance,
             rounds=tuple(rounds),
-            rivals={name: self.weigh_rivals(name, current, set(untestable)) for name in current.effects},
+            rivals=rivals,
             not_testable=untestable,
             left_out=self.left_out,
             weights=self.weights,
@@ -377,15 +380,13 @@ class _Selector:
                 scored = less
         return scored
 
-    def weigh_rivals(self, name: str, final: Scored, untestable: set[str]) -> tuple[Trial, ...]:
+    def weigh_rivals(self, name: str, final: Scored) -> tuple[Trial, ...]:
         """Return every other effect in the place of an accepted one, best first.
 
         Their gain is over the final model; its chance: that the final model is no better than they are.
         """
         less, trials = self.without(final, name), []
-        others = [
-            n for n in self.candidates if n not in final.effects and n not in untestable and n not in self.lacking
-        ]
+        others = [n for n in self.candidates if n not in final.effects and n not in self.lacking]
         for trial in self.try_each(others, less):
             if trial.scored is not None:
                 gain = self.left_out.gain(final.left_out, trial.scored.left_out)

@@ -60,7 +60,7 @@ def find_structure(
     """Return the strongest kind of structure in the chosen channels; ``none`` unless two flights agree on it."""
     if len(flights) < 2 or not chosen:
         return Structure()
-    world = [_world_forces(f, t, r, channels) for f, t, r in zip(flights, times, residuals, strict=True)]
+    world = [world_forces(f, t, r, channels) for f, t, r in zip(flights, times, residuals, strict=True)]
     found = [Structure()]
     place = [_place_features(f, t) for f, t in zip(flights, times, strict=True)]
     motion = [_motion(f, t) for f, t in zip(flights, times, strict=True)]
@@ -80,7 +80,7 @@ def find_structure(
     return best if best.share >= LEAST_SHARE else Structure()
 
 
-def _world_forces(flight: Flight, time: Array, residual: Array, channels: Sequence[Channel]) -> Array:
+def world_forces(flight: Flight, time: Array, residual: Array, channels: Sequence[Channel]) -> Array:
     """Return the residual with its forces turned into world axes, (T, C)."""
     force = [place for place, channel in enumerate(channels) if channel.kind == "specific_force"]
     if len(force) != 3:

@@ -3,14 +3,19 @@
 The mapping for ``verdict.json`` is a contract (DESIGN.md, section 4). Letters: C channels.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.breakdown import Part, Regime
+from aerial_gym.sim2real.contribution import LEAST_SCORE, Contribution, told_apart
 from aerial_gym.sim2real.evaluation import Evaluation
 from aerial_gym.sim2real.fit import is_number, params_of, scales
+from aerial_gym.sim2real.inclusion import LEAST_SHOWN, Inclusion
+from aerial_gym.sim2real.manoeuvre import Advice
 from aerial_gym.sim2real.selection import Selection, Trial
 from aerial_gym.sim2real.structure import Structure
 
@@ -45,6 +50,15 @@ class NamedEffect:
     confidence: float
     """Probability that it is this effect: one minus the larger chance of no effect and of the best rival."""
 
+    inclusion: float | None = None
+    """Share of resampled flights in which it is chosen; None for a random effect, which is not selected among others."""
+
+    contribution: Contribution | None = None
+    """What becomes worse without it, and its rivals; None likewise."""
+
+    regime: Regime | None = None
+    """Before and after where it acts; None likewise."""
+
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
         interval = {
@@ -52,6 +66,7 @@ class NamedEffect:
             for key, value in self.params.items()
             if key in self.std
         }
+        worth, regime = self.contribution, self.regime
         return {
             "name": self.name,
             "params": self.params,
@@ -60,7 +75,11 @@ class NamedEffect:
             "noise_std": self.noise_std,
             "frozen": list(self.frozen),
             "confidence": self.confidence,
-            "material": True,
+            "inclusion": self.inclusion,
+            "material": worth is None or worth.material,
+            "without_it": worth and worth.as_mapping(),
+            "where_it_acts": regime and regime.as_mapping(),
+            "rival": worth.rivals[0].as_mapping() if worth and worth.rivals else None,
         }
 
 
@@ -95,9 +114,21 @@ class Verdict:
     not_testable: dict[str, str]
     """Effects that the flights cannot show, and why."""
 
+    manoeuvre: Advice | None
+    """What tells tied candidates apart; None if there are none."""
+
+    fly_next: dict[str, Advice]
+    """What shows effects that flights of this vehicle can show and these do not."""
+
+    inclusion: Inclusion
+    """Of every effect, on flights drawn again."""
+
     structure: Structure
     before: Evaluation
     after: Evaluation
+    flights: dict[str, list[Part]]
+    """Before and after on each test flight."""
+
     remains: tuple[str, ...]
     """Channels with material structure after the correction."""
 
@@ -114,16 +145,25 @@ class Verdict:
             "candidates": list(self.candidates),
             "not_testable": list(self.not_testable),
             "not_testable_because": self.not_testable,
+            "manoeuvre": None if self.manoeuvre is None else self.manoeuvre.as_mapping(),
+            "fly_next": {name: advice.as_mapping() for name, advice in self.fly_next.items()},
+            "inclusion": {name: share for name, share in self.inclusion.effects.items() if share >= LEAST_SHOWN},
             "structure": self.structure.as_mapping(),
             "remains": list(self.remains),
             "before": self.before.as_mapping(),
-            "after": self.after.as_mapping(),
+            "after": self.after.as_mapping(before=self.before),
+            "flights": {
+                name: {part.quantity: {"before": part.before.value, "after": part.after.value} for part in parts}
+                for name, parts in self.flights.items()
+            },
             "notes": list(self.notes),
         }
 
 
-def named_effects(selection: Selection) -> tuple[NamedEffect, ...]:
-    """Return the accepted effects with parameters, spread and confidence."""
+def named_effects(
+    selection: Selection, included: Inclusion, contributions: dict[str, Contribution], regimes: dict[str, Regime]
+) -> tuple[NamedEffect, ...]:
+    """Return the accepted effects with parameters, spread and confidence, and with what was found out about them after."""
     fit, spread = selection.final.fit, selection.final.spread
     values, scale = params_of(fit.point, fit.effects), scales(fit.effects)
     std = dict(zip(fit.free_effects.tolist(), spread.std, strict=True))
@@ -139,9 +179,23 @@ def named_effects(selection: Selection) -> tuple[NamedEffect, ...]:
                 noise_std={key: float(noise[k] * scale[k]) for key, k in own.items() if k in noise},
                 frozen=tuple(key for key, k in own.items() if k not in std and is_number(*fit.owners[k])),
                 confidence=_confidence(name, selection),
+                inclusion=included.effects.get(name, 0.0),
+                contribution=contributions[name],
+                regime=regimes[name],
             )
         )
     return tuple(found)
+
+
+def immaterial(effects: Sequence[NamedEffect]) -> list[str]:
+    """Return a note for each effect whose absence is hardly seen on the test flights."""
+    found = [(effect.name, effect.contribution) for effect in effects if effect.contribution is not None]
+    return [
+        f"{name} is real but immaterial: without it no residual and no rollout error of the test flights rises by "
+        f"{worth.least:.0%}; it may be left out of the robot file"
+        for name, worth in found
+        if not worth.material
+    ]
 
 
 def serious_rivals(name: str, selection: Selection) -> list[Trial]:
@@ -152,17 +206,17 @@ def serious_rivals(name: str, selection: Selection) -> list[Trial]:
 def _confidence(name: str, selection: Selection) -> float:
     own = selection.acceptance[name]
     doubts = [own.probability, own.gain.chance if own.gain else 1.0]
-    doubts += [
-        trial.gain.chance for trial in serious_rivals(name, selection) if trial.gain and trial.num_free <= own.num_free
-    ]
+    for trial in serious_rivals(name, selection):
+        if trial.gain and trial.num_free <= own.num_free:
+            doubts.append(trial.gain.chance if trial.gain.score < -LEAST_SCORE else max(trial.gain.chance, 0.5))
     return float(min(1.0 - max(doubts), MOST_CONFIDENT))
 
 
 def tied_rivals(name: str, selection: Selection) -> list[str]:
     """Return the registered effects that cannot be told from an accepted one, and are as simple."""
-    limit, size = selection.criteria.rival_significance, selection.acceptance[name].num_free
-    rivals = [t for t in serious_rivals(name, selection) if t.gain and t.num_free <= size]
-    return [t.effect for t in rivals if t.gain and t.gain.chance > limit]
+    size = selection.acceptance[name].num_free
+    rivals = [trial for trial in serious_rivals(name, selection) if trial.gain and trial.num_free <= size]
+    return [trial.effect for trial in rivals if not told_apart(trial, selection)]
 
 
 def material_remains(rms: Array, floor: Array | None, tolerated: Array) -> NDArray[np.bool_]:

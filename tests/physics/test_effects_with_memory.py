@@ -30,7 +30,6 @@ from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.memory import begin_substep, end_substep, forget, load_of, make_memory
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
-from aerial_gym.sim2real.selection import lacks
 from tests.physics.swing import fly_remembering
 from tests.physics.test_effects import effects_of, still
 from tests.physics.test_rigid_body import SpeedControl
@@ -422,12 +421,6 @@ def test_a_model_without_such_effects_remembers_nothing() -> None:
     backend.allocate(model_of({"rotor_drag": {"dx": 0.1, "dy": 0.1, "dz": 0.1}}, 2), Straight(), integrator="rk4")
     backend.step(state, torch.full((2, 4), 800.0, dtype=F64), 0.01, 2)
     assert backend._memory is None
-
-
-def test_flights_are_not_asked_for_effects_that_rows_cannot_show() -> None:
-    for name in ("gusts", "slung_payload", "ceiling_effect", "downwash"):
-        assert lacks(name, lopsided_robot(), []).startswith("not looked for in flights")
-    assert not lacks("ground_effect", lopsided_robot(), [])
 
 
 def simulator(

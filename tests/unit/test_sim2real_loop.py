@@ -13,6 +13,7 @@ from aerial_gym.cli.main import main
 from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real import close_loop, replay
 from aerial_gym.sim2real.prediction import Channel
 from aerial_gym.sim2real.runtime import whole_folder
@@ -21,6 +22,7 @@ from aerial_gym.sim2real.verdict import material_remains
 from tests.unit.flat_flights import ROBOT, flight, write
 
 DRAG = 0.25
+SECTIONS = ("effects", "evidence", "rivals", "before-after", "next", "rest", "data")
 OUTPUTS = {"verdict.json", "robot.yaml", "report.html", "report.md", "residuals.csv", "run.json"}
 
 
@@ -50,6 +52,7 @@ def test_the_verdict_names_the_hidden_drag(result: Path) -> None:
         low, high = effect["interval"][axis]
         assert low < DRAG < high
     assert 0.99 < effect["confidence"] < 1.0
+    assert effect["inclusion"] == verdict["inclusion"]["rotor_drag"] == 1.0
     assert effect["material"] is True
     untold = {"motor_time_constant", "motor_asymmetry", "actuation_delay", "battery_sag"}
     untold |= {"ground_effect", "ceiling_effect", "downwash"}
@@ -63,8 +66,52 @@ def test_the_verdict_names_the_hidden_drag(result: Path) -> None:
         assert low < after["specific_force"][axis]["rms"] < high
     for horizon in ("0.1", "0.5", "1", "2"):
         assert set(after["rollout"][horizon]) == {"position", "velocity", "attitude"}
+        assert after["specific_force"][axis]["gap_closed"] > 0.95
     error = [model["rollout_given_attitude"]["1"]["velocity"]["rms"] for model in (before, after)]
     assert error[1] < 0.5 * error[0]
+
+
+def test_the_verdict_says_what_the_effect_is_worth(result: Path) -> None:
+    """One effect alone: the model without it is the declared one, so that its contribution is before over after."""
+    verdict = json.loads((result / "verdict.json").read_text())
+    (effect,) = verdict["effects"]
+    for horizon in ("0.5", "1"):
+        before, after = (verdict[model]["rollout"][horizon]["velocity"]["rms"] for model in ("before", "after"))
+        assert effect["without_it"]["rollout"][horizon]["velocity"]["rises"] == pytest.approx(before / after - 1.0)
+    assert effect["without_it"]["residual"]["channel"].startswith("specific_force")
+    rival = effect["rival"]
+    assert rival["name"] in EFFECTS
+    assert rival["name"] != "rotor_drag"
+    assert rival["score"] < 0.0 < rival["instead_of"] < 1.0
+    assert rival["explains"] < rival["instead_of"]
+    assert rival["because"]
+    acts = effect["where_it_acts"]
+    kind, axis = acts["channel"].split(".")
+    assert acts["before"]["rms"] > 1.2 * verdict["before"][kind][axis]["rms"]  # drag acts at speed
+    assert acts["gap_closed"] > 0.95
+    parts = verdict["flights"]["f3"]
+    assert parts["specific force"]["after"] < 0.5 * parts["specific force"]["before"]
+    assert parts["velocity after 1 s"]["after"] < parts["velocity after 1 s"]["before"]
+
+
+def test_two_effects_that_only_forces_show_are_told_apart_by_no_manoeuvre(tmp_path: Path) -> None:
+    """Without a gyro, thrust over mass is all that flights show: which of both it is stays open, and the verdict says so."""
+    (tmp_path / "robot.yaml").write_text(dump_yaml(ROBOT))
+    for seed in range(3):
+        table = flight(40 + seed, thrust_scale=0.9, noise=1.0, seconds=6.0, rate=100.0)
+        write(table.drop(columns=["omega_x", "omega_y", "omega_z"]), tmp_path / f"f{seed}.csv")
+    close_loop(
+        tmp_path / "robot.yaml", [tmp_path / "f0.csv", tmp_path / "f1.csv"], [tmp_path / "f2.csv"], tmp_path / "out"
+    )
+    verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
+    assert verdict["verdict"] == "ambiguous"
+    assert {"thrust_coefficient", "payload_mass"} <= set(verdict["candidates"])
+    advice = verdict["manoeuvre"]
+    assert {"thrust_coefficient", "payload_mass"} <= set(advice["tells"])
+    assert advice["fly"] is None
+    assert advice["expected_score_per_10s"] < 3.0
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "no manoeuvre of the catalogue is expected to tell" in page
 
 
 def test_the_corrected_robot_loads_and_leaves_nothing_to_find(result: Path, folder: Path) -> None:
@@ -84,6 +131,11 @@ def test_the_reports_stand_alone(result: Path) -> None:
     page = (result / "report.html").read_text()
     assert page.count("data:image/png;base64,") >= 5
     assert "http" not in page.replace("http-equiv", "")
+    assert len(page) < 2e6
+    places = [page.index(f'id="{part}"') for part in SECTIONS]
+    assert places == sorted(places)
+    assert "gap closed" in page
+    assert "What remains of the" in page
     assert "rotor_drag" in (result / "report.md").read_text()
     table = pd.read_csv(result / "residuals.csv")
     assert set(table["set"]) == {"train", "test"}

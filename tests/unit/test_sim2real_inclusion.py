@@ -1,0 +1,131 @@
+"""How often an effect is chosen when flights are drawn again: against the selection's own statistics where nothing is drawn,
+and against effects whose strength is known."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from aerial_gym.sim2real.candidates import Candidate, Library
+from aerial_gym.sim2real.fit import Fit
+from aerial_gym.sim2real.inclusion import RESAMPLES, draw_blocks
+from aerial_gym.sim2real.linear_selection import LinearSelector
+from aerial_gym.sim2real.moments import Weighting, block_moments
+from aerial_gym.sim2real.prediction import Channel, Point
+from aerial_gym.sim2real.scoring import Criteria, LeftOut
+from aerial_gym.sim2real.uncertainty import uncertainty, wald_probability
+
+ROWS, RATE, CHANNELS = 360, 30.0, 2
+EFFECT = "rotor_drag"
+
+
+def made(
+    rng: np.random.Generator, truth: np.ndarray, *, flights: int = 5, low: float = -np.inf, tolerated: float = 0.0
+) -> tuple[Library, LeftOut]:
+    """Return candidates with one column each and one tolerance; residual ``J truth + white noise``, unit weights."""
+    columns = truth.size + 1
+    jacobians = [rng.standard_normal((ROWS, CHANNELS, columns)) for _ in range(flights)]
+    residuals = [j[:, :, :-1] @ truth + rng.standard_normal((ROWS, CHANNELS)) for j in jacobians]
+    times = [np.arange(ROWS) / RATE] * flights
+    candidates = tuple(
+        Candidate(name=f"effect_{k}", named=k == 0, columns=np.array([k]), low=np.array([low]), high=np.array([np.inf]))
+        for k in range(truth.size)
+    )
+    moments = block_moments(times, residuals, jacobians)
+    left_out = LeftOut(
+        moments=moments,
+        weights=Weighting(variance=np.ones(CHANNELS), effective=np.ones(CHANNELS)),
+        criteria=Criteria(),
+        channels=tuple(Channel(kind="specific_force", axis=axis) for axis in "xy"),
+        tolerated=np.full(CHANNELS, tolerated),
+    )
+    return Library(candidates=candidates, moments=moments, tolerances=np.array([columns - 1])), left_out
+
+
+def selector(library: Library, left_out: LeftOut) -> LinearSelector:
+    selection = SimpleNamespace(criteria=left_out.criteria, weights=left_out.weights, left_out=left_out)
+    return LinearSelector(library, selection)  # type: ignore[arg-type]
+
+
+def chosen(library: Library, left_out: LeftOut, seed: int = 0) -> list[tuple[int, ...]]:
+    return selector(library, left_out).select(draw_blocks(left_out.fold, np.random.default_rng(seed)))
+
+
+@pytest.mark.parametrize("flights", [1, 5])
+@pytest.mark.parametrize("size", [0.0, 0.2, 0.33, 0.6])
+def test_undrawn_flights_are_judged_as_the_selection_judges_them(size: float, flights: int) -> None:
+    """With every block once, squares and verdict are those of ``LeftOut`` and of the Wald test, to rounding."""
+    for seed in range(6):
+        library, left_out = made(np.random.default_rng(seed), np.array([size]), flights=flights)
+        fit = Fit(
+            effects=(EFFECT,),
+            point=Point(effects={EFFECT: np.zeros(3)}),
+            moments=library.moments,
+            low=np.full(2, -np.inf),
+            high=np.full(2, np.inf),
+            num_effect_params=1,
+            frozen=frozenset({(EFFECT, 1), (EFFECT, 2)}),
+        )
+        spread = uncertainty(fit, left_out.weights.weight)
+        squares = left_out.squares(fit)
+        gain = left_out.gain(library.moments.square, squares)
+        stands_out = wald_probability(spread.step[:1], spread) <= left_out.criteria.significance
+        once, linear = np.ones((1, left_out.fold.size)), selector(library, left_out)
+        found = linear.squares((0,), once)
+        np.testing.assert_allclose(found[0], squares, rtol=1e-9)
+        passes = linear.passes(linear.squares((), once), found, once, (0,), 0)
+        assert bool(passes[0]) == (stands_out and not left_out.objections(gain))
+
+
+def test_a_clear_effect_is_always_chosen_an_absent_one_never_and_one_at_the_limit_sometimes() -> None:
+    """A column of unit variance takes ``1 - 1 / sqrt(1 + size²)`` off the residual: 5 % at size 0.33, the limit."""
+    share = {}
+    for size in (0.0, 0.33, 1.0):
+        models = chosen(*made(np.random.default_rng(3), np.array([size, 0.0]), flights=8))
+        assert len(models) == RESAMPLES
+        assert not any(1 in model for model in models)
+        share[size] = np.mean([0 in model for model in models])
+    assert share[0.0] == 0.0
+    assert 0.05 < share[0.33] < 0.95
+    assert share[1.0] == 1.0
+
+
+def test_of_two_effects_both_are_chosen_and_the_same_seed_chooses_the_same() -> None:
+    library, left_out = made(np.random.default_rng(4), np.array([1.0, 0.8, 0.0]))
+    models = chosen(library, left_out)
+    assert {tuple(sorted(model)) for model in models} == {(0, 1)}
+    limit = made(np.random.default_rng(3), np.array([0.33]), flights=8)
+    assert chosen(*limit, seed=5) == chosen(*limit, seed=5) != chosen(*limit, seed=6)
+
+
+def test_a_step_against_a_bound_and_one_that_tolerances_hide_are_not_chosen() -> None:
+    """The step of -1 may go to -0.6 at most; and what falls by 1 m/s² counts only if tolerances cause less than 2."""
+    truth = np.array([-1.0])
+    assert not any(chosen(*made(np.random.default_rng(6), truth, low=-0.6)))
+    assert not any(chosen(*made(np.random.default_rng(6), truth, tolerated=2.5)))
+    assert all(chosen(*made(np.random.default_rng(6), truth, tolerated=0.5)))
+
+
+def test_the_simplest_of_equals_is_chosen() -> None:
+    """A candidate that has the cause and a useless column beside it loses to the cause alone, but for chance at one in 100."""
+    library, left_out = made(np.random.default_rng(8), np.array([1.0, 0.0]))
+    both = Candidate(name="family", named=False, columns=np.array([0, 1]), low=np.full(2, -9.0), high=np.full(2, 9.0))
+    wide = Library(candidates=(both, library.candidates[0]), moments=library.moments, tolerances=library.tolerances)
+    models = chosen(wide, left_out)
+    assert set(models) <= {(0,), (1,)}
+    assert np.mean([model == (1,) for model in models]) > 0.95
+
+
+def test_few_flights_are_drawn_with_their_blocks_and_many_are_drawn_whole() -> None:
+    rng = np.random.default_rng(0)
+    few, many = np.repeat(np.arange(3), 8), np.repeat(np.arange(6), 8)
+    draws = draw_blocks(few, rng)
+    assert draws.shape == (RESAMPLES, 24)
+    assert (draws.sum(axis=1) == 24).all()
+    by_flight = draws.reshape(-1, 3, 8).sum(axis=2)
+    assert set(np.unique(by_flight)) == {0.0, 8.0, 16.0}
+    assert ((by_flight > 0).sum(axis=1) >= 2).all()
+    assert (draws.reshape(-1, 3, 8).std(axis=2) > 0).any()
+    whole = draw_blocks(many, rng).reshape(-1, 6, 8)
+    assert (whole == whole[:, :, :1]).all()
+    assert set(np.unique(whole)) <= set(range(6))
