@@ -53,7 +53,13 @@ ROBOTS.register(
     "crazyflie_2x_arpl",
     replace(
         _CRAZYFLIE,
-        summary="crazyflie_21 with the rotor offsets that the ARPL flights declare",
+        summary="crazyflie_21 as the ARPL flights declare it: their rotor offsets, and rotors that follow at once",
+        rotor=replace(
+            _CRAZYFLIE.rotor,
+            time_constant_up=0.01,
+            time_constant_down=0.01,
+            source=f"{_CRAZYFLIE.rotor.source} Here the lag is 0.01 s, ASSUMED: the flights were flown to find it.",
+        ),
         mounts=replace(
             _CRAZYFLIE.mounts,
             layout=tuple(

@@ -63,6 +63,15 @@ class FlightLog:
     collective: bool = False
     """Whether all rotors share one command: it says nothing about torques."""
 
+    lift_off: float = 0.0
+    """Up to this above the lowest place of the flight the vehicle stands on the ground [m]; 0: it never stands."""
+
+    hover_above: float | None = None
+    """Commanded speeds are to be scaled to the thrust measured above this height [m], world; None: they are not."""
+
+    torques: bool = True
+    """Whether the log shows what torques do."""
+
     battery: Array | None = None
     """Voltage [V], (T,)."""
 
@@ -77,6 +86,9 @@ class FlightLog:
 
     ceiling_height: float | None = None
     """World z of the ceiling [m]."""
+
+    wind: tuple[float, float, float] | None = None
+    """Steady wind that was known to whoever flew [m/s], world."""
 
     notes: tuple[str, ...] = ()
     """What was done to the log, for the report."""
@@ -129,13 +141,18 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None) -> F
     _require(values, layout, list(table.columns), str(path))
     battery = values.pop("battery", None)
     heights = {name: _height(values.pop(name), layout, name, str(path)) for name in HEIGHTS if name in values}
+    wind = _known_wind(Path(path), layout, notes)
     command, companion = layout.rotor_command, _companion(Path(path), layout, time, notes)
     return FlightLog(
         path=str(path),
         time=time,
         battery=None if battery is None else battery[:, 0],
         collective=command is not None and command.repeat > 1,
+        lift_off=layout.lift_off_m,
+        hover_above=layout.hover_above_m,
+        torques=layout.torques,
         attitude_integrated=integrated,
+        wind=wind,
         notes=tuple(notes),
         **{"other_position": companion, **heights, **_to_package_frames(values, layout)},
     )
@@ -198,6 +215,21 @@ def _companion(path: Path, layout: LogMapping, time: Array, notes: list[str]) ->
         notes.append(f"position of the other vehicle from {partner.name}")
         return place
     return None
+
+
+def _known_wind(path: Path, layout: LogMapping, notes: list[str]) -> tuple[float, float, float] | None:
+    """Return the wind that the layout declares for a file of this name [m/s], world ENU; None if it declares none."""
+    found = [text for text in layout.wind if text in path.stem]
+    if len(found) > 1:
+        raise DataError(f"{path}: the mapping declares the wind of {' and of '.join(found)}; make the texts differ")
+    if not found:
+        if layout.wind:
+            notes.append("the mapping declares no wind for a file of this name: taken as still air")
+        return None
+    x, y, z = layout.wind[found[0]]
+    wind = (y, x, -z) if layout.world_frame == "ned" else (x, y, z)
+    notes.append(f"declared wind ({', '.join(f'{speed:g}' for speed in wind)}) m/s, world")
+    return wind
 
 
 def _read_table(path: Path, layout: LogMapping) -> pd.DataFrame:

@@ -29,6 +29,10 @@ DERIVED_BAND = 0.2
 """Derivatives that stand in for a missing sensor are low-passed at this share of the rate."""
 
 
+FEWEST_HIGH = 10
+"""At least one row of so many must lie where commands are scaled to the measured thrust."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Flight:
     """One flight at equal time steps; world ENU, body FLU, SI."""
@@ -90,6 +94,12 @@ class Flight:
     ceiling_height: float | None = None
     """World z of the ceiling [m]; None if the log does not say."""
 
+    standing: NDArray[np.bool_] | None = None
+    """Rows in which the vehicle stands on the ground, which are not compared, (T,); None: it never stands."""
+
+    wind: tuple[float, float, float] | None = None
+    """Steady wind that was known to whoever flew [m/s], world; None: still air as far as is known."""
+
     @property
     def num_rows(self) -> int:
         """Number of rows T."""
@@ -131,7 +141,8 @@ def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None
     check_quaternion_norm(log)
     log = uniform_log(mend_holds(log))
     notes = check_log(log, robot)
-    return complete_flight(align_rotor_log(with_velocity(log), robot, bandwidth), notes)
+    log = align_rotor_log(with_velocity(log), robot, bandwidth)
+    return complete_flight(match_hover_thrust(log, robot), notes)
 
 
 def with_velocity(log: FlightLog) -> FlightLog:
@@ -163,6 +174,29 @@ def align_rotor_log(log: FlightLog, robot: RobotCfg, bandwidth: float) -> Flight
     return shift_rotor_log(log, rotor_log_lead(log.specific_force[:, 2], thrust, known, rate, band))
 
 
+def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
+    """Return the log with commanded speeds scaled to the mean thrust measured away from the ground, if its mapping asks for it.
+
+    ``mean sum_r T(s w_r) = m mean f_z`` is solved for s, for rotors along body z.
+
+    Raises:
+        DataError: If the log lacks what this needs.
+    """
+    if log.hover_above is None or log.rotor_command is None:
+        return log
+    if log.position is None or log.specific_force is None:
+        raise DataError(f"{log.path}: to scale commands above {log.hover_above:g} m it needs position and acc")
+    high = log.position[:, 2] > log.hover_above
+    speed, (c0, c1, c2) = log.rotor_command[high], robot.rotor.thrust_map
+    if len(speed) * FEWEST_HIGH < log.time.size or not np.any(speed):
+        raise DataError(f"{log.path}: hardly flies above {log.hover_above:g} m, where its commands are to be scaled")
+    weight = robot.body.mass * float(log.specific_force[high, 2].mean()) - speed.shape[1] * c0
+    linear, square = c1 * speed.sum(axis=1).mean(), c2 * (speed**2).sum(axis=1).mean()
+    scale = float((-linear + np.sqrt(max(linear**2 + 4.0 * square * weight, 0.0))) / (2.0 * square))
+    note = f"commanded speeds scaled by {scale:.4f} to the thrust measured above {log.hover_above:g} m"
+    return replace(log, rotor_command=scale * log.rotor_command, notes=(*log.notes, note))
+
+
 def complete_flight(log: FlightLog, notes: Sequence[str] = ()) -> Flight:
     """Return the flight with specific force and angular velocity derived where the log lacks them."""
     rate, said = rate_of(log), [*log.notes, *notes]
@@ -179,6 +213,12 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = ()) -> Flight:
         said.append("angular velocity derived from attitude; angular acceleration is not compared")
     if log.collective:
         said.append("one command for all rotors: angular acceleration is not compared")
+    if not log.torques:
+        said.append("the mapping says that these logs do not show torques: angular acceleration is not compared")
+    standing = None
+    if log.lift_off > 0.0 and log.position is not None:
+        standing = log.position[:, 2] <= log.position[:, 2].min() + log.lift_off
+        said.append(f"stands on the ground in {standing.mean():.0%} of the rows; they are not compared")
     return Flight(
         name=log.name,
         path=log.path,
@@ -189,7 +229,7 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = ()) -> Flight:
         lin_vel=log.lin_vel,
         ang_vel=ang_vel,
         attitude_integrated=log.attitude_integrated,
-        gyro=log.ang_vel is not None and not log.collective,
+        gyro=log.ang_vel is not None and log.torques and not log.collective,
         specific_force=specific_force,
         accelerometer=log.specific_force is not None,
         rotor_speed=log.rotor_speed,
@@ -198,5 +238,7 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = ()) -> Flight:
         other_position=log.other_position,
         ground_height=log.ground_height,
         ceiling_height=log.ceiling_height,
+        standing=standing,
+        wind=log.wind,
         notes=tuple(said),
     )

@@ -155,16 +155,21 @@ class LinearSelector:
         fall = 1.0 - np.sqrt(after / np.maximum(before, 1e-300))
         seen = (before - after) / rows[:, None] > (rules.visible * self.tolerated) ** 2
         passes = (probability <= rules.left_out_significance) & ((fall * seen).max(axis=1) >= rules.material)
-        better, harmed, weight = np.zeros(len(draws)), np.zeros(before.shape), np.zeros(len(draws))
+        harmed, weight = np.zeros(before.shape), np.zeros(len(draws))
+        better, changed = [], []
         for label in np.unique(self.fold):
             own = draws * (self.fold == label)
             drawn, count = own.sum(axis=1), np.maximum(own @ self.moments.count, 1.0)
             one, other = self._totals(less, own), self._totals(more, own)
-            score = (self.weights.effective * np.log(np.maximum(one, 1e-300) / np.maximum(other, 1e-300))).sum(axis=1)
-            better += drawn * (score > 0.0)
+            ratio = np.log(np.maximum(one, 1e-300) / np.maximum(other, 1e-300))
+            better.append(drawn * ((self.weights.effective * ratio).sum(axis=1) > 0.0))
+            changed.append(drawn * (np.abs(ratio) > 2.0 * np.log1p(rules.harmless)).any(axis=1))
             harmed += drawn[:, None] * self._rises(one / count[:, None], other / count[:, None])
             weight += drawn
-        passes &= better >= rules.flights_better * weight
+        few = (np.array(changed) > 0.0).sum(axis=0) < 2
+        judged = np.where((np.array(changed) > 0.0) | few, 1.0, 0.0)
+        drawn = np.where(few, weight, np.sum(changed, axis=0))
+        passes &= (judged * better).sum(axis=0) >= rules.flights_better * drawn
         if harm:
             passes &= ~self._rises(before / rows[:, None], after / rows[:, None]).any(axis=1)
             passes &= harmed.max(axis=1) <= (1.0 - rules.flights_better) * weight

@@ -5,7 +5,7 @@ A mapping is a YAML file. The layout of this package is one itself, ``mappings/a
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 
 from aerial_gym.config import load
@@ -134,6 +134,20 @@ class LogMapping:
     """Text in the name of a file, and what stands in its place in that of another vehicle flown at the same time on the same
     clock: its position becomes ``other_position``."""
 
+    wind: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    """Text in the name of a file, and the steady wind [m/s], world, that was known in that flight, as in a wind tunnel."""
+
+    lift_off_m: float = 0.0
+    """The vehicle stands in rows that are no more than this above the lowest place of its flight [m]: they are not compared,
+    for the ground pushes as well. 0: it never stands."""
+
+    hover_above_m: float | None = None
+    """Where given, the commanded speeds of each flight are scaled so that the declared thrust is the measured one on average in
+    rows higher than this [m], world: for commands whose thrust differs from vehicle to vehicle and with the battery."""
+
+    torques: bool = True
+    """Whether these logs show what torques do; false where gyro or commands were logged too slowly: forces alone count."""
+
     lacks: str = ""
     """What these logs do not have and what follows, one sentence: it stands in the notes and in the message of a refusal."""
 
@@ -161,6 +175,14 @@ class LogMapping:
             quantity = getattr(self, name)
             if quantity is not None and len(quantity.columns) != count:
                 raise ConfigError(f"LogMapping.{name}.columns = {quantity.columns!r}: must name {count} columns")
+
+        if self.hover_above_m is not None and not isfinite(self.hover_above_m):
+            raise ConfigError(f"LogMapping.hover_above_m = {self.hover_above_m!r}: must be finite")
+        if not 0.0 <= self.lift_off_m < inf:
+            raise ConfigError(f"LogMapping.lift_off_m = {self.lift_off_m!r}: must be >= 0 and finite")
+        for text, wind in self.wind.items():
+            if not all(isfinite(speed) for speed in wind):
+                raise ConfigError(f"LogMapping.wind.{text} = {wind!r}: must be finite")
 
     def quantities(self) -> dict[str, ColumnsCfg]:
         """Return the mapped quantities by field name, time first."""

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
+from scipy import ndimage, signal
 from scipy.optimize import nnls
 
 from aerial_gym.config.robot import RobotCfg
@@ -51,8 +51,10 @@ def _floor_of(
 ) -> Array | None:
     wide = WIDE_BAND * flight.rate
     predictor = Predictor(robot, [flight], bandwidth=wide, channels=channels, tolerances=Tolerances(), every_row=True)
-    residual = predictor.residuals(point)[0]
+    residual = predictor.residuals(point)[0][longest_flight(flight, predictor.times[0], bandwidth)]
     length = min(residual.shape[0], round(SEGMENT_S * flight.rate))
+    if length < 2:
+        return None
     frequency, density = signal.welch(residual, flight.rate, nperseg=length, detrend="linear", axis=0)
     chosen = (frequency >= FIT_FROM * bandwidth) & (frequency <= FIT_TO * flight.rate)
     if chosen.sum() < FEWEST_LINES:
@@ -66,6 +68,19 @@ def _floor_of(
         level, growth = _level_and_growth(line, square[chosen])
         floors.append(np.sqrt((below * (level + growth * square)).sum() * spacing))
     return np.array(floors)
+
+
+def longest_flight(flight: Flight, time: Array, bandwidth: float) -> slice:
+    """Return the rows at these times [s] of the longest span between touches of the ground; all if the vehicle never stands."""
+    if flight.standing is None:
+        return slice(None)
+    near = 2 * round(flight.rate / bandwidth) + 1
+    stood = ndimage.maximum_filter1d(flight.standing, near)[np.round(time * flight.rate).astype(int)]
+    edges = np.flatnonzero(np.diff(np.concatenate(([True], stood, [True]))))
+    if edges.size == 0:
+        return slice(0, 0)
+    longest = int(np.argmax(edges[1::2] - edges[::2]))
+    return slice(int(edges[2 * longest]), int(edges[2 * longest + 1]))
 
 
 def _level_and_growth(density: Array, square: Array) -> tuple[float, float]:

@@ -16,12 +16,14 @@ from itertools import pairwise
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy import ndimage
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics import EFFECTS, BodyState, Vehicle, accelerations, build_model, vehicle_from_config
+from aerial_gym.physics.effects import WindEffect
 from aerial_gym.physics.model import STANDARD_GRAVITY, Model
 from aerial_gym.sim2real.checks import body_rate_of
 from aerial_gym.sim2real.flights import Flight
@@ -41,6 +43,9 @@ PREFILTER = 0.35
 
 SAMPLES_PER_BAND = 3.0
 """Residuals are kept at this many times the bandwidth."""
+
+FAR_ABOVE = np.array([0.0, 0.0, 1e3])
+"""Where a vehicle is taken to be whose log has no position [m], world: away from the ground."""
 
 SETTLE_S = 0.5
 """Dropped at the start where rotor speeds are simulated from commands [s]."""
@@ -147,6 +152,16 @@ def expand_model(model: Model, rows: int) -> Model:
     )
 
 
+def with_known_wind(model: Model, flights: Sequence[Flight], flight: NDArray[np.int64]) -> Model:
+    """Return the model in the wind that was known in the flight of each row, on top of its own; ``flight`` is (E,)."""
+    if all(f.wind is None for f in flights):
+        return model
+    known = torch.tensor([f.wind or (0.0, 0.0, 0.0) for f in flights], dtype=torch.float64)
+    steady = EFFECTS.get("constant_wind")
+    assert isinstance(steady, WindEffect)
+    return replace(model, winds=(*model.winds, (steady, known[torch.from_numpy(flight)])))
+
+
 class Predictor:
     """Measured channels of some flights, and the predictions of any model for them."""
 
@@ -174,6 +189,7 @@ class Predictor:
         self._state = {name: torch.cat([state[name] for state in states]) for name in states[0]}
         ends = np.cumsum([0, *(state["attitude"].shape[0] for state in states)])
         self._spans = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+        self._flight = np.repeat(np.arange(len(flights)), np.diff(ends))
         self._row_times = [flight.time[::stride] for flight, stride in zip(flights, self._stride, strict=True)]
         others = [other_at(f, np.arange(0, f.num_rows, s)) for f, s in zip(flights, self._stride, strict=True)]
         rows = [state["attitude"].shape[0] for state in states]
@@ -236,6 +252,7 @@ class Predictor:
             return {}
         one = build_model(vehicle, self._effects(point, 1), **self._heights, other_position=self._other)
         model = expand_model(one, self._state["attitude"].shape[0])
+        model = with_known_wind(model, self.flights, self._flight)
         if self._measured_speed is None or self._measured_spin_up is None:
             assert speeds is not None
             replayed = [(i, s) for i, s in enumerate(speeds) if s is not None]
@@ -301,7 +318,12 @@ class Predictor:
         edge = edge_rows(flight.rate, self.bandwidth)
         start = edge if flight.rotor_command is None else max(edge, round(SETTLE_S * flight.rate))
         step = 1 if every_row else stride * max(1, int(flight.rate / stride / (SAMPLES_PER_BAND * self.bandwidth)))
-        return np.arange(-(-start // step) * step, flight.num_rows - edge, step)
+        rows = np.arange(-(-start // step) * step, flight.num_rows - edge, step)
+        if flight.standing is None or every_row:  # a spectrum needs all of them
+            return rows
+        near = max(1, round(flight.rate / self.bandwidth))  # the low-pass spreads a touch over a period
+        touched = np.asarray(ndimage.maximum_filter1d(flight.standing, 2 * near + 1), dtype=bool)
+        return rows[np.logical_not(touched[rows])]
 
     def _state_rows(self, index: int) -> dict[str, Tensor]:
         attitude = self._thin(index, "attitude")
@@ -314,7 +336,10 @@ class Predictor:
 
     def _thin(self, index: int, name: str) -> Tensor:
         values = getattr(self.flights[index], name)
-        return self._thin_values(index, np.zeros((self.flights[index].num_rows, 3)) if values is None else values)
+        if values is None:
+            unknown = FAR_ABOVE if name == "position" else np.zeros(3)
+            values = np.tile(unknown, (self.flights[index].num_rows, 1))
+        return self._thin_values(index, values)
 
     def _derivative(self, index: int, name: str) -> Tensor:
         """Return the derivative of a quantity at the rows of a flight, (E, any); zeros where the log lacks it."""

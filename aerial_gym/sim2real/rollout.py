@@ -21,7 +21,7 @@ from aerial_gym.physics.effects.actuation_delay import LONGEST as LONGEST_DELAY
 from aerial_gym.physics.memory import Memory, make_memory, place_load
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.load_replay import LoadReplay
-from aerial_gym.sim2real.prediction import Point, expand_rows
+from aerial_gym.sim2real.prediction import Point, expand_rows, with_known_wind
 from aerial_gym.sim2real.rotor_commands import mean_commands
 from aerial_gym.sim2real.surroundings import heights, other_at
 
@@ -97,13 +97,21 @@ class _Straight:
 
 
 def find_windows(flights: Sequence[Flight], horizons: Sequence[float]) -> Windows:
-    """Return the starts of windows that fit the longest horizon, in every flight that is long enough."""
+    """Return the starts of windows that fit the longest horizon, in every flight that is long enough.
+
+    No window holds a row in which the vehicle stands.
+    """
     spans = [max(0.0, float(f.time[-1]) - max(horizons) - STEP_S) for f in flights]
     every = max(WINDOW_EVERY_S, sum(spans) / MOST_WINDOWS)
     parts, cluster = [], 0
     for index, (flight, span) in enumerate(zip(flights, spans, strict=True)):
         starts = np.arange(FIRST_WINDOW_S, span, every)
         rows = np.round(starts * flight.rate).astype(int)
+        if flight.standing is not None:
+            stood = np.concatenate(([0], np.cumsum(flight.standing)))
+            last = np.minimum(rows + round((max(horizons) + STEP_S) * flight.rate) + 1, flight.num_rows)
+            clear = stood[last] == stood[rows]
+            starts, rows = starts[clear], rows[clear]
         groups = (starts / CLUSTER_S).astype(int)
         parts.append((np.full(rows.size, index), rows, groups + cluster))
         cluster += int(groups[-1]) + 1 if rows.size else 0
@@ -192,7 +200,8 @@ class _Run:
         used = {name: p for name, p in point.effects.items() if commanded or EFFECTS.get(name).acts_on != "actuation"}
         effects = [(EFFECTS.get(n), torch.from_numpy(np.asarray(p)).expand(members.size, -1)) for n, p in used.items()]
         around = heights([flights[index] for index in self._flight], [1] * members.size)
-        self._model = replace(build_model(vehicle, effects, **around), delays=(), commands=())  # they have acted
+        model = replace(build_model(vehicle, effects, **around), delays=(), commands=())  # they have acted
+        self._model = with_known_wind(model, flights, self._flight)
 
     def errors(self, horizons: Sequence[float], *, given_attitude: bool) -> dict[str, Array]:
         """Return the errors of each quantity, (W, horizons)."""

@@ -77,7 +77,7 @@ class Gain:
     """Probability that it is chance."""
 
     flights_better: float
-    """Share of the flights that are predicted better."""
+    """Share of the flights that are predicted better, among those in which anything changes."""
 
     falls: tuple[float, ...]
     """Relative fall of the residual (rms) of each channel, over all flights."""
@@ -131,7 +131,9 @@ class LeftOut:
         folds = [self.fold == part for part in np.unique(self.fold)]
         blocks = (0.5 * count[:, None] * effective * _log_ratio(less, more)).sum(axis=1)
         spread = blocks.std(ddof=1) / np.sqrt(blocks.size) if blocks.size > 1 else np.inf
-        totals = [self._score(less[part], more[part], count[part]) for part in folds]
+        concerned = [part for part in folds if self._changes(less[part], more[part])]
+        judged = concerned if len(concerned) > 1 else folds
+        totals = [self._score(less[part], more[part], count[part]) for part in judged]
         rises = [self._rises(less[part], more[part], count[part]) for part in folds]
         fallen = (less - more).sum(axis=0) / count.sum()
         return Gain(
@@ -168,6 +170,12 @@ class LeftOut:
     def _score(self, less: Array, more: Array, count: Array) -> float:
         samples = count.sum() * self.weights.effective
         return float((0.5 * samples * _log_ratio(less.sum(axis=0), more.sum(axis=0))).sum())
+
+    def _changes(self, less: Array, more: Array) -> bool:
+        """Return whether squares (B, C) differ in any channel by more than is harmless: still air shows no drag."""
+        return bool(
+            np.any(np.abs(_log_ratio(less.sum(axis=0), more.sum(axis=0))) > 2.0 * np.log1p(self.criteria.harmless))
+        )
 
     def _rises(self, less: Array, more: Array, count: Array) -> NDArray[np.bool_]:
         """Return in which channels squares (B, C) rise by more than is harmless and than tolerances may cause, (C,)."""

@@ -18,6 +18,7 @@ from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.sim2real.flights import Flight
 
 NEEDED = {
+    "position": "a position (columns p_x, p_y, p_z)",
     "lin_vel": "velocity or position (a load swings as its vehicle moves)",
     "ceiling_height": "the height of the ceiling (column ceiling_z; a high one where there is none)",
     "other_position": "the position of the other vehicle (columns other_p_x, other_p_y, other_p_z, or its own log)",

@@ -208,6 +208,12 @@ def test_ground_effect_stops_growing_half_a_radius_above_the_ground() -> None:
         near(found[2:3], [4 * THRUST / 3.0])
 
 
+def test_ground_effect_doubles_the_thrust_at_most() -> None:
+    """For k = 30 at one radius the formula would have k (R / 4 h)² = 1.875, past its pole; the gain is one thrust more."""
+    found = wrench_of({"ground_effect": {"k": 30.0}}, hovering(position=[0.0, 0.0, RADIUS]))
+    near(found[2:3], [4 * THRUST])
+
+
 def test_ground_effect_raises_the_lower_side() -> None:
     """Rolled by +a the side at -y is lower; more thrust there rights it: tau_x < 0."""
     attitude = quat_from_euler(torch.tensor([0.2, 0.0, 0.0], dtype=F64)).tolist()

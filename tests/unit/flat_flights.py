@@ -54,12 +54,15 @@ def flight(
     seed: int,
     *,
     drag: float = 0.0,
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
     thrust_scale: float = 1.0,
     noise: float = 0.0,
     seconds: float = 12.0,
     rate: float = 200.0,
 ) -> pd.DataFrame:
-    """Return the log of a flight with linear drag [N s/m] along all axes, in the contract's columns without commands.
+    """Return the log of a flight with linear drag [N s/m] along all axes through a wind [m/s], world.
+
+    In the columns of the contract, without commands.
 
     ``noise`` scales: accelerometer 0.05 m/s², gyro 0.003 rad/s, rotors 0.3 %.
     """
@@ -67,7 +70,9 @@ def flight(
     time = np.arange(round(seconds * rate)) / rate
     place, velocity, acceleration = sines(time, rng, (0.7, 0.7, 0.4), slow=0.2)
     heading = 1.5 * time * rng.choice((-0.3, 0.3)) + sines(time, rng, (0.5,), slow=0.1)[0][:, 0]
-    force = body.mass * (acceleration + GRAVITY) + drag * velocity  # what the rotors give, world: drag is isotropic
+    force = body.mass * (acceleration + GRAVITY) + drag * (
+        velocity - wind
+    )  # what the rotors give, world: drag is isotropic
     up = force / np.linalg.norm(force, axis=1, keepdims=True)
     ahead = np.stack((np.cos(heading), np.sin(heading), np.zeros_like(heading)), axis=1)
     left = np.cross(up, ahead)

@@ -128,7 +128,7 @@ def test_mass_and_thrust_are_not_told_by_forces_at_all_and_by_turns_only_as_far_
 def test_what_has_not_shown_is_shown_by_what_excites_it(catalogue: Catalogue) -> None:
     """Drag and lift by speed, rotor inertia by turns, none of them by hover; nothing is advised that no log can show."""
     robot = replace(ROBOT, rotor=replace(ROBOT.rotor, radius=0.0635))
-    hidden = SimpleNamespace(not_testable={"ground_effect": "", "battery_sag": ""}, accepted=())
+    hidden = SimpleNamespace(not_testable={"ground_effect": ""}, accepted=())
     assert showable(hidden, robot, []) == ["ground_effect"]  # type: ignore[arg-type]
     assert showable(hidden, ROBOT, []) == []  # type: ignore[arg-type]
     selection = SimpleNamespace(final=SimpleNamespace(fit=SimpleNamespace(point=Point()), effects=()), rivals={})

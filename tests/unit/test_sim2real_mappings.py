@@ -13,6 +13,7 @@ from aerial_gym.errors import ConfigError, DataError, MissingDependencyError
 from aerial_gym.sim2real.flight_log import FlightLog, read_flight_log
 from aerial_gym.sim2real.flights import load_flight
 from aerial_gym.sim2real.mapping import LogMapping, find_mapping, mapping_names
+from aerial_gym.sim2real.prediction import find_channels
 from aerial_gym.sim2real.signals import uniform_log
 from aerial_gym.sim2real.ulog import topics_table
 from tests.unit.flat_flights import ROBOT, flight, write
@@ -105,6 +106,77 @@ def test_the_other_vehicle_comes_from_its_own_file_and_its_gaps_stay(table: pd.D
     assert np.isnan(log.other_position[-1]).all()
     assert "position of the other vehicle from swap_two.csv" in log.notes
     assert read(table, tmp_path, mapping, "alone.csv").other_position is None
+
+
+def test_logs_that_are_too_slow_for_torques_are_compared_in_forces(table: pd.DataFrame, tmp_path: Path) -> None:
+    rotors, path = {"columns": ["rotor_{n}"]}, write(table, tmp_path / "a.csv")
+    for torques in (True, False):
+        mapping = layout(rotor_speed=rotors, specific_force={"columns": ["acc_x", "acc_y", "acc_z"]}, torques=torques)
+        flown = load_flight(path, ROBOT, mapping=mapping, bandwidth=5.0)
+        kinds = {channel.kind for channel in find_channels([flown])}
+        assert kinds == {"specific_force", *(("angular_acceleration", "kinematic_rate") if torques else ())}
+        assert any("do not show torques" in note for note in flown.notes) is not torques
+
+
+def test_the_known_wind_comes_by_the_name_of_the_file(table: pd.DataFrame, tmp_path: Path) -> None:
+    """In north, east, down a wind of (1, 2, 3) blows 2 m/s to the east, 1 to the north, 3 down."""
+    mapping = layout(rotor_speed={"columns": ["rotor_{n}"]}, wind={"fan_on": [-4.2, 0, 0], "calm": [0, 0, 0]})
+    log = read(table, tmp_path, mapping, "run1_fan_on.csv")
+    assert log.wind == (-4.2, 0.0, 0.0)
+    assert "declared wind (-4.2, 0, 0) m/s, world" in log.notes
+    path = write(table, tmp_path / "calm.csv")
+    assert load_flight(path, ROBOT, mapping=mapping, bandwidth=5.0).wind == (0.0, 0.0, 0.0)
+    other = read(table, tmp_path, mapping, "run2.csv")
+    assert other.wind is None
+    assert "the mapping declares no wind for a file of this name: taken as still air" in other.notes
+    ned = layout(rotor_speed={"columns": ["rotor_{n}"]}, wind={"run": [1, 2, 3]}, world_frame="ned")
+    assert read(table, tmp_path, ned, "run2.csv").wind == (2.0, 1.0, -3.0)
+    with pytest.raises(DataError, match=r"declares the wind of fan_on and of calm; make the texts differ"):
+        read(table, tmp_path, mapping, "calm_fan_on.csv")
+    with pytest.raises(ConfigError, match=r"LogMapping.wind.run = .*: must be finite"):
+        layout(wind={"run": [1.0, float("nan"), 0.0]})
+
+
+def test_commands_are_scaled_to_the_thrust_measured_above_a_height(table: pd.DataFrame, tmp_path: Path) -> None:
+    """Commands that are 10 % too high come back as the speeds flown, whatever stands in the rows below."""
+    flown = table[["rotor_1", "rotor_2", "rotor_3", "rotor_4"]].to_numpy()
+    above = float(table["p_z"].quantile(0.4))
+    high = (table["p_z"] > above).to_numpy()[:, None]
+    for number in range(4):
+        table = table.assign(**{f"cmd_{number + 1}": np.where(high[:, 0], 1.1, 0.7) * flown[:, number]})
+    fields = {
+        "rotor_command": {"columns": ["cmd_{n}"]},
+        "position": {"columns": ["p_x", "p_y", "p_z"]},
+        "specific_force": {"columns": ["acc_x", "acc_y", "acc_z"]},
+    }
+    path = write(table, tmp_path / "a.csv")
+    scaled = load_flight(path, ROBOT, mapping=layout(hover_above_m=above, **fields), bandwidth=5.0)
+    assert scaled.rotor_command is not None
+    np.testing.assert_allclose(scaled.rotor_command, np.where(high, 1.0, 0.7 / 1.1) * flown, rtol=1e-3)
+    assert any("commanded speeds scaled by 0.909" in note for note in scaled.notes)
+    as_logged = load_flight(path, ROBOT, mapping=layout(**fields), bandwidth=5.0)
+    assert as_logged.rotor_command is not None
+    np.testing.assert_allclose(as_logged.rotor_command[0], table.loc[0, ["cmd_1", "cmd_2", "cmd_3", "cmd_4"]].tolist())
+    with pytest.raises(DataError, match=r"hardly flies above 90 m"):
+        load_flight(path, ROBOT, mapping=layout(hover_above_m=90.0, **fields), bandwidth=5.0)
+    blind = {key: value for key, value in fields.items() if key != "position"}
+    with pytest.raises(DataError, match=r"it needs position and acc"):
+        load_flight(path, ROBOT, mapping=layout(hover_above_m=above, **blind), bandwidth=5.0)
+    with pytest.raises(ConfigError, match=r"hover_above_m = inf: must be finite"):
+        layout(hover_above_m=float("inf"))
+
+
+def test_rows_on_the_ground_are_told_from_the_height(table: pd.DataFrame, tmp_path: Path) -> None:
+    fields = {"rotor_speed": {"columns": ["rotor_{n}"]}, "position": {"columns": ["p_x", "p_y", "p_z"]}}
+    path = write(table, tmp_path / "a.csv")
+    found = load_flight(path, ROBOT, mapping=layout(lift_off_m=0.1, **fields), bandwidth=5.0)
+    assert found.standing is not None
+    lowest = float(table["p_z"].min())
+    np.testing.assert_array_equal(found.standing, table["p_z"].to_numpy() <= lowest + 0.1)
+    assert f"stands on the ground in {found.standing.mean():.0%} of the rows; they are not compared" in found.notes
+    assert load_flight(path, ROBOT, mapping=layout(**fields), bandwidth=5.0).standing is None
+    with pytest.raises(ConfigError, match=r"lift_off_m = -0.1: must be >= 0"):
+        layout(lift_off_m=-0.1)
 
 
 @pytest.mark.parametrize(

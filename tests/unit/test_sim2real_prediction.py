@@ -51,6 +51,81 @@ def test_drag_that_was_flown_is_predicted_by_the_effect_and_by_nothing_else(tmp_
     assert np.abs(withdrag[:, :3]).max() < 0.02
 
 
+def test_a_known_wind_is_flown_through_in_residuals_and_rollouts(tmp_path: Path) -> None:
+    """Drag in a wind of 4 m/s: nothing is left where the wind is known; where not, a push of d |wind| / m and its path."""
+    wind, drag = np.array([-3.2, 2.4, 0.0]), 0.15
+    blind = load(tmp_path, drag=drag, wind=tuple(wind))
+    told = replace(blind, wind=tuple(wind))
+    point = declared_point(ROBOT).with_effect("rotor_drag", np.full(3, drag))
+    assert np.abs(residual(told, point)[:, :3]).max() < 0.02
+    push = drag * np.linalg.norm(wind) / ROBOT.body.mass
+    left = np.linalg.norm(residual(blind, point)[:, :3], axis=1)
+    np.testing.assert_allclose(left, push, atol=0.03)
+    still = load(tmp_path)  # the wind of one flight is not that of another
+    channels = find_channels([still, told])
+    both = Predictor(ROBOT, [still, told], bandwidth=BAND, channels=channels, tolerances=Tolerances())
+    np.testing.assert_allclose(both.residuals(point)[1], residual(told, point), atol=1e-9)
+    known, unknown = (roll_out(ROBOT, [f], point, horizons=(1.0,), given_attitude=True) for f in (told, blind))
+    assert known.position is not None
+    assert unknown.position is not None
+    assert known.position.max() < 0.02
+    rate = drag / ROBOT.body.mass
+    expected = push / rate**2 * (rate + np.exp(-rate) - 1.0)  # of a push against linear drag, after 1 s
+    np.testing.assert_allclose(unknown.position[:, 0], expected, atol=0.03)
+
+
+def test_rows_on_the_ground_are_not_compared_nor_flown_over(tmp_path: Path) -> None:
+    """Rows within a period of the band of a touch are left out, and windows of 1 s clear of it; other rows are as they were."""
+    found = load(tmp_path)
+    standing = np.zeros(found.num_rows, dtype=bool)
+    standing[1000:1100] = True
+    touched = replace(found, standing=standing)
+    channels = find_channels([found])
+    one, other = (
+        Predictor(ROBOT, [f], bandwidth=BAND, channels=channels, tolerances=Tolerances()) for f in (found, touched)
+    )
+    period = 1.0 / BAND
+    clear = (one.times[0] < 5.0 - period - 1e-9) | (one.times[0] > 5.495 + period + 1e-9)
+    np.testing.assert_allclose(other.times[0], one.times[0][clear])
+    np.testing.assert_allclose(other.residuals(Point())[0], one.residuals(Point())[0][clear], atol=1e-12)
+    start = find_windows([touched], (1.0,)).row / found.rate
+    assert not np.any((start > 3.99) & (start < 5.49))
+    assert {4.6, 5.1} <= set((find_windows([found], (1.0,)).row / found.rate).tolist())
+
+
+def test_the_noise_floor_is_that_of_flight_between_touches(tmp_path: Path) -> None:
+    """A jolt in rows on the ground would raise it."""
+    found = load(tmp_path, noise=1.0, seconds=20.0)
+    assert found.specific_force is not None
+    standing = np.zeros(found.num_rows, dtype=bool)
+    standing[1000:1050] = True
+    jolted = found.specific_force.copy()
+    jolted[standing] += np.random.default_rng(0).normal(0.0, 20.0, (50, 3))
+    channels = find_channels([found])
+    floors = {}
+    for name, force, mask in (
+        ("clean", found.specific_force, None),
+        ("masked", jolted, standing),
+        ("all", jolted, None),
+    ):
+        floor = noise_floor(
+            ROBOT, [replace(found, specific_force=force, standing=mask)], Point(), channels, bandwidth=BAND
+        )
+        assert floor is not None
+        floors[name] = floor[:3]
+    np.testing.assert_allclose(floors["masked"], floors["clean"], rtol=0.25)
+    assert (floors["all"] > 3.0 * floors["clean"]).all()
+
+
+def test_without_a_position_there_is_no_ground_near(tmp_path: Path) -> None:
+    robot = replace(ROBOT, rotor=replace(ROBOT.rotor, radius=0.06))
+    lost = replace(load(tmp_path), position=None)
+    channels = find_channels([lost])
+    predictor = Predictor(robot, [lost], bandwidth=BAND, channels=channels, tolerances=Tolerances())
+    near = predictor.predict(Point(effects={"ground_effect": np.array([3.0])}))[0]
+    np.testing.assert_allclose(near, predictor.predict(Point())[0], atol=1e-6)
+
+
 def test_the_thrust_that_was_flown_scales(tmp_path: Path) -> None:
     found = load(tmp_path, thrust_scale=1.07)
     left = residual(found, declared_point(ROBOT).with_effect("thrust_coefficient", np.array([1.07])))

@@ -203,7 +203,7 @@ class Effect(ABC):
     """Names of effects that can look alike, and so must be weighed against this one."""
     memory: ClassVar[tuple[float, ...]] = ()
     """Values right after a reset of the M numbers that it remembers of each environment."""
-    needs: ClassVar[tuple[Literal["ceiling_height", "other_position"], ...]] = ()
+    needs: ClassVar[tuple[Literal["position", "ceiling_height", "other_position"], ...]] = ()
     """What of the scene it needs."""
     logged: ClassVar[tuple[Literal["battery"], ...]] = ()
     """What a log must hold in place of its memory."""

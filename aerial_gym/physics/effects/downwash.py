@@ -31,7 +31,7 @@ class Downwash(WrenchEffect):
     )
     excitation = "passes below another vehicle whose position is in the log"
     confused_with = ("gusts", "thrust_coefficient", "ground_effect")
-    needs = ("other_position",)
+    needs = ("position", "other_position")
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return no force."""

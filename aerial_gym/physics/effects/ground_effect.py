@@ -5,8 +5,9 @@
 """Rotors near the ground give more thrust at the same speed: the ground holds up their wake.
 
 ``T' = T / (1 - k (R / 4 h)²)`` for a rotor of radius R whose hub is at a height h; k = 1 for a single rotor by the
-method of images, larger for several rotors side by side. Below ``h = R / 2`` the formula is not meant to hold, and the
-gain stays what it is there.
+method of images, larger for several rotors side by side: the source for multirotors, with four rotors 3 R apart, comes to about
+2.5 at a height of 3 R, and to 10 with the fountain that lifts the body between them. Below ``h = R / 2`` the formula is not
+meant to hold, and the gain stays what it is there; thrust is at most doubled.
 Source: Cheeseman, Bennett (1955), The effect of the ground on a helicopter rotor in forward flight, ARC R&M 3021; factor
 for multirotors: Sanchez-Cuevas, Heredia, Ollero (2017), Characterization of the aerodynamic ground effect.
 """
@@ -21,6 +22,9 @@ from aerial_gym.physics.effects.base import Condition, Parameter, RotorEffect
 LOWEST = wp.constant(0.5)
 """Least height of a hub that makes a difference, in radii."""
 
+LARGEST_SHARE = wp.constant(0.5)
+"""Of the thrust that is the ground's: twice the thrust."""
+
 
 class GroundEffect(RotorEffect):
     """Gain of thrust near the ground."""
@@ -28,12 +32,13 @@ class GroundEffect(RotorEffect):
     name = "ground_effect"
     summary = "gain of thrust near the ground"
     parameters = (
-        Parameter(name="k", unit="-", low=0.0, high=3.5, scale=1.0, meaning="strength; 1 is a rotor by itself"),
+        Parameter(name="k", unit="-", low=0.0, high=30.0, scale=3.0, meaning="strength; 1 is a rotor by itself"),
     )
     excitation = (
         "flight within two rotor diameters of the ground, and away from it; heights above the ground in the log"
     )
     confused_with = ("thrust_coefficient", "battery_sag", "axial_inflow")
+    needs = ("position",)
 
     def check(self, robot: RobotCfg) -> None:
         """Raise ``ConfigError`` unless the radius of the rotors is known."""
@@ -44,7 +49,7 @@ class GroundEffect(RotorEffect):
         """Return ``T (1 / (1 - k (R / 4 h)²) - 1)``."""
         radius = condition.vehicle.rotor_radius
         height = condition.hub_height.maximum(LOWEST * radius)
-        share = params[:, :1] * (radius / (4.0 * height)).square()
+        share = (params[:, :1] * (radius / (4.0 * height)).square()).clamp_max(LARGEST_SHARE)
         return condition.rotor_thrust * share / (1.0 - share)
 
     def warp_thrust(self, condition: type, hub: type) -> wp.Function:
@@ -54,7 +59,7 @@ class GroundEffect(RotorEffect):
         @wp.func
         def ground_effect(at: condition, rotor: hub, k: params) -> float:
             ratio = rotor.radius / (4.0 * wp.max(rotor.height, LOWEST * rotor.radius))
-            share = k[0] * ratio * ratio
+            share = wp.min(k[0] * ratio * ratio, LARGEST_SHARE)
             return rotor.thrust * share / (1.0 - share)
 
         return ground_effect
