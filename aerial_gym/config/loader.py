@@ -74,9 +74,21 @@ def to_mapping(config: object) -> dict[str, Any]:
     return {f.name: _plain(getattr(config, f.name)) for f in dataclasses.fields(config)}  # type: ignore[arg-type]
 
 
+class _Dumper(yaml.SafeDumper):
+    """Writes a list of numbers in one line: ``[0.0, 0.0, 1.0]``."""
+
+
+def _represent_list(dumper: _Dumper, values: list[Any]) -> yaml.SequenceNode:
+    numbers = all(isinstance(value, (int, float)) for value in values)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=numbers)
+
+
+_Dumper.add_representer(list, _represent_list)
+
+
 def dump_yaml(config: object) -> str:
     """Return a dataclass as YAML text."""
-    return yaml.safe_dump(to_mapping(config), sort_keys=False, allow_unicode=True, width=120)
+    return yaml.dump(to_mapping(config), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
 
 
 def _plain(value: Any) -> Any:

@@ -18,6 +18,7 @@ from aerial_gym.physics.effects import (
     DelayEffect,
     Effect,
     ImuEffect,
+    LearnedResidual,
     LoadEffect,
     RotorEffect,
     RotorSensorEffect,
@@ -179,6 +180,15 @@ def effects_from_config(
         effect = EFFECTS.get(name)
         row = torch.tensor(effect.params_from(values), dtype=dtype, device=device)
         found.append((effect, row.expand(num_envs, -1).clone()))
+    return found
+
+
+def robot_effects(robot: RobotCfg, *, num_envs: int, device: torch.device, dtype: torch.dtype) -> list[EffectParams]:
+    """Return all that acts on a robot beyond rigid body and rotors: its effects, and what was learned of the rest."""
+    found = effects_from_config(robot.effects, num_envs=num_envs, device=device, dtype=dtype)
+    if robot.learned_residual is not None:
+        learned = LearnedResidual(robot.learned_residual, dtype=dtype, device=device)
+        found.append((learned, torch.ones(num_envs, 1, dtype=dtype, device=device)))
     return found
 
 

@@ -19,6 +19,7 @@ from aerial_gym.physics.effects import (
     CommandEffect,
     DelayEffect,
     ImuEffect,
+    LearnedResidual,
     LoadEffect,
     RotorEffect,
     RotorSensorEffect,
@@ -113,12 +114,13 @@ class WarpBackend:
     @property
     def capabilities(self) -> Capabilities:
         """What it can do; effects are those with a Warp twin at this moment."""
+        named = tuple(name for name in EFFECTS.names() if self._can_run(EFFECTS.get(name)))
         return Capabilities(
             devices=("cpu", "cuda"),
             dtypes=(torch.float32,),
             integrators=tuple(STAGES),
             differentiable=self._differentiable,
-            effects=tuple(name for name in EFFECTS.names() if self._can_run(EFFECTS.get(name))),
+            effects=(*named, LearnedResidual.name),
         )
 
     def _can_run(self, effect: Effect) -> bool:

@@ -21,11 +21,11 @@ from aerial_gym.physics import (
     PhysicsBackend,
     Vehicle,
     build_model,
-    effects_from_config,
     vehicle_from_config,
 )
+from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.ground import Ground
-from aerial_gym.physics.model import Model, check_effects
+from aerial_gym.physics.model import Model, check_effects, robot_effects
 from aerial_gym.physics.rotors import speed_for_thrust
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.robots.initial_state import InitialState
@@ -50,7 +50,8 @@ def check_capabilities(backend: PhysicsBackend, robot: RobotCfg, device: torch.d
         raise CapabilityError(
             f"backend {type(backend).__name__}: cannot run on {device}. Devices: {', '.join(able.devices)}"
         )
-    missing = [name for name in robot.effects if able.effects is not None and name not in able.effects]
+    used = [*robot.effects, *([] if robot.learned_residual is None else [LearnedResidual.name])]
+    missing = [name for name in used if able.effects is not None and name not in able.effects]
     if missing:
         raise CapabilityError(
             f"backend {type(backend).__name__}: cannot run effect {missing[0]!r}. Use backend 'torch'."
@@ -87,9 +88,7 @@ class RobotManager:
         self._bounds, self._seed = bounds, seed
         self._num_envs = root_state.shape[0]
         self.declared: Vehicle = vehicle_from_config(robot, num_envs=self._num_envs, device=gtd.device)
-        self._effects = effects_from_config(
-            robot.effects, num_envs=self._num_envs, device=gtd.device, dtype=root_state.dtype
-        )
+        self._effects = robot_effects(robot, num_envs=self._num_envs, device=gtd.device, dtype=root_state.dtype)
         widths = {"mass_scale": 1, "thrust_scale": robot.num_rotors, "time_constant_scale": robot.num_rotors}
         self._ranges = {
             name: torch.tensor(getattr(robot.randomization, name), device=gtd.device)

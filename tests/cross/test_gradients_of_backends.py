@@ -18,7 +18,8 @@ from aerial_gym.physics import (
     build_model,
     vehicle_from_config,
 )
-from tests.physics.vehicles import CEILING, lopsided_robot, random_state
+from aerial_gym.physics.effects import LearnedResidual
+from tests.physics.vehicles import CEILING, lopsided_robot, random_network, random_state
 
 NUM_ENVS, DT, SUBSTEPS = 3, 0.01, 5
 RELATIVE = 2e-5
@@ -45,6 +46,8 @@ def gradients(backend, dtype: torch.dtype, controller: str, integrator: str) -> 
         row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
         leaves[name] = torch.tensor(row, dtype=dtype).expand(NUM_ENVS, -1).clone().requires_grad_()
         effects.append((effect, leaves[name]))
+    leaves["learned_residual"] = torch.full((NUM_ENVS, 1), 0.8, dtype=dtype).requires_grad_()
+    effects.append((LearnedResidual(random_network(16), dtype=dtype), leaves["learned_residual"]))
     start = {k: v.to(dtype).requires_grad_() for k, v in vars(random_state(NUM_ENVS, seed=2)).items()}
     start["position"] = (start["position"].detach() + 4.0).requires_grad_()  # above the ground
     leaves |= start

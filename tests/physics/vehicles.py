@@ -1,7 +1,11 @@
 """Vehicles and states for tests: all parameters generic, nothing symmetric, float64."""
 
+from itertools import pairwise
+
+import numpy as np
 import torch
 
+from aerial_gym.config.learned_residual import LayerCfg, LearnedResidualCfg
 from aerial_gym.config.robot import BatteryCfg, BodyCfg, CollisionCfg, MountCfg, MountsCfg, RobotCfg, RotorCfg
 from aerial_gym.math.quaternion import quat_normalize
 from aerial_gym.physics import BodyState
@@ -68,4 +72,33 @@ def random_state(num_envs: int, *, seed: int = 0, rotor_speed: float = 800.0) ->
         lin_vel=2.0 * normal(3),
         ang_vel=2.0 * normal(3),
         rotor_speed=rotor_speed * (1.0 + 0.1 * normal(4)),
+    )
+
+
+def random_network(*widths: int, seed: int = 0) -> LearnedResidualCfg:
+    """Return a network for four rotors with hidden layers of these widths, that trusts the states of ``random_state``.
+
+    Outputs are some 0.3 N and 0.02 N m; about every tenth is limited, as is every tenth input.
+    """
+    rng, sizes = np.random.default_rng(seed), (10, *widths)
+
+    def rows(values: np.ndarray) -> tuple:
+        return tuple(tuple(row) if values.ndim == 2 else row for row in values.tolist())
+
+    hidden = tuple(
+        LayerCfg(weights=rows(rng.normal(size=(high, low)) / low**0.5), bias=rows(0.3 * rng.normal(size=high)))
+        for low, high in pairwise(sizes)
+    )
+    size = np.array([0.3] * 3 + [0.02] * 3)
+    output = size[:, None] * rng.normal(size=(6, sizes[-1])) / (0.4 * sizes[-1]) ** 0.5
+    return LearnedResidualCfg(
+        low=(-3.3, -3.4, -3.2, -3.1, -3.5, -3.0, 660.0, 670.0, 650.0, 640.0),
+        high=(3.1, 3.2, 3.5, 3.4, 3.3, 3.6, 930.0, 940.0, 920.0, 950.0),
+        centre=(0.1, -0.2, 0.3, 0.05, -0.1, 0.15, 800.0, 790.0, 810.0, 805.0),
+        scale=(2.1, 1.9, 2.0, 2.2, 1.8, 2.0, 80.0, 85.0, 75.0, 82.0),
+        whitening=rows((np.eye(10) + 0.05 * rng.normal(size=(10, 10))) / 4.0),
+        hidden=hidden,
+        output=LayerCfg(weights=rows(output), bias=rows(0.1 * size)),
+        limit=rows(1.5 * size),
+        source="test",
     )

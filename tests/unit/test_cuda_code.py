@@ -11,11 +11,13 @@ from aerial_gym.config.contact import ContactCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.interop import start_warp
 from aerial_gym.physics import EFFECTS, Ground, WarpBackend, build_model, vehicle_from_config
+from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.robots import ROBOTS, derived, initial_state, scene_contact
 from aerial_gym.sensors import flow, imu, view
 from aerial_gym.sensors.pixels import Outputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
 from aerial_gym.task import goals
+from tests.physics.vehicles import random_network
 
 ARCHITECTURE = 90
 """Compute capability: Hopper."""
@@ -56,6 +58,7 @@ def test_physics_kernels_compile(controller: str, integrator: str, tmp_path: Pat
     for name in EFFECTS.names():
         effect = EFFECTS.get(name)
         effects.append((effect, torch.tensor(effect.neutral(robot)).expand(2, -1).clone()))
+    effects.append((LearnedResidual(random_network(16), dtype=torch.float32), torch.ones(2, 1)))
     backend = WarpBackend()
     law = make_controller(CONTROLLERS.get(controller), vehicle, 9.81)
     backend.allocate(build_model(vehicle, effects, ceiling_height=3.0), law, integrator=integrator)

@@ -18,6 +18,7 @@ from aerial_gym.physics.effects.base import (
     WrenchEffect,
 )
 from aerial_gym.physics.effects.catalog import EFFECTS
+from aerial_gym.physics.effects.learned_residual import LearnedResidual
 
 __all__ = [
     "EFFECTS",
@@ -26,6 +27,7 @@ __all__ = [
     "DelayEffect",
     "Effect",
     "ImuEffect",
+    "LearnedResidual",
     "LinearWrenchEffect",
     "LoadEffect",
     "Moment",

@@ -1,0 +1,110 @@
+"""A small network in a robot file: the force and torque that flights showed and that no named effect explains.
+
+Letters: R rotors, D = 6 + R inputs: velocity of the centre of mass through the air [m/s] and angular velocity [rad/s], body
+axes, and the rotor speeds [rad/s]. Outputs: force [N] and torque about the centre of mass [N m], body axes.
+"""
+
+from dataclasses import dataclass
+
+from aerial_gym.config.checks import require_finite, require_ordered
+from aerial_gym.errors import ConfigError
+
+NUM_MOTIONS, NUM_OUTPUTS = 6, 6
+
+Row = tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayerCfg:
+    """One fully connected layer, ``W x + b``."""
+
+    weights: tuple[Row, ...]
+    """W, one row per output."""
+
+    bias: Row
+    """b, one number per output."""
+
+    def __post_init__(self) -> None:
+        widths = {len(row) for row in self.weights}
+        if len(widths) != 1 or 0 in widths or len(self.bias) != len(self.weights):
+            raise ConfigError(
+                f"LayerCfg: {len(self.weights)} rows of weights with {sorted(widths)} numbers and {len(self.bias)} of bias: "
+                "needs rows of one length, and a bias for each"
+            )
+        require_finite(self, "weights", "bias")
+
+    @property
+    def num_inputs(self) -> int:
+        """Length of x."""
+        return len(self.weights[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnedResidualCfg:
+    """The network, and where its training data end; made by ``aerial-gym close-loop --learn-residual``."""
+
+    low: Row
+    """Least inputs [m/s, rad/s], (D,): inputs are held within the training data."""
+
+    high: Row
+    """Greatest inputs, (D,)."""
+
+    centre: Row
+    """Subtracted from inputs, (D,)."""
+
+    scale: Row
+    """Inputs are divided by it, > 0, (D,)."""
+
+    whitening: tuple[Row, ...]
+    """(D, D). Of standardised inputs x, |whitening x| = 1 where the training data end, 2 where the output is zero."""
+
+    hidden: tuple[LayerCfg, ...]
+    """Layers with tanh, from standardised inputs on; at least one."""
+
+    output: LayerCfg
+    """The last layer, to force [N] and torque [N m], (6,)."""
+
+    limit: Row
+    """Largest magnitude of each output [N, N m], >= 0, (6,)."""
+
+    source: str
+    """Flights that it was trained on."""
+
+    def __post_init__(self) -> None:
+        require_finite(self, "low", "high", "centre", "scale", "whitening", "limit")
+        self._check_shapes()
+        require_ordered(self, "low", "high")
+        if min(self.scale) <= 0.0:
+            raise ConfigError(f"LearnedResidualCfg.scale = {self.scale!r}: must be > 0")
+        if min(self.limit) < 0.0:
+            raise ConfigError(f"LearnedResidualCfg.limit = {self.limit!r}: must be >= 0")
+
+    def _check_shapes(self) -> None:
+        width = self.num_inputs
+        for name in ("low", "high", "scale", "whitening"):
+            if len(getattr(self, name)) != width:
+                raise ConfigError(
+                    f"LearnedResidualCfg.{name} has {len(getattr(self, name))} entries, centre has {width}: needs one per input"
+                )
+        if any(len(row) != width for row in self.whitening):
+            raise ConfigError(
+                f"LearnedResidualCfg.whitening: needs {width} rows of {width} numbers, as there are inputs"
+            )
+        if len(self.limit) != NUM_OUTPUTS or len(self.output.bias) != NUM_OUTPUTS:
+            raise ConfigError(
+                f"LearnedResidualCfg: {len(self.output.bias)} outputs with {len(self.limit)} limits: "
+                f"needs {NUM_OUTPUTS} of each, force and torque"
+            )
+        if not self.hidden:
+            raise ConfigError("LearnedResidualCfg.hidden: needs at least one layer")
+        for place, layer in enumerate((*self.hidden, self.output)):
+            if layer.num_inputs != width:
+                raise ConfigError(
+                    f"LearnedResidualCfg: layer {place + 1} takes {layer.num_inputs} numbers, the one before gives {width}"
+                )
+            width = len(layer.bias)
+
+    @property
+    def num_inputs(self) -> int:
+        """Number of inputs D."""
+        return len(self.centre)

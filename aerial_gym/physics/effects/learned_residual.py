@@ -1,0 +1,138 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""Force and torque that no named effect explains, as a small network of what the body feels.
+
+With the inputs u (velocity through the air, angular velocity, rotor speeds), held within the training data:
+``x = (clip(u) - centre) / scale``, ``h = tanh(W1 x + b1)``, ..., ``y = W h + b``; the wrench is ``t(q) clip(y)`` with the trust
+``t = s² (3 - 2 s)``, ``s = clip((4 - q) / 3)`` in [0, 1], and ``q = |whitening (u - centre) / scale|²``: 1 within the training
+data (Mahalanobis distance), 0 from twice as far on. Neither place nor time is an input, so it cannot learn a map of the room.
+Source: Goodfellow, Bengio, Courville (2016), Deep Learning, section 6 (the network); the bounds are our own.
+"""
+
+from typing import Any
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.learned_residual import LayerCfg, LearnedResidualCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect
+
+
+class LearnedResidual(WrenchEffect):
+    """A network with the numbers of one robot file; it is not registered, because it is nothing without them."""
+
+    name = "learned_residual"
+    summary = "force and torque learned from flights, where no named effect fits"
+    parameters = (
+        Parameter(
+            name="share", unit="-", low=0.0, high=1.0, scale=0.1, meaning="how much of it acts; robot files have 1"
+        ),
+    )
+    excitation = "any motion; beyond what was flown it fades to zero"
+    confused_with = ()
+
+    def __init__(
+        self, cfg: LearnedResidualCfg, *, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"
+    ) -> None:
+        """Put the numbers where the torch formula needs them; the Warp twin has them as constants."""
+
+        def put(values: object) -> Tensor:
+            return torch.tensor(values, dtype=dtype, device=device)
+
+        self.cfg = cfg
+        self._low, self._high, self._limit = put(cfg.low), put(cfg.high), put(cfg.limit)
+        self._centre, self._scale, self._whitening = put(cfg.centre), put(cfg.scale), put(cfg.whitening)
+        self._hidden = [(put(layer.weights), put(layer.bias)) for layer in cfg.hidden]
+        self._output = put(cfg.output.weights), put(cfg.output.bias)
+
+    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
+        """Return 0: nothing of it."""
+        del robot
+        return (0.0,)
+
+    def distance(self, felt: Tensor) -> Tensor:
+        """Return the squared Mahalanobis distance q of inputs (E, D), (E, 1): above 1 outside the training data."""
+        return (((felt - self._centre) / self._scale) @ self._whitening.T).square().sum(-1, keepdim=True)
+
+    def of(self, felt: Tensor) -> Tensor:
+        """Return force [N] and torque [N m], body axes, (E, 6), for inputs (E, D)."""
+        values = (torch.minimum(torch.maximum(felt, self._low), self._high) - self._centre) / self._scale
+        for weights, bias in self._hidden:
+            values = torch.tanh(values @ weights.T + bias)
+        weights, bias = self._output
+        values = values @ weights.T + bias
+        near = ((4.0 - self.distance(felt)) / 3.0).clamp(0.0, 1.0)
+        return near * near * (3.0 - 2.0 * near) * torch.minimum(torch.maximum(values, -self._limit), self._limit)
+
+    def wrench(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return force and torque, (E, 6)."""
+        felt = torch.cat((condition.air_velocity, condition.ang_vel, condition.rotor_speed), dim=-1)
+        return params * self.of(felt)
+
+    def warp_wrench(self, condition: type) -> wp.Function:
+        """Return the same in Warp."""
+        cfg, width = self.cfg, self.cfg.num_inputs
+        inputs, numbers, one = _vector(width), _vector(6), _vector(1)
+        low, high, centre, scale = inputs(*cfg.low), inputs(*cfg.high), inputs(*cfg.centre), inputs(*cfg.scale)
+        whitening, limit = _matrix(cfg.whitening), numbers(*cfg.limit)
+        output, bias = _matrix(cfg.output.weights), numbers(*cfg.output.bias)
+        hidden = _hidden_layers(cfg.hidden)
+
+        @wp.func
+        def learned_residual(at: condition, share: one) -> wp.spatial_vector:
+            felt = inputs()
+            for i in range(3):
+                felt[i] = at.air_velocity[i]
+                felt[3 + i] = at.ang_vel[i]
+            for i in range(wp.static(width - 6)):
+                felt[6 + i] = at.rotor_speed[i]
+            beyond = whitening * wp.cw_div(felt - centre, scale)
+            near = wp.clamp((4.0 - wp.dot(beyond, beyond)) / 3.0, 0.0, 1.0)
+            held = wp.cw_div(wp.min(wp.max(felt, low), high) - centre, scale)
+            found = wp.max(wp.min(output * hidden(held) + bias, limit), -limit)
+            found = share[0] * near * near * (3.0 - 2.0 * near) * found
+            return wp.spatial_vector(found[0], found[1], found[2], found[3], found[4], found[5])
+
+        return learned_residual
+
+
+def _vector(length: int) -> Any:
+    return wp.types.vector(length=length, dtype=wp.float32)
+
+
+def _matrix(rows: tuple[tuple[float, ...], ...]) -> Any:
+    """Return a constant matrix."""
+    kind = wp.types.matrix(shape=(len(rows), len(rows[0])), dtype=wp.float32)
+    return kind(*(number for row in rows for number in row))
+
+
+def _hidden_layers(layers: tuple[LayerCfg, ...]) -> wp.Function:
+    """Return the layers with tanh as one function, (standardised inputs) -> outputs of the last of them."""
+    *before, last = layers
+    inputs, outputs, width = _vector(layers[0].num_inputs), _vector(len(last.bias)), len(last.bias)
+    weights, bias = _matrix(last.weights), outputs(*last.bias)
+
+    @wp.func
+    def squash(values: outputs) -> outputs:
+        squashed = outputs()
+        for i in range(wp.static(width)):
+            squashed[i] = wp.tanh(values[i])
+        return squashed
+
+    @wp.func
+    def first(values: inputs) -> outputs:
+        return squash(weights * values + bias)
+
+    if not before:
+        return first
+    rest = _hidden_layers(tuple(before))
+
+    @wp.func
+    def later(values: inputs) -> outputs:
+        return squash(weights * rest(values) + bias)
+
+    return later
