@@ -39,6 +39,10 @@ class CloseLoopCmd:
     seed: int = 0
     """Seed of the resampling behind the 95 % intervals."""
 
+    learn_residual: bool = False
+    """Add a small network for what no named effect explains, if it predicts flights left out better. It fades to zero
+    outside its training data, has no name, and changes nothing in the verdict."""
+
     json: bool = False
     """Print verdict.json on stdout instead of tables."""
 
@@ -55,6 +59,7 @@ class CloseLoopCmd:
                 mapping=self.mapping,
                 bandwidth=self.bandwidth_hz,
                 seed=self.seed,
+                learn_residual=self.learn_residual,
                 progress=progress,
             )
         if self.json:
@@ -74,10 +79,11 @@ def _print_verdict(verdict: "Verdict", out: Path) -> None:
             f"{key} = {value:.4g}" + (f" ± {1.96 * effect.std[key]:.2g}" if key in effect.std else " (not shown)")
             for key, value in effect.params.items()
         ]
-        console.print(
-            f"  {effect.name}: {', '.join(parts)}; confidence {effect.confidence:.4g}, inclusion {effect.inclusion:.0%}"
-        )
-    after = verdict.after if verdict.effects else None
+        chosen = "" if effect.inclusion is None else f", inclusion {effect.inclusion:.0%}"
+        console.print(f"  {effect.name}: {', '.join(parts)}; confidence {effect.confidence:.4g}{chosen}")
+    if verdict.learned is not None:
+        console.print(f"  {verdict.learned.sentence}")
+    after = verdict.after if verdict.corrects else None
     table = Table(title="residual on the test flights (rms, 95 % interval)", box=None, pad_edge=False)
     for head in ("channel", "declared", "corrected", "change", "noise floor"):
         table.add_column(head)

@@ -1,7 +1,7 @@
 """A small network in a robot file: the force and torque that flights showed and that no named effect explains.
 
-Letters: R rotors, D = 6 + R inputs: velocity of the centre of mass through the air [m/s] and angular velocity [rad/s], body
-axes, and the rotor speeds [rad/s]. Outputs: force [N] and torque about the centre of mass [N m], body axes.
+Letter: D = 7 inputs: velocity of the centre of mass through the air [m/s] and angular velocity [rad/s], body axes, and the mean
+of the squared rotor speeds [rad²/s²]. Outputs: force [N] and torque about the centre of mass [N m], body axes.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from aerial_gym.config.checks import require_finite, require_ordered
 from aerial_gym.errors import ConfigError
 
-NUM_MOTIONS, NUM_OUTPUTS = 6, 6
+NUM_INPUTS, NUM_OUTPUTS = 7, 6
 
 Row = tuple[float, ...]
 
@@ -44,7 +44,7 @@ class LearnedResidualCfg:
     """The network, and where its training data end; made by ``aerial-gym close-loop --learn-residual``."""
 
     low: Row
-    """Least inputs [m/s, rad/s], (D,): inputs are held within the training data."""
+    """Least inputs [m/s, rad/s, rad²/s²], (D,): inputs are held within the training data."""
 
     high: Row
     """Greatest inputs, (D,)."""
@@ -80,16 +80,14 @@ class LearnedResidualCfg:
             raise ConfigError(f"LearnedResidualCfg.limit = {self.limit!r}: must be >= 0")
 
     def _check_shapes(self) -> None:
-        width = self.num_inputs
-        for name in ("low", "high", "scale", "whitening"):
+        width = NUM_INPUTS
+        for name in ("low", "high", "centre", "scale", "whitening"):
             if len(getattr(self, name)) != width:
                 raise ConfigError(
-                    f"LearnedResidualCfg.{name} has {len(getattr(self, name))} entries, centre has {width}: needs one per input"
+                    f"LearnedResidualCfg.{name} has {len(getattr(self, name))} entries: needs {width}, one per input"
                 )
         if any(len(row) != width for row in self.whitening):
-            raise ConfigError(
-                f"LearnedResidualCfg.whitening: needs {width} rows of {width} numbers, as there are inputs"
-            )
+            raise ConfigError(f"LearnedResidualCfg.whitening: needs {width} rows of {width} numbers, one per input")
         if len(self.limit) != NUM_OUTPUTS or len(self.output.bias) != NUM_OUTPUTS:
             raise ConfigError(
                 f"LearnedResidualCfg: {len(self.output.bias)} outputs with {len(self.limit)} limits: "
@@ -103,8 +101,3 @@ class LearnedResidualCfg:
                     f"LearnedResidualCfg: layer {place + 1} takes {layer.num_inputs} numbers, the one before gives {width}"
                 )
             width = len(layer.bias)
-
-    @property
-    def num_inputs(self) -> int:
-        """Number of inputs D."""
-        return len(self.centre)

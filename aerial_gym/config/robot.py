@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from aerial_gym.config.checks import Vec3, require_finite, require_ordered, require_positive
-from aerial_gym.config.learned_residual import NUM_MOTIONS, LearnedResidualCfg
+from aerial_gym.config.learned_residual import LearnedResidualCfg
 from aerial_gym.config.loader import load
 from aerial_gym.config.shape import ROBOT_ID, PartCfg, ShapeCfg, absolute_paths
 from aerial_gym.errors import ConfigError
@@ -356,12 +356,6 @@ class RobotCfg:
             for name, value in params.items():
                 if not isfinite(value):
                     raise ConfigError(f"RobotCfg.effects.{effect}.{name} = {value!r}: must be finite")
-        learned = self.learned_residual
-        if learned is not None and learned.num_inputs != NUM_MOTIONS + self.num_rotors:
-            raise ConfigError(
-                f"RobotCfg.learned_residual has {learned.num_inputs} inputs, needs {NUM_MOTIONS + self.num_rotors}: "
-                f"{NUM_MOTIONS} velocities and the speeds of {self.num_rotors} rotors. It belongs to another robot"
-            )
 
 
 def load_robot(path: str | Path) -> RobotCfg:

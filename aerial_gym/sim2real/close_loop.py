@@ -25,6 +25,7 @@ from aerial_gym.sim2real.evaluation import evaluate
 from aerial_gym.sim2real.fit import best_step, params_of, scales, with_params
 from aerial_gym.sim2real.flights import Flight, load_flights
 from aerial_gym.sim2real.inclusion import inclusion
+from aerial_gym.sim2real.learned import Learned, judge_on_test, train_residual
 from aerial_gym.sim2real.manoeuvre import Advice, Catalogue, showable, what_shows, what_tells
 from aerial_gym.sim2real.mapping import find_mapping
 from aerial_gym.sim2real.noise import noise_floor
@@ -81,6 +82,7 @@ def close_loop(
     seed: int = 0,
     criteria: Criteria | None = None,
     tolerances: Tolerances | None = None,
+    learn_residual: bool = False,
     progress: Progress = silent,
 ) -> Verdict:
     """Find what the declared robot lacks, and write verdict.json, robot.yaml, report.html, report.md, residuals.csv.
@@ -95,6 +97,7 @@ def close_loop(
         seed: Of the bootstrap.
         criteria: When an effect is accepted.
         tolerances: How well the robot is declared.
+        learn_residual: Whether a small network may be added for what no named effect explains. The verdict stays as it is.
         progress: Told what is being done.
 
     Raises:
@@ -115,6 +118,7 @@ def close_loop(
             seed=seed,
             criteria=criteria,
             tolerances=tolerances,
+            learn_residual=learn_residual,
             progress=progress,
         )
         progress("writing the report", 0.97)
@@ -126,6 +130,7 @@ def close_loop(
             "mapping": None if mapping is None else str(mapping),
             "bandwidth_hz": bandwidth,
             "seed": seed,
+            "learn_residual": learn_residual,
             "criteria": vars(analysis.selection.criteria),
             "tolerances": vars(analysis.train_predictor.tolerances),
         }
@@ -167,6 +172,7 @@ def judge_flights(
     seed: int = 0,
     criteria: Criteria | None = None,
     tolerances: Tolerances | None = None,
+    learn_residual: bool = False,
     progress: Progress = silent,
 ) -> Analysis:
     """Return the analysis of flights in memory; arguments as for ``close_loop``."""
@@ -241,6 +247,14 @@ def judge_flights(
     kind, reason, candidates = decide(selection, remains, floor is not None)
     if found:
         kind, reason, candidates = wind.decision((kind, reason, candidates))
+    learned: Learned | None = None
+    if learn_residual:
+        progress("learning what remains", 0.9)
+        trained = train_residual(train_predictor, final, selection.left_out, seed=seed)
+        learned = judge_on_test(trained, test_predictor, final, floor)
+        if learned.effect is not None:
+            final = replace(final, learned=learned.effect)
+            after = evaluate(robot, test, test_predictor, final, floor=floor, seed=seed)
     notes = [*wind.notes, *(f"{flight.name}: {note}" for flight in flights for note in flight.notes)]
     if band < bandwidth:
         notes.append(
@@ -265,6 +279,7 @@ def judge_flights(
         after=after,
         flights=by_flight(test_predictor, declared, final, before, after, seed=seed),
         remains=remains,
+        learned=learned,
         notes=tuple(notes),
     )
     return Analysis(
@@ -323,7 +338,9 @@ def rounded(robot: RobotCfg, point: Point, effects: Sequence[str]) -> Point:
 
 
 def corrected_robot(robot: RobotCfg, final: Point, accepted: Sequence[str], flights: Sequence[str]) -> RobotCfg:
-    """Return the declared robot with the accepted effects in it."""
+    """Return the declared robot with the accepted effects, and what was learned, in it."""
+    if final.learned is not None:
+        robot = replace(robot, learned_residual=final.learned.cfg)
     if not accepted:
         return robot
     effects = {

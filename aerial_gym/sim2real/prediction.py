@@ -23,8 +23,11 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics import EFFECTS, BodyState, Vehicle, accelerations, build_model, vehicle_from_config
-from aerial_gym.physics.effects import WindEffect
-from aerial_gym.physics.model import STANDARD_GRAVITY, Model
+from aerial_gym.physics.effects import LearnedResidual, WindEffect
+from aerial_gym.physics.effects.learned_residual import felt_inputs
+from aerial_gym.physics.integrators import to_mass_state
+from aerial_gym.physics.model import STANDARD_GRAVITY, EffectParams, Model
+from aerial_gym.physics.rigid_body import air_velocity
 from aerial_gym.sim2real.checks import body_rate_of
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.load_replay import LoadReplay
@@ -95,6 +98,9 @@ class Point:
     deviation: Array | None = None
     """In standard deviations of the tolerances, (N,); None: exactly as declared."""
 
+    learned: LearnedResidual | None = None
+    """What flights have taught beyond the effects."""
+
     def with_effect(self, name: str, params: Array) -> "Point":
         """Return the point with one effect added or replaced."""
         return replace(self, effects={**self.effects, name: params})
@@ -103,7 +109,21 @@ class Point:
 def declared_point(robot: RobotCfg) -> Point:
     """Return the model that the robot file declares, without what is random."""
     kept = {name: values for name, values in robot.effects.items() if not EFFECTS.get(name).random}
-    return Point(effects={name: np.array(EFFECTS.get(name).params_from(values)) for name, values in kept.items()})
+    return Point(
+        effects={name: np.array(EFFECTS.get(name).params_from(values)) for name, values in kept.items()},
+        learned=None if robot.learned_residual is None else LearnedResidual(robot.learned_residual),
+    )
+
+
+def effects_at(point: Point, rows: int) -> list[EffectParams]:
+    """Return the effects of a point with their parameters in every row, (E, P)."""
+    found: list[EffectParams] = [
+        (EFFECTS.get(name), torch.from_numpy(np.asarray(params, dtype=float)).expand(rows, -1))
+        for name, params in point.effects.items()
+    ]
+    if point.learned is not None:
+        found.append((point.learned, torch.ones(rows, 1, dtype=torch.float64)))
+    return found
 
 
 def find_channels(flights: Sequence[Flight]) -> tuple[Channel, ...]:
@@ -218,11 +238,7 @@ class Predictor:
     def predict(self, point: Point) -> list[Array]:
         """Return the predicted channels of each flight, (rows kept, C)."""
         vehicle, deviation = self._vehicle(point)
-        speeds: list[Array | None] | None = None
-        if self._simulated or any(channel.kind == "rotor_speed" for channel in self.channels):
-            one = build_model(vehicle, self._effects(point, 1), **self._heights, other_position=self._other)
-            sensors = () if self._simulated else one.rotor_sensors
-            speeds = self._replay.speeds(one, command_shift(self.tolerances, deviation), sensors)
+        speeds = self._speeds(point, vehicle, deviation)
         rows = self._rows(point, vehicle, deviation, speeds)
         return [self._band(index, rows, speeds) for index in range(len(self.flights))]
 
@@ -230,18 +246,35 @@ class Predictor:
         """Return measured minus predicted channels of each flight, (rows kept, C)."""
         return [m - p for m, p in zip(self.measured, self.predict(point), strict=True)]
 
+    def felt(self, point: Point) -> list[Array]:
+        """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
+        vehicle, deviation = self._vehicle(point)
+        model, speed, _ = self._flown(point, vehicle, self._speeds(point, vehicle, deviation))
+        state = to_mass_state(model, BodyState(rotor_speed=speed, **self._state))
+        air = air_velocity(model, state.position, state.attitude, state.lin_vel)
+        rows = felt_inputs(air, state.ang_vel, speed).numpy()
+        found = []
+        for flight, stride, span, kept in zip(self.flights, self._stride, self._spans, self._kept, strict=True):
+            found.append(lowpass(rows[span], flight.rate / stride, self.bandwidth)[kept // stride])
+        return found
+
+    def _speeds(self, point: Point, vehicle: Vehicle, deviation: Tensor) -> list[Array | None] | None:
+        """Return the rotor speeds that commands lead to, where they are needed."""
+        if not self._simulated and all(channel.kind != "rotor_speed" for channel in self.channels):
+            return None
+        one = self._model(point, vehicle)
+        sensors = () if self._simulated else one.rotor_sensors
+        return self._replay.speeds(one, command_shift(self.tolerances, deviation), sensors)
+
     def _vehicle(self, point: Point) -> tuple[Vehicle, Tensor]:
         if point.deviation is None:
             return self._declared, torch.zeros(self.num_tolerances, dtype=torch.float64)
         deviation = torch.from_numpy(point.deviation)
         return deviate(self._declared, self.tolerances, deviation), deviation
 
-    @staticmethod
-    def _effects(point: Point, rows: int) -> list:
-        return [
-            (EFFECTS.get(name), torch.from_numpy(np.asarray(params, dtype=float)).expand(rows, -1))
-            for name, params in point.effects.items()
-        ]
+    def _model(self, point: Point, vehicle: Vehicle) -> Model:
+        """Return the model of one environment, with what stands around it in every row."""
+        return build_model(vehicle, effects_at(point, 1), **self._heights, other_position=self._other)
 
     def _rows(
         self, point: Point, vehicle: Vehicle, deviation: Tensor, speeds: list[Array | None] | None
@@ -250,18 +283,7 @@ class Predictor:
         kinds = {channel.kind for channel in self.channels} - {"rotor_speed"}
         if not kinds:
             return {}
-        one = build_model(vehicle, self._effects(point, 1), **self._heights, other_position=self._other)
-        model = expand_model(one, self._state["attitude"].shape[0])
-        model = with_known_wind(model, self.flights, self._flight)
-        if self._measured_speed is None or self._measured_spin_up is None:
-            assert speeds is not None
-            replayed = [(i, s) for i, s in enumerate(speeds) if s is not None]
-            speed = torch.cat([self._thin_values(i, s) for i, s in replayed])
-            spin_up = torch.cat([self._derivative_of(i, s) for i, s in replayed])
-        else:
-            speed, spin_up = self._measured_speed, self._measured_spin_up
-            for effect, params in model.rotor_sensors:
-                speed, spin_up = effect.true_speed(speed, params), effect.true_speed(spin_up, params)
+        model, speed, spin_up = self._flown(point, vehicle, speeds)
         load = self._load_replay.loads(model, self._row_times) if model.loads else None
         found = accelerations(model, BodyState(rotor_speed=speed, **self._state), spin_up, load=load)
         # The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
@@ -279,6 +301,21 @@ class Predictor:
             "kinematic_force": (kinematic_force + force_bias).numpy(),
             "kinematic_rate": (rate + rate_bias).numpy(),
         }
+
+    def _flown(self, point: Point, vehicle: Vehicle, speeds: list[Array | None] | None) -> tuple[Model, Tensor, Tensor]:
+        """Return model, true rotor speeds and their accelerations in every row."""
+        model = expand_model(self._model(point, vehicle), self._state["attitude"].shape[0])
+        model = with_known_wind(model, self.flights, self._flight)
+        if self._measured_speed is None or self._measured_spin_up is None:
+            assert speeds is not None
+            replayed = [(i, s) for i, s in enumerate(speeds) if s is not None]
+            speed = torch.cat([self._thin_values(i, s) for i, s in replayed])
+            spin_up = torch.cat([self._derivative_of(i, s) for i, s in replayed])
+        else:
+            speed, spin_up = self._measured_speed, self._measured_spin_up
+            for effect, params in model.rotor_sensors:
+                speed, spin_up = effect.true_speed(speed, params), effect.true_speed(spin_up, params)
+        return model, speed, spin_up
 
     def _band(self, index: int, rows: dict[str, Array], speeds: list[Array | None] | None) -> Array:
         """Return the predicted channels of a flight in the band, (rows kept, C)."""

@@ -52,7 +52,7 @@ def write_report(folder: Path, analysis: "Analysis") -> None:
     context = report_context(analysis)
     for name in ("report.html", "report.md"):
         (folder / name).write_text(render(name, context), encoding="utf-8")
-    after = analysis.final if analysis.selection.accepted else None
+    after = analysis.final if analysis.verdict.corrects else None
     write_residuals(
         folder / "residuals.csv",
         {"train": analysis.train_predictor, "test": analysis.test_predictor},
@@ -78,7 +78,7 @@ def render(name: str, context: dict[str, object]) -> str:
 def report_context(analysis: "Analysis") -> dict[str, object]:
     """Return everything that the templates show."""
     verdict, selection = analysis.verdict, analysis.selection
-    after = verdict.after if selection.accepted else None
+    after = verdict.after if verdict.corrects else None
     shown = selection.accepted or tuple(trial.effect for trial in selection.rounds[0] if trial.scored)[:2]
     return {
         "verdict": verdict,

@@ -21,7 +21,7 @@ from aerial_gym.physics.effects.actuation_delay import LONGEST as LONGEST_DELAY
 from aerial_gym.physics.memory import Memory, make_memory, place_load
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.load_replay import LoadReplay
-from aerial_gym.sim2real.prediction import Point, expand_rows, with_known_wind
+from aerial_gym.sim2real.prediction import Point, effects_at, expand_rows, with_known_wind
 from aerial_gym.sim2real.rotor_commands import mean_commands
 from aerial_gym.sim2real.surroundings import heights, other_at
 
@@ -198,7 +198,7 @@ class _Run:
             zero = torch.zeros_like(vehicle.time_constant_up)
             vehicle = replace(vehicle, time_constant_up=zero, time_constant_down=zero)
         used = {name: p for name, p in point.effects.items() if commanded or EFFECTS.get(name).acts_on != "actuation"}
-        effects = [(EFFECTS.get(n), torch.from_numpy(np.asarray(p)).expand(members.size, -1)) for n, p in used.items()]
+        effects = effects_at(replace(point, effects=used), members.size)
         around = heights([flights[index] for index in self._flight], [1] * members.size)
         model = replace(build_model(vehicle, effects, **around), delays=(), commands=())  # they have acted
         self._model = with_known_wind(model, flights, self._flight)

@@ -335,7 +335,8 @@ class _Selector:
         if name in self.declared.effects:
             effects[name] = self.declared.effects[name]
         kept = tuple(effect for effect in scored.effects if effect != name)
-        return self.score(kept, Point(effects=effects), frozenset(f for f in scored.fit.frozen if f[0] != name))
+        start = Point(effects=effects, learned=self.declared.learned)
+        return self.score(kept, start, frozenset(f for f in scored.fit.frozen if f[0] != name))
 
     def best_pair(self, trials: list[Trial], current: Scored) -> list[Trial]:
         """Return two effects that stand in each other's way alone, and hold together; empty if there are none.

@@ -15,6 +15,7 @@ from aerial_gym.sim2real.contribution import LEAST_SCORE, Contribution, told_apa
 from aerial_gym.sim2real.evaluation import Evaluation
 from aerial_gym.sim2real.fit import is_number, params_of, scales
 from aerial_gym.sim2real.inclusion import LEAST_SHOWN, Inclusion
+from aerial_gym.sim2real.learned import Learned
 from aerial_gym.sim2real.manoeuvre import Advice
 from aerial_gym.sim2real.selection import Selection, Trial
 from aerial_gym.sim2real.structure import Structure
@@ -132,16 +133,25 @@ class Verdict:
     remains: tuple[str, ...]
     """Channels with material structure after the correction."""
 
+    learned: Learned | None = None
+    """What became of a learned residual, where one was asked for."""
+
     notes: tuple[str, ...] = field(default=())
     """What was done to the logs, and other things to know."""
 
+    @property
+    def corrects(self) -> bool:
+        """Whether the corrected robot is another one than the declared."""
+        return bool(self.effects) or (self.learned is not None and self.learned.cfg is not None)
+
     def as_mapping(self) -> dict[str, object]:
         """Return the contract for JSON."""
+        learned = [self.learned.as_mapping()] if self.learned is not None and self.learned.cfg is not None else []
         return {
             "verdict": self.verdict,
             "reason": self.reason,
             "meaning": MEANINGS[self.verdict],
-            "effects": [effect.as_mapping() for effect in self.effects],
+            "effects": [*(effect.as_mapping() for effect in self.effects), *learned],
             "candidates": list(self.candidates),
             "not_testable": list(self.not_testable),
             "not_testable_because": self.not_testable,
@@ -150,6 +160,7 @@ class Verdict:
             "inclusion": {name: share for name, share in self.inclusion.effects.items() if share >= LEAST_SHOWN},
             "structure": self.structure.as_mapping(),
             "remains": list(self.remains),
+            "learned_residual": None if self.learned is None else self.learned.sentence,
             "before": self.before.as_mapping(),
             "after": self.after.as_mapping(before=self.before),
             "flights": {

@@ -76,11 +76,11 @@ def random_state(num_envs: int, *, seed: int = 0, rotor_speed: float = 800.0) ->
 
 
 def random_network(*widths: int, seed: int = 0) -> LearnedResidualCfg:
-    """Return a network for four rotors with hidden layers of these widths, that trusts the states of ``random_state``.
+    """Return a network with hidden layers of these widths, that trusts the states of ``random_state``.
 
     Outputs are some 0.3 N and 0.02 N m; about every tenth is limited, as is every tenth input.
     """
-    rng, sizes = np.random.default_rng(seed), (10, *widths)
+    rng, sizes = np.random.default_rng(seed), (7, *widths)
 
     def rows(values: np.ndarray) -> tuple:
         return tuple(tuple(row) if values.ndim == 2 else row for row in values.tolist())
@@ -92,11 +92,11 @@ def random_network(*widths: int, seed: int = 0) -> LearnedResidualCfg:
     size = np.array([0.3] * 3 + [0.02] * 3)
     output = size[:, None] * rng.normal(size=(6, sizes[-1])) / (0.4 * sizes[-1]) ** 0.5
     return LearnedResidualCfg(
-        low=(-3.3, -3.4, -3.2, -3.1, -3.5, -3.0, 660.0, 670.0, 650.0, 640.0),
-        high=(3.1, 3.2, 3.5, 3.4, 3.3, 3.6, 930.0, 940.0, 920.0, 950.0),
-        centre=(0.1, -0.2, 0.3, 0.05, -0.1, 0.15, 800.0, 790.0, 810.0, 805.0),
-        scale=(2.1, 1.9, 2.0, 2.2, 1.8, 2.0, 80.0, 85.0, 75.0, 82.0),
-        whitening=rows((np.eye(10) + 0.05 * rng.normal(size=(10, 10))) / 4.0),
+        low=(-3.3, -3.4, -3.2, -3.1, -3.5, -3.0, 5.0e5),
+        high=(3.1, 3.2, 3.5, 3.4, 3.3, 3.6, 8.0e5),
+        centre=(0.1, -0.2, 0.3, 0.05, -0.1, 0.15, 6.5e5),
+        scale=(2.1, 1.9, 2.0, 2.2, 1.8, 2.0, 1.0e5),
+        whitening=rows((np.eye(7) + 0.05 * rng.normal(size=(7, 7))) / 3.0),
         hidden=hidden,
         output=LayerCfg(weights=rows(output), bias=rows(0.1 * size)),
         limit=rows(1.5 * size),

@@ -55,6 +55,7 @@ def flight(
     *,
     drag: float = 0.0,
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    cubic: float = 0.0,
     thrust_scale: float = 1.0,
     noise: float = 0.0,
     seconds: float = 12.0,
@@ -64,15 +65,16 @@ def flight(
 
     In the columns of the contract, without commands.
 
+    ``cubic`` is a drag ``-c |v|² v`` [N s³/m³], which no effect has.
     ``noise`` scales: accelerometer 0.05 m/s², gyro 0.003 rad/s, rotors 0.3 %.
     """
     rng, body = np.random.default_rng(seed), ROBOT.body
     time = np.arange(round(seconds * rate)) / rate
     place, velocity, acceleration = sines(time, rng, (0.7, 0.7, 0.4), slow=0.2)
     heading = 1.5 * time * rng.choice((-0.3, 0.3)) + sines(time, rng, (0.5,), slow=0.1)[0][:, 0]
-    force = body.mass * (acceleration + GRAVITY) + drag * (
-        velocity - wind
-    )  # what the rotors give, world: drag is isotropic
+    # What the rotors give, world: drag is isotropic.
+    force = body.mass * (acceleration + GRAVITY) + drag * (velocity - wind)
+    force += cubic * (velocity**2).sum(axis=1, keepdims=True) * velocity
     up = force / np.linalg.norm(force, axis=1, keepdims=True)
     ahead = np.stack((np.cos(heading), np.sin(heading), np.zeros_like(heading)), axis=1)
     left = np.cross(up, ahead)

@@ -4,7 +4,7 @@
 # (Warp compiles these functions from their source; Python's type rules do not describe them.)
 """Force and torque that no named effect explains, as a small network of what the body feels.
 
-With the inputs u (velocity through the air, angular velocity, rotor speeds), held within the training data:
+With the inputs u (velocity through the air, angular velocity, mean squared rotor speed), held within the training data:
 ``x = (clip(u) - centre) / scale``, ``h = tanh(W1 x + b1)``, ..., ``y = W h + b``; the wrench is ``t(q) clip(y)`` with the trust
 ``t = s² (3 - 2 s)``, ``s = clip((4 - q) / 3)`` in [0, 1], and ``q = |whitening (u - centre) / scale|²``: 1 within the training
 data (Mahalanobis distance), 0 from twice as far on. Neither place nor time is an input, so it cannot learn a map of the room.
@@ -17,9 +17,14 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.config.learned_residual import LayerCfg, LearnedResidualCfg
+from aerial_gym.config.learned_residual import NUM_INPUTS, NUM_OUTPUTS, LayerCfg, LearnedResidualCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect
+
+
+def felt_inputs(air_velocity: Tensor, ang_vel: Tensor, rotor_speed: Tensor) -> Tensor:
+    """Return the inputs u, (E, 7), from velocities [m/s, rad/s], body, each (E, 3), and rotor speeds [rad/s], (E, R)."""
+    return torch.cat((air_velocity, ang_vel, rotor_speed.square().mean(-1, keepdim=True)), dim=-1)
 
 
 class LearnedResidual(WrenchEffect):
@@ -55,11 +60,11 @@ class LearnedResidual(WrenchEffect):
         return (0.0,)
 
     def distance(self, felt: Tensor) -> Tensor:
-        """Return the squared Mahalanobis distance q of inputs (E, D), (E, 1): above 1 outside the training data."""
+        """Return the squared Mahalanobis distance q of inputs (E, 7), (E, 1): above 1 outside the training data."""
         return (((felt - self._centre) / self._scale) @ self._whitening.T).square().sum(-1, keepdim=True)
 
     def of(self, felt: Tensor) -> Tensor:
-        """Return force [N] and torque [N m], body axes, (E, 6), for inputs (E, D)."""
+        """Return force [N] and torque [N m], body axes, (E, 6), for inputs (E, 7)."""
         values = (torch.minimum(torch.maximum(felt, self._low), self._high) - self._centre) / self._scale
         for weights, bias in self._hidden:
             values = torch.tanh(values @ weights.T + bias)
@@ -70,13 +75,12 @@ class LearnedResidual(WrenchEffect):
 
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return force and torque, (E, 6)."""
-        felt = torch.cat((condition.air_velocity, condition.ang_vel, condition.rotor_speed), dim=-1)
-        return params * self.of(felt)
+        return params * self.of(felt_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed))
 
     def warp_wrench(self, condition: type) -> wp.Function:
         """Return the same in Warp."""
-        cfg, width = self.cfg, self.cfg.num_inputs
-        inputs, numbers, one = _vector(width), _vector(6), _vector(1)
+        cfg = self.cfg
+        inputs, numbers, one = _vector(NUM_INPUTS), _vector(NUM_OUTPUTS), _vector(1)
         low, high, centre, scale = inputs(*cfg.low), inputs(*cfg.high), inputs(*cfg.centre), inputs(*cfg.scale)
         whitening, limit = _matrix(cfg.whitening), numbers(*cfg.limit)
         output, bias = _matrix(cfg.output.weights), numbers(*cfg.output.bias)
@@ -88,8 +92,7 @@ class LearnedResidual(WrenchEffect):
             for i in range(3):
                 felt[i] = at.air_velocity[i]
                 felt[3 + i] = at.ang_vel[i]
-            for i in range(wp.static(width - 6)):
-                felt[6 + i] = at.rotor_speed[i]
+            felt[6] = wp.dot(at.rotor_speed, at.rotor_speed) / float(len(at.rotor_speed))
             beyond = whitening * wp.cw_div(felt - centre, scale)
             near = wp.clamp((4.0 - wp.dot(beyond, beyond)) / 3.0, 0.0, 1.0)
             held = wp.cw_div(wp.min(wp.max(felt, low), high) - centre, scale)
