@@ -265,6 +265,10 @@ def judge_flights(
             f"only {len(train)} training flights: intervals rest on blocks of time, not on the spread of flights"
         )
     notes += immaterial(named)
+    notes += [
+        f"{name} is not named: what is taken for it follows the {kind}, which it cannot"
+        for name, kind in selection.doubted.items()
+    ]
     verdict = Verdict(
         verdict=kind,
         reason=reason,

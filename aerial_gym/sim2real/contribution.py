@@ -17,15 +17,10 @@ from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.intervals import Rise, rise_with_interval
 from aerial_gym.sim2real.prediction import Channel, Point, Predictor
 from aerial_gym.sim2real.rollout import QUANTITIES, RolloutErrors, roll_out
+from aerial_gym.sim2real.scoring import LEAST_SCORE
 from aerial_gym.sim2real.selection import Selection, Trial
 
 Array = NDArray[np.float64]
-
-LEAST_SCORE = 3.0
-"""Two models are told apart only by a log likelihood that differs so much: one is 20 times likelier.
-
-Source: Kass, Raftery (1995), Bayes factors, section 3.2: strong evidence.
-"""
 
 JUDGED_S = (0.5, 1.0)
 """Horizons at which a rollout decides on what is material [s]."""

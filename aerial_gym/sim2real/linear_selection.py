@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from aerial_gym.sim2real.candidates import Library
-from aerial_gym.sim2real.contribution import LEAST_SCORE
 from aerial_gym.sim2real.fit import FARTHEST_DEVIATION, WEAK_PRIOR
+from aerial_gym.sim2real.scoring import LEAST_SCORE
 from aerial_gym.sim2real.selection import Selection
 
 Array = NDArray[np.float64]

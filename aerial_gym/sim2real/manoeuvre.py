@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.candidates import starts
 from aerial_gym.sim2real.catalogue import MANOEUVRES, SPAN_S, fly
-from aerial_gym.sim2real.contribution import LEAST_SCORE
 from aerial_gym.sim2real.fit import (
     Fit,
     best_step,
@@ -29,6 +28,7 @@ from aerial_gym.sim2real.fit import (
 )
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.prediction import ROWS_PER_BAND, Point, Predictor
+from aerial_gym.sim2real.scoring import LEAST_SCORE
 from aerial_gym.sim2real.selection import Selection, lacks
 
 Array = NDArray[np.float64]

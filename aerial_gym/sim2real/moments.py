@@ -40,6 +40,12 @@ class Moments:
         return self.square - 2.0 * linear + np.einsum("bckl,bk,bl->bc", self.product, step, step)
 
 
+def block_rows(time: Array) -> list[NDArray[np.int64]]:
+    """Return the rows of each block of a flight whose rows are at these times [s]."""
+    blocks = max(1, round(float(time[-1] - time[0]) / BLOCK_S))
+    return np.array_split(np.arange(time.size), blocks)
+
+
 def block_moments(times: Sequence[Array], residuals: Sequence[Array], jacobians: Sequence[Array]) -> Moments:
     """Return the sums over blocks of about BLOCK_S, none of which spans two flights.
 
@@ -50,8 +56,7 @@ def block_moments(times: Sequence[Array], residuals: Sequence[Array], jacobians:
     """
     counts, squares, gradients, products, flights = [], [], [], [], []
     for flight, (time, r, j) in enumerate(zip(times, residuals, jacobians, strict=True)):
-        blocks = max(1, round(float(time[-1] - time[0]) / BLOCK_S))
-        for rows in np.array_split(np.arange(time.size), blocks):
+        for rows in block_rows(time):
             by_channel = j[rows].transpose(1, 2, 0)  # (C, K, rows)
             counts.append(float(rows.size))
             squares.append((r[rows] ** 2).sum(axis=0))

@@ -21,6 +21,13 @@ QUARTERS = 4
 """A single flight is left out in so many parts."""
 
 
+LEAST_SCORE = 3.0
+"""Two models are told apart only by a log likelihood that differs so much: one is 20 times likelier.
+
+Source: Kass, Raftery (1995), Bayes factors, section 3.2: strong evidence.
+"""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Criteria:
     """When an effect is accepted."""

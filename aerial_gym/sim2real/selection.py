@@ -17,6 +17,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.fit import (
     Fit,
     Frozen,
+    best_step,
     effect_jacobian,
     fit_effects,
     is_number,
@@ -24,13 +25,16 @@ from aerial_gym.sim2real.fit import (
     scales,
     tolerance_jacobian,
     weighting,
+    with_params,
 )
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.moments import Weighting
-from aerial_gym.sim2real.prediction import Point, Predictor
+from aerial_gym.sim2real.prediction import KINEMATIC, Point, Predictor
 from aerial_gym.sim2real.rotor_commands import missing_in_logs, too_steady
-from aerial_gym.sim2real.scoring import Criteria, Gain, LeftOut, Scored
+from aerial_gym.sim2real.scoring import LEAST_SCORE, Criteria, Gain, LeftOut, Scored
 from aerial_gym.sim2real.screening import Screen
+from aerial_gym.sim2real.stand_ins import Beside
+from aerial_gym.sim2real.structure import find_structure
 from aerial_gym.sim2real.surroundings import lacks_around
 from aerial_gym.sim2real.uncertainty import uncertainty, wald_probability
 
@@ -114,6 +118,9 @@ class Selection:
     not_testable: dict[str, str]
     """Effects that these flights cannot show, and why."""
 
+    doubted: dict[str, str]
+    """Effects that only stand in for a structure that no effect has, and for which."""
+
     left_out: LeftOut
     weights: Weighting
     criteria: Criteria
@@ -186,6 +193,7 @@ class _Selector:
             assert chosen[0].scored is not None
             current = self.prune(chosen[0].scored, newest={trial.effect for trial in chosen})
             current = self.within_bounds(self.linearise_tolerances(current))
+        current, doubted = self.without_stand_ins(current)
         untestable = {t.effect: t.objections[0] for t in rounds[-1] if t.scored is None and t.glance is None}
         rivals = {name: self.weigh_rivals(name, current) for name in current.effects}
         for trial in (trial for trials in rivals.values() for trial in trials):
@@ -198,6 +206,7 @@ class _Selector:
             rounds=tuple(rounds),
             rivals=rivals,
             not_testable=untestable,
+            doubted=doubted,
             left_out=self.left_out,
             weights=self.weights,
             criteria=self.criteria,
@@ -251,7 +260,8 @@ class _Selector:
         tied = [passed[0]]
         for trial in passed[1:]:
             assert trial.scored is not None
-            if self.left_out.gain(trial.scored.left_out, best.left_out).chance > self.criteria.rival_significance:
+            ahead = self.left_out.gain(trial.scored.left_out, best.left_out)
+            if ahead.chance > self.criteria.rival_significance or ahead.score < LEAST_SCORE:
                 tied.append(trial)
         return [min(tied, key=lambda trial: trial.num_free)]  # the first, and so the best, of equals
 
@@ -371,6 +381,37 @@ class _Selector:
                 self.lacking[name] = f"runs into its physical bound beside the other effects: {', '.join(ends)}"
                 return self.within_bounds(self.without(scored, name))
         return scored
+
+    def without_stand_ins(self, scored: Scored) -> tuple[Scored, dict[str, str]]:
+        """Return the model without effects that only stand in for a structure of what remains, and that structure for each.
+
+        A force that depends on position has a mean, and that mean looks like a wind; a thrust that fades has a mean loss.
+        """
+        flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
+        dynamic = [place for place, channel in enumerate(channels) if channel.kind not in KINEMATIC]
+        doubted: dict[str, str] = {}
+        while scored.effects:
+            residuals = self.within_tolerances(scored)
+            structure = find_structure(flights, times, residuals, channels, dynamic)
+            if structure.kind == "none":
+                break
+            among = Beside(structure, flights, times, channels, self.weights, residuals)
+            less = {name: self.within_tolerances(self.without(scored, name)) for name in scored.effects}
+            neutral = {name: self.neutral(name) for name in scored.effects}
+            found = [n for n in scored.effects if among.stands_in(n, scored.fit, neutral[n], less[n])]
+            if not found:
+                break
+            doubted[found[-1]] = structure.kind
+            scored = self.without(scored, found[-1])
+        return scored, doubted
+
+    def within_tolerances(self, scored: Scored) -> list[Array]:
+        """Return the residuals of a model with the deviations within the tolerances that fit best, (rows, C) each."""
+        fit = scored.fit
+        step = best_step(fit, self.weights.weight, fit.free_all)
+        values = params_of(fit.point, fit.effects) + scales(fit.effects) * step[: fit.num_effect_params]
+        point = with_params(self.predictor.robot, fit.point, fit.effects, values)
+        return self.predictor.residuals(replace(point, deviation=step[fit.num_effect_params :]))
 
     def prune(self, scored: Scored, *, newest: set[str]) -> Scored:
         """Return the model without effects that the newest have made superfluous: what no longer pays, not what also harms."""

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.breakdown import Part, Regime
-from aerial_gym.sim2real.contribution import LEAST_SCORE, Contribution, told_apart
+from aerial_gym.sim2real.contribution import Contribution, told_apart
 from aerial_gym.sim2real.evaluation import Evaluation
 from aerial_gym.sim2real.fit import is_number, params_of, scales
 from aerial_gym.sim2real.inclusion import LEAST_SHOWN, Inclusion
 from aerial_gym.sim2real.learned import Learned
 from aerial_gym.sim2real.manoeuvre import Advice
+from aerial_gym.sim2real.scoring import LEAST_SCORE
 from aerial_gym.sim2real.selection import Selection, Trial
 from aerial_gym.sim2real.structure import Structure
 

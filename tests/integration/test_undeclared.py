@@ -77,10 +77,11 @@ def test_gusts_are_found_with_their_moments(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("cause", ["unknown_periodic", "unknown_position", "unknown_time", "unknown_heading"])
-def test_an_unknown_force_is_never_called_gusts(cause: str, tmp_path: Path) -> None:
+def test_an_unknown_cause_is_given_no_name_but_its_structure(cause: str, tmp_path: Path) -> None:
     verdict, _ = run_case(tmp_path, {cause: "moderate"}, 213)
     assert verdict["verdict"] == "unexplained"
-    assert "gusts" not in [found["name"] for found in verdict["effects"]]
+    assert verdict["effects"] == []
+    assert verdict["structure"]["kind"] == cause.removeprefix("unknown_")
 
 
 def test_nothing_is_named_where_nothing_is_hidden(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
 from aerial_gym.cli.main import main
 from aerial_gym.config import dump_yaml, load
@@ -218,7 +219,7 @@ def test_training_and_testing_need_a_flight_each(folder: Path, tmp_path: Path) -
         close_loop(folder / "robot.yaml", [folder / "f0.csv"], [folder / "f3.csv"], tmp_path / "file")
 
 
-@pytest.mark.parametrize("kind", ["position", "time", "periodic", "none"])
+@pytest.mark.parametrize("kind", ["position", "time", "periodic", "heading", "velocity", "none"])
 def test_the_kind_of_a_remaining_structure(kind: str, folder: Path) -> None:
     from aerial_gym.sim2real.flights import load_flights
 
@@ -228,6 +229,9 @@ def test_the_kind_of_a_remaining_structure(kind: str, folder: Path) -> None:
     times, residuals = [], []
     for one in flights:
         assert one.position is not None
+        assert one.lin_vel is not None
+        turn = Rotation.from_quat(one.attitude[20:-20:3])
+        ahead, forward = turn.apply([1.0, 0.0, 0.0]), turn.apply(one.lin_vel[20:-20:3], inverse=True)[:, 0]
         time = one.time[20:-20:3]
         height = one.position[20:-20:3, 2]
         left = 0.02 * rng.standard_normal((time.size, 3))
@@ -235,6 +239,8 @@ def test_the_kind_of_a_remaining_structure(kind: str, folder: Path) -> None:
             "position": 0.3 * np.exp(-(height - height.min()) / 0.3),
             "time": -0.03 * time,
             "periodic": 0.1 * np.sin(2.0 * np.pi * 7.0 * time + rng.uniform(0.0, 6.0)),
+            "heading": 0.1 * ahead[:, 0] / np.hypot(ahead[:, 0], ahead[:, 1]),
+            "velocity": 0.2 * forward * np.abs(forward),
             "none": 0.0,
         }[kind]
         times.append(time)
