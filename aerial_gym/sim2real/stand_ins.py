@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.fit import Fit, is_number, params_of, prior_precision, scales
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.moments import Weighting, block_rows
@@ -19,7 +20,7 @@ Array = NDArray[np.float64]
 KEPT = 0.5
 """Of its evidence, an effect must keep this share beside the structure."""
 
-STEADY = 0.25
+STEADY = 0.2
 """Its parameters may differ by this share of their distance from neutral between where the structure is low and high."""
 
 CERTAIN = 25.0
@@ -46,12 +47,16 @@ class Beside:
     def stands_in(self, name: str, fit: Fit, neutral: Array, less: list[Array]) -> bool:
         """Return whether an effect of a fitted model is not needed beside the structure, or changes with it.
 
+        Never an effect that by its nature follows what the structure follows: its law may be off, but its name is right.
+
         Args:
             name: The effect.
             fit: The model.
             neutral: Parameters with which the effect changes nothing, (P,).
             less: Residuals without the effect, the others fitted again, (T, C) each.
         """
+        if self._structure.kind in EFFECTS.get(name).follows:
+            return False
         alone, beside = self._evidence(less)
         return beside < KEPT * alone or self._changes(name, fit, neutral)
 

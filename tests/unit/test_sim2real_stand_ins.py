@@ -21,8 +21,8 @@ ROTORS = ["rotor_1", "rotor_2", "rotor_3", "rotor_4"]
 
 
 def fading(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a flight whose thrust fades from 4 to 12 % below what it should be: the rotors turn faster and faster for the same thrust."""
-    table[ROTORS] = table[ROTORS].div(np.sqrt(0.96 - 0.08 * table["t"] / table["t"].max()), axis=0)
+    """Return a flight whose thrust fades from 6.5 to 11.5 % below what it should be: the rotors turn faster and faster for the same thrust."""
+    table[ROTORS] = table[ROTORS].div(np.sqrt(0.935 - 0.05 * table["t"] / table["t"].max()), axis=0)
     return table
 
 

@@ -29,6 +29,7 @@ class AxialInflow(RotorEffect):
     )
     excitation = "climb and descent; roll and pitch rates tell it from a drag along z"
     confused_with = ("rotor_drag", "quadratic_drag", "thrust_coefficient")
+    follows = ("velocity",)
 
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
         """Return ``-ka w v_a``."""

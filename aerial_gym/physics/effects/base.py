@@ -205,6 +205,8 @@ class Effect(ABC):
     """Values right after a reset of the M numbers that it remembers of each environment."""
     needs: ClassVar[tuple[Literal["position", "ceiling_height", "other_position"], ...]] = ()
     """What of the scene it needs."""
+    follows: ClassVar[tuple[Literal["position", "velocity", "voltage"], ...]] = ()
+    """On what its force depends, so that an imperfect law leaves a residual which follows it."""
     logged: ClassVar[tuple[Literal["battery"], ...]] = ()
     """What a log must hold in place of its memory."""
     random: ClassVar[bool] = False

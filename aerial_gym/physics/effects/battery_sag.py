@@ -48,6 +48,7 @@ class BatterySag(CommandEffect):
     )
     excitation = "a long flight, or hard and gentle thrust, with the voltage and commands in the log"
     confused_with = ("thrust_coefficient", "payload_mass", "motor_time_constant")
+    follows = ("voltage",)
     memory = (0.0, 0.0)
     """Charge drawn [A s] and voltage [V]; the latter is written before it is first read."""
     logged = ("battery",)

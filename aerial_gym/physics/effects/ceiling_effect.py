@@ -30,6 +30,7 @@ class CeilingEffect(RotorEffect):
     parameters = (Parameter(name="k", unit="-", low=0.0, high=3.5, scale=1.0, meaning="strength, as of ground_effect"),)
     excitation = "flight within two rotor diameters of the ceiling, and away from it; its height"
     confused_with = ("thrust_coefficient", "battery_sag", "ground_effect")
+    follows = ("position",)
     needs = ("position", "ceiling_height")
 
     def check(self, robot: RobotCfg) -> None:

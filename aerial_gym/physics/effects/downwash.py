@@ -31,6 +31,7 @@ class Downwash(WrenchEffect):
     )
     excitation = "passes below another vehicle whose position is in the log"
     confused_with = ("gusts", "thrust_coefficient", "ground_effect")
+    follows = ("position",)
     needs = ("position", "other_position")
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:

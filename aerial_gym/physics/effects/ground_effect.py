@@ -38,6 +38,7 @@ class GroundEffect(RotorEffect):
         "flight within two rotor diameters of the ground, and away from it; heights above the ground in the log"
     )
     confused_with = ("thrust_coefficient", "battery_sag", "axial_inflow")
+    follows = ("position",)
     needs = ("position",)
 
     def check(self, robot: RobotCfg) -> None:

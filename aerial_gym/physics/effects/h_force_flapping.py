@@ -33,6 +33,7 @@ class HForceFlapping(LinearWrenchEffect):
     )
     excitation = "sideways velocity in both directions; the moment also needs the rotor speeds one by one"
     confused_with = ("rotor_drag", "com_offset", "constant_wind")
+    follows = ("velocity",)
 
     def regressor(self, condition: Condition) -> Tensor:
         """Return (E, 6, 2), the sums over the rotors."""

@@ -27,6 +27,7 @@ class QuadraticDrag(LinearWrenchEffect):
     )
     excitation = "several different speeds through the air, some of them high, along each body axis"
     confused_with = ("rotor_drag", "constant_wind")
+    follows = ("velocity",)
 
     def regressor(self, condition: Condition) -> Tensor:
         """Return ``-|v| diag(v)`` for the force and zero for the torque, (E, 6, 3)."""

@@ -27,6 +27,7 @@ class RotorDrag(LinearWrenchEffect):
     )
     excitation = "velocity along each body axis, in both directions or at several speeds"
     confused_with = ("quadratic_drag", "constant_wind", "com_offset")
+    follows = ("velocity",)
 
     def regressor(self, condition: Condition) -> Tensor:
         """Return ``-diag(v)`` for the force and zero for the torque, (E, 6, 3)."""

@@ -25,6 +25,7 @@ class TranslationalLift(RotorEffect):
     )
     excitation = "several different sideways speeds, some of them high"
     confused_with = ("thrust_coefficient", "quadratic_drag", "payload_mass")
+    follows = ("velocity",)
 
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
         """Return ``kt |v_e|²``."""
