@@ -76,10 +76,9 @@ def _rotor_speed_after(model: Model, speed: Tensor, command: Tensor, dt: float) 
 
 def _derivative(model: Model, state: MassState, rotor_acc: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     position, attitude, lin_vel, ang_vel, rotor_speed, load = vars(state).values()
-    motion = position, attitude, lin_vel, ang_vel
-    force, torque = body_wrench(model, *motion, rotor_speed, rotor_acc)
+    force, torque = body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
     acc, ang_acc = com_acceleration(model, attitude, force), angular_acceleration(model, ang_vel, torque)
-    return with_load(model, *motion, load, acc, ang_acc)
+    return with_load(model, attitude, ang_vel, load, acc, ang_acc)
 
 
 def _settle(load: Tensor) -> Tensor:

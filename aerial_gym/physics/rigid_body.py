@@ -93,22 +93,13 @@ def com_acceleration(model: Model, attitude: Tensor, force: Tensor) -> Tensor:
 
 
 def with_load(
-    model: Model,
-    position: Tensor,
-    attitude: Tensor,
-    com_vel: Tensor,
-    ang_vel: Tensor,
-    load: Tensor,
-    acc: Tensor,
-    ang_acc: Tensor,
+    model: Model, attitude: Tensor, ang_vel: Tensor, load: Tensor, acc: Tensor, ang_acc: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return accelerations of the vehicle with the load that hangs on it, and n'' of the load [1/s²], each (E, 3).
 
     Args:
         model: Vehicle and effects; without a load the accelerations come back, and an empty n'' (E, 0).
-        position: Centre of mass [m], world, (E, 3).
         attitude: Body to world, xyzw, (E, 4).
-        com_vel: Velocity of the centre of mass [m/s], world, (E, 3).
         ang_vel: Angular velocity [rad/s], body, (E, 3).
         load: Direction n of the link and its rate n' [1/s], world, (E, 6).
         acc: Acceleration of the centre of mass without the load [m/s²], world, (E, 3).
@@ -126,10 +117,8 @@ def with_load(
         turning = turning + torch.linalg.cross(ang_vel, torch.linalg.cross(ang_vel, lever))
         mobility = -cross @ model.inertia_inverse @ cross
         mobility = mobility + torch.eye(3, dtype=cross.dtype, device=cross.device) / model.vehicle.mass[:, None, None]
-        air = air_velocity(model, position, attitude, com_vel) + torch.linalg.cross(ang_vel, lever)
         suspension = Suspension(
             acceleration=acc + quat_rotate(attitude, turning),
-            air_velocity=quat_rotate(attitude, air),
             mobility=rotation @ mobility @ rotation.mT,
             gravity=model.gravity,
         )
@@ -188,7 +177,7 @@ def accelerations(
     felt = force / model.vehicle.mass.unsqueeze(-1)
     if load is not None:
         alone = com_acceleration(model, state.attitude, force)
-        acc, ang_acc, _ = with_load(model, position, state.attitude, com_vel, ang_vel, load, alone, ang_acc)
+        acc, ang_acc, _ = with_load(model, state.attitude, ang_vel, load, alone, ang_acc)
         felt = felt + quat_rotate_inverse(state.attitude, acc - alone)
     lever = torch.linalg.cross(ang_acc, com) + torch.linalg.cross(ang_vel, torch.linalg.cross(ang_vel, com))
     return Accelerations(specific_force=felt - lever, ang_acc=ang_acc)

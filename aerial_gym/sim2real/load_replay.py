@@ -46,24 +46,20 @@ class LoadReplay:
         if self._known:
             count = int(np.ceil(max(self._spans) / STEP_S)) + 1
             self._time = 0.5 * STEP_S * np.arange(2 * count + 1)
-            tables = [self._motion(flight) for flight in flights]
-            self._acceleration, self._velocity, self._position = (
-                torch.from_numpy(np.stack(table, axis=1)) for table in zip(*tables, strict=True)
-            )
+            self._acceleration = torch.from_numpy(np.stack([self._motion(flight) for flight in flights], axis=1))
             self._start = torch.stack([self._hanging(place, flight) for place, flight in enumerate(flights)])
 
     def loads(self, model: Model, times: Sequence[Array]) -> Tensor:
         """Return direction n and rate n' of the link, world, (E, 6), at times of each flight, one after the other.
 
         Args:
-            model: With the load; wind and load have the same parameters in every row, of which the first is taken.
+            model: With the load, which has the same parameters in every row, of which the first is taken.
             times: Of each flight, (rows,); E is their sum.
         """
         effect, params = model.loads[0]
-        winds = [(wind, tuple(numbers[0].tolist())) for wind, numbers in model.winds]
-        key = (tuple((wind.name, numbers) for wind, numbers in winds), tuple(params[0].tolist()))
+        key = (effect.name, model.gravity, *params[0].tolist())
         if key not in self._results:
-            self._run(effect, params[0], model, key[0])
+            self._run(effect, params[0], model.gravity)
             while len(self._results) > REMEMBERED:
                 self._results.popitem(last=False)
         self._results.move_to_end(key)
@@ -73,16 +69,11 @@ class LoadReplay:
         rate = load[:, 3:] - (load[:, 3:] * direction).sum(-1, keepdim=True) * direction
         return torch.cat((direction, rate), dim=-1)
 
-    def _motion(self, flight: Flight) -> tuple[Array, Array, Array]:
-        """Return acceleration, velocity and position of the origin every half step, world, each (2 N + 1, 3)."""
+    def _motion(self, flight: Flight) -> Array:
+        """Return the acceleration of the origin every half step [m/s²], world, (2 N + 1, 3)."""
         assert flight.lin_vel is not None
         slow = lowpass(flight.lin_vel, flight.rate, min(BAND, DERIVED_BAND * flight.rate), derivative=True)
-        position = np.zeros_like(slow) if flight.position is None else flight.position
-        acceleration, velocity, place = (
-            np.stack([np.interp(self._time, flight.time, column) for column in table.T], axis=1)
-            for table in (slow, flight.lin_vel, position)
-        )
-        return acceleration, velocity, place
+        return np.stack([np.interp(self._time, flight.time, column) for column in slow.T], axis=1)
 
     def _hanging(self, place: int, flight: Flight) -> Tensor:
         """Return the still link along the apparent gravity at the start of a flight, (6,)."""
@@ -91,34 +82,27 @@ class LoadReplay:
         apparent[2] -= STANDARD_GRAVITY
         return torch.cat((torch.nn.functional.normalize(apparent, dim=0), torch.zeros(3, dtype=apparent.dtype)))
 
-    def _run(self, effect: LoadEffect, params: Tensor, model: Model, winds: object) -> None:
+    def _run(self, effect: LoadEffect, params: Tensor, gravity: float) -> None:
         """Keep the swings of a set of parameters, and of those next to it that a derivative will ask for."""
         steps = torch.tensor([SMALLEST_STEP * parameter.scale for parameter in effect.parameters], dtype=params.dtype)
         sets = torch.cat((params.unsqueeze(0), params + torch.diag(steps)))  # (S, P)
         num_sets, num_flights = sets.shape[0], len(self._spans)
-        air = self._velocity
-        for wind, numbers in model.winds:
-            blown = wind.wind(self._position.reshape(-1, 3), numbers[:1].expand(air.shape[0] * num_flights, -1))
-            air = air - blown.reshape(air.shape)
         swings = swing(
             effect,
             sets.repeat_interleave(num_flights, dim=0),
             self._start.repeat(num_sets, 1),
             self._acceleration.repeat(1, num_sets, 1),
-            air.repeat(1, num_sets, 1),
-            model.gravity,
+            gravity,
         ).numpy()
         time = self._time[::2]
         for number, row in enumerate(sets.tolist()):
             rows = range(number * num_flights, (number + 1) * num_flights)
-            self._results[(winds, tuple(row))] = [
+            self._results[(effect.name, gravity, *row)] = [
                 CubicHermiteSpline(time, swings[:, k, :3], swings[:, k, 3:]) for k in rows
             ]
 
 
-def swing(
-    effect: LoadEffect, params: Tensor, start: Tensor, acceleration: Tensor, air_velocity: Tensor, gravity: float
-) -> Tensor:
+def swing(effect: LoadEffect, params: Tensor, start: Tensor, acceleration: Tensor, gravity: float) -> Tensor:
     """Return how links swing below origins that move as given, (N + 1, F, 6), by Runge-Kutta steps of STEP_S.
 
     Args:
@@ -126,7 +110,6 @@ def swing(
         params: Its parameters, (F, P).
         start: Direction and rate of the link, (F, 6).
         acceleration: Of the origin [m/s²], world, every half step, (2 N + 1, F, 3).
-        air_velocity: Of the origin through the air [m/s], world, (2 N + 1, F, 3).
         gravity: Downward acceleration of free fall [m/s²].
     """
     fixed = acceleration.new_zeros(
@@ -134,9 +117,7 @@ def swing(
     )  # what pulls at an origin does not move it: its motion is given
 
     def slope(half: int, load: Tensor) -> Tensor:
-        at = Suspension(
-            acceleration=acceleration[half], air_velocity=air_velocity[half], mobility=fixed, gravity=gravity
-        )
+        at = Suspension(acceleration=acceleration[half], mobility=fixed, gravity=gravity)
         return torch.cat((load[:, 3:], effect.pull(at, load, params)[1]), dim=-1)
 
     load, history = start, [start]

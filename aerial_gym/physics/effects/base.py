@@ -175,9 +175,6 @@ class Suspension:
     acceleration: Tensor
     """Of the origin, gravity included [m/s²], world, (E, 3)."""
 
-    air_velocity: Tensor
-    """Of the origin through the air [m/s], world, (E, 3)."""
-
     mobility: Tensor
     """Acceleration of the origin per force on it [1/kg], world, (E, 3, 3)."""
 
@@ -370,16 +367,17 @@ class LoadEffect(Effect):
 
     @abstractmethod
     def pull(self, suspension: Suspension, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the force of the link on the body origin [N], world, (E, 3), and n'' [1/s²], (E, 3), for ``load`` (E, 6)."""
+        """Return the force of the load on the body origin [N], world, (E, 3), and n'' [1/s²], (E, 3), for ``load`` (E, 6)."""
 
     def warp_pull(self, suspension: type) -> wp.Function | None:
         """Return the twin of ``pull``, or None: the effect then runs on the torch backend only.
 
         Args:
-            suspension: The ``wp.struct`` with the fields of ``Suspension``.
+            suspension: The ``wp.struct`` with the fields of ``Suspension``, of single or of double precision.
 
         Returns:
-            A ``wp.func`` (suspension, load: ``wp.spatial_vector``, params: vector of P) -> (force, n''), ``wp.vec3``.
+            A ``wp.func`` (suspension, load: vector of 6, params: vector of P) -> (force, n''), vectors of 3, all of the
+            precision of ``suspension``.
         """
         del suspension
         return None

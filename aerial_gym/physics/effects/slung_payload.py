@@ -4,19 +4,23 @@
 # (Warp compiles these functions from their source; Python's type rules do not describe them.)
 """A point mass that swings below the body origin on a massless rigid link.
 
-With the unit vector n from the origin to the mass m at the distance l, the acceleration a of the origin, and the drag
-``F_d = -damping v`` of the mass by its velocity v through the air::
+With the unit vector n from the origin to the mass m at the distance l, the acceleration a of the origin, and the damping c of
+the swing, a force ``-c l n'`` on the mass by its velocity ``l n'`` relative to the origin, across the link::
 
-    T = m (g . n - a . n + l n'²) + F_d . n        tension of the link, which pulls the origin by +T n
-    n'' = (1 - n n^T) (g + F_d / m - a) / l - n'² n
+    T = m (g . n - a . n + l n'²)                   tension of the link
+    F = T n + c l n'                                force on the origin: of the link, and the reaction of the damping
+    n'' = (1 - n n^T) (g - a) / l - c / m n' - n'² n
 
-a itself depends on T, by the mobility A of the origin: ``a = a_0 + A n T``; both equations are linear in T, so that the
-coupled accelerations are exact. The link also pushes (T < 0), like a rod. Neither ground nor obstacles touch the mass, and the
-impulse of a contact does not reach it. There is no singular direction: n and n' are vectors, put back to ``|n| = 1``,
-``n . n' = 0`` after each step.
+a itself depends on F, by the mobility A of the origin: ``a = a_0 + A F``; both equations are linear in T, so that the
+coupled accelerations are exact. Small swings below a fixed origin fade by ``exp(-c t / 2 m)``. The air does not touch the mass:
+in steady flight it hangs straight along the apparent gravity. The link also pushes (T < 0), like a rod. Neither ground nor
+obstacles touch the mass, and the impulse of a contact does not reach it. There is no singular direction: n and n' are vectors,
+put back to ``|n| = 1``, ``n . n' = 0`` after each step.
 Source: Lee, Sreenath, Kumar (2013), Geometric control of cooperating multiple quadrotor UAVs with a suspended payload, eq. 1-4,
-for one vehicle, with a drag and a suspension beside the centre of mass added; derived from Newton's law for both bodies.
+for one vehicle, with a damping and a suspension beside the centre of mass added; derived from Newton's law for both bodies.
 """
+
+from typing import Any
 
 import torch
 import warp as wp
@@ -31,10 +35,10 @@ FITTED_LENGTHS = (0.3, 0.5, 0.8, 1.3, 2.1)
 LIGHTEST = 1e-3
 """Of the mass of the vehicle: the lightest payload that a fit tries."""
 
-DRAGGIEST = 0.1
-"""Of the mass of the vehicle per second: the strongest drag of a payload that a fit tries [1/s]."""
+STRONGEST = 0.1
+"""Of the mass of the vehicle per second: the strongest damping that a fit tries [1/s]."""
 
-LEAST_MASS = wp.constant(1e-6)
+LEAST_MASS = 1e-6
 """A lighter mass [kg] swings like this one; it pulls by what it weighs itself."""
 
 
@@ -46,7 +50,14 @@ class SlungPayload(LoadEffect):
     parameters = (
         Parameter(name="mass", unit="kg", low=0.0, high=50.0, scale=0.05, meaning="of the payload"),
         Parameter(name="length", unit="m", low=0.01, high=100.0, scale=0.2, meaning="from the body origin"),
-        Parameter(name="damping", unit="N s/m", low=0.0, high=10.0, scale=0.01, meaning="linear drag of the payload"),
+        Parameter(
+            name="damping",
+            unit="N s/m",
+            low=0.0,
+            high=10.0,
+            scale=0.01,
+            meaning="force on the payload per velocity across the link",
+        ),
     )
     excitation = "sideways accelerations, and flights of several swings"
     confused_with = ("payload_mass", "gusts", "com_offset", "thrust_coefficient")
@@ -57,9 +68,9 @@ class SlungPayload(LoadEffect):
         return 0.0, 1.0, 0.0
 
     def starts(self, robot: RobotCfg) -> list[tuple[float, ...]]:
-        """Return a twentieth of the vehicle's mass on links of several lengths, with a drag that damps their swing strongly.
+        """Return a twentieth of the vehicle's mass on links of several lengths, with a strong damping.
 
-        A weakly damped swing has a sharp frequency, so that a fit which starts at another one does not find it; a drag of
+        A weakly damped swing has a sharp frequency, so that a fit which starts at another one does not find it; a damping of
         the mass per second widens it to about the distance between these lengths.
         """
         mass = 0.05 * robot.body.mass
@@ -68,41 +79,45 @@ class SlungPayload(LoadEffect):
     def bounds(self, robot: RobotCfg) -> list[tuple[float, float]]:
         """Return the bounds: a vehicle lifts no more than it weighs; what is a thousandth of it does not show."""
         mass = robot.body.mass
-        return [(LIGHTEST * mass, mass), (0.1, 20.0), (0.0, DRAGGIEST * mass)]
+        return [(LIGHTEST * mass, mass), (0.1, 20.0), (0.0, STRONGEST * mass)]
 
     def pull(self, suspension: Suspension, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
-        """Return ``T n`` and n''."""
+        """Return F and n''."""
         mass, length, damping = (params[:, k : k + 1] for k in range(3))
         direction, rate = load[:, :3], load[:, 3:]
         square = rate.square().sum(-1, keepdim=True)
-        drag = -damping * (suspension.air_velocity + length * rate)
+        reaction = damping * length * rate
         yielding = (suspension.mobility * direction.unsqueeze(-2)).sum(-1)
         ax, ay, az = suspension.acceleration.unbind(-1)
         hanging = torch.stack((-ax, -ay, -az - suspension.gravity), dim=-1)
+        hanging = hanging - (suspension.mobility * reaction.unsqueeze(-2)).sum(-1)
         along = mass * ((hanging * direction).sum(-1, keepdim=True) + length * square)
-        along = along + (drag * direction).sum(-1, keepdim=True)
         tension = along / (1.0 + mass * (yielding * direction).sum(-1, keepdim=True))
-        push = hanging - yielding * tension + drag / mass.clamp_min(LEAST_MASS)
+        push = hanging - yielding * tension
         across = push - (push * direction).sum(-1, keepdim=True) * direction
-        return tension * direction, across / length - square * direction
+        swing = across / length - damping / mass.clamp_min(LEAST_MASS) * rate - square * direction
+        return tension * direction + reaction, swing
 
     def warp_pull(self, suspension: type) -> wp.Function:
         """Return the same in Warp."""
+        scalar = suspension.vars["gravity"].type
 
         @wp.func
-        def slung_payload(at: suspension, load: wp.spatial_vector, params: wp.vec3):
+        def slung_payload(at: suspension, load: Any, params: Any):
             mass = params[0]
             length = params[1]
             direction = wp.spatial_top(load)
             rate = wp.spatial_bottom(load)
             square = wp.dot(rate, rate)
-            drag = -params[2] * (at.air_velocity + length * rate)
+            reaction = params[2] * length * rate
             yielding = at.mobility * direction
-            hanging = -at.acceleration - wp.vec3(0.0, 0.0, at.gravity)
-            along = mass * (wp.dot(hanging, direction) + length * square) + wp.dot(drag, direction)
-            tension = along / (1.0 + mass * wp.dot(yielding, direction))
-            push = hanging - yielding * tension + drag / wp.max(mass, LEAST_MASS)
+            down = wp.vector(scalar(0.0), scalar(0.0), at.gravity)
+            hanging = -at.acceleration - down - at.mobility * reaction
+            tension = mass * (wp.dot(hanging, direction) + length * square)
+            tension = tension / (scalar(1.0) + mass * wp.dot(yielding, direction))
+            push = hanging - yielding * tension
             across = push - wp.dot(push, direction) * direction
-            return tension * direction, across / length - square * direction
+            swing = across / length - params[2] / wp.max(mass, scalar(LEAST_MASS)) * rate - square * direction
+            return tension * direction + reaction, swing
 
         return slung_payload

@@ -113,7 +113,7 @@ def make_accelerations(model: Model) -> wp.Function:
     vehicle_type, vector, condition_type = types.vehicle, types.vector, types.condition
     ground_height, hub_at = model.ground_height, _make_hub_at(num_rotors)
     ceiling_height = 0.0 if model.ceiling_height is None else model.ceiling_height
-    hang = _make_hang(model, wind)
+    hang = _make_hang(model)
 
     @wp.func
     def accelerations(
@@ -168,15 +168,13 @@ def make_accelerations(model: Model) -> wp.Function:
         ang_acc = angular_acceleration(vehicle.inertia, vehicle.inertia_inverse, ang_vel, torque)
         swing = wp.spatial_vector()
         if wp.static(any_load):
-            acc, ang_acc, swing = hang(
-                vehicle, params, gravity, position, attitude, lin_vel, ang_vel, load, acc, ang_acc
-            )
+            acc, ang_acc, swing = hang(vehicle, params, gravity, attitude, ang_vel, load, acc, ang_acc)
         return acc, ang_acc, swing
 
     return accelerations
 
 
-def _make_hang(model: Model, wind: wp.Function) -> wp.Function | None:
+def _make_hang(model: Model) -> wp.Function | None:
     """Return ``rigid_body.with_load`` for one environment; the last result is the rate of change of the load."""
     if not model.loads:
         return None
@@ -189,9 +187,7 @@ def _make_hang(model: Model, wind: wp.Function) -> wp.Function | None:
         vehicle: vehicle_type,
         params: params_type,
         gravity: float,
-        position: wp.vec3,
         attitude: wp.quat,
-        lin_vel: wp.vec3,
         ang_vel: wp.vec3,
         load: wp.spatial_vector,
         acc: wp.vec3,
@@ -203,7 +199,6 @@ def _make_hang(model: Model, wind: wp.Function) -> wp.Function | None:
         mobility = vehicle.mass_inverse * wp.identity(n=3, dtype=float) - cross * vehicle.inertia_inverse * cross
         at = Suspension()
         at.acceleration = acc + rotate(attitude, wp.cross(ang_acc, lever) + wp.cross(ang_vel, wp.cross(ang_vel, lever)))
-        at.air_velocity = lin_vel - wind(position, params) + rotate(attitude, wp.cross(ang_vel, lever))
         at.mobility = rotation * mobility * wp.transpose(rotation)
         at.gravity = gravity
         force, swing = pull(at, load, pick(params))

@@ -58,7 +58,6 @@ class Suspension:
     """How the body origin, on which a load hangs, would move without the load."""
 
     acceleration: wp.vec3  # gravity included [m/s²], world
-    air_velocity: wp.vec3  # through the air [m/s], world
     mobility: wp.mat33  # acceleration per force [1/kg], world
     gravity: float  # [m/s²]
 
