@@ -21,7 +21,8 @@ from aerial_gym.physics import (
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.memory import make_memory, place_load
 from aerial_gym.robots import ROBOTS
-from aerial_gym.sim2real.load_replay import STEP_S, LoadReplay, swing
+from aerial_gym.sim2real.load_replay import STEP_S, LoadReplay
+from aerial_gym.sim2real.load_swing import swing
 from aerial_gym.sim2real.prediction import Point, Predictor, find_channels
 from aerial_gym.sim2real.rollout import roll_out
 from aerial_gym.sim2real.surroundings import lacks_around
@@ -50,7 +51,8 @@ def test_a_load_below_a_held_origin_swings_like_a_pendulum(length: float, dampin
     mass, angle, steps = 0.1, 1e-4, 100
     start = torch.tensor([[sin(angle), 0.0, -cos(angle), 0.0, 0.0, 0.0]], dtype=F64)
     still = torch.zeros(2 * steps + 1, 1, 3, dtype=F64)
-    found = swing(slung(), torch.tensor([[mass, length, damping]], dtype=F64), start, still, G)[:, 0, 0]
+    params = torch.tensor([mass, length, damping], dtype=F64)
+    found = swing(slung(), params, start, still, step=STEP_S, gravity=G)[:, 0, 0]
     decay = 0.5 * damping / mass
     omega = sqrt(G / length - decay**2)
     time = STEP_S * torch.arange(steps + 1, dtype=F64)

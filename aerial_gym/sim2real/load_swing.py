@@ -1,0 +1,120 @@
+# pyright: reportArgumentType=false, reportCallIssue=false, reportIndexIssue=false, reportOperatorIssue=false
+# pyright: reportGeneralTypeIssues=false, reportAttributeAccessIssue=false, reportAssignmentType=false
+# pyright: reportInvalidTypeForm=false
+# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
+"""A load that swings below origins which move as given, in float64 on the CPU: steps one after another, origins side by side.
+
+The equation of motion is that of the simulator. Letters: F origins, P parameters, N steps.
+"""
+
+from functools import cache
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.errors import CapabilityError, ShapeError
+from aerial_gym.interop import start_warp
+from aerial_gym.physics.effects import LoadEffect
+
+
+@wp.struct
+class _Suspension:
+    """``effects.Suspension`` in double precision."""
+
+    acceleration: wp.vec3d  # gravity included [m/s²], world
+    mobility: wp.mat33d  # acceleration per force [1/kg], world
+    gravity: wp.float64  # [m/s²]
+
+
+@wp.func
+def _join(top: wp.vec3d, bottom: wp.vec3d) -> wp.spatial_vectord:
+    return wp.spatial_vectord(top[0], top[1], top[2], bottom[0], bottom[1], bottom[2])
+
+
+def swing(
+    effect: LoadEffect, params: Tensor, start: Tensor, acceleration: Tensor, *, step: float, gravity: float
+) -> Tensor:
+    """Return how links swing below origins that move as given, (N + 1, F, 6), by Runge-Kutta steps of order 4.
+
+    Args:
+        effect: Gives the equation of motion.
+        params: Its parameters, float64, (P,).
+        start: Direction and rate of the links, world, float64, (F, 6).
+        acceleration: Of the origins [m/s²], world, every half step, float64, (2 N + 1, F, 3).
+        step: Of the integrator [s].
+        gravity: Downward acceleration of free fall [m/s²].
+
+    Raises:
+        CapabilityError: If the effect has no Warp function.
+        ShapeError: If the tables do not fit each other.
+    """
+    rows, count = acceleration.shape[:2]
+    if rows % 2 == 0 or tuple(start.shape) != (count, 6):
+        raise ShapeError(
+            f"start {tuple(start.shape)} and acceleration {tuple(acceleration.shape)}, expected (F, 6) and (2 N + 1, F, 3)"
+        )
+    start_warp()
+    load = torch.empty(rows // 2 + 1, count, 6, dtype=torch.float64)
+    wp.launch(
+        _make_kernel(effect),
+        dim=count,
+        inputs=[
+            wp.from_torch(acceleration.contiguous(), dtype=wp.vec3d),
+            wp.from_torch(start.contiguous(), dtype=wp.spatial_vectord),
+            wp.types.vector(length=len(params), dtype=wp.float64)(*params.tolist()),
+            wp.float64(gravity),
+            wp.float64(step),
+        ],
+        outputs=[wp.from_torch(load, dtype=wp.spatial_vectord)],
+        device="cpu",
+    )
+    return load
+
+
+@cache
+def _make_kernel(effect: LoadEffect) -> wp.Kernel:
+    """Return the kernel for an effect."""
+    pull = effect.warp_pull(_Suspension)
+    if pull is None:
+        raise CapabilityError(
+            f"effect {effect.name}: without a Warp function (warp_pull) its load cannot be followed along a flight"
+        )
+    params_type = wp.types.vector(length=len(effect.parameters), dtype=wp.float64)
+
+    @wp.func
+    def slope(acceleration: wp.vec3d, load: wp.spatial_vectord, params: params_type, gravity: wp.float64):
+        at = _Suspension()  # without mobility: what pulls at an origin does not move it
+        at.acceleration = acceleration
+        at.gravity = gravity
+        _force, swing = pull(at, load, params)
+        return _join(wp.spatial_bottom(load), swing)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def follow(
+        acceleration: wp.array2d[wp.vec3d],  # (2 N + 1, F) [m/s²], world
+        start: wp.array[wp.spatial_vectord],  # (F,) n, n' [1/s], world
+        params: params_type,
+        gravity: wp.float64,  # [m/s²]
+        step: wp.float64,  # [s]
+        # out
+        load_out: wp.array2d[wp.spatial_vectord],  # (N + 1, F) n, n' [1/s], world
+    ):
+        """Write the link at the start and after each step, with ``|n| = 1``, ``n . n' = 0``."""
+        origin = wp.tid()
+        half = wp.float64(0.5) * step
+        load = start[origin]
+        load_out[0, origin] = load
+        for row in range(1, load_out.shape[0]):
+            middle = acceleration[2 * row - 1, origin]
+            k1 = slope(acceleration[2 * row - 2, origin], load, params, gravity)
+            k2 = slope(middle, load + half * k1, params, gravity)
+            k3 = slope(middle, load + half * k2, params, gravity)
+            k4 = slope(acceleration[2 * row, origin], load + step * k3, params, gravity)
+            load += step / wp.float64(6.0) * (k1 + wp.float64(2.0) * (k2 + k3) + k4)
+            direction = wp.normalize(wp.spatial_top(load))
+            rate = wp.spatial_bottom(load)
+            load = _join(direction, rate - wp.dot(rate, direction) * direction)
+            load_out[row, origin] = load
+
+    return follow
