@@ -21,7 +21,7 @@ ROTORS = ["rotor_1", "rotor_2", "rotor_3", "rotor_4"]
 
 
 def fading(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a flight whose thrust fades from 6.5 to 11.5 % below what it should be: the rotors turn faster and faster for the same thrust."""
+    """Return a flight whose thrust falls from 6.5 to 11.5 % below the declared one: rotors turn faster for it."""
     table[ROTORS] = table[ROTORS].div(np.sqrt(0.935 - 0.05 * table["t"] / table["t"].max()), axis=0)
     return table
 
