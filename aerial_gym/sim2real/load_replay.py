@@ -1,7 +1,10 @@
 """How a load that hangs on the vehicle swings along flights: driven by the measured motion of the body origin.
 
-The link hangs still along the apparent gravity of the first half second and is integrated from there, so that a load which
-swung when the log began is followed only once that has faded. Letters: N steps.
+The swing is integrated from the start of each flight, where logs do not tell it: two angles and two rates. They are those
+that leave the least of the specific force of the first seconds unexplained, beside a weak prior that the link hangs still along
+the apparent gravity; without a measured specific force it does. They are found anew for each model, in flights that are left
+out as well: four numbers of each flight are given to every model with a load, as its beginning, not as a prediction.
+Letters: N steps, K steps from which the start is found, F flights.
 """
 
 from collections import OrderedDict
@@ -29,6 +32,21 @@ SETTLED_S = 0.5
 BAND = 5.0
 """The measured acceleration is taken below it [Hz]; links longer than 0.1 m swing below 2 Hz."""
 
+FOUND_S = 6.0
+"""The start is found from this span [s]: some swings, most of what damping leaves of them."""
+
+FORCE_STD = 0.1
+"""Specific force that a step of that span leaves unexplained [m/s²], where the prior of the start is weighed against it."""
+
+START_STD = (0.3, 0.3, 1.0, 1.0)
+"""Prior of the start: angles [rad] and rates [rad/s] of a moderate swing of a link of about a metre."""
+
+NUDGE = 1e-6
+"""Difference step of the start [rad], [rad/s]."""
+
+ROUNDS = 3
+"""Gauss-Newton steps to the start: always the same number, so that predictions are smooth in the parameters."""
+
 REMEMBERED = 64
 """Results kept."""
 
@@ -45,20 +63,28 @@ class LoadReplay:
             self._time = 0.5 * STEP_S * np.arange(2 * count + 1)
             self._acceleration = torch.from_numpy(np.stack([self._motion(flight) for flight in flights], axis=1))
             self._start = torch.stack([self._hanging(place, flight) for place, flight in enumerate(flights)])
+            hanging = self._start[:, :3]
+            self._axes = torch.linalg.svd(hanging.unsqueeze(1)).Vh.roll(-1, dims=1)  # (F, 3, 3), the link last
+            self._axes[:, 2] = hanging
+            self._num_found = min(count, round(FOUND_S / STEP_S))
+            grid = self._time[::2][: self._num_found + 1, None]
+            self._inside = torch.from_numpy((grid <= np.array(self._spans)).astype(float))
 
-    def loads(self, model: Model, times: Sequence[Array]) -> Tensor:
+    def loads(self, model: Model, times: Sequence[Array], missed: Sequence[Array] | None = None) -> Tensor:
         """Return direction n and rate n' of the link, world, (E, 6), at times of each flight, one after the other.
 
         Args:
             model: With the load, which has the same parameters in every row, of which the first is taken.
             times: Of each flight, (rows,); E is their sum.
+            missed: Specific force that the model without the load leaves unexplained at these times [m/s²], world,
+                (rows, 3) of each flight. None: the link hangs still at the start.
         """
         effect, params = model.loads[0]
-        key = (effect.name, model.gravity, *params[0].tolist())
+        felt = None if missed is None else self._at_steps(times, missed)
+        key = (effect.name, model.gravity, *params[0].tolist(), None if felt is None else felt.numpy().tobytes())
         if key not in self._results:
-            swings = swing(
-                effect, params[0], self._start, self._acceleration, step=STEP_S, gravity=model.gravity
-            ).numpy()
+            start = self._start if felt is None else self._find_start(model, felt)
+            swings = swing(effect, params[0], start, self._acceleration, step=STEP_S, gravity=model.gravity)[0].numpy()
             self._results[key] = [
                 CubicHermiteSpline(self._time[::2], s[:, :3], s[:, 3:]) for s in swings.swapaxes(0, 1)
             ]
@@ -83,3 +109,39 @@ class LoadReplay:
         apparent = -self._acceleration[torch.from_numpy(rows), place].mean(dim=0)
         apparent[2] -= STANDARD_GRAVITY
         return torch.cat((torch.nn.functional.normalize(apparent, dim=0), torch.zeros(3, dtype=apparent.dtype)))
+
+    def _at_steps(self, times: Sequence[Array], values: Sequence[Array]) -> Tensor:
+        """Return values (rows, 3) of each flight at the steps of the first seconds, (K + 1, F, 3); zero after its end."""
+        grid = self._time[::2][: self._num_found + 1]
+        columns = [
+            np.stack([np.interp(grid, t, column, right=0.0) for column in rows.T], axis=1)
+            for t, rows in zip(times, values, strict=True)
+        ]
+        return torch.from_numpy(np.stack(columns, axis=1))
+
+    def _find_start(self, model: Model, missed: Tensor) -> Tensor:
+        """Return the links at the start, (F, 6), whose swing pulls as ``missed`` (K + 1, F, 3) [m/s²] says."""
+        effect, params = model.loads[0]
+        num_flights, moved = len(self._spans), torch.zeros(5, len(self._spans), 4, dtype=torch.float64)
+        moved[1:] += NUDGE * torch.eye(4, dtype=torch.float64).unsqueeze(1)
+        acceleration = self._acceleration[: 2 * self._num_found + 1].repeat(1, 5, 1)
+        inside = self._inside.unsqueeze(-1) / (FORCE_STD * model.vehicle.mass[0])  # (K + 1, F, 1)
+        prior = torch.tensor(START_STD, dtype=torch.float64).pow(-2)
+        for _ in range(ROUNDS):
+            start = torch.cat([self._started(numbers) for numbers in moved])
+            force = swing(effect, params[0], start, acceleration, step=STEP_S, gravity=model.gravity)[1]
+            force = force.unflatten(1, (5, num_flights)) * inside.unsqueeze(1)  # (K + 1, 5, F, 3)
+            slope = (force[:, 1:] - force[:, :1]) / NUDGE
+            left = missed * inside * model.vehicle.mass[0] - force[:, 0]
+            normal = torch.einsum("kafi,kbfi->fab", slope, slope) + torch.diag(prior)
+            pull = torch.einsum("kafi,kfi->fa", slope, left) - prior * moved[0]
+            moved = moved + torch.linalg.solve(normal, pull)
+        return self._started(moved[0])
+
+    def _started(self, numbers: Tensor) -> Tensor:
+        """Return links (F, 6) that two angles and two rates (F, 4) move away from hanging still."""
+        first, second, hanging = self._axes.unbind(1)
+        moved = hanging + numbers[:, :1] * first + numbers[:, 1:2] * second
+        direction = torch.nn.functional.normalize(moved, dim=-1)
+        rate = numbers[:, 2:3] * first + numbers[:, 3:] * second
+        return torch.cat((direction, rate - (rate * direction).sum(-1, keepdim=True) * direction), dim=-1)

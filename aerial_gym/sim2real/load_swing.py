@@ -34,8 +34,8 @@ def _join(top: wp.vec3d, bottom: wp.vec3d) -> wp.spatial_vectord:
 
 def swing(
     effect: LoadEffect, params: Tensor, start: Tensor, acceleration: Tensor, *, step: float, gravity: float
-) -> Tensor:
-    """Return how links swing below origins that move as given, (N + 1, F, 6), by Runge-Kutta steps of order 4.
+) -> tuple[Tensor, Tensor]:
+    """Return how links swing below origins that move as given, and the forces on these [N], by Runge-Kutta steps of order 4.
 
     Args:
         effect: Gives the equation of motion.
@@ -44,6 +44,9 @@ def swing(
         acceleration: Of the origins [m/s²], world, every half step, float64, (2 N + 1, F, 3).
         step: Of the integrator [s].
         gravity: Downward acceleration of free fall [m/s²].
+
+    Returns:
+        Direction and rate of the links, (N + 1, F, 6), and forces, (N + 1, F, 3), world.
 
     Raises:
         CapabilityError: If the effect has no Warp function.
@@ -55,7 +58,7 @@ def swing(
             f"start {tuple(start.shape)} and acceleration {tuple(acceleration.shape)}, expected (F, 6) and (2 N + 1, F, 3)"
         )
     start_warp()
-    load = torch.empty(rows // 2 + 1, count, 6, dtype=torch.float64)
+    load, force = (torch.empty(rows // 2 + 1, count, width, dtype=torch.float64) for width in (6, 3))
     wp.launch(
         _make_kernel(effect),
         dim=count,
@@ -66,10 +69,10 @@ def swing(
             wp.float64(gravity),
             wp.float64(step),
         ],
-        outputs=[wp.from_torch(load, dtype=wp.spatial_vectord)],
+        outputs=[wp.from_torch(load, dtype=wp.spatial_vectord), wp.from_torch(force, dtype=wp.vec3d)],
         device="cpu",
     )
-    return load
+    return load, force
 
 
 @cache
@@ -87,8 +90,8 @@ def _make_kernel(effect: LoadEffect) -> wp.Kernel:
         at = _Suspension()  # without mobility: what pulls at an origin does not move it
         at.acceleration = acceleration
         at.gravity = gravity
-        _force, swing = pull(at, load, params)
-        return _join(wp.spatial_bottom(load), swing)
+        force, swing = pull(at, load, params)
+        return _join(wp.spatial_bottom(load), swing), force
 
     @wp.kernel(module="unique", enable_backward=False)
     def follow(
@@ -99,22 +102,26 @@ def _make_kernel(effect: LoadEffect) -> wp.Kernel:
         step: wp.float64,  # [s]
         # out
         load_out: wp.array2d[wp.spatial_vectord],  # (N + 1, F) n, n' [1/s], world
+        force_out: wp.array2d[wp.vec3d],  # (N + 1, F) [N], world
     ):
-        """Write the link at the start and after each step, with ``|n| = 1``, ``n . n' = 0``."""
+        """Write link and force at the start and after each step, with ``|n| = 1``, ``n . n' = 0``."""
         origin = wp.tid()
         half = wp.float64(0.5) * step
         load = start[origin]
+        k1, force = slope(acceleration[0, origin], load, params, gravity)
         load_out[0, origin] = load
+        force_out[0, origin] = force
         for row in range(1, load_out.shape[0]):
-            middle = acceleration[2 * row - 1, origin]
-            k1 = slope(acceleration[2 * row - 2, origin], load, params, gravity)
-            k2 = slope(middle, load + half * k1, params, gravity)
-            k3 = slope(middle, load + half * k2, params, gravity)
-            k4 = slope(acceleration[2 * row, origin], load + step * k3, params, gravity)
+            middle, end = acceleration[2 * row - 1, origin], acceleration[2 * row, origin]
+            k2, _f2 = slope(middle, load + half * k1, params, gravity)
+            k3, _f3 = slope(middle, load + half * k2, params, gravity)
+            k4, _f4 = slope(end, load + step * k3, params, gravity)
             load += step / wp.float64(6.0) * (k1 + wp.float64(2.0) * (k2 + k3) + k4)
             direction = wp.normalize(wp.spatial_top(load))
             rate = wp.spatial_bottom(load)
             load = _join(direction, rate - wp.dot(rate, direction) * direction)
+            k1, force = slope(end, load, params, gravity)
             load_out[row, origin] = load
+            force_out[row, origin] = force
 
     return follow

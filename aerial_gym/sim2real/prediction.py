@@ -21,7 +21,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
-from aerial_gym.math.quaternion import quat_rotate_inverse
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.physics import EFFECTS, BodyState, Vehicle, accelerations, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LearnedResidual, WindEffect
 from aerial_gym.physics.effects.learned_residual import felt_inputs
@@ -222,6 +222,10 @@ class Predictor:
             None if self._simulated else torch.cat([self._thin(i, "rotor_speed") for i in range(len(flights))])
         )
 
+        accelerometers = all(flight.specific_force is not None for flight in flights)
+        self._measured_force = (
+            torch.cat([self._thin(i, "specific_force") for i in range(len(flights))]) if accelerometers else None
+        )
         self._measured_ang_acc = torch.cat([self._derivative(i, "ang_vel") for i in range(len(flights))])
         self._measured_spin_up = (
             None if self._simulated else torch.cat([self._derivative(i, "rotor_speed") for i in range(len(flights))])
@@ -284,7 +288,7 @@ class Predictor:
         if not kinds:
             return {}
         model, speed, spin_up = self._flown(point, vehicle, speeds)
-        load = self._load_replay.loads(model, self._row_times) if model.loads else None
+        load = self._swing(model, speed, spin_up, deviation) if model.loads else None
         found = accelerations(model, BodyState(rotor_speed=speed, **self._state), spin_up, load=load)
         # The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
         force = found.specific_force + torch.linalg.cross(found.ang_acc - self._measured_ang_acc, model.vehicle.com)
@@ -301,6 +305,18 @@ class Predictor:
             "kinematic_force": (kinematic_force + force_bias).numpy(),
             "kinematic_rate": (rate + rate_bias).numpy(),
         }
+
+    def _swing(self, model: Model, speed: Tensor, spin_up: Tensor, deviation: Tensor) -> Tensor:
+        """Return the link of the load in every row, (E, 6), begun as the measured specific force says where there is one."""
+        if self._measured_force is None:
+            return self._load_replay.loads(model, self._row_times)
+        alone = accelerations(replace(model, loads=()), BodyState(rotor_speed=speed, **self._state), spin_up)
+        force = alone.specific_force
+        for effect, params in model.imu:
+            force, _ = effect.measure(force, self._kinematic_rate, params)
+        force = self._measured_force - force - sensor_biases(self.tolerances, deviation)[0]
+        missed = quat_rotate(self._state["attitude"], force).numpy()
+        return self._load_replay.loads(model, self._row_times, [missed[span] for span in self._spans])
 
     def _flown(self, point: Point, vehicle: Vehicle, speeds: list[Array | None] | None) -> tuple[Model, Tensor, Tensor]:
         """Return model, true rotor speeds and their accelerations in every row."""
