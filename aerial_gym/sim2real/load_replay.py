@@ -1,7 +1,7 @@
 """How a load that hangs on the vehicle swings along flights: driven by the measured motion of the body origin.
 
 The swing is integrated from the start of each flight, where logs do not tell it: two angles and two rates. They are those
-that leave the least of the specific force of the first seconds unexplained, beside a weak prior that the link hangs still along
+that leave the least of the specific force of the first 16 s unexplained, beside a weak prior that the link hangs still along
 the apparent gravity; without a measured specific force it does. They are found anew for each model, in flights that are left
 out as well: four numbers of each flight are given to every model with a load, as its beginning, not as a prediction.
 Letters: N steps, K steps from which the start is found, F flights.
@@ -23,8 +23,8 @@ from aerial_gym.sim2real.signals import lowpass
 
 Array = NDArray[np.float64]
 
-STEP_S = 0.04
-"""Step of the integrator [s]; Runge-Kutta of order 4 follows a link of 0.3 m, 6 rad/s, to 1e-5 of an angle each step."""
+STEP_S = 0.02
+"""Step of the integrator [s]; Runge-Kutta of order 4 follows a turn of 10 rad/s to 3e-6 of an angle each step."""
 
 SETTLED_S = 0.5
 """The load hangs still along the mean apparent gravity of this span [s]."""
@@ -32,20 +32,19 @@ SETTLED_S = 0.5
 BAND = 5.0
 """The measured acceleration is taken below it [Hz]; links longer than 0.1 m swing below 2 Hz."""
 
-FOUND_S = 6.0
-"""The start is found from this span [s]: some swings, most of what damping leaves of them."""
+FOUND_S = (2.0, 4.0, 8.0, 16.0, 16.0)
+"""Spans from which the start is found, one Gauss-Newton step each [s]: a long one tells more, but begun far off it misleads.
+
+Their number is always the same, so that predictions are smooth in the parameters."""
 
 FORCE_STD = 0.1
-"""Specific force that a step of that span leaves unexplained [m/s²], where the prior of the start is weighed against it."""
+"""Specific force that a step of these spans leaves unexplained [m/s²], where the prior of the start is weighed against it."""
 
 START_STD = (0.3, 0.3, 1.0, 1.0)
 """Prior of the start: angles [rad] and rates [rad/s] of a moderate swing of a link of about a metre."""
 
 NUDGE = 1e-6
 """Difference step of the start [rad], [rad/s]."""
-
-ROUNDS = 3
-"""Gauss-Newton steps to the start: always the same number, so that predictions are smooth in the parameters."""
 
 REMEMBERED = 64
 """Results kept."""
@@ -66,8 +65,8 @@ class LoadReplay:
             hanging = self._start[:, :3]
             self._axes = torch.linalg.svd(hanging.unsqueeze(1)).Vh.roll(-1, dims=1)  # (F, 3, 3), the link last
             self._axes[:, 2] = hanging
-            self._num_found = min(count, round(FOUND_S / STEP_S))
-            grid = self._time[::2][: self._num_found + 1, None]
+            self._num_found = [min(count, round(span / STEP_S)) for span in FOUND_S]
+            grid = self._time[::2][: max(self._num_found) + 1, None]
             self._inside = torch.from_numpy((grid <= np.array(self._spans)).astype(float))
 
     def loads(self, model: Model, times: Sequence[Array], missed: Sequence[Array] | None = None) -> Tensor:
@@ -112,7 +111,7 @@ class LoadReplay:
 
     def _at_steps(self, times: Sequence[Array], values: Sequence[Array]) -> Tensor:
         """Return values (rows, 3) of each flight at the steps of the first seconds, (K + 1, F, 3); zero after its end."""
-        grid = self._time[::2][: self._num_found + 1]
+        grid = self._time[::2][: max(self._num_found) + 1]
         columns = [
             np.stack([np.interp(grid, t, column, right=0.0) for column in rows.T], axis=1)
             for t, rows in zip(times, values, strict=True)
@@ -124,15 +123,15 @@ class LoadReplay:
         effect, params = model.loads[0]
         num_flights, moved = len(self._spans), torch.zeros(5, len(self._spans), 4, dtype=torch.float64)
         moved[1:] += NUDGE * torch.eye(4, dtype=torch.float64).unsqueeze(1)
-        acceleration = self._acceleration[: 2 * self._num_found + 1].repeat(1, 5, 1)
-        inside = self._inside.unsqueeze(-1) / (FORCE_STD * model.vehicle.mass[0])  # (K + 1, F, 1)
+        weight = self._inside.unsqueeze(-1) / FORCE_STD  # (K + 1, F, 1)
         prior = torch.tensor(START_STD, dtype=torch.float64).pow(-2)
-        for _ in range(ROUNDS):
+        for count in self._num_found:
             start = torch.cat([self._started(numbers) for numbers in moved])
+            acceleration = self._acceleration[: 2 * count + 1].repeat(1, 5, 1)
             force = swing(effect, params[0], start, acceleration, step=STEP_S, gravity=model.gravity)[1]
-            force = force.unflatten(1, (5, num_flights)) * inside.unsqueeze(1)  # (K + 1, 5, F, 3)
-            slope = (force[:, 1:] - force[:, :1]) / NUDGE
-            left = missed * inside * model.vehicle.mass[0] - force[:, 0]
+            pulled = force.unflatten(1, (5, num_flights)) / model.vehicle.mass[0]  # (K + 1, 5, F, 3)
+            left = (missed[: count + 1] - pulled[:, 0]) * weight[: count + 1]
+            slope = (pulled[:, 1:] - pulled[:, :1]) / NUDGE * weight[: count + 1].unsqueeze(1)
             normal = torch.einsum("kafi,kbfi->fab", slope, slope) + torch.diag(prior)
             pull = torch.einsum("kafi,kfi->fa", slope, left) - prior * moved[0]
             moved = moved + torch.linalg.solve(normal, pull)

@@ -1,6 +1,6 @@
 # pyright: reportArgumentType=false, reportCallIssue=false, reportIndexIssue=false, reportOperatorIssue=false
 # pyright: reportGeneralTypeIssues=false, reportAttributeAccessIssue=false, reportAssignmentType=false
-# pyright: reportInvalidTypeForm=false
+# pyright: reportInvalidTypeForm=false, reportReturnType=false
 # (Warp compiles the kernels from their source; Python's type rules do not describe them.)
 """A load that swings below origins which move as given, in float64 on the CPU: steps one after another, origins side by side.
 

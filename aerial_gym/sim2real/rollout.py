@@ -237,7 +237,7 @@ class _Run:
         )
 
     def _memory(self, dt: float) -> Memory | None:
-        """Return what effects remember at the starts: a load swings as it did in the flight."""
+        """Return what effects remember at the starts: a load swings as in a flight that began with it hanging still."""
         if not self._model.remembering:
             return None
         memory = make_memory(self._model, dt)

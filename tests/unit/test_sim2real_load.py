@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics import (
     EFFECTS,
@@ -47,8 +48,8 @@ def model_of(*params: float) -> Model:
 
 @pytest.mark.parametrize(("length", "damping"), [(0.4, 0.0), (1.5, 0.0), (0.8, 0.06)])
 def test_a_load_below_a_held_origin_swings_like_a_pendulum(length: float, damping: float) -> None:
-    """x'' = -g / l x - d / m x': damped cosine; order 4 over 4 s, for w dt = 0.2: 4 w t / 120 (w dt)^4 = 1e-3."""
-    mass, angle, steps = 0.1, 1e-4, 100
+    """x'' = -g / l x - d / m x': damped cosine; order 4 over 4 s, for w dt = 0.1: 4 w t / 120 (w dt)^4 = 7e-5."""
+    mass, angle, steps = 0.1, 1e-4, 200
     start = torch.tensor([[sin(angle), 0.0, -cos(angle), 0.0, 0.0, 0.0]], dtype=F64)
     still = torch.zeros(2 * steps + 1, 1, 3, dtype=F64)
     params = torch.tensor([mass, length, damping], dtype=F64)
@@ -59,6 +60,70 @@ def test_a_load_below_a_held_origin_swings_like_a_pendulum(length: float, dampin
     expected = (-decay * time).exp() * ((omega * time).cos() + decay / omega * (omega * time).sin()) * angle
     bound = 4.0 * omega * time[-1].item() / 120.0 * (omega * STEP_S) ** 4 + 1e-6
     assert (found - expected).abs().max().item() < bound * angle
+
+
+def test_a_load_on_a_cone_stays_on_it_and_pulls_with_its_weight_over_the_cosine() -> None:
+    """Conical pendulum: W² = g / (l cos a), T = m g / cos a, at 0.8 rad. Order 4: (W dt)^4 W t / 120 = 1e-5."""
+    mass, length, angle, steps = 0.1, 0.7, 0.8, 200
+    turn = sqrt(G / (length * cos(angle)))
+    start = torch.tensor([[sin(angle), 0.0, -cos(angle), 0.0, turn * sin(angle), 0.0]], dtype=F64)
+    still = torch.zeros(2 * steps + 1, 1, 3, dtype=F64)
+    params = torch.tensor([mass, length, 0.0], dtype=F64)
+    load, force = swing(slung(), params, start, still, step=STEP_S, gravity=G)
+    phase = turn * STEP_S * torch.arange(steps + 1, dtype=F64)
+    cone = torch.stack(
+        (sin(angle) * phase.cos(), sin(angle) * phase.sin(), torch.full_like(phase, -cos(angle))), dim=-1
+    )
+    torch.testing.assert_close(load[:, 0, :3], cone, atol=1e-5, rtol=0)
+    torch.testing.assert_close(force[:, 0], mass * G / cos(angle) * cone, atol=5e-5, rtol=0)
+
+
+def test_the_damping_of_a_followed_swing_acts_on_the_origin() -> None:
+    """Force of the link and reaction ``d l n'``, across it; at the first instant."""
+    start = torch.tensor([[0.0, 0.0, -1.0, 0.5, -0.2, 0.0]], dtype=F64)
+    params = torch.tensor([0.1, 0.7, 0.3], dtype=F64)
+    force = swing(slung(), params, start, torch.zeros(3, 1, 3, dtype=F64), step=STEP_S, gravity=G)[1]
+    pull = 0.1 * (G + 0.7 * (0.5**2 + 0.2**2))
+    expected = torch.tensor([0.3 * 0.7 * 0.5, -0.3 * 0.7 * 0.2, -pull], dtype=F64)
+    torch.testing.assert_close(force[0, 0], expected, atol=1e-12, rtol=0)
+
+
+def test_a_swing_that_was_there_before_the_log_is_found_from_its_pull() -> None:
+    """A held vehicle feels m g / M times the angles of the swing; what the weak prior takes is below 1e-3 of it."""
+    mass, length = 0.15, 0.8
+    time = np.arange(round(10.0 * RATE)) / RATE
+    omega = sqrt(G / length)
+    angles = np.column_stack((0.02 * np.cos(omega * time), -0.01 * np.sin(omega * time)))
+    missed = np.column_stack((angles, np.full(time.size, -1.0))) * mass * G / 0.6
+    place = np.zeros((time.size, 3))
+    flight = replace(hover("a", 1.0), time=time, position=place, lin_vel=place)
+    replay, model = LoadReplay([flight]), model_of(mass, length, 0.0)
+    found = replay.loads(model, [time], [missed]).numpy()
+    np.testing.assert_allclose(found[:, :2], angles, atol=1e-4)
+    np.testing.assert_allclose(replay.loads(model, [time])[:, :2], 0.0, atol=1e-9)
+
+
+def test_a_load_that_does_not_show_is_taken_to_hang_still() -> None:
+    """A thousandth of the vehicle's mass, and a force that it cannot pull with: the prior of the start holds."""
+    time = np.arange(400) / RATE
+    missed = np.tile([0.05, 0.0, 0.0], (400, 1))
+    light = LoadReplay([hover("a", 1.0)]).loads(model_of(6e-4, 0.8, 0.0), [time[:300]], [missed[:300]])
+    assert light[:, :2].abs().max() < 0.1
+
+
+def test_swings_of_wrong_shape_and_effects_without_a_kernel_are_refused() -> None:
+    params, start = torch.ones(3, dtype=F64), torch.zeros(2, 6, dtype=F64)
+    for rows, origins in ((4, 2), (5, 3)):
+        with pytest.raises(ShapeError, match="expected"):
+            swing(slung(), params, start, torch.zeros(rows, origins, 3, dtype=F64), step=STEP_S, gravity=G)
+    still = torch.zeros(5, 2, 3, dtype=F64)
+    with pytest.raises(CapabilityError, match="warp_pull"):
+        swing(_TorchOnly(), params, start, still, step=STEP_S, gravity=G)
+
+
+class _TorchOnly(type(slung())):
+    def warp_pull(self, suspension: type) -> None:
+        del suspension
 
 
 def test_a_load_follows_the_measured_motion_of_its_vehicle() -> None:
