@@ -93,13 +93,28 @@ class JointCmd:
 
 @dataclass(frozen=True, kw_only=True)
 class HoverCmd:
-    """The thrust coefficient from hover: the rotors carry the weight."""
+    """The thrust coefficient from hover; with --baseline, what changed the balance: a payload or a weak propeller."""
 
     flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Flight logs with measured rotor speeds that hover for a while."""
+    """Flight logs that hover for a while: with measured rotor speeds, or with --baseline with speeds or commands."""
+
+    baseline: tuple[Path, ...] = ()
+    """Hovers of the same airframe as it is declared. The flights are then compared with these: the share of each rotor, their
+    sum, and which of payload_mass, com_offset and weak_motor explains the change."""
+
+    test: tuple[Path, ...] = ()
+    """With --baseline: further hovers like the flights, on which the candidates are judged; without them each flight is left
+    out in turn."""
+
+    repeats: tuple[Path, ...] = ()
+    """With --baseline: hovers under any conditions. Names that differ only in the number at the end are one condition, and
+    show how much its logs scatter. Logs named elsewhere are left out."""
+
+    added_mass_kg: float | None = None
+    """With --baseline: mass of the flights less that of the baseline [kg], if it was weighed; 0: there is no payload."""
 
     robot: str | None = None
-    """Registered robot or robot file: its mass, and its thrust map to compare with."""
+    """Registered robot or robot file: its mass, its thrust map to compare with, and places and spin of its rotors."""
 
     mass_kg: float | None = None
     """Mass of the vehicle [kg]; that of the robot if not given."""
@@ -121,6 +136,10 @@ class HoverCmd:
         from aerial_gym.sim2real.bench.studies import study_hover
         from aerial_gym.sim2real.mapping import find_mapping
 
+        if self.baseline:
+            return self._balance()
+        if self.test or self.repeats or self.added_mass_kg is not None:
+            raise ConfigError("--test, --repeats and --added-mass-kg compare flights with a baseline: give --baseline")
         robot = _robot(self.robot)
         mass = self.mass_kg if self.mass_kg is not None else (None if robot is None else robot.body.mass)
         if mass is None:
@@ -130,6 +149,31 @@ class HoverCmd:
             progress("reading flights", 0.1)
             study = study_hover(self.flights, layout=layout, mass=mass, mass_std=self.mass_std_kg, robot=robot)
             _write(self.out, study, vars(self), self.flights)
+        return _show(study, self.out, as_json=self.json)
+
+    def _balance(self) -> int:
+        from aerial_gym.sim2real.bench.studies import study_balance
+        from aerial_gym.sim2real.mapping import find_mapping
+
+        robot = _robot(self.robot)
+        if robot is None:
+            raise ConfigError("identify hover --baseline needs the places and spin of the rotors: give --robot")
+        if self.mass_kg is not None or self.mass_std_kg:
+            raise ConfigError(
+                "--mass-kg and --mass-std-kg give a thrust coefficient; with --baseline the mass is the robot's"
+            )
+        with progress_bar() as progress:
+            progress("reading flights", 0.1)
+            study = study_balance(
+                self.baseline,
+                self.flights,
+                layout=None if self.mapping is None else find_mapping(self.mapping),
+                robot=robot,
+                test=self.test,
+                repeats=self.repeats,
+                added_mass=self.added_mass_kg,
+            )
+            _write(self.out, study, vars(self), (*self.baseline, *self.flights, *self.test, *self.repeats))
         return _show(study, self.out, as_json=self.json)
 
 

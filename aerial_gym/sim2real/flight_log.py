@@ -109,12 +109,14 @@ class FlightLog:
         return f"{self.path}, line {row + 1 + HEADER_LINES} (t = {self.time[row]:.6g} s)"
 
 
-def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None) -> FlightLog:
+def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hover: bool = False) -> FlightLog:
     """Return the flight in a CSV file with one header line, or in a PX4 ULog (.ulg).
 
     Args:
         path: The file.
         mapping: Layout; None takes that of this package, or ``px4_ulog`` for a .ulg file.
+        hover: Whether only the rotors at hover are wanted: a log without attitude is taken as level, and needs neither gyro
+            nor accelerometer.
 
     Raises:
         DataError: If file, columns or fields cannot be used; the message names file, row or column and the way out.
@@ -135,10 +137,13 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None) -> F
             values[name] = _converted(raw, table, quantity, time, str(path)) * UNITS[quantity.unit]
     if layout.lacks:
         notes.append(layout.lacks)
-    integrated = "attitude" not in values and layout.attitude is None
+    integrated = "attitude" not in values and layout.attitude is None and not hover
+    if "attitude" not in values and hover:
+        values["attitude"] = np.tile((0.0, 0.0, 0.0, 1.0), (time.size, 1))
+        notes.append("attitude not logged: taken as level")
     if integrated:
         _integrate_attitude(values, time, layout, str(path), notes)
-    _require(values, layout, list(table.columns), str(path))
+    _require(values, layout, list(table.columns), str(path), hover=hover)
     battery = values.pop("battery", None)
     heights = {name: _height(values.pop(name), layout, name, str(path)) for name in HEIGHTS if name in values}
     wind = _known_wind(Path(path), layout, notes)
@@ -365,13 +370,13 @@ def _fill(numbers: Array, quantity: ColumnsCfg, time: Array, where: str) -> Arra
     return np.interp(time, time[~empty], numbers[~empty])
 
 
-def _require(values: dict[str, Array], layout: LogMapping, known: list[str], path: str) -> None:
+def _require(values: dict[str, Array], layout: LogMapping, known: list[str], path: str, *, hover: bool) -> None:
     """Raise ``DataError`` unless the log has what every use of it needs."""
     if "attitude" not in values and layout.attitude is not None:
         column = next((name for name in layout.attitude.columns if name not in known), layout.attitude.columns[0])
         raise DataError(_missing(column, known, path))
     for one, other in (("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")):
-        if one in values or other in values:
+        if one in values or other in values or (hover and one == "ang_vel"):
             continue
         options = [q.columns for key, q in layout.quantities().items() if key in (one, other)]
         wanted = " or ".join(", ".join(columns) for columns in options) or f"{one} or {other} in the mapping"

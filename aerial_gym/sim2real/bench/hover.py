@@ -95,6 +95,35 @@ class HoverFit:
         return found
 
 
+def hovering_rows(log: FlightLog, speed: Array) -> list[NDArray[np.bool_]]:
+    """Return the rows (T,) of each window in which a flight hovers.
+
+    Args:
+        log: The flight.
+        speed: Of the rotors, measured or commanded, in any unit, (T, R).
+
+    Raises:
+        DataError: If it does not hover long enough.
+    """
+    up = Rotation.from_quat(log.attitude).as_matrix()[:, 2, 2]
+    still = up > np.cos(LARGEST_TILT)
+    still &= speed.min(axis=1) > 0.2 * np.median(speed)  # on the ground they stand still
+    if log.lin_vel is not None:
+        still &= np.linalg.norm(log.lin_vel, axis=1) < SLOWEST
+    if log.ang_vel is not None:
+        still &= np.linalg.norm(log.ang_vel, axis=1) < FASTEST_TURN
+    label = np.floor((log.time - log.time[0]) / WINDOW_S).astype(int)
+    usual = WINDOW_S / float(np.median(np.diff(log.time)))
+    full = np.bincount(label, weights=still, minlength=label[-1] + 1) >= 0.9 * usual
+    chosen = np.flatnonzero(full)
+    if chosen.size < FEWEST_WINDOWS:
+        raise DataError(
+            f"{log.path}: hovers for {chosen.size} windows of {WINDOW_S:g} s (below {SLOWEST:g} m/s, {LARGEST_TILT:g} rad "
+            f"and {FASTEST_TURN:g} rad/s), needs {FEWEST_WINDOWS}; give a flight that hovers"
+        )
+    return [still & (label == window) for window in chosen]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Windows:
     """Means over windows of hover in one flight."""
@@ -118,25 +147,10 @@ def hover_windows(log: FlightLog) -> Windows:
     """
     if log.rotor_speed is None:
         raise DataError(f"{log.path}: needs measured rotor speeds; commands or duty cycles give no thrust coefficient")
+    rows = hovering_rows(log, log.rotor_speed)
     up = Rotation.from_quat(log.attitude).as_matrix()[:, 2, 2]
-    still = up > np.cos(LARGEST_TILT)
-    still &= log.rotor_speed.min(axis=1) > 0.2 * np.median(log.rotor_speed)  # on the ground they stand still
-    if log.lin_vel is not None:
-        still &= np.linalg.norm(log.lin_vel, axis=1) < SLOWEST
-    if log.ang_vel is not None:
-        still &= np.linalg.norm(log.ang_vel, axis=1) < FASTEST_TURN
     force = STANDARD_GRAVITY / np.maximum(up, 0.1) if log.specific_force is None else log.specific_force[:, 2]
-    label = np.floor((log.time - log.time[0]) / WINDOW_S).astype(int)
-    usual = WINDOW_S / float(np.median(np.diff(log.time)))
-    full = np.bincount(label, weights=still, minlength=label[-1] + 1) >= 0.9 * usual
-    chosen = np.flatnonzero(full)
-    if chosen.size < FEWEST_WINDOWS:
-        raise DataError(
-            f"{log.path}: hovers for {chosen.size} windows of {WINDOW_S:g} s (below {SLOWEST:g} m/s, {LARGEST_TILT:g} rad "
-            f"and {FASTEST_TURN:g} rad/s), needs {FEWEST_WINDOWS}; give a flight that hovers"
-        )
     powers = np.stack([(log.rotor_speed**p).sum(axis=1) for p in range(3)], axis=1)
-    rows = [still & (label == window) for window in chosen]
     return Windows(
         name=log.name,
         moments=np.array([powers[r].mean(axis=0) for r in rows]),

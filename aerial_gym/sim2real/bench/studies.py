@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import DataError
+from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.bench import figures
+from aerial_gym.sim2real.bench.balance import Balance, Change, HoverEffort, hover_effort, judge_balance
 from aerial_gym.sim2real.bench.hover import fit_hover
 from aerial_gym.sim2real.bench.joint import PUBLISHED, fit_joint, release_record, spans
 from aerial_gym.sim2real.bench.report import Study, Table, rotor_files
@@ -255,3 +256,59 @@ def study_hover(
         notes=fit.notes,
         files={} if robot is None else rotor_files(robot, {"thrust_map": best}, "aerial-gym identify hover."),
     )
+
+
+def study_balance(
+    baseline: Sequence[Path],
+    flights: Sequence[Path],
+    *,
+    layout: LogMapping | None,
+    robot: RobotCfg,
+    test: Sequence[Path] = (),
+    repeats: Sequence[Path] = (),
+    added_mass: float | None = None,
+) -> Study:
+    """Return what the shares of the rotors at hover say about the cause of a change against a baseline."""
+    named = [path.resolve() for path in (*baseline, *flights, *test)]
+    if len(set(named)) < len(named):
+        raise ConfigError("a log is named twice among flights, --baseline and --test; each has one part to play")
+    others = [path for path in repeats if path.resolve() not in named]
+
+    def read(paths: Sequence[Path]) -> list[HoverEffort]:
+        return [hover_effort(read_flight_log(path, mapping=layout, hover=True)) for path in paths]
+
+    found = judge_balance(
+        read(baseline), read(flights), robot=robot, test=read(test), repeats=read(others), added_mass=added_mass
+    )
+    return Study(
+        title="Balance at hover",
+        intro=f"Verdict: {found.verdict}. Candidates: {', '.join(found.candidates) or 'none'}. Intervals of 95 % come from the "
+        f"scatter between logs of one condition, known from {found.freedom} repeats.",
+        mapping=found.as_mapping(),
+        tables=tuple(_balance_tables(found)),
+        notes=(*found.notes, *(f"to tell the candidates apart: {text}" for text in found.tell_apart)),
+    )
+
+
+def _balance_tables(found: Balance) -> list[Table]:
+    def row(name: str, change: Change) -> tuple[str, ...]:
+        return name, interval(change.baseline), interval(change.flights), interval(change.change)
+
+    rows = [row(f"share of rotor {number}", share) for number, share in enumerate(found.shares, start=1)]
+    rows.append(row("sum of squared speeds; relative change", found.total))
+    tables = [Table(title="Effort at hover", head=("quantity", "baseline", "flights", "change"), rows=tuple(rows))]
+    rows = []
+    for fit in found.fits:
+        numbers = "; ".join(f"{name} {interval(value)}" for name, value in fit.params.items())
+        mark = " (possible)" * (fit.cause.name in found.candidates)
+        judged = ("", "") if fit.judged is None else (f"{fit.judged:.2g}", f"{fit.held_out:.3g}")
+        rows.append((fit.cause.name + mark, numbers, f"{fit.fit.misfit:.2g}", f"{fit.fit.gain:.2g}", *judged))
+    head = (
+        "candidate",
+        "dm [kg]; x, y [m]; scale, torque_ratio of the rotor",
+        "chance of what it leaves",
+        "chance of what it gains",
+        "chance of its error on logs left out",
+        "that error, relative",
+    )
+    return [*tables, *([Table(title="Candidates", head=head, rows=tuple(rows))] if rows else [])]
