@@ -242,8 +242,16 @@ def judge_balance(
         ),
         freedom=scatter.freedom,
         scatter=scatter.std,
-        notes=tuple(_notes(baseline, flights, test, scatter, added_mass)),
+        notes=(
+            *_notes(baseline, flights, test, scatter, added_mass),
+            *(NOT_REPEATED for fit in fits[:1] if fit.fits and verdict == "unexplained"),
+        ),
     )
+
+
+NOT_REPEATED = (
+    "the flights differ from the baseline by no more than scatter, and the logs that they are judged on by more"
+)
 
 
 def _fit(cause: Cause, efforts: Array, usual: Array, scatter: Scatter, count: int) -> CauseFit:
