@@ -66,6 +66,8 @@ def test_a_weight_is_carried_by_the_rotors_that_balance_it() -> None:
     assert fitted(between, "payload_mass + com_offset") == pytest.approx(
         {"dm": 0.003, "x": 0.0, "y": 0.1 * ARM}, rel=1e-4, abs=1e-7
     )
+    assert between.fits[3].place is not None
+    assert [axis.value for axis in between.fits[3].place] == pytest.approx([0.0, ARM], rel=1e-4, abs=1e-6)
     assert (between.verdict, between.candidates) == ("explained", ("payload_mass + com_offset",))
     at_hub = judged(0, 1.0 + part * np.array([-1.0, 1.0, 3.0, 1.0]), size=1e-6)
     assert fitted(at_hub, "payload_mass + com_offset") == pytest.approx(  # 3 g of 30 g
@@ -138,22 +140,38 @@ def test_statics_agree_with_mujoco() -> None:
 def test_scatter_alone_is_refused_as_often_as_it_says_and_intervals_cover() -> None:
     """Rao's statistics are exact: of 1500 draws 5, 5 and 95 %, within 3.3 standard deviations of the binomial."""
     rng, draws = np.random.default_rng(3), 1500
-    columns = causes(ROBOT)[3].columns
-    truth = np.array([0.1, 2.0, -1.0])
+    columns = causes(ROBOT)[2].columns
+    truth = np.array([2.0, -1.0])
     misfits, gains, covered = 0, 0, 0
     root = np.linalg.cholesky(SPREAD)
     for _ in range(draws):
-        scatter = pooled_scatter([rng.standard_normal((2, 4)) @ root.T for _ in range(8)])
+        scatter = pooled_scatter([rng.standard_normal((2, 4)) @ root.T for _ in range(5)])
         noise = np.sqrt(1.5) * root @ rng.standard_normal(4)
         fit = fit_scatter(columns @ truth + noise, columns, scatter, 1.5)
         misfits += fit.misfit < 0.05
         gains += fit_scatter(noise, columns, scatter, 1.5).gain < 0.05
-        # Student's t, 97.5 %, of 8 repeats less one row that no parameter explains.
-        covered += abs(fit.params[1] - truth[1]) < 2.3646242515927844 * np.sqrt(fit.covariance[1, 1])
+        # Student's t, 97.5 %, of 5 repeats less two rows that no parameter explains.
+        covered += abs(fit.params[1] - truth[1]) < 3.182446305284263 * np.sqrt(fit.covariance[1, 1])
     allowed = 3.3 * np.sqrt(draws * 0.05 * 0.95)
     assert abs(misfits - 0.05 * draws) < allowed
     assert abs(gains - 0.05 * draws) < allowed
     assert abs(covered - 0.95 * draws) < allowed
+
+
+def test_a_ratio_is_open_where_its_divisor_may_be_zero() -> None:
+    """Fieller with a known divisor is the plain interval, 3 ± t; with independent errors of 1 about 10 and 10 and t² = q,
+    the ends solve (10 - 10 r)² = q (1 + r²)."""
+    noise = np.random.default_rng(10).standard_normal((13, 4))
+    fit = fit_scatter(np.zeros(4), np.eye(4)[:, :2], pooled_scatter([noise]), 1.0)
+    t, q = 2.2281388519649385, 2.2281388519649385**2  # 12 - 2 = 10 degrees of freedom
+    plain = replace(fit, params=np.array([6.0, 2.0]), covariance=np.diag([4.0, 0.0])).ratio(0, 1)
+    assert plain is not None
+    assert (plain.value, plain.low, plain.high) == pytest.approx((3.0, 3.0 - t, 3.0 + t))
+    even = replace(fit, params=np.array([10.0, 10.0]), covariance=np.eye(2)).ratio(0, 1)
+    assert even is not None
+    for end in (even.low, even.high):
+        assert (10.0 - 10.0 * end) ** 2 == pytest.approx(q * (1.0 + end**2))
+    assert replace(fit, params=np.array([6.0, 2.0]), covariance=np.eye(2)).ratio(0, 1) is None
 
 
 def test_nothing_is_found_in_scatter() -> None:
@@ -168,6 +186,8 @@ def test_a_payload_between_two_rotors_is_named_and_its_mass_covered() -> None:
     named = [f for f in found if "payload_mass + com_offset" in f.candidates]
     assert len(named) >= 54  # refused in 2 % of cases, and the change is not seen in some
     assert sum(f.verdict == "explained" for f in named) >= 0.8 * len(named)
+    place = [f.fits[3].place for f in found]
+    assert sum(p is not None and p[1].low < ARM < p[1].high for p in place) >= 52
     dm = [fit.params["dm"] for f in found for fit in f.fits if fit.cause.name == "payload_mass + com_offset"]
     assert sum(value.low < 0.002 < value.high for value in dm) >= 52  # of 60 with probability 99 %
 
@@ -215,6 +235,26 @@ def test_a_change_that_the_test_does_not_show_is_unexplained() -> None:
     assert all(fit.judged is not None for fit in twice.fits)
 
 
+def test_each_flight_is_predicted_from_the_others() -> None:
+    """One flight 10 % heavier and one even: each is predicted as the other, the mean of both would miss by half as much."""
+    rng = np.random.default_rng(11)
+    exact = [
+        hovers(rng, "normal", 6, np.ones(4), 1e-6),
+        *(hovers(rng, "f", 1, np.full(4, r), 1e-6) for r in (1.1, 1.0)),
+    ]
+    found = judge_balance(exact[0], [*exact[1], *exact[2]], robot=ROBOT)
+    (payload,) = (fit for fit in found.fits if fit.cause.name == "payload_mass")
+    assert payload.held_out == pytest.approx(np.sqrt(((1.0 / 1.1 - 1.0) ** 2 + 0.1**2) / 2.0), rel=0.05)
+
+
+def test_a_candidate_must_gain_what_scatter_would_not() -> None:
+    found = judged(12, np.array([1.0, 1.0, 1.5, 1.0]))
+    (fit,) = (fit for fit in found.fits if fit.cause.name == "weak_motor 3")
+    assert fit.fits
+    assert not replace(fit, fit=replace(fit.fit, gain=0.011)).fits
+    assert not replace(fit, fit=replace(fit.fit, misfit=0.009)).fits
+
+
 def test_few_repeats_exclude_nothing() -> None:
     found = judged(9, np.array([1.0, 1.0, 1.5, 1.0]), conditions=2)
     assert (found.verdict, len(found.candidates), found.fits) == ("ambiguous", 12, ())
@@ -224,6 +264,8 @@ def test_few_repeats_exclude_nothing() -> None:
     one = hovers(rng, "normal", 1, np.ones(4))
     with pytest.raises(DataError, match=r"two logs of at least one condition.*--repeats"):
         judge_balance(one, one, robot=ROBOT)
+    with pytest.raises(DataError, match=r"are some of them copies"):
+        judge_balance(one * 2, one, robot=ROBOT)
     with pytest.raises(ConfigError, match=r"added_mass = nan kg"):
         judge_balance(one, one, robot=ROBOT, added_mass=float("nan"))
 

@@ -85,6 +85,9 @@ class CauseFit:
     cause: Cause
     fit: ScatterFit
     params: dict[str, Estimate]
+    place: tuple[Estimate, Estimate] | None = None
+    """Of a payload with a place, x and y from the declared centre of mass [m]; None where its mass may be 0."""
+
     judged: float | None = None
     """Probability that scatter alone parts the logs left out from their prediction as much, or more; None: none left out."""
 
@@ -102,6 +105,7 @@ class CauseFit:
             "name": self.cause.name,
             "motor": self.cause.motor,
             "params": {name: value.as_mapping() for name, value in self.params.items()},
+            "place": None if self.place is None else [axis.as_mapping() for axis in self.place],
             "misfit_p": self.fit.misfit,
             "gain_p": self.fit.gain,
             "fits": self.fits,
@@ -200,7 +204,7 @@ def judge_balance(
             that mass, and none of them is a payload.
 
     Raises:
-        DataError: If no condition has two logs: their scatter is then unknown.
+        DataError: If no condition has two logs, or they are copies: their scatter is then unknown.
         ConfigError: If the robot cannot be balanced by four rotors, or the mass is impossible.
     """
     possible = causes(robot)
@@ -218,6 +222,8 @@ def judge_balance(
         )
     logs = [np.log([hover.effort for hover in group]) for group in filled]
     scatter = pooled_scatter(logs)
+    if np.linalg.matrix_rank(scatter.squares) < (ROTORS if scatter.freedom >= ROTORS else 1):
+        raise DataError("logs of one condition do not differ: are some of them copies? Give each log once")
     share = 1.0 / len(baseline) + 1.0 / len(flights)
     usual = np.exp(logs[0].mean(axis=0)) * (1.0 + (added_mass or 0.0) / robot.body.mass)
     fits: tuple[CauseFit, ...] = ()
@@ -258,7 +264,9 @@ def _fit(cause: Cause, efforts: Array, usual: Array, scatter: Scatter, count: in
     """Return a candidate fitted to the logarithm of efforts (L, R); residuals are relative, as the scatter is."""
     ratio = np.exp(efforts.mean(axis=0)) / usual
     fit = fit_scatter(1.0 - 1.0 / ratio, cause.columns / ratio[:, None], scatter, 1.0 / len(efforts) + 1.0 / count)
-    return CauseFit(cause=cause, fit=fit, params=_physical(cause, fit))
+    place = (fit.ratio(1, 0), fit.ratio(2, 0)) if cause.name == "payload_mass + com_offset" else (None, None)
+    known = None if place[0] is None or place[1] is None else (place[0], place[1])
+    return CauseFit(cause=cause, fit=fit, params=_physical(cause, fit), place=known)
 
 
 def _physical(cause: Cause, fit: ScatterFit) -> dict[str, Estimate]:

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from aerial_gym.sim2real.bench.statistics import Estimate
+
 Array = NDArray[np.float64]
 
 
@@ -70,6 +72,20 @@ class ScatterFit:
 
     spread: Array = field(repr=False)
     """Covariance of the fitted rows if the rows had that of one repeat, (K, K)."""
+
+    def ratio(self, upper: int, lower: int) -> Estimate | None:
+        """Return the ratio of two parameters with its 95 % interval; None if the divisor may be 0, which leaves it open.
+
+        Source: Fieller (1954), Some problems in interval estimation, Journal of the Royal Statistical Society B 16.
+        """
+        over, under = self.params[[upper, lower]]
+        part = stats.t.ppf(0.975, self.freedom) ** 2 * self.covariance[np.ix_([upper, lower], [upper, lower])]
+        square, middle = under**2 - part[1, 1], over * under - part[0, 1]
+        if square <= 0.0:
+            return None
+        reach = np.sqrt(max(middle**2 - square * (over**2 - part[0, 0]), 0.0))
+        low, high = (middle - reach) / square, (middle + reach) / square
+        return Estimate(value=float(over / under), low=float(low), high=float(high))
 
 
 def fit_scatter(target: Array, columns: Array, scatter: Scatter, share: float) -> ScatterFit:

@@ -272,7 +272,7 @@ def study_balance(
     named = [path.resolve() for path in (*baseline, *flights, *test)]
     if len(set(named)) < len(named):
         raise ConfigError("a log is named twice among flights, --baseline and --test; each has one part to play")
-    others = [path for path in repeats if path.resolve() not in named]
+    others = [path for whole, path in {path.resolve(): path for path in repeats}.items() if whole not in named]
 
     def read(paths: Sequence[Path]) -> list[HoverEffort]:
         return [hover_effort(read_flight_log(path, mapping=layout, hover=True)) for path in paths]
@@ -300,12 +300,14 @@ def _balance_tables(found: Balance) -> list[Table]:
     rows = []
     for fit in found.fits:
         numbers = "; ".join(f"{name} {interval(value)}" for name, value in fit.params.items())
+        if fit.place is not None:
+            numbers += "; weight at " + ", ".join(interval(axis) for axis in fit.place)
         mark = " (possible)" * (fit.cause.name in found.candidates)
         judged = ("", "") if fit.judged is None else (f"{fit.judged:.2g}", f"{fit.held_out:.3g}")
         rows.append((fit.cause.name + mark, numbers, f"{fit.fit.misfit:.2g}", f"{fit.fit.gain:.2g}", *judged))
     head = (
         "candidate",
-        "dm [kg]; x, y [m]; scale, torque_ratio of the rotor",
+        "dm [kg]; x, y [m] of the centre of mass; place of the weight [m]; scale, torque_ratio of the rotor",
         "chance of what it leaves",
         "chance of what it gains",
         "chance of its error on logs left out",
