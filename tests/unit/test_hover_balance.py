@@ -171,6 +171,9 @@ def test_a_ratio_is_open_where_its_divisor_may_be_zero() -> None:
     assert even is not None
     for end in (even.low, even.high):
         assert (10.0 - 10.0 * end) ** 2 == pytest.approx(q * (1.0 + end**2))
+    tied = replace(fit, params=np.array([30.0, 10.0]), covariance=np.array([[9.0, 3.0], [3.0, 1.0]])).ratio(0, 1)
+    assert tied is not None  # both err alike: the ratio is exact
+    assert (tied.low, tied.high) == pytest.approx((3.0, 3.0), abs=1e-6)
     assert replace(fit, params=np.array([6.0, 2.0]), covariance=np.eye(2)).ratio(0, 1) is None
 
 
