@@ -186,7 +186,7 @@ def fly_case(
     declared, true = hidden_effects.split(DECLARED, params)
     bias = NO_BIAS
     if nuisance:
-        true, bias = disturb(true, Nuisance(), seed=seed)
+        true, bias = disturb(true, Nuisance(), seed=seed, hidden=params)
     features = hidden_effects.features_of(effects, features)
     flights = flights_of(num_train, num_test, features)
     reference = plan_all(flights, seed=seed, duration_s=duration_s)

@@ -1,5 +1,6 @@
 """Small errors that every real vehicle has: nothing that an identification should call an effect."""
 
+from collections.abc import Container
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,11 +48,16 @@ class Bias:
 NO_BIAS = Bias(acc=np.zeros(3), gyro=np.zeros(3))
 
 
-def disturb(true: Vehicle, cfg: Nuisance, *, seed: int) -> tuple[Vehicle, Bias]:
+STATED_LAG = ("motor_time_constant", "motor_asymmetry")
+"""Hidden effects that state the lag itself, in place of the declared one."""
+
+
+def disturb(true: Vehicle, cfg: Nuisance, *, seed: int, hidden: Container[str] = ()) -> tuple[Vehicle, Bias]:
     """Return the vehicle with small errors beside what is hidden, and the sensor biases.
 
     What a case states of its hidden effects is without them, as a scale or a bench would find it on a perfectly declared
-    vehicle. The inertia becomes ``S I S`` with a diagonal S, which stays positive definite.
+    vehicle; but a hidden lag is stated whole, in seconds, and is what it says (``STATED_LAG``). The inertia becomes ``S I S``
+    with a diagonal S, which stays positive definite.
     """
     rng = np.random.default_rng([seed, 2])
 
@@ -61,7 +67,8 @@ def disturb(true: Vehicle, cfg: Nuisance, *, seed: int) -> tuple[Vehicle, Bias]:
     mass, coeff, inertia = draw(cfg.mass, 1), draw(cfg.thrust_coeff, 4), draw(cfg.inertia, 3)
     tau, com = draw(cfg.tau, 1), draw(cfg.com, 3)
     bias = Bias(acc=draw(cfg.acc_bias, 3), gyro=draw(cfg.gyro_bias, 3))
-    stretch, factor = np.sqrt(1.0 + inertia), 1.0 + float(tau[0])
+    stretch = np.sqrt(1.0 + inertia)
+    factor = 1.0 if any(name in hidden for name in STATED_LAG) else 1.0 + float(tau[0])
     vehicle = replace(
         true,
         mass=true.mass * (1.0 + float(mass[0])),

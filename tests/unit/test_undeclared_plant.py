@@ -284,6 +284,9 @@ def test_nuisance_is_small_and_adds_to_what_is_hidden() -> None:
     )
     offset = replace(DECLARED, com=DECLARED.com + 0.006)
     np.testing.assert_allclose(disturb(offset, cfg, seed=1)[0].com, vehicle.com + 0.006, atol=1e-15)
+    stated = disturb(DECLARED, cfg, seed=1, hidden=("motor_asymmetry",))[0]
+    assert (stated.tau_up, stated.tau_down) == (DECLARED.tau_up, DECLARED.tau_down)
+    assert stated.mass == vehicle.mass
 
 
 def test_case_writes_the_contract(tmp_path: Path) -> None:
