@@ -13,6 +13,7 @@ with the package.
 
 import argparse
 import json
+import math
 import os
 import sys
 import tempfile
@@ -112,10 +113,11 @@ def judge(verdict: dict, truth: dict[str, dict[str, float]]) -> dict[str, object
     named = {e["name"]: e for e in verdict["effects"]}
     found = []
     for effect in (name for name in named if name in truth):
+        params, stds = _at_height_of(truth[effect], named[effect]["params"], named[effect]["std"])
         for key, true in truth[effect].items():
-            std = named[effect]["std"].get(key)
+            std = stds.get(key)
             if std:
-                value = named[effect]["params"][key]
+                value = params[key]
                 found.append({"effect": effect, "name": key, "true": true, "value": value, "std": std})
     distances = [abs(p["value"] - p["true"]) / p["std"] for p in found]
     return {
@@ -133,6 +135,21 @@ def judge(verdict: dict, truth: dict[str, dict[str, float]]) -> dict[str, object
         "before_over_floor": _over_floor(verdict["before"]),
         "after_over_floor": _over_floor(verdict["after"]),
     }
+
+
+def _at_height_of(
+    truth: dict[str, float], params: dict[str, float], std: dict[str, float]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return parameters and their spread with a sheared wind at the reference height of the truth; others as they are."""
+    if "z_ref" not in truth:
+        return params, std
+    factor = (truth["z_ref"] / params["z_ref"]) ** params["exponent"]
+    slope = abs(math.log(truth["z_ref"] / params["z_ref"]))
+    moved, spread = dict(params), dict(std)
+    for key in "xy":
+        moved[key] = factor * params[key]
+        spread[key] = factor * math.hypot(std[key], params[key] * slope * std["exponent"])
+    return moved, spread
 
 
 def _judgement(named: list[str], hidden: list[str], verdict: dict) -> str:

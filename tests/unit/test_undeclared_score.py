@@ -148,3 +148,15 @@ def test_the_command_prints_and_writes(
     monkeypatch.setattr("sys.argv", ["score", "--seeds", "205", "--effects", "drag"])
     assert score_undeclared.main() == 2
     assert "no effect ['drag']" in capsys.readouterr().err
+
+
+def test_a_sheared_wind_is_compared_at_one_height() -> None:
+    """3 m/s at 2 m with an exponent of 0.25 are 3 x 5^0.25 = 4.486 m/s at 10 m; an exponent off by 0.01 moves that by 1.6 %."""
+    found = verdict("explained", wind_shear={"x": (3.0, 0.0), "y": (0.0, 0.1), "exponent": (0.25, 0.01)})
+    found["effects"][0]["params"]["z_ref"] = 2.0
+    truth = {"wind_shear": {"x": 4.486, "y": 0.0, "z_ref": 10.0, "exponent": 0.24}}
+    rows = {row["name"]: row for row in judge(found, truth)["parameters"]}
+    assert rows["x"]["value"] == pytest.approx(4.486, abs=1e-3)
+    assert rows["x"]["std"] == pytest.approx(4.486 * 0.01609, rel=1e-3)
+    assert rows["y"]["std"] == pytest.approx(0.1 * 5.0**0.25, rel=1e-3)
+    assert rows["exponent"]["value"] == 0.25
