@@ -68,6 +68,12 @@ class Scored:
         """Return the fitted effects."""
         return self.fit.effects
 
+    @property
+    def penalty(self) -> float:
+        """Return what the deviations within the tolerances that fit best cost in log likelihood: half their squared sum."""
+        deviations = self.spread.step[self.fit.num_effect_params :]
+        return 0.5 * float(deviations @ deviations)
+
     def rms(self) -> Array:
         """Return the left-out residual of each channel, (C,)."""
         return np.sqrt(self.left_out.sum(axis=0) / self.fit.moments.count.sum())

@@ -260,7 +260,7 @@ class _Selector:
         tied = [passed[0]]
         for trial in passed[1:]:
             assert trial.scored is not None
-            ahead = self.left_out.gain(trial.scored.left_out, best.left_out)
+            ahead = self.compare(trial.scored, best)
             if ahead.chance > self.criteria.rival_significance or ahead.score < LEAST_SCORE:
                 tied.append(trial)
         return [min(tied, key=lambda trial: trial.num_free)]  # the first, and so the best, of equals
@@ -324,11 +324,19 @@ class _Selector:
         return Trial(
             effect=name,
             scored=scored,
-            gain=gain,
+            gain=replace(gain, score=gain.score + current.penalty - scored.penalty),
             probability=probability,
             objections=tuple(objections),
             only_harms=bool(objections) and objections == self.left_out.harms(gain),
         )
+
+    def compare(self, less: Scored, more: Scored) -> Gain:
+        """Return the gain of one model over another, with what each asks of the tolerances counted as their prior does.
+
+        A thrust scale and a mass explain forces alike; the wrong one needs an inertia that is off by several deviations.
+        """
+        gain, saved = self.left_out.gain(less.left_out, more.left_out), less.penalty - more.penalty
+        return replace(gain, score=gain.score + saved, chance=float(min(1.0, gain.chance * np.exp(min(-saved, 700.0)))))
 
     def probability_neutral(self, name: str, scored: Scored) -> float:
         """Return the probability that an effect's parameters are neutral, given noise and tolerances."""
@@ -431,8 +439,7 @@ class _Selector:
         others = [n for n in self.candidates if n not in final.effects and n not in self.lacking]
         for trial in self.try_each(others, less):
             if trial.scored is not None:
-                gain = self.left_out.gain(final.left_out, trial.scored.left_out)
-                back = self.left_out.gain(trial.scored.left_out, final.left_out)
+                gain, back = self.compare(final, trial.scored), self.compare(trial.scored, final)
                 trials.append(replace(trial, gain=replace(gain, chance=back.chance)))
         return tuple(sorted(trials, key=lambda trial: -trial.score))
 

@@ -15,6 +15,7 @@ from aerial_gym.sim2real.flights import load_flights
 from aerial_gym.sim2real.prediction import Point, Predictor, find_channels
 from aerial_gym.sim2real.scoring import Criteria
 from aerial_gym.sim2real.tolerances import Tolerances
+from aerial_gym.sim2real.verdict import tied_rivals
 from tests.unit.flat_flights import ROBOT, flight, write
 
 ROTORS = ["rotor_1", "rotor_2", "rotor_3", "rotor_4"]
@@ -62,3 +63,26 @@ def test_a_name_holds_or_only_stands_in(
     found = selection.select_effects(predictor, Point(), Criteria(), lambda stage, share: None)
     assert found.accepted == named
     assert found.doubted == doubted
+
+
+@pytest.mark.parametrize(
+    ("gyro", "candidates"), [(True, {"thrust_coefficient"}), (False, {"thrust_coefficient", "payload_mass"})]
+)
+def test_thrust_and_mass_are_told_by_torques_as_far_as_the_inertia_is_known(
+    gyro: bool, candidates: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """5 % less thrust: a mass in its place needs an inertia off by 2.6 deviations about all axes; forces alone do not tell."""
+    few: Registry[Effect] = Registry("effect")
+    for name in ("thrust_coefficient", "payload_mass"):
+        few.register(name, EFFECTS.get(name))
+    monkeypatch.setattr(selection, "EFFECTS", few)
+    logs = [flight(seed, seconds=12.0, rate=100.0, noise=1.0, thrust_scale=0.95) for seed in range(4)]
+    if not gyro:
+        logs = [log.drop(columns=["omega_x", "omega_y", "omega_z"]) for log in logs]
+    flights = load_flights(
+        [write(log, tmp_path / f"f{n}.csv") for n, log in enumerate(logs)], ROBOT, mapping=None, bandwidth=10.0
+    )
+    predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+    found = selection.select_effects(predictor, Point(), Criteria(), lambda stage, share: None)
+    (named,) = found.accepted
+    assert {named, *tied_rivals(named, found)} == candidates
