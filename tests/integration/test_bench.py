@@ -120,7 +120,7 @@ def test_every_controller_keeps_flying_for_a_stretch(controller: str) -> None:
 
 
 def test_all_effects_together_keep_flying_for_a_stretch() -> None:
-    """All that ``tinyprop`` has the numbers for, in open air: flights begin about z = 0, where ground effect doubles the thrust."""
+    """All that ``tinyprop`` has the numbers for, in open air; without ground effect, as flights begin about z = 0."""
     names = [name for name in EFFECTS.names() if name not in ("battery_sag", "ceiling_effect", "ground_effect")]
     flight = small_flight(robot="tinyprop", effects=names)
     for _ in range(flight.batches_per_stretch):

@@ -31,8 +31,8 @@ def run_case(folder: Path, effects: dict[str, str], seed: int) -> tuple[dict, di
 def test_the_hidden_effect_is_named_and_measured(effect: str, tmp_path: Path) -> None:
     """The right name, every parameter within three standard deviations, the residual down to near the noise floor.
 
-    Deviations within the tolerances are fitted beside the effect and are not in the corrected model: 20 um of centre of mass
-    that they took leave 1.6 times the floor.
+    Deviations within the tolerances are fitted beside the effect and are not in the corrected model, so that what they took
+    remains: 1.6 times the floor beside a shifted centre of mass.
     """
     verdict, truth = run_case(tmp_path, {effect: "moderate"}, 211)
     assert [found["name"] for found in verdict["effects"]] == [effect]

@@ -10,7 +10,10 @@ from aerial_gym.sim2real import close_loop
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "idsia_nanodrone"
 
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights are not on this machine: {DATA}")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights are not on this machine: {DATA}"),
+]
 
 
 HOVER_SUM = 4 * 1695.0
