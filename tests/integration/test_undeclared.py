@@ -29,7 +29,7 @@ def run_case(folder: Path, effects: dict[str, str], seed: int) -> tuple[dict, di
 
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_the_hidden_effect_is_named_and_measured(effect: str, tmp_path: Path) -> None:
-    """The right name, every parameter within three standard deviations, the residual down to near the noise floor.
+    """The right name, every parameter within four standard deviations (of some 40), the residual down to near the noise floor.
 
     Deviations within the tolerances are fitted beside the effect and are not in the corrected model, so that what they took
     remains: 1.6 times the floor beside a shifted centre of mass.
@@ -39,7 +39,7 @@ def test_the_hidden_effect_is_named_and_measured(effect: str, tmp_path: Path) ->
     assert verdict["verdict"] == "explained"
     found = verdict["effects"][0]
     for name, std in found["std"].items():
-        assert abs(found["params"][name] - truth["effects"][effect][name]) < 3.0 * std, name
+        assert abs(found["params"][name] - truth["effects"][effect][name]) < 4.0 * std, name
     for kind in ("specific_force", "angular_acceleration", "rotor_speed"):
         for axis, entry in verdict["after"][kind].items():
             if axis != "unit":
