@@ -22,7 +22,7 @@ from aerial_gym.sim2real.battery import with_battery
 from aerial_gym.sim2real.breakdown import by_flight, where_it_acts
 from aerial_gym.sim2real.contribution import contributions
 from aerial_gym.sim2real.evaluation import evaluate
-from aerial_gym.sim2real.fit import best_step, params_of, scales, with_params
+from aerial_gym.sim2real.fit import best_within_tolerances, params_of, with_params
 from aerial_gym.sim2real.flights import Flight, load_flights
 from aerial_gym.sim2real.inclusion import inclusion
 from aerial_gym.sim2real.learned import Learned, judge_on_test, train_residual
@@ -216,7 +216,7 @@ def judge_flights(
     }
     named = named_effects(selection, included, worth, regimes)
     manoeuvre, fly_next = what_to_fly(train_predictor, declared, selection)
-    within = best_within_tolerances(robot, selection)
+    within = best_within_tolerances(robot, selection.final.fit, selection.weights.weight)
     left = test_predictor.residuals(within)
     rms = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
     rms = np.minimum(rms, [channel.value for channel in after.residual])  # tolerances only ever explain
@@ -266,7 +266,7 @@ def judge_flights(
         )
     notes += immaterial(named)
     notes += [
-        f"{name} is not named: what is taken for it follows the {kind}, which it cannot"
+        f"{name} is not named: it only stands in for a part of what remains, whose structure ({kind}) no effect has"
         for name, kind in selection.doubted.items()
     ]
     verdict = Verdict(
@@ -315,14 +315,6 @@ def what_to_fly(train: Predictor, declared: Point, selection: Selection) -> tupl
         return None, {}
     catalogue = Catalogue(train, selection)
     return what_tells(catalogue, selection, tied), what_shows(catalogue, selection, declared, hidden)
-
-
-def best_within_tolerances(robot: RobotCfg, selection: Selection) -> Point:
-    """Return the final model with the deviations within the tolerances that fit the training flights best."""
-    fit = selection.final.fit
-    step = best_step(fit, selection.weights.weight, fit.free_all)
-    values = params_of(fit.point, fit.effects) + scales(fit.effects) * step[: fit.num_effect_params]
-    return replace(with_params(robot, fit.point, fit.effects, values), deviation=step[fit.num_effect_params :])
 
 
 def not_testable(selection: Selection) -> dict[str, str]:

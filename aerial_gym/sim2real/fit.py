@@ -178,6 +178,13 @@ def best_step(fit: Fit, weight: Array, free: Indices, blocks: Indices | None = N
     return step
 
 
+def best_within_tolerances(robot: RobotCfg, fit: Fit, weight: Array) -> Point:
+    """Return a fitted model with the deviations within the tolerances that fit its flights best."""
+    step = best_step(fit, weight, fit.free_all)
+    values = params_of(fit.point, fit.effects) + scales(fit.effects) * step[: fit.num_effect_params]
+    return replace(with_params(robot, fit.point, fit.effects, values), deviation=step[fit.num_effect_params :])
+
+
 def linearise(
     predictor: Predictor,
     effects: tuple[str, ...],

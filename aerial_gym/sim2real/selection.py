@@ -17,7 +17,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.fit import (
     Fit,
     Frozen,
-    best_step,
+    best_within_tolerances,
     effect_jacobian,
     fit_effects,
     is_number,
@@ -25,7 +25,6 @@ from aerial_gym.sim2real.fit import (
     scales,
     tolerance_jacobian,
     weighting,
-    with_params,
 )
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.moments import Weighting
@@ -415,11 +414,8 @@ class _Selector:
 
     def within_tolerances(self, scored: Scored) -> list[Array]:
         """Return the residuals of a model with the deviations within the tolerances that fit best, (rows, C) each."""
-        fit = scored.fit
-        step = best_step(fit, self.weights.weight, fit.free_all)
-        values = params_of(fit.point, fit.effects) + scales(fit.effects) * step[: fit.num_effect_params]
-        point = with_params(self.predictor.robot, fit.point, fit.effects, values)
-        return self.predictor.residuals(replace(point, deviation=step[fit.num_effect_params :]))
+        point = best_within_tolerances(self.predictor.robot, scored.fit, self.weights.weight)
+        return self.predictor.residuals(point)
 
     def prune(self, scored: Scored, *, newest: set[str]) -> Scored:
         """Return the model without effects that the newest have made superfluous: what no longer pays, not what also harms."""
