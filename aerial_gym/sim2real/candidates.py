@@ -3,6 +3,7 @@
 Letters: B blocks, C channels, K columns (parameters of the candidates in units of their scale, then the tolerances).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,7 +62,8 @@ class Library:
 def build_library(predictor: Predictor, declared: Point, selection: Selection) -> Library:
     """Return the candidates that the flights can show, each with the parameters that they show.
 
-    The derivatives of an accepted effect are those at its fitted values, of any other one those at neutral.
+    The derivatives of an accepted effect are those at its fitted values, and exact back to neutral; of any other one those at
+    neutral.
     """
     final, frozen = selection.final.fit.point, selection.final.fit.frozen
     base = predictor.predict(final)
@@ -72,6 +74,8 @@ def build_library(predictor: Predictor, declared: Point, selection: Selection) -
         columns = effect_jacobian(predictor, point, (name,), base if named else predictor.predict(point))
         step = (params_of(point, (name,)) - neutral) / scale
         if named:  # back to neutral
+            change = [b - n for b, n in zip(base, predictor.predict(point.with_effect(name, neutral)), strict=True)]
+            columns = exact_along(columns, step, change)
             residuals = [r + c @ step for r, c in zip(residuals, columns, strict=True)]
         free = [k for k in range(scale.size) if is_number(name, k) and not (named and (name, k) in frozen)]
         low, high = (((bound - neutral) / scale)[free] for bound in bounds_of(predictor.robot, (name,)))
@@ -87,6 +91,20 @@ def build_library(predictor: Predictor, declared: Point, selection: Selection) -
         tolerances=np.arange(width, jacobians[0].shape[2]),
     )
     return replace(library, candidates=seen_candidates(library, selection.weights.weight))
+
+
+def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) -> list[Array]:
+    """Return derivatives (rows, C, k), changed as little as gives exactly the ``change`` (rows, C) over a ``step`` (k).
+
+    A lag of 0 and one of 0.06 s differ by much more or less than what the derivative at 0.06 s says.
+
+    Source:
+        Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
+    """
+    if not np.any(step):
+        return list(columns)
+    along = step / (step @ step)
+    return [c + (d - c @ step)[..., None] * along for c, d in zip(columns, change, strict=True)]
 
 
 def origins(declared: Point, selection: Selection, robot: RobotCfg) -> list[tuple[str, Point]]:

@@ -215,10 +215,11 @@ class _Selector:
         """Return every effect that is not in the model, tried on top of it, best score first."""
         return self.try_each([name for name in self.candidates if name not in current.effects], current, done)
 
-    def try_each(self, names: Sequence[str], current: Scored, done: int | None = None) -> list[Trial]:
+    def try_each(self, names: Sequence[str], current: Scored, done: int | None = None, fewest: int = 0) -> list[Trial]:
         """Return trials of some effects on top of a model, best score first.
 
-        Every effect is looked at as if the model were linear in it; those that then look best are fitted.
+        Every effect is looked at as if the model were linear in it; those that then look best are fitted, ``fewest`` of them
+        even if they seem to gain nothing.
         """
         screen = Screen(self.predictor, current.fit, current.left_out, self.tolerance, self.left_out)
         trials, glances = [], []
@@ -232,7 +233,8 @@ class _Selector:
             looks = [screen.look(name, start, current.fit.frozen) for start in self.points(name, current.fit.point)]
             glances.append(max(looks, key=lambda glance: (not glance.blind, glance.gain.score)))
         glances.sort(key=lambda glance: -glance.gain.score)
-        worth = [glance for glance in glances if not glance.blind and glance.gain.score > 0.0][:MOST_FITTED]
+        seen = [glance for glance in glances if not glance.blind]
+        worth = [g for place, g in enumerate(seen[:MOST_FITTED]) if place < fewest or g.gain.score > 0.0]
         for count, glance in enumerate(worth):
             if done is not None:
                 share = (done + 0.5 + 0.5 * count / len(worth)) / USUAL_ROUNDS
@@ -433,7 +435,7 @@ class _Selector:
         """
         less, trials = self.without(final, name), []
         others = [n for n in self.candidates if n not in final.effects and n not in self.lacking]
-        for trial in self.try_each(others, less):
+        for trial in self.try_each(others, less, fewest=1):
             if trial.scored is not None:
                 gain, back = self.compare(final, trial.scored), self.compare(trial.scored, final)
                 trials.append(replace(trial, gain=replace(gain, chance=back.chance)))

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
+from _pytest.mark import ParameterSet
 
 from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.physics.model import check_effects
@@ -14,10 +15,17 @@ from aerial_gym.sim2real import close_loop
 from benchmarks.undeclared import make_case
 
 SHORT = {"num_train": 4, "num_test": 2, "duration_s": 8.0, "rate_hz": 200}
-EFFECTS = (
-    "rotor_drag", "quadratic_drag", "thrust_coefficient", "com_offset", "motor_time_constant", "constant_wind",
-    "h_force_flapping", "motor_tilt", "imu_misalignment", "actuation_delay", "battery_sag", "ceiling_effect", "downwash",
+EFFECTS = ("rotor_drag", "com_offset", "motor_tilt", "actuation_delay")
+MORE_EFFECTS = (
+    "quadratic_drag", "thrust_coefficient", "motor_time_constant", "constant_wind", "h_force_flapping", "imu_misalignment",
+    "battery_sag", "ceiling_effect", "downwash",
 )  # fmt: skip
+CAUSES = ("unknown_position",)
+MORE_CAUSES = ("unknown_periodic", "unknown_time", "unknown_heading")
+
+
+def slow(names: tuple[str, ...]) -> list[ParameterSet]:
+    return [pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
 def run_case(folder: Path, effects: dict[str, str], seed: int) -> tuple[dict, dict]:
@@ -27,7 +35,7 @@ def run_case(folder: Path, effects: dict[str, str], seed: int) -> tuple[dict, di
     return json.loads((folder / "out" / "verdict.json").read_text()), json.loads(Path(files.truth).read_text())
 
 
-@pytest.mark.parametrize("effect", EFFECTS)
+@pytest.mark.parametrize("effect", [*EFFECTS, *slow(MORE_EFFECTS)])
 def test_the_hidden_effect_is_named_and_measured(effect: str, tmp_path: Path) -> None:
     """The right name, every parameter within four standard deviations (of some 40), the residual down to near the noise floor.
 
@@ -46,6 +54,7 @@ def test_the_hidden_effect_is_named_and_measured(effect: str, tmp_path: Path) ->
                 assert entry["rms"] < 2.0 * entry["noise_floor"], (kind, axis)
 
 
+@pytest.mark.slow
 def test_wind_shear_is_found_with_its_power(tmp_path: Path) -> None:
     """The plant and the package refer it to other heights; the wind at a height of the flights is the same."""
     verdict, truth = run_case(tmp_path, {"wind_shear": "moderate"}, 211)
@@ -56,6 +65,7 @@ def test_wind_shear_is_found_with_its_power(tmp_path: Path) -> None:
         assert at_5m[0] == pytest.approx(at_5m[1], rel=0.05), axis
 
 
+@pytest.mark.slow
 def test_a_slung_payload_is_found_with_its_mass_and_length(tmp_path: Path) -> None:
     """The plant's damping acts at the suspension, that of the package is a drag in the air: it is not compared."""
     verdict, truth = run_case(tmp_path, {"slung_payload": "moderate"}, 211)
@@ -80,7 +90,7 @@ def test_gusts_are_found_with_their_moments(tmp_path: Path) -> None:
     assert any("lower no residual" in note for note in verdict["notes"])
 
 
-@pytest.mark.parametrize("cause", ["unknown_periodic", "unknown_position", "unknown_time", "unknown_heading"])
+@pytest.mark.parametrize("cause", [*CAUSES, *slow(MORE_CAUSES)])
 def test_an_unknown_cause_is_given_no_name_but_its_structure(cause: str, tmp_path: Path) -> None:
     verdict, _ = run_case(tmp_path, {cause: "moderate"}, 213)
     assert verdict["verdict"] == "unexplained"

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.candidates import Candidate, Library
+from aerial_gym.sim2real.candidates import Candidate, Library, exact_along
 from aerial_gym.sim2real.fit import Fit
 from aerial_gym.sim2real.inclusion import RESAMPLES, draw_blocks
 from aerial_gym.sim2real.linear_selection import LinearSelector
@@ -129,3 +129,14 @@ def test_few_flights_are_drawn_with_their_blocks_and_many_are_drawn_whole() -> N
     whole = draw_blocks(many, rng).reshape(-1, 6, 8)
     assert (whole == whole[:, :, :1]).all()
     assert set(np.unique(whole)) <= set(range(6))
+
+
+def test_derivatives_are_made_exact_along_a_step_and_kept_across_it() -> None:
+    rng = np.random.default_rng(0)
+    columns, change, step = rng.standard_normal((20, 2, 3)), rng.standard_normal((20, 2)), np.array([0.3, 0.0, -1.2])
+    (exact,) = exact_along([columns], step, [change])
+    np.testing.assert_allclose(exact @ step, change, atol=1e-12)
+    for across in ([1.2, 0.0, 0.3], [0.0, 1.0, 0.0]):
+        np.testing.assert_allclose(exact @ across, columns @ across, atol=1e-12)
+    (kept,) = exact_along([columns], np.zeros(3), [change])
+    np.testing.assert_array_equal(kept, columns)
