@@ -29,6 +29,7 @@ from aerial_gym.sim2real.learned import Learned, judge_on_test, train_residual
 from aerial_gym.sim2real.manoeuvre import Advice, Catalogue, showable, what_shows, what_tells
 from aerial_gym.sim2real.mapping import find_mapping
 from aerial_gym.sim2real.noise import noise_floor
+from aerial_gym.sim2real.output_error import refit_on_rollouts
 from aerial_gym.sim2real.prediction import KINEMATIC, Channel, Point, Predictor, declared_point, find_channels
 from aerial_gym.sim2real.random_wind import NAME, declared_wind, find_random_wind, with_random
 from aerial_gym.sim2real.runtime import check_out_dir, whole_folder, write_record
@@ -192,9 +193,13 @@ def judge_flights(
         train_predictor,
         declared,
         criteria,
-        lambda stage, share: progress(stage, 0.05 + 0.6 * share),
+        lambda stage, share: progress(stage, 0.05 + 0.58 * share),
         test=test,
     )
+    progress("rollouts of the training flights", 0.63)
+    refit = refit_on_rollouts(train_predictor, selection)
+    if refit.adopted and refit.scored is not None:
+        selection = replace(selection, final=refit.scored)
     final = rounded(robot, selection.final.fit.point, selection.accepted)
     progress("selections on flights drawn again", 0.65)
     included = inclusion(train_predictor, declared, selection, seed=seed)
@@ -278,6 +283,7 @@ def judge_flights(
         manoeuvre=manoeuvre,
         fly_next=fly_next,
         inclusion=included,
+        output_error=refit,
         structure=structure,
         before=before,
         after=after,

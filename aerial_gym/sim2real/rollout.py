@@ -5,8 +5,8 @@ measured. A second variant is given the measured attitude, so that it shows forc
 Letters: W windows (environments), R rotors.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -15,13 +15,22 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.quaternion import quat_conjugate, quat_log, quat_multiply
-from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, advance_remembering, build_model, vehicle_from_config
+from aerial_gym.physics import (
+    EFFECTS,
+    INTEGRATORS,
+    BodyState,
+    Vehicle,
+    advance_remembering,
+    build_model,
+    vehicle_from_config,
+)
 from aerial_gym.physics.effects import CommandEffect, DelayEffect
 from aerial_gym.physics.effects.actuation_delay import LONGEST as LONGEST_DELAY
 from aerial_gym.physics.memory import Memory, make_memory, place_load
+from aerial_gym.physics.model import EffectParams
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.load_replay import LoadReplay
-from aerial_gym.sim2real.prediction import Point, effects_at, expand_rows, with_known_wind
+from aerial_gym.sim2real.prediction import Point, with_known_wind
 from aerial_gym.sim2real.rotor_commands import mean_commands
 from aerial_gym.sim2real.surroundings import heights, other_at
 
@@ -96,20 +105,22 @@ class _Straight:
         """There is no Warp code: rollouts run in float64 torch."""
 
 
-def find_windows(flights: Sequence[Flight], horizons: Sequence[float]) -> Windows:
-    """Return the starts of windows that fit the longest horizon, in every flight that is long enough.
+def find_windows(
+    flights: Sequence[Flight], horizon: float, *, every: float = WINDOW_EVERY_S, most: int = MOST_WINDOWS
+) -> Windows:
+    """Return the starts of windows of ``horizon`` [s], in every flight that is long enough; one ``every`` so many seconds.
 
     No window holds a row in which the vehicle stands.
     """
-    spans = [max(0.0, float(f.time[-1]) - max(horizons) - STEP_S) for f in flights]
-    every = max(WINDOW_EVERY_S, sum(spans) / MOST_WINDOWS)
+    spans = [max(0.0, float(f.time[-1]) - horizon - STEP_S) for f in flights]
+    every = max(every, sum(spans) / most)
     parts, cluster = [], 0
     for index, (flight, span) in enumerate(zip(flights, spans, strict=True)):
         starts = np.arange(FIRST_WINDOW_S, span, every)
         rows = np.round(starts * flight.rate).astype(int)
         if flight.standing is not None:
             stood = np.concatenate(([0], np.cumsum(flight.standing)))
-            last = np.minimum(rows + round((max(horizons) + STEP_S) * flight.rate) + 1, flight.num_rows)
+            last = np.minimum(rows + round((horizon + STEP_S) * flight.rate) + 1, flight.num_rows)
             clear = stood[last] == stood[rows]
             starts, rows = starts[clear], rows[clear]
         groups = (starts / CLUSTER_S).astype(int)
@@ -138,20 +149,20 @@ def roll_out(
     """
     longest = max(float(flight.time[-1]) for flight in flights)
     kept = tuple(h for h in horizons if FIRST_WINDOW_S + h + 2.0 * STEP_S < longest)
-    windows = find_windows(flights, kept)
-    commanded = all(flight.rotor_command is not None for flight in flights)
+    windows = find_windows(flights, max(kept))
+    commanded = is_commanded(flights)
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
     if commanded:
-        flights = _with_arriving_commands(robot, flights, point)
-    rows = {
-        rate: np.flatnonzero([flights[f].rate == rate for f in windows.flight]) for rate in {f.rate for f in flights}
-    }
+        flights = with_arriving_commands(vehicle, flights, point)
     shape = (windows.row.size, len(kept))
     errors = {name: np.full(shape, np.nan) for name in QUANTITIES}
-    for rate, members in rows.items():
-        if members.size:
-            run = _Run(robot, flights, point, windows, members, rate, commanded=commanded)
-            for name, values in run.errors(kept, given_attitude=given_attitude).items():
-                errors[name][members] = values
+    for members in same_rate(flights, windows):
+        one = np.zeros(members.size, dtype=np.int64)
+        run = Batch([vehicle], [point], one, flights, windows.flight[members], windows.row[members])
+        at = {run.steps(horizon): place for place, horizon in enumerate(kept)}
+        for step, state, truth in run.fly(run.measured(0), at, given_attitude=given_attitude):
+            for name, values in _distances(state, truth).items():
+                errors[name][members, at[step]] = values
     return RolloutErrors(
         windows=windows,
         horizons=kept,
@@ -162,9 +173,19 @@ def roll_out(
     )
 
 
-def _with_arriving_commands(robot: RobotCfg, flights: Sequence[Flight], point: Point) -> list[Flight]:
+def is_commanded(flights: Sequence[Flight]) -> bool:
+    """Return whether rotors can follow commands in all flights; else they turn as measured."""
+    return all(flight.rotor_command is not None for flight in flights)
+
+
+def same_rate(flights: Sequence[Flight], windows: Windows) -> list[NDArray[np.int64]]:
+    """Return the windows whose flights have the same rate, for each rate."""
+    rate = np.array([flights[index].rate for index in windows.flight])
+    return [np.flatnonzero(rate == one) for one in np.unique(rate)]
+
+
+def with_arriving_commands(vehicle: Vehicle, flights: Sequence[Flight], point: Point) -> list[Flight]:
     """Return the flights with what arrives at the rotors as commands: so no window begins without those on their way."""
-    vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
     acting = [(EFFECTS.get(name), params) for name, params in point.effects.items() if acts_on_commands(name)]
     model = build_model(vehicle, [(effect, torch.tensor(params).reshape(1, -1)) for effect, params in acting])
     return [replace(flight, rotor_command=mean_commands(flight, model)) for flight in flights]
@@ -175,39 +196,60 @@ def acts_on_commands(name: str) -> bool:
     return isinstance(EFFECTS.get(name), CommandEffect | DelayEffect)
 
 
-class _Run:
-    """The windows of flights with one rate, side by side."""
+class Batch:
+    """Windows of flights with one rate, side by side, each under one of several models."""
 
     def __init__(
         self,
-        robot: RobotCfg,
+        vehicles: Sequence[Vehicle],
+        points: Sequence[Point],
+        of: NDArray[np.int64],
         flights: Sequence[Flight],
-        point: Point,
-        windows: Windows,
-        members: NDArray[np.int64],
-        rate: float,
+        flight: NDArray[np.int64],
+        row: NDArray[np.int64],
         *,
-        commanded: bool,
+        longest_step: float = STEP_S,
     ) -> None:
-        self._flights, self._rate, self._commanded, self._rotors = flights, rate, commanded, robot.num_rotors
-        self._flight, self._row = windows.flight[members], windows.row[members]
-        self._stride = max(1, int(STEP_S * rate + 1e-9))
-        self._substeps = max(1, round(self._stride / (STEP_S * rate)))
-        vehicle = expand_rows(vehicle_from_config(robot, num_envs=1, dtype=torch.float64), members.size)
-        if not commanded:  # the speeds are what they were: the rotors follow at once
+        """Take the windows.
+
+        Args:
+            vehicles: Of each model, one environment.
+            points: Effects of each model: the same ones with the same learned residual.
+            of: Which model each window has, (W,).
+            flights: With the commands that arrive.
+            flight: Flight of each window, (W,).
+            row: Where it starts, (W,).
+            longest_step: Of the integrator [s].
+        """
+        self._flights, self._flight, self._row = flights, flight, row
+        self._rate, self._commanded = flights[flight[0]].rate, is_commanded(flights)
+        self._stride = max(1, int(longest_step * self._rate + 1e-9))
+        self._substeps = max(1, round(self._stride / (longest_step * self._rate)))
+        model_of = torch.from_numpy(of)
+        parts = {f.name: torch.cat([getattr(v, f.name) for v in vehicles])[model_of] for f in fields(Vehicle)}
+        vehicle = Vehicle(**parts)
+        self._rotors = vehicle.num_rotors
+        if not self._commanded:  # the speeds are what they were: the rotors follow at once
             zero = torch.zeros_like(vehicle.time_constant_up)
             vehicle = replace(vehicle, time_constant_up=zero, time_constant_down=zero)
-        used = {name: p for name, p in point.effects.items() if commanded or EFFECTS.get(name).acts_on != "actuation"}
-        effects = effects_at(replace(point, effects=used), members.size)
-        around = heights([flights[index] for index in self._flight], [1] * members.size)
+        names = [n for n in points[0].effects if self._commanded or EFFECTS.get(n).acts_on != "actuation"]
+        effects: list[EffectParams] = [
+            (EFFECTS.get(n), torch.from_numpy(np.stack([p.effects[n] for p in points]))[model_of]) for n in names
+        ]
+        if (learned := points[0].learned) is not None:
+            effects.append((learned, torch.ones(row.size, 1, dtype=torch.float64)))
+        around = heights([flights[index] for index in flight], [1] * row.size)
         model = replace(build_model(vehicle, effects, **around), delays=(), commands=())  # they have acted
-        self._model = with_known_wind(model, flights, self._flight)
+        self._model = with_known_wind(model, flights, flight)
 
-    def errors(self, horizons: Sequence[float], *, given_attitude: bool) -> dict[str, Array]:
-        """Return the errors of each quantity, (W, horizons)."""
-        at = {round(h * self._rate / self._stride): place for place, h in enumerate(horizons)}
-        found = {name: np.zeros((self._row.size, len(horizons))) for name in QUANTITIES}
-        state = self._measured(0)
+    def steps(self, seconds: float) -> int:
+        """Return how many steps a span is."""
+        return round(seconds * self._rate / self._stride)
+
+    def fly(
+        self, state: BodyState, at: Collection[int], *, given_attitude: bool = False
+    ) -> Iterator[tuple[int, BodyState, BodyState]]:
+        """Yield the step, the state, and the state that was measured, at some numbers of steps after the start."""
         span = self._stride / self._rate
         memory, stepper, law = self._memory(span / self._substeps), INTEGRATORS["rk4"], _Straight()
         for step in range(max(at)):
@@ -217,15 +259,13 @@ class _Run:
                 model, stepper, law, state, action, span / self._substeps, self._substeps, memory
             )
             if given_attitude or step + 1 in at:
-                truth = self._measured(step + 1)
+                truth = self.measured(step + 1)
                 if step + 1 in at:
-                    for name, values in _distances(state, truth).items():
-                        found[name][:, at[step + 1]] = values
+                    yield step + 1, state, truth
                 if given_attitude:
                     state = replace(state, attitude=truth.attitude, ang_vel=truth.ang_vel)
-        return found
 
-    def _measured(self, step: int) -> BodyState:
+    def measured(self, step: int) -> BodyState:
         """Return the state that was measured ``step`` steps after each start."""
         rows = self._row + step * self._stride
         return BodyState(

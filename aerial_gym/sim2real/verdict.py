@@ -17,6 +17,7 @@ from aerial_gym.sim2real.fit import is_number, params_of, scales
 from aerial_gym.sim2real.inclusion import LEAST_SHOWN, Inclusion
 from aerial_gym.sim2real.learned import Learned
 from aerial_gym.sim2real.manoeuvre import Advice
+from aerial_gym.sim2real.output_error import Refit
 from aerial_gym.sim2real.scoring import LEAST_SCORE
 from aerial_gym.sim2real.selection import Selection, Trial
 from aerial_gym.sim2real.structure import Structure
@@ -125,6 +126,9 @@ class Verdict:
     inclusion: Inclusion
     """Of every effect, on flights drawn again."""
 
+    output_error: Refit
+    """The effects fitted again on whole rollouts."""
+
     structure: Structure
     before: Evaluation
     after: Evaluation
@@ -159,6 +163,7 @@ class Verdict:
             "manoeuvre": None if self.manoeuvre is None else self.manoeuvre.as_mapping(),
             "fly_next": {name: advice.as_mapping() for name, advice in self.fly_next.items()},
             "inclusion": {name: share for name, share in self.inclusion.effects.items() if share >= LEAST_SHOWN},
+            "output_error": self.output_error.as_mapping(),
             "structure": self.structure.as_mapping(),
             "remains": list(self.remains),
             "learned_residual": None if self.learned is None else self.learned.sentence,

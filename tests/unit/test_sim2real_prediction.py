@@ -88,9 +88,9 @@ def test_rows_on_the_ground_are_not_compared_nor_flown_over(tmp_path: Path) -> N
     clear = (one.times[0] < 5.0 - period - 1e-9) | (one.times[0] > 5.495 + period + 1e-9)
     np.testing.assert_allclose(other.times[0], one.times[0][clear])
     np.testing.assert_allclose(other.residuals(Point())[0], one.residuals(Point())[0][clear], atol=1e-12)
-    start = find_windows([touched], (1.0,)).row / found.rate
+    start = find_windows([touched], 1.0).row / found.rate
     assert not np.any((start > 3.99) & (start < 5.49))
-    assert {4.6, 5.1} <= set((find_windows([found], (1.0,)).row / found.rate).tolist())
+    assert {4.6, 5.1} <= set((find_windows([found], 1.0).row / found.rate).tolist())
 
 
 def test_the_noise_floor_is_that_of_flight_between_touches(tmp_path: Path) -> None:
@@ -189,7 +189,7 @@ def test_rollouts_of_an_exact_flight_stay_on_it_and_find_the_error_of_a_wrong_ma
 
 def test_windows_cover_every_flight_and_fit_the_longest_horizon(tmp_path: Path) -> None:
     found = load(tmp_path)
-    windows = find_windows([found, found], (0.1, 2.0))
+    windows = find_windows([found, found], 2.0)
     assert set(windows.flight) == {0, 1}
     assert (windows.row.max() / found.rate) + 2.0 < found.time[-1]
     assert len(set(windows.cluster)) >= 4
