@@ -269,7 +269,7 @@ def judge_flights(
         notes.append(
             f"only {len(train)} training flights: intervals rest on blocks of time, not on the spread of flights"
         )
-    notes += immaterial(named)
+    notes += [*immaterial(named), *refit.contradictions]
     notes += [
         f"{name} is not named: it only stands in for a part of what remains, whose structure ({kind}) no effect has"
         for name, kind in selection.doubted.items()

@@ -1,7 +1,8 @@
 """The accepted effects fitted again by output error: whole open-loop rollouts against the flights, in place of one step each.
 
-Parameters that rollouts show less than single steps do stay where they are. Rollouts decide only if they predict flights left
-out better, and make no single step worse; else the first fit stands.
+Rollouts feel what lasts, single steps what comes at once; noise of the inputs turns a rollout, so that its parameters may be
+off where logs are noisy. Rollouts decide only if they predict flights left out better, and make no single step worse; else the
+first fit stands. Where they would but for the latter, both contradict each other, and the report says so.
 Letters: W windows, K parameters, B blocks of time, C channels.
 """
 
@@ -13,7 +14,15 @@ from scipy import stats
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import ImuEffect, LoadEffect
-from aerial_gym.sim2real.fit import Fit, best_step, linearise, params_of, scales, tolerance_jacobian, with_params
+from aerial_gym.sim2real.fit import (
+    Fit,
+    best_step,
+    linearise,
+    params_of,
+    scales,
+    tolerance_jacobian,
+    with_params,
+)
 from aerial_gym.sim2real.prediction import Predictor
 from aerial_gym.sim2real.rollout import Windows, find_windows
 from aerial_gym.sim2real.scoring import Criteria, Scored
@@ -27,8 +36,8 @@ WINDOW_EVERY_S = 1.0
 MOST_WINDOWS = 120
 """One after the other, spread over all flights if there were more."""
 
-LESS = 3.0
-"""Parameters that rollouts leave so many times less certain than single steps do stay as those say."""
+FAR = 5.0
+"""Single steps and rollouts contradict each other beyond so many standard deviations."""
 
 MOST_ITERATIONS = 3
 SMALL = 0.05
@@ -46,6 +55,9 @@ class Change:
     std: float
     """Of the second."""
 
+    distance: float
+    """Between both, in standard deviations."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Refit:
@@ -62,6 +74,9 @@ class Refit:
     attitude: float
     """The same of the attitude error."""
 
+    gains: bool
+    """Whether that is certain and material."""
+
     objections: tuple[str, ...]
     """Why the first fit stands; empty if rollouts decide."""
 
@@ -72,6 +87,17 @@ class Refit:
     def adopted(self) -> bool:
         """Return whether rollouts decide."""
         return not self.objections
+
+    @property
+    def contradictions(self) -> list[str]:
+        """Return the parameters on which single steps and rollouts cannot both be right."""
+        return [
+            f"single steps and rollouts contradict each other: {change.effect} {change.parameter} is {change.step:.4g} by the "
+            f"first, {change.rollout:.4g} ± {1.96 * change.std:.2g} by the second; look for a scale or delay of a sensor, "
+            "or an effect that no name has"
+            for change in self.changes
+            if abs(change.distance) > FAR and self.gains and not self.adopted
+        ]
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
@@ -92,20 +118,25 @@ def refit_on_rollouts(predictor: Predictor, selection: Selection) -> Refit:
         Bayesian composite marginal likelihoods, section 3 (what correlated samples count).
     """
     if reason := impossible(predictor, selection):
-        return Refit(windows=0, changes=(), velocity=0.0, attitude=0.0, objections=(reason,), scored=None)
-    fit, spread = selection.final.fit, selection.final.spread
+        return Refit(windows=0, changes=(), velocity=0.0, attitude=0.0, gains=False, objections=(reason,), scored=None)
+    fit = selection.final.fit
     windows = find_windows(predictor.flights, WINDOW_S, every=WINDOW_EVERY_S, most=MOST_WINDOWS)
     if windows.row.size < 2 * fit.low.size:
         reason = f"the training flights hold only {windows.row.size} windows of {WINDOW_S:g} s"
         return Refit(
-            windows=windows.row.size, changes=(), velocity=0.0, attitude=0.0, objections=(reason,), scored=None
+            windows=windows.row.size,
+            changes=(),
+            velocity=0.0,
+            attitude=0.0,
+            gains=False,
+            objections=(reason,),
+            scored=None,
         )
     runs = Rollouts(predictor, windows)
-    frozen, point, known = fit.frozen, fit.point, dict(zip(spread.columns.tolist(), spread.std, strict=True))
+    frozen, point = fit.frozen, fit.point
     found = runs.linearise(fit.effects, point, frozen)
-    sure = np.sqrt(np.diag(uncertainty(found.fit, found.weight).plain))
-    less = {k for k, std in zip(found.fit.free_effects.tolist(), sure, strict=True) if std > LESS * known[k]}
-    frozen |= {found.fit.owners[k] for k in less}
+    unseen = np.diag(uncertainty(found.fit, found.weight).plain) > 1.0
+    frozen |= {fit.owners[k] for k in found.fit.free_effects[unseen]}
     for _ in range(MOST_ITERATIONS):
         found = replace(found, fit=replace(found.fit, frozen=frozen))
         step = best_step(found.fit, found.weight, found.fit.free_all)[: fit.num_effect_params]
@@ -160,15 +191,14 @@ def judge(predictor: Predictor, selection: Selection, found: Linear, windows: Wi
     before, after = found.raw.squares_after(by_step), found.raw.squares_after(by_rollout)
     falls = 1.0 - np.sqrt(after.sum(axis=0) / before.sum(axis=0))
     scored = Scored(fit=fit, spread=_joined(one.spread, uncertainty(found.fit, found.weight)), left_out=squares)
+    doubts = _doubts(before, after, falls, windows, selection.criteria)
     return Refit(
         windows=windows.row.size,
-        changes=_changes(one, scored),
+        changes=_changes(one, found),
         velocity=float(falls[0]),
         attitude=float(falls[1]),
-        objections=(
-            *_objections(before, after, falls, windows, selection.criteria),
-            *left_out.harms(left_out.gain(one.left_out, squares)),
-        ),
+        gains=not doubts,
+        objections=(*doubts, *left_out.harms(left_out.gain(one.left_out, squares))),
         scored=scored,
     )
 
@@ -185,7 +215,7 @@ def _squares(fit: Fit, step: Array, weight: Array, blocks: NDArray[np.bool_]) ->
     return there.squares_after(np.tile(deviation, (blocks.size, 1)))
 
 
-def _objections(before: Array, after: Array, falls: Array, windows: Windows, rules: Criteria) -> list[str]:
+def _doubts(before: Array, after: Array, falls: Array, windows: Windows, rules: Criteria) -> list[str]:
     """Return why rollouts of flights left out (squares (W, 2)) do not speak for the refit."""
     share = ((before - after) / before.sum(axis=0)).sum(axis=1)
     clusters = np.array([share[windows.cluster == c].sum() for c in np.unique(windows.cluster)])
@@ -223,19 +253,21 @@ def _joined(steps: Uncertainty, rollouts: Uncertainty) -> Uncertainty:
     return replace(steps, step=np.zeros_like(steps.step), num_blocks=rollouts.num_blocks, **matrices)
 
 
-def _changes(one: Scored, other: Scored) -> tuple[Change, ...]:
-    scale, found = scales(one.effects), []
-    std = dict(zip(other.spread.columns.tolist(), other.spread.std, strict=True))
-    before, after = params_of(one.fit.point, one.effects), params_of(other.fit.point, one.effects)
-    for k, (effect, place) in enumerate(one.fit.owners):
-        if k in std:
-            found.append(
-                Change(
-                    effect=effect,
-                    parameter=EFFECTS.get(effect).parameters[place].name,
-                    step=float(before[k]),
-                    rollout=float(after[k]),
-                    std=float(std[k] * scale[k]),
-                )
+def _changes(one: Scored, found: Linear) -> tuple[Change, ...]:
+    """Return what rollouts say of each parameter that they show."""
+    known, scale = dict(zip(one.spread.columns.tolist(), one.spread.std, strict=True)), scales(one.effects)
+    spread, changes = uncertainty(found.fit, found.weight), []
+    first, second = params_of(one.fit.point, one.effects), params_of(found.fit.point, one.effects)
+    for k, std in zip(spread.columns.tolist(), spread.std, strict=True):
+        effect, place = one.fit.owners[k]
+        changes.append(
+            Change(
+                effect=effect,
+                parameter=EFFECTS.get(effect).parameters[place].name,
+                step=float(first[k]),
+                rollout=float(second[k]),
+                std=float(std * scale[k]),
+                distance=float((second[k] - first[k]) / scale[k] / np.hypot(std, known[k])),
             )
-    return tuple(found)
+        )
+    return tuple(changes)

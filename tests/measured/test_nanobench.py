@@ -9,7 +9,10 @@ from aerial_gym.sim2real import close_loop
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "nanobench_cf21"
 
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights are not on this machine: {DATA}")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights are not on this machine: {DATA}"),
+]
 
 
 def test_drag_and_thrust_are_named_and_hold_on_other_shapes(tmp_path: Path) -> None:

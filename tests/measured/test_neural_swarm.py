@@ -11,7 +11,10 @@ from aerial_gym.sim2real import close_loop
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "neural_swarm"
 
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights are not on this machine: {DATA}")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights are not on this machine: {DATA}"),
+]
 
 
 def rms_near_the_ground(table: pd.DataFrame, flight: str, when: str) -> float:
