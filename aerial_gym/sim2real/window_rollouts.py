@@ -96,8 +96,8 @@ class Rollouts:
             points.append(with_params(predictor.robot, point, effects, there))
             steps.append(step)
         for k in range(predictor.num_tolerances):
-            deviation = np.zeros(predictor.num_tolerances)
-            deviation[k] = STEP
+            deviation = np.zeros(predictor.num_tolerances) if point.deviation is None else point.deviation.copy()
+            deviation[k] += STEP
             points.append(replace(point, deviation=deviation))
             steps.append(STEP)
         missed = self._fly(points)  # (1 + K + 9, W, S, 6)
