@@ -35,6 +35,7 @@ from aerial_gym.sim2real.random_wind import NAME, declared_wind, find_random_win
 from aerial_gym.sim2real.runtime import check_out_dir, whole_folder, write_record
 from aerial_gym.sim2real.scoring import Criteria
 from aerial_gym.sim2real.selection import Progress, Selection, select_effects
+from aerial_gym.sim2real.spectrum import whiteness
 from aerial_gym.sim2real.structure import Structure, find_structure
 from aerial_gym.sim2real.surroundings import check_around
 from aerial_gym.sim2real.tolerances import Tolerances
@@ -289,6 +290,9 @@ def judge_flights(
         after=after,
         flights=by_flight(test_predictor, declared, final, before, after, seed=seed),
         remains=remains,
+        whiteness=dict(
+            zip((c.name for c in channels), whiteness(test_predictor.times, left, channels, band), strict=True)
+        ),
         learned=learned,
         notes=tuple(notes),
     )

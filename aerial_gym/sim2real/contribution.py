@@ -19,6 +19,7 @@ from aerial_gym.sim2real.prediction import Channel, Point, Predictor
 from aerial_gym.sim2real.rollout import QUANTITIES, RolloutErrors, roll_out
 from aerial_gym.sim2real.scoring import LEAST_SCORE
 from aerial_gym.sim2real.selection import Selection, Trial
+from aerial_gym.sim2real.spectrum import EDGES, in_octaves, lines
 
 Array = NDArray[np.float64]
 
@@ -77,6 +78,12 @@ class Contribution:
     rivals: tuple[Rival, ...]
     """Best first."""
 
+    octaves: tuple[float, ...] = ()
+    """Share of the power without it that it takes away from that residual in each octave below the band, (O,)."""
+
+    solid_below_hz: float | None = None
+    """It takes that share away up to this frequency [Hz], and less above; None where it takes it nowhere."""
+
     @property
     def material(self) -> bool:
         """Return whether a residual or a rollout error rises by the share that is material."""
@@ -94,7 +101,12 @@ class Contribution:
         horizons = {
             f"{h:g}": {q: r.as_mapping() for q, r in quantities.items()} for h, quantities in self.rollout.items()
         }
-        return {"residual": {"channel": channel, **rise.as_mapping()}, "rollout": horizons}
+        return {
+            "residual": {"channel": channel, **rise.as_mapping()},
+            "rollout": horizons,
+            "octaves": list(self.octaves),
+            "solid_below_hz": self.solid_below_hz,
+        }
 
 
 def contributions(
@@ -120,12 +132,15 @@ def contributions(
     """
     train, tested = predictors
     declared, final = points
-    residual, group = np.concatenate(tested.residuals(final)), time_groups(tested.times)
+    residuals, group = tested.residuals(final), time_groups(tested.times)
+    residual = np.concatenate(residuals)
     found = {}
     for name in selection.accepted:
         less = without_effect(train, declared, selection, name)
-        left = np.concatenate(tested.residuals(less.point))
-        rises = rise_with_interval(left, residual, group, seed=seed)
+        left = tested.residuals(less.point)
+        rises = rise_with_interval(np.concatenate(left), residual, group, seed=seed)
+        most = int(np.argmax([rise.value for rise in rises]))
+        octaves = taken_from_octaves(tested, left, residuals, most)
         rollout: dict[float, dict[str, Rise]] = {}
         if "free" in evaluations[1].rollouts:
             alone = len(selection.accepted) == 1
@@ -136,8 +151,32 @@ def contributions(
             rollout=rollout,
             least=selection.criteria.material,
             rivals=rivals_of(name, selection, less, tested.channels),
+            octaves=octaves,
+            solid_below_hz=solid_below(octaves, tested.bandwidth, selection.criteria.material),
         )
     return found
+
+
+def taken_from_octaves(
+    predictor: Predictor, without: Sequence[Array], residuals: Sequence[Array], place: int
+) -> tuple[float, ...]:
+    """Return the share of the power in each octave of a channel that an effect takes away, (O,)."""
+    powers = []
+    for values in (without, residuals):
+        own = [rows[:, place : place + 1] for rows in values]
+        frequency, power = lines(predictor.times, own, predictor.bandwidth, tapered=True)
+        powers.append(in_octaves(frequency, power, predictor.bandwidth)[:, 0])
+    return tuple((1.0 - powers[1] / np.maximum(powers[0], 1e-300)).tolist())
+
+
+def solid_below(octaves: Sequence[float], bandwidth: float, least: float) -> float | None:
+    """Return the frequency [Hz] up to which an effect takes ``least`` off the rms of every octave, from the lowest on."""
+    edge = None
+    for taken, upper in zip(octaves, EDGES[1:], strict=True):
+        if taken < 1.0 - (1.0 - least) ** 2:
+            break
+        edge = upper * bandwidth
+    return edge
 
 
 def without_effect(train: Predictor, declared: Point, selection: Selection, name: str) -> Fit:

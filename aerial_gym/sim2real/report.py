@@ -24,6 +24,7 @@ from aerial_gym.sim2real.report_tables import (
     worth_rows,
 )
 from aerial_gym.sim2real.selection import Selection
+from aerial_gym.sim2real.spectrum import octave_names
 from aerial_gym.sim2real.structure import world_forces
 from aerial_gym.sim2real.verdict import MEANINGS
 
@@ -90,6 +91,7 @@ def report_context(analysis: "Analysis") -> dict[str, object]:
         "effects": parameter_rows(analysis),
         "channels": channel_rows(verdict.before, after),
         "worth": worth_rows(verdict),
+        "octaves": octave_names(analysis.bandwidth),
         "regimes": regime_rows(verdict),
         "flights": flight_rows(verdict) if after else [],
         "models": list(verdict.inclusion.models.items())[:MOST_MODELS],

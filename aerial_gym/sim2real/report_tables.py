@@ -122,6 +122,8 @@ def worth_rows(verdict: Verdict) -> list[dict[str, object]]:
                     for horizon, quantities in found.rollout.items()
                 },
                 "material": "yes" if found.material else "no",
+                "octaves": [f"{taken:.0%}" for taken in found.octaves],
+                "solid_below": found.solid_below_hz,
             }
         )
     return rows

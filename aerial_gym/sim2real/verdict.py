@@ -20,6 +20,7 @@ from aerial_gym.sim2real.manoeuvre import Advice
 from aerial_gym.sim2real.output_error import Refit
 from aerial_gym.sim2real.scoring import LEAST_SCORE
 from aerial_gym.sim2real.selection import Selection, Trial
+from aerial_gym.sim2real.spectrum import Whiteness
 from aerial_gym.sim2real.structure import Structure
 
 Array = NDArray[np.float64]
@@ -138,6 +139,9 @@ class Verdict:
     remains: tuple[str, ...]
     """Channels with material structure after the correction."""
 
+    whiteness: dict[str, Whiteness] = field(default_factory=dict)
+    """Of the residual of each channel on the test flights, deviations within the tolerances taken off."""
+
     learned: Learned | None = None
     """What became of a learned residual, where one was asked for."""
 
@@ -165,6 +169,10 @@ class Verdict:
             "inclusion": {name: share for name, share in self.inclusion.effects.items() if share >= LEAST_SHOWN},
             "output_error": self.output_error.as_mapping(),
             "structure": self.structure.as_mapping(),
+            "whiteness": {
+                name: {"probability": found.probability, "white": found.white, "octaves": list(found.octaves)}
+                for name, found in self.whiteness.items()
+            },
             "remains": list(self.remains),
             "learned_residual": None if self.learned is None else self.learned.sentence,
             "before": self.before.as_mapping(),

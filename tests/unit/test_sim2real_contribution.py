@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.contribution import Contribution
+from aerial_gym.sim2real.contribution import Contribution, solid_below
 from aerial_gym.sim2real.evaluation import gap_closed
 from aerial_gym.sim2real.intervals import Rise, rise_with_interval
 
@@ -51,3 +51,12 @@ def test_an_effect_is_material_if_a_residual_or_a_rollout_misses_it(
     assert found.as_mapping()["residual"] == {
         "channel": "specific_force.y", "rises": residual, "interval": [residual, residual]
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("octaves", "edge"),
+    [((0.9, 0.5, 0.2, 0.01), 5.0), ((0.9, 0.01, 0.5, 0.5), 1.25), ((0.0, 0.9, 0.9, 0.9), None), ((0.1,) * 4, 10.0)],
+)
+def test_an_effect_is_solid_up_to_the_first_octave_that_it_leaves_as_it_is(octaves: tuple, edge: float | None) -> None:
+    """5 % of the rms are 9.75 % of the power."""
+    assert solid_below(octaves, 10.0, 0.05) == edge

@@ -60,6 +60,9 @@ def test_the_verdict_names_the_hidden_drag(result: Path) -> None:
     assert set(verdict["not_testable"]) == untold
     assert "column ceiling_z" in verdict["not_testable_because"]["ceiling_effect"]
     assert verdict["structure"]["kind"] == "none"
+    assert verdict["whiteness"]["specific_force.x"]["white"] is True
+    assert effect["without_it"]["octaves"][0] > 0.9  # a path of a few tenths of a hertz
+    assert effect["without_it"]["solid_below_hz"] in (1.25, 2.5, 5.0)
     before, after = verdict["before"], verdict["after"]
     for axis in "xy":
         assert after["specific_force"][axis]["rms"] < 0.3 * before["specific_force"][axis]["rms"]
