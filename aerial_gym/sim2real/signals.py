@@ -3,7 +3,7 @@
 Everything here uses future samples: it is for logs, not for flight. Letters: T rows.
 """
 
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,11 +151,25 @@ def _without_loose_ends(log: FlightLog) -> FlightLog:
     return replace(log, **arrays, notes=(*log.notes, note))
 
 
-def rotor_log_lead(measured: Array, predicted: Array, others: Array, rate: float, bandwidth: float) -> int:
+PASSED = 0.85
+"""Share of the band whose noise is left between both low-passes: ``7/8 (pi/8) / sin(pi/8)`` of the upper, less 0.05 of it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lead:
+    """By how much the rotor log is ahead of the other sensors."""
+
+    rows: float = 0.0
+    std: float = 0.0
+    """Standard deviation [rows]."""
+
+
+def rotor_log_lead(measured: Array, predicted: Array, others: Array, rate: float, bandwidth: float) -> Lead:
     """Return by how many rows the rotor log leads the other sensors; 0 unless a shift clearly agrees better.
 
     Thrust explains the specific force along z up to a factor, drag and a shifted centre of mass up to others; what is
-    left is compared between shifts.
+    left, S, is compared between shifts. Between rows its least is that of a parabola, and it is known to ``sqrt(2 S / n S'')``
+    with n independent samples, two per second and hertz of what the filters pass.
 
     Args:
         measured: Specific force along body z [m/s²], (T,).
@@ -171,7 +185,7 @@ def rotor_log_lead(measured: Array, predicted: Array, others: Array, rate: float
     inner = slice(edge, -edge)
     target = wave[inner, 0]
     if target.size < 4 * edge or not np.any(target):
-        return 0
+        return Lead()
 
     def left(lead: int) -> float:
         causes = np.column_stack((np.roll(wave[:, 1], lead)[inner], wave[inner, 2:]))
@@ -180,32 +194,33 @@ def rotor_log_lead(measured: Array, predicted: Array, others: Array, rate: float
 
     unmoved = left(0)
     best = min(range(-most, most + 1), key=left)
-    inside = abs(best) < most  # the least at an end of the range is no least: something else grows with the shift
-    return best if inside and left(best) < (1.0 - LEAST_SHIFT_GAIN) * unmoved and left(best) < 0.5 else 0
-
-
-def shift_rotor_log(log: FlightLog, lead: int) -> FlightLog:
-    """Return the log with rotor speeds and commands moved to the later by ``lead`` rows, the ends cut off."""
-    if lead == 0:
-        return log
-    rows = log.time.size
-    kept = slice(max(lead, 0), rows + min(lead, 0))
-    moved = slice(max(-lead, 0), rows - max(lead, 0))
-
-    def cut(values: Array | None, part: slice) -> Array | None:
-        return None if values is None else values[part]
-
-    return replace(
-        log,
-        time=log.time[kept],
-        attitude=log.attitude[kept],
-        position=cut(log.position, kept),
-        lin_vel=cut(log.lin_vel, kept),
-        ang_vel=cut(log.ang_vel, kept),
-        specific_force=cut(log.specific_force, kept),
-        battery=cut(log.battery, kept),
-        other_position=cut(log.other_position, kept),
-        rotor_speed=cut(log.rotor_speed, moved),
-        rotor_command=cut(log.rotor_command, moved),
-        notes=(*log.notes, f"rotor log leads the other sensors by {lead} rows and was moved back"),
+    # The least at an end of the range is no least: something else grows with the shift.
+    if abs(best) == most or left(best) >= (1.0 - LEAST_SHIFT_GAIN) * unmoved or left(best) >= 0.5:
+        return Lead()
+    before, least, after = (left(best + place) for place in (-1, 0, 1))
+    curvature = before - 2.0 * least + after
+    samples = 2.0 * PASSED * bandwidth * target.size / rate
+    least -= (before - after) ** 2 / (8.0 * curvature)
+    return Lead(
+        rows=best + 0.5 * (before - after) / curvature,
+        std=float(np.sqrt(2.0 * least / (samples * curvature))),
     )
+
+
+def shift_rotor_log(log: FlightLog, lead: Lead) -> FlightLog:
+    """Return the log with rotor speeds and commands moved to the later by ``lead``, the ends cut off.
+
+    Between rows they run in a straight line; of a command that is held from row to row this is the mean.
+    """
+    if lead.rows == 0.0:
+        return log
+    rows, whole = np.arange(log.time.size), int(np.ceil(abs(lead.rows)))
+    kept = slice(whole, None) if lead.rows > 0.0 else slice(0, -whole)
+    arrays = {f.name: value[kept] for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
+    for name in ("rotor_speed", "rotor_command"):
+        values = getattr(log, name)
+        if values is not None:
+            arrays[name] = np.stack([np.interp(rows[kept] - lead.rows, rows, column) for column in values.T], axis=1)
+    step = 1e3 * float(np.median(np.diff(log.time)))
+    note = f"rotor log leads the other sensors by {lead.rows * step:.3g} ± {1.96 * lead.std * step:.2g} ms and was moved back"
+    return replace(log, **arrays, notes=(*log.notes, note))

@@ -7,6 +7,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.flight_log import FlightLog
 from aerial_gym.sim2real.signals import (
     LARGEST_SHIFT_S,
+    Lead,
     continuous_quaternion,
     edge_rows,
     lowpass,
@@ -78,25 +79,45 @@ def noise(rng: np.random.Generator, band: float) -> np.ndarray:
     return lowpass(rng.standard_normal((TIME.size, 1)), RATE, band)[:, 0]
 
 
-@pytest.mark.parametrize("lead", [-4, 0, 2, 6])
-def test_a_lead_of_the_rotor_log_is_found_and_undone(lead: int) -> None:
-    """Drag along z and a lever arm must not look like a lead; a thrust that is off by 5 % neither."""
-    rng = np.random.default_rng(2)
-    thrust, climb, turning = 3.0 * noise(rng, 3.0), 2.0 * noise(rng, 0.5), 5.0 * noise(rng, 3.0)
-    measured = 9.81 + 0.95 * thrust - 0.3 * climb + 0.004 * turning + 0.02 * rng.standard_normal(TIME.size)
-    others = np.stack((climb, turning), axis=1)
-    assert rotor_log_lead(measured, 9.81 + np.roll(thrust, -lead), others, RATE, BAND) == lead
+def late(values: np.ndarray, rows: float) -> np.ndarray:
+    """Return a periodic signal that comes so many rows later."""
+    frequency = np.fft.rfftfreq(values.size)
+    return np.fft.irfft(np.fft.rfft(values) * np.exp(-2j * np.pi * frequency * rows), n=values.size)
+
+
+@pytest.mark.parametrize("lead", [-4.0, 0.0, 3.3])
+def test_a_lead_of_the_rotor_log_is_found_with_its_spread(lead: float) -> None:
+    """Drag along z and a lever arm must not look like a lead; a thrust that is off by 5 % neither. z is normal."""
+    rng, found = np.random.default_rng(2), []
+    for _ in range(200):
+        thrust, climb, turning = 3.0 * noise(rng, 3.0), 2.0 * noise(rng, 0.5), 5.0 * noise(rng, 3.0)
+        measured = 9.81 + 0.95 * thrust - 0.3 * climb + 0.004 * turning + 0.08 * rng.standard_normal(TIME.size)
+        others = np.stack((climb, turning), axis=1)
+        found.append(rotor_log_lead(measured, 9.81 + late(thrust, -lead), others, RATE, BAND))
+    if lead == 0.0:
+        assert all(one == Lead() for one in found)
+        return
+    z = np.array([(one.rows - lead) / one.std for one in found])
+    assert abs(z.mean()) < 4.0 / np.sqrt(200)
+    assert 0.85 < z.std() < 1.25
+
+
+@pytest.mark.parametrize("lead", [-4.0, 2.0, 2.25])
+def test_a_lead_is_undone(lead: float) -> None:
     speed = np.arange(TIME.size, dtype=float)[:, None]
-    moved = shift_rotor_log(log(TIME, rotor_speed=speed, specific_force=np.repeat(speed, 3, axis=1)), lead)
+    moved = shift_rotor_log(
+        log(TIME, rotor_speed=speed, specific_force=np.repeat(speed, 3, axis=1)), Lead(rows=lead, std=0.1)
+    )
     assert moved.rotor_speed is not None
     assert moved.specific_force is not None
-    assert moved.time.size == TIME.size - abs(lead)
-    assert np.all(moved.specific_force[:, 0] - moved.rotor_speed[:, 0] == lead)
+    assert moved.time.size == TIME.size - np.ceil(abs(lead))
+    np.testing.assert_allclose(moved.specific_force[:, 0] - moved.rotor_speed[:, 0], lead, atol=1e-9)
+    assert f"{5.0 * lead:.3g} ± 0.98 ms" in moved.notes[-1]
 
 
 def test_a_signal_that_does_not_agree_at_all_is_not_shifted() -> None:
     rng = np.random.default_rng(3)
-    assert rotor_log_lead(noise(rng, 3.0), noise(rng, 3.0), np.zeros((TIME.size, 0)), RATE, BAND) == 0
+    assert rotor_log_lead(noise(rng, 3.0), noise(rng, 3.0), np.zeros((TIME.size, 0)), RATE, BAND) == Lead()
 
 
 def test_a_lead_at_the_end_of_the_range_is_not_believed() -> None:
@@ -105,4 +126,4 @@ def test_a_lead_at_the_end_of_the_range_is_not_believed() -> None:
     thrust = 3.0 * noise(rng, 3.0)
     most = round(LARGEST_SHIFT_S * RATE)
     measured = 9.81 + np.roll(thrust, most) + 0.02 * rng.standard_normal(TIME.size)
-    assert rotor_log_lead(measured, 9.81 + thrust, np.zeros((TIME.size, 0)), RATE, BAND) == 0
+    assert rotor_log_lead(measured, 9.81 + thrust, np.zeros((TIME.size, 0)), RATE, BAND) == Lead()
