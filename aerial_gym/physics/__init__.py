@@ -5,7 +5,7 @@ from aerial_gym.physics.effects import EFFECTS
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.integrators import INTEGRATORS
 from aerial_gym.physics.model import Model, build_model, effects_from_config
-from aerial_gym.physics.rigid_body import Accelerations, accelerations
+from aerial_gym.physics.rigid_body import Accelerations, accelerations, condition_in
 from aerial_gym.physics.state import BodyState, state_at_rest
 from aerial_gym.physics.torch_backend import TorchBackend, advance, advance_remembering
 from aerial_gym.physics.vehicle import Vehicle, vehicle_from_config
@@ -29,6 +29,7 @@ __all__ = [
     "advance",
     "advance_remembering",
     "build_model",
+    "condition_in",
     "effects_from_config",
     "state_at_rest",
     "vehicle_from_config",

@@ -4,7 +4,7 @@ Pure functions of tensors. Frames: body is x forward, y left, z up; world is z u
 Letters: E environments, R rotors. Subscripts: o body origin, c centre of mass.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import nan
 
 import torch
@@ -12,6 +12,7 @@ from torch import Tensor
 
 from aerial_gym.errors import CapabilityError
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse, quat_to_matrix
+from aerial_gym.math.short import dot
 from aerial_gym.physics.effects import Condition, Suspension
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import evaluate_map, rotor_wrench
@@ -23,7 +24,7 @@ def multiply_rows(matrix: Tensor, vector: Tensor) -> Tensor:
     """Return ``A v`` row by row: (E, 3, 3) times (E, 3) gives (E, 3)."""
     if is_shared(matrix):
         return vector @ matrix[0].T
-    return (matrix * vector.unsqueeze(-2)).sum(-1)
+    return dot(matrix, vector.unsqueeze(-2))
 
 
 def air_velocity(model: Model, position: Tensor, attitude: Tensor, com_vel: Tensor) -> Tensor:
@@ -54,26 +55,55 @@ def body_wrench(
         rotor_acc: Angular accelerations of the rotors [rad/s²], (E, R).
     """
     vehicle = model.vehicle
-    thrust, drag = evaluate_map(vehicle.thrust_map, rotor_speed), evaluate_map(vehicle.torque_map, rotor_speed)
     if not model.rotors and not model.wrenches:
+        thrust, drag = evaluate_map(vehicle.thrust_map, rotor_speed), evaluate_map(vehicle.torque_map, rotor_speed)
         return rotor_wrench(vehicle, thrust, drag)
-    condition = Condition(
+    return _wrench_in(model, _condition_in(model, position, attitude, com_vel, ang_vel, rotor_speed, rotor_acc))
+
+
+def condition_in(model: Model, state: BodyState, rotor_acc: Tensor) -> Condition:
+    """Return what effects see in a state, in which the rotors accelerate by ``rotor_acc`` [rad/s²], (E, R).
+
+    Of the model it holds vehicle, wind and surroundings: it is the same for models that differ in other effects alone.
+    """
+    com, turn = model.vehicle.com, state.attitude
+    position = state.position + quat_rotate(turn, com)
+    com_vel = state.lin_vel + quat_rotate(turn, torch.linalg.cross(state.ang_vel, com))
+    return _condition_in(model, position, turn, com_vel, state.ang_vel, state.rotor_speed, rotor_acc)
+
+
+def _condition_in(
+    model: Model,
+    position: Tensor,
+    attitude: Tensor,
+    com_vel: Tensor,
+    ang_vel: Tensor,
+    rotor_speed: Tensor,
+    rotor_acc: Tensor,
+) -> Condition:
+    """Return what effects see; arguments as for ``body_wrench``."""
+    return Condition(
         position=position,
         attitude=attitude,
         air_velocity=air_velocity(model, position, attitude, com_vel),
         ang_vel=ang_vel,
         rotor_speed=rotor_speed,
-        rotor_thrust=thrust,
+        rotor_thrust=evaluate_map(model.vehicle.thrust_map, rotor_speed),
         rotor_acc=rotor_acc,
         ground_height=model.ground_height,
         ceiling_height=nan if model.ceiling_height is None else model.ceiling_height,
         other_position=model.other_position,
-        vehicle=vehicle,
+        vehicle=model.vehicle,
     )
+
+
+def _wrench_in(model: Model, condition: Condition) -> tuple[Tensor, Tensor]:
+    """Return all force but gravity [N] and torque about the centre of mass [N m], body, each (E, 3)."""
+    vehicle, drag = model.vehicle, evaluate_map(model.vehicle.torque_map, condition.rotor_speed)
     more = [effect.thrust(condition, params) for effect, params in model.rotors]
-    thrust = sum(more, thrust)
+    thrust = sum(more, condition.rotor_thrust)
     force, torque = rotor_wrench(vehicle, thrust, drag)
-    condition = replace(condition, rotor_thrust=thrust)
+    condition = condition.with_thrust(thrust)
     for effect, params in model.wrenches:
         wrench = effect.wrench(condition, params)
         force, torque = force + wrench[:, :3], torque + wrench[:, 3:]
@@ -148,12 +178,18 @@ class Accelerations:
 
 
 def accelerations(
-    model: Model, state: BodyState, rotor_acc: Tensor | None = None, *, load: Tensor | None = None
+    model: Model,
+    state: BodyState,
+    rotor_acc: Tensor | None = None,
+    *,
+    load: Tensor | None = None,
+    condition: Condition | None = None,
 ) -> Accelerations:
     """Return specific force and angular acceleration in a state; each row may be a moment of a flight log.
 
     ``rotor_acc`` are the angular accelerations of the rotors [rad/s²], (E, R); none if not given. ``load`` is direction and
-    rate of the link of a load that hangs on the vehicle, world, (E, 6).
+    rate of the link of a load that hangs on the vehicle, world, (E, 6). ``condition`` is that of ``condition_in`` for this
+    state, where it is at hand from a model with the same vehicle and wind.
 
     ``f_o = F / m - alpha x c - w x (w x c)`` with c from the origin to the centre of mass.
 
@@ -169,10 +205,10 @@ def accelerations(
                 f"effect {effect.name}: has memory, so a single state does not tell its force. Fly it with a backend instead"
             )
     com, ang_vel = model.vehicle.com, state.ang_vel
-    position = state.position + quat_rotate(state.attitude, com)
-    com_vel = state.lin_vel + quat_rotate(state.attitude, torch.linalg.cross(ang_vel, com))
-    spin_up = torch.zeros_like(state.rotor_speed) if rotor_acc is None else rotor_acc
-    force, torque = body_wrench(model, position, state.attitude, com_vel, ang_vel, state.rotor_speed, spin_up)
+    if condition is None:
+        spin_up = torch.zeros_like(state.rotor_speed) if rotor_acc is None else rotor_acc
+        condition = condition_in(model, state, spin_up)
+    force, torque = _wrench_in(model, condition)
     ang_acc = angular_acceleration(model, ang_vel, torque)
     felt = force / model.vehicle.mass.unsqueeze(-1)
     if load is not None:

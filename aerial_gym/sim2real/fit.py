@@ -14,7 +14,7 @@ from scipy.optimize import lsq_linear
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.moments import Moments, Weighting, block_moments, weights_from
+from aerial_gym.sim2real.moments import BLOCK_S, Moments, Weighting, block_moments, weights_from
 from aerial_gym.sim2real.prediction import Point, Predictor
 
 Array = NDArray[np.float64]
@@ -114,36 +114,42 @@ def with_params(robot: RobotCfg, point: Point, effects: Sequence[str], values: A
     return point
 
 
-def effect_jacobian(predictor: Predictor, point: Point, effects: Sequence[str], base: list[Array]) -> list[Array]:
-    """Return the derivative of the prediction by the effects' parameters, per scale, each (rows, C, P)."""
+def effect_jacobian(
+    predictor: Predictor, point: Point, effects: Sequence[str], base: list[Array], *, beside: list[Array] | None = None
+) -> list[Array]:
+    """Return the derivative of the prediction by the effects' parameters, per scale, each (rows, C, P).
+
+    Those in ``beside`` (rows, C, N) come behind them.
+    """
     here, scale = params_of(point, effects), scales(effects)
     highest = bounds_of(predictor.robot, effects)[1]
     owners = [(name, place) for name in effects for place in range(len(EFFECTS.get(name).parameters))]
-    columns = []
+    width, behind = len(owners), [np.empty((*b.shape, 0)) for b in base] if beside is None else beside
+    found = [np.zeros((*b.shape, width + more.shape[2])) for b, more in zip(base, behind, strict=True)]
+    for columns, more in zip(found, behind, strict=True):
+        columns[:, :, width:] = more
     for k, owner in enumerate(owners):
         if not is_number(*owner):
-            columns.append([np.zeros_like(b) for b in base])
             continue
         step = STEP * scale[k] if here[k] + STEP * scale[k] <= highest[k] else -STEP * scale[k]
         there = here.copy()
         there[k] += step
         moved = predictor.predict(with_params(predictor.robot, point, effects, there))
-        columns.append([(m - b) * (scale[k] / step) for m, b in zip(moved, base, strict=True)])
-    return [
-        np.stack([c[i] for c in columns], axis=2) if columns else np.zeros((*base[i].shape, 0))
-        for i in range(len(base))
-    ]
+        for column, m, b in zip(found, moved, base, strict=True):
+            column[:, :, k] = (m - b) * (scale[k] / step)
+    return found
 
 
 def tolerance_jacobian(predictor: Predictor, point: Point, base: list[Array]) -> list[Array]:
     """Return the derivative of the prediction by the deviations, each (rows, C, N)."""
-    columns = []
+    found = [np.empty((*b.shape, predictor.num_tolerances)) for b in base]
     for k in range(predictor.num_tolerances):
         deviation = np.zeros(predictor.num_tolerances)
         deviation[k] = STEP
         moved = predictor.predict(replace(point, deviation=deviation))
-        columns.append([(m - b) / STEP for m, b in zip(moved, base, strict=True)])
-    return [np.stack([c[i] for c in columns], axis=2) for i in range(len(base))]
+        for column, m, b in zip(found, moved, base, strict=True):
+            column[:, :, k] = (m - b) / STEP
+    return found
 
 
 def prior_precision(fit: Fit) -> Array:
@@ -162,10 +168,22 @@ def normal_equations(fit: Fit, weight: Array, blocks: Indices | None = None) -> 
 
 def best_step(fit: Fit, weight: Array, free: Indices, blocks: Indices | None = None) -> Array:
     """Return the step (K,) that minimises the weighted squares plus the prior, within the bounds; 0 where not free."""
+    return _solve(fit, *normal_equations(fit, weight, blocks), free)
+
+
+def steps_without(fit: Fit, weight: Array, free: Indices, label: Indices) -> Array:
+    """Return for each block the best step under the blocks of all other labels, (B, K); ``label`` is (B,)."""
+    labels, place = np.unique(label, return_inverse=True)
+    parts = [normal_equations(fit, weight, np.flatnonzero(place == k)) for k in range(labels.size)]
+    product, gradient = (np.sum(sums, axis=0) for sums in zip(*parts, strict=True))
+    return np.stack([_solve(fit, product - own, gradient - pull, free) for own, pull in parts])[place]
+
+
+def _solve(fit: Fit, product: Array, gradient: Array, free: Indices) -> Array:
+    """Return the step (K,) that normal equations and the prior ask for, within the bounds; 0 where not free."""
     step = np.zeros(fit.low.size)
     if free.size == 0:
         return step
-    product, gradient = normal_equations(fit, weight, blocks)
     a = product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free])
     b = gradient[free]
     found = np.linalg.solve(a, b)
@@ -173,7 +191,9 @@ def best_step(fit: Fit, weight: Array, free: Indices, blocks: Indices | None = N
     if np.any(found < low) or np.any(found > high):
         root = np.linalg.cholesky(a).T
         open_low, open_high = np.minimum(low, -1e-12), np.maximum(high, 1e-12)
-        found = lsq_linear(root, np.linalg.solve(root.T, b), bounds=(open_low, open_high)).x
+        found = lsq_linear(
+            root, np.linalg.solve(root.T, b), bounds=(open_low, open_high), method="bvls", max_iter=10 * b.size
+        ).x
     step[free] = found
     return step
 
@@ -192,13 +212,13 @@ def linearise(
     tolerance: list[Array],
     *,
     base: list[Array] | None = None,
+    length: float = BLOCK_S,
 ) -> tuple[Fit, list[Array], list[Array]]:
-    """Return the model at a point, the residuals there, and their derivatives (rows, C, K)."""
+    """Return the model at a point, the residuals there, and their derivatives (rows, C, K); ``length`` is of a block [s]."""
     predicted = predictor.predict(point) if base is None else base
     residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
-    effect = effect_jacobian(predictor, point, effects, predicted)
-    jacobians = [np.concatenate((e, t), axis=2) for e, t in zip(effect, tolerance, strict=True)]
-    return fit_at(predictor, effects, point, residuals, jacobians), residuals, jacobians
+    jacobians = effect_jacobian(predictor, point, effects, predicted, beside=tolerance)
+    return fit_at(predictor, effects, point, residuals, jacobians, length=length), residuals, jacobians
 
 
 def fit_at(
@@ -209,15 +229,16 @@ def fit_at(
     jacobians: list[Array],
     *,
     frozen: Frozen = frozenset(),
+    length: float = BLOCK_S,
 ) -> Fit:
-    """Return the model at a point from its residuals there and their derivatives (rows, C, K)."""
+    """Return the model at a point from its residuals there and their derivatives (rows, C, K); ``length`` is of a block [s]."""
     here, scale = params_of(point, effects), scales(effects)
     lowest, highest = bounds_of(predictor.robot, effects)
     farthest = np.full(jacobians[0].shape[2] - here.size, FARTHEST_DEVIATION)
     return Fit(
         effects=effects,
         point=point,
-        moments=block_moments(predictor.times, residuals, jacobians),
+        moments=block_moments(predictor.times, residuals, jacobians, length=length),
         low=np.concatenate(((lowest - here) / scale, -farthest)),
         high=np.concatenate(((highest - here) / scale, farthest)),
         num_effect_params=here.size,
@@ -271,17 +292,22 @@ def weighting(predictor: Predictor, start: Point, effects: tuple[str, ...], tole
 
     All effects and tolerances are fitted together, three times, each time weighted by what the fit before left over.
     """
-    residuals = predictor.residuals(start)
     point = start
     for name in effects:
         if name not in point.effects:
             point = point.with_effect(name, np.array(EFFECTS.get(name).neutral(predictor.robot)))
-    found = weights_from(residuals)
+    found = weights_from(predictor.residuals(start))
     for _ in range(3):
-        fit, residuals, jacobians = linearise(predictor, effects, point, tolerance)
-        step = best_step(fit, found.weight, fit.free_all)
-        left = [r - j @ step for r, j in zip(residuals, jacobians, strict=True)]
-        found = weights_from(left)
-        values = params_of(point, effects) + scales(effects) * step[: fit.num_effect_params]
-        point = with_params(predictor.robot, point, effects, values)
+        found, point = _weigh_again(predictor, found, point, effects, tolerance)
     return found
+
+
+def _weigh_again(
+    predictor: Predictor, weights: Weighting, point: Point, effects: tuple[str, ...], tolerance: list[Array]
+) -> tuple[Weighting, Point]:
+    """Return the weights from what one more step of a fit leaves over, and the model after it."""
+    fit, residuals, jacobians = linearise(predictor, effects, point, tolerance, length=np.inf)
+    step = best_step(fit, weights.weight, fit.free_all)
+    left = [r - j @ step for r, j in zip(residuals, jacobians, strict=True)]
+    values = params_of(point, effects) + scales(effects) * step[: fit.num_effect_params]
+    return weights_from(left), with_params(predictor.robot, point, effects, values)

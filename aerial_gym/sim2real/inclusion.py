@@ -69,7 +69,7 @@ def inclusion(predictor: Predictor, declared: Point, selection: Selection, *, se
     """
     library = build_library(predictor, declared, selection)
     draws = draw_blocks(selection.left_out.fold, np.random.default_rng(seed))
-    models = LinearSelector(library, selection).select(draws)
+    models = LinearSelector(library, selection, draws).select()
     sets = [tuple(sorted(library.candidates[k].name for k in model)) for model in models]
     effects = Counter(name for names in sets for name in names)
     return Inclusion(effects=_shares(effects, len(sets)), models=_shares(Counter(sets), len(sets)), resamples=len(sets))

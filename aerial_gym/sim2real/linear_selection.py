@@ -1,6 +1,8 @@
 """The selection on many weightings of the same blocks at once, in a model that is linear in every candidate.
 
-Letters: N resamples, B blocks, C channels, K columns, F folds (flights, or quarters of a single one).
+What decides on most candidates are sums over a fold, of which there are few; single blocks are looked at only where these
+leave a candidate in. Letters: N resamples, B blocks, C channels, K columns, k columns of one model, F folds (flights, or
+quarters of a single one), A parts (folds if these are drawn whole, else blocks).
 """
 
 from itertools import combinations
@@ -11,6 +13,7 @@ from scipy import stats
 
 from aerial_gym.sim2real.candidates import Library
 from aerial_gym.sim2real.fit import FARTHEST_DEVIATION, WEAK_PRIOR
+from aerial_gym.sim2real.moments import Moments
 from aerial_gym.sim2real.scoring import LEAST_SCORE
 from aerial_gym.sim2real.selection import Selection
 
@@ -23,86 +26,140 @@ Model = tuple[int, ...]
 MOST_ROUNDS = 12
 
 
+class _Parts:
+    """Moments of parts that lie fold after fold, and the squares that steps of some columns leave of them."""
+
+    def __init__(self, moments: Moments, fold: Indices, weight: Array) -> None:
+        self.moments = moments
+        ends = np.flatnonzero(np.diff(fold, append=fold[-1] + 1)) + 1
+        self.folds = [slice(int(a), int(b)) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+        self.product = np.einsum("c,bckl->bkl", weight, moments.product)
+        self.gradient = np.einsum("c,bck->bk", weight, moments.gradient)
+
+    def normal(self, columns: Indices) -> tuple[Array, Array]:
+        """Return the weighted products (A, k, k) and gradients (A, k) of some columns."""
+        return self.product[:, columns[:, None], columns], self.gradient[:, columns]
+
+    def squares_after(self, columns: Indices, step: Array) -> Array:
+        """Return the squares of each part under the step of its fold, (n, A, C); steps are (F, n, k)."""
+        size, num_channels, width = *self.moments.square.shape, self.gradient.shape[1]
+        first, second = np.triu_indices(columns.size)
+        twice, places = np.where(first == second, 1.0, 2.0), columns[first] * width + columns[second]
+        found = np.empty((step.shape[1], size, num_channels))
+        for own, steps in zip(self.folds, step, strict=True):
+            product = self.moments.product[own].reshape(-1, width * width).take(places, axis=1)
+            gradient = self.moments.gradient[own].reshape(-1, width).take(columns, axis=1)
+            change = (steps[:, first] * steps[:, second] * twice) @ product.T - 2.0 * steps @ gradient.T
+            found[:, own] = self.moments.square[own] + change.reshape(len(steps), -1, num_channels)
+        return found
+
+
+class Fitted:
+    """A model fitted to some resamples, each fold predicted by the fit of the others."""
+
+    def __init__(
+        self, model: Model, members: Indices, columns: Indices, step: Array, totals: Array, blocks: int
+    ) -> None:
+        """Take the steps (F, n, k) of the resamples ``members`` (n,), and the squares drawn of each fold, (F, n, C)."""
+        self.model, self.members, self.columns, self.step, self.totals = model, members, columns, step, totals
+        self.likelihood = np.full((members.size, blocks), np.nan)
+        """Log likelihood of each block, (n, B); not a number where nobody has asked for it."""
+
+
 class LinearSelector:
     """Chooses candidates for each resample by the criteria of the selection."""
 
-    def __init__(self, library: Library, selection: Selection) -> None:
-        self.candidates, self.moments, self.tolerances = library.candidates, library.moments, library.tolerances
+    def __init__(self, library: Library, selection: Selection, draws: Array) -> None:
+        """Take how often each block is drawn in each resample, (N, B)."""
+        self.candidates, self.tolerances, self.draws = library.candidates, library.tolerances, draws
         self.criteria, self.weights = selection.criteria, selection.weights
-        self.tolerated, self.fold = selection.left_out.tolerated, selection.left_out.fold
+        self.tolerated, fold = selection.left_out.tolerated, selection.left_out.fold
         self.named = [k for k, candidate in enumerate(self.candidates) if candidate.named]
-        self._product = np.einsum("c,bckl->bkl", self.weights.weight, self.moments.product)
-        self._gradient = np.einsum("c,bck->bk", self.weights.weight, self.moments.gradient)
+        self._blocks = _Parts(library.moments, fold, self.weights.weight)
+        whole = all(np.ptp(draws[:, own], axis=1).max() == 0.0 for own in self._blocks.folds)
+        together = fold if whole else np.arange(fold.size)
+        first = np.unique(together, return_index=True)[1]
+        self._parts = (
+            _Parts(library.moments.joined(together), fold[first], self.weights.weight) if whole else self._blocks
+        )
+        self._counts = draws[:, first]
 
-    def select(self, draws: Array) -> list[Model]:
-        """Return the model that each resample (N, B) ends with."""
-        models: list[Model] = [()] * len(draws)
-        active = np.ones(len(draws), dtype=bool)
+    def select(self) -> list[Model]:
+        """Return the model that each resample ends with."""
+        models: list[Model] = [()] * len(self.draws)
+        active = np.ones(len(self.draws), dtype=bool)
         for _ in range(MOST_ROUNDS):
             for model in {models[n] for n in np.flatnonzero(active)}:
                 members = np.array([n for n in np.flatnonzero(active) if models[n] == model])
-                for n, chosen in zip(members, self._grow(model, draws[members]), strict=True):
+                for n, chosen in zip(members, self._grow(model, members), strict=True):
                     active[n] = chosen != model
                     models[n] = chosen
             if not active.any():
                 break
         return models
 
-    def _grow(self, model: Model, draws: Array) -> list[Model]:
-        """Return the model after one more round, of each resample."""
+    def _grow(self, model: Model, members: Indices) -> list[Model]:
+        """Return the model after one more round, of each of some resamples."""
         taken = {self.candidates[k].name for k in model}
         others = [k for k in range(len(self.candidates)) if self.candidates[k].name not in taken]
-        less = self.squares(model, draws)
-        trials = [self.squares((*model, k), draws) for k in others]
-        passed = np.array(
-            [self.passes(less, trial, draws, (*model, k), k) for k, trial in zip(others, trials, strict=True)]
-        )
-        grown: list[Model] = [model] * len(draws)
-        if len(others):
-            like = np.stack([self._likelihood(trial) for trial in trials])  # (candidates, N, B)
-            total = np.where(passed, np.einsum("knb,nb->kn", like, draws), -np.inf)
-            size = np.array([self.candidates[k].columns.size for k in others])
-            for n, best in enumerate(total.argmax(axis=0)):
-                if passed[best, n]:
-                    probability = chance_of(like[best, n] - like[:, n], np.broadcast_to(draws[n], like[:, n].shape))
-                    tied = passed[:, n] & (
-                        (probability > self.criteria.rival_significance) | (total[best, n] - total[:, n] < LEAST_SCORE)
-                    )
-                    tied[best] = True
-                    order = np.lexsort((-total[:, n], np.where(tied, size, 99)))
-                    grown[n] = (*model, others[order[0]])
+        less, grown = self.fit(model, members), [model] * members.size
+        trials = [self.fit((*model, k), members) for k in others]
+        passed = np.array([self.passes(less, trial, k) for k, trial in zip(others, trials, strict=True)])
+        for n in np.flatnonzero(passed.any(axis=0)) if others else ():
+            able, drawn = np.flatnonzero(passed[:, n]), self.draws[members[n]]
+            like = np.stack([self._likelihood(trials[i], np.array([n]))[0] for i in able])  # (candidates, B)
+            total, size = like @ drawn, np.array([self.candidates[others[i]].columns.size for i in able])
+            best = int(total.argmax())
+            chance = chance_of(like[best] - like, np.broadcast_to(drawn, like.shape))
+            tied = (chance > self.criteria.rival_significance) | (total[best] - total < LEAST_SCORE)
+            tied[best] = True
+            grown[n] = (*model, others[able[np.lexsort((-total, np.where(tied, size, 99)))[0]]])
         alone = np.array([after == model for after in grown])
         if alone.any():
-            pairs = self._pairs(model, draws[alone])
+            pairs = self._pairs(model, members[alone])
             for n, pair in zip(np.flatnonzero(alone), pairs, strict=True):
                 grown[n] = (*model, *pair)
-        return self._prune(grown, len(model), draws)
+        return self._prune(grown, len(model), members)
 
-    def _pairs(self, model: Model, draws: Array) -> list[Model]:
+    def _pairs(self, model: Model, members: Indices) -> list[Model]:
         """Return two named effects that hold together where none holds alone, of each resample; empty where none do."""
-        found: list[Model] = [()] * len(draws)
+        found: list[Model] = [()] * members.size
         for one, other in combinations([k for k in self.named if k not in model], 2):
-            both = (*model, one, other)
-            more = self.squares(both, draws)
-            holds = np.ones(len(draws), dtype=bool)
+            more = self.fit((*model, one, other), members)
+            holds = np.ones(members.size, dtype=bool)
             for k, rest in ((one, other), (other, one)):
-                holds &= self.passes(self.squares((*model, rest), draws), more, draws, both, k)
+                if holds.any():
+                    holds &= self.passes(self.fit((*model, rest), members), more, k)
             for n in np.flatnonzero(holds):
                 found[n] = found[n] or (one, other)
         return found
 
-    def _prune(self, grown: list[Model], old: int, draws: Array) -> list[Model]:
+    def _prune(self, grown: list[Model], old: int, members: Indices) -> list[Model]:
         """Return the models without those of their first ``old`` effects that no longer pay, harm aside."""
         result = list(grown)
         for model in {m for m in grown if len(m) > old}:
-            members = np.array([n for n, m in enumerate(grown) if m == model])
-            more = self.squares(model, draws[members])
+            places = np.array([n for n, m in enumerate(grown) if m == model])
+            more = self.fit(model, members[places])
             for k in model[:old]:
-                kept = tuple(other for other in model if other != k)
-                pays = self.passes(self.squares(kept, draws[members]), more, draws[members], model, k, harm=False)
-                for n in members[~pays]:
+                less = self.fit(tuple(other for other in model if other != k), members[places])
+                for n in places[~self.passes(less, more, k, harm=False)]:
                     result[n] = tuple(other for other in result[n] if other != k)
         return result
+
+    def fit(self, model: Model, members: Indices) -> Fitted:
+        """Return a model fitted to some resamples, each fold left out once."""
+        columns, counts, folds = self._columns(model), self._counts[members], self._parts.folds
+        product, gradient = self._parts.normal(columns)
+        normal = np.stack([np.tensordot(counts[:, own], product[own], axes=1) for own in folds])
+        right = np.stack([counts[:, own] @ gradient[own] for own in folds])
+        step = self._solve(model, normal.sum(axis=0) - normal, right.sum(axis=0) - right)
+        squares = self._parts.squares_after(columns, step)
+        totals = np.stack([np.einsum("na,nac->nc", counts[:, own], squares[:, own]) for own in folds])
+        return Fitted(model, members, columns, step, totals, self.draws.shape[1])
+
+    def squares(self, fitted: Fitted, places: Indices) -> Array:
+        """Return the squares of each block in some of the resamples of a fit, (n, B, C)."""
+        return self._blocks.squares_after(fitted.columns, fitted.step[:, places])
 
     def _columns(self, model: Model) -> Indices:
         """Return the columns of the candidates of a model, and those of the tolerances behind them."""
@@ -112,86 +169,76 @@ class LinearSelector:
         """Return the inverse prior variance of each column: one for tolerances, almost none for effects."""
         return np.where(np.isin(columns, self.tolerances), 1.0, WEAK_PRIOR**-2)
 
-    def _solve(self, model: Model, counts: Array) -> tuple[Array, Array]:
-        """Return the steps (N, k) that fit the blocks counted (N, B), held within bounds, and the normal matrix (N, k, k)."""
-        columns = self._columns(model)
+    def _solve(self, model: Model, product: Array, gradient: Array) -> Array:
+        """Return the steps (..., k) that fit products (..., k, k) and gradients (..., k), held within bounds."""
         farthest = np.full(self.tolerances.size, FARTHEST_DEVIATION)
         low = np.concatenate([*(self.candidates[k].low for k in model), -farthest])
         high = np.concatenate([*(self.candidates[k].high for k in model), farthest])
-        part = self._product[:, columns[:, None], columns]
-        normal = np.tensordot(counts, part, axes=1) + np.diag(self._precision(columns))
-        gradient = counts @ self._gradient[:, columns]
+        normal = product + np.diag(self._precision(self._columns(model)))
         step = np.linalg.solve(normal, gradient[..., None])[..., 0]
         outside = (step < low) | (step > high)
-        if outside.any():  # held at the bound by a stiff spring
-            spring = np.where(outside, 1e9 * np.diagonal(normal, axis1=1, axis2=2), 0.0)
-            held = normal + spring[:, :, None] * np.eye(columns.size)
-            step = np.linalg.solve(held, (gradient + spring * np.clip(step, low, high))[..., None])[..., 0]
-        return np.clip(step, low, high), normal
+        held = outside.any(axis=-1)
+        if held.any():  # by a stiff spring at the bound
+            spring = np.where(outside[held], 1e9 * np.diagonal(normal[held], axis1=-2, axis2=-1), 0.0)
+            stiff = normal[held] + spring[..., None] * np.eye(low.size)
+            pull = gradient[held] + spring * np.clip(step[held], low, high)
+            step[held] = np.linalg.solve(stiff, pull[..., None])[..., 0]
+        return np.clip(step, low, high)
 
-    def squares(self, model: Model, draws: Array) -> Array:
-        """Return the squares of each block under the fit of the other folds, (N, B, C)."""
-        columns = self._columns(model)
-        found = np.repeat(self.moments.square[None], len(draws), axis=0)
-        for label in np.unique(self.fold):
-            own = np.flatnonzero(self.fold == label)
-            step, _ = self._solve(model, draws * (self.fold != label))
-            linear = np.einsum("bck,nk->nbc", self.moments.gradient[own][:, :, columns], step)
-            outer = (step[:, :, None] * step[:, None, :]).reshape(len(draws), -1)
-            part = self.moments.product[own][:, :, columns[:, None], columns].reshape(-1, columns.size**2)
-            found[:, own] += (outer @ part.T).reshape(len(draws), own.size, -1) - 2.0 * linear
-        return found
+    def _likelihood(self, fitted: Fitted, places: Indices) -> Array:
+        """Return the log likelihood of each block up to a constant, (n, B), in some of the resamples of a fit."""
+        new = places[np.isnan(fitted.likelihood[places, 0])]
+        if new.size:
+            samples = 0.5 * self._blocks.moments.count[:, None] * self.weights.effective
+            logs = np.log(np.maximum(self.squares(fitted, new), 1e-300))
+            fitted.likelihood[new] = -(samples * logs).sum(axis=-1)
+        return fitted.likelihood[places]
 
-    def _likelihood(self, squares: Array) -> Array:
-        """Return the log likelihood of each block up to a constant, (N, B)."""
-        samples = 0.5 * self.moments.count[:, None] * self.weights.effective
-        return -(samples * np.log(np.maximum(squares, 1e-300))).sum(axis=-1)
-
-    def passes(self, less: Array, more: Array, draws: Array, model: Model, tried: int, *, harm: bool = True) -> Mask:
-        """Return in which resamples a candidate of a model is acceptable, (N,): squares without and with it (N, B, C)."""
-        rules = self.criteria
-        probability = chance_of(self._likelihood(more) - self._likelihood(less), draws)
-        before, after, rows = self._totals(less, draws), self._totals(more, draws), draws @ self.moments.count
+    def passes(self, less: Fitted, more: Fitted, tried: int, *, harm: bool = True) -> Mask:
+        """Return in which resamples a candidate of ``more`` is acceptable on top of ``less``, (n,)."""
+        rules, counts, folds = self.criteria, self._counts[more.members], self._parts.folds
+        rows = np.stack([counts[:, own] @ self._parts.moments.count[own] for own in folds])  # (F, n)
+        drawn = np.stack([self.draws[more.members, own].sum(axis=1) for own in self._blocks.folds])
+        before, after = (fitted.totals.sum(axis=0) / rows.sum(axis=0)[:, None] for fitted in (less, more))
         fall = 1.0 - np.sqrt(after / np.maximum(before, 1e-300))
-        seen = (before - after) / rows[:, None] > (rules.visible * self.tolerated) ** 2
-        passes = (probability <= rules.left_out_significance) & ((fall * seen).max(axis=1) >= rules.material)
-        harmed, weight = np.zeros(before.shape), np.zeros(len(draws))
-        better, changed = [], []
-        for label in np.unique(self.fold):
-            own = draws * (self.fold == label)
-            drawn, count = own.sum(axis=1), np.maximum(own @ self.moments.count, 1.0)
-            one, other = self._totals(less, own), self._totals(more, own)
-            ratio = np.log(np.maximum(one, 1e-300) / np.maximum(other, 1e-300))
-            better.append(drawn * ((self.weights.effective * ratio).sum(axis=1) > 0.0))
-            changed.append(drawn * (np.abs(ratio) > 2.0 * np.log1p(rules.harmless)).any(axis=1))
-            harmed += drawn[:, None] * self._rises(one / count[:, None], other / count[:, None])
-            weight += drawn
-        few = (np.array(changed) > 0.0).sum(axis=0) < 2
-        judged = np.where((np.array(changed) > 0.0) | few, 1.0, 0.0)
-        drawn = np.where(few, weight, np.sum(changed, axis=0))
-        passes &= (judged * better).sum(axis=0) >= rules.flights_better * drawn
+        seen = before - after > (rules.visible * self.tolerated) ** 2
+        passes = (fall * seen).max(axis=1) >= rules.material
+        ratio = np.log(np.maximum(less.totals, 1e-300) / np.maximum(more.totals, 1e-300))  # (F, n, C)
+        better = drawn * (ratio @ self.weights.effective > 0.0)
+        changed = drawn * (np.abs(ratio) > 2.0 * np.log1p(rules.harmless)).any(axis=2)
+        few = (changed > 0.0).sum(axis=0) < 2
+        judged = np.where((changed > 0.0) | few, 1.0, 0.0)
+        weight = drawn.sum(axis=0)
+        passes &= (judged * better).sum(axis=0) >= rules.flights_better * np.where(few, weight, changed.sum(axis=0))
         if harm:
-            passes &= ~self._rises(before / rows[:, None], after / rows[:, None]).any(axis=1)
+            each = np.maximum(rows, 1.0)[..., None]
+            harmed = (drawn[..., None] * self._rises(less.totals / each, more.totals / each)).sum(axis=0)
+            passes &= ~self._rises(before, after).any(axis=1)
             passes &= harmed.max(axis=1) <= (1.0 - rules.flights_better) * weight
         if passes.any():
-            passes[passes] &= self._stands_out(model, draws[passes], tried)
+            places = np.flatnonzero(passes)
+            everywhere = self._likelihood(less, np.arange(passes.size))  # the next candidate needs it as well
+            gain = self._likelihood(more, places) - everywhere[places]
+            passes[places] = chance_of(gain, self.draws[more.members[places]]) <= rules.left_out_significance
+        if passes.any():
+            passes[passes] = self._stands_out(more.model, more.members[passes], tried)
         return passes
-
-    def _totals(self, squares: Array, draws: Array) -> Array:
-        return np.einsum("nb,nbc->nc", draws, squares)
 
     def _rises(self, before: Array, after: Array) -> Mask:
         more = after > (1.0 + self.criteria.harmless) ** 2 * before
         return more & (after - before > self.tolerated**2)
 
-    def _stands_out(self, model: Model, draws: Array, tried: int) -> Mask:
-        """Return where a candidate's step is beyond noise and tolerances and at no bound but neutral, (N,)."""
-        columns, own = self._columns(model), self.candidates[tried].columns
+    def _stands_out(self, model: Model, members: Indices, tried: int) -> Mask:
+        """Return where a candidate's step is beyond noise and tolerances and at no bound but neutral, (n,)."""
+        columns, own, draws = self._columns(model), self.candidates[tried].columns, self.draws[members]
         places = np.flatnonzero(np.isin(columns, own))
-        step, normal = self._solve(model, draws)
-        bread = np.linalg.inv(normal)
-        change = np.einsum("bkl,nl->nbk", self._product[:, columns[:, None], columns], step)
-        scores = np.sqrt(draws)[:, :, None] * (self._gradient[None][:, :, columns] - change)
+        product, gradient = self._parts.normal(columns)
+        product, right = np.tensordot(self._counts[members], product, axes=1), self._counts[members] @ gradient
+        step = self._solve(model, product, right)
+        bread = np.linalg.inv(product + np.diag(self._precision(columns)))
+        product, gradient = self._blocks.normal(columns)
+        change = np.moveaxis(product @ step.T, -1, 0)  # (n, B, k)
+        scores = np.sqrt(draws)[:, :, None] * (gradient - change)
         count = draws.sum(axis=1)
         meat = scores.transpose(0, 2, 1) @ scores * (count / (count - 1.0))[:, None, None]
         plain = np.diagonal(bread, axis1=1, axis2=2)[:, :, None] * np.eye(columns.size)

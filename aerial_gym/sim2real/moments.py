@@ -37,39 +37,57 @@ class Moments:
     def squares_after(self, step: Array) -> Array:
         """Return ``sum (r - J d)²`` of each block, (B, C), for a step d of the parameters, one per block, (B, K)."""
         linear = np.einsum("bck,bk->bc", self.gradient, step)
-        return self.square - 2.0 * linear + np.einsum("bckl,bk,bl->bc", self.product, step, step)
+        change = np.einsum("bckl,bl->bck", self.product, step)
+        return self.square - 2.0 * linear + np.einsum("bck,bk->bc", change, step)
+
+    def joined(self, label: NDArray[np.int64]) -> "Moments":
+        """Return the sums over all blocks of one label, in the order of the labels; ``label`` is (B,)."""
+        labels, first, place = np.unique(label, return_index=True, return_inverse=True)
+
+        def joined(values: Array) -> Array:
+            return np.stack([values[place == k].sum(axis=0) for k in range(labels.size)])
+
+        return Moments(
+            count=joined(self.count),
+            square=joined(self.square),
+            gradient=joined(self.gradient),
+            product=joined(self.product),
+            flight=self.flight[first],
+        )
 
 
-def block_rows(time: Array) -> list[NDArray[np.int64]]:
-    """Return the rows of each block of a flight whose rows are at these times [s]."""
-    blocks = max(1, round(float(time[-1] - time[0]) / BLOCK_S))
+def block_rows(time: Array, *, length: float = BLOCK_S) -> list[NDArray[np.int64]]:
+    """Return the rows of each block of about a ``length`` [s] of a flight whose rows are at these times [s]."""
+    blocks = max(1, round(float(time[-1] - time[0]) / length))
     return np.array_split(np.arange(time.size), blocks)
 
 
-def block_moments(times: Sequence[Array], residuals: Sequence[Array], jacobians: Sequence[Array]) -> Moments:
-    """Return the sums over blocks of about BLOCK_S, none of which spans two flights.
+def block_moments(
+    times: Sequence[Array], residuals: Sequence[Array], jacobians: Sequence[Array], *, length: float = BLOCK_S
+) -> Moments:
+    """Return the sums over blocks of about a ``length`` [s], none of which spans two flights.
 
     Args:
         times: Of each flight [s], (rows,).
         residuals: Of each flight, (rows, C).
         jacobians: Of each flight, (rows, C, K).
+        length: Of a block; infinite: whole flights.
     """
-    counts, squares, gradients, products, flights = [], [], [], [], []
-    for flight, (time, r, j) in enumerate(zip(times, residuals, jacobians, strict=True)):
-        for rows in block_rows(time):
-            by_channel = j[rows].transpose(1, 2, 0)  # (C, K, rows)
-            counts.append(float(rows.size))
-            squares.append((r[rows] ** 2).sum(axis=0))
-            gradients.append((by_channel @ r[rows].T[:, :, None])[:, :, 0])
-            products.append(by_channel @ by_channel.transpose(0, 2, 1))
-            flights.append(flight)
-    return Moments(
-        count=np.array(counts),
-        square=np.stack(squares),
-        gradient=np.stack(gradients),
-        product=np.stack(products),
-        flight=np.array(flights),
+    blocks = [(flight, rows) for flight, time in enumerate(times) for rows in block_rows(time, length=length)]
+    num_channels, width = jacobians[0].shape[1:]
+    found = Moments(
+        count=np.array([float(rows.size) for _, rows in blocks]),
+        square=np.empty((len(blocks), num_channels)),
+        gradient=np.empty((len(blocks), num_channels, width)),
+        product=np.empty((len(blocks), num_channels, width, width)),
+        flight=np.array([flight for flight, _ in blocks]),
     )
+    for block, (flight, rows) in enumerate(blocks):
+        r, j = residuals[flight][rows], jacobians[flight][rows].transpose(1, 2, 0)  # (C, K, rows)
+        found.square[block] = (r**2).sum(axis=0)
+        found.gradient[block] = (j @ r.T[:, :, None])[:, :, 0]
+        np.matmul(j, j.transpose(0, 2, 1), out=found.product[block])
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)

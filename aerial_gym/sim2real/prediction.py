@@ -9,6 +9,7 @@ Channels: specific force x, y, z; angular acceleration x, y, z; speed of each ro
 rate x, y, z. Letters: E rows, C channels, R rotors.
 """
 
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
@@ -22,12 +23,26 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
-from aerial_gym.physics import EFFECTS, BodyState, Vehicle, accelerations, build_model, vehicle_from_config
-from aerial_gym.physics.effects import LearnedResidual, WindEffect
+from aerial_gym.physics import (
+    EFFECTS,
+    BodyState,
+    Vehicle,
+    accelerations,
+    build_model,
+    condition_in,
+    vehicle_from_config,
+)
+from aerial_gym.physics.effects import (
+    Condition,
+    ImuEffect,
+    LearnedResidual,
+    LoadEffect,
+    RotorEffect,
+    WindEffect,
+    WrenchEffect,
+)
 from aerial_gym.physics.effects.learned_residual import felt_inputs
-from aerial_gym.physics.integrators import to_mass_state
 from aerial_gym.physics.model import STANDARD_GRAVITY, EffectParams, Model
-from aerial_gym.physics.rigid_body import air_velocity
 from aerial_gym.sim2real.checks import body_rate_of
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.load_replay import LoadReplay
@@ -65,6 +80,21 @@ UNITS = {
 
 KINEMATIC = ("kinematic_force", "kinematic_rate")
 """Kinds that need no dynamics."""
+
+FORCES = RotorEffect | WrenchEffect | LoadEffect | ImuEffect
+"""Effects of these kinds change neither vehicle nor wind nor rotor speeds: what others see stays the same."""
+
+ADDED = RotorEffect | WrenchEffect | WindEffect
+"""Effects of these kinds add thrust, force or wind; at neutral parameters a model is the same without them."""
+
+CONDITIONS = 2
+"""Conditions kept: that of the present model, and of one that differs from it."""
+
+MOST_ROWS = 8000
+"""Flights are evaluated together up to so many rows: more of them leave the processor's cache, and take longer each."""
+
+PREDICTIONS = 128
+"""Predictions kept: a fit begins where a first look at the same effect has been, and both begin at the present model."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,8 +212,19 @@ def with_known_wind(model: Model, flights: Sequence[Flight], flight: NDArray[np.
     return replace(model, winds=(*model.winds, (steady, known[torch.from_numpy(flight)])))
 
 
-class Predictor:
-    """Measured channels of some flights, and the predictions of any model for them."""
+def thinned(flight: Flight, bandwidth: float) -> int:
+    """Return how many rows of a log are one row that is evaluated."""
+    return max(1, int(flight.rate / (ROWS_PER_BAND * bandwidth)))
+
+
+def _key(point: Point) -> tuple[object, ...]:
+    """Return what tells effects and deviations of a point from those of others, their order included."""
+    effects = [(name, np.asarray(params, dtype=float).tobytes()) for name, params in point.effects.items()]
+    return (None if point.deviation is None else point.deviation.tobytes(), *effects)
+
+
+class _Together:
+    """Flights whose rows are evaluated at once."""
 
     def __init__(
         self,
@@ -193,15 +234,14 @@ class Predictor:
         bandwidth: float,
         channels: Sequence[Channel],
         tolerances: Tolerances,
-        every_row: bool = False,
+        every_row: bool,
     ) -> None:
-        """Take the flights; ``every_row`` keeps all rows of the log instead of thinning them to the band."""
-        self.robot, self.flights, self.bandwidth = robot, tuple(flights), bandwidth
+        self.flights, self.bandwidth = tuple(flights), bandwidth
         self.channels, self.tolerances = tuple(channels), tolerances
         self._declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         self._replay = RotorReplay(flights)
         self._load_replay = LoadReplay(flights)
-        self._stride = [1 if every_row else max(1, int(f.rate / (ROWS_PER_BAND * bandwidth))) for f in flights]
+        self._stride = [1 if every_row else thinned(f, bandwidth) for f in flights]
         self._kept = [self._kept_rows(f, s, every_row) for f, s in zip(flights, self._stride, strict=True)]
         self.measured = [self._measure(index) for index in range(len(flights))]
         self.times = [flight.time[kept] for flight, kept in zip(flights, self._kept, strict=True)]
@@ -214,10 +254,7 @@ class Predictor:
         others = [other_at(f, np.arange(0, f.num_rows, s)) for f, s in zip(flights, self._stride, strict=True)]
         rows = [state["attitude"].shape[0] for state in states]
         self._heights, self._other = heights(flights, rows), torch.cat(others)
-        simulated = [flight.rotor_speed is None for flight in flights]
-        if any(simulated) and not all(simulated):
-            raise DataError("some flights have measured rotor speeds and some have not; give flights of one kind")
-        self._simulated = all(simulated)
+        self._simulated = all(flight.rotor_speed is None for flight in flights)
         self._measured_speed = (
             None if self._simulated else torch.cat([self._thin(i, "rotor_speed") for i in range(len(flights))])
         )
@@ -233,34 +270,27 @@ class Predictor:
         self._kinematic_force, self._kinematic_rate = (
             torch.cat([of(i) for i in range(len(flights))]) for of in (self._implied_force, self._implied_rate)
         )
-
-    @property
-    def num_tolerances(self) -> int:
-        """Number N of tolerances."""
-        return len(self.tolerances.names(self.robot.num_rotors))
+        implied = {"kinematic_force": self._kinematic_force.numpy(), "kinematic_rate": self._kinematic_rate.numpy()}
+        self._implied = [
+            {kind: self._slow(i, rows[self._spans[i]]) for kind, rows in implied.items()} for i in range(len(flights))
+        ]
+        self._conditions: OrderedDict[tuple[object, ...], Condition] = OrderedDict()
 
     def predict(self, point: Point) -> list[Array]:
         """Return the predicted channels of each flight, (rows kept, C)."""
         vehicle, deviation = self._vehicle(point)
         speeds = self._speeds(point, vehicle, deviation)
         rows = self._rows(point, vehicle, deviation, speeds)
-        return [self._band(index, rows, speeds) for index in range(len(self.flights))]
-
-    def residuals(self, point: Point) -> list[Array]:
-        """Return measured minus predicted channels of each flight, (rows kept, C)."""
-        return [m - p for m, p in zip(self.measured, self.predict(point), strict=True)]
+        biases = (bias.numpy() for bias in sensor_biases(self.tolerances, deviation))
+        implied: dict[str, Array] = dict(zip(KINEMATIC, biases, strict=True))
+        return [self._band(index, rows, speeds, implied) for index in range(len(self.flights))]
 
     def felt(self, point: Point) -> list[Array]:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
         vehicle, deviation = self._vehicle(point)
-        model, speed, _ = self._flown(point, vehicle, self._speeds(point, vehicle, deviation))
-        state = to_mass_state(model, BodyState(rotor_speed=speed, **self._state))
-        air = air_velocity(model, state.position, state.attitude, state.lin_vel)
-        rows = felt_inputs(air, state.ang_vel, speed).numpy()
-        found = []
-        for flight, stride, span, kept in zip(self.flights, self._stride, self._spans, self._kept, strict=True):
-            found.append(lowpass(rows[span], flight.rate / stride, self.bandwidth)[kept // stride])
-        return found
+        _, condition = self._flown(point, vehicle, self._speeds(point, vehicle, deviation))
+        rows = felt_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed).numpy()
+        return [self._slow(index, rows[span]) for index, span in enumerate(self._spans)]
 
     def _speeds(self, point: Point, vehicle: Vehicle, deviation: Tensor) -> list[Array | None] | None:
         """Return the rotor speeds that commands lead to, where they are needed."""
@@ -272,7 +302,8 @@ class Predictor:
 
     def _vehicle(self, point: Point) -> tuple[Vehicle, Tensor]:
         if point.deviation is None:
-            return self._declared, torch.zeros(self.num_tolerances, dtype=torch.float64)
+            names = self.tolerances.names(self._declared.num_rotors)
+            return self._declared, torch.zeros(len(names), dtype=torch.float64)
         deviation = torch.from_numpy(point.deviation)
         return deviate(self._declared, self.tolerances, deviation), deviation
 
@@ -283,22 +314,25 @@ class Predictor:
     def _rows(
         self, point: Point, vehicle: Vehicle, deviation: Tensor, speeds: list[Array | None] | None
     ) -> dict[str, Array]:
-        """Return what the inertial sensors would read in every row, (E, 3) by kind of channel."""
+        """Return what the inertial sensors would read in every row, (E, 3) by kind; kinematic ones if their errors vary."""
         kinds = {channel.kind for channel in self.channels} - {"rotor_speed"}
         if not kinds:
             return {}
-        model, speed, spin_up = self._flown(point, vehicle, speeds)
-        load = self._swing(model, speed, spin_up, deviation) if model.loads else None
-        found = accelerations(model, BodyState(rotor_speed=speed, **self._state), spin_up, load=load)
+        model, condition = self._flown(point, vehicle, speeds)
+        state = BodyState(rotor_speed=condition.rotor_speed, **self._state)
+        load = self._swing(model, state, condition, deviation) if model.loads else None
+        found = accelerations(model, state, load=load, condition=condition)
         # The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
         force = found.specific_force + torch.linalg.cross(found.ang_acc - self._measured_ang_acc, model.vehicle.com)
+        force_bias, rate_bias = sensor_biases(self.tolerances, deviation)
+        if not model.imu:
+            return {"specific_force": (force + force_bias).numpy(), "angular_acceleration": found.ang_acc.numpy()}
         turning, rate, still = found.ang_acc, self._kinematic_rate, torch.zeros_like(force)
         kinematic_force = self._kinematic_force
         for effect, params in model.imu:
             force, rate = effect.measure(force, rate, params)
             kinematic_force, moved = effect.measure(kinematic_force, turning, params)
             turning = moved - effect.measure(still, still, params)[1]  # a constant error has no derivative
-        force_bias, rate_bias = sensor_biases(self.tolerances, deviation)
         return {
             "specific_force": (force + force_bias).numpy(),
             "angular_acceleration": turning.numpy(),
@@ -306,22 +340,33 @@ class Predictor:
             "kinematic_rate": (rate + rate_bias).numpy(),
         }
 
-    def _swing(self, model: Model, speed: Tensor, spin_up: Tensor, deviation: Tensor) -> Tensor:
+    def _swing(self, model: Model, state: BodyState, condition: Condition, deviation: Tensor) -> Tensor:
         """Return the link of the load in every row, (E, 6), begun as the measured specific force says where there is one."""
         if self._measured_force is None:
             return self._load_replay.loads(model, self._row_times)
-        alone = accelerations(replace(model, loads=()), BodyState(rotor_speed=speed, **self._state), spin_up)
-        force = alone.specific_force
+        force = accelerations(replace(model, loads=()), state, condition=condition).specific_force
         for effect, params in model.imu:
             force, _ = effect.measure(force, self._kinematic_rate, params)
         force = self._measured_force - force - sensor_biases(self.tolerances, deviation)[0]
         missed = quat_rotate(self._state["attitude"], force).numpy()
         return self._load_replay.loads(model, self._row_times, [missed[span] for span in self._spans])
 
-    def _flown(self, point: Point, vehicle: Vehicle, speeds: list[Array | None] | None) -> tuple[Model, Tensor, Tensor]:
-        """Return model, true rotor speeds and their accelerations in every row."""
+    def _flown(self, point: Point, vehicle: Vehicle, speeds: list[Array | None] | None) -> tuple[Model, Condition]:
+        """Return the model in every row, and what its effects see there."""
         model = expand_model(self._model(point, vehicle), self._state["attitude"].shape[0])
         model = with_known_wind(model, self.flights, self._flight)
+        seen = {name: params for name, params in point.effects.items() if not isinstance(EFFECTS.get(name), FORCES)}
+        key = _key(replace(point, effects=seen))
+        if key not in self._conditions:
+            speed, spin_up = self._turning(model, speeds)
+            self._conditions[key] = condition_in(model, BodyState(rotor_speed=speed, **self._state), spin_up)
+            while len(self._conditions) > CONDITIONS:
+                self._conditions.popitem(last=False)
+        self._conditions.move_to_end(key)
+        return model, self._conditions[key]
+
+    def _turning(self, model: Model, speeds: list[Array | None] | None) -> tuple[Tensor, Tensor]:
+        """Return true rotor speeds [rad/s] and their accelerations [rad/s²] in every row, (E, R)."""
         if self._measured_speed is None or self._measured_spin_up is None:
             assert speeds is not None
             replayed = [(i, s) for i, s in enumerate(speeds) if s is not None]
@@ -331,23 +376,33 @@ class Predictor:
             speed, spin_up = self._measured_speed, self._measured_spin_up
             for effect, params in model.rotor_sensors:
                 speed, spin_up = effect.true_speed(speed, params), effect.true_speed(spin_up, params)
-        return model, speed, spin_up
+        return speed, spin_up
 
-    def _band(self, index: int, rows: dict[str, Array], speeds: list[Array | None] | None) -> Array:
-        """Return the predicted channels of a flight in the band, (rows kept, C)."""
-        flight, stride, parts = self.flights[index], self._stride[index], {}
+    def _band(
+        self, index: int, rows: dict[str, Array], speeds: list[Array | None] | None, implied: dict[str, Array]
+    ) -> Array:
+        """Return the predicted channels of a flight in the band, (rows kept, C).
+
+        ``implied`` has the errors (3,) of kinematic channels, for those that are not among the ``rows``.
+        """
+        flight = self.flights[index]
         kinds = dict.fromkeys(channel.kind for channel in self.channels)
-        thin = [kind for kind in kinds if kind != "rotor_speed"]
+        parts = {kind: self._implied[index][kind] + implied[kind] for kind in kinds if kind in KINEMATIC}
+        thin = [kind for kind in kinds if kind in rows]
         if thin:
-            together = np.concatenate([rows[kind][self._spans[index]] for kind in thin], axis=1)
-            slow = lowpass(together, flight.rate / stride, self.bandwidth)[self._kept[index] // stride]
-            parts = dict(zip(thin, np.split(slow, len(thin), axis=1), strict=True))
+            slow = self._slow(index, np.concatenate([rows[kind][self._spans[index]] for kind in thin], axis=1))
+            parts |= dict(zip(thin, np.split(slow, len(thin), axis=1), strict=True))
         if "rotor_speed" in kinds:
             assert speeds is not None
             speed = speeds[index]
             assert speed is not None
             parts["rotor_speed"] = lowpass(speed, flight.rate, self.bandwidth)[self._kept[index]]
         return np.concatenate([parts[kind] for kind in kinds], axis=1)
+
+    def _slow(self, index: int, rows: Array) -> Array:
+        """Return values at the rows of a flight (E, any) in the band, (rows kept, any)."""
+        stride = self._stride[index]
+        return lowpass(rows, self.flights[index].rate / stride, self.bandwidth)[self._kept[index] // stride]
 
     def _measure(self, index: int) -> Array:
         """Return the measured channels of a flight in the band, (rows kept, C)."""
@@ -427,3 +482,77 @@ class Predictor:
         if stride > 1:
             values = lowpass(values, self.flights[index].rate, PREFILTER * self.flights[index].rate / stride)[::stride]
         return torch.from_numpy(np.ascontiguousarray(values))
+
+
+def together(rows: Sequence[int]) -> list[slice]:
+    """Return which neighbouring flights are evaluated together, given the rows of each: MOST_ROWS, or a longer one alone."""
+    ends = [0]
+    for index in range(1, len(rows)):
+        if sum(rows[ends[-1] : index + 1]) > MOST_ROWS:
+            ends.append(index)
+    return [slice(a, b) for a, b in pairwise([*ends, len(rows)])]
+
+
+class Predictor:
+    """Measured channels of some flights, and the predictions of any model for them."""
+
+    def __init__(
+        self,
+        robot: RobotCfg,
+        flights: Sequence[Flight],
+        *,
+        bandwidth: float,
+        channels: Sequence[Channel],
+        tolerances: Tolerances,
+        every_row: bool = False,
+    ) -> None:
+        """Take the flights; ``every_row`` keeps all rows of the log instead of thinning them to the band."""
+        self.robot, self.flights, self.bandwidth = robot, tuple(flights), bandwidth
+        self.channels, self.tolerances = tuple(channels), tolerances
+        simulated = [flight.rotor_speed is None for flight in flights]
+        if any(simulated) and not all(simulated):
+            raise DataError("some flights have measured rotor speeds and some have not; give flights of one kind")
+        rows = [flight.num_rows // (1 if every_row else thinned(flight, bandwidth)) for flight in flights]
+        self._parts = [
+            _Together(
+                robot,
+                self.flights[part],
+                bandwidth=bandwidth,
+                channels=channels,
+                tolerances=tolerances,
+                every_row=every_row,
+            )
+            for part in together(rows)
+        ]
+        self.measured = [measured for part in self._parts for measured in part.measured]
+        self.times = [time for part in self._parts for time in part.times]
+        self._predictions: OrderedDict[tuple[object, ...], list[Array]] = OrderedDict()
+
+    @property
+    def num_tolerances(self) -> int:
+        """Number N of tolerances."""
+        return len(self.tolerances.names(self.robot.num_rotors))
+
+    def predict(self, point: Point) -> list[Array]:
+        """Return the predicted channels of each flight, (rows kept, C); not to be written to."""
+        changing = {name: params for name, params in point.effects.items() if not self._adds_nothing(name, params)}
+        point = replace(point, effects=changing)
+        key = (*_key(point), point.learned)
+        if key not in self._predictions:
+            self._predictions[key] = [found for part in self._parts for found in part.predict(point)]
+            if len(self._predictions) > PREDICTIONS:
+                self._predictions.popitem(last=False)
+        self._predictions.move_to_end(key)
+        return self._predictions[key]
+
+    def residuals(self, point: Point) -> list[Array]:
+        """Return measured minus predicted channels of each flight, (rows kept, C)."""
+        return [m - p for m, p in zip(self.measured, self.predict(point), strict=True)]
+
+    def felt(self, point: Point) -> list[Array]:
+        """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
+        return [felt for part in self._parts for felt in part.felt(point)]
+
+    def _adds_nothing(self, name: str, params: Array) -> bool:
+        effect = EFFECTS.get(name)
+        return isinstance(effect, ADDED) and np.array_equal(params, effect.neutral(self.robot))

@@ -3,13 +3,13 @@
 Letters: B blocks of time, C channels, K parameters.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from aerial_gym.sim2real.fit import Fit, best_step
+from aerial_gym.sim2real.fit import Fit, steps_without
 from aerial_gym.sim2real.moments import Moments, Weighting
 from aerial_gym.sim2real.prediction import Channel
 from aerial_gym.sim2real.uncertainty import Uncertainty
@@ -67,6 +67,12 @@ class Scored:
     def effects(self) -> tuple[str, ...]:
         """Return the fitted effects."""
         return self.fit.effects
+
+    @property
+    def summed(self) -> "Scored":
+        """Return the model with the sums over all blocks alone: it can be shown and compared, no flight can be left out."""
+        moments = self.fit.moments
+        return replace(self, fit=replace(self.fit, moments=moments.joined(np.zeros_like(moments.flight))))
 
     @property
     def penalty(self) -> float:
@@ -129,10 +135,7 @@ class LeftOut:
 
     def squares(self, fit: Fit) -> Array:
         """Return the squares (B, C) of each fold under the fit of the others, of effects and of what tolerances allow."""
-        steps, fold = np.zeros((self.fold.size, fit.low.size)), self.fold
-        for left in np.unique(fold):
-            steps[fold == left] = best_step(fit, self.weights.weight, fit.free_all, np.flatnonzero(fold != left))
-        return fit.moments.squares_after(steps)
+        return fit.moments.squares_after(steps_without(fit, self.weights.weight, fit.free_all, self.fold))
 
     def gain(self, less: Array, more: Array) -> Gain:
         """Return what one set of left-out squares (B, C) gains over another.

@@ -91,6 +91,11 @@ class Trial:
         return f"{self.effect} of rotor {self.scored.fit.point.effects[self.effect][0]:.0f}"
 
     @property
+    def summed(self) -> "Trial":
+        """Return the trial with the sums over all its blocks in place of those of each: some per cent of the memory."""
+        return self if self.scored is None else replace(self, scored=self.scored.summed)
+
+    @property
     def score(self) -> float:
         """Return the gain in log likelihood, minus infinity if it cannot be tested."""
         return -np.inf if self.gain is None else self.gain.score
@@ -168,13 +173,12 @@ class _Selector:
 
     def with_starts(self, columns: list[Array]) -> list[Array]:
         """Return derivatives (rows, C, any) with those of effects that have several starts beside them, at each of these."""
+        parts = [columns]
         for name in self.candidates:
             if self.has_starts(name) and name not in self.lacking and name not in self.declared.effects:
                 for point in self.points(name, self.declared):
-                    base = self.predictor.predict(point)
-                    more = effect_jacobian(self.predictor, point, (name,), base)
-                    columns = [np.concatenate(pair, axis=2) for pair in zip(columns, more, strict=True)]
-        return columns
+                    parts.append(effect_jacobian(self.predictor, point, (name,), self.predictor.predict(point)))
+        return [np.concatenate(group, axis=2) for group in zip(*parts, strict=True)]
 
     def run(self) -> Selection:
         """Select, prune, weigh the rivals."""
@@ -183,12 +187,12 @@ class _Selector:
         acceptance: dict[str, Trial] = {}
         while len(rounds) <= 2 * len(self.candidates):  # pruning could in principle go in a circle
             trials = self.try_all(current, len(rounds))
-            rounds.append(tuple(trials))
+            rounds.append(tuple(trial.summed for trial in trials))
             passed = [trial for trial in trials if not trial.objections]
             chosen = self.simplest(passed) or self.best_pair(trials, current)
             if not chosen:
                 break
-            acceptance |= {trial.effect: trial for trial in chosen}
+            acceptance |= {trial.effect: trial.summed for trial in chosen}
             assert chosen[0].scored is not None
             current = self.prune(chosen[0].scored, newest={trial.effect for trial in chosen})
             current = self.within_bounds(self.linearise_tolerances(current))
@@ -438,7 +442,7 @@ class _Selector:
         for trial in self.try_each(others, less, fewest=1):
             if trial.scored is not None:
                 gain, back = self.compare(final, trial.scored), self.compare(trial.scored, final)
-                trials.append(replace(trial, gain=replace(gain, chance=back.chance)))
+                trials.append(replace(trial.summed, gain=replace(gain, chance=back.chance)))
         return tuple(sorted(trials, key=lambda trial: -trial.score))
 
 

@@ -7,7 +7,17 @@ import pytest
 import torch
 
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse, quat_to_matrix
-from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, accelerations, advance, build_model, vehicle_from_config
+from aerial_gym.physics import (
+    EFFECTS,
+    INTEGRATORS,
+    BodyState,
+    accelerations,
+    advance,
+    build_model,
+    condition_in,
+    effects_from_config,
+    vehicle_from_config,
+)
 from aerial_gym.physics.integrators import to_body_state, to_mass_state
 from aerial_gym.physics.model import Model
 from tests.physics.vehicles import F64, lopsided_robot, random_state
@@ -173,3 +183,25 @@ def test_body_and_world_attitude_conventions_agree() -> None:
     torch.testing.assert_close(
         quat_to_matrix(end.attitude)[0, :, 0], torch.stack((angle.cos(), angle.sin(), angle * 0)), atol=1e-10, rtol=0
     )
+
+
+def test_what_effects_see_in_a_state_serves_all_models_of_the_vehicle() -> None:
+    """The condition of the bare vehicle gives the accelerations of one with drag and inflow, bit for bit."""
+    vehicle, state = vehicle_from_config(lopsided_robot(), num_envs=6, dtype=F64), random_state(6)
+    values = {"h_force_flapping": {"kh": 1e-5, "kf": 1e-6}, "axial_inflow": {"ka": 1e-4}}
+    effects = effects_from_config(values, num_envs=6, device=torch.device("cpu"), dtype=F64)
+    bare, model = build_model(vehicle), build_model(vehicle, effects)
+    still = torch.zeros_like(state.rotor_speed)
+    found, known = accelerations(model, state), accelerations(model, state, condition=condition_in(bare, state, still))
+    assert torch.equal(found.specific_force, known.specific_force)
+    assert torch.equal(found.ang_acc, known.ang_acc)
+
+
+def test_a_condition_with_another_thrust_keeps_what_follows_from_the_motion() -> None:
+    model, state = build_model(vehicle_from_config(lopsided_robot(), num_envs=2, dtype=F64)), random_state(2)
+    condition = condition_in(model, state, torch.zeros_like(state.rotor_speed))
+    hubs = condition.hub_velocity
+    other = condition.with_thrust(2.0 * condition.rotor_thrust)
+    assert other.hub_velocity is hubs
+    assert torch.equal(other.rotor_thrust, 2.0 * condition.rotor_thrust)
+    assert torch.equal(other.axial_velocity, condition.axial_velocity)

@@ -115,6 +115,28 @@ def test_squares_after_a_step_are_those_of_the_rows() -> None:
     np.testing.assert_allclose(found, ((r - j @ step) ** 2).sum(axis=0), rtol=1e-12)
 
 
+def test_sums_of_blocks_are_joined_by_label_and_whole_flights_are_one_block() -> None:
+    """Three flights of 8 s have four blocks each; joined by flight they are what whole flights give."""
+    rng = np.random.default_rng(10)
+    residuals, jacobians = (
+        [rng.standard_normal((240, 2)) for _ in "abc"],
+        [rng.standard_normal((240, 2, 3)) for _ in "abc"],
+    )
+    times = [np.arange(240) / 30.0] * 3
+    blocks, flights = (block_moments(times, residuals, jacobians, length=length) for length in (2.0, np.inf))
+    joined = blocks.joined(blocks.flight)
+    assert blocks.count.tolist() == [60.0] * 12
+    for some in (joined, flights):
+        assert some.count.tolist() == [240.0] * 3
+        assert some.flight.tolist() == [0, 1, 2]
+    for name in ("square", "gradient", "product"):
+        np.testing.assert_allclose(getattr(joined, name), getattr(flights, name), rtol=1e-12)
+    np.testing.assert_allclose(flights.gradient[1], np.einsum("tck,tc->ck", jacobians[1], residuals[1]), rtol=1e-12)
+    swapped = blocks.joined(2 - blocks.flight)
+    np.testing.assert_allclose(swapped.product, joined.product[::-1], rtol=1e-12)
+    assert swapped.flight.tolist() == [2, 1, 0]
+
+
 @pytest.mark.parametrize("memory", [0.0, 0.6, 0.9])
 def test_the_effective_share_of_an_autoregression(memory: float) -> None:
     """x' = a x + e has (1 - a) / (1 + a) independent samples per row (Geyer 1992, section 2)."""

@@ -1,13 +1,14 @@
 """How often an effect is chosen when flights are drawn again: against the selection's own statistics where nothing is drawn,
 and against effects whose strength is known."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from aerial_gym.sim2real.candidates import Candidate, Library, exact_along
-from aerial_gym.sim2real.fit import Fit
+from aerial_gym.sim2real.fit import WEAK_PRIOR, Fit
 from aerial_gym.sim2real.inclusion import RESAMPLES, draw_blocks
 from aerial_gym.sim2real.linear_selection import LinearSelector
 from aerial_gym.sim2real.moments import Weighting, block_moments
@@ -42,13 +43,13 @@ def made(
     return Library(candidates=candidates, moments=moments, tolerances=np.array([columns - 1])), left_out
 
 
-def selector(library: Library, left_out: LeftOut) -> LinearSelector:
+def selector(library: Library, left_out: LeftOut, draws: np.ndarray) -> LinearSelector:
     selection = SimpleNamespace(criteria=left_out.criteria, weights=left_out.weights, left_out=left_out)
-    return LinearSelector(library, selection)  # type: ignore[arg-type]
+    return LinearSelector(library, selection, draws)  # type: ignore[arg-type]
 
 
 def chosen(library: Library, left_out: LeftOut, seed: int = 0) -> list[tuple[int, ...]]:
-    return selector(library, left_out).select(draw_blocks(left_out.fold, np.random.default_rng(seed)))
+    return selector(library, left_out, draw_blocks(left_out.fold, np.random.default_rng(seed))).select()
 
 
 @pytest.mark.parametrize("flights", [1, 5])
@@ -70,11 +71,31 @@ def test_undrawn_flights_are_judged_as_the_selection_judges_them(size: float, fl
         squares = left_out.squares(fit)
         gain = left_out.gain(library.moments.square, squares)
         stands_out = wald_probability(spread.step[:1], spread) <= left_out.criteria.significance
-        once, linear = np.ones((1, left_out.fold.size)), selector(library, left_out)
-        found = linear.squares((0,), once)
-        np.testing.assert_allclose(found[0], squares, rtol=1e-9)
-        passes = linear.passes(linear.squares((), once), found, once, (0,), 0)
+        linear, only = selector(library, left_out, np.ones((1, left_out.fold.size))), np.zeros(1, dtype=int)
+        found = linear.fit((0,), only)
+        np.testing.assert_allclose(linear.squares(found, only)[0], squares, rtol=1e-9)
+        passes = linear.passes(linear.fit((), only), found, 0)
         assert bool(passes[0]) == (stands_out and not left_out.objections(gain))
+
+
+@pytest.mark.parametrize("flights", [4, 7])
+def test_drawn_flights_are_predicted_by_the_rows_of_the_others_as_often_as_drawn(flights: int) -> None:
+    """Against ridge regression on the rows themselves; few flights are drawn with their blocks, many are drawn whole."""
+    rng = np.random.default_rng(11)
+    r, j = rng.standard_normal((flights, ROWS, CHANNELS)), rng.standard_normal((flights, ROWS, CHANNELS, 3))
+    library, left_out = made(rng, np.zeros(2), flights=flights)
+    library = replace(library, moments=block_moments([np.arange(ROWS) / RATE] * flights, list(r), list(j)))
+    draws, j = draw_blocks(left_out.fold, rng)[:5], j[..., [1, 0, 2]]
+    found = selector(library, left_out, draws).fit((1, 0), np.arange(5))
+    for n, drawn in enumerate(draws.reshape(5, flights, -1)):
+        often = np.repeat(drawn, ROWS // drawn.shape[1], axis=1)  # each row, (flights, rows)
+        for out in range(flights):
+            others = often * (np.arange(flights) != out)[:, None]
+            normal = np.einsum("ft,ftck,ftcl->kl", others, j, j) + np.diag([WEAK_PRIOR**-2, WEAK_PRIOR**-2, 1.0])
+            step = np.linalg.solve(normal, np.einsum("ft,ftck,ftc->k", others, j, r))
+            np.testing.assert_allclose(found.step[out, n], step, rtol=1e-9, atol=1e-12)
+            totals = often[out] @ (r[out] - j[out] @ step) ** 2
+            np.testing.assert_allclose(found.totals[out, n], totals, rtol=1e-9)
 
 
 def test_a_clear_effect_is_always_chosen_an_absent_one_never_and_one_at_the_limit_sometimes() -> None:

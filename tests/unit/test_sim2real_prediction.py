@@ -13,7 +13,7 @@ from aerial_gym.sim2real.fit import effect_jacobian
 from aerial_gym.sim2real.flight_log import read_flight_log
 from aerial_gym.sim2real.flights import Flight, complete_flight, load_flights
 from aerial_gym.sim2real.noise import noise_floor
-from aerial_gym.sim2real.prediction import Channel, Point, Predictor, declared_point, find_channels
+from aerial_gym.sim2real.prediction import Channel, Point, Predictor, declared_point, find_channels, together
 from aerial_gym.sim2real.rollout import find_windows, roll_out
 from aerial_gym.sim2real.rotor_replay import RotorReplay
 from aerial_gym.sim2real.signals import uniform_log
@@ -169,6 +169,67 @@ def test_the_jacobian_of_a_wrench_effect_is_its_regressor(tmp_path: Path) -> Non
     zero = predictor.predict(Point())[0]
     one = predictor.predict(Point(effects={"rotor_drag": np.array([0.1, 0.0, 0.0])}))[0]
     np.testing.assert_allclose(jacobian[:, :, 0], one - zero, atol=1e-8)
+
+
+MODELS = {
+    "declared": Point(),
+    "drag": Point(effects={"rotor_drag": np.full(3, 0.2)}),
+    "inflow": Point(effects={"axial_inflow": np.array([1e-5]), "h_force_flapping": np.array([1e-5, 1e-6])}),
+    "wind": Point(effects={"rotor_drag": np.full(3, 0.2), "constant_wind": np.array([1.0, -2.0, 0.5])}),
+    "other wind": Point(effects={"rotor_drag": np.full(3, 0.2), "constant_wind": np.array([-1.0, 0.0, 0.5])}),
+    "heavy": Point(effects={"payload_mass": np.array([0.1])}),
+    "off": Point(effects={"rotor_drag": np.full(3, 0.2)}, deviation=np.linspace(-1.0, 1.0, 20)),
+    "turned sensor": Point(effects={"imu_misalignment": np.array([0.02, 0.01, -0.03])}),
+    "misread speeds": Point(effects={"rotor_speed_scale": np.array([1.1])}),
+}
+
+
+def test_a_prediction_does_not_depend_on_the_models_predicted_before(tmp_path: Path) -> None:
+    """Bit for bit: nothing that is kept of one model is used for another one that it does not hold for."""
+    found = load(tmp_path)
+
+    def new() -> Predictor:
+        return Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
+
+    alone = {name: new().predict(point)[0] for name, point in MODELS.items()}
+    distinct = {values.tobytes() for values in alone.values()}
+    assert len(distinct) == len(MODELS)
+    same, order = new(), np.random.default_rng(0).integers(0, len(MODELS), 60)
+    for name in (list(MODELS)[place] for place in order):
+        np.testing.assert_array_equal(same.predict(MODELS[name])[0], alone[name], err_msg=name)
+
+
+def test_neighbouring_flights_are_evaluated_together_up_to_a_number_of_rows() -> None:
+    assert together([3000, 5000, 1, 9000, 100, 200]) == [slice(0, 2), slice(2, 3), slice(3, 4), slice(4, 6)]
+    assert together([9000]) == [slice(0, 1)]
+
+
+def test_flights_are_predicted_alike_alone_and_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To rounding, and in their order: three flights of different lengths."""
+    paths = [write(flight(seed, seconds=6.0 + seed), tmp_path / f"{seed}.csv") for seed in range(3)]
+    flights = load_flights(paths, ROBOT, mapping=None, bandwidth=BAND)
+    channels = find_channels(flights)
+    predictors = []
+    for most in (1, 10**6):
+        monkeypatch.setattr("aerial_gym.sim2real.prediction.MOST_ROWS", most)
+        predictors.append(Predictor(ROBOT, flights, bandwidth=BAND, channels=channels, tolerances=Tolerances()))
+    for name, point in MODELS.items():
+        for alone, beside in zip(*(predictor.predict(point) for predictor in predictors), strict=True):
+            np.testing.assert_allclose(alone, beside, rtol=1e-9, atol=1e-10, err_msg=name)
+    for alone, beside in zip(*(predictor.times for predictor in predictors), strict=True):
+        np.testing.assert_array_equal(alone, beside)
+
+
+def test_an_error_of_the_sensors_that_is_none_changes_no_channel(tmp_path: Path) -> None:
+    """Kinematic channels of a model without such errors are filtered once; those with them, in every prediction."""
+    found = load(tmp_path)
+    predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
+    for deviation in (None, np.linspace(-1.0, 1.0, predictor.num_tolerances)):
+        point = Point(deviation=deviation)
+        without, neutral = (
+            predictor.predict(p)[0] for p in (point, point.with_effect("imu_misalignment", np.zeros(3)))
+        )
+        np.testing.assert_allclose(without, neutral, atol=1e-10)
 
 
 def test_rollouts_of_an_exact_flight_stay_on_it_and_find_the_error_of_a_wrong_mass(tmp_path: Path) -> None:

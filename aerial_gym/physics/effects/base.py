@@ -8,7 +8,7 @@ Frames: body is x forward, y left, z up; world is z up.
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar, Literal
 
@@ -19,6 +19,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate_inverse
+from aerial_gym.math.short import dot, sum_slices
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
 ActsOn = Literal["rotor", "actuation", "wrench", "inertia", "environment", "sensor"]
@@ -115,7 +116,7 @@ class Condition:
     @cached_property
     def hub_altitude(self) -> Tensor:
         """World z of the hubs [m], (E, R)."""
-        return self.position[:, 2:] + (self.lever * self.up.unsqueeze(1)).sum(-1)
+        return self.position[:, 2:] + dot(self.lever, self.up.unsqueeze(1))
 
     @cached_property
     def hub_height(self) -> Tensor:
@@ -130,22 +131,43 @@ class Condition:
     @cached_property
     def axial_velocity(self) -> Tensor:
         """Velocity of the hubs through the air along their rotors' axes [m/s], (E, R)."""
-        return (self.hub_velocity * self.axis).sum(-1)
+        return dot(self.hub_velocity, self.axis)
 
     @cached_property
     def edgewise_velocity(self) -> Tensor:
         """Velocity of the hubs through the air in the planes of their rotors [m/s], body, (E, R, 3)."""
         return self.hub_velocity - self.axial_velocity.unsqueeze(-1) * self.axis
 
+    def with_thrust(self, thrust: Tensor) -> "Condition":
+        """Return the condition with other thrusts [N], (E, R); what follows from the motion is not worked out again."""
+        other = replace(self, rotor_thrust=thrust)
+        for name in _FROM_MOTION & vars(self).keys():
+            vars(other)[name] = vars(self)[name]
+        return other
+
+
+_FROM_MOTION = {name for name, value in vars(Condition).items() if isinstance(value, cached_property)}
+
 
 def _turn(ang_vel: Tensor, lever: Tensor) -> Tensor:
     """Return ``w x l``, (E, R, 3), for w (E, 3) and l (E, R, 3) or (1, R, 3)."""
     if lever.shape[0] != 1:
         return torch.linalg.cross(ang_vel.unsqueeze(1), lever, dim=-1)
-    x, y, z = lever[0].unbind(-1)
+    return (ang_vel @ _unit_turns(lever[0]).transpose(0, 1).reshape(3, -1)).view(-1, lever.shape[1], 3)
+
+
+def sum_of_crosses(vector: Tensor, arm: Tensor) -> Tensor:
+    """Return ``sum_r v_r x a_r``, (E, 3), for vectors v (E, R, 3) and arms a (E, R, 3) or (1, R, 3)."""
+    if arm.shape[0] != 1:
+        return sum_slices(torch.linalg.cross(vector, arm, dim=-1), 1)
+    return vector.flatten(1) @ _unit_turns(arm[0]).reshape(-1, 3)
+
+
+def _unit_turns(arm: Tensor) -> Tensor:
+    """Return ``e_k x a`` in row k, (R, 3, 3), for arms a (R, 3)."""
+    x, y, z = arm.unbind(-1)
     zero = torch.zeros_like(x)
-    rows = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).view(-1, 3, 3)  # e_k x l
-    return (ang_vel @ rows.transpose(0, 1).reshape(3, -1)).view(-1, lever.shape[1], 3)
+    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).view(-1, 3, 3)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.physics.effects.base import Condition, LinearWrenchEffect, Parameter
+from aerial_gym.math.short import sum_slices
+from aerial_gym.physics.effects.base import Condition, LinearWrenchEffect, Parameter, sum_of_crosses
 
 
 class HForceFlapping(LinearWrenchEffect):
@@ -38,10 +39,8 @@ class HForceFlapping(LinearWrenchEffect):
     def regressor(self, condition: Condition) -> Tensor:
         """Return (E, 6, 2), the sums over the rotors."""
         flow = condition.rotor_speed.unsqueeze(-1) * condition.edgewise_velocity
-        force = -flow.sum(1)
-        torque = -torch.linalg.cross(condition.lever, flow, dim=-1).sum(1)
-        moment = torch.linalg.cross(flow, condition.axis, dim=-1).sum(1)
-        in_plane = torch.cat((force, torque), dim=1)
+        in_plane = torch.cat((-sum_slices(flow, 1), sum_of_crosses(flow, condition.lever)), dim=1)
+        moment = sum_of_crosses(flow, condition.axis)
         return torch.stack((in_plane, torch.cat((torch.zeros_like(moment), moment), dim=1)), dim=2)
 
     def warp_wrench(self, condition: type) -> wp.Function:

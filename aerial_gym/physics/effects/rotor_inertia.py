@@ -13,6 +13,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.math.short import sum_slices
 from aerial_gym.physics.effects.base import Condition, LinearWrenchEffect, Parameter
 
 
@@ -31,7 +32,7 @@ class RotorInertia(LinearWrenchEffect):
         """Return (E, 6, 1)."""
         spin = condition.vehicle.rotor_spin[: condition.axis.shape[0]]  # shared wherever the axes are
         momentum, change = (
-            ((spin * speed).unsqueeze(-1) * condition.axis).sum(1)
+            sum_slices((spin * speed).unsqueeze(-1) * condition.axis, 1)
             for speed in (condition.rotor_speed, condition.rotor_acc)
         )
         torque = -change - torch.linalg.cross(condition.ang_vel, momentum)

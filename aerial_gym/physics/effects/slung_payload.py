@@ -27,6 +27,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.math.short import dot
 from aerial_gym.physics.effects.base import LoadEffect, Parameter, Suspension
 
 FITTED_LENGTHS = (0.3, 0.5, 0.8, 1.3, 2.1)
@@ -85,16 +86,16 @@ class SlungPayload(LoadEffect):
         """Return F and n''."""
         mass, length, damping = (params[:, k : k + 1] for k in range(3))
         direction, rate = load[:, :3], load[:, 3:]
-        square = rate.square().sum(-1, keepdim=True)
+        square = dot(rate, rate).unsqueeze(-1)
         reaction = damping * length * rate
-        yielding = (suspension.mobility * direction.unsqueeze(-2)).sum(-1)
+        yielding = dot(suspension.mobility, direction.unsqueeze(-2))
         ax, ay, az = suspension.acceleration.unbind(-1)
         hanging = torch.stack((-ax, -ay, -az - suspension.gravity), dim=-1)
-        hanging = hanging - (suspension.mobility * reaction.unsqueeze(-2)).sum(-1)
-        along = mass * ((hanging * direction).sum(-1, keepdim=True) + length * square)
-        tension = along / (1.0 + mass * (yielding * direction).sum(-1, keepdim=True))
+        hanging = hanging - dot(suspension.mobility, reaction.unsqueeze(-2))
+        along = mass * (dot(hanging, direction).unsqueeze(-1) + length * square)
+        tension = along / (1.0 + mass * dot(yielding, direction).unsqueeze(-1))
         push = hanging - yielding * tension
-        across = push - (push * direction).sum(-1, keepdim=True) * direction
+        across = push - dot(push, direction).unsqueeze(-1) * direction
         swing = across / length - damping / mass.clamp_min(LEAST_MASS) * rate - square * direction
         return tension * direction + reaction, swing
 

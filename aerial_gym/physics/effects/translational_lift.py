@@ -12,6 +12,7 @@ Leishman (2006), Principles of Helicopter Aerodynamics, section 2.14.2 (Glauert'
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.math.short import dot
 from aerial_gym.physics.effects.base import Condition, Parameter, RotorEffect
 
 
@@ -29,7 +30,7 @@ class TranslationalLift(RotorEffect):
 
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
         """Return ``kt |v_e|²``."""
-        return params[:, :1] * condition.edgewise_velocity.square().sum(-1)
+        return params[:, :1] * dot(condition.edgewise_velocity, condition.edgewise_velocity)
 
     def warp_thrust(self, condition: type, hub: type) -> wp.Function:
         """Return the same in Warp."""
