@@ -37,7 +37,7 @@ QUIET_SPEED = 0.3
 
 def check_log(log: FlightLog, robot: RobotCfg) -> list[str]:
     """Raise ``DataError`` for a log that is not what it claims to be; return notes about lesser defects."""
-    _check_size(log, robot)
+    _check_rotors(log, robot)
     _check_constant_columns(log)
     attitude = Rotation.from_quat(log.attitude)
     _check_attitude_against_rate(log, attitude)
@@ -53,7 +53,8 @@ def rate_of(log: FlightLog) -> float:
     return (log.time.size - 1) / float(log.time[-1] - log.time[0])
 
 
-def _check_size(log: FlightLog, robot: RobotCfg) -> None:
+def check_time(log: FlightLog) -> None:
+    """Raise ``DataError`` for a log that is too short or too slow; first of all, for a wrong unit of t looks like much else."""
     span = float(log.time[-1] - log.time[0]) if log.time.size > 1 else 0.0
     if span < SHORTEST_S:
         raise DataError(f"{log.path}: lasts {span:.3g} s, needs at least {SHORTEST_S:g} s; is t in seconds?")
@@ -62,6 +63,9 @@ def _check_size(log: FlightLog, robot: RobotCfg) -> None:
             f"{log.path}: has {rate_of(log):.3g} rows per second, needs at least {LOWEST_RATE_HZ:g}; "
             "log faster, and check that t is in seconds"
         )
+
+
+def _check_rotors(log: FlightLog, robot: RobotCfg) -> None:
     if log.num_rotors != robot.num_rotors:
         raise DataError(
             f"{log.path}: has {log.num_rotors} rotor columns, the robot has {robot.num_rotors} rotors; "

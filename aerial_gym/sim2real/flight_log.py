@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 
 HEADER_LINES = 1
 
+FEW_DIGITS = 20
+"""If time stands still in more than one row of so many, it was written with too few digits."""
+
 COMPANION_GAP_S = 0.1
 """Longest gap [s] in another vehicle's log across which its position is interpolated."""
 
@@ -313,6 +316,11 @@ def _time(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
     strict = ColumnsCfg(columns=(column,))
     time = _fields(table, [column], strict, np.zeros(len(table)), path, [])[:, 0] * UNITS[layout.time.unit]
     back = np.flatnonzero(np.diff(time) <= 0.0)
+    if back.size * FEW_DIGITS > time.size and np.all(np.diff(time) >= 0.0):
+        raise DataError(
+            f"{path}: {column} is the same in {back.size} rows as in the row before; it has too few digits to tell rows apart: "
+            "write it with more, counted from the start of the flight"
+        )
     if back.size:
         row = int(back[0]) + 1
         raise DataError(

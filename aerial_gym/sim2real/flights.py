@@ -17,11 +17,11 @@ from aerial_gym.errors import DataError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.model import STANDARD_GRAVITY
 from aerial_gym.physics.rotors import evaluate_map, rotor_wrench
-from aerial_gym.sim2real.checks import body_rate_of, check_log, check_quaternion_norm, rate_of
+from aerial_gym.sim2real.checks import body_rate_of, check_log, check_quaternion_norm, check_time, rate_of
 from aerial_gym.sim2real.flight_log import FlightLog, read_flight_log
 from aerial_gym.sim2real.held import mend_holds
 from aerial_gym.sim2real.mapping import LogMapping
-from aerial_gym.sim2real.signals import lowpass, rotor_log_lead, shift_rotor_log, uniform_log
+from aerial_gym.sim2real.signals import lowpass, rotor_log_lead, shift_rotor_log, uniform_log, without_gaps
 
 Array = NDArray[np.float64]
 
@@ -138,8 +138,9 @@ def load_flights(
 def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None, bandwidth: float) -> Flight:
     """Return one flight: read, repeated values mended, made uniform, checked, rotor log aligned, missing states derived."""
     log = read_flight_log(path, mapping=mapping)
+    check_time(log)
     check_quaternion_norm(log)
-    log = uniform_log(mend_holds(log))
+    log = uniform_log(mend_holds(without_gaps(log)))
     notes = check_log(log, robot)
     log = align_rotor_log(with_velocity(log), robot, bandwidth)
     return complete_flight(match_hover_thrust(log, robot), notes)

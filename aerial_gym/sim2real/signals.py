@@ -91,8 +91,8 @@ def continuous_quaternion(attitude: Array) -> Array:
     return unit * np.concatenate(([1.0], flips))[:, None]
 
 
-def uniform_log(log: FlightLog) -> FlightLog:
-    """Return the log with equal time steps and unit quaternions without jumps of sign; commands stay held.
+def without_gaps(log: FlightLog) -> FlightLog:
+    """Return the log without a short piece at either end that a gap in time cuts off.
 
     Raises:
         DataError: If rows are missing for longer than can be bridged.
@@ -106,6 +106,18 @@ def uniform_log(log: FlightLog) -> FlightLog:
             f"{log.where(gap + 1)}: {steps[gap]:.3g} s after the row before, where {step:.3g} s are usual; "
             "cut the log there and give both parts as flights"
         )
+    return log
+
+
+def uniform_log(log: FlightLog) -> FlightLog:
+    """Return the log with equal time steps and unit quaternions without jumps of sign; commands stay held.
+
+    Raises:
+        DataError: If rows are missing for longer than can be bridged.
+    """
+    log = without_gaps(log)
+    steps = np.diff(log.time)
+    step = float(np.median(steps))
     attitude = continuous_quaternion(log.attitude)
     if np.abs(steps - step).max() <= 0.1 * step:
         return replace(log, attitude=attitude)

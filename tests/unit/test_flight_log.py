@@ -59,6 +59,10 @@ def test_empty_columns_are_a_sensor_that_was_not_there(table: pd.DataFrame, tmp_
         (lambda t: t.drop(columns=[f"rotor_{n}" for n in range(1, 5)]), r"needs the columns rotor_\{n\} or cmd_\{n\}"),
         (lambda t: t.assign(cmd_1=900.0, cmd_2=900.0), r"has 4 rotor speeds and 2 commands"),
         (lambda t: t.assign(t=t["t"].where(t.index != 50, t["t"][49])), r"line 52: t = 0\.49 s does not increase"),
+        (
+            lambda t: t.assign(t=t["t"].round(1)),
+            r"t is the same in \d+ rows as in the row before; it has too few digits",
+        ),
         (lambda t: t.assign(t=-t["t"]), r"line 3: t = -0\.01 s does not increase .*sort the rows"),
         (
             lambda t: t.assign(omega_x=t["omega_x"].where(t.index != 7)),

@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.checks import body_rate_of, check_log, check_quaternion_norm
+from aerial_gym.sim2real.checks import body_rate_of, check_log, check_quaternion_norm, check_time
 from aerial_gym.sim2real.flight_log import read_flight_log
-from aerial_gym.sim2real.flights import load_flights
+from aerial_gym.sim2real.flights import load_flight, load_flights
 from aerial_gym.sim2real.signals import uniform_log
 from tests.unit.flat_flights import ROBOT, flight, write
 
@@ -29,6 +29,7 @@ def table() -> pd.DataFrame:
 
 def check(table: pd.DataFrame, folder: Path) -> list[str]:
     log = read_flight_log(write(table, folder / "a.csv"))
+    check_time(log)
     check_quaternion_norm(log)
     return check_log(uniform_log(log), ROBOT)
 
@@ -126,6 +127,32 @@ def test_a_gap_in_time_is_refused_and_jitter_is_not(table: pd.DataFrame, tmp_pat
         check(table.drop(index=range(200, 300)), tmp_path)
     jitter = table.assign(t=table["t"] + 0.002 * np.sin(np.arange(len(table))))
     assert check(jitter, tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda t: t.drop(index=range(200, 300)),
+            r"line 202 .*: 1\.01 s after the row before, where 0\.01 s are usual",
+        ),
+        (lambda t: t.assign(t=1e3 * t["t"]), r"0\.1 rows per second, .*check that t is in seconds"),
+        (lambda t: t.assign(t=1e-3 * t["t"]), r"lasts 0\.00799 s, .*is t in seconds"),
+        (lambda t: t.assign(t=1e9 * t["t"]), r"1e-07 rows per second, .*check that t is in seconds"),
+    ],
+)
+def test_a_defect_of_the_time_is_not_taken_for_a_frozen_sensor(
+    table: pd.DataFrame, tmp_path: Path, change: object, message: str
+) -> None:
+    """A value may repeat beside a gap; the gap is what is named."""
+    slow = table.copy()
+    slow.loc[200, ["p_x", "p_y", "p_z"]] = slow.loc[199, ["p_x", "p_y", "p_z"]]
+    slow.loc[300, ["p_x", "p_y", "p_z"]] = slow.loc[199, ["p_x", "p_y", "p_z"]]
+    path = write(change(slow), tmp_path / "a.csv")  # type: ignore[operator]
+    with pytest.raises(DataError, match=message):
+        load_flight(path, ROBOT, mapping=None, bandwidth=10.0)
+    path = write(table.assign(t=table["t"] + 1.7e9), tmp_path / "epoch.csv")
+    assert load_flight(path, ROBOT, mapping=None, bandwidth=10.0).time[0] == 0.0
 
 
 def test_one_flight_is_not_two(table: pd.DataFrame, tmp_path: Path) -> None:
