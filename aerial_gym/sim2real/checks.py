@@ -16,6 +16,7 @@ from aerial_gym.physics.model import STANDARD_GRAVITY
 from aerial_gym.sim2real.flight_log import FlightLog
 from aerial_gym.sim2real.kinematics import kinematic_agreement
 from aerial_gym.sim2real.mapping import UNITS
+from aerial_gym.sim2real.rotor_checks import check_rotors
 from aerial_gym.sim2real.signals import lowpass
 
 Array = NDArray[np.float64]
@@ -37,14 +38,13 @@ QUIET_SPEED = 0.3
 
 def check_log(log: FlightLog, robot: RobotCfg) -> list[str]:
     """Raise ``DataError`` for a log that is not what it claims to be; return notes about lesser defects."""
-    _check_rotors(log, robot)
+    check_rotors(log, robot)
     _check_constant_columns(log)
     attitude = Rotation.from_quat(log.attitude)
     _check_attitude_against_rate(log, attitude)
     _check_gravity(log, attitude)
     _check_velocity(log, attitude)
     _check_force_frame(log, attitude)
-    _check_rotor_unit(log, robot)
     return [text for agreement in kinematic_agreement(log) for text in agreement.sentences()]
 
 
@@ -62,14 +62,6 @@ def check_time(log: FlightLog) -> None:
         raise DataError(
             f"{log.path}: has {rate_of(log):.3g} rows per second, needs at least {LOWEST_RATE_HZ:g}; "
             "log faster, and check that t is in seconds"
-        )
-
-
-def _check_rotors(log: FlightLog, robot: RobotCfg) -> None:
-    if log.num_rotors != robot.num_rotors:
-        raise DataError(
-            f"{log.path}: has {log.num_rotors} rotor columns, the robot has {robot.num_rotors} rotors; "
-            "give the robot that flew, or correct the columns"
         )
 
 
@@ -230,28 +222,4 @@ def _check_force_frame(log: FlightLog, attitude: Rotation) -> None:
         raise DataError(
             f"{log.path}: specific force (acc_x, acc_y, acc_z) agrees with the motion in world axes, not in body axes; "
             "turn it into body axes with the inverse of the attitude"
-        )
-
-
-def _check_rotor_unit(log: FlightLog, robot: RobotCfg) -> None:
-    """The declared thrust at the logged speeds must carry the vehicle, give or take a factor of three."""
-    c0, c1, c2 = robot.rotor.thrust_map
-    for name, values in (("rotor", log.rotor_speed), ("cmd", log.rotor_command)):
-        if values is None:
-            continue
-        thrust = float((c0 + c1 * values + c2 * values**2).sum(axis=1).mean())
-        ratio = thrust / (robot.body.mass * STANDARD_GRAVITY)
-        if 1.0 / 3.0 < ratio < 3.0:
-            continue
-        speed = float(np.median(values))
-        guess = "check the unit (rad/s) and the robot"
-        for unit in ("rpm", "rev/s"):
-            scaled = UNITS[unit] * values
-            if 0.5 < float((c0 + c1 * scaled + c2 * scaled**2).sum(axis=1).mean()) * ratio / thrust < 2.0:
-                guess = f"it looks like {unit}: convert to rad/s, or give unit: {unit} in a mapping file"
-        if np.all((values >= 0.0) & (values <= 1.0)):
-            guess = "it looks like a fraction of full throttle: leave these columns out, or convert them to rad/s"
-        raise DataError(
-            f"{log.path}: {name}_1..{values.shape[1]} (median {speed:.4g}) would give {ratio:.3g} times the weight of the "
-            f"declared robot; {guess}"
         )

@@ -21,6 +21,7 @@ from aerial_gym.sim2real.checks import body_rate_of, check_log, check_quaternion
 from aerial_gym.sim2real.flight_log import FlightLog, read_flight_log
 from aerial_gym.sim2real.held import mend_holds
 from aerial_gym.sim2real.mapping import LogMapping
+from aerial_gym.sim2real.rotor_checks import without_copied_commands
 from aerial_gym.sim2real.signals import lowpass, rotor_log_lead, shift_rotor_log, uniform_log, without_gaps
 
 Array = NDArray[np.float64]
@@ -140,7 +141,7 @@ def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None
     log = read_flight_log(path, mapping=mapping)
     check_time(log)
     check_quaternion_norm(log)
-    log = uniform_log(mend_holds(without_gaps(log)))
+    log = uniform_log(mend_holds(without_gaps(without_copied_commands(log))))
     notes = check_log(log, robot)
     log = align_rotor_log(with_velocity(log), robot, bandwidth)
     return complete_flight(match_hover_thrust(log, robot), notes)
