@@ -23,6 +23,7 @@ from aerial_gym.sim2real.held import mend_holds
 from aerial_gym.sim2real.mapping import LogMapping
 from aerial_gym.sim2real.rotor_checks import without_copied_commands
 from aerial_gym.sim2real.signals import lowpass, rotor_log_lead, shift_rotor_log, uniform_log, without_gaps
+from aerial_gym.sim2real.standing import standing_rows
 
 Array = NDArray[np.float64]
 
@@ -144,7 +145,8 @@ def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None
     log = uniform_log(mend_holds(without_gaps(without_copied_commands(log))))
     notes = check_log(log, robot)
     log = align_rotor_log(with_velocity(log), robot, bandwidth)
-    return complete_flight(match_hover_thrust(log, robot), notes)
+    log = match_hover_thrust(log, robot)
+    return complete_flight(log, notes, standing=standing_rows(log, robot))
 
 
 def with_velocity(log: FlightLog) -> FlightLog:
@@ -199,8 +201,11 @@ def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
     return replace(log, rotor_command=scale * log.rotor_command, notes=(*log.notes, note))
 
 
-def complete_flight(log: FlightLog, notes: Sequence[str] = ()) -> Flight:
-    """Return the flight with specific force and angular velocity derived where the log lacks them."""
+def complete_flight(log: FlightLog, notes: Sequence[str] = (), *, standing: NDArray[np.bool_] | None = None) -> Flight:
+    """Return the flight with specific force and angular velocity derived where the log lacks them.
+
+    ``standing``: rows in which the vehicle stands, (T,); those that the mapping tells by the height come to them.
+    """
     rate, said = rate_of(log), [*log.notes, *notes]
     band = DERIVED_BAND * rate
     specific_force, ang_vel = log.specific_force, log.ang_vel
@@ -217,9 +222,10 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = ()) -> Flight:
         said.append("one command for all rotors: angular acceleration is not compared")
     if not log.torques:
         said.append("the mapping says that these logs do not show torques: angular acceleration is not compared")
-    standing = None
     if log.lift_off > 0.0 and log.position is not None:
-        standing = log.position[:, 2] <= log.position[:, 2].min() + log.lift_off
+        low = log.position[:, 2] <= log.position[:, 2].min() + log.lift_off
+        standing = low if standing is None else low | standing
+    if standing is not None:
         said.append(f"stands on the ground in {standing.mean():.0%} of the rows; they are not compared")
     return Flight(
         name=log.name,

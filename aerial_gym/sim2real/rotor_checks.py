@@ -37,8 +37,9 @@ def check_rotors(log: FlightLog, robot: RobotCfg) -> None:
 
 
 def without_copied_commands(log: FlightLog) -> FlightLog:
-    """Return the log without commands that are the measured speeds themselves: no rotor follows at once and to the last digit."""
-    if log.rotor_speed is None or log.rotor_command is None or not np.array_equal(log.rotor_speed, log.rotor_command):
+    """Return the log without commands that are the measured speeds: no rotor follows at once and to the last digit."""
+    speed, command = log.rotor_speed, log.rotor_command
+    if speed is None or command is None or not np.array_equal(speed, command):
         return log
     note = "commands equal the measured rotor speeds in every row: a copy, which says nothing about lag; left out"
     return replace(log, rotor_command=None, notes=(*log.notes, note))
@@ -55,17 +56,20 @@ def _check_sign(log: FlightLog, name: str, values: Array) -> None:
 
 
 def _check_unit(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> None:
-    """The declared thrust at the logged speeds must carry the vehicle, give or take a factor of three."""
+    """The declared thrust at the logged speeds must carry the vehicle, give or take a factor of three; it may stand at times."""
     c0, c1, c2 = robot.rotor.thrust_map
-    thrust = float((c0 + c1 * values + c2 * values**2).sum(axis=1).mean())
+
+    def lift(speeds: Array) -> float:
+        return float(np.percentile((c0 + c1 * speeds + c2 * speeds**2).sum(axis=1), 90.0))
+
+    thrust = lift(values)
     ratio = thrust / (robot.body.mass * STANDARD_GRAVITY)
     if 1.0 / 3.0 < ratio < 3.0:
         return
     speed = float(np.median(values))
     guess = "check the unit (rad/s) and the robot"
     for unit in ("rpm", "rev/s"):
-        scaled = UNITS[unit] * values
-        if 0.5 < float((c0 + c1 * scaled + c2 * scaled**2).sum(axis=1).mean()) * ratio / thrust < 2.0:
+        if 0.5 < lift(UNITS[unit] * values) * ratio / thrust < 2.0:
             guess = f"it looks like {unit}: convert to rad/s, or give unit: {unit} in a mapping file"
     if np.all((values >= 0.0) & (values <= 1.0)):
         guess = "it looks like a fraction of full throttle: leave these columns out, or convert them to rad/s"
