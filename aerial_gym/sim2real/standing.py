@@ -59,12 +59,13 @@ def standing_rows(log: FlightLog, robot: RobotCfg) -> Rows | None:
     certain = rest & (thrust < IDLE)
     if not certain.any():
         return None
-    pieces, _ = ndimage.label(rest & (thrust < LIFTING))
-    standing = np.isin(pieces, np.unique(pieces[certain]))
+    likely = rest & (thrust < LIFTING)
+    piece = np.cumsum(np.diff(likely, prepend=False))
+    standing = likely & np.isin(piece, piece[certain])
     if standing.mean() > MOST:
         raise DataError(
-            f"{log.path}: the vehicle stands on the ground in {standing.mean():.0%} of the rows: at rest, while its rotors give "
-            "less than half its weight; cut the log to the flight"
+            f"{log.path}: the vehicle stands on the ground in {standing.mean():.0%} of the rows: at rest, while its rotors "
+            "give less than half its weight; cut the log to the flight"
         )
     return standing
 
