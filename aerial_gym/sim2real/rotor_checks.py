@@ -56,7 +56,7 @@ def _check_sign(log: FlightLog, name: str, values: Array) -> None:
 
 
 def _check_unit(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> None:
-    """The declared thrust at the logged speeds must carry the vehicle, give or take a factor of three; it may stand at times."""
+    """The declared thrust at high logged speeds must carry the vehicle, give or take a factor of three."""
     c0, c1, c2 = robot.rotor.thrust_map
 
     def lift(speeds: Array) -> float:

@@ -14,6 +14,7 @@ from aerial_gym.cli.main import main
 from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real import close_loop, replay
 from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test, silent
@@ -268,7 +269,8 @@ def test_forces_at_an_unknown_airspeed_are_not_called_unexplained(tmp_path: Path
         table = flight(50 + seed, drag=DRAG, noise=1.0, seconds=4.0, rate=100.0)
         write(table.drop(columns=[f"{name}_{axis}" for name in "pv" for axis in "xyz"]), path)
     flights = load_train_and_test(robot, paths[:1], paths[1:], None, 10.0, silent)
-    verdict = judge_flights(robot, *flights).verdict
+    with one_thread():
+        verdict = judge_flights(robot, *flights).verdict
     assert verdict.verdict == "none"
     assert verdict.remains == ()
     assert "what remains of the specific force is not judged: log v or p" in verdict.reason
