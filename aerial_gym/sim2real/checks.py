@@ -196,7 +196,8 @@ def _check_gravity(log: FlightLog, attitude: Rotation) -> None:
     elif mean[2] < 0.0 and body_z > 0.0:
         guess = "it looks as if world axes are north, east, down: give world_frame: ned in a mapping file"
     elif mean[2] < 0.0:
-        guess = f"gravity has the wrong sign: an accelerometer reads +9.81 on z at hover with z up; {_upside_down(log, attitude)}"
+        rule_of_sign = "gravity has the wrong sign: an accelerometer reads +9.81 on z at hover with z up"
+        guess = f"{rule_of_sign}; {_upside_down(log, attitude)}"
     else:
         guess = "check unit and axes of acc and the order of the quaternion"
     raise DataError(f"{start}, {rule}; {guess}")
