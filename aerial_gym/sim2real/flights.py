@@ -22,7 +22,14 @@ from aerial_gym.sim2real.flight_log import FlightLog, read_flight_log
 from aerial_gym.sim2real.held import mend_holds
 from aerial_gym.sim2real.mapping import LogMapping
 from aerial_gym.sim2real.rotor_checks import without_copied_commands
-from aerial_gym.sim2real.signals import lowpass, rotor_log_lead, shift_rotor_log, uniform_log, without_gaps
+from aerial_gym.sim2real.signals import (
+    commands_lead_too,
+    lowpass,
+    rotor_log_lead,
+    shift_rotor_log,
+    uniform_log,
+    without_gaps,
+)
 from aerial_gym.sim2real.standing import standing_rows
 
 Array = NDArray[np.float64]
@@ -175,7 +182,9 @@ def align_rotor_log(log: FlightLog, robot: RobotCfg, bandwidth: float) -> Flight
     thrust = (force[:, 2] / rows.mass).numpy()
     band = min(bandwidth, DERIVED_BAND * rate)
     known = np.concatenate(others, axis=1)
-    return shift_rotor_log(log, rotor_log_lead(log.specific_force[:, 2], thrust, known, rate, band))
+    lead = rotor_log_lead(log.specific_force[:, 2], thrust, known, rate, band)
+    lag = 0.5 * (robot.rotor.time_constant_up + robot.rotor.time_constant_down)
+    return shift_rotor_log(log, lead, commands=commands_lead_too(log, lead, lag))
 
 
 def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:

@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, signal
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.flight_log import FlightLog
@@ -28,6 +28,9 @@ LOOSE_END = 0.05
 
 LARGEST_SHIFT_S = 0.05
 """Clock offsets of the rotor log are looked for up to this [s]; measured_data.md 2: 0 to 0.03 s."""
+
+SETTLED = 5.0
+"""A lag has forgotten where it began after so many declared time constants."""
 
 LEAST_SHIFT_GAIN = 0.3
 """A shift must take this share off the variance that is left, else the clock is believed. One row of a 100 Hz log or
@@ -196,13 +199,42 @@ def rotor_log_lead(measured: Array, predicted: Array, others: Array, rate: float
     return best if inside and left(best) < (1.0 - LEAST_SHIFT_GAIN) * unmoved and left(best) < 0.5 else 0
 
 
-def shift_rotor_log(log: FlightLog, lead: int) -> FlightLog:
-    """Return the log with rotor speeds and commands moved to the later by ``lead`` rows, the ends cut off."""
+def commands_lead_too(log: FlightLog, lead: int, time_constant: float) -> bool:
+    """Return whether commands are on the clock of the rotor speeds, rather than on that of the other sensors.
+
+    A lag is no shift: the clock is the one on which a first-order lag, of any time constant, makes the measured speeds out of
+    the commands. Unless the other one leaves clearly less, it is that of the rotor speeds.
+
+    Args:
+        log: With rotor speeds that lead the other sensors by ``lead`` rows.
+        lead: Rows.
+        time_constant: Declared [s]; a fifth to five times of it is tried.
+    """
+    speed, command = log.rotor_speed, log.rotor_command
+    if lead == 0 or speed is None or command is None:
+        return True
+    step = float(log.time[-1] - log.time[0]) / (log.time.size - 1)
+    edge = round(SETTLED * time_constant / step) + abs(lead)
+
+    def left(shift: int) -> float:
+        moved, found = np.roll(command, shift, axis=0), []
+        for constant in time_constant * np.geomspace(0.2, 5.0, 17):
+            kept = np.exp(-step / constant)
+            follow, _ = signal.lfilter([0.0, 1.0 - kept], [1.0, -kept], moved, axis=0, zi=speed[:1])
+            found.append(np.mean((speed - follow)[edge:-edge] ** 2))
+        return float(min(found))
+
+    return left(-lead) > (1.0 - LEAST_SHIFT_GAIN) * left(0)
+
+
+def shift_rotor_log(log: FlightLog, lead: int, *, commands: bool = True) -> FlightLog:
+    """Return the log with rotor speeds, and commands, moved to the later by ``lead`` rows, the ends cut off."""
     if lead == 0:
         return log
     rows = log.time.size
     kept = slice(max(lead, 0), rows + min(lead, 0))
     moved = slice(max(-lead, 0), rows - max(lead, 0))
+    other = "" if commands else "; commands do not and stay"
 
     def cut(values: Array | None, part: slice) -> Array | None:
         return None if values is None else values[part]
@@ -218,6 +250,6 @@ def shift_rotor_log(log: FlightLog, lead: int) -> FlightLog:
         battery=cut(log.battery, kept),
         other_position=cut(log.other_position, kept),
         rotor_speed=cut(log.rotor_speed, moved),
-        rotor_command=cut(log.rotor_command, moved),
-        notes=(*log.notes, f"rotor log leads the other sensors by {lead} rows and was moved back"),
+        rotor_command=cut(log.rotor_command, moved if commands else kept),
+        notes=(*log.notes, f"rotor log leads the other sensors by {lead} rows and was moved back{other}"),
     )
