@@ -75,7 +75,7 @@ def test_a_known_wind_is_flown_through_in_residuals_and_rollouts(tmp_path: Path)
 
 
 def test_rows_on_the_ground_are_not_compared_nor_flown_over(tmp_path: Path) -> None:
-    """Rows within two periods of the band of a touch are left out, and windows of 1 s clear of it; other rows are as they were."""
+    """Rows within two periods of the band of a touch are left out, and windows of 1 s clear of it; others are as they were."""
     found = load(tmp_path)
     standing = np.zeros(found.num_rows, dtype=bool)
     standing[1000:1100] = True
