@@ -22,6 +22,7 @@ from aerial_gym.sim2real.flight_log import FlightLog, read_flight_log
 from aerial_gym.sim2real.held import mend_holds
 from aerial_gym.sim2real.mapping import LogMapping
 from aerial_gym.sim2real.rotor_checks import without_copied_commands
+from aerial_gym.sim2real.rotor_order import check_order
 from aerial_gym.sim2real.signals import (
     commands_lead_too,
     lowpass,
@@ -153,6 +154,7 @@ def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None
     notes = check_log(log, robot)
     log = align_rotor_log(with_velocity(log), robot, bandwidth)
     log = match_hover_thrust(log, robot)
+    check_order(log, robot)
     return complete_flight(log, notes, standing=standing_rows(log, robot))
 
 

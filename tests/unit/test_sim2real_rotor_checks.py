@@ -48,3 +48,17 @@ def test_commands_that_copy_the_speeds_are_left_out_and_said(table: pd.DataFrame
     found = loaded(table.assign(**dict(zip(COMMANDS, table[ROTORS].to_numpy().T, strict=True))), tmp_path)
     assert found.rotor_command is None
     assert any("commands equal the measured rotor speeds in every row" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("names", [ROTORS, COMMANDS])
+@pytest.mark.parametrize("order", [(1, 2, 3, 0), (2, 3, 0, 1), (1, 0, 2, 3)])
+def test_columns_in_another_order_are_told_by_what_they_turn(
+    table: pd.DataFrame, tmp_path: Path, names: list[str], order: tuple[int, ...]
+) -> None:
+    """Column k holds the rotor order[k]; the message lists the columns in the order of the robot file."""
+    mixed = table.assign(**{names[k]: table[names[rotor]] for k, rotor in enumerate(order)})
+    right = ", ".join(names[order.index(rotor)] for rotor in range(4))
+    with pytest.raises(
+        DataError, match=rf"otherwise than the robot file declares .* in their order are {right}: reorder"
+    ):
+        loaded(mixed, tmp_path)
