@@ -51,8 +51,8 @@ def check_order(log: FlightLog, robot: RobotCfg) -> None:
             columns = ", ".join(f"{name}_{column + 1}" for column in orders[best])
             raise DataError(
                 f"{log.path}: {name}_1..{robot.num_rotors} turn the vehicle otherwise than the robot file declares (they miss "
-                f"the angular acceleration by {misses[0]:.0%}); it looks as if its rotors in their order are {columns}: reorder "
-                "the columns, or the mounts of the robot file"
+                f"the angular acceleration by {misses[0]:.0%}); it looks as if its rotors in their order are {columns}: "
+                "reorder the columns, or the mounts of the robot file"
             )
 
 
