@@ -57,6 +57,12 @@ def with_battery(robot: RobotCfg, flights: Sequence[Flight]) -> RobotCfg:
     return replace(robot, battery=BatteryCfg(**rounded, source=f"{source}; nominal voltage: {how}"))
 
 
+def _flying(flight: Flight) -> NDArray[np.bool_]:
+    """Return the blocks in which the vehicle never stands, (blocks,)."""
+    stood = np.zeros(flight.num_rows) if flight.standing is None else flight.standing.astype(np.float64)
+    return _block_means(stood, flight.rate)[:, 0] == 0.0
+
+
 def _block_means(values: Array, rate: float) -> Array:
     """Return the means of whole blocks of time, (blocks, any)."""
     length = max(1, round(BLOCK_S * rate))
@@ -130,6 +136,8 @@ def _speed_ratios(robot: RobotCfg, flights: Sequence[Flight], gain: float, nomin
         assert flight.rotor_speed is not None
         assert speed is not None
         sums = np.stack((_voltage(flight), flight.rotor_speed.sum(axis=1), speed.sum(axis=1)), axis=1)
-        means.append(_block_means(sums, flight.rate)[1:])  # from the first measured speed on, noise and all
+        means.append(
+            _block_means(sums, flight.rate)[_flying(flight)][1:]
+        )  # from the first measured speed on, noise and all
     voltage, measured, replayed = np.concatenate(means).T
     return voltage, measured / replayed

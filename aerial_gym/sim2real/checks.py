@@ -16,6 +16,7 @@ from aerial_gym.physics.model import STANDARD_GRAVITY
 from aerial_gym.sim2real.flight_log import FlightLog
 from aerial_gym.sim2real.kinematics import kinematic_agreement
 from aerial_gym.sim2real.mapping import UNITS
+from aerial_gym.sim2real.rotor_checks import check_rotors
 from aerial_gym.sim2real.signals import lowpass
 
 Array = NDArray[np.float64]
@@ -34,17 +35,22 @@ QUIET_RATE = 0.1
 QUIET_SPEED = 0.3
 """Likewise for velocity [m/s]."""
 
+QUIET_FORCE = 0.5
+"""Likewise for acceleration [m/s²]."""
+
+LEAST_ACROSS = 1.0
+"""Rms of the specific force across z [m/s²] in world axes from which tilt stands out from drag."""
+
 
 def check_log(log: FlightLog, robot: RobotCfg) -> list[str]:
     """Raise ``DataError`` for a log that is not what it claims to be; return notes about lesser defects."""
-    _check_size(log, robot)
+    check_rotors(log, robot)
     _check_constant_columns(log)
     attitude = Rotation.from_quat(log.attitude)
     _check_attitude_against_rate(log, attitude)
     _check_gravity(log, attitude)
     _check_velocity(log, attitude)
     _check_force_frame(log, attitude)
-    _check_rotor_unit(log, robot)
     return [text for agreement in kinematic_agreement(log) for text in agreement.sentences()]
 
 
@@ -53,7 +59,8 @@ def rate_of(log: FlightLog) -> float:
     return (log.time.size - 1) / float(log.time[-1] - log.time[0])
 
 
-def _check_size(log: FlightLog, robot: RobotCfg) -> None:
+def check_time(log: FlightLog) -> None:
+    """Raise ``DataError`` for a log that is too short or too slow; first of all, for a wrong unit of t looks like much else."""
     span = float(log.time[-1] - log.time[0]) if log.time.size > 1 else 0.0
     if span < SHORTEST_S:
         raise DataError(f"{log.path}: lasts {span:.3g} s, needs at least {SHORTEST_S:g} s; is t in seconds?")
@@ -61,11 +68,6 @@ def _check_size(log: FlightLog, robot: RobotCfg) -> None:
         raise DataError(
             f"{log.path}: has {rate_of(log):.3g} rows per second, needs at least {LOWEST_RATE_HZ:g}; "
             "log faster, and check that t is in seconds"
-        )
-    if log.num_rotors != robot.num_rotors:
-        raise DataError(
-            f"{log.path}: has {log.num_rotors} rotor columns, the robot has {robot.num_rotors} rotors; "
-            "give the robot that flew, or correct the columns"
         )
 
 
@@ -173,11 +175,16 @@ def _check_gravity(log: FlightLog, attitude: Rotation) -> None:
         return
     mean = attitude.apply(log.specific_force).mean(axis=0)
     norm = float(np.linalg.norm(log.specific_force, axis=1).mean())
+    body_z = float(log.specific_force[:, 2].mean())
     if 0.5 * STANDARD_GRAVITY < mean[2] < 2.0 * STANDARD_GRAVITY:
-        return
+        if body_z > 0.0:
+            return
+        raise DataError(
+            f"{log.path}: acc_z is {body_z:.2f} m/s² on average, though acc and attitude agree on what is up; it looks as if "
+            "body axes are x forward, y right, z down: give body_frame: frd in a mapping file"
+        )
     start = f"{log.path}: mean specific force (acc_x, acc_y, acc_z) in world axes is {np.round(mean, 2).tolist()} m/s²"
     rule = "a flight has about [0, 0, +9.81]"
-    body_z = float(log.specific_force[:, 2].mean())
     for text, read in READINGS.items():
         other = Rotation.from_quat(read(log.attitude)).apply(log.specific_force).mean(axis=0)
         if body_z > 0.0 and 0.8 * STANDARD_GRAVITY < other[2] < 1.2 * STANDARD_GRAVITY:
@@ -186,14 +193,25 @@ def _check_gravity(log: FlightLog, attitude: Rotation) -> None:
         guess = "it looks like multiples of g: multiply by 9.81, or give unit: g in a mapping file"
     elif np.linalg.norm(mean) < 0.25 * STANDARD_GRAVITY:
         guess = "gravity was taken out: log the accelerometer itself, which reads +9.81 on z at hover"
+    elif mean[2] < 0.0 and body_z > 0.0:
+        guess = "it looks as if world axes are north, east, down: give world_frame: ned in a mapping file"
     elif mean[2] < 0.0:
-        guess = (
-            "gravity has the wrong sign: an accelerometer reads +9.81 on z at hover with z up; "
-            "turn the signs, or give body_frame: frd in a mapping file"
-        )
+        rule_of_sign = "gravity has the wrong sign: an accelerometer reads +9.81 on z at hover with z up"
+        guess = f"{rule_of_sign}; {_upside_down(log, attitude)}"
     else:
         guess = "check unit and axes of acc and the order of the quaternion"
     raise DataError(f"{start}, {rule}; {guess}")
+
+
+def _upside_down(log: FlightLog, attitude: Rotation) -> str:
+    """Return the way out where gravity is negative in body and world axes: with both z down, velocity rises with acc."""
+    both = "give body_frame: frd and world_frame: ned in a mapping file"
+    if log.lin_vel is None:
+        return f"if its signs are turned, turn them; if body and world axes have z down, {both}"
+    assert log.specific_force is not None
+    motion = _inner(_slow(log.lin_vel, log, derivative=True), log)
+    felt = _inner(_slow(attitude.apply(log.specific_force), log), log) + np.array([0.0, 0.0, STANDARD_GRAVITY])
+    return f"body and world axes have z down: {both}" if np.sum(felt * motion) > 0.0 else "turn the signs of acc"
 
 
 def _check_velocity(log: FlightLog, attitude: Rotation) -> None:
@@ -216,38 +234,63 @@ def _check_velocity(log: FlightLog, attitude: Rotation) -> None:
 
 
 def _check_force_frame(log: FlightLog, attitude: Rotation) -> None:
-    """Tell an accelerometer in world axes from one in body axes by the derivative of velocity."""
-    if log.lin_vel is None or log.specific_force is None:
+    """Tell an accelerometer in world axes from one in body axes, and velocities in other axes than those of the attitude.
+
+    Without velocity the rotors tell: they push along body z, so that little is left across it.
+    """
+    if log.specific_force is None:
         return
-    world = _inner(_slow(log.lin_vel, log, derivative=True), log) + np.array([0.0, 0.0, STANDARD_GRAVITY])
     as_body = _inner(_slow(attitude.apply(log.specific_force), log), log)
     as_world = _inner(_slow(log.specific_force, log), log)
-    if _rms(as_body - as_world) > 0.5 and _rms(as_world - world) < 0.4 * _rms(as_body - world):
+    if log.lin_vel is None and log.position is None:
+        across = _inner(_slow(attitude.inv().apply(log.specific_force), log), log)
+        turned = _rms(as_world[:, :2]) > LEAST_ACROSS and _rms(across[:, :2]) < 0.3 * _rms(as_world[:, :2])
+        motion = "thrust"
+    else:
+        world = _motion(log) + np.array([0.0, 0.0, STANDARD_GRAVITY])
+        turned = _rms(as_body - as_world) > 0.5 and _rms(as_world - world) < 0.4 * _rms(as_body - world)
+        motion = "the motion"
+    if turned:
         raise DataError(
-            f"{log.path}: specific force (acc_x, acc_y, acc_z) agrees with the motion in world axes, not in body axes; "
+            f"{log.path}: specific force (acc_x, acc_y, acc_z) agrees with {motion} in world axes, not in body axes; "
             "turn it into body axes with the inverse of the attitude"
         )
+    if log.lin_vel is not None or log.position is not None:
+        _check_motion_frame(log, attitude, as_body - np.array([0.0, 0.0, STANDARD_GRAVITY]))
 
 
-def _check_rotor_unit(log: FlightLog, robot: RobotCfg) -> None:
-    """The declared thrust at the logged speeds must carry the vehicle, give or take a factor of three."""
-    c0, c1, c2 = robot.rotor.thrust_map
-    for name, values in (("rotor", log.rotor_speed), ("cmd", log.rotor_command)):
-        if values is None:
-            continue
-        thrust = float((c0 + c1 * values + c2 * values**2).sum(axis=1).mean())
-        ratio = thrust / (robot.body.mass * STANDARD_GRAVITY)
-        if 1.0 / 3.0 < ratio < 3.0:
-            continue
-        speed = float(np.median(values))
-        guess = "check the unit (rad/s) and the robot"
-        for unit in ("rpm", "rev/s"):
-            scaled = UNITS[unit] * values
-            if 0.5 < float((c0 + c1 * scaled + c2 * scaled**2).sum(axis=1).mean()) * ratio / thrust < 2.0:
-                guess = f"it looks like {unit}: convert to rad/s, or give unit: {unit} in a mapping file"
-        if np.all((values >= 0.0) & (values <= 1.0)):
-            guess = "it looks like a fraction of full throttle: leave these columns out, or convert them to rad/s"
+def _motion(log: FlightLog, velocity: Array | None = None) -> Array:
+    """Return the acceleration [m/s²] of the logged velocity, of the position where there is none, or of a velocity given."""
+    if velocity is None:
+        velocity = log.lin_vel
+    if velocity is None:
+        assert log.position is not None
+        velocity = _slow(log.position, log, derivative=True)
+    return _inner(_slow(velocity, log, derivative=True), log)
+
+
+def _check_motion_frame(log: FlightLog, attitude: Rotation, felt: Array) -> None:
+    """Compare the acceleration that the accelerometer feels in the world with that of velocity or position, (T, 3) each."""
+    motion = _motion(log)
+    size = max(_rms(motion), _rms(felt))
+    miss = _rms(motion - felt) / max(size, QUIET_FORCE)
+    if miss < WORST_AGREEMENT:
+        return
+    others = {
+        "world axes there are north, east, down": motion[:, [1, 0, 2]] * (1.0, 1.0, -1.0),
+        "z is down there": motion * (1.0, 1.0, -1.0),
+    }
+    if log.lin_vel is not None:
+        others["v is in body axes"] = _motion(log, attitude.apply(log.lin_vel))
+    across = motion[:, 0] * felt[:, 1] - motion[:, 1] * felt[:, 0]
+    angle = float(np.arctan2(across.sum(), (motion[:, :2] * felt[:, :2]).sum()))
+    way = f"x and y there must be turned by {np.degrees(angle):.0f} deg about z to be those of the attitude"
+    others[way] = Rotation.from_euler("z", angle).apply(motion)
+    misses = {text: _rms(other - felt) / size for text, other in others.items()}
+    best = min(misses, key=lambda text: misses[text])
+    if misses[best] < 0.5 * miss:
+        name = "position (p_x, p_y, p_z)" if log.lin_vel is None else "velocity (v_x, v_y, v_z)"
         raise DataError(
-            f"{log.path}: {name}_1..{values.shape[1]} (median {speed:.4g}) would give {ratio:.3g} times the weight of the "
-            f"declared robot; {guess}"
+            f"{log.path}: {name} contradicts acc and attitude by {miss:.0%} of the acceleration; it looks as if {best}; "
+            "correct the columns or say so in a mapping file"
         )

@@ -227,8 +227,8 @@ def judge_flights(
     rms = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
     rms = np.minimum(rms, [channel.value for channel in after.residual])  # tolerances only ever explain
     remaining = material_remains(rms, floor, selection.left_out.tolerated)
-    dynamic = np.array([channel.kind not in KINEMATIC for channel in channels])
-    remaining &= dynamic  # the others hold nothing to be explained
+    dynamic = np.array([channel.kind not in not_judged(flights) for channel in channels])
+    remaining &= dynamic
     wind = declared_wind(robot)
     if not wind.accepted:
         wind = find_random_wind(
@@ -253,6 +253,10 @@ def judge_flights(
     kind, reason, candidates = decide(selection, remains, floor is not None)
     if found:
         kind, reason, candidates = wind.decision((kind, reason, candidates))
+    if "specific_force" in not_judged(flights) and any(channel.kind == "specific_force" for channel in channels):
+        reason += (
+            "; without velocity drag is not known, so that what remains of the specific force is not judged: log v or p"
+        )
     learned: Learned | None = None
     if learn_residual:
         progress("learning what remains", 0.9)
@@ -315,6 +319,11 @@ def judge_flights(
         test_predictor=test_predictor,
         verdict=verdict,
     )
+
+
+def not_judged(flights: Sequence[Flight]) -> tuple[str, ...]:
+    """Return the kinds of channel in which what remains says nothing: kinematic ones, and forces at an unknown airspeed."""
+    return KINEMATIC if all(flight.lin_vel is not None for flight in flights) else (*KINEMATIC, "specific_force")
 
 
 def what_to_fly(train: Predictor, declared: Point, selection: Selection) -> tuple[Advice | None, dict[str, Advice]]:

@@ -22,8 +22,14 @@ Array = NDArray[np.float64]
 
 HEADER_LINES = 1
 
+FEW_DIGITS = 20
+"""If time stands still in more than one row of so many, it was written with too few digits."""
+
 COMPANION_GAP_S = 0.1
 """Longest gap [s] in another vehicle's log across which its position is interpolated."""
+
+EULER = (("roll", "pitch", "yaw"), ("phi", "theta", "psi"))
+"""Names of columns that hold angles in place of a quaternion."""
 
 FLIP = np.array([1.0, -1.0, -1.0])
 """From body frd to body flu."""
@@ -249,6 +255,9 @@ def _read_table(path: Path, layout: LogMapping) -> pd.DataFrame:
     if len(lines) < 2:
         raise DataError(f"{path}: holds no rows; a flight log has one header line and one line per sample")
     width = lines[0].count(",")
+    for mark, name in ((";", "';'"), ("\t", "tabs"), (" ", "spaces")):
+        if width == 0 and lines[0].strip().count(mark) > 1:
+            raise DataError(f"{path}: fields are separated by {name}; separate them by ','")
     for number, line in enumerate(lines, start=1):
         if line.count(",") != width:
             fields = line.count(",") + 1
@@ -313,6 +322,11 @@ def _time(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
     strict = ColumnsCfg(columns=(column,))
     time = _fields(table, [column], strict, np.zeros(len(table)), path, [])[:, 0] * UNITS[layout.time.unit]
     back = np.flatnonzero(np.diff(time) <= 0.0)
+    if back.size * FEW_DIGITS > time.size and np.all(np.diff(time) >= 0.0):
+        raise DataError(
+            f"{path}: {column} is the same in {back.size} rows as in the row before; it has too few digits to tell rows apart: "
+            "write it with more, counted from the start of the flight"
+        )
     if back.size:
         row = int(back[0]) + 1
         raise DataError(
@@ -374,6 +388,11 @@ def _require(values: dict[str, Array], layout: LogMapping, known: list[str], pat
     """Raise ``DataError`` unless the log has what every use of it needs."""
     if "attitude" not in values and layout.attitude is not None:
         column = next((name for name in layout.attitude.columns if name not in known), layout.attitude.columns[0])
+        if any(set(angles) <= {name.lower() for name in known} for angles in EULER):
+            raise DataError(
+                f"{path}: column {column!r} is missing or empty. Euler angles are no quaternion: write "
+                "q = qz(yaw) qy(pitch) qx(roll), body to world, into q_x, q_y, q_z, q_w"
+            )
         raise DataError(_missing(column, known, path))
     for one, other in (("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")):
         if one in values or other in values or (hover and one == "ang_vel"):
@@ -398,6 +417,7 @@ def _missing(column: str, known: list[str], path: str) -> str:
 def _mapping_hint(known: list[str]) -> str:
     """Return the advice to use a mapping, naming the one that uses most of the columns if there is one."""
     fits: dict[str, int] = {}
+    own = {column for quantity in find_mapping("aerial_gym").quantities().values() for column in quantity.columns}
     for name in mapping_names():
         layout = find_mapping(name)
         wanted = {
@@ -406,7 +426,7 @@ def _mapping_hint(known: list[str]) -> str:
             for column in quantity.columns
             if "{n}" not in column and key not in ("battery", *HEIGHTS)
         }
-        if name != "aerial_gym" and wanted <= set(known):
+        if not wanted <= own and wanted <= set(known):
             fits[name] = len(wanted)
     if fits:
         best = max(fits, key=lambda name: fits[name])

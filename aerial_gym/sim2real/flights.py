@@ -17,11 +17,21 @@ from aerial_gym.errors import DataError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.model import STANDARD_GRAVITY
 from aerial_gym.physics.rotors import evaluate_map, rotor_wrench
-from aerial_gym.sim2real.checks import body_rate_of, check_log, check_quaternion_norm, rate_of
+from aerial_gym.sim2real.checks import body_rate_of, check_log, check_quaternion_norm, check_time, rate_of
 from aerial_gym.sim2real.flight_log import FlightLog, read_flight_log
 from aerial_gym.sim2real.held import mend_holds
 from aerial_gym.sim2real.mapping import LogMapping
-from aerial_gym.sim2real.signals import lowpass, rotor_log_lead, shift_rotor_log, uniform_log
+from aerial_gym.sim2real.rotor_checks import without_copied_commands
+from aerial_gym.sim2real.rotor_order import check_order
+from aerial_gym.sim2real.signals import (
+    commands_lead_too,
+    lowpass,
+    rotor_log_lead,
+    shift_rotor_log,
+    uniform_log,
+    without_gaps,
+)
+from aerial_gym.sim2real.standing import standing_rows
 
 Array = NDArray[np.float64]
 
@@ -138,11 +148,14 @@ def load_flights(
 def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None, bandwidth: float) -> Flight:
     """Return one flight: read, repeated values mended, made uniform, checked, rotor log aligned, missing states derived."""
     log = read_flight_log(path, mapping=mapping)
+    check_time(log)
     check_quaternion_norm(log)
-    log = uniform_log(mend_holds(log))
+    log = uniform_log(mend_holds(without_gaps(without_copied_commands(log))))
     notes = check_log(log, robot)
     log = align_rotor_log(with_velocity(log), robot, bandwidth)
-    return complete_flight(match_hover_thrust(log, robot), notes)
+    log = match_hover_thrust(log, robot)
+    check_order(log, robot)
+    return complete_flight(log, notes, standing=standing_rows(log, robot))
 
 
 def with_velocity(log: FlightLog) -> FlightLog:
@@ -171,7 +184,9 @@ def align_rotor_log(log: FlightLog, robot: RobotCfg, bandwidth: float) -> Flight
     thrust = (force[:, 2] / rows.mass).numpy()
     band = min(bandwidth, DERIVED_BAND * rate)
     known = np.concatenate(others, axis=1)
-    return shift_rotor_log(log, rotor_log_lead(log.specific_force[:, 2], thrust, known, rate, band))
+    lead = rotor_log_lead(log.specific_force[:, 2], thrust, known, rate, band)
+    lag = 0.5 * (robot.rotor.time_constant_up + robot.rotor.time_constant_down)
+    return shift_rotor_log(log, lead, commands=commands_lead_too(log, lead, lag))
 
 
 def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
@@ -197,8 +212,11 @@ def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
     return replace(log, rotor_command=scale * log.rotor_command, notes=(*log.notes, note))
 
 
-def complete_flight(log: FlightLog, notes: Sequence[str] = ()) -> Flight:
-    """Return the flight with specific force and angular velocity derived where the log lacks them."""
+def complete_flight(log: FlightLog, notes: Sequence[str] = (), *, standing: NDArray[np.bool_] | None = None) -> Flight:
+    """Return the flight with specific force and angular velocity derived where the log lacks them.
+
+    ``standing``: rows in which the vehicle stands, (T,); those that the mapping tells by the height come to them.
+    """
     rate, said = rate_of(log), [*log.notes, *notes]
     band = DERIVED_BAND * rate
     specific_force, ang_vel = log.specific_force, log.ang_vel
@@ -215,9 +233,10 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = ()) -> Flight:
         said.append("one command for all rotors: angular acceleration is not compared")
     if not log.torques:
         said.append("the mapping says that these logs do not show torques: angular acceleration is not compared")
-    standing = None
     if log.lift_off > 0.0 and log.position is not None:
-        standing = log.position[:, 2] <= log.position[:, 2].min() + log.lift_off
+        low = log.position[:, 2] <= log.position[:, 2].min() + log.lift_off
+        standing = low if standing is None else low | standing
+    if standing is not None:
         said.append(f"stands on the ground in {standing.mean():.0%} of the rows; they are not compared")
     return Flight(
         name=log.name,

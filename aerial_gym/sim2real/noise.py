@@ -3,6 +3,7 @@
 Sensor noise is white, so its level shows where the vehicle hardly moves: above the band of the comparison. There the
 spectrum of the residual is fitted by a level, and a part that grows with the square of the frequency (a differentiated
 signal); both are carried down through the low-pass. Vibration above the band makes the floor too high, never too low.
+Neither falls: where the spectrum does, a filter of the sensor has taken the noise away, and lines from there on do not count.
 Letters: C channels.
 """
 
@@ -28,7 +29,19 @@ FIT_FROM = 1.5
 """and fitted from this multiple of the bandwidth"""
 
 FIT_TO = 0.32
-"""to this share of the rate."""
+"""to this share of the rate,"""
+
+FIT_FROM_AT_LATEST = 0.7
+"""but at least from this share of that, for a log may be slow for its band,"""
+
+CLEAR_OF_BAND = 1.1
+"""and never from below this multiple of the bandwidth."""
+
+FALLEN = 0.25
+"""A spectrum below this share of where the fit begins has been filtered."""
+
+BAND_RATIO = 1.6
+"""Width of the bands in which it is averaged to tell."""
 
 SEGMENT_S = 2.0
 """Length of a segment of Welch's spectrum [s]."""
@@ -56,7 +69,8 @@ def _floor_of(
     if length < 2:
         return None
     frequency, density = signal.welch(residual, flight.rate, nperseg=length, detrend="linear", axis=0)
-    chosen = (frequency >= FIT_FROM * bandwidth) & (frequency <= FIT_TO * flight.rate)
+    low = max(min(FIT_FROM * bandwidth, FIT_FROM_AT_LATEST * FIT_TO * flight.rate), CLEAR_OF_BAND * bandwidth)
+    chosen = (frequency >= low) & (frequency <= FIT_TO * flight.rate)
     if chosen.sum() < FEWEST_LINES:
         return None
     flat = density[chosen] / lowpass_gain(frequency[chosen], wide)[:, None] ** 2
@@ -65,7 +79,8 @@ def _floor_of(
     spacing = frequency[1] - frequency[0]
     floors = []
     for line in flat.T:
-        level, growth = _level_and_growth(line, square[chosen])
+        own = slice(_unfiltered(frequency[chosen], line))
+        level, growth = _level_and_growth(line[own], square[chosen][own])
         floors.append(np.sqrt((below * (level + growth * square)).sum() * spacing))
     return np.array(floors)
 
@@ -81,6 +96,14 @@ def longest_flight(flight: Flight, time: Array, bandwidth: float) -> slice:
         return slice(0, 0)
     longest = int(np.argmax(edges[1::2] - edges[::2]))
     return slice(int(edges[2 * longest]), int(edges[2 * longest + 1]))
+
+
+def _unfiltered(frequency: Array, density: Array) -> int:
+    """Return how many lines of a spectrum lie below where it has fallen, at least ``FEWEST_LINES``."""
+    band = np.floor(np.log(frequency / frequency[0]) / np.log(BAND_RATIO)).astype(int)
+    mean = np.bincount(band, weights=density) / np.maximum(np.bincount(band), 1)
+    fallen = np.flatnonzero((mean < FALLEN * mean[0]) & (np.bincount(band) > 0))
+    return max(int(np.sum(band < fallen[0])), FEWEST_LINES) if fallen.size else frequency.size
 
 
 def _level_and_growth(density: Array, square: Array) -> tuple[float, float]:

@@ -429,7 +429,7 @@ class _Together:
         rows = np.arange(-(-start // step) * step, flight.num_rows - edge, step)
         if flight.standing is None or every_row:  # a spectrum needs all of them
             return rows
-        near = max(1, round(flight.rate / self.bandwidth))  # the low-pass spreads a touch over a period
+        near = edge_rows(flight.rate, self.bandwidth)  # the low-pass spreads the jolt of a touch as it spreads an end
         touched = np.asarray(ndimage.maximum_filter1d(flight.standing, 2 * near + 1), dtype=bool)
         return rows[np.logical_not(touched[rows])]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, signal
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.flight_log import FlightLog
@@ -28,6 +28,9 @@ LOOSE_END = 0.05
 
 LARGEST_SHIFT_S = 0.05
 """Clock offsets of the rotor log are looked for up to this [s]; measured_data.md 2: 0 to 0.03 s."""
+
+SETTLED = 5.0
+"""A lag has forgotten where it began after so many declared time constants."""
 
 LEAST_SHIFT_GAIN = 0.3
 """A shift must take this share off the variance that is left, else the clock is believed. One row of a 100 Hz log or
@@ -91,8 +94,8 @@ def continuous_quaternion(attitude: Array) -> Array:
     return unit * np.concatenate(([1.0], flips))[:, None]
 
 
-def uniform_log(log: FlightLog) -> FlightLog:
-    """Return the log with equal time steps and unit quaternions without jumps of sign; commands stay held.
+def without_gaps(log: FlightLog) -> FlightLog:
+    """Return the log without a short piece at either end that a gap in time cuts off.
 
     Raises:
         DataError: If rows are missing for longer than can be bridged.
@@ -106,6 +109,18 @@ def uniform_log(log: FlightLog) -> FlightLog:
             f"{log.where(gap + 1)}: {steps[gap]:.3g} s after the row before, where {step:.3g} s are usual; "
             "cut the log there and give both parts as flights"
         )
+    return log
+
+
+def uniform_log(log: FlightLog) -> FlightLog:
+    """Return the log with equal time steps and unit quaternions without jumps of sign; commands stay held.
+
+    Raises:
+        DataError: If rows are missing for longer than can be bridged.
+    """
+    log = without_gaps(log)
+    steps = np.diff(log.time)
+    step = float(np.median(steps))
     attitude = continuous_quaternion(log.attitude)
     if np.abs(steps - step).max() <= 0.1 * step:
         return replace(log, attitude=attitude)
@@ -207,8 +222,37 @@ def rotor_log_lead(measured: Array, predicted: Array, others: Array, rate: float
     )
 
 
-def shift_rotor_log(log: FlightLog, lead: Lead) -> FlightLog:
-    """Return the log with rotor speeds and commands moved to the later by ``lead``, the ends cut off.
+def commands_lead_too(log: FlightLog, lead: Lead, time_constant: float) -> bool:
+    """Return whether commands are on the clock of the rotor speeds, rather than on that of the other sensors.
+
+    A lag is no shift: the clock is the one on which a first-order lag, of any time constant, makes the measured speeds out of
+    the commands. Unless the other one leaves clearly less, it is that of the rotor speeds.
+
+    Args:
+        log: With rotor speeds that lead the other sensors by ``lead``.
+        lead: Of the rotor speeds.
+        time_constant: Declared [s]; a fifth to five times of it is tried.
+    """
+    speed, command = log.rotor_speed, log.rotor_command
+    if lead.rows == 0.0 or speed is None or command is None:
+        return True
+    whole = round(lead.rows)
+    step = float(log.time[-1] - log.time[0]) / (log.time.size - 1)
+    edge = round(SETTLED * time_constant / step) + abs(whole)
+
+    def left(shift: int) -> float:
+        moved, found = np.roll(command, shift, axis=0), []
+        for constant in time_constant * np.geomspace(0.2, 5.0, 17):
+            kept = np.exp(-step / constant)
+            follow, _ = signal.lfilter([0.0, 1.0 - kept], [1.0, -kept], moved, axis=0, zi=speed[:1])
+            found.append(np.mean((speed - follow)[edge:-edge] ** 2))
+        return float(min(found))
+
+    return left(-whole) > (1.0 - LEAST_SHIFT_GAIN) * left(0)
+
+
+def shift_rotor_log(log: FlightLog, lead: Lead, *, commands: bool = True) -> FlightLog:
+    """Return the log with rotor speeds, and commands, moved to the later by ``lead``, the ends cut off.
 
     Between rows they run in a straight line; of a command that is held from row to row this is the mean.
     """
@@ -217,10 +261,12 @@ def shift_rotor_log(log: FlightLog, lead: Lead) -> FlightLog:
     rows, whole = np.arange(log.time.size), int(np.ceil(abs(lead.rows)))
     kept = slice(whole, None) if lead.rows > 0.0 else slice(0, -whole)
     arrays = {f.name: value[kept] for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
-    for name in ("rotor_speed", "rotor_command"):
+    for name in ("rotor_speed", "rotor_command")[: 1 + commands]:
         values = getattr(log, name)
         if values is not None:
             arrays[name] = np.stack([np.interp(rows[kept] - lead.rows, rows, column) for column in values.T], axis=1)
     step = 1e3 * float(np.median(np.diff(log.time)))
-    note = f"rotor log leads the other sensors by {lead.rows * step:.3g} ± {1.96 * lead.std * step:.2g} ms and was moved back"
+    other = "" if commands else "; commands do not and stay"
+    ahead = f"{lead.rows * step:.3g} ± {1.96 * lead.std * step:.2g} ms"
+    note = f"rotor log leads the other sensors by {ahead} and was moved back{other}"
     return replace(log, **arrays, notes=(*log.notes, note))

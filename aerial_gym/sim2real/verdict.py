@@ -272,7 +272,14 @@ def decide(selection: Selection, remains: tuple[str, ...], floor_known: bool) ->
     if remains:
         start = f"{names} found, but" if names else "no registered effect explains it:"
         return "unexplained", f"{start} more than noise and tolerances remains in {', '.join(remains)}", unique
+    if not selection.accepted and not floor_known:
+        start = "no registered effect explains more of the flights than the declared model, but the logs are too slow or short"
+        return "none", f"{start} to show a noise floor: whether more than noise remains cannot be told", unique
     if not selection.accepted:
         return "none", "the declared model explains the flights within noise and tolerances", unique
-    rest = "what remains is near the noise floor" if floor_known else "the logs are too slow to show a noise floor"
+    rest = (
+        "what remains is near the noise floor"
+        if floor_known
+        else "the logs are too slow or short to show a noise floor"
+    )
     return "explained", f"the flights show {names}; {rest}", unique

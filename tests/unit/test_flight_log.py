@@ -49,6 +49,14 @@ def test_empty_columns_are_a_sensor_that_was_not_there(table: pd.DataFrame, tmp_
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        (
+            lambda t: t.drop(columns=["q_x", "q_y", "q_z", "q_w"]).assign(roll=0.0, pitch=0.0, yaw=0.0),
+            r"column 'q_x' is missing.*Euler angles are no quaternion: write q = qz\(yaw\) qy\(pitch\) qx\(roll\)",
+        ),
+        (
+            lambda t: t.rename(columns={f"rotor_{n}": f"motor_{n}" for n in range(1, 5)}),
+            r"rotor_\{n\} or cmd_\{n\}; they are missing or empty\. Rename the columns, or describe them in a mapping file",
+        ),
         (lambda t: t.drop(columns="t"), r"a\.csv: column 't' is missing or empty"),
         (
             lambda t: t.drop(columns="acc_y"),
@@ -59,6 +67,10 @@ def test_empty_columns_are_a_sensor_that_was_not_there(table: pd.DataFrame, tmp_
         (lambda t: t.drop(columns=[f"rotor_{n}" for n in range(1, 5)]), r"needs the columns rotor_\{n\} or cmd_\{n\}"),
         (lambda t: t.assign(cmd_1=900.0, cmd_2=900.0), r"has 4 rotor speeds and 2 commands"),
         (lambda t: t.assign(t=t["t"].where(t.index != 50, t["t"][49])), r"line 52: t = 0\.49 s does not increase"),
+        (
+            lambda t: t.assign(t=t["t"].round(1)),
+            r"t is the same in \d+ rows as in the row before; it has too few digits",
+        ),
         (lambda t: t.assign(t=-t["t"]), r"line 3: t = -0\.01 s does not increase .*sort the rows"),
         (
             lambda t: t.assign(omega_x=t["omega_x"].where(t.index != 7)),
@@ -85,6 +97,13 @@ def test_a_log_that_was_cut_off_names_the_line(table: pd.DataFrame, tmp_path: Pa
     path.write_text(path.read_text()[:-60])
     with pytest.raises(DataError, match=r"line 301: has \d+ fields, the header has 21; remove the line"):
         read_flight_log(path)
+
+
+@pytest.mark.parametrize(("mark", "name"), [(";", "';'"), ("\t", "tabs"), (" ", "spaces")])
+def test_other_separators_are_named(table: pd.DataFrame, tmp_path: Path, mark: str, name: str) -> None:
+    table.to_csv(tmp_path / "a.csv", index=False, sep=mark)
+    with pytest.raises(DataError, match=rf"fields are separated by {name}; separate them by ','"):
+        read_flight_log(tmp_path / "a.csv")
 
 
 def test_a_column_that_appears_twice_is_refused(table: pd.DataFrame, tmp_path: Path) -> None:

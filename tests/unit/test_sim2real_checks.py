@@ -8,17 +8,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.checks import body_rate_of, check_log, check_quaternion_norm
+from aerial_gym.sim2real.checks import body_rate_of, check_log, check_quaternion_norm, check_time
 from aerial_gym.sim2real.flight_log import read_flight_log
-from aerial_gym.sim2real.flights import load_flights
+from aerial_gym.sim2real.flights import load_flight, load_flights
 from aerial_gym.sim2real.signals import uniform_log
 from tests.unit.flat_flights import ROBOT, flight, write
 
-Q, OMEGA, ACC, V = (
+Q, OMEGA, ACC, V, P = (
     ["q_x", "q_y", "q_z", "q_w"],
     ["omega_x", "omega_y", "omega_z"],
     ["acc_x", "acc_y", "acc_z"],
     ["v_x", "v_y", "v_z"],
+    ["p_x", "p_y", "p_z"],
 )
 
 
@@ -29,6 +30,7 @@ def table() -> pd.DataFrame:
 
 def check(table: pd.DataFrame, folder: Path) -> list[str]:
     log = read_flight_log(write(table, folder / "a.csv"))
+    check_time(log)
     check_quaternion_norm(log)
     return check_log(uniform_log(log), ROBOT)
 
@@ -55,6 +57,35 @@ def body_to_world(table: pd.DataFrame) -> Rotation:
     return Rotation.from_quat(table[Q].to_numpy(copy=True))
 
 
+def frd(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the log with body axes x forward, y right, z down."""
+    body = (body_to_world(table) * Rotation.from_quat([1.0, 0.0, 0.0, 0.0])).as_quat()
+    found = replaced(table, Q, body)
+    return replaced(replaced(found, OMEGA, found[OMEGA] * (1, -1, -1)), ACC, found[ACC] * (1, -1, -1))
+
+
+def mirrored(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the log with position and velocity in world axes north, east, down, the attitude as it was."""
+    found = table
+    for names in (P, V):
+        found = replaced(found, names, found[names].to_numpy()[:, [1, 0, 2]] * (1, 1, -1))
+    return found
+
+
+def ned(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the log with world axes north, east, down."""
+    swap = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    return replaced(mirrored(table), Q, (swap * body_to_world(table)).as_quat())
+
+
+def turned(table: pd.DataFrame, angle: float) -> pd.DataFrame:
+    """Return the log with position and velocity turned about z [deg], the attitude as it was."""
+    about, found = Rotation.from_euler("z", angle, degrees=True), table
+    for names in (P, V):
+        found = replaced(found, names, about.apply(found[names].to_numpy(copy=True)))
+    return found
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -79,6 +110,25 @@ def body_to_world(table: pd.DataFrame) -> Rotation:
             lambda t: replaced(t, V, body_to_world(t).apply(t[V].to_numpy(copy=True), inverse=True)),
             r"it looks as if v is in body axes",
         ),
+        (lambda t: frd(t), r"acc_z is -1\d\.\d+ m/s² on average.*give body_frame: frd in a mapping file"),
+        (lambda t: ned(frd(t)), r"gravity has the wrong sign.*give body_frame: frd and world_frame: ned in a mapping"),
+        (
+            lambda t: ned(frd(t)).drop(columns=V),
+            r"if its signs are turned, turn them; if body and world .*body_frame: frd and world_frame: ned",
+        ),
+        (lambda t: ned(t), r"world axes are north, east, down: give world_frame: ned"),
+        (lambda t: replaced(t, ACC, -t[ACC]), r"gravity has the wrong sign: .*turn the signs of acc"),
+        (
+            lambda t: replaced(t, ACC, body_to_world(t).apply(t[ACC].to_numpy(copy=True))).drop(columns=[*V, *P]),
+            r"acc_x.*agrees with thrust in world axes, not in body axes",
+        ),
+        (
+            lambda t: replaced(t, V, body_to_world(t).apply(t[V].to_numpy(copy=True), inverse=True)).drop(columns=P),
+            r"velocity .* contradicts acc and attitude .*looks as if v is in body axes",
+        ),
+        (lambda t: mirrored(t), r"velocity .* contradicts acc .*looks as if world axes there are north, east, down"),
+        (lambda t: mirrored(t).drop(columns=V), r"position .* contradicts acc .*there are north, east, down"),
+        (lambda t: turned(t, 90.0), r"x and y there must be turned by -90 deg about z to be those of the attitude"),
         (lambda t: replaced(t, V, 1000.0 * t[V]), r"velocity .* and the derivative of position .* check units"),
         (
             lambda t: replaced(
@@ -126,6 +176,32 @@ def test_a_gap_in_time_is_refused_and_jitter_is_not(table: pd.DataFrame, tmp_pat
         check(table.drop(index=range(200, 300)), tmp_path)
     jitter = table.assign(t=table["t"] + 0.002 * np.sin(np.arange(len(table))))
     assert check(jitter, tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda t: t.drop(index=range(200, 300)),
+            r"line 202 .*: 1\.01 s after the row before, where 0\.01 s are usual",
+        ),
+        (lambda t: t.assign(t=1e3 * t["t"]), r"0\.1 rows per second, .*check that t is in seconds"),
+        (lambda t: t.assign(t=1e-3 * t["t"]), r"lasts 0\.00799 s, .*is t in seconds"),
+        (lambda t: t.assign(t=1e9 * t["t"]), r"1e-07 rows per second, .*check that t is in seconds"),
+    ],
+)
+def test_a_defect_of_the_time_is_not_taken_for_a_frozen_sensor(
+    table: pd.DataFrame, tmp_path: Path, change: object, message: str
+) -> None:
+    """A value may repeat beside a gap; the gap is what is named."""
+    slow = table.copy()
+    slow.loc[200, ["p_x", "p_y", "p_z"]] = slow.loc[199, ["p_x", "p_y", "p_z"]]
+    slow.loc[300, ["p_x", "p_y", "p_z"]] = slow.loc[199, ["p_x", "p_y", "p_z"]]
+    path = write(change(slow), tmp_path / "a.csv")  # type: ignore[operator]
+    with pytest.raises(DataError, match=message):
+        load_flight(path, ROBOT, mapping=None, bandwidth=10.0)
+    path = write(table.assign(t=table["t"] + 1.7e9), tmp_path / "epoch.csv")
+    assert load_flight(path, ROBOT, mapping=None, bandwidth=10.0).time[0] == 0.0
 
 
 def test_one_flight_is_not_two(table: pd.DataFrame, tmp_path: Path) -> None:

@@ -14,8 +14,10 @@ from aerial_gym.cli.main import main
 from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real import close_loop, replay
+from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test, silent
 from aerial_gym.sim2real.prediction import Channel
 from aerial_gym.sim2real.runtime import whole_folder
 from aerial_gym.sim2real.structure import find_structure
@@ -260,3 +262,18 @@ def test_what_remains_is_material_above_noise_and_tolerances() -> None:
     rms = np.array([0.024, 0.06, 0.06])  # near the floor; above both; hidden by the tolerances
     assert material_remains(rms, floor, tolerated).tolist() == [False, True, False]
     assert material_remains(rms, None, tolerated).tolist() == [False, False, False]
+
+
+def test_forces_at_an_unknown_airspeed_are_not_called_unexplained(tmp_path: Path) -> None:
+    """A vehicle with declared drag, logged without velocity: what drag leaves is no cause of its own."""
+    robot = replace(ROBOT, effects={"rotor_drag": {"dx": DRAG, "dy": DRAG, "dz": DRAG}}, effects_source="flown with it")
+    paths = [tmp_path / f"f{seed}.csv" for seed in range(2)]
+    for seed, path in enumerate(paths):
+        table = flight(50 + seed, drag=DRAG, noise=1.0, seconds=4.0, rate=100.0)
+        write(table.drop(columns=[f"{name}_{axis}" for name in "pv" for axis in "xyz"]), path)
+    flights = load_train_and_test(robot, paths[:1], paths[1:], None, 10.0, silent)
+    with one_thread():
+        verdict = judge_flights(robot, *flights).verdict
+    assert verdict.verdict == "none"
+    assert verdict.remains == ()
+    assert "what remains of the specific force is not judged: log v or p" in verdict.reason

@@ -16,7 +16,7 @@ from aerial_gym.sim2real.noise import noise_floor
 from aerial_gym.sim2real.prediction import Channel, Point, Predictor, declared_point, find_channels, together
 from aerial_gym.sim2real.rollout import find_windows, roll_out
 from aerial_gym.sim2real.rotor_replay import RotorReplay
-from aerial_gym.sim2real.signals import uniform_log
+from aerial_gym.sim2real.signals import lowpass, uniform_log
 from aerial_gym.sim2real.tolerances import Tolerances, command_shift, deviate, sensor_biases
 from tests.physics.vehicles import BATTERY
 from tests.unit.flat_flights import ROBOT, flight, write
@@ -75,7 +75,7 @@ def test_a_known_wind_is_flown_through_in_residuals_and_rollouts(tmp_path: Path)
 
 
 def test_rows_on_the_ground_are_not_compared_nor_flown_over(tmp_path: Path) -> None:
-    """Rows within a period of the band of a touch are left out, and windows of 1 s clear of it; other rows are as they were."""
+    """Rows within two periods of the band of a touch are left out, and windows of 1 s clear of it; others are as they were."""
     found = load(tmp_path)
     standing = np.zeros(found.num_rows, dtype=bool)
     standing[1000:1100] = True
@@ -84,8 +84,8 @@ def test_rows_on_the_ground_are_not_compared_nor_flown_over(tmp_path: Path) -> N
     one, other = (
         Predictor(ROBOT, [f], bandwidth=BAND, channels=channels, tolerances=Tolerances()) for f in (found, touched)
     )
-    period = 1.0 / BAND
-    clear = (one.times[0] < 5.0 - period - 1e-9) | (one.times[0] > 5.495 + period + 1e-9)
+    near = 2.0 / BAND + 0.005  # and one row
+    clear = (one.times[0] < 5.0 - near - 1e-9) | (one.times[0] > 5.495 + near + 1e-9)
     np.testing.assert_allclose(other.times[0], one.times[0][clear])
     np.testing.assert_allclose(other.residuals(Point())[0], one.residuals(Point())[0][clear], atol=1e-12)
     start = find_windows([touched], 1.0).row / found.rate
@@ -363,6 +363,33 @@ def test_the_noise_floor_is_the_residual_of_a_perfect_model(tmp_path: Path) -> N
     assert np.all((ratio > 0.7) & (ratio < 1.2)), ratio
     # Below 10 Hz, white noise of 0.05 m/s² at 400 Hz keeps sqrt(sum H²) of its power: 0.05 sqrt(2 * 0.92 * 10 / 400) = 0.011.
     assert floor[0] == pytest.approx(0.05 * np.sqrt(2.0 * 0.92 * 10.0 / 400.0), rel=0.1)
+
+
+def test_the_noise_floor_of_a_filtered_sensor_is_that_below_its_filter(tmp_path: Path) -> None:
+    """A filter at 30 Hz takes noise away above, none below 10 Hz: the floor stays.
+
+    Lines from 15 to 24 Hz cannot tell a level from growth with f²; growth alone would give 10 / 19.5 / sqrt(3) = 0.3 of it.
+    """
+    found = load(tmp_path, rate=400.0, noise=1.0, seconds=20.0)
+    assert found.specific_force is not None
+    channels = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
+    smooth = replace(found, specific_force=lowpass(found.specific_force, 400.0, 30.0))
+    raw, filtered = (noise_floor(ROBOT, [each], Point(), channels, bandwidth=BAND) for each in (found, smooth))
+    assert raw is not None
+    assert filtered is not None
+    assert np.all(filtered[:2] > 0.5 * raw[:2])
+    assert np.all(filtered / raw < 1.3)
+
+
+def test_the_noise_floor_shows_in_a_log_of_the_highest_band(tmp_path: Path) -> None:
+    """At 50 rows per second and 10 Hz there is little left above the band, but noise is white; a level or growth as above."""
+    slow, fast = (load(tmp_path, rate=rate, noise=1.0, seconds=30.0) for rate in (50.0, 400.0))
+    channels = [Channel(kind="specific_force", axis=axis) for axis in "xy"]
+    floors = [noise_floor(ROBOT, [each], Point(), channels, bandwidth=BAND) for each in (slow, fast)]
+    assert floors[0] is not None
+    assert floors[1] is not None
+    ratio = floors[0] / floors[1] / np.sqrt(400.0 / 50.0)
+    assert np.all((ratio > 0.5) & (ratio < 1.3))
 
 
 def test_no_floor_where_the_log_is_too_slow(tmp_path: Path) -> None:

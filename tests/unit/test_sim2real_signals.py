@@ -8,6 +8,7 @@ from aerial_gym.sim2real.flight_log import FlightLog
 from aerial_gym.sim2real.signals import (
     LARGEST_SHIFT_S,
     Lead,
+    commands_lead_too,
     continuous_quaternion,
     edge_rows,
     lowpass,
@@ -113,6 +114,31 @@ def test_a_lead_is_undone(lead: float) -> None:
     assert moved.time.size == TIME.size - np.ceil(abs(lead))
     np.testing.assert_allclose(moved.specific_force[:, 0] - moved.rotor_speed[:, 0], lead, atol=1e-9)
     assert f"{5.0 * lead:.3g} ± 0.98 ms" in moved.notes[-1]
+
+
+@pytest.mark.parametrize("lead", [-4, 4])
+@pytest.mark.parametrize("together", [True, False])
+@pytest.mark.parametrize("constant", [0.02, 0.03, 0.06])
+def test_commands_move_with_the_rotor_log_only_if_a_lag_says_so(lead: int, *, together: bool, constant: float) -> None:
+    """Whatever the lag is, 0.04 s as declared or not, it is no shift."""
+    command = 900.0 + 40.0 * noise(np.random.default_rng(5), 15.0)
+    speed, kept = command.copy(), np.exp(-1.0 / (RATE * constant))
+    for row in range(1, TIME.size):
+        speed[row] = kept * speed[row - 1] + (1.0 - kept) * command[row - 1]
+    speed += np.random.default_rng(6).standard_normal(TIME.size)
+    logged = log(
+        TIME,
+        rotor_speed=np.roll(speed, -lead)[:, None],
+        rotor_command=np.roll(command, -lead if together else 0)[:, None],
+    )
+    ahead = Lead(rows=float(lead), std=0.1)
+    assert commands_lead_too(logged, ahead, 0.04) is together
+    moved = shift_rotor_log(logged, ahead, commands=together)
+    assert moved.rotor_command is not None
+    inner = slice(20, moved.time.size - 20)
+    row = np.round(moved.time * RATE).astype(int)
+    np.testing.assert_allclose(moved.rotor_command[inner, 0], command[row][inner])
+    assert ("commands do not and stay" in moved.notes[0]) is not together
 
 
 def test_a_signal_that_does_not_agree_at_all_is_not_shifted() -> None:
