@@ -16,6 +16,7 @@ from scipy import stats
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import ImuEffect, LoadEffect
+from aerial_gym.sim2real.candidates import neutral_of
 from aerial_gym.sim2real.fit import (
     Fit,
     best_step,
@@ -26,10 +27,10 @@ from aerial_gym.sim2real.fit import (
     tolerance_jacobian,
     with_params,
 )
-from aerial_gym.sim2real.prediction import Predictor
+from aerial_gym.sim2real.prediction import Predictor, declared_point
 from aerial_gym.sim2real.rollout import Windows, find_windows
 from aerial_gym.sim2real.scoring import Criteria, Scored
-from aerial_gym.sim2real.selection import Selection
+from aerial_gym.sim2real.selection import Selection, at_bounds
 from aerial_gym.sim2real.uncertainty import Uncertainty, uncertainty
 from aerial_gym.sim2real.window_rollouts import WINDOW_S, Linear, Rollouts
 
@@ -203,9 +204,18 @@ def judge(predictor: Predictor, selection: Selection, found: Linear, windows: Wi
         velocity=float(falls[0]),
         attitude=float(falls[1]),
         gains=not doubts,
-        objections=(*doubts, *left_out.harms(left_out.gain(one.left_out, squares))),
+        objections=(*doubts, *left_out.harms(left_out.gain(one.left_out, squares)), *_at_bounds(predictor, fit)),
         scored=scored,
     )
+
+
+def _at_bounds(predictor: Predictor, fit: Fit) -> list[str]:
+    declared, robot = declared_point(predictor.robot), predictor.robot
+    return [
+        f"{name} {parameter} runs into its physical bound"
+        for name in fit.effects
+        for parameter in at_bounds(name, fit, neutral_of(name, declared, robot), robot)
+    ]
 
 
 def _squares(fit: Fit, step: Array, weight: Array, blocks: NDArray[np.bool_]) -> Array:

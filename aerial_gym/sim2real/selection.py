@@ -47,6 +47,9 @@ USUAL_ROUNDS = 4
 MOST_FITTED = 6
 """Effects that are fitted in a round; the others gain less at first sight."""
 
+MOST_STARTS = 3
+"""Starts from which an effect is fitted that has several, the best first: a pendulum has many lengths that look alike."""
+
 MOST_PAIRS = 6
 """Pairs that are tried where no effect holds alone."""
 
@@ -226,7 +229,7 @@ class _Selector:
         even if they seem to gain nothing.
         """
         screen = Screen(self.predictor, current.fit, current.left_out, self.tolerance, self.left_out)
-        trials, glances = [], []
+        trials, glances, starts = [], [], {}
         for count, name in enumerate(names):
             if done is not None:
                 share = (done + 0.5 * count / len(names)) / USUAL_ROUNDS
@@ -235,7 +238,10 @@ class _Selector:
                 trials.append(Trial(effect=name, scored=None, objections=(self.lacking[name],)))
                 continue
             looks = [screen.look(name, start, current.fit.frozen) for start in self.points(name, current.fit.point)]
-            glances.append(max(looks, key=lambda glance: (not glance.blind, glance.gain.score)))
+            looks.sort(key=lambda glance: (glance.blind, -glance.gain.score))
+            glances.append(looks[0])
+            on_a_rotor = EFFECTS.get(name).parameters[0].kind == "rotor"  # then another start is another effect
+            starts[name] = [look.start for look in looks[: 1 if on_a_rotor else MOST_STARTS]]
         glances.sort(key=lambda glance: -glance.gain.score)
         seen = [glance for glance in glances if not glance.blind]
         worth = [g for place, g in enumerate(seen[:MOST_FITTED]) if place < fewest or g.gain.score > 0.0]
@@ -243,7 +249,8 @@ class _Selector:
             if done is not None:
                 share = (done + 0.5 + 0.5 * count / len(worth)) / USUAL_ROUNDS
                 self.progress(f"round {done + 1}: {glance.effect}", min(1.0, share))
-            trials.append(self.try_from(glance.effect, current, glance.start))
+            tried = [self.try_from(glance.effect, current, start) for start in starts[glance.effect]]
+            trials.append(max(tried, key=lambda trial: trial.score))
         for glance in glances:
             if glance.blind:
                 reason = f"these flights do not show it; needed: {EFFECTS.get(glance.effect).excitation}"

@@ -66,9 +66,10 @@ def test_wind_shear_is_found_with_its_power(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_slung_payload_is_found_with_its_mass_and_length(tmp_path: Path) -> None:
+@pytest.mark.parametrize("size", ["moderate", "large"])
+def test_a_slung_payload_is_found_with_its_mass_and_length(size: str, tmp_path: Path) -> None:
     """The plant's damping acts at the suspension, that of the package is a drag in the air: it is not compared."""
-    verdict, truth = run_case(tmp_path, {"slung_payload": "moderate"}, 211)
+    verdict, truth = run_case(tmp_path, {"slung_payload": size}, 211)
     assert verdict["effects"][0]["name"] == "slung_payload"
     found, true = verdict["effects"][0]["params"], truth["effects"]["slung_payload"]
     assert found["mass"] == pytest.approx(true["mass"], rel=0.05)
