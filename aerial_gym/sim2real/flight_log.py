@@ -139,7 +139,8 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
             continue
         columns = _columns(table, quantity, name, str(path))
         if columns:
-            raw = _fields(table, columns, quantity, time, str(path), notes, gaps=name == "other_position")
+            gaps, held = name == "other_position", name == "rotor_command"
+            raw = _fields(table, columns, quantity, time, str(path), notes, gaps=gaps, held=held)
             values[name] = _converted(raw, table, quantity, time, str(path)) * UNITS[quantity.unit]
     if layout.lacks:
         notes.append(layout.lacks)
@@ -345,8 +346,12 @@ def _fields(
     notes: list[str],
     *,
     gaps: bool = False,
+    held: bool = False,
 ) -> Array:
-    """Return numbers (T, columns) with short gaps filled where the mapping allows it; ``gaps``: they may stay NaN."""
+    """Return numbers (T, columns) with short gaps filled where the mapping allows it.
+
+    ``gaps``: they may stay NaN; ``held``: a number holds until the next one.
+    """
     found, filled = np.empty((len(table), len(columns))), 0
     for index, column in enumerate(columns):
         numbers = np.asarray(pd.to_numeric(table[column], errors="coerce"), dtype=np.float64)
@@ -359,15 +364,16 @@ def _fields(
         if gaps:
             found[:, index] = numbers
             continue
-        found[:, index] = _fill(numbers, quantity, time, f"{path}, line {{line}}: {column}")
+        found[:, index] = _fill(numbers, quantity, time, f"{path}, line {{line}}: {column}", held=held)
         filled += int(np.isnan(numbers).sum())
     if filled:
-        notes.append(f"{filled} empty fields of {columns[0]} to {columns[-1]} filled by straight lines")
+        how = "by the value before" if held else "by straight lines"
+        notes.append(f"{filled} empty fields of {columns[0]} to {columns[-1]} filled {how}")
     return found
 
 
-def _fill(numbers: Array, quantity: ColumnsCfg, time: Array, where: str) -> Array:
-    """Return ``numbers`` without NaN: short runs become straight lines, long ones are refused."""
+def _fill(numbers: Array, quantity: ColumnsCfg, time: Array, where: str, *, held: bool) -> Array:
+    """Return ``numbers`` without NaN: short runs become straight lines, or the value before; long ones are refused."""
     empty = np.isnan(numbers)
     if not empty.any():
         return numbers
@@ -381,7 +387,10 @@ def _fill(numbers: Array, quantity: ColumnsCfg, time: Array, where: str) -> Arra
                 + f" is empty (NaN) for {stop - start} rows while other rows have it; cut the flight there, fill the gap, "
                 "or let a mapping file allow it (fill_gap_s)"
             )
-    return np.interp(time, time[~empty], numbers[~empty])
+    known = np.flatnonzero(~empty)
+    if held:
+        return numbers[known[np.maximum(np.searchsorted(known, np.arange(time.size), side="right") - 1, 0)]]
+    return np.interp(time, time[known], numbers[known])
 
 
 def _require(values: dict[str, Array], layout: LogMapping, known: list[str], path: str, *, hover: bool) -> None:

@@ -44,7 +44,7 @@ class ColumnsCfg:
     """Unit in the file, one of UNITS."""
 
     fill_gap_s: float = 0.0
-    """Longest run of empty fields [s] that is filled by straight lines; 0 refuses the first empty field."""
+    """Longest run of empty fields [s] that is filled by straight lines (commands: held); 0 refuses the first empty field."""
 
     times: str | None = None
     """Column that every value is multiplied by, such as the battery voltage of a duty cycle."""

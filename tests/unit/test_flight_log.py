@@ -73,8 +73,8 @@ def test_empty_columns_are_a_sensor_that_was_not_there(table: pd.DataFrame, tmp_
         ),
         (lambda t: t.assign(t=-t["t"]), r"line 3: t = -0\.01 s does not increase .*sort the rows"),
         (
-            lambda t: t.assign(omega_x=t["omega_x"].where(t.index != 7)),
-            r"line 9: omega_x is empty \(NaN\) for 1 rows while other rows have it; cut the flight there",
+            lambda t: t.assign(omega_x=t["omega_x"].where((t.index < 7) | (t.index > 12))),
+            r"line 9: omega_x is empty \(NaN\) for 6 rows while other rows have it; cut the flight there",
         ),
         (
             lambda t: t.assign(acc_z=t["acc_z"].where(t.index != 7, np.inf)),
@@ -145,6 +145,20 @@ def test_units_order_and_gaps_of_a_mapping(table: pd.DataFrame, tmp_path: Path) 
     np.testing.assert_allclose(log.ang_vel, table[["omega_x", "omega_y", "omega_z"]], rtol=1e-12, atol=1e-15)
     assert log.rotor_speed[40, 1] == pytest.approx(0.5 * (table["rotor_2"][39] + table["rotor_2"][41]))
     assert log.notes == ("1 empty fields of rotor_1 to rotor_4 filled by straight lines",)
+
+
+def test_single_empty_fields_become_lines_and_commands_hold(table: pd.DataFrame, tmp_path: Path) -> None:
+    """A sensor at a quarter of the log's rate, and a command that was lost for two rows."""
+    command = table[["rotor_1"]].set_axis(["cmd_1"], axis=1).assign(**{f"cmd_{n}": 700.0 + n for n in (2, 3, 4)})
+    sparse = pd.concat((table, command), axis=1)
+    sparse["omega_x"] = sparse["omega_x"].where(sparse.index % 4 == 0)
+    sparse["cmd_1"] = sparse["cmd_1"].where((sparse.index != 50) & (sparse.index != 51))
+    log = read_flight_log(write(sparse, tmp_path / "a.csv"))
+    assert log.ang_vel is not None
+    assert log.rotor_command is not None
+    assert log.ang_vel[41, 0] == pytest.approx(0.75 * table["omega_x"][40] + 0.25 * table["omega_x"][44])
+    np.testing.assert_array_equal(log.rotor_command[49:53, 0], command["cmd_1"][[49, 49, 49, 52]])
+    assert log.notes[1] == "2 empty fields of cmd_1 to cmd_4 filled by the value before"
 
 
 def test_a_gap_that_is_too_long_for_its_mapping(table: pd.DataFrame, tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from aerial_gym.sim2real.signals import lowpass_gain
 from aerial_gym.sim2real.tolerances import Tolerances
 from aerial_gym.sim2real.wind_process import (
     Series,
+    chance_of_memory,
     chance_of_noise,
     chances_of_rivals,
     fit_process,
@@ -196,3 +197,15 @@ def test_declared_gusts_are_taken_as_they_are() -> None:
     assert declared.accepted
     assert declared.params() == {"std": 0.5, "corr_time": 2.0}
     assert not declared_wind(ROBOT).accepted
+
+
+def test_noise_has_no_memory_as_often_as_stated() -> None:
+    """Series of 170 rows without their mean, of four flights; 20 lags, two of which a fit would have taken."""
+    rng = np.random.default_rng(0)
+    chances = []
+    for _ in range(600):
+        parts = [rng.standard_normal((170, 3)) for _ in range(4)]
+        chances.append(chance_of_memory([part - part.mean(axis=0) for part in parts]))
+    assert np.mean(np.array(chances) < 0.01) < 0.035
+    late = [np.roll(part, 3, axis=0) for part in parts]
+    assert chance_of_memory([part + 0.2 * other for part, other in zip(parts, late, strict=True)]) < 1e-4
