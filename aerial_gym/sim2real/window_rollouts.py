@@ -106,7 +106,7 @@ class Rollouts:
         start = (residual - missed[count:]) / NUDGE
         weight = 1.0 / np.maximum((residual**2).mean(axis=0), 1e-18)
         for _ in range(3):
-            sums = _eliminated(residual, jacobian, start, weight)
+            sums = eliminated(residual, jacobian, start, weight)
             fit = Fit(
                 effects=effects,
                 point=point,
@@ -185,7 +185,7 @@ def _nudged(state: BodyState, nudge: Tensor) -> BodyState:
     )
 
 
-def _eliminated(residual: Array, jacobian: Array, start: Array, weight: Array) -> Moments:
+def eliminated(residual: Array, jacobian: Array, start: Array, weight: Array) -> Moments:
     """Return the sums of each window (one channel) with the best error of its start in every model.
 
     ``M = W - W G (G^T W G + 1)^-1 G^T W`` for derivatives G by the start in units of its error.

@@ -13,6 +13,7 @@ from aerial_gym.sim2real.prediction import Predictor, declared_point, find_chann
 from aerial_gym.sim2real.scoring import Criteria
 from aerial_gym.sim2real.selection import _Selector
 from aerial_gym.sim2real.tolerances import Tolerances
+from aerial_gym.sim2real.window_rollouts import eliminated
 from tests.unit.flat_flights import ROBOT, flight, write
 
 DRAG = 0.25
@@ -81,3 +82,24 @@ def test_a_sensor_that_reads_too_little_is_told_by_the_difference(tmp_path) -> N
     assert not found.adopted
     assert any("specific_force" in objection for objection in found.objections)
     assert any("rotor_drag dx" in text for text in found.contradictions)
+
+
+def test_what_is_left_when_starts_are_eliminated_is_the_least_of_the_whole_problem() -> None:
+    """Against one least-squares problem in the parameters and in nine errors of the start of each window, all written out."""
+    rng, windows, rows, params = np.random.default_rng(3), 4, 5, 2
+    residual, weight = rng.standard_normal((windows, rows, 6)), rng.uniform(0.5, 2.0, (rows, 6))
+    jacobian, start = rng.standard_normal((params, windows, rows, 6)), rng.standard_normal((9, windows, rows, 6))
+    sums = eliminated(residual, jacobian, start, weight)
+    step = np.linalg.solve(sums.product.sum(axis=(0, 1)), sums.gradient.sum(axis=(0, 1)))
+    each, root = rows * 6, np.sqrt(weight).ravel()
+    matrix = np.zeros((windows * (each + 9), params + 9 * windows))
+    right = np.zeros(len(matrix))
+    for w in range(windows):
+        own, free = slice(w * each, (w + 1) * each), slice(params + 9 * w, params + 9 * (w + 1))
+        matrix[own, :params] = jacobian[:, w].reshape(params, -1).T * root[:, None]
+        matrix[own, free] = start[:, w].reshape(9, -1).T * root[:, None]
+        right[own] = residual[w].ravel() * root
+        matrix[windows * each + 9 * w : windows * each + 9 * (w + 1), free] = np.eye(9)
+    whole, least, *_ = np.linalg.lstsq(matrix, right, rcond=None)
+    np.testing.assert_allclose(step, whole[:params], rtol=1e-9)
+    np.testing.assert_allclose(sums.squares_after(np.tile(step, (windows, 1))).sum(), least, rtol=1e-9)
