@@ -36,6 +36,10 @@ class CloseLoopCmd:
     bandwidth_hz: float = 10.0
     """Measured and predicted are compared below this frequency [Hz]; at most a fifth of the logs' rate is used."""
 
+    tolerances: Path | None = None
+    """How well the robot is declared (.yaml): standard deviations of mass, thrust, inertia, time_constant, com, acc_bias,
+    gyro_bias, nominal_voltage, command_hold; those that are left out stay as docs/close_loop.md says."""
+
     seed: int = 0
     """Seed of the resampling behind the 95 % intervals."""
 
@@ -48,8 +52,11 @@ class CloseLoopCmd:
 
     def run(self) -> int:
         """Run the loop and print the verdict; return the exit status."""
+        from aerial_gym.config import load
         from aerial_gym.sim2real import close_loop
+        from aerial_gym.sim2real.tolerances import Tolerances
 
+        tolerances = None if self.tolerances is None else load(Tolerances, self.tolerances)
         with progress_bar() as progress:
             verdict = close_loop(
                 self.robot,
@@ -59,6 +66,7 @@ class CloseLoopCmd:
                 mapping=self.mapping,
                 bandwidth=self.bandwidth_hz,
                 seed=self.seed,
+                tolerances=tolerances,
                 learn_residual=self.learn_residual,
                 progress=progress,
             )

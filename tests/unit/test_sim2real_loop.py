@@ -157,13 +157,18 @@ def test_the_command_prints_and_refuses(folder: Path, capsys: pytest.CaptureFixt
     train = [str(folder / f"f{n}.csv") for n in range(3)]
     test, robot, out = str(folder / "f3.csv"), str(folder / "robot.yaml"), folder / "printed"
     call = ["close-loop", "--robot", robot, "--train", *train, "--test", test]
-    assert main([*call, "--out", str(out)]) == 0
+    known = folder.parent / "tolerances.yaml"
+    known.write_text("mass: 0.002\n")
+    assert main([*call, "--out", str(out), "--tolerances", str(known)]) == 0
+    record = json.loads((out / "run.json").read_text())
+    assert (record["config"]["tolerances"]["mass"], record["config"]["tolerances"]["com"]) == (0.002, 0.0003)
+    known.write_text("mas: 0.002\n")
     printed = capsys.readouterr().out
     assert "rotor_drag: dx = 0.2" in printed
     assert "specific force x" in printed
     before = sorted(path.name for path in folder.iterdir())
     bad = pd.read_csv(test)
-    bad.loc[100, "omega_y"] = np.nan
+    bad.loc[100:110, "omega_y"] = np.nan
     wrong = write(bad, folder / "bad.csv")
     for arguments, message in (
         ([*call[:-1], str(wrong), "--out", str(folder / "new")], "bad.csv, line 102: omega_y is empty (NaN)"),
@@ -172,6 +177,7 @@ def test_the_command_prints_and_refuses(folder: Path, capsys: pytest.CaptureFixt
         ([*call, "--out", str(folder / "new"), "--bandwidth-hz", "0"], "bandwidth_hz = 0.0: must lie in [0.5, 100] Hz"),
         ([*call, "--out", str(folder / "new"), "--mapping", "px4"], "no log mapping 'px4'"),
         (["close-loop", "--robot", "nobody", *call[3:], "--out", str(folder / "new")], "no robot 'nobody'"),
+        ([*call, "--out", str(folder / "new"), "--tolerances", str(known)], "mas"),
         (["replay", robot, str(folder / "none.csv")], "none.csv: no such file"),
     ):
         assert main(arguments) == 2, arguments
