@@ -26,7 +26,7 @@ def rms_near_the_ground(table: pd.DataFrame, flight: str, when: str) -> float:
 
 
 def test_the_ground_effect_is_named_and_holds_on_a_flight_not_fitted(tmp_path: Path) -> None:
-    """Trained on three flights of three vehicles; measured -35 % below 0.13 m on the fourth, held to 80 % of that."""
+    """Trained on three flights of three vehicles; measured -68 % below 0.13 m on the fourth, held to 80 % of that."""
     train = ("groundflight_cf50_a", "takeoff_cf52", "groundflight_cf101_parrot")
     out = tmp_path / "out"
     logs = [DATA / f"{name}.csv" for name in train]
@@ -36,7 +36,7 @@ def test_the_ground_effect_is_named_and_holds_on_a_flight_not_fitted(tmp_path: P
     assert verdict["effects"][0]["params"]["k"] > 5.0  # measured_data.md 3.6: 9 to 15 % more thrust at 65 to 90 mm
     table = pd.read_csv(out / "residuals.csv")
     before, after = (rms_near_the_ground(table, "takeoff_cf50", when) for when in ("before", "after"))
-    assert before == pytest.approx(0.78, abs=0.05)
-    assert after < (1.0 - 0.8 * 0.35) * before
+    assert before == pytest.approx(0.56, abs=0.05)
+    assert after < (1.0 - 0.8 * 0.68) * before
     high = [verdict[when]["specific_force"]["x"]["rms"] for when in ("before", "after")]
     assert high[1] == pytest.approx(high[0], rel=0.02)
