@@ -32,6 +32,12 @@ FARTHEST_DEVIATION = 3.0
 """No tolerance is taken to be off by more standard deviations than this."""
 
 MOST_STEPS = 8
+SHARES = (1.0, 0.5, 0.25, 0.125)
+"""Of a step, tried until one fits no worse than before."""
+
+ROUNDING = 1e-6
+"""Relative rise of the squares that is none."""
+
 CONVERGED = 0.02
 """A step is the last one if the linear model misses by less than this share of the residual."""
 
@@ -257,6 +263,8 @@ def fit_effects(
 ) -> Fit:
     """Return the model with some effects fitted by Gauss-Newton steps, until it is as good as linear.
 
+    A step that overshoots is halved.
+
     Deviations within the tolerances take their share while the effects are fitted; they are not part of the model.
 
     Args:
@@ -268,23 +276,39 @@ def fit_effects(
         frozen: Parameters that stay as they are.
     """
     fit, residuals, jacobians = linearise(predictor, effects, start, tolerance)
+    cost = misfit(predictor, residuals, tolerance, weight)
     for _ in range(MOST_STEPS):
         fit = replace(fit, frozen=frozen)
         step = best_step(fit, weight, fit.free_all)
-        own = step[: fit.num_effect_params]
-        if not np.any(own):
+        whole, here = step[: fit.num_effect_params], params_of(fit.point, effects)
+        if not np.any(whole):
             return fit
-        values = params_of(fit.point, effects) + scales(effects) * own
-        point = with_params(predictor.robot, fit.point, effects, values)
-        predicted = predictor.predict(point)
-        moved = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
+        for share in SHARES:
+            own = share * whole
+            point = with_params(predictor.robot, fit.point, effects, here + scales(effects) * own)
+            predicted = predictor.predict(point)
+            moved = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
+            new_cost = misfit(predictor, moved, tolerance, weight)
+            if new_cost <= cost * (1.0 + ROUNDING):
+                break
+        else:
+            return fit
         linear = [r - j[:, :, : own.size] @ own for r, j in zip(residuals, jacobians, strict=True)]
         miss = sum(float((weight * (m - expected) ** 2).sum()) for m, expected in zip(moved, linear, strict=True))
         size = sum(float((weight * m**2).sum()) for m in moved)
-        if miss <= CONVERGED**2 * size:
+        if share == 1.0 and miss <= CONVERGED**2 * size:
             return fit_at(predictor, effects, point, moved, jacobians, frozen=frozen)
+        cost = new_cost
         fit, residuals, jacobians = linearise(predictor, effects, point, tolerance, base=predicted)
     return replace(fit, frozen=frozen)
+
+
+def misfit(predictor: Predictor, residuals: list[Array], tolerance: list[Array], weight: Array) -> float:
+    """Return the weighted squares plus the prior, with the deviations that fit best."""
+    fit = fit_at(predictor, (), Point(effects={}), residuals, tolerance, length=np.inf)
+    step = best_step(fit, weight, fit.free_all)
+    left = fit.moments.squares_after(np.broadcast_to(step, (fit.moments.count.size, step.size)))
+    return float(left.sum(axis=0) @ weight + step @ step)
 
 
 def weighting(predictor: Predictor, start: Point, effects: tuple[str, ...], tolerance: list[Array]) -> Weighting:

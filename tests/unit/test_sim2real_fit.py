@@ -1,9 +1,12 @@
 """The statistics of the fit on data made from the model itself, where the truth is known exactly."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.fit import Fit, best_step
+from aerial_gym.robots import ROBOTS
+from aerial_gym.sim2real.fit import Fit, best_step, fit_effects
 from aerial_gym.sim2real.intervals import rms_with_interval
 from aerial_gym.sim2real.moments import block_moments, effective_share, weights_from
 from aerial_gym.sim2real.prediction import Point
@@ -157,3 +160,28 @@ def test_intervals_of_a_root_mean_square_cover_it() -> None:
         (found,) = rms_with_interval(values, np.repeat(np.arange(60), 20), seed=seed)
         inside.append(found.low < 1.0 < found.high)
     assert 0.88 < np.mean(inside) < 0.99
+
+
+def test_a_fit_that_would_overshoot_arrives() -> None:
+    """Steps of Gauss-Newton on ``arctan x`` grow without end from far away; halved ones reach the truth."""
+    rng = np.random.default_rng(2)
+    excitation, truth = 1.0 + 0.1 * rng.standard_normal((40, 1)), 3.0
+
+    def predict(point: Point) -> list[np.ndarray]:
+        return [np.arctan(excitation * point.effects["constant_wind"][0])]
+
+    predictor = SimpleNamespace(
+        robot=ROBOTS.get("tinyprop"),
+        times=[np.arange(40) / 30.0],
+        measured=[np.arctan(excitation * truth) + 1e-3 * rng.standard_normal((40, 1))],
+        predict=predict,
+    )
+    for start in (truth, 10.0, -6.0):
+        fit = fit_effects(
+            predictor,  # type: ignore[arg-type]
+            ("constant_wind",),
+            Point(effects={"constant_wind": np.array([start, 0.0, 0.0])}),
+            [np.zeros((40, 1, 0))],
+            np.full(1, 1e6),
+        )
+        assert fit.point.effects["constant_wind"][0] == pytest.approx(truth, rel=0.01)
