@@ -274,7 +274,8 @@ def judge_flights(
         notes.append(
             f"only {len(train)} training flights: intervals rest on blocks of time, not on the spread of flights"
         )
-    notes += [*immaterial(named), *refit.contradictions]
+    assert within.deviation is not None
+    notes += [*immaterial(named), *refit.contradictions, *tolerances.strained(within.deviation)]
     notes += [
         f"{name} is not named: it only stands in for a part of what remains, whose structure ({kind}) no effect has"
         for name, kind in selection.doubted.items()

@@ -28,7 +28,7 @@ STEP = 1e-3
 WEAK_PRIOR = 100.0
 """Standard deviation of the effects' parameters in units of their scale: keeps a fit solvable where data are silent."""
 
-FARTHEST_DEVIATION = 3.0
+FARTHEST_DEVIATION = 5.0
 """No tolerance is taken to be off by more standard deviations than this."""
 
 MOST_STEPS = 8
@@ -183,6 +183,25 @@ def steps_without(fit: Fit, weight: Array, free: Indices, label: Indices) -> Arr
     parts = [normal_equations(fit, weight, np.flatnonzero(place == k)) for k in range(labels.size)]
     product, gradient = (np.sum(sums, axis=0) for sums in zip(*parts, strict=True))
     return np.stack([_solve(fit, product - own, gradient - pull, free) for own, pull in parts])[place]
+
+
+def steps_beside(fit: Fit, weight: Array, label: Indices, deviation: Array) -> Array:
+    """Return for each block the best step of the effects under the blocks of all other labels, beside given deviations.
+
+    Args:
+        fit: The model.
+        weight: Of one row of each channel, (C,).
+        label: What is left out together, (B,).
+        deviation: Of each block, (B, N); the same for all blocks of a label.
+    """
+    _, first, place = np.unique(label, return_index=True, return_inverse=True)
+    own, steps = fit.num_effect_params, []
+    for k, block in enumerate(first):
+        product, gradient = normal_equations(fit, weight, np.flatnonzero(place != k))
+        step = _solve(fit, product, gradient - product[:, own:] @ deviation[block], fit.free_effects)
+        step[own:] = deviation[block]
+        steps.append(step)
+    return np.stack(steps)[place]
 
 
 def _solve(fit: Fit, product: Array, gradient: Array, free: Indices) -> Array:

@@ -14,7 +14,7 @@ from scipy import stats
 from aerial_gym.sim2real.candidates import Library
 from aerial_gym.sim2real.fit import FARTHEST_DEVIATION, WEAK_PRIOR
 from aerial_gym.sim2real.moments import Moments
-from aerial_gym.sim2real.scoring import LEAST_SCORE
+from aerial_gym.sim2real.scoring import LEAST_SCORE, is_relief
 from aerial_gym.sim2real.selection import Selection
 
 Array = NDArray[np.float64]
@@ -65,6 +65,23 @@ class Fitted:
         self.likelihood = np.full((members.size, blocks), np.nan)
         """Log likelihood of each block, (n, B); not a number where nobody has asked for it."""
 
+    def penalty(self, num_tolerances: int) -> Array:
+        """Return what the deviations cost in log likelihood, (n,): half the squared sum of their mean over the folds."""
+        return 0.5 * (self.step[..., -num_tolerances:].mean(axis=0) ** 2).sum(axis=-1)
+
+    def part(self, places: Indices) -> "Fitted":
+        """Return the fit to some of the resamples."""
+        found = Fitted(
+            self.model,
+            self.members[places],
+            self.columns,
+            self.step[:, places],
+            self.totals[:, places],
+            self.likelihood.shape[1],
+        )
+        found.likelihood = self.likelihood[places]
+        return found
+
 
 class LinearSelector:
     """Chooses candidates for each resample by the criteria of the selection."""
@@ -108,9 +125,11 @@ class LinearSelector:
         for n in np.flatnonzero(passed.any(axis=0)) if others else ():
             able, drawn = np.flatnonzero(passed[:, n]), self.draws[members[n]]
             like = np.stack([self._likelihood(trials[i], np.array([n]))[0] for i in able])  # (candidates, B)
-            total, size = like @ drawn, np.array([self.candidates[others[i]].columns.size for i in able])
+            penalty = np.array([trials[i].penalty(self.tolerances.size)[n] for i in able])
+            total, size = like @ drawn - penalty, np.array([self.candidates[others[i]].columns.size for i in able])
             best = int(total.argmax())
             chance = chance_of(like[best] - like, np.broadcast_to(drawn, like.shape))
+            chance = np.minimum(1.0, chance * np.exp(np.minimum(penalty[best] - penalty, 700.0)))
             tied = (chance > self.criteria.rival_significance) | (total[best] - total < LEAST_SCORE)
             tied[best] = True
             grown[n] = (*model, others[able[np.lexsort((-total, np.where(tied, size, 99)))[0]]])
@@ -153,9 +172,26 @@ class LinearSelector:
         normal = np.stack([np.tensordot(counts[:, own], product[own], axes=1) for own in folds])
         right = np.stack([counts[:, own] @ gradient[own] for own in folds])
         step = self._solve(model, normal.sum(axis=0) - normal, right.sum(axis=0) - right)
-        squares = self._parts.squares_after(columns, step)
-        totals = np.stack([np.einsum("na,nac->nc", counts[:, own], squares[:, own]) for own in folds])
+        return self._fitted(model, members, columns, step)
+
+    def _fitted(self, model: Model, members: Indices, columns: Indices, step: Array) -> Fitted:
+        """Return a model with its steps and the squares that they leave of each fold."""
+        counts, squares = self._counts[members], self._parts.squares_after(columns, step)
+        totals = np.stack([np.einsum("na,nac->nc", counts[:, own], squares[:, own]) for own in self._parts.folds])
         return Fitted(model, members, columns, step, totals, self.draws.shape[1])
+
+    def _fit_beside(self, less: Fitted, more: Fitted) -> Fitted:
+        """Return a model fitted to the resamples of another, each fold with the deviations that the other asks for."""
+        columns, counts, folds = self._columns(less.model), self._counts[more.members], self._parts.folds
+        own = columns.size - self.tolerances.size
+        product, gradient = self._parts.normal(columns)
+        normal = np.stack([np.tensordot(counts[:, part], product[part], axes=1) for part in folds])
+        right = np.stack([counts[:, part] @ gradient[part] for part in folds])
+        normal, right = normal.sum(axis=0) - normal, right.sum(axis=0) - right
+        deviation = more.step[..., -self.tolerances.size :]
+        pull = right[..., :own] - np.einsum("fnkl,fnl->fnk", normal[..., :own, own:], deviation)
+        step = np.concatenate((self._solve(less.model, normal[..., :own, :own], pull), deviation), axis=-1)
+        return self._fitted(less.model, more.members, columns, step)
 
     def squares(self, fitted: Fitted, places: Indices) -> Array:
         """Return the squares of each block in some of the resamples of a fit, (n, B, C)."""
@@ -170,17 +206,21 @@ class LinearSelector:
         return np.where(np.isin(columns, self.tolerances), 1.0, WEAK_PRIOR**-2)
 
     def _solve(self, model: Model, product: Array, gradient: Array) -> Array:
-        """Return the steps (..., k) that fit products (..., k, k) and gradients (..., k), held within bounds."""
+        """Return the steps (..., k) that fit products (..., k, k) and gradients (..., k), held within bounds.
+
+        The k columns are the first ones of a model: all of them, or those of its candidates alone.
+        """
+        size = gradient.shape[-1]
         farthest = np.full(self.tolerances.size, FARTHEST_DEVIATION)
-        low = np.concatenate([*(self.candidates[k].low for k in model), -farthest])
-        high = np.concatenate([*(self.candidates[k].high for k in model), farthest])
-        normal = product + np.diag(self._precision(self._columns(model)))
+        low = np.concatenate([*(self.candidates[k].low for k in model), -farthest])[:size]
+        high = np.concatenate([*(self.candidates[k].high for k in model), farthest])[:size]
+        normal = product + np.diag(self._precision(self._columns(model)[:size]))
         step = np.linalg.solve(normal, gradient[..., None])[..., 0]
         outside = (step < low) | (step > high)
         held = outside.any(axis=-1)
         if held.any():  # by a stiff spring at the bound
             spring = np.where(outside[held], 1e9 * np.diagonal(normal[held], axis1=-2, axis2=-1), 0.0)
-            stiff = normal[held] + spring[..., None] * np.eye(low.size)
+            stiff = normal[held] + spring[..., None] * np.eye(size)
             pull = gradient[held] + spring * np.clip(step[held], low, high)
             step[held] = np.linalg.solve(stiff, pull[..., None])[..., 0]
         return np.clip(step, low, high)
@@ -196,12 +236,29 @@ class LinearSelector:
 
     def passes(self, less: Fitted, more: Fitted, tried: int, *, harm: bool = True) -> Mask:
         """Return in which resamples a candidate of ``more`` is acceptable on top of ``less``, (n,)."""
+        equal, relieved = self._fit_beside(less, more), self._relieves(less, more)
+        passes = np.zeros(more.members.size, dtype=bool)
+        for places, before in ((np.flatnonzero(~relieved), less), (np.flatnonzero(relieved), equal)):
+            if places.size:
+                fitted = before.part(places), more.part(places), equal.part(places)
+                passes[places] = self._passes(*fitted, tried, harm)
+        return passes
+
+    def _relieves(self, less: Fitted, more: Fitted) -> Mask:
+        """Return in which resamples a model needs clearly smaller deviations than another, (n,)."""
+        before, after = (fitted.penalty(self.tolerances.size) for fitted in (less, more))
+        return is_relief(before - after, more.columns.size - less.columns.size, self.criteria)
+
+    def _passes(self, less: Fitted, more: Fitted, equal: Fitted, tried: int, harm: bool) -> Mask:
+        """Return the same by the squares of ``less``, what is visible by those with the deviations of ``more``, (n,)."""
         rules, counts, folds = self.criteria, self._counts[more.members], self._parts.folds
         rows = np.stack([counts[:, own] @ self._parts.moments.count[own] for own in folds])  # (F, n)
         drawn = np.stack([self.draws[more.members, own].sum(axis=1) for own in self._blocks.folds])
-        before, after = (fitted.totals.sum(axis=0) / rows.sum(axis=0)[:, None] for fitted in (less, more))
+        before, after, largest = (
+            fitted.totals.sum(axis=0) / rows.sum(axis=0)[:, None] for fitted in (less, more, equal)
+        )
         fall = 1.0 - np.sqrt(after / np.maximum(before, 1e-300))
-        seen = before - after > (rules.visible * self.tolerated) ** 2
+        seen = largest - after > (rules.visible * self.tolerated) ** 2
         passes = (fall * seen).max(axis=1) >= rules.material
         ratio = np.log(np.maximum(less.totals, 1e-300) / np.maximum(more.totals, 1e-300))  # (F, n, C)
         better = drawn * (ratio @ self.weights.effective > 0.0)

@@ -6,10 +6,10 @@ Letters: B blocks of time, C channels, K parameters.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from aerial_gym.sim2real.fit import Fit, steps_without
+from aerial_gym.sim2real.fit import Fit, steps_beside, steps_without
 from aerial_gym.sim2real.moments import Moments, Weighting
 from aerial_gym.sim2real.prediction import Channel
 from aerial_gym.sim2real.uncertainty import Uncertainty
@@ -37,6 +37,9 @@ class Criteria:
 
     left_out_significance: float = 0.01
     """Largest probability that the gain on flights left out is chance."""
+
+    relief_significance: float = 0.0001
+    """Largest probability that chance makes the deviations smaller by as much as an effect does; some 30 effects are tried."""
 
     flights_better: float = 0.75
     """Least share of flights left out that it must predict better, and that it must not harm in any channel."""
@@ -162,6 +165,27 @@ class LeftOut:
             visible=tuple((fallen > (self.criteria.visible * self.tolerated) ** 2).tolist()),
         )
 
+    def gain_beyond_tolerances(self, less: Scored, more: Scored) -> Gain:
+        """Return what one model gains over another, with equal deviations in both if it needs clearly smaller ones.
+
+        A thrust that is 2 % off looks like five tolerances that are 3 standard deviations off each: flights left out are
+        predicted as well, but the prior makes it unlikely. Then both models take the deviations that ``more`` asks for.
+        What is visible is always told with these. The score is that of both models with their own deviations, their prior
+        included.
+        """
+        own, equal = (
+            self.gain(left, more.left_out) for left in (less.left_out, self.squares_beside(less.fit, more.fit))
+        )
+        relief, added = less.penalty - more.penalty, more.fit.free_effects.size - less.fit.free_effects.size
+        gain = equal if is_relief(relief, added, self.criteria) else replace(own, visible=equal.visible)
+        return replace(gain, score=own.score + relief)
+
+    def squares_beside(self, less: Fit, more: Fit) -> Array:
+        """Return the squares (B, C) of each fold under the fit of the others, with the deviations that ``more`` asks for."""
+        weight = self.weights.weight
+        deviation = steps_without(more, weight, more.free_all, self.fold)[:, more.num_effect_params :]
+        return less.moments.squares_after(steps_beside(less, weight, self.fold, deviation))
+
     def objections(self, gain: Gain) -> list[str]:
         """Return why a gain on flights left out does not count."""
         rules, found = self.criteria, []
@@ -197,6 +221,15 @@ class LeftOut:
         """Return in which channels squares (B, C) rise by more than is harmless and than tolerances may cause, (C,)."""
         before, after = less.sum(axis=0) / count.sum(), more.sum(axis=0) / count.sum()
         return (after > (1.0 + self.criteria.harmless) ** 2 * before) & (after - before > self.tolerated**2)
+
+
+def is_relief(relief: ArrayLike, added: int, criteria: Criteria) -> NDArray[np.bool_]:
+    """Return whether ``added`` parameters lower half the squared sum of the deviations by more than chance does.
+
+    Twice what they lower it by is chi-square distributed if the tolerances are what they are said to be.
+    Source: Wilks (1938), The large-sample distribution of the likelihood ratio.
+    """
+    return stats.chi2.sf(2.0 * np.asarray(relief), max(added, 1)) <= criteria.relief_significance
 
 
 def _log_ratio(less: Array, more: Array) -> Array:

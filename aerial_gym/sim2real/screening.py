@@ -10,16 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from aerial_gym.sim2real.fit import (
-    Fit,
-    Frozen,
-    effect_jacobian,
-    fit_at,
-    normal_equations,
-    prior_precision,
-)
+from aerial_gym.sim2real.fit import Frozen, effect_jacobian, fit_at
 from aerial_gym.sim2real.prediction import Point, Predictor
-from aerial_gym.sim2real.scoring import Gain, LeftOut
+from aerial_gym.sim2real.scoring import Gain, LeftOut, Scored
+from aerial_gym.sim2real.uncertainty import uncertainty
 
 Array = NDArray[np.float64]
 
@@ -42,11 +36,10 @@ class Glance:
 class Screen:
     """The present model, linearised."""
 
-    def __init__(
-        self, predictor: Predictor, present: Fit, less: Array, tolerance: list[Array], left_out: LeftOut
-    ) -> None:
-        """Take a model and its squares on flights left out, ``less``."""
-        self._predictor, self._present, self._less = predictor, present, less
+    def __init__(self, predictor: Predictor, current: Scored, tolerance: list[Array], left_out: LeftOut) -> None:
+        """Take a model with its squares on flights left out."""
+        present = current.fit
+        self._predictor, self._current, self._present = predictor, current, present
         self._tolerance, self._left_out = tolerance, left_out
         self._predicted = predictor.predict(present.point)
         self._own = effect_jacobian(predictor, present.point, present.effects, self._predicted)
@@ -59,13 +52,12 @@ class Screen:
         jacobians = [np.concatenate(parts, axis=2) for parts in zip(self._own, more, self._tolerance, strict=True)]
         residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
         fit = fit_at(predictor, effects, start, residuals, jacobians, frozen=frozen)
-        gain = self._left_out.gain(self._less, self._left_out.squares(fit))
-        return Glance(effect=name, start=start, gain=gain, blind=self._is_blind(fit, name))
-
-    def _is_blind(self, fit: Fit, name: str) -> bool:
-        """Return whether noise and tolerances leave every parameter of the candidate unknown by more than its scale."""
-        free = fit.free_all
-        product, _ = normal_equations(fit, self._left_out.weights.weight)
-        variance = np.diag(np.linalg.inv(product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free])))
-        own = [i for i, k in enumerate(free) if k in fit.columns_of(name)]
-        return bool(np.all(variance[own] > 1.0))
+        scored = Scored(
+            fit=fit,
+            spread=uncertainty(fit, self._left_out.weights.weight),
+            left_out=self._left_out.squares(fit),
+        )
+        gain = self._left_out.gain_beyond_tolerances(self._current, scored)
+        own = [place for place, k in enumerate(scored.spread.columns) if k in fit.columns_of(name)]
+        blind = bool(np.all(np.diag(scored.spread.plain)[own] > 1.0))
+        return Glance(effect=name, start=start, gain=gain, blind=blind)

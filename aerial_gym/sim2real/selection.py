@@ -228,7 +228,7 @@ class _Selector:
         Every effect is looked at as if the model were linear in it; those that then look best are fitted, ``fewest`` of them
         even if they seem to gain nothing.
         """
-        screen = Screen(self.predictor, current.fit, current.left_out, self.tolerance, self.left_out)
+        screen = Screen(self.predictor, current, self.tolerance, self.left_out)
         trials, glances, starts = [], [], {}
         for count, name in enumerate(names):
             if done is not None:
@@ -324,7 +324,7 @@ class _Selector:
 
     def judge(self, name: str, current: Scored, scored: Scored) -> Trial:
         """Return the trial with every objection to accepting the effect."""
-        gain = self.left_out.gain(current.left_out, scored.left_out)
+        gain = self.left_out.gain_beyond_tolerances(current, scored)
         probability = self.probability_neutral(name, scored)
         objections = self.left_out.objections(gain)
         objections += [
@@ -336,7 +336,7 @@ class _Selector:
         return Trial(
             effect=name,
             scored=scored,
-            gain=replace(gain, score=gain.score + current.penalty - scored.penalty),
+            gain=gain,
             probability=probability,
             objections=tuple(objections),
             only_harms=bool(objections) and objections == self.left_out.harms(gain),

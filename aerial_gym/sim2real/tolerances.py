@@ -6,11 +6,16 @@ called an effect, and the intervals of the effects carry them. Letters: E enviro
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.config.robot import require_positive
 from aerial_gym.physics import Vehicle
+
+STRAINED = 3.0
+"""Standard deviations beyond which a declaration was not careful, or a tolerance is too small."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +58,16 @@ class Tolerances:
         rotors = [f"thrust_{number}" for number in range(1, num_rotors + 1)]
         axes = [f"{name}_{axis}" for name in ("inertia", "com", "acc_bias", "gyro_bias") for axis in "xyz"]
         return ("mass", *rotors, *axes, "time_constant", "nominal_voltage", "command_hold")
+
+    def strained(self, deviation: NDArray[np.float64]) -> list[str]:
+        """Return a note for each of the (N,) deviations, in standard deviations, that a careful declaration would not have."""
+        names = self.names(deviation.size - len(self.names(0)))
+        return [
+            f"beside the named effects the flights ask for a {name} that is off by {size:+.1f} standard deviations of its "
+            "tolerance: declare it anew, or give the tolerance that it has (--tolerances)"
+            for name, size in zip(names, deviation, strict=True)
+            if abs(size) > STRAINED
+        ]
 
 
 def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehicle:

@@ -13,7 +13,7 @@ from aerial_gym.sim2real.inclusion import RESAMPLES, draw_blocks
 from aerial_gym.sim2real.linear_selection import LinearSelector
 from aerial_gym.sim2real.moments import Weighting, block_moments
 from aerial_gym.sim2real.prediction import Channel, Point
-from aerial_gym.sim2real.scoring import Criteria, LeftOut
+from aerial_gym.sim2real.scoring import Criteria, LeftOut, Scored
 from aerial_gym.sim2real.uncertainty import uncertainty, wald_probability
 
 ROWS, RATE, CHANNELS = 360, 30.0, 2
@@ -21,11 +21,22 @@ EFFECT = "rotor_drag"
 
 
 def made(
-    rng: np.random.Generator, truth: np.ndarray, *, flights: int = 5, low: float = -np.inf, tolerated: float = 0.0
+    rng: np.random.Generator,
+    truth: np.ndarray,
+    *,
+    flights: int = 5,
+    low: float = -np.inf,
+    tolerated: float = 0.0,
+    alike: float = 0.0,
 ) -> tuple[Library, LeftOut]:
-    """Return candidates with one column each and one tolerance; residual ``J truth + white noise``, unit weights."""
+    """Return candidates with one column each and one tolerance; residual ``J truth + white noise``, unit weights.
+
+    A deviation of 1 in the tolerance does what ``alike`` of the first effect does, and nothing else if that is not 0.
+    """
     columns = truth.size + 1
     jacobians = [rng.standard_normal((ROWS, CHANNELS, columns)) for _ in range(flights)]
+    if alike:
+        jacobians = [np.concatenate((j[:, :, :-1], alike * j[:, :, :1]), axis=2) for j in jacobians]
     residuals = [j[:, :, :-1] @ truth + rng.standard_normal((ROWS, CHANNELS)) for j in jacobians]
     times = [np.arange(ROWS) / RATE] * flights
     candidates = tuple(
@@ -52,30 +63,61 @@ def chosen(library: Library, left_out: LeftOut, seed: int = 0) -> list[tuple[int
     return selector(library, left_out, draw_blocks(left_out.fold, np.random.default_rng(seed))).select()
 
 
+def scored(left_out: LeftOut, *, effect: bool) -> Scored:
+    """Return the model with or without the first effect beside the tolerance, one column each."""
+    moments, kept = left_out.moments, np.array([0, 1] if effect else [1])
+    fit = Fit(
+        effects=(EFFECT,) if effect else (),
+        point=Point(effects={EFFECT: np.zeros(3)} if effect else {}),
+        moments=replace(
+            moments, gradient=moments.gradient[..., kept], product=moments.product[..., kept[:, None], kept]
+        ),
+        low=np.full(kept.size, -np.inf),
+        high=np.full(kept.size, np.inf),
+        num_effect_params=int(effect),
+        frozen=frozenset({(EFFECT, 1), (EFFECT, 2)}) if effect else frozenset(),
+    )
+    return Scored(fit=fit, spread=uncertainty(fit, left_out.weights.weight), left_out=left_out.squares(fit))
+
+
 @pytest.mark.parametrize("flights", [1, 5])
-@pytest.mark.parametrize("size", [0.0, 0.2, 0.33, 0.6])
-def test_undrawn_flights_are_judged_as_the_selection_judges_them(size: float, flights: int) -> None:
+@pytest.mark.parametrize(
+    ("size", "alike"),
+    [(0.0, 0.0), (0.2, 0.0), (0.33, 0.0), (0.6, 0.0), (0.6, 0.1), (0.6, 0.3), (0.6, 1.0), (0.1, 0.02)],
+)
+def test_undrawn_flights_are_judged_as_the_selection_judges_them(size: float, alike: float, flights: int) -> None:
     """With every block once, squares and verdict are those of ``LeftOut`` and of the Wald test, to rounding."""
     for seed in range(6):
-        library, left_out = made(np.random.default_rng(seed), np.array([size]), flights=flights)
-        fit = Fit(
-            effects=(EFFECT,),
-            point=Point(effects={EFFECT: np.zeros(3)}),
-            moments=library.moments,
-            low=np.full(2, -np.inf),
-            high=np.full(2, np.inf),
-            num_effect_params=1,
-            frozen=frozenset({(EFFECT, 1), (EFFECT, 2)}),
-        )
-        spread = uncertainty(fit, left_out.weights.weight)
-        squares = left_out.squares(fit)
-        gain = left_out.gain(library.moments.square, squares)
-        stands_out = wald_probability(spread.step[:1], spread) <= left_out.criteria.significance
+        library, left_out = made(np.random.default_rng(seed), np.array([size]), flights=flights, alike=alike)
+        less, more = scored(left_out, effect=False), scored(left_out, effect=True)
+        gain = left_out.gain_beyond_tolerances(less, more)
+        stands_out = wald_probability(more.spread.step[:1], more.spread) <= left_out.criteria.significance
         linear, only = selector(library, left_out, np.ones((1, left_out.fold.size))), np.zeros(1, dtype=int)
         found = linear.fit((0,), only)
-        np.testing.assert_allclose(linear.squares(found, only)[0], squares, rtol=1e-9)
+        np.testing.assert_allclose(linear.squares(found, only)[0], more.left_out, rtol=1e-9)
         passes = linear.passes(linear.fit((), only), found, 0)
         assert bool(passes[0]) == (stands_out and not left_out.objections(gain))
+
+
+@pytest.mark.parametrize(("alike", "expected"), [(0.1, True), (0.3, False), (0.0, True)])
+def test_what_tolerances_would_have_to_strain_for_is_an_effect(alike: float, expected: bool) -> None:
+    """A cause of 0.6 is six deviations of 0.1, or two of 0.3: the former are unlikely by 18 nats, the latter by 2.
+
+    Flights left out are predicted alike with and without the effect wherever the tolerance does the same.
+    """
+    for seed in range(6):
+        library, left_out = made(np.random.default_rng(seed), np.array([0.6]), alike=alike)
+        less, more = scored(left_out, effect=False), scored(left_out, effect=True)
+        own = left_out.gain(less.left_out, more.left_out)
+        gain = left_out.gain_beyond_tolerances(less, more)
+        assert gain.score == pytest.approx(own.score + less.penalty - more.penalty)
+        if alike:
+            assert max(own.falls) < 0.01
+            assert less.penalty == pytest.approx(0.5 * (0.6 / alike) ** 2, rel=0.2)
+        assert (not left_out.objections(gain)) == expected
+        if expected:
+            assert max(gain.falls) == pytest.approx(1.0 - 1.0 / np.sqrt(1.0 + 0.6**2), abs=0.05)
+        assert set(chosen(library, left_out)) == {(0,) if expected else ()}
 
 
 @pytest.mark.parametrize("flights", [4, 7])

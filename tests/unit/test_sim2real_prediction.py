@@ -395,3 +395,13 @@ def test_the_noise_floor_shows_in_a_log_of_the_highest_band(tmp_path: Path) -> N
 def test_no_floor_where_the_log_is_too_slow(tmp_path: Path) -> None:
     found = load(tmp_path, rate=25.0)
     assert noise_floor(ROBOT, [found], Point(), [Channel(kind="specific_force", axis="x")], bandwidth=8.0) is None
+
+
+def test_a_tolerance_that_strains_is_told_by_its_name() -> None:
+    tolerances, size = Tolerances(), len(Tolerances().names(6))
+    deviation = np.full(size, 2.9)
+    assert tolerances.strained(deviation) == []
+    deviation[[0, 6, size - 1]] = 3.4, -4.0, 3.1
+    notes = tolerances.strained(deviation)
+    for name, asked, note in zip(("mass", "thrust_6", "command_hold"), ("+3.4", "-4.0", "+3.1"), notes, strict=True):
+        assert f"a {name} that is off by {asked} standard deviations" in note
