@@ -22,7 +22,7 @@ from aerial_gym.sim2real.battery import with_battery
 from aerial_gym.sim2real.breakdown import by_flight, where_it_acts
 from aerial_gym.sim2real.contribution import contributions
 from aerial_gym.sim2real.evaluation import evaluate
-from aerial_gym.sim2real.fit import best_within_tolerances, params_of, with_params
+from aerial_gym.sim2real.fit import params_of, with_params
 from aerial_gym.sim2real.flights import Flight, load_flights
 from aerial_gym.sim2real.inclusion import inclusion
 from aerial_gym.sim2real.learned import Learned, judge_on_test, train_residual
@@ -30,16 +30,16 @@ from aerial_gym.sim2real.manoeuvre import Advice, Catalogue, showable, what_show
 from aerial_gym.sim2real.mapping import find_mapping
 from aerial_gym.sim2real.noise import noise_floor
 from aerial_gym.sim2real.output_error import refit_on_rollouts
-from aerial_gym.sim2real.prediction import KINEMATIC, Channel, Point, Predictor, declared_point, find_channels
-from aerial_gym.sim2real.random_wind import NAME, declared_wind, find_random_wind, with_random
+from aerial_gym.sim2real.prediction import Channel, Point, Predictor, declared_point, find_channels
+from aerial_gym.sim2real.random_wind import NAME, declared_wind, with_random
+from aerial_gym.sim2real.remains import find_remains, judges_forces
 from aerial_gym.sim2real.runtime import check_out_dir, whole_folder, write_record
 from aerial_gym.sim2real.scoring import Criteria
 from aerial_gym.sim2real.selection import Progress, Selection, select_effects
 from aerial_gym.sim2real.spectrum import whiteness
-from aerial_gym.sim2real.structure import Structure, find_structure
 from aerial_gym.sim2real.surroundings import check_around
 from aerial_gym.sim2real.tolerances import Tolerances
-from aerial_gym.sim2real.verdict import Verdict, decide, immaterial, material_remains, named_effects, tied_rivals
+from aerial_gym.sim2real.verdict import Verdict, decide, immaterial, named_effects, tied_rivals
 
 Array = NDArray[np.float64]
 
@@ -222,38 +222,15 @@ def judge_flights(
     }
     named = named_effects(selection, included, worth, regimes)
     manoeuvre, fly_next = what_to_fly(train_predictor, declared, selection)
-    within = best_within_tolerances(robot, selection.final.fit, selection.weights.weight)
-    left = test_predictor.residuals(within)
-    rms = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
-    rms = np.minimum(rms, [channel.value for channel in after.residual])  # tolerances only ever explain
-    remaining = material_remains(rms, floor, selection.left_out.tolerated)
-    dynamic = np.array([channel.kind not in not_judged(flights) for channel in channels])
-    remaining &= dynamic
-    wind = declared_wind(robot)
-    if not wind.accepted:
-        wind = find_random_wind(
-            train_predictor,
-            within,
-            criteria,
-            floor=floor,
-            tolerated=selection.left_out.tolerated,
-            remaining=remaining,
-        )
-        if wind.accepted and floor is not None:
-            floor = np.hypot(floor, wind.adds(test_predictor, final))
-            after = replace(after, floor=tuple(floor.tolist()))
-            remaining = dynamic & material_remains(rms, floor, selection.left_out.tolerated)
-    structure = Structure()
-    if remaining.any():
-        both = [*train_predictor.residuals(within), *left]
-        times = [*train_predictor.times, *test_predictor.times]
-        structure = find_structure(flights, times, both, channels, np.flatnonzero(remaining).tolist())
-    remains = tuple(channel.name for channel, some in zip(channels, remaining, strict=True) if some)
+    remains = find_remains(train_predictor, test_predictor, selection, after, floor)
+    floor, wind = remains.floor, remains.wind
+    if wind.accepted and floor is not None:
+        after = replace(after, floor=tuple(floor.tolist()))
     found = () if NAME in robot.effects or not wind.accepted else (wind.named(),)
-    kind, reason, candidates = decide(selection, remains, floor is not None)
+    kind, reason, candidates = decide(selection, remains.channels, floor is not None)
     if found:
         kind, reason, candidates = wind.decision((kind, reason, candidates))
-    if "specific_force" in not_judged(flights) and any(channel.kind == "specific_force" for channel in channels):
+    if not judges_forces(flights) and any(channel.kind == "specific_force" for channel in channels):
         reason += (
             "; without velocity drag is not known, so that what remains of the specific force is not judged: log v or p"
         )
@@ -265,21 +242,6 @@ def judge_flights(
         if learned.effect is not None:
             final = replace(final, learned=learned.effect)
             after = evaluate(robot, test, test_predictor, final, floor=floor, seed=seed)
-    notes = [*wind.notes, *(f"{flight.name}: {note}" for flight in flights for note in flight.notes)]
-    if band < bandwidth:
-        notes.append(
-            f"compared below {band:.3g} Hz: the slowest log has {min(f.rate for f in flights):.4g} rows per second"
-        )
-    if len(train) < 3:
-        notes.append(
-            f"only {len(train)} training flights: intervals rest on blocks of time, not on the spread of flights"
-        )
-    assert within.deviation is not None
-    notes += [*immaterial(named), *refit.contradictions, *tolerances.strained(within.deviation)]
-    notes += [
-        f"{name} is not named: it only stands in for a part of what remains, whose structure ({kind}) no effect has"
-        for name, kind in selection.doubted.items()
-    ]
     verdict = Verdict(
         verdict=kind,
         reason=reason,
@@ -290,16 +252,23 @@ def judge_flights(
         fly_next=fly_next,
         inclusion=included,
         output_error=refit,
-        structure=structure,
+        structure=remains.structure,
         before=before,
         after=after,
         flights=by_flight(test_predictor, declared, final, before, after, seed=seed),
-        remains=remains,
+        remains=remains.channels,
         whiteness=dict(
-            zip((c.name for c in channels), whiteness(test_predictor.times, left, channels, band), strict=True)
+            zip((c.name for c in channels), whiteness(test_predictor.times, remains.left, channels, band), strict=True)
         ),
         learned=learned,
-        notes=tuple(notes),
+        notes=(
+            *wind.notes,
+            *about_logs(train, test, band, bandwidth),
+            *immaterial(named),
+            *refit.contradictions,
+            *tolerances.strained(remains.deviation),
+            *stand_ins(selection),
+        ),
     )
     return Analysis(
         robot=stated,
@@ -322,9 +291,26 @@ def judge_flights(
     )
 
 
-def not_judged(flights: Sequence[Flight]) -> tuple[str, ...]:
-    """Return the kinds of channel in which what remains says nothing: kinematic ones, and forces at an unknown airspeed."""
-    return KINEMATIC if all(flight.lin_vel is not None for flight in flights) else (*KINEMATIC, "specific_force")
+def about_logs(train: Sequence[Flight], test: Sequence[Flight], band: float, asked: float) -> list[str]:
+    """Return notes on the logs, and on what they are too slow or too few for."""
+    flights = [*train, *test]
+    notes = [f"{flight.name}: {note}" for flight in flights for note in flight.notes]
+    if band < asked:
+        slowest = min(flight.rate for flight in flights)
+        notes.append(f"compared below {band:.3g} Hz: the slowest log has {slowest:.4g} rows per second")
+    if len(train) < 3:
+        notes.append(
+            f"only {len(train)} training flights: intervals rest on blocks of time, not on the spread of flights"
+        )
+    return notes
+
+
+def stand_ins(selection: Selection) -> list[str]:
+    """Return a note on each effect that lost its name to a structure."""
+    return [
+        f"{name} is not named: it only stands in for a part of what remains, whose structure ({kind}) no effect has"
+        for name, kind in selection.doubted.items()
+    ]
 
 
 def what_to_fly(train: Predictor, declared: Point, selection: Selection) -> tuple[Advice | None, dict[str, Advice]]:

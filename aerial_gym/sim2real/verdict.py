@@ -1,13 +1,12 @@
 """The verdict: which effects the flights name, with what certainty, and what remains.
 
-The mapping for ``verdict.json`` is a contract (DESIGN.md, section 4). Letters: C channels.
+The mapping for ``verdict.json`` is a contract (DESIGN.md, section 4).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.breakdown import Part, Regime
@@ -22,14 +21,6 @@ from aerial_gym.sim2real.scoring import LEAST_SCORE
 from aerial_gym.sim2real.selection import Selection, Trial
 from aerial_gym.sim2real.spectrum import Whiteness
 from aerial_gym.sim2real.structure import Structure
-
-Array = NDArray[np.float64]
-
-NEAR_FLOOR = 2.0
-"""A mean square of less than this many times the floor's is near the noise floor."""
-
-TOLERATED = 0.5
-"""What remains above the floor is immaterial below this share of what the vehicle's tolerances may cause."""
 
 MOST_CONFIDENT = 0.9999
 
@@ -242,20 +233,6 @@ def tied_rivals(name: str, selection: Selection) -> list[str]:
     size = selection.acceptance[name].num_free
     rivals = [trial for trial in serious_rivals(name, selection) if trial.gain and trial.num_free <= size]
     return [trial.effect for trial in rivals if not told_apart(trial, selection)]
-
-
-def material_remains(rms: Array, floor: Array | None, tolerated: Array) -> NDArray[np.bool_]:
-    """Return in which channels more remains than noise and tolerances, (C,); all False where no floor is known.
-
-    Args:
-        rms: Residual with effects and with the deviations that fit best within the tolerances, (C,).
-        floor: Noise floor, (C,).
-        tolerated: Residual that the tolerances of the vehicle cause, (C,).
-    """
-    if floor is None:
-        return np.zeros(rms.size, dtype=bool)
-    excess = np.sqrt(np.maximum(rms**2 - floor**2, 0.0))
-    return (rms**2 > NEAR_FLOOR * floor**2) & (excess > TOLERATED * tolerated)
 
 
 def decide(selection: Selection, remains: tuple[str, ...], floor_known: bool) -> tuple[str, str, tuple[str, ...]]:

@@ -19,9 +19,9 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real import close_loop, replay
 from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test, silent
 from aerial_gym.sim2real.prediction import Channel
+from aerial_gym.sim2real.remains import material_remains
 from aerial_gym.sim2real.runtime import whole_folder
 from aerial_gym.sim2real.structure import find_structure
-from aerial_gym.sim2real.verdict import material_remains
 from tests.unit.flat_flights import ROBOT, flight, write
 
 DRAG = 0.25
