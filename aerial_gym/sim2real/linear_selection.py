@@ -64,6 +64,8 @@ class Fitted:
         self.model, self.members, self.columns, self.step, self.totals = model, members, columns, step, totals
         self.likelihood = np.full((members.size, blocks), np.nan)
         """Log likelihood of each block, (n, B); not a number where nobody has asked for it."""
+        self.others: tuple[Array, Array] | None = None
+        """Products and gradients of all folds but each one, once they have been asked for."""
 
     def penalty(self, num_tolerances: int) -> Array:
         """Return what the deviations cost in log likelihood, (n,): half the squared sum of their mean over the folds."""
@@ -167,12 +169,17 @@ class LinearSelector:
 
     def fit(self, model: Model, members: Indices) -> Fitted:
         """Return a model fitted to some resamples, each fold left out once."""
-        columns, counts, folds = self._columns(model), self._counts[members], self._parts.folds
+        columns = self._columns(model)
+        step = self._solve(model, *self._sums_of_others(columns, members))
+        return self._fitted(model, members, columns, step)
+
+    def _sums_of_others(self, columns: Indices, members: Indices) -> tuple[Array, Array]:
+        """Return the weighted products (F, n, k, k) and gradients (F, n, k) of all folds but each one."""
+        counts, folds = self._counts[members], self._parts.folds
         product, gradient = self._parts.normal(columns)
         normal = np.stack([np.tensordot(counts[:, own], product[own], axes=1) for own in folds])
         right = np.stack([counts[:, own] @ gradient[own] for own in folds])
-        step = self._solve(model, normal.sum(axis=0) - normal, right.sum(axis=0) - right)
-        return self._fitted(model, members, columns, step)
+        return normal.sum(axis=0) - normal, right.sum(axis=0) - right
 
     def _fitted(self, model: Model, members: Indices, columns: Indices, step: Array) -> Fitted:
         """Return a model with its steps and the squares that they leave of each fold."""
@@ -180,18 +187,15 @@ class LinearSelector:
         totals = np.stack([np.einsum("na,nac->nc", counts[:, own], squares[:, own]) for own in self._parts.folds])
         return Fitted(model, members, columns, step, totals, self.draws.shape[1])
 
-    def _fit_beside(self, less: Fitted, more: Fitted) -> Fitted:
-        """Return a model fitted to the resamples of another, each fold with the deviations that the other asks for."""
-        columns, counts, folds = self._columns(less.model), self._counts[more.members], self._parts.folds
-        own = columns.size - self.tolerances.size
-        product, gradient = self._parts.normal(columns)
-        normal = np.stack([np.tensordot(counts[:, part], product[part], axes=1) for part in folds])
-        right = np.stack([counts[:, part] @ gradient[part] for part in folds])
-        normal, right = normal.sum(axis=0) - normal, right.sum(axis=0) - right
-        deviation = more.step[..., -self.tolerances.size :]
+    def _fit_beside(self, less: Fitted, more: Fitted, places: Indices) -> Fitted:
+        """Return a model fitted to some resamples, each fold with the deviations that another model asks for."""
+        if less.others is None:
+            less.others = self._sums_of_others(less.columns, less.members)
+        normal, right = (sums[:, places] for sums in less.others)
+        own, deviation = less.columns.size - self.tolerances.size, more.step[:, places, -self.tolerances.size :]
         pull = right[..., :own] - np.einsum("fnkl,fnl->fnk", normal[..., :own, own:], deviation)
         step = np.concatenate((self._solve(less.model, normal[..., :own, :own], pull), deviation), axis=-1)
-        return self._fitted(less.model, more.members, columns, step)
+        return self._fitted(less.model, more.members[places], less.columns, step)
 
     def squares(self, fitted: Fitted, places: Indices) -> Array:
         """Return the squares of each block in some of the resamples of a fit, (n, B, C)."""
@@ -236,13 +240,22 @@ class LinearSelector:
 
     def passes(self, less: Fitted, more: Fitted, tried: int, *, harm: bool = True) -> Mask:
         """Return in which resamples a candidate of ``more`` is acceptable on top of ``less``, (n,)."""
-        equal, relieved = self._fit_beside(less, more), self._relieves(less, more)
-        passes = np.zeros(more.members.size, dtype=bool)
-        for places, before in ((np.flatnonzero(~relieved), less), (np.flatnonzero(relieved), equal)):
-            if places.size:
-                fitted = before.part(places), more.part(places), equal.part(places)
-                passes[places] = self._passes(*fitted, tried, harm)
+        relieved, passes = self._relieves(less, more), np.zeros(more.members.size, dtype=bool)
+        places = np.flatnonzero(relieved | (self._falls(less, more).max(axis=1) >= self.criteria.material))
+        if not places.size:
+            return passes
+        self._likelihood(less, np.arange(passes.size))  # kept: the next candidate needs it as well
+        equal = self._fit_beside(less, more, places)
+        for chosen, before in ((~relieved[places], less.part(places)), (relieved[places], equal)):
+            some = np.flatnonzero(chosen)
+            if some.size:
+                fitted = before.part(some), more.part(places[some]), equal.part(some)
+                passes[places[some]] = self._passes(*fitted, tried, harm)
         return passes
+
+    def _falls(self, less: Fitted, more: Fitted) -> Array:
+        """Return the relative fall of the residual (rms) of each channel, (n, C)."""
+        return 1.0 - np.sqrt(more.totals.sum(axis=0) / np.maximum(less.totals.sum(axis=0), 1e-300))
 
     def _relieves(self, less: Fitted, more: Fitted) -> Mask:
         """Return in which resamples a model needs clearly smaller deviations than another, (n,)."""
@@ -257,9 +270,8 @@ class LinearSelector:
         before, after, largest = (
             fitted.totals.sum(axis=0) / rows.sum(axis=0)[:, None] for fitted in (less, more, equal)
         )
-        fall = 1.0 - np.sqrt(after / np.maximum(before, 1e-300))
         seen = largest - after > (rules.visible * self.tolerated) ** 2
-        passes = (fall * seen).max(axis=1) >= rules.material
+        passes = (self._falls(less, more) * seen).max(axis=1) >= rules.material
         ratio = np.log(np.maximum(less.totals, 1e-300) / np.maximum(more.totals, 1e-300))  # (F, n, C)
         better = drawn * (ratio @ self.weights.effective > 0.0)
         changed = drawn * (np.abs(ratio) > 2.0 * np.log1p(rules.harmless)).any(axis=2)
@@ -274,8 +286,7 @@ class LinearSelector:
             passes &= harmed.max(axis=1) <= (1.0 - rules.flights_better) * weight
         if passes.any():
             places = np.flatnonzero(passes)
-            everywhere = self._likelihood(less, np.arange(passes.size))  # the next candidate needs it as well
-            gain = self._likelihood(more, places) - everywhere[places]
+            gain = self._likelihood(more, places) - self._likelihood(less, places)
             passes[places] = chance_of(gain, self.draws[more.members[places]]) <= rules.left_out_significance
         if passes.any():
             passes[passes] = self._stands_out(more.model, more.members[passes], tried)
