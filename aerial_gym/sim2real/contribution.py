@@ -144,7 +144,8 @@ def contributions(
         rollout: dict[float, dict[str, Rise]] = {}
         if "free" in evaluations[1].rollouts:
             alone = len(selection.accepted) == 1
-            errors = evaluations[0].rollouts["free"] if alone else roll_out(robot, test, less.point)
+            links = None if alone else tested.links(less.point)
+            errors = evaluations[0].rollouts["free"] if alone else roll_out(robot, test, less.point, links=links)
             rollout = rollout_rises(errors, evaluations[1].rollouts["free"], seed=seed)
         found[name] = Contribution(
             residual={channel.name: rise for channel, rise in zip(tested.channels, rises, strict=True)},

@@ -80,9 +80,10 @@ def evaluate(
     group = time_groups(predictor.times)
     rollouts: dict[str, RolloutErrors] = {}
     if any(flight.lin_vel is not None for flight in flights):
+        links = predictor.links(point)
         rollouts = {
-            "free": roll_out(robot, flights, point),
-            "given_attitude": roll_out(robot, flights, point, given_attitude=True),
+            "free": roll_out(robot, flights, point, links=links),
+            "given_attitude": roll_out(robot, flights, point, links=links, given_attitude=True),
         }
     return Evaluation(
         channels=predictor.channels,

@@ -9,6 +9,7 @@ Letters: N steps, K steps from which the start is found, F flights.
 
 from collections import OrderedDict
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -48,6 +49,24 @@ NUDGE = 1e-6
 
 REMEMBERED = 64
 """Results kept."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Link:
+    """The link of a load along one flight."""
+
+    time: Array
+    """[s], (T,)."""
+
+    load: Array
+    """Direction n and rate n' [1/s], world, (T, 6)."""
+
+    def at(self, times: Array) -> Array:
+        """Return direction and rate at other times, (W, 6), in straight lines between the rows, with ``|n| = 1``."""
+        load = np.stack([np.interp(times, self.time, column) for column in self.load.T], axis=1)
+        direction = load[:, :3] / np.linalg.norm(load[:, :3], axis=1, keepdims=True)
+        along = (load[:, 3:] * direction).sum(axis=1, keepdims=True)
+        return np.concatenate((direction, load[:, 3:] - along * direction), axis=1)
 
 
 class LoadReplay:

@@ -45,7 +45,7 @@ from aerial_gym.physics.effects.learned_residual import felt_inputs
 from aerial_gym.physics.model import STANDARD_GRAVITY, EffectParams, Model
 from aerial_gym.sim2real.checks import body_rate_of
 from aerial_gym.sim2real.flights import Flight
-from aerial_gym.sim2real.load_replay import LoadReplay
+from aerial_gym.sim2real.load_replay import Link, LoadReplay
 from aerial_gym.sim2real.rotor_replay import RotorReplay
 from aerial_gym.sim2real.signals import edge_rows, lowpass
 from aerial_gym.sim2real.surroundings import heights, other_at
@@ -291,6 +291,14 @@ class _Together:
         _, condition = self._flown(point, vehicle, self._speeds(point, vehicle, deviation))
         rows = felt_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed).numpy()
         return [self._slow(index, rows[span]) for index, span in enumerate(self._spans)]
+
+    def links(self, point: Point) -> list[Link]:
+        """Return how the load swings along each flight."""
+        vehicle, deviation = self._vehicle(point)
+        model, condition = self._flown(point, vehicle, self._speeds(point, vehicle, deviation))
+        state = BodyState(rotor_speed=condition.rotor_speed, **self._state)
+        load = self._swing(model, state, condition, deviation).numpy()
+        return [Link(time=time, load=load[span]) for time, span in zip(self._row_times, self._spans, strict=True)]
 
     def _speeds(self, point: Point, vehicle: Vehicle, deviation: Tensor) -> list[Array | None] | None:
         """Return the rotor speeds that commands lead to, where they are needed."""
@@ -552,6 +560,12 @@ class Predictor:
     def felt(self, point: Point) -> list[Array]:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
         return [felt for part in self._parts for felt in part.felt(point)]
+
+    def links(self, point: Point) -> list[Link] | None:
+        """Return how the load of a model swings along each flight, begun as its log says; None for a model without one."""
+        if not any(isinstance(EFFECTS.get(name), LoadEffect) for name in point.effects):
+            return None
+        return [link for part in self._parts for link in part.links(point)]
 
     def _adds_nothing(self, name: str, params: Array) -> bool:
         effect = EFFECTS.get(name)

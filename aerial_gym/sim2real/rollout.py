@@ -29,7 +29,7 @@ from aerial_gym.physics.effects.actuation_delay import LONGEST as LONGEST_DELAY
 from aerial_gym.physics.memory import Memory, make_memory, place_load
 from aerial_gym.physics.model import EffectParams
 from aerial_gym.sim2real.flights import Flight
-from aerial_gym.sim2real.load_replay import LoadReplay
+from aerial_gym.sim2real.load_replay import Link, LoadReplay
 from aerial_gym.sim2real.prediction import Point, with_known_wind
 from aerial_gym.sim2real.rotor_commands import mean_commands
 from aerial_gym.sim2real.surroundings import heights, other_at
@@ -135,6 +135,7 @@ def roll_out(
     flights: Sequence[Flight],
     point: Point,
     *,
+    links: Sequence[Link] | None = None,
     horizons: Sequence[float] = HORIZONS_S,
     given_attitude: bool = False,
 ) -> RolloutErrors:
@@ -144,6 +145,7 @@ def roll_out(
         robot: Declared robot.
         flights: Flights with velocity.
         point: Effects of the model.
+        links: How its load swings along each flight; None: as if it hung still when the log begins.
         horizons: When to compare [s]; those that no flight is long enough for are left out.
         given_attitude: Whether attitude and angular velocity are set to the measured ones after every step.
     """
@@ -156,9 +158,12 @@ def roll_out(
         flights = with_arriving_commands(vehicle, flights, point)
     shape = (windows.row.size, len(kept))
     errors = {name: np.full(shape, np.nan) for name in QUANTITIES}
+    load = None if links is None else load_at(links, flights, windows)
     for members in same_rate(flights, windows):
         one = np.zeros(members.size, dtype=np.int64)
-        run = Batch([vehicle], [point], one, flights, windows.flight[members], windows.row[members])
+        starts = windows.flight[members], windows.row[members]
+        begun = None if load is None else load[members]
+        run = Batch([vehicle], [point], one, flights, *starts, load=begun)
         at = {run.steps(horizon): place for place, horizon in enumerate(kept)}
         for step, state, truth in run.fly(run.measured(0), at, given_attitude=given_attitude):
             for name, values in _distances(state, truth).items():
@@ -191,6 +196,15 @@ def with_arriving_commands(vehicle: Vehicle, flights: Sequence[Flight], point: P
     return [replace(flight, rotor_command=mean_commands(flight, model)) for flight in flights]
 
 
+def load_at(links: Sequence[Link], flights: Sequence[Flight], windows: Windows) -> Array:
+    """Return direction and rate of the link at the start of each window, (W, 6)."""
+    load = np.empty((windows.row.size, 6))
+    for index, (link, flight) in enumerate(zip(links, flights, strict=True)):
+        own = windows.flight == index
+        load[own] = link.at(windows.row[own] / flight.rate)
+    return load
+
+
 def acts_on_commands(name: str) -> bool:
     """Return whether an effect changes what commands lead to."""
     return isinstance(EFFECTS.get(name), CommandEffect | DelayEffect)
@@ -208,6 +222,7 @@ class Batch:
         flight: NDArray[np.int64],
         row: NDArray[np.int64],
         *,
+        load: Array | None = None,
         longest_step: float = STEP_S,
     ) -> None:
         """Take the windows.
@@ -219,9 +234,10 @@ class Batch:
             flights: With the commands that arrive.
             flight: Flight of each window, (W,).
             row: Where it starts, (W,).
+            load: Direction and rate of the link of the load there, (W, 6); None: as if it hung still when the log begins.
             longest_step: Of the integrator [s].
         """
-        self._flights, self._flight, self._row = flights, flight, row
+        self._flights, self._flight, self._row, self._load = flights, flight, row, load
         self._rate, self._commanded = flights[flight[0]].rate, is_commanded(flights)
         self._stride = max(1, int(longest_step * self._rate + 1e-9))
         self._substeps = max(1, round(self._stride / (longest_step * self._rate)))
@@ -277,12 +293,14 @@ class Batch:
         )
 
     def _memory(self, dt: float) -> Memory | None:
-        """Return what effects remember at the starts: a load swings as in a flight that began with it hanging still."""
+        """Return what effects remember at the starts."""
         if not self._model.remembering:
             return None
         memory = make_memory(self._model, dt)
         if not self._model.loads:
             return memory
+        if self._load is not None:
+            return place_load(self._model, memory, torch.from_numpy(self._load))
         flown = np.unique(self._flight)
         times = [self._row[self._flight == index] / self._rate for index in flown]
         load = torch.empty(self._row.size, 6, dtype=torch.float64)

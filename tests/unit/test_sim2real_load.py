@@ -230,3 +230,37 @@ def test_fits_of_a_load_start_at_several_lengths_and_those_of_a_rotor_at_each() 
 def test_a_load_cannot_be_followed_without_velocity() -> None:
     bare = replace(hover("a", 1.0), lin_vel=None)
     assert lacks_around("slung_payload", [bare]).startswith("a: without velocity or position")
+
+
+def test_a_rollout_starts_with_the_swing_that_the_log_shows() -> None:
+    """A free vehicle M above a swinging m: ``x'' = m / M g b``, ``b = A cos w t``, ``w² = g / l (1 + m / M)``, in small angles.
+
+    Rotors carry both weights, without torque. Terms of second order are A² = 4e-4 of g; the start is found to its prior.
+    """
+    mass, length, angle, vehicle = 0.15, 0.8, 0.02, 0.6
+    omega = sqrt(G / length * (1.0 + mass / vehicle))
+    time, zero = np.arange(round(8.0 * RATE)) / RATE, np.zeros(round(8.0 * RATE))
+    pull = mass / vehicle * G * angle
+    still = hover("a", 1.0)
+    assert still.rotor_speed is not None
+    flight = replace(
+        still,
+        time=time,
+        attitude=np.tile(still.attitude[:1], (time.size, 1)),
+        ang_vel=np.tile(zero[:, None], 3),
+        position=np.column_stack((pull / omega**2 * (1.0 - np.cos(omega * time)), zero, zero)),
+        lin_vel=np.column_stack((pull / omega * np.sin(omega * time), zero, zero)),
+        specific_force=np.column_stack((pull * np.cos(omega * time), zero, zero + G)),
+        rotor_speed=np.tile(still.rotor_speed[:1], (time.size, 1)) * sqrt(0.75 / 0.6),
+    )
+    flights = [flight]
+    predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+    point = Point(effects={"slung_payload": np.array([mass, length, 0.0])})
+    links = predictor.links(point)
+    assert links is not None
+    assert predictor.links(Point()) is None
+    np.testing.assert_allclose(links[0].at(time)[:, 0], angle * np.cos(omega * time), atol=0.05 * angle)
+    errors = [roll_out(ROBOT, flights, point, links=found, horizons=(0.5,)).velocity for found in (links, None)]
+    assert errors[0] is not None
+    assert errors[1] is not None
+    assert np.sqrt(np.mean(errors[0] ** 2)) < 0.1 * np.sqrt(np.mean(errors[1] ** 2))
