@@ -226,7 +226,7 @@ class _Selector:
         """Return trials of some effects on top of a model, best score first.
 
         Every effect is looked at as if the model were linear in it; those that then look best are fitted, ``fewest`` of them
-        even if they seem to gain nothing.
+        even if they seem to gain nothing. Outside of a round (``done`` is None) each from its best start alone.
         """
         screen = Screen(self.predictor, current, self.tolerance, self.left_out)
         trials, glances, starts = [], [], {}
@@ -241,7 +241,7 @@ class _Selector:
             looks.sort(key=lambda glance: (glance.blind, -glance.gain.score))
             glances.append(looks[0])
             on_a_rotor = EFFECTS.get(name).parameters[0].kind == "rotor"  # then another start is another effect
-            starts[name] = [look.start for look in looks[: 1 if on_a_rotor else MOST_STARTS]]
+            starts[name] = [look.start for look in looks[: 1 if on_a_rotor or done is None else MOST_STARTS]]
         glances.sort(key=lambda glance: -glance.gain.score)
         seen = [glance for glance in glances if not glance.blind]
         worth = [g for place, g in enumerate(seen[:MOST_FITTED]) if place < fewest or g.gain.score > 0.0]
