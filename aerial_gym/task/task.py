@@ -125,7 +125,8 @@ class Task:
     def reset(self, *, seed: int | None = None) -> tuple[Observation, dict[str, Tensor]]:
         """Start every environment anew; return observation and info.
 
-        With a ``seed`` all random numbers, and the curriculum, begin anew as well; without one the curriculum goes on.
+        With a ``seed`` all random numbers, and the curriculum, begin anew as well; without one the curriculum goes on. Which
+        assets each environment has was drawn when the task was made, and stays: another seed needs another task for that.
         """
         if self._capture_at_reset:
             self.capture()
