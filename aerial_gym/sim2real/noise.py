@@ -2,7 +2,8 @@
 
 Sensor noise is white, so its level shows where the vehicle hardly moves: above the band of the comparison. There the
 spectrum of the residual is fitted by a level, and a part that grows with the square of the frequency (a differentiated
-signal); both are carried down through the low-pass. Vibration above the band makes the floor too high, never too low.
+signal); both are carried down through the low-pass. Vibration above the band makes the floor too high, never too low, and so
+does a log that is too slow to tell the level from the growth.
 Neither falls: where the spectrum does, a filter of the sensor has taken the noise away, and lines from there on do not count.
 Letters: C channels.
 """
@@ -36,6 +37,12 @@ FIT_FROM_AT_LATEST = 0.7
 
 CLEAR_OF_BAND = 1.1
 """and never from below this multiple of the bandwidth."""
+
+NARROW = 2.0
+"""Lines whose highest frequency is less than this multiple of the lowest do not tell a level from growth: all is level."""
+
+NARROW_READING = 3.0
+"""The same for what a sensor reads itself, whose noise does not grow."""
 
 FALLEN = 0.25
 """A spectrum below this share of where the fit begins has been filtered."""
@@ -78,11 +85,18 @@ def _floor_of(
     below = lowpass_gain(frequency, bandwidth) ** 2
     spacing = frequency[1] - frequency[0]
     floors = []
-    for line in flat.T:
+    for channel, line in zip(channels, flat.T, strict=True):
         own = slice(_unfiltered(frequency[chosen], line))
-        level, growth = _level_and_growth(line[own], square[chosen][own])
+        lines = frequency[chosen][own]
+        narrow = lines[-1] < (NARROW_READING if is_reading(channel, flight) else NARROW) * lines[0]
+        level, growth = (line[own].mean(), 0.0) if narrow else _level_and_growth(line[own], square[chosen][own])
         floors.append(np.sqrt((below * (level + growth * square)).sum() * spacing))
     return np.array(floors)
+
+
+def is_reading(channel: Channel, flight: Flight) -> bool:
+    """Return whether a sensor reads what a channel compares, and not its integral."""
+    return channel.kind == "rotor_speed" or (channel.kind == "specific_force" and flight.accelerometer)
 
 
 def longest_flight(flight: Flight, time: Array, bandwidth: float) -> slice:
