@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.intervals import Rms, rms_with_interval
-from aerial_gym.sim2real.moments import BLOCK_S
+from aerial_gym.sim2real.moments import block_length
 from aerial_gym.sim2real.prediction import Channel, Point, Predictor
 from aerial_gym.sim2real.rollout import QUANTITIES, RolloutErrors, roll_out
 
@@ -109,9 +109,9 @@ def gap_closed(before: float, after: float, floor: float | None) -> float | None
 
 def time_groups(times: Sequence[Array]) -> NDArray[np.int64]:
     """Return a number per row that is the same within a block of a flight, all flights in a row."""
-    parts, start = [], 0
+    parts, start, length = [], 0, block_length(times)
     for time in times:
-        part = ((time - time[0]) / BLOCK_S).astype(int) + start
+        part = ((time - time[0]) / length).astype(int) + start
         parts.append(part)
         start = int(part[-1]) + 1
     return np.concatenate(parts)

@@ -14,7 +14,7 @@ from scipy.optimize import lsq_linear
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.moments import BLOCK_S, Moments, Weighting, block_moments, weights_from
+from aerial_gym.sim2real.moments import Moments, Weighting, block_moments, weights_from
 from aerial_gym.sim2real.prediction import Point, Predictor
 
 Array = NDArray[np.float64]
@@ -237,7 +237,7 @@ def linearise(
     tolerance: list[Array],
     *,
     base: list[Array] | None = None,
-    length: float = BLOCK_S,
+    length: float | None = None,
 ) -> tuple[Fit, list[Array], list[Array]]:
     """Return the model at a point, the residuals there, and their derivatives (rows, C, K); ``length`` is of a block [s]."""
     predicted = predictor.predict(point) if base is None else base
@@ -254,7 +254,7 @@ def fit_at(
     jacobians: list[Array],
     *,
     frozen: Frozen = frozenset(),
-    length: float = BLOCK_S,
+    length: float | None = None,
 ) -> Fit:
     """Return the model at a point from its residuals there and their derivatives (rows, C, K); ``length`` is of a block [s]."""
     here, scale = params_of(point, effects), scales(effects)

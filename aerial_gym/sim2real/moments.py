@@ -14,6 +14,12 @@ Array = NDArray[np.float64]
 BLOCK_S = 2.0
 """Length of a block [s]: several times longer than residuals remember."""
 
+SHORTEST_BLOCK_S = 0.5
+"""Of flights that are too short for many blocks [s]: five periods of the usual band."""
+
+ENOUGH_BLOCKS = 24
+"""So many tell a scatter to 15 %."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Moments:
@@ -56,14 +62,20 @@ class Moments:
         )
 
 
-def block_rows(time: Array, *, length: float = BLOCK_S) -> list[NDArray[np.int64]]:
+def block_length(times: Sequence[Array]) -> float:
+    """Return how long blocks of flights with rows at these times [s] are [s]: shorter if there would be few."""
+    total = sum(float(time[-1] - time[0]) for time in times)
+    return float(np.clip(total / ENOUGH_BLOCKS, SHORTEST_BLOCK_S, BLOCK_S))
+
+
+def block_rows(time: Array, length: float) -> list[NDArray[np.int64]]:
     """Return the rows of each block of about a ``length`` [s] of a flight whose rows are at these times [s]."""
     blocks = max(1, round(float(time[-1] - time[0]) / length))
     return np.array_split(np.arange(time.size), blocks)
 
 
 def block_moments(
-    times: Sequence[Array], residuals: Sequence[Array], jacobians: Sequence[Array], *, length: float = BLOCK_S
+    times: Sequence[Array], residuals: Sequence[Array], jacobians: Sequence[Array], *, length: float | None = None
 ) -> Moments:
     """Return the sums over blocks of about a ``length`` [s], none of which spans two flights.
 
@@ -71,9 +83,10 @@ def block_moments(
         times: Of each flight [s], (rows,).
         residuals: Of each flight, (rows, C).
         jacobians: Of each flight, (rows, C, K).
-        length: Of a block; infinite: whole flights.
+        length: Of a block; infinite: whole flights; None: what suits the flights (``block_length``).
     """
-    blocks = [(flight, rows) for flight, time in enumerate(times) for rows in block_rows(time, length=length)]
+    length = block_length(times) if length is None else length
+    blocks = [(flight, rows) for flight, time in enumerate(times) for rows in block_rows(time, length)]
     num_channels, width = jacobians[0].shape[1:]
     found = Moments(
         count=np.array([float(rows.size) for _, rows in blocks]),

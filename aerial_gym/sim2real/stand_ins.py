@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.fit import Fit, is_number, params_of, prior_precision, scales
 from aerial_gym.sim2real.flights import Flight
-from aerial_gym.sim2real.moments import Weighting, block_rows
+from aerial_gym.sim2real.moments import Weighting, block_length, block_rows
 from aerial_gym.sim2real.prediction import Channel
 from aerial_gym.sim2real.structure import Structure, squares_beside, structure_values
 
@@ -75,7 +75,9 @@ class Beside:
             return False
         flights = self._flights, self._times, self._residuals, self._channels
         values = structure_values(self._structure, *flights)
-        height = np.array([v[rows].mean() for t, v in zip(self._times, values, strict=True) for rows in block_rows(t)])
+        length = block_length(self._times)
+        parts = [(v, block_rows(time, length)) for time, v in zip(self._times, values, strict=True)]
+        height = np.array([v[rows].mean() for v, blocks in parts for rows in blocks])
         high = height > np.median(height)
         found, information = [], []
         for part in (high, ~high):

@@ -28,8 +28,8 @@ def slow(names: tuple[str, ...]) -> list[ParameterSet]:
     return [pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
-def run_case(folder: Path, effects: dict[str, str], seed: int) -> tuple[dict, dict]:
-    files = make_case(folder / "case", effects=effects, seed=seed, **SHORT)
+def run_case(folder: Path, effects: dict[str, str], seed: int, **flights: float) -> tuple[dict, dict]:
+    files = make_case(folder / "case", effects=effects, seed=seed, **(SHORT | flights))
     close_loop(files.robot, files.train, files.test, folder / "out")
     check_effects(robot_by_name(folder / "out" / "robot.yaml"))
     return json.loads((folder / "out" / "verdict.json").read_text()), json.loads(Path(files.truth).read_text())
@@ -52,6 +52,20 @@ def test_the_hidden_effect_is_named_and_measured(effect: str, tmp_path: Path) ->
         for axis, entry in verdict["after"][kind].items():
             if axis != "unit":
                 assert entry["rms"] < 2.0 * entry["noise_floor"], (kind, axis)
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "duration_s"),
+    [(50, 6.0), pytest.param(400, 3.0, marks=pytest.mark.slow), pytest.param(25, 16.0, marks=pytest.mark.slow)],
+)
+def test_an_effect_is_named_from_short_and_from_slow_logs(rate_hz: int, duration_s: float, tmp_path: Path) -> None:
+    flights = {"rate_hz": rate_hz, "duration_s": duration_s, "num_train": 2}
+    verdict, truth = run_case(tmp_path, {"com_offset": "moderate"}, 212, **flights)
+    assert verdict["verdict"] == "explained"
+    (found,) = verdict["effects"]
+    assert found["name"] == "com_offset"
+    for name, std in found["std"].items():
+        assert abs(found["params"][name] - truth["effects"]["com_offset"][name]) < 4.0 * std, name
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.fit import Fit, best_step, fit_effects
 from aerial_gym.sim2real.intervals import rms_with_interval
-from aerial_gym.sim2real.moments import block_moments, effective_share, weights_from
+from aerial_gym.sim2real.moments import block_length, block_moments, effective_share, weights_from
 from aerial_gym.sim2real.prediction import Point
 from aerial_gym.sim2real.signals import lowpass
 from aerial_gym.sim2real.uncertainty import uncertainty, wald_probability
@@ -185,3 +185,12 @@ def test_a_fit_that_would_overshoot_arrives() -> None:
             np.full(1, 1e6),
         )
         assert fit.point.effects["constant_wind"][0] == pytest.approx(truth, rel=0.01)
+
+
+def test_short_flights_have_short_blocks() -> None:
+    """24 blocks where they can be longer than half a second, and never longer than two."""
+    assert [block_length([np.array([0.0, span])] * 3) for span in (2.0, 5.0, 16.0, 100.0)] == [0.5, 0.625, 2.0, 2.0]
+    times = [np.arange(150) / 50.0] * 4
+    moments = block_moments(times, [np.ones((150, 1))] * 4, [np.ones((150, 1, 1))] * 4)
+    np.testing.assert_array_equal(moments.flight, np.repeat(np.arange(4), 6))
+    assert moments.count.tolist() == [25.0] * 24
