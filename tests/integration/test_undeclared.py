@@ -5,6 +5,7 @@ Other seeds than those of any development; ``python -m benchmarks.score_undeclar
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from _pytest.mark import ParameterSet
@@ -14,7 +15,7 @@ from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real import close_loop
 from benchmarks.undeclared import make_case
 
-SHORT = {"num_train": 4, "num_test": 2, "duration_s": 8.0, "rate_hz": 200}
+SHORT: dict[str, Any] = {"num_train": 4, "num_test": 2, "duration_s": 8.0, "rate_hz": 200}
 EFFECTS = ("rotor_drag", "com_offset", "motor_tilt", "actuation_delay")
 MORE_EFFECTS = (
     "quadratic_drag", "thrust_coefficient", "motor_time_constant", "constant_wind", "h_force_flapping", "imu_misalignment",
@@ -28,7 +29,7 @@ def slow(names: tuple[str, ...]) -> list[ParameterSet]:
     return [pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
-def run_case(folder: Path, effects: dict[str, str], seed: int, **flights: float) -> tuple[dict, dict]:
+def run_case(folder: Path, effects: dict[str, str], seed: int, **flights: Any) -> tuple[dict, dict]:
     files = make_case(folder / "case", effects=effects, seed=seed, **(SHORT | flights))
     close_loop(files.robot, files.train, files.test, folder / "out")
     check_effects(robot_by_name(folder / "out" / "robot.yaml"))
