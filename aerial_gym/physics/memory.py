@@ -3,7 +3,7 @@
 Letters: E environments, R rotors, P parameters and M remembered numbers of an effect, S remembered commands.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import ceil
 
@@ -55,7 +55,8 @@ def make_memory(model: Model, dt: float, *, seed: int = 0) -> Memory:
     """Return the memory of environments that have just been reset."""
     mass, vehicle = model.vehicle.mass, model.vehicle
     counts = torch.zeros(2, vehicle.num_envs, dtype=torch.int32, device=mass.device)
-    initial = mass.new_tensor([number for effect, _ in model.forces for number in effect.memory])
+    fresh = [number for effect, _ in model.forces for number in effect.fresh_memory(vehicle.num_rotors)]
+    initial = mass.new_tensor(fresh)
     return Memory(
         initial=initial,
         numbers=initial.expand(vehicle.num_envs, -1).clone(),
@@ -79,8 +80,9 @@ def _places(model: Model) -> Iterator[tuple[Effect, Tensor, slice]]:
     """Yield every effect with its parameters and the place of its numbers."""
     first = 0
     for effect, params in model.forces:
-        yield effect, params, slice(first, first + len(effect.memory))
-        first += len(effect.memory)
+        width = len(effect.fresh_memory(model.vehicle.num_rotors))
+        yield effect, params, slice(first, first + width)
+        first += width
 
 
 def begin_substep(
@@ -146,10 +148,10 @@ def load_of(model: Model, memory: Memory) -> Tensor:
     return memory.numbers[:, memory.numbers.shape[1] - width :]
 
 
-def place_load(model: Model, memory: Memory, load: Tensor) -> Memory:
-    """Return the memory with direction and rate of the link of the load, (E, 6), in it."""
-    width = sum(len(effect.memory) for effect, _ in model.loads)
-    return replace(memory, numbers=torch.cat((memory.numbers[:, : memory.numbers.shape[1] - width], load), dim=-1))
+def place_memory(model: Model, memory: Memory, remembered: Mapping[str, Tensor]) -> Memory:
+    """Return the memory with what some effects remember, by name, (E, M), in it."""
+    parts = [remembered.get(effect.name, memory.numbers[:, place]) for effect, _, place in _places(model)]
+    return replace(memory, numbers=torch.cat(parts, dim=-1))
 
 
 def end_substep(memory: Memory, load: Tensor) -> Memory:

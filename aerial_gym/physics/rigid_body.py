@@ -4,7 +4,8 @@ Pure functions of tensors. Frames: body is x forward, y left, z up; world is z u
 Letters: E environments, R rotors. Subscripts: o body origin, c centre of mass.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import nan
 
 import torch
@@ -166,6 +167,18 @@ def _skew(vector: Tensor) -> Tensor:
     return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).unflatten(-1, (3, 3))
 
 
+def _with_memory(model: Model, remembered: Mapping[str, Tensor]) -> Model:
+    """Return the model with what effects remember behind their parameters."""
+
+    def joined(effects: tuple) -> tuple:
+        return tuple(
+            (effect, torch.cat((params, remembered[effect.name]), dim=-1) if effect.name in remembered else params)
+            for effect, params in effects
+        )
+
+    return replace(model, winds=joined(model.winds), rotors=joined(model.rotors), wrenches=joined(model.wrenches))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Accelerations:
     """What inertial sensors at the body origin measure, without their errors."""
@@ -183,24 +196,28 @@ def accelerations(
     rotor_acc: Tensor | None = None,
     *,
     load: Tensor | None = None,
+    remembered: Mapping[str, Tensor] | None = None,
     condition: Condition | None = None,
 ) -> Accelerations:
     """Return specific force and angular acceleration in a state; each row may be a moment of a flight log.
 
     ``rotor_acc`` are the angular accelerations of the rotors [rad/s²], (E, R); none if not given. ``load`` is direction and
-    rate of the link of a load that hangs on the vehicle, world, (E, 6). ``condition`` is that of ``condition_in`` for this
+    rate of the link of a load that hangs on the vehicle, world, (E, 6). ``remembered`` is what effects on wind, rotors or the
+    body remember, by name, (E, M). ``condition`` is that of ``condition_in`` for this
     state, where it is at hand from a model with the same vehicle and wind.
 
     ``f_o = F / m - alpha x c - w x (w x c)`` with c from the origin to the centre of mass.
 
     Raises:
-        CapabilityError: If an effect has memory: a state alone does not say what it does.
+        CapabilityError: If an effect has memory that is not given: a state alone does not say what it does.
 
     Source:
         Derived: acceleration of two points of a rigid body, ``a_c = a_o + alpha x c + w x (w x c)``.
     """
+    if remembered:
+        model = _with_memory(model, remembered)
     for effect, _ in (*model.winds, *model.rotors, *model.wrenches, *(model.loads if load is None else ())):
-        if effect.remembers:
+        if effect.remembers and effect.name not in (remembered or ()):
             raise CapabilityError(
                 f"effect {effect.name}: has memory, so a single state does not tell its force. Fly it with a backend instead"
             )

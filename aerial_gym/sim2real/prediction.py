@@ -41,10 +41,12 @@ from aerial_gym.physics.effects import (
     WindEffect,
     WrenchEffect,
 )
+from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.physics.effects.learned_residual import felt_inputs
 from aerial_gym.physics.model import STANDARD_GRAVITY, EffectParams, Model
 from aerial_gym.sim2real.checks import body_rate_of
 from aerial_gym.sim2real.flights import Flight
+from aerial_gym.sim2real.joint_replay import joint_angles
 from aerial_gym.sim2real.load_replay import Link, LoadReplay
 from aerial_gym.sim2real.rotor_replay import RotorReplay
 from aerial_gym.sim2real.signals import edge_rows, lowpass
@@ -181,6 +183,11 @@ def find_channels(flights: Sequence[Flight]) -> tuple[Channel, ...]:
 def expand_rows(vehicle: Vehicle, rows: int) -> Vehicle:
     """Return the vehicle of one environment in every row, without copies."""
     return Vehicle(**{f.name: (v := getattr(vehicle, f.name)).expand(rows, *v.shape[1:]) for f in fields(Vehicle)})
+
+
+def one_row(vehicle: Vehicle, row: int) -> Vehicle:
+    """Return the vehicle of one of several environments."""
+    return Vehicle(**{f.name: getattr(vehicle, f.name)[row : row + 1] for f in fields(Vehicle)})
 
 
 def expand_model(model: Model, rows: int) -> Model:
@@ -329,7 +336,7 @@ class _Together:
         model, condition = self._flown(point, vehicle, speeds)
         state = BodyState(rotor_speed=condition.rotor_speed, **self._state)
         load = self._swing(model, state, condition, deviation) if model.loads else None
-        found = accelerations(model, state, load=load, condition=condition)
+        found = accelerations(model, state, load=load, remembered=self._angles(model, condition), condition=condition)
         # The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
         force = found.specific_force + torch.linalg.cross(found.ang_acc - self._measured_ang_acc, model.vehicle.com)
         force_bias, rate_bias = sensor_biases(self.tolerances, deviation)
@@ -352,12 +359,27 @@ class _Together:
         """Return the link of the load in every row, (E, 6), begun as the measured specific force says where there is one."""
         if self._measured_force is None:
             return self._load_replay.loads(model, self._row_times)
-        force = accelerations(replace(model, loads=()), state, condition=condition).specific_force
+        remembered = self._angles(model, condition)
+        found = accelerations(replace(model, loads=()), state, remembered=remembered, condition=condition)
+        force = found.specific_force
         for effect, params in model.imu:
             force, _ = effect.measure(force, self._kinematic_rate, params)
         force = self._measured_force - force - sensor_biases(self.tolerances, deviation)[0]
         missed = quat_rotate(self._state["attitude"], force).numpy()
         return self._load_replay.loads(model, self._row_times, [missed[span] for span in self._spans])
+
+    def _angles(self, model: Model, condition: Condition) -> dict[str, Tensor]:
+        """Return the angles of soft arms in every row [rad], (E, R), by effect; empty where they are rigid."""
+        found: dict[str, Tensor] = {}
+        for effect, params in model.wrenches:
+            if isinstance(effect, ArmJoint):
+                vehicle = one_row(model.vehicle, 0)
+                parts = [
+                    joint_angles(effect, vehicle, params[:1], condition.rotor_speed[span], stride / flight.rate)
+                    for span, stride, flight in zip(self._spans, self._stride, self.flights, strict=True)
+                ]
+                found[effect.name] = torch.cat(parts)
+        return found
 
     def _flown(self, point: Point, vehicle: Vehicle, speeds: list[Array | None] | None) -> tuple[Model, Condition]:
         """Return the model in every row, and what its effects see there."""

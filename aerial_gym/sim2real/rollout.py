@@ -26,11 +26,13 @@ from aerial_gym.physics import (
 )
 from aerial_gym.physics.effects import CommandEffect, DelayEffect
 from aerial_gym.physics.effects.actuation_delay import LONGEST as LONGEST_DELAY
-from aerial_gym.physics.memory import Memory, make_memory, place_load
+from aerial_gym.physics.effects.arm_joint import ArmJoint
+from aerial_gym.physics.memory import Memory, make_memory, place_memory
 from aerial_gym.physics.model import EffectParams
 from aerial_gym.sim2real.flights import Flight
+from aerial_gym.sim2real.joint_replay import joint_angles
 from aerial_gym.sim2real.load_replay import Link, LoadReplay
-from aerial_gym.sim2real.prediction import Point, with_known_wind
+from aerial_gym.sim2real.prediction import Point, one_row, with_known_wind
 from aerial_gym.sim2real.rotor_commands import mean_commands
 from aerial_gym.sim2real.surroundings import heights, other_at
 
@@ -237,7 +239,7 @@ class Batch:
             load: Direction and rate of the link of the load there, (W, 6); None: as if it hung still when the log begins.
             longest_step: Of the integrator [s].
         """
-        self._flights, self._flight, self._row, self._load = flights, flight, row, load
+        self._flights, self._flight, self._row, self._load, self._of = flights, flight, row, load, of
         self._rate, self._commanded = flights[flight[0]].rate, is_commanded(flights)
         self._stride = max(1, int(longest_step * self._rate + 1e-9))
         self._substeps = max(1, round(self._stride / (longest_step * self._rate)))
@@ -296,17 +298,42 @@ class Batch:
         """Return what effects remember at the starts."""
         if not self._model.remembering:
             return None
-        memory = make_memory(self._model, dt)
+        memory = place_memory(self._model, make_memory(self._model, dt), self._angles())
         if not self._model.loads:
             return memory
+        name = self._model.loads[0][0].name
         if self._load is not None:
-            return place_load(self._model, memory, torch.from_numpy(self._load))
+            return place_memory(self._model, memory, {name: torch.from_numpy(self._load)})
         flown = np.unique(self._flight)
         times = [self._row[self._flight == index] / self._rate for index in flown]
         load = torch.empty(self._row.size, 6, dtype=torch.float64)
         order = torch.from_numpy(np.argsort(self._flight, kind="stable"))
         load[order] = LoadReplay([self._flights[index] for index in flown]).loads(self._model, times)
-        return place_load(self._model, memory, load)
+        return place_memory(self._model, memory, {name: load})
+
+    def _angles(self) -> dict[str, Tensor]:
+        """Return the angles of soft arms at the starts [rad], (W, R), by effect, as the rotors have turned until then."""
+        found: dict[str, Tensor] = {}
+        for effect, params in self._model.wrenches:
+            if isinstance(effect, ArmJoint):
+                angles = torch.zeros(self._row.size, self._rotors, dtype=torch.float64)
+                for model, index in np.unique(np.stack((self._of, self._flight)), axis=1).T:
+                    chosen = np.flatnonzero((self._of == model) & (self._flight == index))
+                    vehicle, one = one_row(self._model.vehicle, chosen[0]), params[chosen[:1]]
+                    speed = self._speed_along(self._flights[index], chosen[:1])
+                    along = joint_angles(effect, vehicle, one, speed, 1.0 / self._rate)
+                    angles[chosen] = along[self._row[chosen]]
+                found[effect.name] = angles
+        return found
+
+    def _speed_along(self, flight: Flight, window: NDArray[np.int64]) -> Tensor:
+        """Return rotor speeds along a flight without the errors that a window's model says they have, (T, R)."""
+        speed = flight.rotor_command if flight.rotor_speed is None else flight.rotor_speed
+        assert speed is not None
+        true = torch.from_numpy(speed)
+        for effect, params in reversed(self._model.rotor_sensors):
+            true = effect.true_speed(true, params[window])
+        return true
 
     def _other(self, step: int) -> Tensor:
         """Return where the other vehicle is in the middle of a step [m], (W, 3)."""

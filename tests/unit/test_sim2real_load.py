@@ -20,7 +20,7 @@ from aerial_gym.physics import (
     vehicle_from_config,
 )
 from aerial_gym.physics.effects import LoadEffect
-from aerial_gym.physics.memory import make_memory, place_load
+from aerial_gym.physics.memory import make_memory, place_memory
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.load_replay import STEP_S, LoadReplay
 from aerial_gym.sim2real.load_swing import swing
@@ -169,7 +169,7 @@ def test_a_load_in_accelerations_is_that_of_the_simulator() -> None:
     load = torch.cat((direction, rate - (rate * direction).sum(-1, keepdim=True) * direction), dim=-1)
     found = accelerations(model, state, load=load)
     dt, law = 1e-5, _Held()
-    memory = place_load(model, make_memory(model, dt), load)
+    memory = place_memory(model, make_memory(model, dt), {"slung_payload": load})
     after, _ = advance_remembering(model, INTEGRATORS["rk4"], law, state, state.rotor_speed, dt, 1, memory)
     turning = (after.ang_vel - state.ang_vel) / dt
     torch.testing.assert_close(found.ang_acc, turning, atol=2e-2, rtol=1e-3)

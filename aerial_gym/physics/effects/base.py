@@ -221,7 +221,9 @@ class Effect(ABC):
     confused_with: ClassVar[tuple[str, ...]]
     """Names of effects that can look alike, and so must be weighed against this one."""
     memory: ClassVar[tuple[float, ...]] = ()
-    """Values right after a reset of the M numbers that it remembers of each environment."""
+    """Values right after a reset of the numbers that it remembers of each environment."""
+    rotor_memory: ClassVar[tuple[float, ...]] = ()
+    """Values right after a reset of what it remembers of each rotor; all rotors of the first one come first."""
     needs: ClassVar[tuple[Literal["position", "ceiling_height", "other_position"], ...]] = ()
     """What of the scene it needs."""
     follows: ClassVar[tuple[Literal["position", "velocity", "voltage"], ...]] = ()
@@ -234,7 +236,11 @@ class Effect(ABC):
     @property
     def remembers(self) -> bool:
         """Whether it has memory of its own."""
-        return bool(self.memory)
+        return bool(self.memory or self.rotor_memory)
+
+    def fresh_memory(self, num_rotors: int) -> tuple[float, ...]:
+        """Return the M numbers that it remembers of an environment right after a reset."""
+        return self.memory + tuple(number for number in self.rotor_memory for _ in range(num_rotors))
 
     def remember(self, moment: Moment, values: Tensor) -> Tensor:
         """Return what it remembers during the substep that begins, (E, M), from parameters and memory (E, P + M).

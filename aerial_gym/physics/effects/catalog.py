@@ -14,6 +14,8 @@ from aerial_gym.physics.effects.h_force_flapping import HForceFlapping
 from aerial_gym.physics.effects.imu_bias import ImuBias
 from aerial_gym.physics.effects.imu_misalignment import ImuMisalignment
 from aerial_gym.physics.effects.inertia_error import InertiaError
+from aerial_gym.physics.effects.joint_creep import JointCreep
+from aerial_gym.physics.effects.joint_spring import JointSpring
 from aerial_gym.physics.effects.motor_asymmetry import MotorAsymmetry
 from aerial_gym.physics.effects.motor_tilt import MotorTilt
 from aerial_gym.physics.effects.motor_time_constant import MotorTimeConstant
@@ -47,6 +49,8 @@ for _effect in (
     BatterySag(),
     RotorInertia(),
     MotorTilt(),
+    JointSpring(),
+    JointCreep(),
     ComOffset(),
     PayloadMass(),
     SlungPayload(),

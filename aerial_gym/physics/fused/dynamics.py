@@ -132,6 +132,7 @@ def make_accelerations(model: Model) -> wp.Function:
         torque = wp.vec3()
         at = condition_type()
         thrusts = vector()
+        drags = vector()
         ground = float(wp.static(ground_height))
         ceiling = float(wp.static(ceiling_height))
         if wp.static(any_rotor or any_wrench):
@@ -144,6 +145,7 @@ def make_accelerations(model: Model) -> wp.Function:
             at.rotor_axis = vehicle.rotor_axis
             at.rotor_reaction = vehicle.rotor_reaction
             at.lever = vehicle.rotor_lever
+            at.com = vehicle.com
             at.other_position = vehicle.other_position
         for i in range(wp.static(num_rotors)):
             n = rotor_speed[i]
@@ -159,8 +161,10 @@ def make_accelerations(model: Model) -> wp.Function:
                 vehicle.rotor_reaction[i, 0], vehicle.rotor_reaction[i, 1], vehicle.rotor_reaction[i, 2]
             )
             thrusts[i] = thrust
+            drags[i] = drag
         if wp.static(any_wrench):
             at.rotor_thrust = thrusts
+            at.rotor_drag = drags
             more = wrench(at, params)
             force += wp.spatial_top(more)
             torque += wp.spatial_bottom(more)

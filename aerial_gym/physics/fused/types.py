@@ -109,9 +109,11 @@ def rotor_types(num_rotors: int) -> RotorTypes:
         rotor_speed: vector  # [rad/s]
         rotor_thrust: vector  # [N]
         rotor_acc: vector  # [rad/s²]
+        rotor_drag: vector  # magnitudes of the drag torques [N m]
         rotor_axis: rows  # direction of thrust, body
         rotor_reaction: rows  # minus spin times axis
         lever: rows  # hub from the centre of mass [m], body
+        com: wp.vec3  # from the body origin [m], body
         other_position: wp.vec3  # another vehicle [m], world
 
     @wp.struct

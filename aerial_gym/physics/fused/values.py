@@ -30,7 +30,8 @@ class Pick:
 
 def num_values(model: Model) -> tuple[int, int]:
     """Return how many parameters and remembered numbers there are."""
-    return sum(p.shape[1] for _, p in model.forces), sum(len(effect.memory) for effect, _ in model.forces)
+    memory = sum(len(effect.fresh_memory(model.vehicle.num_rotors)) for effect, _ in model.forces)
+    return sum(p.shape[1] for _, p in model.forces), memory
 
 
 def values_type(model: Model) -> Any:
@@ -44,7 +45,7 @@ def pickers(model: Model) -> dict[str, list[Pick]]:
     for kind in ("winds", "rotors", "wrenches", "commands", "delays", "loads"):
         found[kind] = []
         for effect, params in getattr(model, kind):
-            width, memory = params.shape[1], len(effect.memory)
+            width, memory = params.shape[1], len(effect.fresh_memory(model.vehicle.num_rotors))
             shown = 0 if kind == "loads" else memory
             found[kind].append(_pick(values_type(model), first, width, first_memory, shown))
             first, first_memory = first + width, first_memory + memory

@@ -1,0 +1,181 @@
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
+# (Warp compiles these functions from their source; Python's type rules do not describe them.)
+"""What effects on soft joints at the roots of the rotor arms share: one Kelvin-Voigt element in each arm.
+
+An arm points from the vertical axis of the body to its hub, along the unit vector e, and bends at a hinge at the height of
+the hub, the length l away from it, about ``t = e x z``: upwards by the angle h. The hub moves by
+``l (e (cos h - 1) + z sin h)``, and the axis a of the rotor turns with the arm to
+``a' = a cos h + (t x a) sin h + t (t . a) (1 - cos h)``: hub and thrust lean in.
+A thrust f bends by the moment ``f l a_z`` about the hinge whatever h is, for it turns with the arm. Spring and damper of the
+element balance it: ``tau h' = compliance f l a_z - h``. This f is that of the thrust map; what inflow and surfaces add to it
+acts along a' as well, but bends no further.
+
+Over a substep dt ``h = h_f + (h_0 - h_f) exp(-dt / tau)`` with the angle of rest h_f, at most 0.5 rad, under the thrust at its
+start: exact for a thrust that is held. During the substep the arm is held at the new angle, half a substep ahead, as the thrust
+is half of one behind: while a thrust varies smoothly the angle is that of the middle, up to ``dt² / 12 tau`` times its rate;
+the start of a motion comes half a substep early.
+
+Elements in series add their angles, as in a Kelvin chain: ``joint_spring`` is the fast one, ``joint_creep`` the slow one. Each
+adds its own wrench to that of the rigid arm; the products of both angles are left out (0.2 % of the thrust at 0.05 rad each).
+Left out as well: the inertia J of an arm, so that this holds well below the frequency ``1 / (2 pi sqrt(compliance J))`` with
+which it swings on its joint (17 Hz on Morphy); its weight, a constant bend that belongs to the declared hubs; and how the arms
+move mass and hubs.
+Source: Derived: balance of moments about the hinge. Elements: Tschoegl (1989), The Phenomenological Theory of Linear
+Viscoelastic Behavior, section 3.4. Such arms: the Morphy quadrotor, whose bench record of a joint a damped linear spring with
+two creep elements, of 0.2 and 2.4 s, follows best (``aerial-gym identify joint``).
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics.effects.base import Condition, Moment, Parameter, WrenchEffect
+from aerial_gym.physics.rotors import evaluate_map
+from aerial_gym.physics.vehicle import Vehicle, is_shared
+
+LARGEST_ANGLE = wp.constant(0.5)
+"""Of one element [rad]: twice the way to the stops of Morphy's arms."""
+
+SHORTEST_ARM = wp.constant(1e-9)
+"""A hub nearer to the vertical axis of the body than this [m] has no arm."""
+
+HINGE = 0.4
+"""Where arms bend unless something else is known: on Morphy at 0.42 of the way from the axis to the hub."""
+
+COMPLIANCE, TAU, PLACE, ANGLES = 0, 1, 2, 3
+"""Places of the parameters; behind them stands the angle of each arm [rad]."""
+
+
+def joint_parameters(*, fastest: float, slowest: float, tau_scale: float) -> tuple[Parameter, ...]:
+    """Return the parameters of an element with a time constant of ``fastest`` to ``slowest`` [s]."""
+    return (
+        Parameter(
+            name="compliance", unit="rad/(N m)", low=0.0, high=20.0, scale=0.1, meaning="angle per moment at the hinge"
+        ),
+        Parameter(
+            name="tau", unit="s", low=fastest, high=slowest, scale=tau_scale, meaning="after which 63 % are reached"
+        ),
+        Parameter(
+            name="hinge",
+            unit="-",
+            low=0.0,
+            high=0.9,
+            scale=0.1,
+            meaning="where arms bend: share of the way from the body's vertical axis to the hub",
+            kind="convention",
+        ),
+    )
+
+
+def outwards(vehicle: Vehicle) -> tuple[Tensor, Tensor]:
+    """Return unit vectors e from the vertical axis to the hubs, body, (E, R, 3), and distances [m], (E, R); E = 1 if shared."""
+    hubs = vehicle.rotor_position
+    hubs = hubs[:1] if is_shared(hubs) else hubs
+    flat = torch.cat((hubs[..., :2], torch.zeros_like(hubs[..., 2:])), dim=-1)
+    distance = (flat.square().sum(-1) + SHORTEST_ARM**2).sqrt()
+    return flat / distance.unsqueeze(-1), distance
+
+
+class ArmJoint(WrenchEffect):
+    """Rotor arms that bend under thrust, all alike. It remembers the angle of each arm [rad], upwards positive.
+
+    Arms are straight right after a reset, as those of a vehicle that has not lifted off yet.
+    """
+
+    rotor_memory = (0.0,)
+
+    def check(self, robot: RobotCfg) -> None:
+        """Raise ``ConfigError`` if no rotor has an arm."""
+        if all(max(abs(x), abs(y)) < SHORTEST_ARM for x, y, _ in (m.position for m in robot.mounts.layout)):
+            raise ConfigError(f"effect {self.name}: all rotors stand on the vertical axis of the body: no arm can bend")
+
+    def deflection(self, vehicle: Vehicle, rotor_speed: Tensor, params: Tensor) -> Tensor:
+        """Return the angles [rad] at which arms rest under the thrust of rotor speeds [rad/s], both (E, R)."""
+        length = (1.0 - params[:, PLACE, None]) * outwards(vehicle)[1]
+        moment = evaluate_map(vehicle.thrust_map, rotor_speed) * length * vehicle.rotor_axis[..., 2]
+        limit = float(LARGEST_ANGLE)
+        return (params[:, COMPLIANCE, None] * moment).clamp(-limit, limit)
+
+    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+        """Return the angles at the end of the substep, (E, R)."""
+        decay = torch.exp(-moment.dt / values[:, TAU, None])
+        rest = self.deflection(moment.vehicle, moment.rotor_speed, values)
+        return rest + (values[:, ANGLES:] - rest) * decay
+
+    def wrench(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return what bent arms change of force and torque, (E, 6); the angles stand behind the parameters."""
+        vehicle, angle = condition.vehicle, params[:, ANGLES:].unsqueeze(-1)
+        out, distance = outwards(vehicle)
+        sine, fall = angle.sin(), 2.0 * (0.5 * angle).sin().square()  # fall: 1 - cos
+        up = torch.zeros_like(out)
+        up[..., 2] = 1.0
+        across = torch.linalg.cross(out, up)
+        axis = condition.axis
+        leaning = sine * torch.linalg.cross(across, axis, dim=-1)
+        leaning = leaning - fall * (axis - (across * axis).sum(-1, keepdim=True) * across)
+        moved = ((1.0 - params[:, PLACE, None]) * distance).unsqueeze(-1) * (sine * up - fall * out)
+        thrust = condition.rotor_thrust.unsqueeze(-1)
+        force = thrust * leaning
+        torque = torch.linalg.cross(condition.lever.expand_as(force), force)
+        torque = torque + torch.linalg.cross(moved, thrust * axis + force)
+        drag = vehicle.rotor_spin * evaluate_map(vehicle.torque_map, condition.rotor_speed)
+        return torch.cat((force, torque - drag.unsqueeze(-1) * leaning), dim=-1).sum(1)
+
+    def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
+        """Return the same in Warp."""
+        num_rotors = len(moment.vars["rotor_speed"].type())
+        numbers = wp.types.vector(length=ANGLES + num_rotors, dtype=wp.float32)
+
+        @wp.func
+        def bend(plant: vehicle, now: moment, values: numbers) -> numbers:
+            after = values
+            decay = wp.exp(-now.dt / values[wp.static(TAU)])
+            for i in range(wp.static(num_rotors)):
+                x = plant.rotor_lever[i, 0] + plant.com[0]
+                y = plant.rotor_lever[i, 1] + plant.com[1]
+                length = (1.0 - values[wp.static(PLACE)]) * wp.sqrt(x * x + y * y + SHORTEST_ARM * SHORTEST_ARM)
+                n = now.rotor_speed[i]
+                thrust = plant.thrust_map[i, 0] + n * (plant.thrust_map[i, 1] + n * plant.thrust_map[i, 2])
+                rest = values[wp.static(COMPLIANCE)] * thrust * length * plant.rotor_axis[i, 2]
+                rest = wp.clamp(rest, -LARGEST_ANGLE, LARGEST_ANGLE)
+                after[wp.static(ANGLES) + i] = rest + (values[wp.static(ANGLES) + i] - rest) * decay
+            return after
+
+        return bend
+
+    def warp_wrench(self, condition: type) -> wp.Function:
+        """Return the same in Warp."""
+        num_rotors = len(condition.vars["rotor_speed"].type())
+        numbers = wp.types.vector(length=ANGLES + num_rotors, dtype=wp.float32)
+
+        @wp.func
+        def bent_arms(at: condition, values: numbers) -> wp.spatial_vector:
+            force = wp.vec3()
+            torque = wp.vec3()
+            up = wp.vec3(0.0, 0.0, 1.0)
+            for i in range(wp.static(num_rotors)):
+                axis = wp.vec3(at.rotor_axis[i, 0], at.rotor_axis[i, 1], at.rotor_axis[i, 2])
+                lever = wp.vec3(at.lever[i, 0], at.lever[i, 1], at.lever[i, 2])
+                x = lever[0] + at.com[0]
+                y = lever[1] + at.com[1]
+                distance = wp.sqrt(x * x + y * y + SHORTEST_ARM * SHORTEST_ARM)
+                out = wp.vec3(x / distance, y / distance, 0.0)
+                across = wp.cross(out, up)
+                angle = values[wp.static(ANGLES) + i]
+                sine = wp.sin(angle)
+                half = wp.sin(0.5 * angle)
+                fall = 2.0 * half * half
+                leaning = sine * wp.cross(across, axis) - fall * (axis - wp.dot(across, axis) * across)
+                moved = (1.0 - values[wp.static(PLACE)]) * distance * (sine * up - fall * out)
+                push = at.rotor_thrust[i] * leaning
+                reaction = wp.vec3(at.rotor_reaction[i, 0], at.rotor_reaction[i, 1], at.rotor_reaction[i, 2])
+                force += push
+                torque += wp.cross(lever, push) + wp.cross(moved, at.rotor_thrust[i] * axis + push)
+                torque += at.rotor_drag[i] * wp.dot(reaction, axis) * leaning
+            return wp.spatial_vector(force, torque)
+
+        return bent_arms

@@ -1,0 +1,110 @@
+"""Soft arms along measured flights: their angles, predictions and rollouts against closed forms."""
+
+from dataclasses import replace
+from math import cos, hypot, pi
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.joint_replay import SETTLED_S, follow_joint
+from aerial_gym.sim2real.prediction import Point, Predictor, find_channels
+from aerial_gym.sim2real.rollout import roll_out
+from aerial_gym.sim2real.tolerances import Tolerances
+from tests.unit.flat_flights import ROBOT
+from tests.unit.test_sim2real_around import RATE, hover
+
+Array = NDArray[np.float64]
+
+G, THRUST, ARM = 9.81, 0.6 * 9.81 / 4.0, hypot(0.1, 0.1)
+"""Gravity [m/s²], thrust of a rotor at hover [N] and distance of the hubs from the axis [m] of ``ROBOT``."""
+
+
+@pytest.mark.parametrize("tau", [0.004, 0.05, 3.0])
+def test_elements_are_followed_exactly_between_rows(tau: float) -> None:
+    """Against the equation of motion, integrated with a load that runs in straight lines; at rest at the start."""
+    step, rng = 0.01, np.random.default_rng(0)
+    rest = rng.normal(size=(120, 2))
+    time = step * np.arange(120)
+    found = follow_joint(rest, tau=tau, step=step)
+    start = rest[: round(SETTLED_S / step)].mean(axis=0)
+    np.testing.assert_allclose(found[0], start, atol=1e-14)
+    for column in range(2):
+        course = [start[column]]
+        for row in range(119):
+
+            def motion(t: float, h: Array, row: int = row, column: int = column) -> Array:
+                share = (t - time[row]) / step
+                return ((1.0 - share) * rest[row, column] + share * rest[row + 1, column] - h) / tau
+
+            solved = solve_ivp(motion, (time[row], time[row + 1]), [course[-1]], rtol=1e-9, atol=1e-12)
+            course.append(solved.y[0, -1])
+        np.testing.assert_allclose(found[:, column], course, atol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "tau"), [("joint_spring", 0.1), ("joint_creep", 0.8)])
+def test_predictions_follow_the_arms(name: str, tau: float) -> None:
+    """Rotors 1 and 2 on the right push 1 + 0.3 sin W t: their arms bend ``C l f0 (1 + 0.3 sin(W t - d) / sqrt(1 + W² tau²))``,
+    ``tan d = W tau``, and push the vehicle to the left by ``f sin h / sqrt(2)`` each. Straight lines between rows: 3e-4."""
+    compliance, hinge, turn = 0.5, 0.25, 2.0 * pi
+    flight = hover("a", 5.0)
+    assert flight.rotor_speed is not None
+    time, sway = flight.time, np.zeros((400, 4))
+    sway[:, :2] = 0.3
+    flight = replace(flight, rotor_speed=flight.rotor_speed * np.sqrt(1.0 + sway * np.sin(turn * time)[:, None]))
+    flights = [flight]
+    predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+    point = Point(effects={name: np.array([compliance, tau, hinge])})
+    found, rigid = (predictor.predict(p)[0][:, 1] for p in (point, Point()))
+    lag, less = np.arctan(turn * tau), 1.0 / hypot(1.0, turn * tau)
+    at = predictor.times[0]
+    rest = compliance * (1.0 - hinge) * ARM * THRUST
+    push, still = THRUST * (1.0 + 0.3 * np.sin(turn * at)), THRUST * np.sin(rest)
+    begun = np.sin(turn * time[: round(SETTLED_S * RATE)]).mean() + less * np.sin(lag)  # off the steady course
+    bent = rest * (1.0 + 0.3 * (less * np.sin(turn * at - lag) + begun * np.exp(-at / tau)))
+    expected = 2.0 * (push * np.sin(bent) - still) / np.sqrt(2.0) / 0.6
+    np.testing.assert_allclose(found - rigid, expected, atol=3e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("speeds", ["measured", "commanded"])
+def test_rollouts_begin_with_arms_as_the_log_bends_them(speeds: str) -> None:
+    """In level hover arms rest bent, however slow: every window falls by ``g (1 - cos h) t²/2``, not only late ones."""
+    flight = hover("a", 5.0)
+    if speeds == "commanded":
+        flight = replace(flight, rotor_command=flight.rotor_speed, rotor_speed=None)
+    rest = 0.8 * 0.6 * ARM * THRUST
+    point = Point(effects={"joint_creep": np.array([0.8, 20.0, 0.4])})
+    errors = roll_out(ROBOT, [flight], point, horizons=(0.5,))
+    assert errors.velocity is not None
+    np.testing.assert_allclose(errors.velocity, G * (1.0 - cos(rest)) * 0.5, rtol=1e-6)
+
+
+def test_rollouts_begin_with_arms_as_they_are_at_their_row() -> None:
+    """Arms that creep up after a step of thrust at 1 s: ``1 - cos h`` of it is lost, h in the middle of each 0.1 s.
+
+    In straight lines between rows the step comes half a row early, 5 ms of tau = 2 s: 0.3 % of the loss.
+    """
+    flight = hover("a", 5.0)
+    assert flight.rotor_speed is not None
+    more = np.where(flight.time >= 1.0, 1.44, 1.0)
+    flight = replace(flight, rotor_speed=flight.rotor_speed * np.sqrt(more)[:, None])
+    point, tau = Point(effects={"joint_creep": np.array([0.8, 2.0, 0.4])}), 2.0
+    errors = roll_out(ROBOT, [flight], point, horizons=(0.1,))
+    bare = roll_out(ROBOT, [flight], Point(), horizons=(0.1,))
+    start = errors.windows.row / RATE
+    late = start >= 1.0
+    rest = 0.8 * 0.6 * ARM * THRUST
+    angle = rest * (1.44 - 0.44 * np.exp(-(start + 0.05 - 1.0) / tau))
+    assert errors.velocity is not None
+    assert bare.velocity is not None
+    lost = (bare.velocity - errors.velocity)[late, 0]  # both rise: 0.44 g more than the weight
+    np.testing.assert_allclose(lost, 1.44 * G * (1.0 - np.cos(angle[late])) * 0.1, rtol=4e-3)
+
+
+def test_neutral_joints_cost_no_prediction() -> None:
+    flights = [hover("a", 5.0)]
+    predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+    neutral = Point(effects={"joint_spring": np.array(EFFECTS.get("joint_spring").neutral(ROBOT))})
+    assert predictor.predict(neutral) is predictor.predict(Point())
