@@ -1,8 +1,9 @@
 """How soft rotor arms bend along flights: driven by the thrust of the rotor speeds of each row.
 
-Between rows the angle of rest runs in a straight line, along which an element is followed exactly. Logs do not tell the angles
-at their start: arms rest there under the mean thrust of the first 0.5 s. A creep of some seconds whose log begins in the middle
-of a change of thrust is off until that has faded.
+Between rows the angle of rest runs in a straight line, along which an element is followed exactly. Logs do not tell what arms
+bore before: they are taken to rest at the start under the mean thrust of the flight, or under that of the first row if the
+vehicle then stands. Of a creep with some seconds, in a vehicle that has taken off just before its log begins, the first seconds
+are off.
 Letters: T rows of a flight, P parameters, R rotors.
 """
 
@@ -14,18 +15,16 @@ from torch import Tensor
 
 from aerial_gym.physics import Vehicle
 from aerial_gym.physics.effects.arm_joint import TAU, ArmJoint
+from aerial_gym.sim2real.flights import Flight
 
 Array = NDArray[np.float64]
 
-SETTLED_S = 0.5
-"""Arms rest at the start under the mean thrust of this span [s]."""
 
-
-def follow_joint(rest: Array, *, tau: float, step: float) -> Array:
+def follow_joint(rest: Array, start: Array, *, tau: float, step: float) -> Array:
     """Return the angles [rad] of elements whose angles of rest [rad] are given every ``step`` [s], both (T, R).
 
     ``h_n+1 = a h_n + b0 r_n + b1 r_n+1`` with ``x = step / tau``, ``a = exp(-x)``, ``b1 = 1 - (1 - a) / x``,
-    ``b0 = 1 - a - b1``: exact where r runs in straight lines between the rows.
+    ``b0 = 1 - a - b1``: exact where r runs in straight lines between the rows. ``start`` is h in the first row, (R,).
 
     Source:
         Derived: ``tau h' = r - h`` with a linear r, integrated over a step.
@@ -33,20 +32,26 @@ def follow_joint(rest: Array, *, tau: float, step: float) -> Array:
     share = step / tau
     decay, gained = np.exp(-share), -np.expm1(-share)
     later = 1.0 - gained / share
-    start = rest[: max(1, round(SETTLED_S / step))].mean(axis=0)
-    first = (start - later * rest[0])[None]  # of the filter, so that its output at row 0 is the start
-    return lfilter([later, gained - later], [1.0, -decay], rest, axis=0, zi=first)[0]
+    before = (start - later * rest[0])[
+        None
+    ]  # what the filter has of the past, so that its output in row 0 is the start
+    return lfilter([later, gained - later], [1.0, -decay], rest, axis=0, zi=before)[0]
 
 
-def joint_angles(effect: ArmJoint, vehicle: Vehicle, params: Tensor, speed: Tensor, step: float) -> Tensor:
+def joint_angles(
+    effect: ArmJoint, vehicle: Vehicle, params: Tensor, flight: Flight, speed: Tensor, step: float
+) -> Tensor:
     """Return the angles of the arms [rad] in every row of a flight, (T, R).
 
     Args:
         effect: The element.
         vehicle: With the effects on its parameters applied, one environment.
         params: Of the element, (1, P).
-        speed: True rotor speeds [rad/s], (T, R).
-        step: Between two rows [s].
+        flight: Tells whether the vehicle stands at the start.
+        speed: True rotor speeds [rad/s], (T, R), in all rows of the log or in every n-th one.
+        step: Between two of these rows [s].
     """
     rest = effect.deflection(vehicle, speed, params).numpy()
-    return torch.from_numpy(follow_joint(rest, tau=float(params[0, TAU]), step=step))
+    stands = flight.standing is not None and flight.standing[0]
+    start = rest[0] if stands else rest.mean(axis=0)
+    return torch.from_numpy(follow_joint(rest, start, tau=float(params[0, TAU]), step=step))

@@ -375,7 +375,7 @@ class _Together:
             if isinstance(effect, ArmJoint):
                 vehicle = one_row(model.vehicle, 0)
                 parts = [
-                    joint_angles(effect, vehicle, params[:1], condition.rotor_speed[span], stride / flight.rate)
+                    joint_angles(effect, vehicle, params[:1], flight, condition.rotor_speed[span], stride / flight.rate)
                     for span, stride, flight in zip(self._spans, self._stride, self.flights, strict=True)
                 ]
                 found[effect.name] = torch.cat(parts)

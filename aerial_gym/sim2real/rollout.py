@@ -320,8 +320,9 @@ class Batch:
                 for model, index in np.unique(np.stack((self._of, self._flight)), axis=1).T:
                     chosen = np.flatnonzero((self._of == model) & (self._flight == index))
                     vehicle, one = one_row(self._model.vehicle, chosen[0]), params[chosen[:1]]
-                    speed = self._speed_along(self._flights[index], chosen[:1])
-                    along = joint_angles(effect, vehicle, one, speed, 1.0 / self._rate)
+                    flight = self._flights[index]
+                    speed = self._speed_along(flight, chosen[:1])
+                    along = joint_angles(effect, vehicle, one, flight, speed, 1.0 / self._rate)
                     angles[chosen] = along[self._row[chosen]]
                 found[effect.name] = angles
         return found

@@ -361,6 +361,18 @@ EFFECTS: dict[str, Effect] = {
         draw=_draw_scale,
         apply=lambda v, p: _with(v, rotor_reading=p["scale"]),
     ),
+    "joint_spring": Effect(
+        params={"compliance": None, "tau": 0.03, "hinge": 0.4},  # rad/(N m), s
+        ranges=_ranges((0.7, 0.9), (1.4, 1.8), (2.4, 2.8)),
+        draw=lambda rng, size, _: {"compliance": size, "tau": rng.uniform(0.02, 0.06), "hinge": 0.4},
+        apply=lambda v, p: _with(v, joint_spring=_tuple(p, "compliance tau hinge")),
+    ),
+    "joint_creep": Effect(
+        params={"compliance": None, "tau": 3.0, "hinge": 0.4},  # rad/(N m), s
+        ranges=_ranges((0.7, 0.9), (1.4, 1.8), (2.4, 2.8)),
+        draw=lambda rng, size, _: {"compliance": size, "tau": rng.uniform(1.5, 4.0), "hinge": 0.4},
+        apply=lambda v, p: _with(v, joint_creep=_tuple(p, "compliance tau hinge")),
+    ),
 }
 
 UNKNOWN: dict[str, Effect] = {

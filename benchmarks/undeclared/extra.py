@@ -31,6 +31,13 @@ class Extra:
     slung: tuple[float, float, float] = (0.0, 1.0, 0.0)
     """Mass [kg], length of the cable [m], damping between load and vehicle [N s/m]."""
 
+    joint_spring: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    """Angle of each arm per moment at its joint [rad/(N m)], time constant [s], place of the joint on the way from the vertical
+    body axis to the hub [-]."""
+
+    joint_creep: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    """The same of a slow element."""
+
     shear: tuple[float, float, float, float] = (0.0, 0.0, 10.0, 0.0)
     """Wind at the height of reference along world x and y [m/s], that height [m], exponent [-]."""
 

@@ -1,6 +1,7 @@
 """Equations of motion with everything that a hidden effect can add; README.md lists formulas and sources.
 
-A load on a cable adds six numbers to the state: its direction from the vehicle (unit) and the rate of that, world.
+A load on a cable adds six numbers to the state: its direction from the vehicle (unit) and the rate of that, world. Behind them
+stand the angles [rad] of four soft arms, of the spring and of the creep, where they have them.
 Letters: F flights.
 """
 
@@ -15,6 +16,9 @@ CABLE, CABLE_RATE = slice(22, 25), slice(25, 28)
 
 LARGEST_GAIN = 2.0
 """Largest ratio of thrust near a surface to thrust far from it: the formulas diverge at the surface."""
+
+SETTLING = 50
+"""Rounds in which soft arms find where they rest; with one joint in each arm the first one is exact."""
 
 LOWEST_SHEAR = 0.1
 """Height below which the wind no longer changes [m]."""
@@ -41,6 +45,12 @@ class FullPlant(Plant):
         aero = extra.h_force or extra.flapping or extra.axial_inflow or extra.translational_lift
         self._aero, self._near = bool(aero), bool(near)
         self._slung = extra.slung[0] > 0.0
+        joints = [joint for joint in (extra.joint_spring, extra.joint_creep) if joint[0] > 0.0]
+        first = CABLE_RATE.stop if self._slung else ROTOR.stop
+        self._joints = [(*joint, slice(first + 4 * k, first + 4 * k + 4)) for k, joint in enumerate(joints)]
+        self._out = vehicle.rotor_position * (1.0, 1.0, 0.0)
+        self._reach = np.linalg.norm(self._out, axis=1)
+        self._out = self._out / self._reach[:, None]
         self._index, self._time, self._supply = 0, 0.0, 1.0
         self._command: Array | None = None
         if extra.ceiling and self._surroundings.ceiling is None:
@@ -54,10 +64,15 @@ class FullPlant(Plant):
         self._supply = (1.0 + self._extra.battery_gain * (voltage / NOMINAL_VOLTAGE - 1.0))[:, None]
 
     def rest(self, state: Array) -> Array:
-        """Return states at rest with the load straight below, (F, 28), or as they are without a load."""
-        if not self._slung:
-            return state
-        return np.hstack((state, np.tile([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], (len(state), 1))))
+        """Return states at rest with the load straight below, and soft arms as the thrust bends them in the long run."""
+        if self._slung:
+            state = np.hstack((state, np.tile([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], (len(state), 1))))
+        state = np.hstack((state, np.zeros((len(state), 4 * len(self._joints)))))
+        for _ in range(SETTLING if self._joints else 0):
+            slopes = self._arms(state, state[:, ROTOR] ** 2)[1]
+            for (_, tau, _, angles), slope in zip(self._joints, slopes, strict=True):
+                state[:, angles] += tau * slope
+        return state
 
     def step(self, state: Array, command: Array, dt: float) -> Array:
         """Return the states after ``dt`` [s] under a held command; the time of each stage is its own."""
@@ -74,12 +89,19 @@ class FullPlant(Plant):
         return state
 
     def derivative(self, state: Array, command: Array) -> Array:
-        """Return the time derivative of each state, (F, 22) or (F, 28)."""
+        """Return the time derivative of each state, (F, 22) and more with a load or soft arms."""
         out = np.zeros_like(state)
         rot, rate = rotation(state), state[:, RATE]
         turn = hat(rate)
         rotor_dot = self._rotor_dot(state, command)
-        force, torque = self._loads(state, rotor_dot, turn)
+        squared = self._squared(state)
+        if self._joints:
+            wrench, slopes = self._arms(state, squared)
+            for joint, slope in zip(self._joints, slopes, strict=True):
+                out[:, joint[3]] = slope
+        else:
+            wrench = squared @ self._wrench_map
+        force, torque = self._loads(state, squared, wrench, rotor_dot, turn)
         world = (rot @ force[:, :, None])[:, :, 0]
         if self._slung:
             world, out[:, CABLE_RATE] = self._pull(state, world)
@@ -140,13 +162,48 @@ class FullPlant(Plant):
         error = self._supply * command - state[:, ROTOR]
         return error / np.where(error > 0.0, self.vehicle.tau_up, self.vehicle.tau_down)
 
-    def _loads(self, state: Array, rotor_dot: Array, turn: Array) -> tuple[Array, Array]:
-        """Return force and torque about the centre of mass, body frame, (F, 3) each, without gravity and cable."""
+    def _squared(self, state: Array) -> Array:
+        """Return the squared rotor speeds [rad²/s²], (F, 4), less what fading takes."""
+        squared, (loss, time) = state[:, ROTOR] ** 2, self._extra.fading
+        return squared * (1.0 - loss * (1.0 - np.exp(-self._time / time))) if loss else squared
+
+    def _arms(self, state: Array, squared: Array) -> tuple[Array, list[Array]]:
+        """Return force and torque (F, 6) of rotors on soft arms, and how fast the angle of each element grows [rad/s], (F, 4).
+
+        Each arm is a plane chain of straight pieces, x outwards and z upwards, that turn upwards by the angles of the joints
+        before them; the rotor turns with the last piece.
+        """
+        vehicle, x, z, turned, place = self.vehicle, 0.0, 0.0, 0.0, 0.0
+        joints = []
+        for compliance, tau, hinge, angles in sorted(self._joints, key=lambda joint: joint[2]):
+            x, z = (
+                x + (hinge - place) * self._reach * np.cos(turned),
+                z + (hinge - place) * self._reach * np.sin(turned),
+            )
+            joints.append((compliance, tau, angles, x, z))
+            turned, place = turned + state[:, angles], hinge
+        cos, sin = np.cos(turned), np.sin(turned)
+        x, z = x + (1.0 - place) * self._reach * cos, z + (1.0 - place) * self._reach * sin
+        axis, out = vehicle.rotor_axis, self._out
+        outward, upward = (axis * out).sum(axis=1), axis[:, 2]
+        leaning, rising = cos * outward - sin * upward, sin * outward + cos * upward
+        aside = axis - outward[:, None] * out - upward[:, None] * (0.0, 0.0, 1.0)
+        thrust = vehicle.thrust_coeff * squared
+        force = thrust[:, :, None] * (leaning[:, :, None] * out + rising[:, :, None] * (0.0, 0.0, 1.0) + aside)
+        hub = x[:, :, None] * out + (z + vehicle.rotor_position[:, 2])[:, :, None] * (0.0, 0.0, 1.0)
+        torque = np.cross(hub - vehicle.com, force) - vehicle.rotor_spin[:, None] * vehicle.torque_ratio * force
+        slopes = {
+            angles.start: (compliance * thrust * ((x - at) * rising - (z - height) * leaning) - state[:, angles]) / tau
+            for compliance, tau, angles, at, height in joints
+        }
+        return np.hstack((force.sum(axis=1), torque.sum(axis=1))), [slopes[joint[3].start] for joint in self._joints]
+
+    def _loads(self, state: Array, squared: Array, wrench: Array, rotor_dot: Array, turn: Array) -> tuple[Array, Array]:
+        """Return force and torque about the centre of mass, body frame, (F, 3) each, without gravity and cable.
+
+        ``wrench`` (F, 6) is that of the rotors in still air.
+        """
         extra, rotor = self._extra, state[:, ROTOR]
-        squared = rotor * rotor
-        if extra.fading[0]:
-            squared = squared * (1.0 - extra.fading[0] * (1.0 - np.exp(-self._time / extra.fading[1])))
-        wrench = squared @ self._wrench_map
         force, torque = wrench[:, :3] + self._drag(state), wrench[:, 3:]
         if self._aero or self._near:
             push, moment = self._rotor_changes(state, squared)

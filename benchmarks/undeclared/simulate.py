@@ -33,7 +33,7 @@ class Record:
     """Rotor speeds held from each instant on [rad/s], (T, F, 4)."""
 
     state: Array
-    """True states, as in dynamics.py, (T, F, 22), with a slung load (T, F, 28)."""
+    """True states, as in dynamics.py, (T, F, 22), with more behind them as in full_dynamics.py."""
 
     position: Array
     """True position of the body origin [m], world, (T, F, 3)."""

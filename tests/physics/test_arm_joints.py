@@ -174,7 +174,7 @@ def test_elements_in_series_add_their_angles() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_angles_end_at_a_stop(name: str) -> None:
-    """Half a radian, however soft the joint, up or down."""
+    """One radian, however soft the joint, up or down."""
     model = model_of(cross_robot(), (name, (20.0, 0.3, 0.0)))
     speed = torch.full((1, 4), 2000.0, dtype=F64)
     rest = joint(name).deflection(model.vehicle, speed, model.wrenches[0][1])

@@ -5,11 +5,13 @@ from math import cos, hypot, pi
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.joint_replay import SETTLED_S, follow_joint
+from aerial_gym.physics import EFFECTS, vehicle_from_config
+from aerial_gym.physics.effects.arm_joint import ArmJoint
+from aerial_gym.sim2real.joint_replay import follow_joint, joint_angles
 from aerial_gym.sim2real.prediction import Point, Predictor, find_channels
 from aerial_gym.sim2real.rollout import roll_out
 from aerial_gym.sim2real.tolerances import Tolerances
@@ -24,12 +26,12 @@ G, THRUST, ARM = 9.81, 0.6 * 9.81 / 4.0, hypot(0.1, 0.1)
 
 @pytest.mark.parametrize("tau", [0.004, 0.05, 3.0])
 def test_elements_are_followed_exactly_between_rows(tau: float) -> None:
-    """Against the equation of motion, integrated with a load that runs in straight lines; at rest at the start."""
+    """Against the equation of motion, integrated with a load that runs in straight lines."""
     step, rng = 0.01, np.random.default_rng(0)
     rest = rng.normal(size=(120, 2))
     time = step * np.arange(120)
-    found = follow_joint(rest, tau=tau, step=step)
-    start = rest[: round(SETTLED_S / step)].mean(axis=0)
+    start = np.array([0.3, -0.2])
+    found = follow_joint(rest, start, tau=tau, step=step)
     np.testing.assert_allclose(found[0], start, atol=1e-14)
     for column in range(2):
         course = [start[column]]
@@ -62,7 +64,7 @@ def test_predictions_follow_the_arms(name: str, tau: float) -> None:
     at = predictor.times[0]
     rest = compliance * (1.0 - hinge) * ARM * THRUST
     push, still = THRUST * (1.0 + 0.3 * np.sin(turn * at)), THRUST * np.sin(rest)
-    begun = np.sin(turn * time[: round(SETTLED_S * RATE)]).mean() + less * np.sin(lag)  # off the steady course
+    begun = less * np.sin(lag)  # off the steady course: whole turns have no mean
     bent = rest * (1.0 + 0.3 * (less * np.sin(turn * at - lag) + begun * np.exp(-at / tau)))
     expected = 2.0 * (push * np.sin(bent) - still) / np.sqrt(2.0) / 0.6
     np.testing.assert_allclose(found - rigid, expected, atol=3e-3 * np.abs(expected).max())
@@ -96,7 +98,8 @@ def test_rollouts_begin_with_arms_as_they_are_at_their_row() -> None:
     start = errors.windows.row / RATE
     late = start >= 1.0
     rest = 0.8 * 0.6 * ARM * THRUST
-    angle = rest * (1.44 - 0.44 * np.exp(-(start + 0.05 - 1.0) / tau))
+    before = 1.0 + (more.mean() - 1.0) * np.exp(-1.0 / tau)  # at 1 s, begun at rest under the mean thrust
+    angle = rest * (1.44 + (before - 1.44) * np.exp(-(start + 0.05 - 1.0) / tau))
     assert errors.velocity is not None
     assert bare.velocity is not None
     lost = (bare.velocity - errors.velocity)[late, 0]  # both rise: 0.44 g more than the weight
@@ -108,3 +111,18 @@ def test_neutral_joints_cost_no_prediction() -> None:
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
     neutral = Point(effects={"joint_spring": np.array(EFFECTS.get("joint_spring").neutral(ROBOT))})
     assert predictor.predict(neutral) is predictor.predict(Point())
+
+
+def test_arms_of_a_vehicle_that_stands_at_first_are_not_bent_by_its_flight() -> None:
+    """Rotors idle for a second, then push: the first row bears the idle thrust, not the mean of the flight."""
+    flight = hover("a", 5.0)
+    assert flight.rotor_speed is not None
+    standing = flight.time < 1.0
+    speed = torch.from_numpy(np.where(standing, 0.2, 1.0)[:, None] * flight.rotor_speed)
+    creep, vehicle = EFFECTS.get("joint_creep"), vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
+    assert isinstance(creep, ArmJoint)
+    params = torch.tensor([[0.8, 2.0, 0.4]], dtype=torch.float64)
+    rest = 0.8 * 0.6 * ARM * THRUST
+    for stands, share in ((standing, 0.04), (None, 0.04 * 0.25 + 0.75)):
+        found = joint_angles(creep, vehicle, params, replace(flight, standing=stands), speed, 1.0 / RATE)
+        np.testing.assert_allclose(found[0], share * rest, rtol=1e-12)

@@ -12,7 +12,7 @@ A thrust f bends by the moment ``f l a_z`` about the hinge whatever h is, for it
 element balance it: ``tau h' = compliance f l a_z - h``. This f is that of the thrust map; what inflow and surfaces add to it
 acts along a' as well, but bends no further.
 
-Over a substep dt ``h = h_f + (h_0 - h_f) exp(-dt / tau)`` with the angle of rest h_f, at most 0.5 rad, under the thrust at its
+Over a substep dt ``h = h_f + (h_0 - h_f) exp(-dt / tau)`` with the angle of rest h_f, at most 1 rad, under the thrust at its
 start: exact for a thrust that is held. During the substep the arm is held at the new angle, half a substep ahead, as the thrust
 is half of one behind: while a thrust varies smoothly the angle is that of the middle, up to ``dt² / 12 tau`` times its rate;
 the start of a motion comes half a substep early.
@@ -37,8 +37,8 @@ from aerial_gym.physics.effects.base import Condition, Moment, Parameter, Wrench
 from aerial_gym.physics.rotors import evaluate_map
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
-LARGEST_ANGLE = wp.constant(0.5)
-"""Of one element [rad]: twice the way to the stops of Morphy's arms."""
+LARGEST_ANGLE = wp.constant(1.0)
+"""Of one element [rad]: four times the way to the stops of Morphy's arms."""
 
 SHORTEST_ARM = wp.constant(1e-9)
 """A hub nearer to the vertical axis of the body than this [m] has no arm."""
