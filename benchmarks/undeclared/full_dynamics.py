@@ -48,9 +48,7 @@ class FullPlant(Plant):
         joints = [joint for joint in (extra.joint_spring, extra.joint_creep) if joint[0] > 0.0]
         first = CABLE_RATE.stop if self._slung else ROTOR.stop
         self._joints = [(*joint, slice(first + 4 * k, first + 4 * k + 4)) for k, joint in enumerate(joints)]
-        self._out = vehicle.rotor_position * (1.0, 1.0, 0.0)
-        self._reach = np.linalg.norm(self._out, axis=1)
-        self._out = self._out / self._reach[:, None]
+        self._prepare_arms()
         self._index, self._time, self._supply = 0, 0.0, 1.0
         self._command: Array | None = None
         if extra.ceiling and self._surroundings.ceiling is None:
@@ -127,6 +125,18 @@ class FullPlant(Plant):
         force = ((slope[:, VEL] - self._gravity)[:, None, :] @ rotation(state))[:, 0]
         return force - hat(slope[:, RATE]) @ com - (turn @ turn) @ com
 
+    def _prepare_arms(self) -> None:
+        """Work out what bending does not change: directions outwards, parts of the rotor axes along them and aside."""
+        vehicle, up = self.vehicle, np.array([0.0, 0.0, 1.0])
+        flat = vehicle.rotor_position * (1.0, 1.0, 0.0)
+        self._reach = np.linalg.norm(flat, axis=1)
+        self._out = out = flat / self._reach[:, None]
+        self._axis_out = (vehicle.rotor_axis * out).sum(axis=1)
+        self._aside = vehicle.rotor_axis - self._axis_out[:, None] * out - vehicle.rotor_axis[:, 2:] * up
+        self._turning = np.cross(out, up)
+        self._out_aside, self._up_aside = np.cross(out, self._aside), np.cross(up, self._aside)
+        self._com_hat = hat(vehicle.com[None])[0].T
+
     def _rotor_maps(self) -> tuple[Array, Array, Array]:
         """Return constant matrices of the rotors.
 
@@ -176,27 +186,32 @@ class FullPlant(Plant):
         vehicle, x, z, turned, place = self.vehicle, 0.0, 0.0, 0.0, 0.0
         joints = []
         for compliance, tau, hinge, angles in sorted(self._joints, key=lambda joint: joint[2]):
-            x, z = (
-                x + (hinge - place) * self._reach * np.cos(turned),
-                z + (hinge - place) * self._reach * np.sin(turned),
-            )
+            piece = (hinge - place) * self._reach
+            x, z = x + piece * np.cos(turned), z + piece * np.sin(turned)
             joints.append((compliance, tau, angles, x, z))
             turned, place = turned + state[:, angles], hinge
         cos, sin = np.cos(turned), np.sin(turned)
-        x, z = x + (1.0 - place) * self._reach * cos, z + (1.0 - place) * self._reach * sin
-        axis, out = vehicle.rotor_axis, self._out
-        outward, upward = (axis * out).sum(axis=1), axis[:, 2]
-        leaning, rising = cos * outward - sin * upward, sin * outward + cos * upward
-        aside = axis - outward[:, None] * out - upward[:, None] * (0.0, 0.0, 1.0)
-        thrust = vehicle.thrust_coeff * squared
-        force = thrust[:, :, None] * (leaning[:, :, None] * out + rising[:, :, None] * (0.0, 0.0, 1.0) + aside)
-        hub = x[:, :, None] * out + (z + vehicle.rotor_position[:, 2])[:, :, None] * (0.0, 0.0, 1.0)
-        torque = np.cross(hub - vehicle.com, force) - vehicle.rotor_spin[:, None] * vehicle.torque_ratio * force
+        piece = (1.0 - place) * self._reach
+        x, z = x + piece * cos, z + piece * sin
+        thrust, height = vehicle.thrust_coeff * squared, z + vehicle.rotor_position[:, 2]
+        leaning = cos * self._axis_out - sin * vehicle.rotor_axis[:, 2]  # outward part of the turned axis
+        rising = sin * self._axis_out + cos * vehicle.rotor_axis[:, 2]
+
+        def summed(weight: Array | float) -> Array:
+            """Return the sum of all thrusts [N] with a weight, along their turned axes, (F, 3)."""
+            along = (weight * thrust * leaning) @ self._out + (weight * thrust) @ self._aside
+            along[:, 2] += (weight * thrust * rising).sum(axis=1)
+            return along
+
+        force = summed(1.0)
+        torque = (thrust * (x * rising - height * leaning)) @ self._turning
+        torque += (thrust * x) @ self._out_aside + (thrust * height) @ self._up_aside - force @ self._com_hat
+        torque -= summed(vehicle.rotor_spin * vehicle.torque_ratio)
         slopes = {
             angles.start: (compliance * thrust * ((x - at) * rising - (z - height) * leaning) - state[:, angles]) / tau
             for compliance, tau, angles, at, height in joints
         }
-        return np.hstack((force.sum(axis=1), torque.sum(axis=1))), [slopes[joint[3].start] for joint in self._joints]
+        return np.hstack((force, torque)), [slopes[joint[3].start] for joint in self._joints]
 
     def _loads(self, state: Array, squared: Array, wrench: Array, rotor_dot: Array, turn: Array) -> tuple[Array, Array]:
         """Return force and torque about the centre of mass, body frame, (F, 3) each, without gravity and cable.

@@ -19,7 +19,7 @@ SHORT: dict[str, Any] = {"num_train": 4, "num_test": 2, "duration_s": 8.0, "rate
 EFFECTS = ("rotor_drag", "com_offset", "motor_tilt", "actuation_delay")
 MORE_EFFECTS = (
     "quadratic_drag", "thrust_coefficient", "motor_time_constant", "constant_wind", "h_force_flapping", "imu_misalignment",
-    "battery_sag", "ceiling_effect", "downwash",
+    "battery_sag", "ceiling_effect", "downwash", "joint_spring", "joint_creep",
 )  # fmt: skip
 CAUSES = ("unknown_position",)
 MORE_CAUSES = ("unknown_periodic", "unknown_time", "unknown_heading")

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from math import cos, hypot, pi
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,12 +10,16 @@ import torch
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.physics import EFFECTS, vehicle_from_config
 from aerial_gym.physics.effects.arm_joint import ArmJoint
+from aerial_gym.sim2real.flights import load_flight
 from aerial_gym.sim2real.joint_replay import follow_joint, joint_angles
-from aerial_gym.sim2real.prediction import Point, Predictor, find_channels
+from aerial_gym.sim2real.prediction import Point, Predictor, declared_point, find_channels
 from aerial_gym.sim2real.rollout import roll_out
 from aerial_gym.sim2real.tolerances import Tolerances
+from benchmarks.undeclared import make_case
+from benchmarks.undeclared.sensors import NOISELESS
 from tests.unit.flat_flights import ROBOT
 from tests.unit.test_sim2real_around import RATE, hover
 
@@ -126,3 +131,16 @@ def test_arms_of_a_vehicle_that_stands_at_first_are_not_bent_by_its_flight() -> 
     for stands, share in ((standing, 0.04), (None, 0.04 * 0.25 + 0.75)):
         found = joint_angles(creep, vehicle, params, replace(flight, standing=stands), speed, 1.0 / RATE)
         np.testing.assert_allclose(found[0], share * rest, rtol=1e-12)
+
+
+def test_predictions_are_those_of_the_independent_plant(tmp_path: Path) -> None:
+    """A flight without noise: of the specific force that rigid arms miss, rows and band leave less than 0.3 %."""
+    hidden = {"joint_spring": {"compliance": 1.6, "tau": 0.04, "hinge": 0.4}}
+    files = make_case(tmp_path, effects=hidden, seed=410, num_train=1, num_test=0, duration_s=2.0, noise=NOISELESS)
+    robot = robot_by_name(files.robot)
+    flights = [load_flight(files.train[0], robot, mapping=None, bandwidth=10.0)]
+    predictor = Predictor(robot, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+    declared = declared_point(robot)
+    soft = declared.with_effect("joint_spring", np.array([1.6, 0.04, 0.4]))
+    missed, left = (np.sqrt((predictor.residuals(p)[0][:, :6] ** 2).mean(axis=0)) for p in (declared, soft))
+    assert (left[:3] < 0.003 * missed[:3]).all(), (left / missed).round(5)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 from benchmarks.undeclared import EFFECTS, FEATURES, UNKNOWN, make_case
 from benchmarks.undeclared.cases import flights_of, fly_case, plan_all
@@ -330,6 +331,89 @@ def test_hanging_load_weighs_down() -> None:
     np.testing.assert_allclose(plant.specific_force(state)[0], (0.0, 0.0, GRAVITY), atol=1e-11)
 
 
+SOFT = {"compliance": 1.5, "tau": 0.05, "hinge": 0.4}
+
+
+def test_arms_rest_where_their_joints_bear_the_thrust() -> None:
+    """Four arms alike bend by ``C f l``, l = 0.6 of the way to the hub; lift ``4 f cos h``, neither side force nor torque."""
+    plant = FullPlant(hidden(joint_spring=SOFT))
+    state = plant.rest(level())
+    thrust, angle = 1.45, 1.5 * 1.45 * 0.6 * np.hypot(0.085, 0.08)
+    np.testing.assert_allclose(state[0, 22:], angle, rtol=1e-12)
+    force, torque = loads(plant, state)
+    np.testing.assert_allclose(force, (0.0, 0.0, 4.0 * thrust * np.cos(angle)), atol=1e-12)
+    np.testing.assert_allclose(torque, 0.0, atol=1e-12)
+    np.testing.assert_allclose(plant.derivative(state, state[:, ROTOR])[0, 22:], 0.0, atol=1e-12)
+
+
+def test_a_bent_arm_leans_its_rotor_in_and_lifts_its_hub() -> None:
+    """Rotor 1 alone, ahead and to the right: thrust ``f (-e sin h + z cos h)`` at ``l (e cos h + z sin h)`` from the joint."""
+    plant, angle = FullPlant(hidden(joint_creep=SOFT)), 0.3
+    state = plant.rest(level(rotor=0.0))
+    state[0, ROTOR.start], state[0, 22] = SPEED, angle
+    reach = np.hypot(0.085, 0.08)
+    out, up = np.array([0.085, -0.08, 0.0]) / reach, np.array([0.0, 0.0, 1.0])
+    force = 1.45 * (up * np.cos(angle) - out * np.sin(angle))
+    hub = reach * (0.4 * out + 0.6 * (out * np.cos(angle) + up * np.sin(angle))) + 0.012 * up
+    found = loads(plant, state)
+    np.testing.assert_allclose(found[0], force, atol=1e-12)
+    np.testing.assert_allclose(found[1], np.cross(hub, force) - 0.014 * force, atol=1e-12)
+
+
+def test_tilted_rotors_turn_with_their_arms() -> None:
+    """Axes in any direction, centre of mass beside the origin, unequal angles: one rotation by scipy for each arm."""
+    axes = np.array([[0.1, 0.05, 1.0], [-0.05, 0.1, 1.0], [0.02, -0.1, 1.0], [0.07, 0.03, 1.0]])
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    vehicle = replace(BARE, com=np.array([0.03, -0.05, 0.04]), rotor_axis=axes)
+    state = np.hstack((tumbling(), [[0.1, 0.2, -0.3, 0.4]]))
+    expected = np.zeros((2, 3))
+    for hub, axis, spin, speed, angle in zip(
+        vehicle.rotor_position, axes, vehicle.rotor_spin, state[0, ROTOR], state[0, 22:], strict=True
+    ):
+        out = hub * (1.0, 1.0, 0.0)
+        turn = Rotation.from_rotvec(angle * np.cross(out, (0.0, 0.0, 1.0)) / np.linalg.norm(out))
+        force = 1.45e-6 * speed**2 * turn.apply(axis)
+        lever = hub - 0.6 * out + turn.apply(0.6 * out) - vehicle.com
+        expected += force, np.cross(lever, force) - spin * 0.014 * force
+    found = loads(FullPlant(hidden(vehicle, joint_spring=SOFT)), state)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_elements_of_an_arm_approach_their_load_and_add_up() -> None:
+    """From straight, under held thrust: ``C f l (1 - exp(-t / tau))`` each, and the wrench is that of the sum of angles."""
+    slow = {**SOFT, "tau": 2.0}
+    plant = FullPlant(hidden(joint_spring=SOFT, joint_creep=slow))
+    state = np.hstack((level(), np.zeros((1, 8))))
+    for _ in range(200):
+        state = plant.step(state, state[:, ROTOR], 0.0005)
+    full = 1.5 * 1.45 * 0.6 * np.hypot(0.085, 0.08)
+    np.testing.assert_allclose(state[0, 22:26], full * (1.0 - np.exp(-0.1 / 0.05)), rtol=1e-9)
+    np.testing.assert_allclose(state[0, 26:30], full * (1.0 - np.exp(-0.1 / 2.0)), rtol=1e-9)
+    both = state[0, 22] + state[0, 26]
+    assert loads(plant, state)[0][2] == pytest.approx(4.0 * 1.45 * np.cos(both), rel=1e-12)
+
+
+def test_a_second_joint_further_out_bends_the_rest_of_the_arm() -> None:
+    """The moment about the inner joint is that of the shorter lever ``a + b cos h2`` once the outer one has turned by h2."""
+    inner, outer = {**SOFT, "hinge": 0.2}, {**SOFT, "hinge": 0.7}
+    plant = FullPlant(hidden(joint_spring=outer, joint_creep=inner))
+    state = np.hstack((level(), np.zeros((1, 8))))
+    state[0, 22:26] = 0.4  # of the outer joint
+    reach = np.hypot(0.085, 0.08)
+    slope = plant.derivative(state, state[:, ROTOR])[0, 22:]
+    lever = reach * (0.5 * np.cos(0.4) + 0.3)  # of a thrust that stands upright on the last piece
+    np.testing.assert_allclose(slope[4:], 1.5 * 1.45 * lever / 0.05, rtol=1e-12)
+    np.testing.assert_allclose(slope[:4], (1.5 * 1.45 * 0.3 * reach - 0.4) / 0.05, rtol=1e-12)
+
+
+def test_soft_arms_and_a_load_share_the_state() -> None:
+    plant = FullPlant(hidden(joint_spring=SOFT, slung_payload={"mass": 0.1, "length": 0.7, "damping": 0.02}))
+    state = plant.rest(level(flights=2))
+    assert state.shape == (2, 32)
+    np.testing.assert_allclose(state[:, CABLE], [[0.0, 0.0, -1.0]] * 2)
+    np.testing.assert_allclose(plant.step(state, state[:, ROTOR], 0.0005)[:, 28:], state[:, 28:], rtol=1e-12)
+
+
 def test_ground_adds_a_fifteenth_at_one_radius() -> None:
     """k = 1, hub at a height of one radius: thrust times 1 / (1 - 1/16) = 16 / 15; far away nothing."""
     vehicle = hidden(ground_effect={"k": 1.0})
@@ -499,6 +583,7 @@ def test_draws_are_what_their_parameters_say(name: str) -> None:
         ("slung_payload", "inertia_error", "torque_ratio", "wind_shear"),
         ("ground_effect", "ceiling_effect", "downwash", "payload_mass"),
         ("imu_bias", "imu_misalignment", "rotor_speed_scale", "motor_asymmetry"),
+        ("joint_spring", "joint_creep", "com_offset", "thrust_coefficient"),
         tuple(UNKNOWN),
     ],
 )
