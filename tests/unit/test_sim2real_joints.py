@@ -16,7 +16,7 @@ from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.sim2real.flights import load_flight
 from aerial_gym.sim2real.joint_replay import follow_joint, joint_angles
 from aerial_gym.sim2real.prediction import Point, Predictor, declared_point, find_channels
-from aerial_gym.sim2real.rollout import roll_out
+from aerial_gym.sim2real.rollout import Batch, roll_out
 from aerial_gym.sim2real.tolerances import Tolerances
 from benchmarks.undeclared import make_case
 from benchmarks.undeclared.sensors import NOISELESS
@@ -144,3 +144,29 @@ def test_predictions_are_those_of_the_independent_plant(tmp_path: Path) -> None:
     soft = declared.with_effect("joint_spring", np.array([1.6, 0.04, 0.4]))
     missed, left = (np.sqrt((predictor.residuals(p)[0][:, :6] ** 2).mean(axis=0)) for p in (declared, soft))
     assert (left[:3] < 0.003 * missed[:3]).all(), (left / missed).round(5)
+
+
+def test_windows_of_one_batch_begin_each_with_the_arms_of_its_model_and_flight() -> None:
+    """Two compliances and two flights of other thrusts, level: after 0.1 s each lost ``1 - cos h`` of its own thrust."""
+    still = hover("a", 5.0)
+    assert still.rotor_speed is not None
+    flights = [still, replace(still, name="b", rotor_speed=1.2 * still.rotor_speed)]
+    points = [Point(effects={"joint_creep": np.array([c, 30.0, 0.4])}) for c in (0.4, 0.8)]
+    vehicles = [vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)] * 2
+    of, flight = np.array([0, 1, 1, 0]), np.array([0, 0, 1, 1])
+    run = Batch(vehicles, points, of, flights, flight, np.array([100, 200, 100, 200]))
+    ((_, state, _),) = run.fly(run.measured(0), {run.steps(0.1)})
+    push = np.array([1.0, 1.0, 1.44, 1.44])
+    angle = np.array([0.4, 0.8, 0.8, 0.4]) * 0.6 * ARM * THRUST * push
+    np.testing.assert_allclose(state.lin_vel[:, 2], 0.1 * G * (push * np.cos(angle) - 1.0), rtol=1e-6)
+
+
+def test_rollouts_take_the_errors_of_rotor_sensors_out_of_the_thrust() -> None:
+    """Speeds that read 10 % too high bend no arm further."""
+    flight = hover("a", 5.0)
+    assert flight.rotor_speed is not None
+    flight = replace(flight, rotor_speed=1.1 * flight.rotor_speed)
+    effects = {"joint_creep": np.array([0.8, 20.0, 0.4]), "rotor_speed_scale": np.array([1.1])}
+    errors = roll_out(ROBOT, [flight], Point(effects=effects), horizons=(0.5,))
+    assert errors.velocity is not None
+    np.testing.assert_allclose(errors.velocity, G * (1.0 - cos(0.8 * 0.6 * ARM * THRUST)) * 0.5, rtol=1e-6)
