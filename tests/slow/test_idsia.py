@@ -33,7 +33,7 @@ def test_the_loop_names_flapping_and_takes_most_off_the_residuals(tmp_path: Path
     # allowed, and waits for another one. What counts is that the sideways force needs it.
     (flapping,) = (effect for effect in verdict["effects"] if effect["name"] == "h_force_flapping")
     assert flapping["without_it"]["residual"]["channel"].startswith("specific_force")
-    assert flapping["without_it"]["residual"]["interval"][0] > 1.0  # more than doubles; which share others take is not asked
+    assert flapping["without_it"]["residual"]["interval"][0] > 1.0  # it more than doubles
     before, after = verdict["before"]["specific_force"], verdict["after"]["specific_force"]
     assert before["x"]["rms"] == pytest.approx(0.48, abs=0.02)
     assert before["y"]["rms"] == pytest.approx(0.39, abs=0.02)
