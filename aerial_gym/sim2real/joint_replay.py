@@ -32,10 +32,8 @@ def follow_joint(rest: Array, start: Array, *, tau: float, step: float) -> Array
     share = step / tau
     decay, gained = np.exp(-share), -np.expm1(-share)
     later = 1.0 - gained / share
-    before = (start - later * rest[0])[
-        None
-    ]  # what the filter has of the past, so that its output in row 0 is the start
-    return lfilter([later, gained - later], [1.0, -decay], rest, axis=0, zi=before)[0]
+    past = start - later * rest[0]  # so that the output in the first row is the start
+    return lfilter([later, gained - later], [1.0, -decay], rest, axis=0, zi=past[None])[0]
 
 
 def joint_angles(
