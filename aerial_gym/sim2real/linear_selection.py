@@ -14,7 +14,7 @@ from scipy import stats
 from aerial_gym.sim2real.candidates import Library
 from aerial_gym.sim2real.fit import FARTHEST_DEVIATION, WEAK_PRIOR
 from aerial_gym.sim2real.moments import Moments
-from aerial_gym.sim2real.scoring import LEAST_SCORE, is_relief
+from aerial_gym.sim2real.scoring import LEAST_SCORE, is_relief, rises
 from aerial_gym.sim2real.selection import Selection
 
 Array = NDArray[np.float64]
@@ -267,9 +267,7 @@ class LinearSelector:
         rules, counts, folds = self.criteria, self._counts[more.members], self._parts.folds
         rows = np.stack([counts[:, own] @ self._parts.moments.count[own] for own in folds])  # (F, n)
         drawn = np.stack([self.draws[more.members, own].sum(axis=1) for own in self._blocks.folds])
-        before, after, largest = (
-            fitted.totals.sum(axis=0) / rows.sum(axis=0)[:, None] for fitted in (less, more, equal)
-        )
+        after, largest = (fitted.totals.sum(axis=0) / rows.sum(axis=0)[:, None] for fitted in (more, equal))
         seen = largest - after > (rules.visible * self.tolerated) ** 2
         passes = (self._falls(less, more) * seen).max(axis=1) >= rules.material
         ratio = np.log(np.maximum(less.totals, 1e-300) / np.maximum(more.totals, 1e-300))  # (F, n, C)
@@ -280,9 +278,9 @@ class LinearSelector:
         weight = drawn.sum(axis=0)
         passes &= (judged * better).sum(axis=0) >= rules.flights_better * np.where(few, weight, changed.sum(axis=0))
         if harm:
-            each = np.maximum(rows, 1.0)[..., None]
-            harmed = (drawn[..., None] * self._rises(less.totals / each, more.totals / each)).sum(axis=0)
-            passes &= ~self._rises(before, after).any(axis=1)
+            harmed = (drawn[..., None] * self._rises(less.totals, more.totals, rows)).sum(axis=0)
+            whole = less.totals.sum(axis=0), more.totals.sum(axis=0), rows.sum(axis=0)
+            passes &= ~self._rises(*whole).any(axis=1)
             passes &= harmed.max(axis=1) <= (1.0 - rules.flights_better) * weight
         if passes.any():
             places = np.flatnonzero(passes)
@@ -292,9 +290,8 @@ class LinearSelector:
             passes[passes] = self._stands_out(more.model, more.members[passes], tried)
         return passes
 
-    def _rises(self, before: Array, after: Array) -> Mask:
-        more = after > (1.0 + self.criteria.harmless) ** 2 * before
-        return more & (after - before > self.tolerated**2)
+    def _rises(self, less: Array, more: Array, rows: Array) -> Mask:
+        return rises(less, more, rows, self.weights.effective, self.tolerated, self.criteria)
 
     def _stands_out(self, model: Model, members: Indices, tried: int) -> Mask:
         """Return where a candidate's step is beyond noise and tolerances and at no bound but neutral, (n,)."""

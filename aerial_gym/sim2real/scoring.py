@@ -53,6 +53,9 @@ class Criteria:
     harmless: float = 0.02
     """Largest relative rise of the left-out residual (rms) of a channel that is no harm."""
 
+    forgiven: float = 0.1
+    """Share of its whole gain in log likelihood that an effect may lose in a channel, and it is no harm."""
+
     rival_significance: float = 0.01
     """Rivals whose left-out gain differs from the accepted effect's with less certainty cannot be told apart."""
 
@@ -218,9 +221,37 @@ class LeftOut:
         )
 
     def _rises(self, less: Array, more: Array, count: Array) -> NDArray[np.bool_]:
-        """Return in which channels squares (B, C) rise by more than is harmless and than tolerances may cause, (C,)."""
-        before, after = less.sum(axis=0) / count.sum(), more.sum(axis=0) / count.sum()
-        return (after > (1.0 + self.criteria.harmless) ** 2 * before) & (after - before > self.tolerated**2)
+        """Return in which channels squares (B, C) rise by more than is harmless, than tolerances cause, than is forgiven."""
+        return rises(
+            less.sum(axis=0), more.sum(axis=0), count.sum(), self.weights.effective, self.tolerated, self.criteria
+        )
+
+
+def rises(
+    less: Array, more: Array, rows: ArrayLike, effective: Array, tolerated: Array, criteria: Criteria
+) -> NDArray[np.bool_]:
+    """Return in which channels one sum of squares is harmfully larger than another, (..., C).
+
+    Harmful is what is more than a small share of the residual, more than what the tolerances of the vehicle cause, and not
+    paid for many times by what other channels gain: no effect that is there makes a channel worse in the long run, but the
+    fit of a large one may spoil a small channel by what the model still lacks.
+
+    Args:
+        less: Squares of the model without the effect, (..., C).
+        more: With it, (..., C).
+        rows: Over which they are summed, (...).
+        effective: Independent samples of a row of each channel, (C,).
+        tolerated: Residual (rms) that the tolerances cause in each channel, (C,).
+        criteria: The limits.
+    """
+    rows = np.asarray(rows)[..., None]
+    gains = 0.5 * rows * effective * _log_ratio(less, more)
+    forgiven = criteria.forgiven * np.maximum(gains.sum(axis=-1, keepdims=True), 0.0)
+    return (
+        (more > (1.0 + criteria.harmless) ** 2 * less)
+        & (more - less > np.maximum(rows, 1.0) * tolerated**2)
+        & (-gains > forgiven)
+    )
 
 
 def is_relief(relief: ArrayLike, added: int, criteria: Criteria) -> NDArray[np.bool_]:

@@ -153,8 +153,9 @@ def _features(flights: Sequence[Flight], times: Sequence[Array]) -> dict[str, li
     if all(flight.position is not None for flight in flights):
         found["position"] = _spread([flight.position[rows] for flight, rows in pairs if flight.position is not None])
     turns = [Rotation.from_quat(flight.attitude[rows]) for flight, rows in pairs]
-    ahead = [np.arctan2(*turn.apply([1.0, 0.0, 0.0])[:, 1::-1].T) for turn in turns]
-    found["heading"] = [np.stack([f(n * yaw) for n in (1, 2) for f in (np.cos, np.sin)], axis=1) for yaw in ahead]
+    if not any(flight.attitude_integrated for flight in flights):  # the integral of a gyro is no heading
+        ahead = [np.arctan2(*turn.apply([1.0, 0.0, 0.0])[:, 1::-1].T) for turn in turns]
+        found["heading"] = [np.stack([f(n * yaw) for n in (1, 2) for f in (np.cos, np.sin)], axis=1) for yaw in ahead]
     if all(flight.lin_vel is not None for flight in flights):
         speeds = [
             turn.apply(flight.lin_vel[rows], inverse=True)

@@ -52,3 +52,25 @@ def test_the_fall_of_a_channel_is_that_of_its_rms() -> None:
     gain = left_out().gain(squares(1.0, 1.0, 1.0, 1.0), squares(0.25, 0.25, 0.25, 0.25))
     assert gain.falls == pytest.approx((0.5, 0.0))
     assert gain.score == pytest.approx(0.5 * 60 * BLOCKS * FLIGHTS * 0.5 * np.log(4.0))
+
+
+@pytest.mark.parametrize(
+    ("gained", "lost", "harmful"),
+    [
+        (0.25, 1.02, False),  # 1 % of the rms is no harm
+        (0.25, 1.12, False),  # 4 log 2 are gained for each log 1.12 that is lost
+        (0.25, 1.2, True),  # more than a tenth of the gain
+        (0.9, 1.12, True),
+        (1.0, 1.12, True),
+    ],
+)
+def test_what_a_channel_loses_is_harm_unless_others_gain_ten_times_as_much(
+    gained: float, lost: float, harmful: bool
+) -> None:
+    more = squares(*[gained] * FLIGHTS)
+    more[:, 1] = lost
+    judge = left_out()
+    found = judge.gain(squares(*[1.0] * FLIGHTS), more)
+    assert found.worse == (False, harmful)
+    assert found.harmed == (0.0, float(harmful))
+    assert bool(judge.harms(found)) is harmful
