@@ -46,6 +46,14 @@ class Candidate:
     high: Array
     """Highest."""
 
+    contained: int = 0
+    """Of how many effects it is a wider case."""
+
+    @property
+    def complexity(self) -> int:
+        """Return by what effects are ordered that flights do not tell apart, as ``Trial.complexity``."""
+        return self.columns.size + self.contained
+
 
 @dataclass(frozen=True, kw_only=True)
 class Library:
@@ -80,7 +88,8 @@ def build_library(predictor: Predictor, declared: Point, selection: Selection) -
         free = [k for k in range(scale.size) if is_number(name, k) and not (named and (name, k) in frozen)]
         low, high = (((bound - neutral) / scale)[free] for bound in bounds_of(predictor.robot, (name,)))
         places = np.array(free, dtype=int) + width
-        candidates.append(Candidate(name=name, named=named, columns=places, low=low, high=high))
+        wider = len(EFFECTS.get(name).contains)
+        candidates.append(Candidate(name=name, named=named, columns=places, low=low, high=high, contained=wider))
         parts.append(columns)
         width += scale.size
     parts.append(tolerance_jacobian(predictor, final, base))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.evaluation import Evaluation, time_groups
 from aerial_gym.sim2real.fit import Fit, fit_effects
 from aerial_gym.sim2real.flights import Flight
@@ -226,7 +227,7 @@ def rivals_of(name: str, selection: Selection, less: Fit, channels: Sequence[Cha
                 explains=explained(gain.falls[place]),
                 instead_of=explained(own.falls[place]),
                 score=trial.gain.score,
-                because=rejection(trial, selection, selection.acceptance[name].num_free),
+                because=rejection(trial, selection, selection.acceptance[name]),
             )
         )
     return tuple(sorted(found, key=lambda rival: -rival.score))
@@ -237,15 +238,17 @@ def explained(fall: float) -> float:
     return max(0.0, 1.0 - (1.0 - fall) ** 2)
 
 
-def rejection(trial: Trial, selection: Selection, num_free: int) -> str:
-    """Return why a rival is not the one, ``num_free`` being the parameters of the accepted effect."""
+def rejection(trial: Trial, selection: Selection, accepted: Trial) -> str:
+    """Return why a rival is not the one in the place of an accepted effect."""
     if trial.objections:
         return "; ".join(trial.objections)
     assert trial.gain is not None
     if told_apart(trial, selection):
         return f"predicts flights left out worse (p = {trial.gain.chance:.1g})"
-    if trial.num_free > num_free:
-        return f"as good with {trial.num_free} parameters in place of {num_free}"
+    if trial.num_free > accepted.num_free:
+        return f"as good with {trial.num_free} parameters in place of {accepted.num_free}"
+    if trial.complexity > accepted.complexity:
+        return f"as good, but it is a wider case of {' or '.join(EFFECTS.get(trial.effect).contains)}"
     return "not rejected: these flights cannot tell them apart"
 
 

@@ -128,7 +128,7 @@ class LinearSelector:
             able, drawn = np.flatnonzero(passed[:, n]), self.draws[members[n]]
             like = np.stack([self._likelihood(trials[i], np.array([n]))[0] for i in able])  # (candidates, B)
             penalty = np.array([trials[i].penalty(self.tolerances.size)[n] for i in able])
-            total, size = like @ drawn - penalty, np.array([self.candidates[others[i]].columns.size for i in able])
+            total, size = like @ drawn - penalty, np.array([self.candidates[others[i]].complexity for i in able])
             best = int(total.argmax())
             chance = chance_of(like[best] - like, np.broadcast_to(drawn, like.shape))
             chance = np.minimum(1.0, chance * np.exp(np.minimum(penalty[best] - penalty, 700.0)))

@@ -86,6 +86,11 @@ class Trial:
         return len(own & set(self.scored.fit.free_effects.tolist()))
 
     @property
+    def complexity(self) -> int:
+        """Return by what effects are ordered that flights do not tell apart: free parameters, wider cases behind."""
+        return self.num_free + len(EFFECTS.get(self.effect).contains)
+
+    @property
     def label(self) -> str:
         """Return the name of the effect, with its rotor if it has one."""
         parameters = EFFECTS.get(self.effect).parameters
@@ -275,7 +280,7 @@ class _Selector:
             ahead = self.compare(trial.scored, best)
             if ahead.chance > self.criteria.rival_significance or ahead.score < LEAST_SCORE:
                 tied.append(trial)
-        return [min(tied, key=lambda trial: trial.num_free)]  # the first, and so the best, of equals
+        return [min(tied, key=lambda trial: trial.complexity)]  # the first, and so the best, of equals
 
     def neutral(self, name: str) -> Array:
         """Return the parameters with which an effect changes nothing: declared ones, else its neutral ones."""

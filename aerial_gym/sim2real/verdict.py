@@ -223,15 +223,15 @@ def _confidence(name: str, selection: Selection) -> float:
     own = selection.acceptance[name]
     doubts = [own.probability, own.gain.chance if own.gain else 1.0]
     for trial in serious_rivals(name, selection):
-        if trial.gain and trial.num_free <= own.num_free:
+        if trial.gain and trial.complexity <= own.complexity:
             doubts.append(trial.gain.chance if trial.gain.score < -LEAST_SCORE else max(trial.gain.chance, 0.5))
     return float(min(1.0 - max(doubts), MOST_CONFIDENT))
 
 
 def tied_rivals(name: str, selection: Selection) -> list[str]:
     """Return the registered effects that cannot be told from an accepted one, and are as simple."""
-    size = selection.acceptance[name].num_free
-    rivals = [trial for trial in serious_rivals(name, selection) if trial.gain and trial.num_free <= size]
+    most = selection.acceptance[name].complexity
+    rivals = [trial for trial in serious_rivals(name, selection) if trial.gain and trial.complexity <= most]
     return [trial.effect for trial in rivals if not told_apart(trial, selection)]
 
 

@@ -1,6 +1,7 @@
 """An effect keeps its name beside a structure that no effect has, and loses it where it only stands in for that structure."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from aerial_gym.physics.effects import Effect
 from aerial_gym.registry import Registry
 from aerial_gym.sim2real import selection
 from aerial_gym.sim2real.flights import load_flights
-from aerial_gym.sim2real.prediction import Point, Predictor, find_channels
+from aerial_gym.sim2real.prediction import Point, Predictor, declared_point, find_channels
 from aerial_gym.sim2real.scoring import Criteria
 from aerial_gym.sim2real.tolerances import Tolerances
 from aerial_gym.sim2real.verdict import tied_rivals
@@ -86,3 +87,21 @@ def test_thrust_and_mass_are_told_by_torques_as_far_as_the_inertia_is_known(
     found = selection.select_effects(predictor, Point(), Criteria(), lambda stage, share: None)
     (named,) = found.accepted
     assert {named, *tied_rivals(named, found)} == candidates
+
+
+def test_a_steady_wind_is_not_called_a_shear_that_hardly_grows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between 4 and 6 m a shear with a small power is a constant wind; the wider of two cases is no rival."""
+    few: Registry[Effect] = Registry("effect")
+    for name in ("constant_wind", "wind_shear", "rotor_drag"):
+        few.register(name, EFFECTS.get(name))
+    monkeypatch.setattr(selection, "EFFECTS", few)
+    drag = {"dx": 0.3, "dy": 0.3, "dz": 0.3}
+    robot = replace(ROBOT, effects={"rotor_drag": drag}, effects_source="flown with it")
+    logs = [flight(seed, seconds=12.0, rate=100.0, noise=1.0, drag=0.3, wind=(0.4, -0.3, 0.0)) for seed in range(4)]
+    paths = [write(log, tmp_path / f"f{n}.csv") for n, log in enumerate(logs)]
+    flights = load_flights(paths, robot, mapping=None, bandwidth=10.0)
+    predictor = Predictor(robot, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+    declared = declared_point(robot)
+    found = selection.select_effects(predictor, declared, Criteria(), lambda stage, share: None)
+    assert found.accepted == ("constant_wind",)
+    assert tied_rivals("constant_wind", found) == []

@@ -220,6 +220,8 @@ class Effect(ABC):
     """What must vary in a flight for the effect to be visible."""
     confused_with: ClassVar[tuple[str, ...]]
     """Names of effects that can look alike, and so must be weighed against this one."""
+    contains: ClassVar[tuple[str, ...]] = ()
+    """Effects with as many parameters that it is a wider case of: where flights do not tell them apart, these are meant."""
     memory: ClassVar[tuple[float, ...]] = ()
     """Values right after a reset of the numbers that it remembers of each environment."""
     rotor_memory: ClassVar[tuple[float, ...]] = ()

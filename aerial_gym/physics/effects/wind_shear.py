@@ -31,6 +31,7 @@ class WindShear(WindEffect):
     )
     excitation = "a known drag, and heights that differ by a factor of two or more"
     confused_with = ("constant_wind", "rotor_drag", "imu_bias")
+    contains = ("constant_wind",)
     needs = ("position",)
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
