@@ -38,7 +38,7 @@ class CloseLoopCmd:
 
     tolerances: Path | None = None
     """How well the robot is declared (.yaml): standard deviations of mass, thrust, inertia, time_constant, com, acc_bias,
-    gyro_bias, nominal_voltage, command_hold; those that are left out stay as docs/close_loop.md says."""
+    gyro_bias, nominal_voltage, command_hold, joint_rest; those that are left out stay as docs/close_loop.md says."""
 
     seed: int = 0
     """Seed of the resampling behind the 95 % intervals."""

@@ -2,8 +2,8 @@
 
 Between rows the angle of rest runs in a straight line, along which an element is followed exactly. Logs do not tell what arms
 bore before: they are taken to rest at the start under the mean thrust of the flight, or under that of the first row if the
-vehicle then stands. Of a creep with some seconds, in a vehicle that has taken off just before its log begins, the first seconds
-are off.
+vehicle then stands. How far they are from that is one of the tolerances, the same in all flights: a creep that has only begun
+when logs begin.
 Letters: T rows of a flight, P parameters, R rotors.
 """
 
@@ -15,6 +15,8 @@ from torch import Tensor
 
 from aerial_gym.physics import Vehicle
 from aerial_gym.physics.effects.arm_joint import TAU, ArmJoint
+from aerial_gym.physics.model import STANDARD_GRAVITY
+from aerial_gym.physics.rotors import evaluate_map
 from aerial_gym.sim2real.flights import Flight
 
 Array = NDArray[np.float64]
@@ -37,7 +39,14 @@ def follow_joint(rest: Array, start: Array, *, tau: float, step: float) -> Array
 
 
 def joint_angles(
-    effect: ArmJoint, vehicle: Vehicle, params: Tensor, flight: Flight, speed: Tensor, step: float
+    effect: ArmJoint,
+    vehicle: Vehicle,
+    params: Tensor,
+    flight: Flight,
+    speed: Tensor,
+    step: float,
+    *,
+    share: float = 1.0,
 ) -> Tensor:
     """Return the angles of the arms [rad] in every row of a flight, (T, R).
 
@@ -48,8 +57,12 @@ def joint_angles(
         flight: Tells whether the vehicle stands at the start.
         speed: True rotor speeds [rad/s], (T, R), in all rows of the log or in every n-th one.
         step: Between two of these rows [s].
+        share: Of the angle of rest under the mean thrust that arms have at the start.
     """
     rest = effect.deflection(vehicle, speed, params).numpy()
-    stands = flight.standing is not None and flight.standing[0]
-    start = rest[0] if stands else rest.mean(axis=0)
+    if flight.standing is not None and flight.standing[0]:
+        start = rest[0]
+    else:
+        lift = (evaluate_map(vehicle.thrust_map, speed) * vehicle.rotor_axis[..., 2]).sum(dim=1).mean()
+        start = share * float(vehicle.mass[0] * STANDARD_GRAVITY / lift) * rest.mean(axis=0)
     return torch.from_numpy(follow_joint(rest, start, tau=float(params[0, TAU]), step=step))

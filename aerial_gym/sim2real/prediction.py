@@ -51,7 +51,7 @@ from aerial_gym.sim2real.load_replay import Link, LoadReplay
 from aerial_gym.sim2real.rotor_replay import RotorReplay
 from aerial_gym.sim2real.signals import edge_rows, lowpass
 from aerial_gym.sim2real.surroundings import heights, other_at
-from aerial_gym.sim2real.tolerances import Tolerances, command_shift, deviate, sensor_biases
+from aerial_gym.sim2real.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_biases
 
 Array = NDArray[np.float64]
 
@@ -336,7 +336,8 @@ class _Together:
         model, condition = self._flown(point, vehicle, speeds)
         state = BodyState(rotor_speed=condition.rotor_speed, **self._state)
         load = self._swing(model, state, condition, deviation) if model.loads else None
-        found = accelerations(model, state, load=load, remembered=self._angles(model, condition), condition=condition)
+        angles = self._angles(model, condition, deviation)
+        found = accelerations(model, state, load=load, remembered=angles, condition=condition)
         # The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
         force = found.specific_force + torch.linalg.cross(found.ang_acc - self._measured_ang_acc, model.vehicle.com)
         force_bias, rate_bias = sensor_biases(self.tolerances, deviation)
@@ -359,7 +360,7 @@ class _Together:
         """Return the link of the load in every row, (E, 6), begun as the measured specific force says where there is one."""
         if self._measured_force is None:
             return self._load_replay.loads(model, self._row_times)
-        remembered = self._angles(model, condition)
+        remembered = self._angles(model, condition, deviation)
         found = accelerations(replace(model, loads=()), state, remembered=remembered, condition=condition)
         force = found.specific_force
         for effect, params in model.imu:
@@ -368,14 +369,23 @@ class _Together:
         missed = quat_rotate(self._state["attitude"], force).numpy()
         return self._load_replay.loads(model, self._row_times, [missed[span] for span in self._spans])
 
-    def _angles(self, model: Model, condition: Condition) -> dict[str, Tensor]:
+    def _angles(self, model: Model, condition: Condition, deviation: Tensor) -> dict[str, Tensor]:
         """Return the angles of soft arms in every row [rad], (E, R), by effect; empty where they are rigid."""
         found: dict[str, Tensor] = {}
+        share = joint_start(self.tolerances, deviation)
         for effect, params in model.wrenches:
             if isinstance(effect, ArmJoint):
                 vehicle = one_row(model.vehicle, 0)
                 parts = [
-                    joint_angles(effect, vehicle, params[:1], flight, condition.rotor_speed[span], stride / flight.rate)
+                    joint_angles(
+                        effect,
+                        vehicle,
+                        params[:1],
+                        flight,
+                        condition.rotor_speed[span],
+                        stride / flight.rate,
+                        share=share,
+                    )
                     for span, stride, flight in zip(self._spans, self._stride, self.flights, strict=True)
                 ]
                 found[effect.name] = torch.cat(parts)

@@ -49,15 +49,18 @@ class Tolerances:
     command_hold: float = 0.3
     """How far into the step between two rows the effective command may lie: autopilots run faster than logs are written."""
 
+    joint_rest: float = 0.3
+    """How far soft arms are from rest when a log begins, as a share of the angle at which they would rest."""
+
     def __post_init__(self) -> None:
         names = ("mass", "thrust", "inertia", "time_constant", "com", "acc_bias", "gyro_bias", "nominal_voltage")
-        require_positive(self, *names, "command_hold")
+        require_positive(self, *names, "command_hold", "joint_rest")
 
     def names(self, num_rotors: int) -> tuple[str, ...]:
         """Return the names of the N tolerances, in the order of ``Deviation``."""
         rotors = [f"thrust_{number}" for number in range(1, num_rotors + 1)]
         axes = [f"{name}_{axis}" for name in ("inertia", "com", "acc_bias", "gyro_bias") for axis in "xyz"]
-        return ("mass", *rotors, *axes, "time_constant", "nominal_voltage", "command_hold")
+        return ("mass", *rotors, *axes, "time_constant", "nominal_voltage", "command_hold", "joint_rest")
 
     def strained(self, deviation: NDArray[np.float64]) -> list[str]:
         """Return a note for each of the (N,) deviations, in standard deviations, that a careful declaration would not have."""
@@ -80,8 +83,7 @@ def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehi
         tolerances: Their sizes.
         deviation: In standard deviations, (N,), in the order of ``Tolerances.names``.
     """
-    parts = torch.split(deviation, [1, vehicle.num_rotors, 3, 3, 6, 1, 1, 1])
-    mass, rotors, inertia, com, _, lag, voltage, _ = parts
+    mass, rotors, inertia, com, _, _, lag, voltage, _, _ = _parts(deviation)
     factor = (1.0 + tolerances.thrust * rotors).unsqueeze(-1)
     stretch = (1.0 + tolerances.inertia * inertia).clamp_min(0.01).sqrt()
     slower = 1.0 + tolerances.time_constant * lag
@@ -102,9 +104,21 @@ def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehi
 
 def sensor_biases(tolerances: Tolerances, deviation: Tensor) -> tuple[Tensor, Tensor]:
     """Return the biases of accelerometer [m/s²] and gyro [rad/s], body, each (3,)."""
-    return tolerances.acc_bias * deviation[-9:-6], tolerances.gyro_bias * deviation[-6:-3]
+    *_, acc, gyro, _, _, _, _ = _parts(deviation)
+    return tolerances.acc_bias * acc, tolerances.gyro_bias * gyro
 
 
 def command_shift(tolerances: Tolerances, deviation: Tensor) -> float:
     """Return how far the effective command lies towards the next row, in steps; 0: held from its row on."""
-    return float(tolerances.command_hold * deviation[-1])
+    return float(tolerances.command_hold * deviation[-2])
+
+
+def joint_start(tolerances: Tolerances, deviation: Tensor) -> float:
+    """Return the angle of soft arms when a log begins as a share of the one at which they would rest."""
+    return float(1.0 + tolerances.joint_rest * deviation[-1])
+
+
+def _parts(deviation: Tensor) -> tuple[Tensor, ...]:
+    """Return the deviations of mass, thrust, inertia, com, acc_bias, gyro_bias and of each of the others."""
+    others = [3, 3, 3, 3, 1, 1, 1, 1]
+    return torch.split(deviation, [1, deviation.numel() - 1 - sum(others), *others])

@@ -17,7 +17,7 @@ from aerial_gym.sim2real.prediction import Channel, Point, Predictor, declared_p
 from aerial_gym.sim2real.rollout import find_windows, roll_out
 from aerial_gym.sim2real.rotor_replay import RotorReplay
 from aerial_gym.sim2real.signals import lowpass, uniform_log
-from aerial_gym.sim2real.tolerances import Tolerances, command_shift, deviate, sensor_biases
+from aerial_gym.sim2real.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_biases
 from tests.physics.vehicles import BATTERY
 from tests.unit.flat_flights import ROBOT, flight, write
 
@@ -178,7 +178,7 @@ MODELS = {
     "wind": Point(effects={"rotor_drag": np.full(3, 0.2), "constant_wind": np.array([1.0, -2.0, 0.5])}),
     "other wind": Point(effects={"rotor_drag": np.full(3, 0.2), "constant_wind": np.array([-1.0, 0.0, 0.5])}),
     "heavy": Point(effects={"payload_mass": np.array([0.1])}),
-    "off": Point(effects={"rotor_drag": np.full(3, 0.2)}, deviation=np.linspace(-1.0, 1.0, 20)),
+    "off": Point(effects={"rotor_drag": np.full(3, 0.2)}, deviation=np.linspace(-1.0, 1.0, len(Tolerances().names(4)))),
     "turned sensor": Point(effects={"imu_misalignment": np.array([0.02, 0.01, -0.03])}),
     "misread speeds": Point(effects={"rotor_speed_scale": np.array([1.1])}),
 }
@@ -330,12 +330,13 @@ def test_tolerances_change_what_they_say() -> None:
     assert off.com[0].tolist() == pytest.approx([0.0, 0.0, 0.0003])
     assert off.time_constant_up[0].tolist() == pytest.approx([0.04 * 1.03] * 4)
     assert off.battery[0].tolist() == pytest.approx([BATTERY.nominal_voltage * 0.997, *vehicle.battery[0, 1:].tolist()])
-    for name, size in (("acc_bias_y", 2.0), ("gyro_bias_x", -1.0), ("command_hold", 1.0)):
+    for name, size in (("acc_bias_y", 2.0), ("gyro_bias_x", -1.0), ("command_hold", 1.0), ("joint_rest", -2.0)):
         deviation[names.index(name)] = size
     force, rate = sensor_biases(tolerances, deviation)
     assert force.tolist() == pytest.approx([0.0, 0.04, 0.0])
     assert rate.tolist() == pytest.approx([-0.002, 0.0, 0.0])
     assert command_shift(tolerances, deviation) == pytest.approx(0.3)
+    assert joint_start(tolerances, deviation) == pytest.approx(0.4)
 
 
 def test_a_gyro_that_is_off_within_its_tolerance_shows_in_the_kinematic_rate_alone(tmp_path: Path) -> None:
@@ -407,5 +408,5 @@ def test_a_tolerance_that_strains_is_told_by_its_name() -> None:
     assert tolerances.strained(deviation) == []
     deviation[[0, 6, size - 1]] = 3.4, -4.0, 3.1
     notes = tolerances.strained(deviation)
-    for name, asked, note in zip(("mass", "thrust_6", "command_hold"), ("+3.4", "-4.0", "+3.1"), notes, strict=True):
+    for name, asked, note in zip(("mass", "thrust_6", "joint_rest"), ("+3.4", "-4.0", "+3.1"), notes, strict=True):
         assert f"a {name} that is off by {asked} standard deviations" in note
