@@ -22,15 +22,9 @@ from aerial_gym.sim2real.flight_log import FlightLog, read_flight_log
 from aerial_gym.sim2real.held import mend_holds
 from aerial_gym.sim2real.mapping import LogMapping
 from aerial_gym.sim2real.rotor_checks import without_copied_commands
+from aerial_gym.sim2real.rotor_clock import Agreement, Lead, agreement, commands_lead_too, common_leads, shift_rotor_log
 from aerial_gym.sim2real.rotor_order import check_order
-from aerial_gym.sim2real.signals import (
-    commands_lead_too,
-    lowpass,
-    rotor_log_lead,
-    shift_rotor_log,
-    uniform_log,
-    without_gaps,
-)
+from aerial_gym.sim2real.signals import lowpass, uniform_log, without_gaps
 from aerial_gym.sim2real.standing import standing_rows
 
 Array = NDArray[np.float64]
@@ -132,13 +126,20 @@ def load_flights(
         DataError: If a file cannot be used, or is given twice.
     """
     seen: dict[Path, str] = {}
-    flights: list[Flight] = []
+    read: list[tuple[FlightLog, list[str]]] = []
     for path in paths:
         real = Path(path).resolve()
         if real in seen:
             raise DataError(f"{path}: is given twice (also as {seen[real]}); a flight is for training or for testing")
         seen[real] = str(path)
-        flight = load_flight(path, robot, mapping=mapping, bandwidth=bandwidth)
+        log = mended_log(path, mapping)
+        read.append((with_velocity(log), check_log(log, robot)))
+    leads = leads_of([log for log, _ in read], robot, bandwidth)
+    flights: list[Flight] = []
+    for (log, notes), lead, real in zip(read, leads, seen, strict=True):
+        log = match_hover_thrust(with_rotor_clock(log, lead, robot), robot)
+        check_order(log, robot)
+        flight = complete_flight(log, notes, standing=standing_rows(log, robot))
         taken = {other.name for other in flights}
         name = flight.name if flight.name not in taken else f"{real.parent.name}/{flight.name}"
         flights.append(replace(flight, name=name))
@@ -146,16 +147,16 @@ def load_flights(
 
 
 def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None, bandwidth: float) -> Flight:
-    """Return one flight: read, repeated values mended, made uniform, checked, rotor log aligned, missing states derived."""
+    """Return one flight, as ``load_flights`` does."""
+    return load_flights([path], robot, mapping=mapping, bandwidth=bandwidth)[0]
+
+
+def mended_log(path: str | Path, mapping: LogMapping | None) -> FlightLog:
+    """Return a log at equal time steps, repeated values mended."""
     log = read_flight_log(path, mapping=mapping)
     check_time(log)
     check_quaternion_norm(log)
-    log = uniform_log(mend_holds(without_gaps(without_copied_commands(log))))
-    notes = check_log(log, robot)
-    log = align_rotor_log(with_velocity(log), robot, bandwidth)
-    log = match_hover_thrust(log, robot)
-    check_order(log, robot)
-    return complete_flight(log, notes, standing=standing_rows(log, robot))
+    return uniform_log(mend_holds(without_gaps(without_copied_commands(log))))
 
 
 def with_velocity(log: FlightLog) -> FlightLog:
@@ -167,13 +168,23 @@ def with_velocity(log: FlightLog) -> FlightLog:
     return replace(log, lin_vel=velocity, notes=(*log.notes, "velocity derived from position"))
 
 
-def align_rotor_log(log: FlightLog, robot: RobotCfg, bandwidth: float) -> FlightLog:
-    """Return the log with rotor speeds on the clock of the accelerometer, where their thrust shows an offset.
+def leads_of(logs: Sequence[FlightLog], robot: RobotCfg, bandwidth: float) -> list[Lead]:
+    """Return by how much each rotor log is ahead of the accelerometer, where their thrust shows it.
 
     Without velocity, drag along z would look like an offset, so that the clock is believed.
     """
-    if log.rotor_speed is None or log.specific_force is None or log.lin_vel is None:
-        return log
+    able = [log.rotor_speed is not None and log.specific_force is not None and log.lin_vel is not None for log in logs]
+    found = iter(
+        common_leads([agreement_of(log, robot, bandwidth) for log, one in zip(logs, able, strict=True) if one])
+    )
+    return [next(found) if one else Lead() for one in able]
+
+
+def agreement_of(log: FlightLog, robot: RobotCfg, bandwidth: float) -> Agreement:
+    """Return how well the logged rotor speeds agree with the accelerometer under each lead."""
+    assert log.rotor_speed is not None
+    assert log.specific_force is not None
+    assert log.lin_vel is not None
     rows = vehicle_from_config(robot, num_envs=log.time.size, dtype=torch.float64)
     speed = torch.from_numpy(log.rotor_speed)
     force, _ = rotor_wrench(rows, evaluate_map(rows.thrust_map, speed), evaluate_map(rows.torque_map, speed))
@@ -183,8 +194,11 @@ def align_rotor_log(log: FlightLog, robot: RobotCfg, bandwidth: float) -> Flight
         others.append(lowpass(log.ang_vel, rate, DERIVED_BAND * rate, derivative=True)[:, :2])
     thrust = (force[:, 2] / rows.mass).numpy()
     band = min(bandwidth, DERIVED_BAND * rate)
-    known = np.concatenate(others, axis=1)
-    lead = rotor_log_lead(log.specific_force[:, 2], thrust, known, rate, band)
+    return agreement(log.specific_force[:, 2], thrust, np.concatenate(others, axis=1), rate, band)
+
+
+def with_rotor_clock(log: FlightLog, lead: Lead, robot: RobotCfg) -> FlightLog:
+    """Return the log with rotor speeds, and commands if they share it, on the clock of the other sensors."""
     lag = 0.5 * (robot.rotor.time_constant_up + robot.rotor.time_constant_down)
     return shift_rotor_log(log, lead, commands=commands_lead_too(log, lead, lag))
 

@@ -1,13 +1,13 @@
-"""Zero-phase low-pass, derivatives, uniform time and the clock of the rotor log.
+"""Zero-phase low-pass, derivatives and uniform time.
 
 Everything here uses future samples: it is for logs, not for flight. Letters: T rows.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, signal
+from scipy import fft
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.flight_log import FlightLog
@@ -25,16 +25,6 @@ LONGEST_GAP_S = 0.1
 
 LOOSE_END = 0.05
 """Rows beyond a gap are cut off if they are no more than this share of a log."""
-
-LARGEST_SHIFT_S = 0.05
-"""Clock offsets of the rotor log are looked for up to this [s]; measured_data.md 2: 0 to 0.03 s."""
-
-SETTLED = 5.0
-"""A lag has forgotten where it began after so many declared time constants."""
-
-LEAST_SHIFT_GAIN = 0.3
-"""A shift must take this share off the variance that is left, else the clock is believed. One row of a 100 Hz log or
-vertical drag takes off less; a lead of two rows takes off half (seen on the IDSIA flights)."""
 
 
 def lowpass_gain(frequency: Array, bandwidth: float) -> Array:
@@ -163,110 +153,4 @@ def _without_loose_ends(log: FlightLog) -> FlightLog:
     part = slice(edges[longest], edges[longest + 1])
     arrays = {f.name: value[part] for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
     note = f"{log.time.size - sizes[longest]} rows beyond a gap of {steps.max():.3g} s at the end or start were cut off"
-    return replace(log, **arrays, notes=(*log.notes, note))
-
-
-PASSED = 0.85
-"""Share of the band whose noise is left between both low-passes: ``7/8 (pi/8) / sin(pi/8)`` of the upper, less 0.05 of it."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Lead:
-    """By how much the rotor log is ahead of the other sensors."""
-
-    rows: float = 0.0
-    std: float = 0.0
-    """Standard deviation [rows]."""
-
-
-def rotor_log_lead(measured: Array, predicted: Array, others: Array, rate: float, bandwidth: float) -> Lead:
-    """Return by how many rows the rotor log leads the other sensors; 0 unless a shift clearly agrees better.
-
-    Thrust explains the specific force along z up to a factor, drag and a shifted centre of mass up to others; what is
-    left, S, is compared between shifts. Between rows its least is that of a parabola, and it is known to ``sqrt(2 S / n S'')``
-    with n independent samples, two per second and hertz of what the filters pass.
-
-    Args:
-        measured: Specific force along body z [m/s²], (T,).
-        predicted: The same, predicted from the logged rotor speeds, (T,).
-        others: What else may act along z, on the clock of the accelerometer, (T, any): velocity, angular acceleration.
-        rate: Rows per second [Hz].
-        bandwidth: The comparison is made below it and above a twentieth of it [Hz].
-    """
-    most = round(LARGEST_SHIFT_S * rate)
-    wave = np.column_stack((measured, predicted, others))
-    wave = lowpass(wave, rate, bandwidth) - lowpass(wave, rate, 0.05 * bandwidth)
-    edge = edge_rows(rate, bandwidth) + most
-    inner = slice(edge, -edge)
-    target = wave[inner, 0]
-    if target.size < 4 * edge or not np.any(target):
-        return Lead()
-
-    def left(lead: int) -> float:
-        causes = np.column_stack((np.roll(wave[:, 1], lead)[inner], wave[inner, 2:]))
-        gains = np.linalg.lstsq(causes, target, rcond=None)[0]
-        return float(np.sum((target - causes @ gains) ** 2) / np.sum(target**2))
-
-    unmoved = left(0)
-    best = min(range(-most, most + 1), key=left)
-    # The least at an end of the range is no least: something else grows with the shift.
-    if abs(best) == most or left(best) >= (1.0 - LEAST_SHIFT_GAIN) * unmoved or left(best) >= 0.5:
-        return Lead()
-    before, least, after = (left(best + place) for place in (-1, 0, 1))
-    curvature = before - 2.0 * least + after
-    samples = 2.0 * PASSED * bandwidth * target.size / rate
-    least -= (before - after) ** 2 / (8.0 * curvature)
-    return Lead(
-        rows=best + 0.5 * (before - after) / curvature,
-        std=float(np.sqrt(2.0 * least / (samples * curvature))),
-    )
-
-
-def commands_lead_too(log: FlightLog, lead: Lead, time_constant: float) -> bool:
-    """Return whether commands are on the clock of the rotor speeds, rather than on that of the other sensors.
-
-    A lag is no shift: the clock is the one on which a first-order lag, of any time constant, makes the measured speeds out of
-    the commands. Unless the other one leaves clearly less, it is that of the rotor speeds.
-
-    Args:
-        log: With rotor speeds that lead the other sensors by ``lead``.
-        lead: Of the rotor speeds.
-        time_constant: Declared [s]; a fifth to five times of it is tried.
-    """
-    speed, command = log.rotor_speed, log.rotor_command
-    if lead.rows == 0.0 or speed is None or command is None:
-        return True
-    whole = round(lead.rows)
-    step = float(log.time[-1] - log.time[0]) / (log.time.size - 1)
-    edge = round(SETTLED * time_constant / step) + abs(whole)
-
-    def left(shift: int) -> float:
-        moved, found = np.roll(command, shift, axis=0), []
-        for constant in time_constant * np.geomspace(0.2, 5.0, 17):
-            kept = np.exp(-step / constant)
-            follow, _ = signal.lfilter([0.0, 1.0 - kept], [1.0, -kept], moved, axis=0, zi=speed[:1])
-            found.append(np.mean((speed - follow)[edge:-edge] ** 2))
-        return float(min(found))
-
-    return left(-whole) > (1.0 - LEAST_SHIFT_GAIN) * left(0)
-
-
-def shift_rotor_log(log: FlightLog, lead: Lead, *, commands: bool = True) -> FlightLog:
-    """Return the log with rotor speeds, and commands, moved to the later by ``lead``, the ends cut off.
-
-    Between rows they run in a straight line; of a command that is held from row to row this is the mean.
-    """
-    if lead.rows == 0.0:
-        return log
-    rows, whole = np.arange(log.time.size), int(np.ceil(abs(lead.rows)))
-    kept = slice(whole, None) if lead.rows > 0.0 else slice(0, -whole)
-    arrays = {f.name: value[kept] for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
-    for name in ("rotor_speed", "rotor_command")[: 1 + commands]:
-        values = getattr(log, name)
-        if values is not None:
-            arrays[name] = np.stack([np.interp(rows[kept] - lead.rows, rows, column) for column in values.T], axis=1)
-    step = 1e3 * float(np.median(np.diff(log.time)))
-    other = "" if commands else "; commands do not and stay"
-    ahead = f"{lead.rows * step:.3g} ± {1.96 * lead.std * step:.2g} ms"
-    note = f"rotor log leads the other sensors by {ahead} and was moved back{other}"
     return replace(log, **arrays, notes=(*log.notes, note))
