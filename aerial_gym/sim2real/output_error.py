@@ -3,8 +3,9 @@
 A centre of mass that is off by a fraction of a millimetre, within the tolerance, turns a vehicle over in seconds: rollouts are
 flown with the deviations that single steps ask for, and these are fitted further.
 Rollouts feel what lasts, single steps what comes at once; noise of the inputs turns a rollout, so that its parameters may be
-off where logs are noisy. Rollouts decide only if they predict flights left out better, and make no single step worse; else the
-first fit stands. Where they would but for the latter, both contradict each other, and the report says so.
+off where logs are noisy. Rollouts decide only if they predict flights left out better, make no single step worse, and put no
+parameter where single steps rule it out; else the first fit stands. Where they would but for the latter two, both contradict
+each other, and the report says so: commands whose times are not exact, for one, turn rollouts and hardly single steps.
 Letters: W windows, K parameters, B blocks of time, C channels.
 """
 
@@ -62,6 +63,11 @@ class Change:
     distance: float
     """Between both, in standard deviations."""
 
+    @property
+    def far(self) -> bool:
+        """Whether both cannot be right."""
+        return abs(self.distance) > FAR
+
 
 @dataclass(frozen=True, kw_only=True)
 class Refit:
@@ -100,7 +106,7 @@ class Refit:
             f"first, {change.rollout:.4g} ± {1.96 * change.std:.2g} by the second; look for a scale or delay of a sensor, "
             "or an effect that no name has"
             for change in self.changes
-            if abs(change.distance) > FAR and self.gains and not self.adopted
+            if change.far and self.gains
         ]
 
     def as_mapping(self) -> dict[str, object]:
@@ -198,13 +204,24 @@ def judge(predictor: Predictor, selection: Selection, found: Linear, windows: Wi
     falls = 1.0 - np.sqrt(after.sum(axis=0) / before.sum(axis=0))
     scored = Scored(fit=fit, spread=_joined(one.spread, uncertainty(found.fit, found.weight)), left_out=squares)
     doubts = _doubts(before, after, falls, windows, selection.criteria)
+    changes = _changes(one, found)
+    objections = [
+        *doubts,
+        *left_out.harms(left_out.gain(one.left_out, squares)),
+        *(
+            f"single steps rule out its {c.effect} {c.parameter} by {abs(c.distance):.1f} deviations"
+            for c in changes
+            if c.far
+        ),
+        *_at_bounds(predictor, fit),
+    ]
     return Refit(
         windows=windows.row.size,
-        changes=_changes(one, found),
+        changes=changes,
         velocity=float(falls[0]),
         attitude=float(falls[1]),
         gains=not doubts,
-        objections=(*doubts, *left_out.harms(left_out.gain(one.left_out, squares)), *_at_bounds(predictor, fit)),
+        objections=tuple(objections),
         scored=scored,
     )
 

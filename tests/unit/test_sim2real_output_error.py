@@ -82,6 +82,7 @@ def test_a_sensor_that_reads_too_little_is_told_by_the_difference(tmp_path) -> N
     assert not found.adopted
     assert any("specific_force" in objection for objection in found.objections)
     assert any("rotor_drag dx" in text for text in found.contradictions)
+    assert any("single steps rule out its rotor_drag dx" in text for text in found.objections)
 
 
 def test_what_is_left_when_starts_are_eliminated_is_the_least_of_the_whole_problem() -> None:
