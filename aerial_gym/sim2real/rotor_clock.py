@@ -28,9 +28,6 @@ vertical drag takes off less; a lead of two rows takes off half (seen on the IDS
 AGREEING = 4.0
 """Leads of several logs within this many standard deviations of their mean are the same."""
 
-CLEARLY = 3.0
-"""A log speaks against a lead under which it loses this much log likelihood: 20 times less likely (Kass, Raftery 1995)."""
-
 PASSED = 0.85
 """Share of the band whose noise is left between both low-passes: ``7/8 (pi/8) / sin(pi/8)`` of the upper, less 0.05 of it."""
 
@@ -78,13 +75,13 @@ class Agreement:
             std=float(np.sqrt(2.0 * least / (self.samples * curvature))),
         )
 
-    def against(self, rows: float) -> float:
-        """Return the log likelihood that it loses under a lead, against none."""
+    def rules_out(self, rows: float) -> bool:
+        """Return whether it clearly agrees better unmoved than under a lead."""
         if not self.left.size:
-            return 0.0
+            return False
         most = self.left.size // 2
-        there = np.interp(rows, np.arange(-most, most + 1), self.left)
-        return float(0.5 * self.samples * np.log(there / self.left[most]))
+        moved = float(np.interp(rows, np.arange(-most, most + 1), self.left))
+        return bool(self.left[most] < (1.0 - LEAST_SHIFT_GAIN) * moved)
 
 
 def agreement(measured: Array, predicted: Array, others: Array, rate: float, bandwidth: float) -> Agreement:
@@ -119,7 +116,7 @@ def agreement(measured: Array, predicted: Array, others: Array, rate: float, ban
 def common_leads(found: Sequence[Agreement]) -> list[Lead]:
     """Return the lead of each of some logs: one that all have, where those that tell it agree, else each its own.
 
-    A logger has one clock: a flight whose thrust hardly varies is moved as the others are, unless it speaks against that.
+    A logger has one clock: a flight whose thrust hardly varies is moved as the others are, unless its own thrust rules that out.
     """
     own = [one.lead for one in found]
     known = [
@@ -133,7 +130,7 @@ def common_leads(found: Sequence[Agreement]) -> list[Lead]:
         return own
     same = [Lead(rows=mean * one.rate, std=spread * one.rate) for one in found]
     return [
-        moved if lead.std > 0.0 or one.against(moved.rows) < CLEARLY else lead
+        lead if lead.std == 0.0 and one.rules_out(moved.rows) else moved
         for lead, moved, one in zip(own, same, found, strict=True)
     ]
 
