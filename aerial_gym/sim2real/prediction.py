@@ -270,6 +270,10 @@ class _Together:
         self._measured_force = (
             torch.cat([self._thin(i, "specific_force") for i in range(len(flights))]) if accelerometers else None
         )
+        felt = torch.tensor(
+            [flight.accelerometer for flight in flights]
+        )  # else derived from the velocity, without its errors
+        self._felt_force = felt[torch.from_numpy(self._flight)].unsqueeze(1)
         self._measured_ang_acc = torch.cat([self._derivative(i, "ang_vel") for i in range(len(flights))])
         self._measured_spin_up = (
             None if self._simulated else torch.cat([self._derivative(i, "rotor_speed") for i in range(len(flights))])
@@ -341,12 +345,14 @@ class _Together:
         # The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
         force = found.specific_force + torch.linalg.cross(found.ang_acc - self._measured_ang_acc, model.vehicle.com)
         force_bias, rate_bias = sensor_biases(self.tolerances, deviation)
+        force_bias = force_bias * self._felt_force  # (E, 3)
         if not model.imu:
             return {"specific_force": (force + force_bias).numpy(), "angular_acceleration": found.ang_acc.numpy()}
         turning, rate, still = found.ang_acc, self._kinematic_rate, torch.zeros_like(force)
         kinematic_force = self._kinematic_force
         for effect, params in model.imu:
-            force, rate = effect.measure(force, rate, params)
+            read, rate = effect.measure(force, rate, params)
+            force = torch.where(self._felt_force, read, force)
             kinematic_force, moved = effect.measure(kinematic_force, turning, params)
             turning = moved - effect.measure(still, still, params)[1]  # a constant error has no derivative
         return {
@@ -364,8 +370,9 @@ class _Together:
         found = accelerations(replace(model, loads=()), state, remembered=remembered, condition=condition)
         force = found.specific_force
         for effect, params in model.imu:
-            force, _ = effect.measure(force, self._kinematic_rate, params)
-        force = self._measured_force - force - sensor_biases(self.tolerances, deviation)[0]
+            read, _ = effect.measure(force, self._kinematic_rate, params)
+            force = torch.where(self._felt_force, read, force)
+        force = self._measured_force - force - sensor_biases(self.tolerances, deviation)[0] * self._felt_force
         missed = quat_rotate(self._state["attitude"], force).numpy()
         return self._load_replay.loads(model, self._row_times, [missed[span] for span in self._spans])
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.sim2real.fit import (
     Fit,
     Frozen,
@@ -461,6 +462,8 @@ class _Selector:
 def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight] = ()) -> str:
     """Return what robot file or logs lack for an effect; empty if nothing."""
     effect, flights = EFFECTS.get(name), [*train, *test]
+    if isinstance(effect, ImuEffect) and not any(flight.accelerometer or flight.gyro for flight in train):
+        return "the logs hold no inertial sensor: forces are derived from the velocity"
     if reason := missing_in_logs(effect, flights) or lacks_around(name, flights) or too_steady(effect, train):
         return reason
     try:

@@ -16,6 +16,7 @@ from aerial_gym.sim2real.noise import noise_floor
 from aerial_gym.sim2real.prediction import Channel, Point, Predictor, declared_point, find_channels, together
 from aerial_gym.sim2real.rollout import find_windows, roll_out
 from aerial_gym.sim2real.rotor_replay import RotorReplay
+from aerial_gym.sim2real.selection import lacks
 from aerial_gym.sim2real.signals import lowpass, uniform_log
 from aerial_gym.sim2real.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_biases
 from tests.physics.vehicles import BATTERY
@@ -410,3 +411,23 @@ def test_a_tolerance_that_strains_is_told_by_its_name() -> None:
     notes = tolerances.strained(deviation)
     for name, asked, note in zip(("mass", "thrust_6", "joint_rest"), ("+3.4", "-4.0", "+3.1"), notes, strict=True):
         assert f"a {name} that is off by {asked} standard deviations" in note
+
+
+def test_forces_derived_from_the_velocity_have_no_errors_of_an_accelerometer(tmp_path: Path) -> None:
+    """Of a bias and a tilt of the inertial unit they show nothing; beside a gyro the bias of that remains."""
+    table = flight(3).drop(columns=["acc_x", "acc_y", "acc_z"])
+    found = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / "a.csv"))))
+    names = Tolerances().names(4)
+    bias, tilt = np.array([0.5, -0.3, 0.2, 0.0, 0.0, 0.0]), np.array([0.05, -0.03, 0.0])
+    off = np.array([5.0 * name.startswith("acc_bias") for name in names])
+    left = residual(found, Point())
+    for point in (Point(effects={"imu_bias": bias}), Point(deviation=off)):
+        np.testing.assert_array_equal(residual(found, point), left)
+    moved = residual(found, Point(effects={"imu_misalignment": tilt})) - left
+    channels = find_channels([found])
+    for place, channel in enumerate(channels):
+        assert np.any(np.abs(moved[:, place]) > 1e-6) == (channel.kind != "specific_force"), channel.name
+    assert lacks("imu_bias", ROBOT, [found]) == ""
+    without = replace(found, gyro=False)
+    assert "no inertial sensor" in lacks("imu_bias", ROBOT, [without])
+    assert "no inertial sensor" in lacks("imu_misalignment", ROBOT, [without])
