@@ -116,7 +116,7 @@ def agreement(measured: Array, predicted: Array, others: Array, rate: float, ban
 def common_leads(found: Sequence[Agreement]) -> list[Lead]:
     """Return the lead of each of some logs: one that all have, where those that tell it agree, else each its own.
 
-    A logger has one clock: a flight whose thrust hardly varies is moved as the others are, unless its own thrust rules that out.
+    A logger has one clock: a flight whose thrust hardly varies is moved as the others are, unless its own rules that out.
     """
     own = [one.lead for one in found]
     known = [

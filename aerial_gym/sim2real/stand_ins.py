@@ -47,7 +47,8 @@ class Beside:
     def stands_in(self, name: str, fit: Fit, neutral: Array, less: list[Array]) -> bool:
         """Return whether an effect of a fitted model is not needed beside the structure, or changes with it.
 
-        Never an effect that by its nature follows what the structure follows: its law may be off, but its name is right.
+        Never an effect that by its nature follows what the structure follows: its law may be off, but its name is right. Nor
+        one that gains more beside the structure than alone: of what stands in for it, the structure takes a part.
 
         Args:
             name: The effect.
@@ -58,7 +59,7 @@ class Beside:
         if self._structure.kind in EFFECTS.get(name).follows:
             return False
         alone, beside = self._evidence(less)
-        return beside < KEPT * alone or self._changes(name, fit, neutral)
+        return beside < KEPT * alone or (beside <= alone and self._changes(name, fit, neutral))
 
     def _evidence(self, less: list[Array]) -> tuple[float, float]:
         """Return the log likelihood that the effect gains without the structure and beside it."""

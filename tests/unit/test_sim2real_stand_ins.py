@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -12,9 +13,12 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import Effect
 from aerial_gym.registry import Registry
 from aerial_gym.sim2real import selection
+from aerial_gym.sim2real.fit import Fit
 from aerial_gym.sim2real.flights import load_flights
 from aerial_gym.sim2real.prediction import Point, Predictor, declared_point, find_channels
 from aerial_gym.sim2real.scoring import Criteria
+from aerial_gym.sim2real.stand_ins import Beside
+from aerial_gym.sim2real.structure import Structure
 from aerial_gym.sim2real.tolerances import Tolerances
 from aerial_gym.sim2real.verdict import tied_rivals
 from tests.unit.flat_flights import ROBOT, flight, write
@@ -105,3 +109,25 @@ def test_a_steady_wind_is_not_called_a_shear_that_hardly_grows(tmp_path: Path, m
     found = selection.select_effects(predictor, declared, Criteria(), lambda stage, share: None)
     assert found.accepted == ("constant_wind",)
     assert tied_rivals("constant_wind", found) == []
+
+
+@pytest.mark.parametrize(
+    ("beside", "changes", "stands_in"), [(2.0, True, False), (0.9, True, True), (0.9, False, False), (0.4, False, True)]
+)
+def test_what_gains_more_beside_a_structure_than_alone_is_no_part_of_it(
+    beside: float, changes: bool, stands_in: bool
+) -> None:
+    class Given(Beside):
+        """Evidence and change are given, of an effect that gains 1 alone."""
+
+        def __init__(self) -> None:
+            self._structure = Structure(kind="position", share=0.5)
+
+        def _evidence(self, less: list[np.ndarray]) -> tuple[float, float]:
+            return 1.0, beside
+
+        def _changes(self, name: str, fit: Fit, neutral: np.ndarray) -> bool:
+            return changes
+
+    fit = cast("Fit", None)
+    assert Given().stands_in("rotor_drag", fit, np.zeros(3), []) is stands_in
