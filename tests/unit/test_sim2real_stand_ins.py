@@ -91,6 +91,8 @@ def test_thrust_and_mass_are_told_by_torques_as_far_as_the_inertia_is_known(
     found = selection.select_effects(predictor, Point(), Criteria(), lambda stage, share: None)
     (named,) = found.accepted
     assert {named, *tied_rivals(named, found)} == candidates
+    doubted = dict.fromkeys(candidates - {named}, "time")  # what only stands in for a structure is no rival
+    assert tied_rivals(named, replace(found, doubted=doubted)) == []
 
 
 def test_a_steady_wind_is_not_called_a_shear_that_hardly_grows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
