@@ -23,7 +23,10 @@ def half(folder: Path, name: str, number: int) -> Path:
 
 
 def test_the_motor_lag_is_named_from_commands_alone(tmp_path: Path) -> None:
-    """The first halves of both logs train, the second halves test; at 500 Hz -74 % of the force along z, -68 and -67 % of the torques, held to 80 %."""
+    """The first halves of both logs train, the second halves test.
+
+    At 500 Hz -74 % of the force along z, -68 and -67 % of the torques; held to 80 % of that.
+    """
     train, test = ([half(tmp_path, name, number) for name in ("log10", "log15")] for number in (0, 1))
     out = tmp_path / "out"
     close_loop("crazyflie_2x_arpl", train, test, out, mapping="arpl_crazyflie_imu")
