@@ -49,7 +49,7 @@ class Agreement:
     """Rows per second [Hz]."""
 
     left: Array
-    """Share of the specific force along z that no lead -N..N [rows] explains, (2 N + 1,); empty: too short to tell."""
+    """Share of the specific force along z that stays unexplained under each lead -N..N [rows], (2 N + 1,); empty: too short."""
 
     samples: float
     """Independent samples behind it."""
