@@ -120,6 +120,20 @@ def test_what_tolerances_would_have_to_strain_for_is_an_effect(alike: float, exp
         assert set(chosen(library, left_out)) == {(0,) if expected else ()}
 
 
+def test_what_is_visible_is_told_with_equal_deviations() -> None:
+    """A cause that is one deviation: the tolerance takes all of it, so that nothing falls; beside that deviation 0.3² do.
+
+    The effect does not relieve the tolerance beyond chance, so that all else is told with the deviations of each model.
+    """
+    library, left_out = made(np.random.default_rng(0), np.array([0.3]), alike=0.3, tolerated=0.3)
+    assert library.tolerances.size == 1
+    less, more = scored(left_out, effect=False), scored(left_out, effect=True)
+    own, gain = left_out.gain(less.left_out, more.left_out), left_out.gain_beyond_tolerances(less, more)
+    assert own.visible == (False, False)
+    assert gain.visible == (True, True)
+    assert (gain.falls, gain.chance) == (own.falls, own.chance)
+
+
 @pytest.mark.parametrize("flights", [4, 7])
 def test_drawn_flights_are_predicted_by_the_rows_of_the_others_as_often_as_drawn(flights: int) -> None:
     """Against ridge regression on the rows themselves; few flights are drawn with their blocks, many are drawn whole."""
