@@ -81,8 +81,10 @@ def find_remains(
             remaining = judged & material_remains(rms, floor, tolerated)
     structure = Structure()
     if remaining.any():
-        both, times = [*train.residuals(within), *left], [*train.times, *test.times]
-        structure = find_structure(flights, times, both, test.channels, np.flatnonzero(remaining).tolist())
+        seen, places = train.residuals(within), np.flatnonzero(remaining).tolist()
+        structure = find_structure(flights, [*train.times, *test.times], [*seen, *left], test.channels, places)
+        if structure.kind == "none":  # test flights may be elsewhere, where what the others agree on does not reach
+            structure = find_structure(train.flights, train.times, seen, test.channels, places)
     names = tuple(channel.name for channel, some in zip(test.channels, remaining, strict=True) if some)
     return Remains(within=within, left=left, channels=names, floor=floor, wind=wind, structure=structure)
 

@@ -114,6 +114,14 @@ def test_an_unknown_cause_is_given_no_name_but_its_structure(cause: str, tmp_pat
     assert verdict["structure"]["kind"] == cause.removeprefix("unknown_")
 
 
+@pytest.mark.slow
+def test_a_structure_is_told_by_the_flights_that_reach_it(tmp_path: Path) -> None:
+    """The test flights of this seed are elsewhere than the training flights, which agree on it: a force by position."""
+    whole = {"num_train": 4, "num_test": 3, "duration_s": 16.0}
+    verdict, _ = run_case(tmp_path, {"unknown_position": "large"}, 608, **whole)
+    assert (verdict["verdict"], verdict["effects"], verdict["structure"]["kind"]) == ("unexplained", [], "position")
+
+
 def test_nothing_is_named_where_nothing_is_hidden(tmp_path: Path) -> None:
     verdict, _ = run_case(tmp_path, {}, 212)
     assert verdict["verdict"] == "none"
