@@ -34,6 +34,7 @@ from aerial_gym.sim2real.joint_replay import joint_angles
 from aerial_gym.sim2real.load_replay import Link, LoadReplay
 from aerial_gym.sim2real.prediction import Point, one_row, with_known_wind
 from aerial_gym.sim2real.rotor_commands import mean_commands
+from aerial_gym.sim2real.rotor_replay import RotorReplay
 from aerial_gym.sim2real.surroundings import heights, other_at
 
 Array = NDArray[np.float64]
@@ -240,6 +241,9 @@ class Batch:
             longest_step: Of the integrator [s].
         """
         self._flights, self._flight, self._row, self._load, self._of = flights, flight, row, load, of
+        self._along: dict[
+            int, list[Array | None]
+        ] = {}  # rotor speeds of each model along all flights, from the commands
         self._rate, self._commanded = flights[flight[0]].rate, is_commanded(flights)
         self._stride = max(1, int(longest_step * self._rate + 1e-9))
         self._substeps = max(1, round(self._stride / (longest_step * self._rate)))
@@ -291,8 +295,25 @@ class Batch:
             attitude=self._gather("attitude", rows),
             lin_vel=self._gather("lin_vel", rows),
             ang_vel=self._gather("ang_vel", rows),
-            rotor_speed=self._true_speed(self._gather("rotor_speed", rows, instead="rotor_command")),
+            rotor_speed=self._speed_at(rows),
         )
+
+    def _speed_at(self, rows: NDArray[np.int64]) -> Tensor:
+        """Return true rotor speeds at a row of each window's flight [rad/s], (W, R): as measured, else as commands lead to."""
+        if any(self._flights[index].rotor_speed is not None for index in np.unique(self._flight)):
+            return self._true_speed(self._gather("rotor_speed", rows))
+        speed = np.empty((rows.size, self._rotors))
+        for model in np.unique(self._of):
+            first = int(np.argmax(self._of == model))
+            lagging = replace(self._model, vehicle=one_row(self._model.vehicle, first))
+            if model not in self._along:
+                self._along[model] = RotorReplay(self._flights).speeds(lagging, 0.0)
+            for index in np.unique(self._flight):
+                chosen = (self._of == model) & (self._flight == index)
+                values = self._along[model][index]
+                assert values is not None
+                speed[chosen] = values[np.minimum(rows[chosen], len(values) - 1)]
+        return torch.from_numpy(speed)
 
     def _memory(self, dt: float) -> Memory | None:
         """Return what effects remember at the starts."""
@@ -360,14 +381,12 @@ class Batch:
             measured = effect.true_speed(measured, params)
         return measured
 
-    def _gather(self, name: str, rows: NDArray[np.int64], *, instead: str | None = None) -> Tensor:
+    def _gather(self, name: str, rows: NDArray[np.int64]) -> Tensor:
         """Return a quantity at a row of each window's flight, (W, any); zeros where the log lacks it."""
         width = {"attitude": 4, "rotor_speed": self._rotors, "rotor_command": self._rotors}.get(name, 3)
         result = np.zeros((rows.size, width))
         for index in np.unique(self._flight):
             values = getattr(self._flights[index], name)
-            if values is None and instead is not None:
-                values = getattr(self._flights[index], instead)
             if values is not None:
                 chosen = self._flight == index
                 result[chosen] = values[np.minimum(rows[chosen], values.shape[0] - 1)]

@@ -17,13 +17,14 @@ from aerial_gym.sim2real.flight_log import read_flight_log
 from aerial_gym.sim2real.flights import Flight, complete_flight
 from aerial_gym.sim2real.prediction import Channel, Point, Predictor, declared_point, find_channels
 from aerial_gym.sim2real.replay import replay_flights
-from aerial_gym.sim2real.rollout import roll_out
+from aerial_gym.sim2real.rollout import Batch, roll_out
 from aerial_gym.sim2real.rotor_lag import follow_commands
 from aerial_gym.sim2real.rotor_replay import RotorReplay
 from aerial_gym.sim2real.selection import lacks
 from aerial_gym.sim2real.signals import uniform_log
 from aerial_gym.sim2real.tolerances import Tolerances
 from tests.unit.flat_flights import ROBOT, flight, write
+from tests.unit.test_sim2real_around import RATE, hover
 
 F64 = torch.float64
 BATTERY = BatteryCfg(
@@ -273,3 +274,19 @@ def test_the_nominal_voltage_is_the_highest_seen_where_speeds_do_not_follow_it(t
         assert battery is not None
         assert battery.nominal_voltage == pytest.approx(found.battery.reshape(16, 200).mean(axis=1).max(), rel=1e-5)
         assert "highest voltage seen" in battery.source
+
+
+def test_windows_without_measured_speeds_begin_as_the_commands_have_led_the_rotors() -> None:
+    """After a step at 1 s: ``w1 + (w0 - w1) exp(-t / tau)``, each window under the lag of its model."""
+    still = hover("a", 5.0)
+    assert still.rotor_speed is not None
+    low, high = float(still.rotor_speed[0, 0]), 1.1 * float(still.rotor_speed[0, 0])
+    command = np.where(still.time[:, None] >= 1.0, high, np.full((1, 4), low))
+    flights = [replace(still, rotor_speed=None, rotor_command=command)]
+    vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
+    slower = replace(vehicle, time_constant_up=2.0 * vehicle.time_constant_up)
+    of, rows = np.array([0, 0, 1, 1]), np.array([100, 105, 105, 120])
+    run = Batch([vehicle, slower], [Point(), Point()], of, flights, np.zeros(4, dtype=int), rows)
+    tau = np.array([0.04, 0.04, 0.08, 0.08])
+    expected = high + (low - high) * np.exp(-(rows - 100) / RATE / tau)
+    np.testing.assert_allclose(run.measured(0).rotor_speed, np.tile(expected[:, None], 4), rtol=1e-12)
