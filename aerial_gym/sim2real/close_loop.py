@@ -161,7 +161,7 @@ def load_train_and_test(
         raise ConfigError(f"bandwidth_hz = {bandwidth!r}: must lie in [0.5, 100] Hz")
     progress("reading flights", 0.0)
     layout = None if mapping is None else find_mapping(mapping)
-    flights = load_flights([*train, *test], robot, mapping=layout, bandwidth=bandwidth)
+    flights = load_flights([*train, *test], robot, mapping=layout, bandwidth=bandwidth, learning=len(train))
     return flights[: len(train)], flights[len(train) :]
 
 

@@ -118,9 +118,17 @@ class Flight:
 
 
 def load_flights(
-    paths: Sequence[str | Path], robot: RobotCfg, *, mapping: LogMapping | None, bandwidth: float
+    paths: Sequence[str | Path],
+    robot: RobotCfg,
+    *,
+    mapping: LogMapping | None,
+    bandwidth: float,
+    learning: int | None = None,
 ) -> list[Flight]:
     """Return the flights of the files, with names that differ.
+
+    The first ``learning`` of them decide on the clock of all rotor logs, None: all do; nothing else of a flight depends on
+    another one.
 
     Raises:
         DataError: If a file cannot be used, or is given twice.
@@ -134,7 +142,7 @@ def load_flights(
         seen[real] = str(path)
         log = mended_log(path, mapping)
         read.append((with_velocity(log), check_log(log, robot)))
-    leads = leads_of([log for log, _ in read], robot, bandwidth)
+    leads = leads_of([log for log, _ in read], robot, bandwidth, len(read) if learning is None else learning)
     flights: list[Flight] = []
     for (log, notes), lead, real in zip(read, leads, seen, strict=True):
         log = match_hover_thrust(with_rotor_clock(log, lead, robot), robot)
@@ -168,15 +176,14 @@ def with_velocity(log: FlightLog) -> FlightLog:
     return replace(log, lin_vel=velocity, notes=(*log.notes, "velocity derived from position"))
 
 
-def leads_of(logs: Sequence[FlightLog], robot: RobotCfg, bandwidth: float) -> list[Lead]:
-    """Return by how much each rotor log is ahead of the accelerometer, where their thrust shows it.
+def leads_of(logs: Sequence[FlightLog], robot: RobotCfg, bandwidth: float, learning: int) -> list[Lead]:
+    """Return by how much each rotor log is ahead of the accelerometer, where the thrust of the first ``learning`` shows it.
 
     Without velocity, drag along z would look like an offset, so that the clock is believed.
     """
     able = [log.rotor_speed is not None and log.specific_force is not None and log.lin_vel is not None for log in logs]
-    found = iter(
-        common_leads([agreement_of(log, robot, bandwidth) for log, one in zip(logs, able, strict=True) if one])
-    )
+    agreements = [agreement_of(log, robot, bandwidth) for log, one in zip(logs, able, strict=True) if one]
+    found = iter(common_leads(agreements, sum(able[:learning])))
     return [next(found) if one else Lead() for one in able]
 
 

@@ -1,9 +1,9 @@
 """How soft rotor arms bend along flights: driven by the thrust of the rotor speeds of each row.
 
 Between rows the angle of rest runs in a straight line, along which an element is followed exactly. Logs do not tell what arms
-bore before: they are taken to rest at the start under the mean thrust of the flight, or under that of the first row if the
-vehicle then stands. How far they are from that is one of the tolerances, the same in all flights: a creep that has only begun
-when logs begin.
+bore before: they are taken to rest at the start as in hover, shared among the rotors as over the flight, or under the thrust
+of the first row if the vehicle then stands. How far they are from that is one of the tolerances, the same in all flights: a
+creep that has only begun when logs begin.
 Letters: T rows of a flight, P parameters, R rotors.
 """
 
@@ -57,7 +57,7 @@ def joint_angles(
         flight: Tells whether the vehicle stands at the start.
         speed: True rotor speeds [rad/s], (T, R), in all rows of the log or in every n-th one.
         step: Between two of these rows [s].
-        share: Of the angle of rest under the mean thrust that arms have at the start.
+        share: Of the angle of rest in hover that arms have at the start of a flight that does not stand then.
     """
     rest = effect.deflection(vehicle, speed, params).numpy()
     if flight.standing is not None and flight.standing[0]:

@@ -302,18 +302,12 @@ class Batch:
         """Return true rotor speeds at a row of each window's flight [rad/s], (W, R): as measured, else as commands lead to."""
         if any(self._flights[index].rotor_speed is not None for index in np.unique(self._flight)):
             return self._true_speed(self._gather("rotor_speed", rows))
-        speed = np.empty((rows.size, self._rotors))
-        for model in np.unique(self._of):
-            first = int(np.argmax(self._of == model))
-            lagging = replace(self._model, vehicle=one_row(self._model.vehicle, first))
-            if model not in self._along:
-                self._along[model] = RotorReplay(self._flights).speeds(lagging, 0.0)
-            for index in np.unique(self._flight):
-                chosen = (self._of == model) & (self._flight == index)
-                values = self._along[model][index]
-                assert values is not None
-                speed[chosen] = values[np.minimum(rows[chosen], len(values) - 1)]
-        return torch.from_numpy(speed)
+        speed = torch.empty(rows.size, self._rotors, dtype=torch.float64)
+        for model, index in np.unique(np.stack((self._of, self._flight)), axis=1).T:
+            chosen = np.flatnonzero((self._of == model) & (self._flight == index))
+            along = self._speed_along(int(model), int(index))
+            speed[chosen] = along[np.minimum(rows[chosen], len(along) - 1)]
+        return speed
 
     def _memory(self, dt: float) -> Memory | None:
         """Return what effects remember at the starts."""
@@ -341,20 +335,25 @@ class Batch:
                 for model, index in np.unique(np.stack((self._of, self._flight)), axis=1).T:
                     chosen = np.flatnonzero((self._of == model) & (self._flight == index))
                     vehicle, one = one_row(self._model.vehicle, chosen[0]), params[chosen[:1]]
-                    flight = self._flights[index]
-                    speed = self._speed_along(flight, chosen[:1])
-                    along = joint_angles(effect, vehicle, one, flight, speed, 1.0 / self._rate)
+                    speed = self._speed_along(int(model), int(index))
+                    along = joint_angles(effect, vehicle, one, self._flights[index], speed, 1.0 / self._rate)
                     angles[chosen] = along[self._row[chosen]]
                 found[effect.name] = angles
         return found
 
-    def _speed_along(self, flight: Flight, window: NDArray[np.int64]) -> Tensor:
-        """Return rotor speeds along a flight without the errors that a window's model says they have, (T, R)."""
-        speed = flight.rotor_command if flight.rotor_speed is None else flight.rotor_speed
-        assert speed is not None
+    def _speed_along(self, model: int, index: int) -> Tensor:
+        """Return true rotor speeds along a flight under a model [rad/s], (T, R): as measured, else as commands lead to."""
+        window, speed = int(np.argmax(self._of == model)), self._flights[index].rotor_speed
+        if speed is None:
+            if model not in self._along:
+                lagging = replace(self._model, vehicle=one_row(self._model.vehicle, window))
+                self._along[model] = RotorReplay(self._flights).speeds(lagging, 0.0)
+            led = self._along[model][index]
+            assert led is not None
+            return torch.from_numpy(led)
         true = torch.from_numpy(speed)
         for effect, params in reversed(self._model.rotor_sensors):
-            true = effect.true_speed(true, params[window])
+            true = effect.true_speed(true, params[window : window + 1])
         return true
 
     def _other(self, step: int) -> Tensor:

@@ -113,15 +113,15 @@ def agreement(measured: Array, predicted: Array, others: Array, rate: float, ban
     return Agreement(rate=rate, left=left, samples=2.0 * PASSED * bandwidth * target.size / rate)
 
 
-def common_leads(found: Sequence[Agreement]) -> list[Lead]:
+def common_leads(found: Sequence[Agreement], learning: int) -> list[Lead]:
     """Return the lead of each of some logs: one that all have, where those that tell it agree, else each its own.
 
     A logger has one clock: a flight whose thrust hardly varies is moved as the others are, unless its own rules that out.
+    The first ``learning`` logs decide on it; the others, which are to judge, may only follow it or keep their own.
     """
     own = [one.lead for one in found]
-    known = [
-        (lead.rows / one.rate, lead.std / one.rate) for lead, one in zip(own, found, strict=True) if lead.std > 0.0
-    ]
+    told = list(zip(own, found, strict=True))[:learning]
+    known = [(lead.rows / one.rate, lead.std / one.rate) for lead, one in told if lead.std > 0.0]
     if not known:
         return own
     time, std = np.array(known).T
@@ -130,7 +130,7 @@ def common_leads(found: Sequence[Agreement]) -> list[Lead]:
         return own
     same = [Lead(rows=mean * one.rate, std=spread * one.rate) for one in found]
     return [
-        lead if lead.std == 0.0 and one.rules_out(moved.rows) else moved
+        lead if one.rules_out(moved.rows) or abs(lead.rows - moved.rows) > AGREEING * lead.std > 0.0 else moved
         for lead, moved, one in zip(own, same, found, strict=True)
     ]
 

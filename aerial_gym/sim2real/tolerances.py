@@ -50,7 +50,7 @@ class Tolerances:
     """How far into the step between two rows the effective command may lie: autopilots run faster than logs are written."""
 
     joint_rest: float = 0.3
-    """How far soft arms are from rest when a log begins, as a share of the angle at which they would rest."""
+    """How far soft arms are from rest when a log begins, as a share of the angle at which they rest in hover."""
 
     def __post_init__(self) -> None:
         names = ("mass", "thrust", "inertia", "time_constant", "com", "acc_bias", "gyro_bias", "nominal_voltage")

@@ -1,9 +1,11 @@
 """What effects are worth, and before and after in parts, against numbers that are known."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.contribution import Contribution, solid_below
+from aerial_gym.sim2real.contribution import Contribution, rejection, solid_below
 from aerial_gym.sim2real.evaluation import gap_closed
 from aerial_gym.sim2real.intervals import Rise, rise_with_interval
 
@@ -60,3 +62,26 @@ def test_an_effect_is_material_if_a_residual_or_a_rollout_misses_it(
 def test_an_effect_is_solid_up_to_the_first_octave_that_it_leaves_as_it_is(octaves: tuple, edge: float | None) -> None:
     """5 % of the rms are 9.75 % of the power."""
     assert solid_below(octaves, 10.0, 0.05) == edge
+
+
+@pytest.mark.parametrize(
+    ("effect", "num_free", "doubted", "chance", "because"),
+    [
+        ("wind_shear", 3, {}, 0.5, "wider case of constant_wind"),
+        ("rotor_drag", 4, {}, 0.5, "as good with 4 parameters in place of 3"),
+        ("rotor_drag", 3, {"rotor_drag": "position"}, 0.5, "only stands in for what remains and follows position"),
+        ("rotor_drag", 3, {}, 1e-6, "predicts flights left out worse"),
+        ("rotor_drag", 3, {}, 0.5, "cannot tell them apart"),
+    ],
+)
+def test_why_a_rival_is_not_the_one_is_said(
+    effect: str, num_free: int, doubted: dict[str, str], chance: float, because: str
+) -> None:
+    def trial(name: str, free: int) -> SimpleNamespace:
+        gain = SimpleNamespace(chance=chance, score=-10.0)
+        complexity = free + (name == "wind_shear")
+        return SimpleNamespace(effect=name, objections=(), gain=gain, num_free=free, complexity=complexity)
+
+    selection = SimpleNamespace(doubted=doubted, criteria=SimpleNamespace(rival_significance=0.01))
+    said = rejection(trial(effect, num_free), selection, trial("constant_wind", 3))  # type: ignore[arg-type]
+    assert because in said

@@ -106,7 +106,7 @@ def test_a_flight_that_hardly_varies_is_moved_as_the_others_are() -> None:
     rng = np.random.default_rng(7)
     loud, quiet = [heard(rng, 4.0, size=1.0) for _ in range(3)], [heard(rng, 4.0, size=0.03) for _ in range(2)]
     assert all(one.lead == Lead() for one in quiet)
-    leads = common_leads([*loud, *quiet])
+    leads = common_leads([*loud, *quiet], 5)
     assert len({(lead.rows, lead.std) for lead in leads}) == 1
     assert leads[0].rows == pytest.approx(4.0, abs=4.0 * leads[0].std)
     assert leads[0].std < min(one.lead.std for one in loud)
@@ -115,16 +115,24 @@ def test_a_flight_that_hardly_varies_is_moved_as_the_others_are() -> None:
 def test_a_flight_that_speaks_for_its_own_clock_keeps_it() -> None:
     rng = np.random.default_rng(8)
     loud, unmoved = [heard(rng, 4.0, size=1.0) for _ in range(2)], heard(rng, 0.0, size=1.0)
-    assert common_leads([*loud, unmoved])[2] == Lead()
+    assert common_leads([*loud, unmoved], 3)[2] == Lead()
     apart = [heard(rng, 4.0, size=1.0), heard(rng, 7.0, size=1.0), heard(rng, 4.0, size=0.03)]
-    assert common_leads(apart) == [one.lead for one in apart]
-    assert common_leads([heard(rng, 0.0, size=1.0) for _ in range(2)]) == [Lead(), Lead()]
+    assert common_leads(apart, 3) == [one.lead for one in apart]
+    assert common_leads([heard(rng, 0.0, size=1.0) for _ in range(2)], 2) == [Lead(), Lead()]
 
 
 def test_a_common_lead_is_a_time_not_a_number_of_rows() -> None:
     rng = np.random.default_rng(9)
     loud, quiet = heard(rng, 4.0, size=1.0), heard(rng, 4.0, size=0.03)
     faster = Agreement(rate=2.0 * quiet.rate, left=np.repeat(quiet.left, 2)[:-1], samples=quiet.samples)
-    slow, fast = common_leads([loud, faster])
+    slow, fast = common_leads([loud, faster], 2)
     assert fast.rows == pytest.approx(2.0 * slow.rows)
     assert fast.std == pytest.approx(2.0 * slow.std)
+
+
+def test_flights_that_judge_do_not_move_those_that_are_learnt_from() -> None:
+    rng = np.random.default_rng(10)
+    quiet, test = [heard(rng, 4.0, size=0.03) for _ in range(2)], heard(rng, 4.0, size=1.0)
+    assert common_leads([*quiet, test], 2) == [Lead(), Lead(), test.lead]
+    train, other, silent = heard(rng, 4.0, size=1.0), heard(rng, -6.0, size=1.0), heard(rng, 4.0, size=0.03)
+    assert common_leads([train, other, silent], 1) == [train.lead, other.lead, train.lead]
