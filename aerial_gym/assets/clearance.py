@@ -1,6 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
-# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
 """Room around the robot's start and its goal: obstacles that stand there are drawn again, and parked if that fails.
 
 An instance is drawn again until it is far enough from every point that is kept clear in this episode, at most

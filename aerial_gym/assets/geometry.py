@@ -1,7 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
-# pyright: reportReturnType=false
-# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
 """Rays against shapes and distances to shapes, as Warp functions that the ray caster and the collision test share.
 
 Everything here is in the shape's own frame: centred on the origin, axis of symmetry along z. Along a ray ``o + t d`` with d

@@ -1,5 +1,3 @@
-# pyright: reportArgumentType=false, reportCallIssue=false, reportGeneralTypeIssues=false
-# (a wp.struct is a class at run time)
 """What surfaces look like: a colour and a checkerboard for every shape, and what mesh files bring along, once per file.
 
 Colours are red, green, blue in 0 to 1; those of files are taken as they stand, without a gamma curve. Texture coordinates

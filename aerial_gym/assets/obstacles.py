@@ -1,6 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
-# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
 """Obstacle states as kernels see them, and one draw of them, as Warp code.
 
 The draw of an instance depends on the seed, its environment, how often that was reset, its row and the attempt, on nothing

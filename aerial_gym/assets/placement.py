@@ -1,6 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
-# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
 """Where a reset puts bounds and obstacles, and which obstacles an environment has.
 
 Frames: world of each environment, z up. Letters: E environments, A instances.

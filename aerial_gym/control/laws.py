@@ -1,5 +1,3 @@
-# pyright: reportArgumentType=false
-# (a wp.func is a wp.Function at run time)
 """Every control law by the name that a controller configuration uses."""
 
 from collections.abc import Callable

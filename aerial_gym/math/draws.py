@@ -1,6 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
-# (Warp compiles these functions from their source; Python's type rules do not describe them.)
 """Draws inside kernels, from a state that follows from seed and counters alone."""
 
 import warp as wp

@@ -1,6 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
-# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
 """The states that follow from position, attitude and velocities, written for all environments in one launch.
 
 Frames: world z up; body x forward, y left, z up; *vehicle* is the world turned by the yaw alone. Letters: E environments.

@@ -1,6 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
-# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
 """Initial states, drawn inside a kernel from a seed and the number of the episode.
 
 The draw of an environment depends on the seed, its index and how often it was reset, on nothing else: the same on every

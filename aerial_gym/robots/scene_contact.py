@@ -1,7 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
-# pyright: reportInvalidTypeForm=false, reportReturnType=false
-# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
 """Contact of the robot with obstacles, at rest or moving: changes its motion after each physics step.
 
 The ground plane of an environment is solved inside the physics step, before. Formula and sources: ``physics.contact``.

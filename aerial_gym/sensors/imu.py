@@ -1,6 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportOptionalMemberAccess=false
-# (Warp compiles the kernels from their source; Python's type rules do not describe them.)
 """The inertial measurement unit: specific force and angular velocity at one point of the body, with their errors.
 
 The accelerometer averages over a step, from how the velocity of its own point ``v_p = v_o + R (w x r)`` changes::

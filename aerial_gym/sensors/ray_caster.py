@@ -1,5 +1,3 @@
-# pyright: reportGeneralTypeIssues=false
-# (a wp.struct is a class at run time)
 """The ray caster: one kernel writes every image of a sensor in every environment.
 
 A sensor is a table of ray directions and a mount, so that any camera or lidar model runs through the same kernel. Mounts

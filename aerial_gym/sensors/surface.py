@@ -1,7 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
-# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
-# (Warp compiles these functions from their source; Python's type rules do not describe them.)
 """Where a ray meets a part: normal, face, and the place on the surface.
 
 Frames: a sensor looks along its own x. Letters: E environments, M mounts (sensors of all environments), P parts.

@@ -1,7 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
-# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
-# (Warp compiles these functions from their source; Python's type rules do not describe them.)
 """A battery under load gives less voltage, and the motors then reach less speed for the same command.
 
 A command leads to the speed ``w = w_c (1 - gain (1 - V / V_nominal))``: gain 0 is a controller that makes up for the voltage,

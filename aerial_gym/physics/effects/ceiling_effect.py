@@ -1,7 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
-# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
-# (Warp compiles these functions from their source; Python's type rules do not describe them.)
 """Rotors close below a ceiling give more thrust at the same speed: it keeps air from them, and they suck towards it.
 
 ``T' = T / (1 - k (R / 4 h)²)`` for a rotor of radius R whose hub is a distance h below the ceiling. Closer than ``h = R / 2``

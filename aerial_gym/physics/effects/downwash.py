@@ -1,7 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
-# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
-# (Warp compiles these functions from their source; Python's type rules do not describe them.)
 """The wake of a vehicle above pushes down whatever flies below it.
 
 ``F = -force exp(-d² / 2 sigma²)`` along world z at the centre of mass, with the horizontal distance d to the other vehicle;

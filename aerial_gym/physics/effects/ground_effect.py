@@ -1,7 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
-# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
-# (Warp compiles these functions from their source; Python's type rules do not describe them.)
 """Rotors near the ground give more thrust at the same speed: the ground holds up their wake.
 
 ``T' = T / (1 - k (R / 4 h)²)`` for a rotor of radius R whose hub is at a height h; k = 1 for a single rotor by the

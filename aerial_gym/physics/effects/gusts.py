@@ -1,7 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
-# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
-# (Warp compiles these functions from their source; Python's type rules do not describe them.)
 """Gusts: wind that wanders about zero, each axis by itself, an Ornstein-Uhlenbeck process.
 
 ``dw = -w dt / T + std sqrt(2 / T) dW``, with the variance std² and the autocorrelation ``exp(-|t| / T)``. Over a substep

@@ -1,7 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
-# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
-# (Warp compiles these functions from their source; Python's type rules do not describe them.)
 """The rotors' own inertia: speeding one up turns the body the other way, and turning the body tilts a spinning one.
 
 With the momentum ``h = jr sum s w a`` of rotors of spin s, speed w and axis a, the body feels ``tau = -h' - w_body x h``.

@@ -1,7 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
-# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
-# (Warp compiles these functions from their source; Python's type rules do not describe them.)
 """Thrust grows in sideways flow: a rotor that moves sideways breathes air that it has not yet accelerated.
 
 ``dT = kt |v_e|²`` for a rotor whose hub moves with v_e in its own plane through the air.

@@ -1,7 +1,3 @@
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
-# pyright: reportInvalidTypeForm=false, reportOptionalCall=false, reportOptionalMemberAccess=false
-# (Warp compiles these functions from their source; Python's type rules do not describe them.)
 """From an action to commanded rotor speeds, for one environment: control law, allocation, limits.
 
 Letters: R rotors, U entries of an action.
