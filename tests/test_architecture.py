@@ -45,6 +45,18 @@ def test_imports_point_left(path: Path) -> None:
             assert RANK[other] < RANK[package], f"{package} must not import {other}"
 
 
+UNIT = ROOT.parent / "tests" / "unit"
+
+
+@pytest.mark.parametrize("path", sorted(UNIT.rglob("test_*.py")), ids=lambda p: str(p.relative_to(UNIT)))
+def test_unit_tests_mirror_the_package(path: Path) -> None:
+    """``tests/unit/<package>/test_<module>.py``; those of ``benchmarks/`` stand in a folder of that name."""
+    folder = path.parent.relative_to(UNIT)
+    assert folder.parts, f"{path.name} belongs into a folder of tests/unit named as the package that it tests"
+    assert (ROOT / folder).is_dir() or (ROOT.parent / folder).is_dir(), f"no package {folder}"
+    assert (path.parent / "__init__.py").exists()
+
+
 def test_undeclared_plant_shares_no_code_with_the_package() -> None:
     for path in (ROOT.parent / "benchmarks" / "undeclared").glob("*.py"):
         assert "aerial_gym" not in {n.split(".")[0] for n in _all_imports(path)}, path

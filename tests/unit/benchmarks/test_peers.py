@@ -1,0 +1,116 @@
+"""``python -m benchmarks.peers``: the ratios from given figures, the order of a round, and peers that are not there."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from aerial_gym.errors import ConfigError, UnknownNameError
+from benchmarks.peers.__main__ import PeersCmd, print_ratios
+from benchmarks.peers.catalog import CASES, PEERS, interpreters
+from benchmarks.peers.runs import RunFailedError, run, schedule, why_skipped
+from benchmarks.peers.table import Measurement, ratios
+from benchmarks.peers.timing import Batch, Request, check, measure
+
+PEER_FILES = sorted((Path(__file__).parents[3] / "benchmarks" / "peers").glob("peer_*.py"))
+
+
+def measured(name: str, case: str, rate: float, substeps: int | None = None) -> Measurement:
+    call = "1" if substeps is None else str(substeps)
+    return Measurement(name=name, case=case, substeps=substeps, rates=(rate,), version="1", dt_s=0.002, call=call)
+
+
+GIVEN = [
+    measured("aerial_gym", "plant", 10.0, 1),
+    measured("crazyflow", "plant", 4.0),
+    measured("aerial_gym", "plant", 30.0, 10),
+    measured("aerial_gym", "plant", 20.0, 1),
+    measured("crazyflow", "plant", 6.0),
+    measured("aerial_gym", "plant", 90.0, 1),
+    measured("crazyflow", "plant", 5.0),
+    measured("aerial_gym", "rk4", 8.0, 1),
+    measured("l2f", "rk4", 16.0),
+]
+
+
+def test_ratios_are_those_of_the_medians_of_all_rounds() -> None:
+    found = {(row.case, row.peer, row.ours_call): row for row in ratios(GIVEN)}
+    assert found.keys() == {("plant", "crazyflow", "1"), ("plant", "crazyflow", "10"), ("rk4", "l2f", "1")}
+    assert found["plant", "crazyflow", "1"].ratio == 20.0 / 5.0
+    assert found["plant", "crazyflow", "10"].ratio == 30.0 / 5.0
+    assert found["rk4", "l2f", "1"].ratio == 0.5
+    assert found["plant", "crazyflow", "1"].peer_rounds == (4.0, 6.0, 5.0)
+
+
+def test_the_table_has_a_line_per_peer_and_case(capsys: pytest.CaptureFixture[str]) -> None:
+    print_ratios(ratios(GIVEN), "machine")
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[:2] for line in lines[-2:]] == [["plant", "crazyflow"], ["rk4", "l2f"]]
+    assert lines[-2].split()[-4:] == ["20", "4.00", "30", "6.00"]
+
+
+def test_ours_and_the_peers_take_turns() -> None:
+    assert list(schedule("rk4", ["crazyflow", "l2f", "mujoco"], (1, 10))) == [1, "crazyflow", 10, "l2f", 1, "mujoco"]
+    assert list(schedule("attitude", ["l2f", "crazyflow"], (1, 10))) == [1, "crazyflow", 10]
+    assert list(schedule("attitude", ["l2f"], (1, 10))) == []
+
+
+def test_a_missing_peer_is_skipped_with_a_sentence() -> None:
+    sentence = why_skipped("l2f", "/nowhere/bin/python", "cpu")
+    assert sentence is not None
+    assert sentence.startswith("l2f is skipped: /nowhere/bin/python cannot import it (")
+    assert why_skipped("l2f", sys.executable, "cuda") == "l2f is skipped: it runs on cpu only."
+
+
+def test_the_words_of_a_failed_process_are_kept() -> None:
+    with pytest.raises(RunFailedError, match="no such peer"):
+        run(sys.executable, ["-c", "raise SystemExit('no such peer')"], threads=1)
+    assert run(sys.executable, ["-c", "print('noise'); print(42)"]) == "42"
+
+
+def test_a_process_is_pinned_to_as_many_cores_as_it_has_threads() -> None:
+    code = "import os; print(len(os.sched_getaffinity(0)), os.environ['OMP_NUM_THREADS'])"
+    assert run(sys.executable, ["-c", code], threads=1) == "1 1"
+
+
+def test_interpreters_are_named() -> None:
+    found = interpreters(("crazyflow=/venv/bin/python",), "python")
+    assert found == {**dict.fromkeys(PEERS, "python"), "crazyflow": "/venv/bin/python"}
+    with pytest.raises(UnknownNameError, match="no peer 'crazyflw'. Did you mean 'crazyflow'"):
+        interpreters(("crazyflw=python",), "python")
+    with pytest.raises(ConfigError, match="must be NAME=PYTHON"):
+        interpreters(("crazyflow",), "python")
+    with pytest.raises(ConfigError, match="no case 'plnt'. Known: plant"):
+        PeersCmd(cases=("plnt",)).run()
+
+
+def test_every_peer_has_a_file_that_says_what_a_step_holds() -> None:
+    assert {path.stem.removeprefix("peer_") for path in PEER_FILES} == set(PEERS)
+    assert all(set(PEERS.get(name).cases) <= set(CASES) for name in PEERS)
+
+
+@pytest.mark.parametrize("path", PEER_FILES, ids=lambda path: path.stem)
+def test_a_peers_file_imports_none_of_our_code_but_the_timing(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert "A step holds:" in text
+    assert "aerial_gym" not in text
+
+
+def test_a_peer_is_timed_and_watched() -> None:
+    """Blocks are counted with their steps and vehicles; a height that does not change, or is NaN, stops the run."""
+    height = [0.0]
+
+    def climb() -> None:
+        height[0] += 1e-6
+
+    request = Request(case="plant", num_envs=1, threads=1, device="cpu", repeats=3, repeat_time_s=0.005)
+    batch = Batch(
+        steps=10, dt=1e-3, run=climb, restart=lambda: height.__setitem__(0, 0.0), wait=lambda: None,
+        heights=lambda: list(height),
+    )  # fmt: skip
+    rates = measure(request, batch)
+    assert len(rates) == 3
+    assert min(rates) > 0.0
+    for after in (0.0, float("nan"), 5000.0):
+        with pytest.raises(RuntimeError, match="did not fly"):
+            check([0.0], [after])

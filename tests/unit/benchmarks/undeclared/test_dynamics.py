@@ -1,0 +1,381 @@
+"""The truth plant against closed forms and invariants: it referees the identification."""
+
+import ast
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from benchmarks.undeclared import EFFECTS, make_case
+from benchmarks.undeclared.__main__ import main
+from benchmarks.undeclared.cases import flights_of, plan_all
+from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, rest_state, rotation
+from benchmarks.undeclared.effects import resolve, split
+from benchmarks.undeclared.logs import COLUMNS
+from benchmarks.undeclared.nuisance import NO_BIAS, Nuisance, disturb
+from benchmarks.undeclared.sensors import NOISELESS, Noise, Sensors
+from benchmarks.undeclared.simulate import CONTROL_RATE, fly, summarise
+from benchmarks.undeclared.vehicle import DECLARED, GRAVITY, Array, Vehicle
+
+SETTLE = 1.0
+"""Hover before the flights of these tests [s]; shorter than in a case, to save time."""
+
+NO_DRAG = replace(DECLARED, linear_drag=np.zeros(3))
+IDLE = np.zeros((1, 4))
+
+
+def still(*, flights: int = 1, rotor: float = 0.0, vehicle: Vehicle = DECLARED) -> Array:
+    """Return level states at rest at the origin, heading along x, with the given rotor speed."""
+    state = rest_state(vehicle, np.zeros((flights, 3)), np.zeros(flights))
+    state[:, ROTOR] = rotor
+    return state
+
+
+def run(plant: Plant, state: Array, command: Array, *, span: float, dt: float) -> Array:
+    """Return the state after ``span`` in steps of ``dt``."""
+    for _ in range(round(span / dt)):
+        state = plant.step(state, command, dt)
+    return state
+
+
+def tumbling() -> Array:
+    """Return a state in air with every component at work."""
+    state = still(rotor=1100.0)
+    state[:, VEL], state[:, RATE], state[:, ROTOR] = (2.0, -1.0, 0.5), (3.0, -4.0, 2.0), (900.0, 1200.0, 1300.0, 1000.0)
+    return state
+
+
+def test_free_fall_is_a_parabola() -> None:
+    """Without thrust and drag p = v0 t - g t^2 / 2 and v = v0 - g t, which Runge-Kutta meets to round-off."""
+    state = still()
+    state[:, VEL] = (1.0, -2.0, 3.0)
+    end = run(Plant(NO_DRAG), state, IDLE, span=0.5, dt=0.01)
+    np.testing.assert_allclose(end[0, POS], (0.5, -1.0, 1.5 - 0.125 * GRAVITY), rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(end[0, VEL], (1.0, -2.0, 3.0 - 0.5 * GRAVITY), rtol=0.0, atol=1e-12)
+
+
+def _spin(dt: float) -> tuple[Array, float, Array]:
+    state = still()
+    state[:, RATE] = (9.0, -6.0, 4.0)
+    end = run(Plant(NO_DRAG), state, IDLE, span=0.64, dt=dt)
+    rate = end[0, RATE]
+    return rotation(end)[0] @ NO_DRAG.inertia @ rate, rate @ NO_DRAG.inertia @ rate, end
+
+
+def test_torque_free_rotation_conserves_momentum_and_energy_with_order_four() -> None:
+    """R I w and w . I w are constant without torque; their drift at 2000 Hz is within (|w| dt)^4 per radian turned.
+
+    The error of the attitude and rate falls with dt^4: slope within 0.1 over two halvings, against dt / 8.
+    """
+    start = np.array([9.0, -6.0, 4.0])
+    momentum, energy, _ = _spin(0.0005)
+    bound = (np.linalg.norm(start) * 0.0005) ** 4 * np.linalg.norm(start) * 0.64
+    np.testing.assert_allclose(momentum, NO_DRAG.inertia @ start, rtol=0.0, atol=bound * np.linalg.norm(momentum))
+    np.testing.assert_allclose(energy, start @ NO_DRAG.inertia @ start, rtol=bound)
+    fine = _spin(0.00125)[2]
+    errors = [np.linalg.norm(_spin(dt)[2][0, 6:18] - fine[0, 6:18]) for dt in (0.02, 0.01, 0.005)]
+    slopes = np.diff(np.log2(errors))
+    np.testing.assert_allclose(slopes, -4.0, atol=0.1)
+
+
+def test_torque_free_rotation_turns_the_right_way() -> None:
+    """A body turning about +z by a quarter carries its x axis to world +y."""
+    state = still()
+    state[:, RATE] = (0.0, 0.0, 0.5 * np.pi)
+    end = run(Plant(replace(NO_DRAG, inertia=np.diag([2e-3, 3e-3, 4e-3]))), state, IDLE, span=1.0, dt=0.001)
+    np.testing.assert_allclose(rotation(end)[0, :, 0], (0.0, 1.0, 0.0), rtol=0.0, atol=1e-9)
+
+
+def test_precession_has_the_sign_of_euler() -> None:
+    """I1 w1' = (I2 - I3) w2 w3: with 2, 3, 5 g m² and w = (0, 1, 2), w1' = (3 - 5) * 2 / 2 = -2 rad/s²."""
+    state = still()
+    state[:, RATE] = (0.0, 1.0, 2.0)
+    plant = Plant(replace(NO_DRAG, inertia=np.diag([2e-3, 3e-3, 5e-3])))
+    np.testing.assert_allclose(plant.derivative(state, IDLE)[0, RATE], (-2.0, 0.0, 0.0), atol=1e-14)
+
+
+def test_hover_balances_gravity() -> None:
+    """At w = sqrt(m g / 4 c_t) = 1126.3 rad/s nothing accelerates and the accelerometer reads +9.81 on z."""
+    speed = DECLARED.hover_speed()
+    assert speed == pytest.approx(np.sqrt(0.75 * 9.81 / 4 / 1.45e-6), rel=1e-14)
+    plant, state = Plant(DECLARED), still(rotor=speed)
+    np.testing.assert_allclose(plant.derivative(state, state[:, ROTOR]), 0.0, atol=1e-12)
+    np.testing.assert_allclose(plant.specific_force(state)[0], (0.0, 0.0, 9.81), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("rotor", "roll", "pitch", "yaw"),
+    [(0, -1, -1, -1), (1, -1, 1, 1), (2, 1, 1, -1), (3, 1, -1, 1)],
+    ids=["front_right", "back_right", "back_left", "front_left"],
+)
+def test_one_faster_rotor_turns_the_body_away_from_it(rotor: int, roll: int, pitch: int, yaw: int) -> None:
+    """Thrust f at (x, y) gives torque (y f, -x f), and the drag torque -spin k f about z."""
+    plant, state = Plant(replace(NO_DRAG, inertia=np.diag([1e-3, 1e-3, 1e-3]))), still()
+    state[0, 18 + rotor] = 1000.0
+    thrust = 1.45e-6 * 1000.0**2
+    expected = np.array([roll * 0.08, pitch * 0.085, yaw * 0.014]) * thrust / 1e-3
+    np.testing.assert_allclose(plant.derivative(state, IDLE)[0, RATE], expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("start", "target", "tau"), [(500.0, 1500.0, 0.03), (1500.0, 500.0, 0.05)])
+def test_rotor_lag_is_the_exponential(start: float, target: float, tau: float) -> None:
+    """w = target + (start - target) exp(-t / tau), tau_up rising and tau_down falling; Runge-Kutta to (dt / tau)^4."""
+    plant = Plant(replace(NO_DRAG, tau_up=0.03, tau_down=0.05))
+    end = run(plant, still(rotor=start), np.full((1, 4), target), span=0.06, dt=0.0005)
+    expected = target + (start - target) * np.exp(-0.06 / tau)
+    np.testing.assert_allclose(end[0, ROTOR], expected, rtol=(0.0005 / tau) ** 4)
+
+
+def test_fall_through_air_reaches_terminal_velocity() -> None:
+    """Linear drag: v = -(m g / d) (1 - exp(-d t / m)); quadratic: v = -V tanh(g t / V), V = sqrt(m g / d)."""
+    linear = Plant(replace(NO_DRAG, linear_drag=np.array([0.1, 0.2, 1.5])))
+    end = run(linear, still(), IDLE, span=1.0, dt=0.002)
+    top = 0.75 * GRAVITY / 1.5
+    np.testing.assert_allclose(end[0, VEL], (0.0, 0.0, -top * (1.0 - np.exp(-1.5 / 0.75))), atol=1e-9)
+    quadratic = Plant(replace(NO_DRAG, quadratic_drag=np.array([0.1, 0.2, 0.3])))
+    end = run(quadratic, still(), IDLE, span=1.0, dt=0.002)
+    top = np.sqrt(0.75 * GRAVITY / 0.3)
+    np.testing.assert_allclose(end[0, VEL], (0.0, 0.0, -top * np.tanh(GRAVITY / top)), atol=1e-9)
+
+
+def test_quadratic_drag_scales_with_the_whole_airspeed() -> None:
+    """force_i = -d_i |u| u_i: at u = (3, 0, 4), |u| = 5, d = (0.1, 0.2, 0.3) it is (-1.5, 0, -6) N."""
+    plant, state = Plant(replace(NO_DRAG, quadratic_drag=np.array([0.1, 0.2, 0.3]))), still()
+    state[:, VEL] = (3.0, 0.0, 4.0)
+    np.testing.assert_allclose(plant.body_force(state)[0], (-1.5, 0.0, -6.0), atol=1e-14)
+
+
+def test_drag_follows_body_axes_and_the_air() -> None:
+    """Heading along world +y, wind 2 m/s along world +x comes from the left: it pushes body -y, by d_y * 2."""
+    plant = Plant(replace(NO_DRAG, linear_drag=np.array([0.1, 0.3, 0.2]), wind_world=np.array([2.0, 0.0, 0.0])))
+    state = rest_state(DECLARED, np.zeros((1, 3)), np.array([0.5 * np.pi]))
+    state[:, ROTOR] = 0.0
+    np.testing.assert_allclose(plant.body_force(state)[0], (0.0, -0.6, 0.0), atol=1e-14)
+    acceleration = plant.derivative(state, IDLE)[0, VEL]
+    np.testing.assert_allclose(acceleration, (0.6 / 0.75, 0.0, -GRAVITY), atol=1e-14)
+
+
+def test_mass_ahead_pitches_the_nose_down() -> None:
+    """Thrust T z through the origin, centre of mass at c = +x: torque = (0 - c) x T z = +c T about y, nose down."""
+    true = replace(NO_DRAG, com=np.array([0.01, 0.0, 0.0]), inertia=np.diag([2e-3, 2e-3, 4e-3]))
+    state = still(rotor=DECLARED.hover_speed())
+    rate_dot = Plant(true).derivative(state, state[:, ROTOR])[0, RATE]
+    np.testing.assert_allclose(rate_dot, (0.0, 0.01 * 0.75 * GRAVITY / 2e-3, 0.0), atol=1e-9)
+    end = run(Plant(true), state, state[:, ROTOR].copy(), span=0.05, dt=0.0005)
+    assert rotation(end)[0, 2, 0] < -0.01  # the x axis points below the horizon
+
+
+def test_specific_force_is_the_second_derivative_at_the_origin() -> None:
+    """acc = R^T (p_O'' - g); central differences of p_O and v_O at h agree to h^2 / 6 |v'''|, |v'''| < 1.5e4 m/s^4."""
+    true = replace(DECLARED, com=np.array([0.03, -0.05, 0.04]), quadratic_drag=np.array([0.05, 0.06, 0.02]))
+    plant, state, h = Plant(true), tumbling(), 0.0002
+    states = [state]
+    for _ in range(2):
+        states.append(run(plant, states[-1], state[:, ROTOR], span=h, dt=h / 4))
+    before, now, after = (plant.origin_position(s)[0] for s in states)
+    second = (after - 2.0 * now + before) / h**2
+    back = rotation(states[1])[0].T
+    seen = plant.specific_force(states[1])[0]
+    gravity = np.array([0.0, 0.0, -9.81])
+    np.testing.assert_allclose(back @ (second - gravity), seen, atol=1e-4)
+    slope = (plant.origin_velocity(states[2])[0] - plant.origin_velocity(states[0])[0]) / (2.0 * h)
+    np.testing.assert_allclose(back @ (slope - gravity), seen, atol=1e-4)
+    np.testing.assert_allclose((after - before) / (2.0 * h), plant.origin_velocity(states[1])[0], atol=7e-6)
+    lever = seen - plant.body_force(states[1])[0] / true.mass
+    assert np.linalg.norm(lever) > 1.0  # the lever arm is at work
+
+
+def test_origin_lies_behind_a_centre_of_mass_ahead() -> None:
+    """With c = 0.1 m ahead and w about z: p_O = -c ahead, v_O = -w c to the left, acc = w^2 c forward, towards C."""
+    plant = Plant(replace(NO_DRAG, com=np.array([0.1, 0.0, 0.0]), inertia=np.diag([2e-3, 2e-3, 4e-3])))
+    state = rest_state(NO_DRAG, np.zeros((1, 3)), np.array([0.5 * np.pi]))  # ahead is world +y, left is world -x
+    state[:, ROTOR], state[:, RATE] = 0.0, (0.0, 0.0, 3.0)
+    np.testing.assert_allclose(plant.origin_position(state)[0], (0.0, -0.1, 0.0), atol=1e-15)
+    np.testing.assert_allclose(plant.origin_velocity(state)[0], (0.3, 0.0, 0.0), atol=1e-15)
+    np.testing.assert_allclose(plant.specific_force(state)[0], (0.9, 0.0, 0.0), atol=1e-14)
+
+
+def test_flight_of_a_batch_equals_the_flight_alone() -> None:
+    """Rows do not know each other."""
+    plant, states = Plant(DECLARED), np.concatenate((still(rotor=900.0), tumbling(), still()))
+    command = np.full((3, 4), 1200.0)
+    together = run(plant, states, command, span=0.02, dt=0.0005)
+    alone = run(plant, states[1:2], command[:1], span=0.02, dt=0.0005)
+    np.testing.assert_allclose(together[1:2], alone, rtol=1e-13, atol=1e-13)
+
+
+def _record(true: Vehicle, declared: Vehicle, *, num_train: int, num_test: int, span: float, noise: Noise) -> tuple:
+    flights = flights_of(num_train, num_test)
+    reference = plan_all(flights, seed=5, duration_s=span, settle_s=SETTLE)
+    streams = [np.random.default_rng([5, i]) for i in range(len(flights))]
+    sensors = Sensors(noise, NO_BIAS, streams, len(reference.yaw))
+    return fly(true=true, declared=declared, reference=reference, sensors=sensors), reference
+
+
+@pytest.mark.parametrize("effect", ["none", *list(EFFECTS)[:6]])
+def test_flights_follow_their_reference_with_each_moderate_effect(effect: str) -> None:
+    """The autopilot knows the declared vehicle only: rms error within 0.15 m, tilt within 60 degrees, rotors free."""
+    params = resolve({} if effect == "none" else {effect: "moderate"}, declared=DECLARED, seed=5)
+    declared, true = split(DECLARED, params)
+    record, reference = _record(true, declared, num_train=2, num_test=1, span=3.0, noise=Noise())
+    first = round(SETTLE * CONTROL_RATE)
+    for flight in summarise(record, reference, declared=declared, first=first):
+        assert flight.rms_position_error < 0.15
+        assert flight.top_tilt < np.deg2rad(60.0)
+        assert 1.5 < flight.top_speed < 6.0
+        assert flight.saturated_share < 0.01
+
+
+def test_training_flights_excite_every_axis() -> None:
+    """Angular acceleration of all axes and thrust per mass vary well above the noise; headings spread."""
+    record, reference = _record(DECLARED, DECLARED, num_train=4, num_test=0, span=3.0, noise=NOISELESS)
+    rate = record.state[400:, :, RATE]
+    spread = (np.diff(rate, axis=0) * CONTROL_RATE).std(axis=0).mean(axis=0)
+    assert np.all(spread > (2.0, 2.0, 0.8))
+    assert record.measured["acc"][400:, :, 2].std() > 1.0
+    assert np.all(reference.excite[400:, 0].std(axis=0) > (0.3, 0.3, 0.2, 0.5))
+
+
+def test_logged_command_is_held_from_its_row_on() -> None:
+    """Between rows each rotor follows the exponential towards the command of the earlier row."""
+    record, _ = _record(DECLARED, DECLARED, num_train=1, num_test=0, span=1.0, noise=NOISELESS)
+    rotor, command = record.measured["rotor"][:-1], record.command[:-1]
+    expected = command + (rotor - command) * np.exp(-1.0 / CONTROL_RATE / 0.038)
+    np.testing.assert_allclose(record.measured["rotor"][1:], expected, rtol=1e-9)
+
+
+def test_sensor_noise_has_the_stated_size() -> None:
+    """Sample minus truth has the declared standard deviation, within 5 / sqrt(2 N) of it."""
+    noise, state = Noise(), np.concatenate((tumbling(), still(rotor=1000.0)))
+    sensors = Sensors(noise, NO_BIAS, [np.random.default_rng(i) for i in (1, 2)], 3000)
+    exact = Sensors(NOISELESS, NO_BIAS, [np.random.default_rng(0)] * 2, 1).sample(0, Plant(DECLARED), state)
+    samples = [sensors.sample(i, Plant(DECLARED), state) for i in range(3000)]
+    close = {"rel": 5.0 / np.sqrt(2 * 3000 * 6)}
+    for name, std in (
+        ("position", noise.position),
+        ("velocity", noise.velocity),
+        ("rate", noise.gyro),
+        ("acc", noise.acc),
+    ):
+        error = np.stack([getattr(s, name) - getattr(exact, name) for s in samples])
+        assert error.std() == pytest.approx(std, **close)
+        assert abs(error.mean()) < 5.0 * std / np.sqrt(error.size)
+    ratio = np.stack([s.rotor / exact.rotor - 1.0 for s in samples])
+    assert ratio.std() == pytest.approx(noise.rotor, **close)
+    delta = np.stack([exact.rotation.transpose(0, 2, 1) @ s.rotation for s in samples])
+    assert delta[:, :, 2, 1].std() == pytest.approx(noise.attitude, rel=0.06)
+
+
+def test_nuisance_is_small_and_adds_to_what_is_hidden() -> None:
+    """Every number moves by at most two standard deviations, beside a hidden offset by the same."""
+    cfg = Nuisance()
+    vehicle, bias = disturb(DECLARED, cfg, seed=1)
+    assert 0.0 < abs(vehicle.mass / DECLARED.mass - 1.0) <= 2.0 * cfg.mass
+    assert np.all(np.abs(vehicle.thrust_coeff / DECLARED.thrust_coeff - 1.0) <= 2.0 * cfg.thrust_coeff)
+    assert np.ptp(vehicle.thrust_coeff) > 0.0
+    assert np.all(np.abs(np.diag(vehicle.inertia) / np.diag(DECLARED.inertia) - 1.0) <= 2.0 * cfg.inertia + 1e-12)
+    assert 0.0 < abs(vehicle.tau_up / DECLARED.tau_up - 1.0) <= 2.0 * cfg.tau
+    assert np.all((vehicle.com != 0.0) & (np.abs(vehicle.com) <= 2.0 * cfg.com))
+    assert np.all(
+        (bias.acc != 0.0) & (np.abs(bias.acc) <= 2.0 * cfg.acc_bias) & (np.abs(bias.gyro) <= 2.0 * cfg.gyro_bias)
+    )
+    offset = replace(DECLARED, com=DECLARED.com + 0.006)
+    np.testing.assert_allclose(disturb(offset, cfg, seed=1)[0].com, vehicle.com + 0.006, atol=1e-15)
+    stated = disturb(DECLARED, cfg, seed=1, hidden=("motor_asymmetry",))[0]
+    assert (stated.tau_up, stated.tau_down) == (DECLARED.tau_up, DECLARED.tau_down)
+    assert stated.mass == vehicle.mass
+
+
+def test_case_writes_the_contract(tmp_path: Path) -> None:
+    """Columns, rate, unit quaternions, the declared robot without the effect, and the truth with it."""
+    effects = {"com_offset": {"x": 0.006, "y": -0.004}, "motor_time_constant": "small"}
+    files = make_case(tmp_path, effects=effects, seed=2, num_train=1, num_test=1, duration_s=1.5, rate_hz=200)
+    assert [p.name for p in (*files.train, *files.test)] == ["train_1.csv", "test_1.csv"]
+    header, *rows = files.train[0].read_text().splitlines()
+    assert (
+        tuple(header.split(","))
+        == COLUMNS
+        == (
+            *("t", "p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w", "v_x", "v_y", "v_z"),
+            *("omega_x", "omega_y", "omega_z", "acc_x", "acc_y", "acc_z"),
+            *("rotor_1", "rotor_2", "rotor_3", "rotor_4", "cmd_1", "cmd_2", "cmd_3", "cmd_4", "vbat"),
+        )
+    )
+    table = np.array([row.split(",") for row in rows], dtype=float)
+    np.testing.assert_allclose(table[:, 0], np.arange(301) / 200.0, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(table[:, 4:8], axis=1), 1.0, atol=1e-7)
+    assert np.all((table[1:, 4:8] * table[:-1, 4:8]).sum(axis=1) > 0.9)
+    np.testing.assert_allclose(
+        np.gradient(table[:, 1:4], 1 / 200.0, axis=0).mean(axis=0), table[:, 8:11].mean(axis=0), atol=0.02
+    )
+    assert table[:20, 16].mean() == pytest.approx(9.81, abs=0.5)
+    robot, truth = yaml.safe_load(files.robot.read_text()), json.loads(files.truth.read_text())
+    assert list(robot) == ["summary", "body", "rotor", "mounts", "collision", "effects"]
+    assert robot["effects"] == {"rotor_drag": {"dx": 0.20, "dy": 0.23, "dz": 0.12}}
+    assert robot["rotor"]["time_constant_up"] == 0.038
+    assert [m["spin"] for m in robot["mounts"]["layout"]] == [1, -1, 1, -1]
+    assert truth["effects"]["com_offset"] == {"x": 0.006, "y": -0.004, "z": 0.0}
+    assert truth["true_vehicle"]["com"] == [0.006, -0.004, 0.0]
+    assert 1.15 * 0.038 <= truth["effects"]["motor_time_constant"]["tau"] <= 1.25 * 0.038
+
+
+def test_hidden_rotor_drag_is_not_declared() -> None:
+    """The declared vehicle loses its drag, the true one has the drawn one."""
+    params = resolve({"rotor_drag": "moderate"}, declared=DECLARED, seed=0)
+    declared, true = split(DECLARED, params)
+    assert not np.any(declared.linear_drag)
+    np.testing.assert_array_equal(true.linear_drag, list(params["rotor_drag"].values()))
+
+
+def test_same_seed_same_files(tmp_path: Path) -> None:
+    """Files repeat byte for byte; another seed changes flight and values."""
+    made = {}
+    for name, seed in (("a", 7), ("b", 7)):
+        arguments = [
+            "--effect",
+            "constant_wind",
+            "--seed",
+            str(seed),
+            "--num-train",
+            "1",
+            "--num-test",
+            "0",
+            "--nuisance",
+        ]
+        assert main(["--out", str(tmp_path / name), "--duration-s", "1.0", *arguments]) == 0
+        made[name] = [(tmp_path / name / file).read_bytes() for file in ("train_1.csv", "robot.yaml", "truth.json")]
+    assert made["a"] == made["b"]
+    values = [resolve({"constant_wind": "moderate"}, declared=DECLARED, seed=seed) for seed in (7, 8)]
+    assert json.loads(made["a"][2])["effects"] == values[0] != values[1]
+    paths = [plan_all(flights_of(4, 3), seed=seed, duration_s=1.0).position for seed in (7, 8)]
+    assert np.all(np.abs(paths[0] - paths[1]).max(axis=(0, 2)) > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("effects", "message"),
+    [
+        ({"rotor_dragg": "small"}, "no effect 'rotor_dragg'. Known: rotor_drag"),
+        ({"com_offset": "huge"}, "com_offset: no size 'huge'"),
+        ({"com_offset": {"w": 1.0}}, r"com_offset: no parameter \['w'\]"),
+        ({"thrust_coefficient": {}}, "thrust_coefficient.scale = None: must be given"),
+    ],
+)
+def test_wrong_requests_are_refused(effects: dict, message: str, tmp_path: Path) -> None:
+    """The message names the thing and what is known."""
+    with pytest.raises(ValueError, match=message):
+        make_case(tmp_path, effects=effects, seed=0)
+
+
+def test_the_referee_shares_no_code_with_the_package() -> None:
+    """No file of the plant imports aerial_gym, directly or by name."""
+    folder = Path(__file__).parents[4] / "benchmarks" / "undeclared"
+    files = sorted(folder.glob("*.py"))
+    assert len(files) >= 10
+    for file in files:
+        for node in ast.walk(ast.parse(file.read_text())):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not any(name.split(".")[0] == "aerial_gym" for name in names), file

@@ -1,0 +1,289 @@
+"""The whole loop on exact flights with noise: a smoke test, no proof; ``tests/integration/test_undeclared.py`` has an
+independent plant, ``tests/measured/test_idsia.py`` real flights."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.cli.main import main
+from aerial_gym.config import dump_yaml, load
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.interop import one_thread
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real import close_loop, replay
+from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test, silent
+from aerial_gym.sim2real.prediction import Channel
+from aerial_gym.sim2real.remains import material_remains
+from aerial_gym.sim2real.runtime import whole_folder
+from aerial_gym.sim2real.structure import find_structure
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+
+DRAG = 0.25
+SECTIONS = ("effects", "evidence", "rivals", "before-after", "next", "rest", "data")
+OUTPUTS = {"verdict.json", "robot.yaml", "report.html", "report.md", "residuals.csv", "run.json"}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a robot, three training flights and a test flight that hide drag."""
+    path = tmp_path_factory.mktemp("flights")
+    (path / "robot.yaml").write_text(dump_yaml(ROBOT))
+    for seed in range(4):
+        write(flight(20 + seed, drag=DRAG, noise=1.0, seconds=8.0, rate=100.0), path / f"f{seed}.csv")
+    return path
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path) -> Path:
+    out = folder / "result"
+    close_loop(folder / "robot.yaml", [folder / f"f{n}.csv" for n in range(3)], [folder / "f3.csv"], out)
+    return out
+
+
+def test_the_verdict_names_the_hidden_drag(result: Path) -> None:
+    verdict = json.loads((result / "verdict.json").read_text())
+    assert verdict["verdict"] == "explained"
+    assert [effect["name"] for effect in verdict["effects"]] == ["rotor_drag"]
+    (effect,) = verdict["effects"]
+    for axis in ("dx", "dy"):
+        low, high = effect["interval"][axis]
+        assert low < DRAG < high
+    assert 0.99 < effect["confidence"] < 1.0
+    assert effect["inclusion"] == verdict["inclusion"]["rotor_drag"] == 1.0
+    assert effect["material"] is True
+    untold = {"motor_time_constant", "motor_asymmetry", "actuation_delay", "battery_sag"}
+    untold |= {"ground_effect", "ceiling_effect", "downwash"}
+    untold |= {"joint_creep"}  # thrusts that hardly change bend arms hardly, and slowly
+    assert set(verdict["not_testable"]) == untold
+    assert "column ceiling_z" in verdict["not_testable_because"]["ceiling_effect"]
+    assert verdict["structure"]["kind"] == "none"
+    assert verdict["whiteness"]["specific_force.x"]["white"] is True
+    assert effect["without_it"]["octaves"][0] > 0.9  # a path of a few tenths of a hertz
+    assert effect["without_it"]["solid_below_hz"] in (1.25, 2.5, 5.0)
+    before, after = verdict["before"], verdict["after"]
+    for axis in "xy":
+        assert after["specific_force"][axis]["rms"] < 0.3 * before["specific_force"][axis]["rms"]
+        low, high = after["specific_force"][axis]["interval"]
+        assert low < after["specific_force"][axis]["rms"] < high
+    for horizon in ("0.1", "0.5", "1", "2"):
+        assert set(after["rollout"][horizon]) == {"position", "velocity", "attitude"}
+        assert after["specific_force"][axis]["gap_closed"] > 0.95
+    error = [model["rollout_given_attitude"]["1"]["velocity"]["rms"] for model in (before, after)]
+    assert error[1] < 0.5 * error[0]
+
+
+def test_the_verdict_says_what_the_effect_is_worth(result: Path) -> None:
+    """One effect alone: the model without it is the declared one, so that its contribution is before over after."""
+    verdict = json.loads((result / "verdict.json").read_text())
+    (effect,) = verdict["effects"]
+    for horizon in ("0.5", "1"):
+        before, after = (verdict[model]["rollout"][horizon]["velocity"]["rms"] for model in ("before", "after"))
+        assert effect["without_it"]["rollout"][horizon]["velocity"]["rises"] == pytest.approx(before / after - 1.0)
+    assert effect["without_it"]["residual"]["channel"].startswith("specific_force")
+    rival = effect["rival"]
+    assert rival["name"] in EFFECTS
+    assert rival["name"] != "rotor_drag"
+    assert rival["score"] < 0.0 < rival["instead_of"] < 1.0
+    assert rival["explains"] < rival["instead_of"]
+    assert rival["because"]
+    acts = effect["where_it_acts"]
+    kind, axis = acts["channel"].split(".")
+    assert acts["before"]["rms"] > 1.2 * verdict["before"][kind][axis]["rms"]  # drag acts at speed
+    assert acts["gap_closed"] > 0.95
+    parts = verdict["flights"]["f3"]
+    assert parts["specific force"]["after"] < 0.5 * parts["specific force"]["before"]
+    assert parts["velocity after 1 s"]["after"] < parts["velocity after 1 s"]["before"]
+
+
+def test_two_effects_that_only_forces_show_are_told_apart_by_no_manoeuvre(tmp_path: Path) -> None:
+    """Without a gyro, thrust over mass is all that flights show: which of both it is stays open, and the verdict says so."""
+    (tmp_path / "robot.yaml").write_text(dump_yaml(ROBOT))
+    for seed in range(3):
+        table = flight(40 + seed, thrust_scale=0.9, noise=1.0, seconds=6.0, rate=100.0)
+        write(table.drop(columns=["omega_x", "omega_y", "omega_z"]), tmp_path / f"f{seed}.csv")
+    close_loop(
+        tmp_path / "robot.yaml", [tmp_path / "f0.csv", tmp_path / "f1.csv"], [tmp_path / "f2.csv"], tmp_path / "out"
+    )
+    verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
+    assert verdict["verdict"] == "ambiguous"
+    assert {"thrust_coefficient", "payload_mass"} <= set(verdict["candidates"])
+    advice = verdict["manoeuvre"]
+    assert {"thrust_coefficient", "payload_mass"} <= set(advice["tells"])
+    assert advice["fly"] is None
+    assert advice["expected_score_per_10s"] < 3.0
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "no manoeuvre of the catalogue is expected to tell" in page
+
+
+def test_the_corrected_robot_loads_and_leaves_nothing_to_find(result: Path, folder: Path) -> None:
+    corrected = load(RobotCfg, result / "robot.yaml")
+    assert corrected.effects["rotor_drag"]["dx"] == pytest.approx(DRAG, rel=0.05)
+    assert "f0, f1, f2" in corrected.effects_source
+    assert replace(corrected, effects={}, effects_source="") == ROBOT
+    second = close_loop(
+        result / "robot.yaml", [folder / f"f{n}.csv" for n in range(3)], [folder / "f3.csv"], folder / "second"
+    )
+    assert second.verdict == "none"
+    assert second.effects == ()
+
+
+def test_the_reports_stand_alone(result: Path) -> None:
+    assert {path.name for path in result.iterdir()} == OUTPUTS
+    page = (result / "report.html").read_text()
+    assert page.count("data:image/png;base64,") >= 5
+    assert "http" not in page.replace("http-equiv", "")
+    assert len(page) < 2e6
+    places = [page.index(f'id="{part}"') for part in SECTIONS]
+    assert places == sorted(places)
+    assert "gap closed" in page
+    assert "What remains of the" in page
+    assert "rotor_drag" in (result / "report.md").read_text()
+    table = pd.read_csv(result / "residuals.csv")
+    assert set(table["set"]) == {"train", "test"}
+    test = table[table["set"] == "test"]
+    assert test["specific_force_x_after"].std() < 0.3 * test["specific_force_x_before"].std()
+    record = json.loads((result / "run.json").read_text())
+    assert record["config"]["seed"] == 0
+    assert len(record["inputs"]) == 4
+
+
+def test_the_command_prints_and_refuses(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Status 2 and one sentence for a wrong request, and nothing half-written."""
+    train = [str(folder / f"f{n}.csv") for n in range(3)]
+    test, robot, out = str(folder / "f3.csv"), str(folder / "robot.yaml"), folder / "printed"
+    call = ["close-loop", "--robot", robot, "--train", *train, "--test", test]
+    known = folder.parent / "tolerances.yaml"
+    known.write_text("mass: 0.002\n")
+    assert main([*call, "--out", str(out), "--tolerances", str(known)]) == 0
+    record = json.loads((out / "run.json").read_text())
+    assert (record["config"]["tolerances"]["mass"], record["config"]["tolerances"]["com"]) == (0.002, 0.0003)
+    known.write_text("mas: 0.002\n")
+    printed = capsys.readouterr().out
+    assert "rotor_drag: dx = 0.2" in printed
+    assert "specific force x" in printed
+    before = sorted(path.name for path in folder.iterdir())
+    bad = pd.read_csv(test)
+    bad.loc[100:110, "omega_y"] = np.nan
+    wrong = write(bad, folder / "bad.csv")
+    for arguments, message in (
+        ([*call[:-1], str(wrong), "--out", str(folder / "new")], "bad.csv, line 102: omega_y is empty (NaN)"),
+        ([*call, "--out", str(folder)], "holds other files and would be replaced; give a new or empty folder"),
+        ([*call[:-1], train[0], "--out", str(folder / "new")], "is given twice"),
+        ([*call, "--out", str(folder / "new"), "--bandwidth-hz", "0"], "bandwidth_hz = 0.0: must lie in [0.5, 100] Hz"),
+        ([*call, "--out", str(folder / "new"), "--mapping", "px4"], "no log mapping 'px4'"),
+        (["close-loop", "--robot", "nobody", *call[3:], "--out", str(folder / "new")], "no robot 'nobody'"),
+        ([*call, "--out", str(folder / "new"), "--tolerances", str(known)], "mas"),
+        (["replay", robot, str(folder / "none.csv")], "none.csv: no such file"),
+    ):
+        assert main(arguments) == 2, arguments
+        error = capsys.readouterr().err
+        assert message in error
+        assert "Traceback" not in error
+    wrong.unlink()
+    assert sorted(path.name for path in folder.iterdir()) == before
+
+
+def test_replay_fits_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = replay(folder / "robot.yaml", [folder / "f3.csv"], folder / "replayed")
+    assert {path.name for path in (folder / "replayed").iterdir()} == {
+        *("replay.json", "report.html", "residuals.csv", "run.json")
+    }
+    assert found.evaluation.residual[0].value > 0.1
+    assert main(["replay", str(folder / "robot.yaml"), str(folder / "f3.csv"), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["replay"]["specific_force"]["x"]["rms"] == pytest.approx(found.evaluation.residual[0].value)
+
+
+def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+
+    def run(text: str, *, fail: bool) -> None:
+        with whole_folder(out) as partial:
+            (partial / "run.json").write_text(text)
+            if fail:
+                raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        run("first", fail=True)
+    assert list(tmp_path.iterdir()) == []
+    run("second", fail=False)
+    with pytest.raises(OSError, match="disk full"):
+        run("third", fail=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert (out / "run.json").read_text() == "second"
+    run("fourth", fail=False)  # our own folder may be replaced
+    assert (out / "run.json").read_text() == "fourth"
+
+
+def test_training_and_testing_need_a_flight_each(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="at least one flight to train on"):
+        close_loop(folder / "robot.yaml", [], [folder / "f3.csv"], tmp_path / "out")
+    with pytest.raises(ConfigError, match="bandwidth_hz"):
+        close_loop(folder / "robot.yaml", [folder / "f0.csv"], [folder / "f3.csv"], tmp_path / "out", bandwidth=1e9)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DataError, match="is a file; give a folder"):
+        close_loop(folder / "robot.yaml", [folder / "f0.csv"], [folder / "f3.csv"], tmp_path / "file")
+
+
+@pytest.mark.parametrize("kind", ["position", "time", "periodic", "heading", "velocity", "none"])
+def test_the_kind_of_a_remaining_structure(kind: str, folder: Path) -> None:
+    from aerial_gym.sim2real.flights import load_flights
+
+    rng = np.random.default_rng(0)
+    flights = load_flights([folder / f"f{n}.csv" for n in range(4)], ROBOT, mapping=None, bandwidth=10.0)
+    channels = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
+    times, residuals = [], []
+    for one in flights:
+        assert one.position is not None
+        assert one.lin_vel is not None
+        turn = Rotation.from_quat(one.attitude[20:-20:3])
+        ahead, forward = turn.apply([1.0, 0.0, 0.0]), turn.apply(one.lin_vel[20:-20:3], inverse=True)[:, 0]
+        time = one.time[20:-20:3]
+        height = one.position[20:-20:3, 2]
+        left = 0.02 * rng.standard_normal((time.size, 3))
+        left[:, 2] += {
+            "position": 0.3 * np.exp(-(height - height.min()) / 0.3),
+            "time": -0.03 * time,
+            "periodic": 0.1 * np.sin(2.0 * np.pi * 7.0 * time + rng.uniform(0.0, 6.0)),
+            "heading": 0.1 * ahead[:, 0] / np.hypot(ahead[:, 0], ahead[:, 1]),
+            "velocity": 0.2 * forward * np.abs(forward),
+            "none": 0.0,
+        }[kind]
+        times.append(time)
+        residuals.append(left)
+    found = find_structure(flights, times, residuals, channels, [2])
+    assert found.kind == kind
+    assert (found.freq_hz is None) == (kind != "periodic")
+    if kind == "heading":  # an attitude that is the integral of a gyro has none
+        drifting = [replace(one, attitude_integrated=True) for one in flights]
+        assert find_structure(drifting, times, residuals, channels, [2]).kind != "heading"
+    if kind == "periodic":
+        assert found.freq_hz == pytest.approx(7.0, abs=0.3)
+
+
+def test_what_remains_is_material_above_noise_and_tolerances() -> None:
+    floor, tolerated = np.array([0.02, 0.02, 0.02]), np.array([0.02, 0.02, 0.2])
+    rms = np.array([0.024, 0.06, 0.06])  # near the floor; above both; hidden by the tolerances
+    assert material_remains(rms, floor, tolerated).tolist() == [False, True, False]
+    assert material_remains(rms, None, tolerated).tolist() == [False, False, False]
+
+
+def test_forces_at_an_unknown_airspeed_are_not_called_unexplained(tmp_path: Path) -> None:
+    """A vehicle with declared drag, logged without velocity: what drag leaves is no cause of its own."""
+    robot = replace(ROBOT, effects={"rotor_drag": {"dx": DRAG, "dy": DRAG, "dz": DRAG}}, effects_source="flown with it")
+    paths = [tmp_path / f"f{seed}.csv" for seed in range(2)]
+    for seed, path in enumerate(paths):
+        table = flight(50 + seed, drag=DRAG, noise=1.0, seconds=4.0, rate=100.0)
+        write(table.drop(columns=[f"{name}_{axis}" for name in "pv" for axis in "xyz"]), path)
+    flights = load_train_and_test(robot, paths[:1], paths[1:], None, 10.0, silent)
+    with one_thread():
+        verdict = judge_flights(robot, *flights).verdict
+    assert verdict.verdict == "none"
+    assert verdict.remains == ()
+    assert "what remains of the specific force is not judged: log v or p" in verdict.reason

@@ -1,0 +1,159 @@
+"""The curriculum: when the level goes up and down, where it stops, and that obstacles follow it."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from aerial_gym import task_registry
+from aerial_gym.config import build
+from aerial_gym.config.task import CurriculumCfg, TaskCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.task import Task
+from aerial_gym.task.curriculum import next_level
+from tests.unit.task.navigation import make
+
+CFG = CurriculumCfg(
+    min_level=15, max_level=20, check_after=10, raise_above=0.7, lower_below=0.6, raise_by=2, lower_by=1
+)
+
+
+def decide(level: int, finished: int, succeeded: int, cfg: CurriculumCfg = CFG) -> tuple[int, int, int]:
+    given = (torch.tensor([value], dtype=torch.int32) for value in (level, finished, succeeded))
+    level_now, finished_now, succeeded_now = (int(value) for value in next_level(*given, cfg))
+    return level_now, finished_now, succeeded_now
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ((17, 10, 8), (19, 0, 0)),  # 80 %: up by 2
+        ((17, 10, 7), (17, 0, 0)),  # exactly 70 %: stays
+        ((17, 10, 6), (17, 0, 0)),  # exactly 60 %: stays
+        ((17, 10, 5), (16, 0, 0)),  # 50 %: down by 1
+        ((17, 12, 9), (19, 0, 0)),  # several episodes ended in one step
+        ((17, 9, 9), (17, 9, 9)),  # not yet
+        ((17, 9, 0), (17, 9, 0)),
+        ((17, 0, 0), (17, 0, 0)),
+        ((19, 10, 10), (20, 0, 0)),  # the highest
+        ((20, 10, 10), (20, 0, 0)),
+        ((15, 10, 0), (15, 0, 0)),  # the lowest
+    ],
+)
+def test_the_level_moves_at_its_thresholds_and_stays_in_its_limits(
+    before: tuple[int, int, int], after: tuple[int, int, int]
+) -> None:
+    assert decide(*before) == after
+
+
+def test_a_held_level_stays() -> None:
+    held = replace(CFG, raise_by=0, lower_by=0)
+    assert decide(17, 10, 10, held) == decide(17, 10, 0, held) == (17, 0, 0)
+
+
+HOVER = torch.tensor([-1.0, 0.0, 0.0, 0.0])
+"""Speed 0."""
+
+
+def rows_present(task: Task) -> list[int]:
+    return (task.env.gtd["obstacle_position"][..., 2] > -500.0).sum(dim=1).tolist()
+
+
+def test_the_number_of_obstacles_follows_the_successes_from_the_reset_in_which_they_are_counted() -> None:
+    """All episodes last 3 steps and succeed (any distance is near enough): 15, 17, 19, 20 rows, and no more."""
+    task = make(curriculum=replace(CFG, check_after=6), episode_len_steps=3, success_radius=100.0)
+    task.reset()
+    seen = [(int(task.env.gtd["curriculum_level"]), rows_present(task))]
+    for step in range(1, 13):
+        *_, info = task.step(HOVER.expand(6, 4))
+        assert info["successes"].all() == (step % 3 == 0)
+        if step % 3 == 0:
+            seen.append((int(task.env.gtd["curriculum_level"]), rows_present(task)))
+    assert [level for level, _ in seen] == [15, 17, 19, 20, 20]
+    assert [rows for _, rows in seen] == [[level] * 6 for level, _ in seen]
+    assert int(task.env.gtd["num_obstacles_in_env"]) == 20 - 9
+
+
+def test_failures_lower_it_and_the_difficulty_is_the_share_of_the_way() -> None:
+    task = make(curriculum=replace(CFG, check_after=6, start_level=17), episode_len_steps=2, success_radius=1e-3)
+    task.reset()
+    found = [float(task.state().difficulty)]
+    for _ in range(6):
+        task.step(HOVER.expand(6, 4))
+        found.append(float(task.state().difficulty))
+    assert found == pytest.approx([0.4, 0.4, 0.2, 0.2, 0.0, 0.0, 0.0])
+
+
+def test_a_reset_keeps_the_level_and_a_seed_begins_anew() -> None:
+    task = make(curriculum=replace(CFG, check_after=6), episode_len_steps=1, success_radius=100.0)
+    task.reset()
+    task.step(HOVER.expand(6, 4))
+    task.reset()
+    assert rows_present(task) == [17] * 6
+    task.reset(seed=0)
+    assert rows_present(task) == [15] * 6
+
+
+def test_a_state_continues_where_it_was() -> None:
+    task, other = (make(curriculum=replace(CFG, check_after=8), episode_len_steps=1) for _ in range(2))
+    task.reset()
+    task.step(HOVER.expand(6, 4))
+    assert task.curriculum is not None
+    assert other.curriculum is not None
+    state = task.curriculum.state()
+    assert state == {"level": 15, "finished": 6, "succeeded": 0}
+    other.curriculum.load(state | {"level": 18})
+    assert float(other.state().difficulty) == pytest.approx(0.6)
+    other.reset()
+    assert rows_present(other) == [18] * 6
+    other.step(HOVER.expand(6, 4))
+    assert other.curriculum.state() == {"level": 17, "finished": 0, "succeeded": 0}
+    with pytest.raises(ConfigError, match="curriculum level 30: must lie in 15 to 20"):
+        other.curriculum.load(state | {"level": 30})
+
+
+def test_a_level_of_the_users_own_is_held() -> None:
+    with task_registry.make_task("navigation_task", num_envs=2, device="cpu", level=30) as task:
+        assert task.cfg.curriculum is not None
+        assert (task.cfg.curriculum.raise_by, task.cfg.curriculum.lower_by) == (0, 0)
+        task.reset()
+        assert rows_present(task) == [30, 30]
+    with pytest.raises(ConfigError, match="start_level = 50: must lie in 15 to 44"):
+        task_registry.make_task("navigation_task", level=50)
+    with pytest.raises(ConfigError, match="level = 3: task position_setpoint_task has no curriculum"):
+        task_registry.make_task("position_setpoint_task", level=3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"min_level": 20}, "min_level = 20, max_level = 20: needs 0 <= min_level < max_level"),
+        ({"min_level": -1}, "min_level = -1"),
+        ({"check_after": 0}, "CurriculumCfg.check_after = 0: must be >= 1"),
+        ({"lower_below": 0.8}, "lower_below = 0.8, raise_above = 0.7: needs 0 <= lower_below <= raise_above <= 1"),
+        ({"raise_above": float("nan")}, "raise_above = nan"),
+        ({"raise_above": 1.1}, "raise_above = 1.1"),
+        ({"raise_by": -1}, "CurriculumCfg.raise_by = -1: must be >= 0"),
+        ({"lower_by": -2}, "CurriculumCfg.lower_by = -2: must be >= 0"),
+        ({"start_level": 14}, "CurriculumCfg.start_level = 14: must lie in 15 to 20"),
+    ],
+)
+def test_impossible_curricula_are_refused(changes: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        replace(CFG, **changes)
+
+
+def test_a_curriculum_must_fit_the_environment() -> None:
+    """Fifty rows where 44 exist, or fewer than are always kept, mean nothing."""
+    with pytest.raises(ConfigError, match="max_level = 50: this environment has 44 obstacle rows. Lower it"):
+        make(curriculum=replace(CFG, max_level=50))
+    with pytest.raises(ConfigError, match="min_level = 5: this environment always keeps 9 obstacle rows. Raise it"):
+        make(curriculum=replace(CFG, min_level=5))
+    with pytest.raises(ConfigError, match="curriculum: needs success_radius"):
+        replace(task_registry.get("navigation_task"), success_radius=None)
+
+
+def test_unknown_keys_of_a_curriculum_are_refused() -> None:
+    with pytest.raises(ConfigError, match="raise_over"):
+        build(CurriculumCfg, {"min_level": 1, "raise_over": 0.7}, where="a file")
+    assert isinstance(task_registry.get("navigation_task"), TaskCfg)

@@ -1,0 +1,333 @@
+"""The navigation task: its action, reward and observation by hand, its goals and starts, and how its episodes end."""
+
+from dataclasses import replace
+from math import cos, exp, pi, radians, sin, sqrt
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym import task_registry
+from aerial_gym.assets import ENVIRONMENTS, CollisionTest
+from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.math.quaternion import quat_from_euler
+from aerial_gym.rl_training import evaluate
+from aerial_gym.task import Task
+from aerial_gym.task.actions import forward_flight
+from aerial_gym.task.observations import TaskState, direction_vehicle, nearest_in_cells
+from aerial_gym.task.rewards import navigation
+from tests.unit.task.navigation import make
+
+CFG = task_registry.get("navigation_task")
+ROUNDING = 2e-6
+"""Of distances below 20 m in float32 [m]."""
+
+
+def noiseless() -> dict[str, object]:
+    return {"observations": tuple(replace(entry, noise_std=0.0) for entry in CFG.observations)}
+
+
+def state_at(
+    position: list[float],
+    *,
+    prev_distance: float,
+    actions: list[float] | None = None,
+    prev_actions: list[float] | None = None,
+    difficulty: float = 0.0,
+    euler: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    image: Tensor | None = None,
+    image_scale: tuple[float, float] = (10.0, 1.0),
+) -> TaskState:
+    """The target is the origin."""
+
+    def row(values: list[float]) -> Tensor:
+        return torch.tensor([values], dtype=torch.float64)
+
+    zero = [0.0] * 3
+    return TaskState(
+        target=row(zero),
+        position=row(position),
+        attitude=quat_from_euler(row(list(euler))),
+        lin_vel=row(zero),
+        lin_vel_body=row(zero),
+        ang_vel_body=row(zero),
+        actions=row(actions or [0.0] * 4),
+        prev_actions=row(prev_actions or actions or [0.0] * 4),
+        crashed=torch.zeros(1, dtype=torch.bool),
+        prev_distance=torch.tensor([prev_distance], dtype=torch.float64),
+        difficulty=torch.tensor(difficulty, dtype=torch.float64),
+        image=torch.zeros(1, 0, 0, 0) if image is None else image,
+        image_scale=torch.tensor(image_scale),
+    )
+
+
+def bells(d: float) -> float:
+    return 5.0 * exp(-d * d / 3.5) + 5.0 * exp(-2.0 * d * d)
+
+
+@pytest.mark.parametrize(
+    ("state", "expected"),
+    [
+        # at the goal, nothing moved, level 0: 5 + 5 + 20/20
+        (state_at([0.0, 0.0, 0.0], prev_distance=0.0), 11.0),
+        # half a metre away and 0.2 m closer than before: + 10 * 0.2
+        (state_at([0.3, 0.0, -0.4], prev_distance=0.7), bells(0.5) + 2.0 + 19.5 / 20),
+        # 0.2 m further than before: - 20 * 0.2
+        (state_at([0.3, 0.0, -0.4], prev_distance=0.3), bells(0.5) - 4.0 + 19.5 / 20),
+        # the same at the highest level: three times
+        (state_at([0.3, 0.0, -0.4], prev_distance=0.3, difficulty=1.0), 3.0 * (bells(0.5) - 4.0 + 19.5 / 20)),
+        # forward velocity changed by 1, upward by -1, yaw rate by 0.5, sideways does not count; level 0
+        (
+            state_at(
+                [0.0, 0.0, 0.0], prev_distance=0.0, actions=[2.0, 9.0, 0.0, 0.5], prev_actions=[1.0, 0.0, 1.0, 0.0]
+            ),
+            11.0 + 0.8 * (exp(-3.333) + exp(-5.0) + exp(-3.33 / 4) - 3.0),
+        ),
+        # half way up the levels: k = 2, and half of the penalties of the command's own size
+        (
+            state_at([0.0, 0.0, 0.0], prev_distance=0.0, actions=[1.0, 9.0, -1.0, 0.5], difficulty=0.5),
+            2.0 * 11.0 + 0.5 * (0.1 * (exp(-0.3) - 1.0) + 1.5 * (exp(-1.0) - 1.0) + 1.5 * (exp(-0.5) - 1.0)),
+        ),
+    ],
+)
+def test_reward_is_the_published_formula(state: TaskState, expected: float) -> None:
+    flying = navigation(state, CFG.reward_params, torch.tensor([False]))
+    assert flying.item() == pytest.approx(expected, rel=1e-6)  # 1/3.5 has 7 digits in the file
+    assert navigation(state, CFG.reward_params, torch.tensor([True])).item() == -100.0
+
+
+@pytest.mark.parametrize(
+    ("action", "command"),
+    [
+        ([-1.0, 0.7, 0.0, 0.5], [0.0, 0.0, 0.0, 0.0]),  # no speed
+        ([1.0, 0.0, 0.0, -0.5], [2.0, 0.0, 0.0, 0.0]),
+        ([0.0, 1.0, -1.0, 0.0], [sqrt(0.5), 0.0, sqrt(0.5), -pi / 3]),  # 1 m/s, 45 degrees up, to the right
+        ([5.0, -2.0, 3.0, 0.0], [sqrt(2.0), 0.0, -sqrt(2.0), pi / 3]),  # clamped
+    ],
+)
+def test_actions_are_speed_inclination_and_yaw_rate(action: list[float], command: list[float]) -> None:
+    found = forward_flight(torch.tensor([action]), CFG.action_params)
+    torch.testing.assert_close(found, torch.tensor([command]), rtol=1e-6, atol=1e-6)
+
+
+def test_the_robot_does_what_the_action_says() -> None:
+    """Half speed and a turn to the left: the robot goes forward at about 1 m/s and its yaw grows; commands are kept."""
+    task = make(3)
+    task.reset()
+    task.env.asset_manager.scene.asset_state[..., 2] = -1000.0
+    task.env.robot_manager.tensors.state.attitude.copy_(torch.tensor([0.0, 0.0, 0.0, 1.0]))
+    for _ in range(15):
+        task.step(torch.tensor([0.0, 0.0, 0.5, 0.0]).expand(3, 4))
+    gtd = task.env.gtd
+    torch.testing.assert_close(gtd["robot_actions"], torch.tensor([[1.0, 0.0, 0.0, pi / 6]] * 3))
+    assert (gtd["robot_body_angvel"][:, 2] > 0.4).all()
+    assert (gtd["robot_body_linvel"][:, 0] > 0.8).all()
+
+
+def test_direction_is_seen_from_the_heading_alone() -> None:
+    """Facing +y (yaw 90 degrees), whatever the tilt: a goal at -x is on the left, one below stays below."""
+    for tilt in (0.0, 0.4):
+        state = state_at([3.0, 0.0, 4.0], prev_distance=0.0, euler=(tilt, -tilt, radians(90.0)))
+        expected = torch.tensor([[0.0, 0.6, -0.8]], dtype=torch.float64)
+        torch.testing.assert_close(direction_vehicle(state), expected, rtol=0.0, atol=1e-9)
+    assert (direction_vehicle(state_at([0.0, 0.0, 0.0], prev_distance=0.0)) == 0.0).all()
+
+
+def test_cells_hold_the_smallest_distance_of_their_pixels() -> None:
+    """135 x 240 pixels: cells of 17 x 30, the last row of cells 16 high. Pixels without a distance do not count."""
+    image = 0.2 + 9.8 * torch.rand(2, 1, 135, 240, generator=torch.Generator().manual_seed(0))
+    image[:, :, ::5, ::7] = -1.0
+    image[1, 0, 119:, 210:] = -1.0  # the whole last cell
+    state = state_at([1.0, 0.0, 0.0], prev_distance=0.0, image=image, image_scale=(10.0, 0.25))
+    found = nearest_in_cells(state).view(2, 8, 8)
+    pixels = image[:, 0].numpy()
+    for env in range(2):
+        for row in range(8):
+            for column in range(8):
+                cell = pixels[env, 17 * row : 17 * row + 17, 30 * column : 30 * column + 30]
+                held = cell[cell >= 0.0]
+                expected = held.min() / 10.0 if held.size else 0.25
+                assert found[env, row, column] == pytest.approx(expected, rel=1e-6)
+    assert found[1, 7, 7] == 0.25
+
+
+def test_the_observation_is_laid_out_as_documented() -> None:
+    """13 numbers of the state, 4 of the command, 64 of the image, whose upper left cell comes first."""
+    task = make(3, camera=True, **noiseless())
+    obs, _ = task.reset()
+    obs, *_ = task.step(torch.tensor([0.2, -0.5, 0.3, 0.0]).expand(3, 4))
+    seen, gtd = obs["observations"], task.env.gtd
+    assert seen.shape == (3, 81)
+    assert task.observation_space["observations"].shape == (81,)
+    assert task.action_space.shape == (4,)
+    error = (task.target_position - gtd["robot_position"]).double()
+    yaw = gtd["robot_euler_angles"][:, 2].double()
+    forward = (torch.cos(yaw) * error[:, 0] + torch.sin(yaw) * error[:, 1]) / error.norm(dim=-1)
+    torch.testing.assert_close(seen[:, 0].double(), forward, rtol=0.0, atol=1e-5)
+    torch.testing.assert_close(seen[:, 3].double(), error.norm(dim=-1), rtol=0.0, atol=1e-5)
+    torch.testing.assert_close(seen[:, 4:6], gtd["robot_euler_angles"][:, :2], rtol=0.0, atol=1e-5)
+    assert (seen[:, 6] == 0.0).all()
+    assert torch.equal(seen[:, 7:10], gtd["robot_body_linvel"])
+    assert torch.equal(seen[:, 10:13], gtd["robot_body_angvel"])
+    speed, up = 1.2, radians(45.0) * -0.5
+    command = torch.tensor([speed * cos(up), 0.0, speed * sin(up), 0.3 * pi / 3])
+    torch.testing.assert_close(seen[:, 13:17], command.expand(3, 4), rtol=1e-5, atol=1e-6)
+    pixels = gtd["depth_range_pixels"][:, 0].numpy()
+    for index, block in ((17, np.s_[:, :17, :30]), (24, np.s_[:, :17, 210:]), (73, np.s_[:, 119:, :30])):
+        nearest = np.where(pixels[block] < 0.0, 10.0, pixels[block]).min(axis=(1, 2)) / 10.0
+        np.testing.assert_allclose(seen[:, index].numpy(), nearest, rtol=1e-6)
+
+
+def test_what_a_cell_without_a_distance_means_follows_from_the_sensor() -> None:
+    """The camera of the task marks far and near alike by -1: such a cell is far. A normalised one tells them apart."""
+    from aerial_gym.sensors import SENSORS
+
+    camera = SENSORS.get("base_depth_camera")
+    assert camera.far_pixel == camera.near_pixel == -1.0
+    assert make(1, camera=True).state().image_scale.tolist() == [10.0, 1.0]
+    assert make(1).state().image_scale.tolist() == [1.0, 1.0]
+
+
+def distance_at(task: Task, points: Tensor) -> Tensor:
+    """Return how far the robot's collision spheres would be from the scene at points (E, 3) [m]."""
+    num = len(points)
+    out, hit = torch.full((num,), float("nan")), torch.zeros(num, dtype=torch.bool)
+    upright = torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(num, 4).contiguous()
+    spheres = task.env.robot_manager.cfg.collision.spheres
+    CollisionTest(
+        task.env.asset_manager.scene, spheres, position=points, attitude=upright, distance_out=out, crashes_out=hit
+    ).measure()
+    return out
+
+
+@pytest.mark.parametrize("name", ENVIRONMENTS.names())
+def test_no_episode_starts_or_aims_inside_or_near_an_obstacle(name: str) -> None:
+    """1000 episodes in every environment; half of them begin in a masked reset within a step."""
+    task = make(250, env=name, curriculum=None, episode_len_steps=1)
+    clearance, low, high = ENVIRONMENTS.get(name).clearance, CFG.target_ratio_low, CFG.target_ratio_high
+    for episode in range(4):
+        if episode % 2 == 0:
+            task.reset()
+        else:
+            *_, terminated, truncated, _ = task.step(torch.tensor([-1.0, 0.0, 0.0, 0.0]).expand(250, 4))
+            assert (terminated | truncated).all()
+        goal = task.target_position
+        assert (distance_at(task, goal) >= clearance - ROUNDING).all()
+        assert (task.env.gtd["robot_clearance"] >= clearance - ROUNDING).all()
+        now = distance_at(task, task.env.gtd["robot_position"].clone())  # also of what made room for the goal
+        torch.testing.assert_close(task.env.gtd["robot_clearance"], now, rtol=0.0, atol=ROUNDING)
+        lower, upper = task.env.gtd["env_bounds_min"], task.env.gtd["env_bounds_max"]
+        share = (goal - lower) / (upper - lower)
+        assert low is not None
+        assert high is not None
+        least, most = torch.tensor(low), torch.tensor(high)
+        assert ((share >= least - 1e-5) & (share <= most + 1e-5)).all()
+        assert (share.std(dim=0) > 0.2 * (most - least)).all()  # uniform has 0.29
+
+
+def test_without_room_some_goals_are_blocked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The test above can fail."""
+    task = make(250, env="env_with_lidar_nav_obstacles", curriculum=None)
+    monkeypatch.setattr(task.env.asset_manager, "clear_goal", lambda mask, position: None)
+    task.reset()
+    assert (distance_at(task, task.target_position) < 0.4).sum() > 10
+
+
+def test_goals_of_running_episodes_stay_and_new_ones_differ() -> None:
+    """In bounds that are the same in every episode."""
+    task = make(8, env="forest_env", curriculum=None)
+    task.reset()
+    task.env.gtd["sim_steps"][::2] = task.cfg.episode_len_steps - 1
+    before = task.target_position.clone()
+    obstacles = task.env.gtd["obstacle_position"].clone()
+    task.step(torch.tensor([-1.0, 0.0, 0.0, 0.0]).expand(8, 4))
+    assert torch.equal(task.target_position[1::2], before[1::2])
+    assert (task.target_position[::2] != before[::2]).any(dim=-1).all()
+    assert torch.equal(task.env.gtd["obstacle_position"][1::2], obstacles[1::2])
+
+
+def test_progress_counts_within_an_episode_only() -> None:
+    """After a step, and after the reset in it, the distance before is that of the state from which the next one starts."""
+    task = make(8, episode_len_steps=3)
+    task.reset()
+    for _ in range(4):
+        now = (task.target_position - task.env.gtd["robot_position"]).norm(dim=-1)
+        assert torch.equal(task.state().prev_distance, now)
+        _, reward, *_ = task.step(torch.tensor([0.0, 0.0, 0.0, 0.0]).expand(8, 4))
+        assert (reward.abs() < 10.0).all()  # a jump of metres would weigh 10 or 20 each
+
+
+def test_each_episode_ends_as_success_crash_or_timeout() -> None:
+    task = make(4, episode_len_steps=2)
+    task.reset()
+    state, stay = task.env.robot_manager.tensors.state, torch.tensor([-1.0, 0.0, 0.0, 0.0]).expand(4, 4)
+    task.step(stay)
+    state.lin_vel.zero_()
+    state.position[0] = task.target_position[0] - torch.tensor([0.0, 0.6, 0.0])  # there
+    state.position[1] = task.env.gtd["obstacle_position"][1, 0]  # inside a panel
+    state.position[2] = task.target_position[2]
+    task.env.gtd["sim_steps"][2] = 0  # there, but the episode goes on
+    _, reward, terminated, truncated, info = task.step(stay)
+    assert info["successes"].tolist() == [True, False, False, False]
+    assert info["crashes"].tolist() == terminated.tolist() == [False, True, False, False]
+    assert info["timeouts"].tolist() == [False, False, False, True]
+    assert truncated.tolist() == info["time_outs"].tolist() == [True, False, False, True]
+    assert reward[1] == -100.0
+    assert task.env.gtd["sim_steps"].tolist() == [0, 0, 1, 0]
+
+
+def test_the_same_seed_gives_the_same_episodes() -> None:
+    a, b, other = (make(3, seed=seed, camera=True, episode_len_steps=4) for seed in (1, 1, 2))
+    found = []
+    for task in (a, b, other):
+        rows = [task.reset()[0]["observations"]]
+        for step in range(6):
+            rows.append(task.step(torch.full((3, 4), 0.1 * step))[0]["observations"])
+        found.append(torch.stack(rows))
+    assert torch.equal(found[0], found[1])
+    assert (found[0][0] != found[2][0]).any(dim=-1).all()
+    rows = []
+    for _ in range(2):
+        rows.append([a.reset(seed=5)[0]["observations"]])
+        rows[-1] += [a.step(torch.full((3, 4), 0.1 * step))[0]["observations"] for step in range(6)]
+    assert torch.equal(*(torch.stack(each) for each in rows))
+
+
+def test_evaluation_tells_successes_crashes_and_timeouts_apart() -> None:
+    """Robots that stay time out, unless everywhere is near enough; what flies full speed ahead meets the far wall."""
+    stay, ahead = (torch.tensor([speed, 0.0, 0.0, 0.0]) for speed in (-1.0, 1.0))
+    short = evaluate(lambda obs: stay.expand(len(obs), 4), make(6, episode_len_steps=4))
+    assert (short.success_rate, short.crash_rate, short.timeout_rate) == (0.0, 0.0, 1.0)
+    assert short.success_radius_m == 1.0
+    near = evaluate(lambda obs: stay.expand(len(obs), 4), make(6, episode_len_steps=4, success_radius=100.0))
+    assert (near.success_rate, near.crash_rate, near.timeout_rate) == (1.0, 0.0, 0.0)
+    long = evaluate(lambda obs: ahead.expand(len(obs), 4), make(6))
+    assert long.crash_rate > 0.5
+    assert long.success_rate + long.crash_rate + long.timeout_rate == pytest.approx(1.0)
+
+
+def test_tasks_that_do_not_fit_together_are_refused() -> None:
+    with pytest.raises(ConfigError, match="term 'nearest_in_cells': robot base_quadrotor has no camera or lidar"):
+        make(1, camera=True, robot="base_quadrotor")
+    with pytest.raises(UnknownNameError, match="no action 'backward_flight'. Known: direct, forward_flight"):
+        make(1, action="backward_flight")
+    with pytest.raises(ConfigError, match="action forward_flight: numbers"):
+        make(1, action_params={"max_speed": 2.0})
+    hover = {name: getattr(task_registry.get("position_setpoint_task"), name) for name in ("reward", "reward_params")}
+    with pytest.raises(ConfigError, match=r"forward_flight: gives vx .*; controller lee_attitude_control takes thrust"):
+        make(1, controller="lee_attitude_control", **hover)
+    with pytest.raises(
+        ConfigError, match=r"reward navigation: is about vx .*; controller lee_attitude_control takes thrust"
+    ):
+        make(1, controller="lee_attitude_control", action="direct", action_params={})
+    for low, high, message in (
+        (None, CFG.target_ratio_high, "give both"),
+        ((0.95, 0.1, 0.1), CFG.target_ratio_high, "0 <= low <= high <= 1"),
+        ((-0.1, 0.1, 0.1), CFG.target_ratio_high, "0 <= low <= high <= 1"),
+        (CFG.target_ratio_low, (0.94, 0.88, float("nan")), "0 <= low <= high <= 1"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            replace(CFG, target_ratio_low=low, target_ratio_high=high)
+    with pytest.raises(ConfigError, match=r"success_radius = 0.0: must be > 0"):
+        replace(CFG, success_radius=0.0)
