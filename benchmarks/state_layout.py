@@ -16,6 +16,8 @@ import time
 import torch
 import warp as wp
 
+from aerial_gym.config.sim import STANDARD_GRAVITY
+
 LAUNCHES = 20
 REPEATS = 5
 
@@ -83,7 +85,7 @@ def _step(
 def make_plant() -> Plant:
     """Return the numbers of base_quadrotor with some drag."""
     plant = Plant()
-    plant.mass, plant.gravity, plant.drag, plant.tau = 0.25, 9.81, 0.05, 0.04
+    plant.mass, plant.gravity, plant.drag, plant.tau = 0.25, STANDARD_GRAVITY, 0.05, 0.04
     plant.inertia = wp.mat33(8.45e-4, 0.0, 0.0, 0.0, 8.45e-4, 0.0, 0.0, 0.0, 1.69e-3)
     plant.inertia_inverse = wp.inverse(plant.inertia)
     plant.thrust_coeff, plant.torque_ratio, plant.lever = 3.485449e-7, 0.01, 0.13

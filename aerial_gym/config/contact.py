@@ -4,10 +4,8 @@ from dataclasses import dataclass
 from math import inf, isnan
 
 from aerial_gym.config.robot import require_positive
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
-
-STANDARD_WEIGHT = 9.81
-"""Weight per mass [N/kg] for which the sinking depth is stated, whatever gravity a sim has."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +37,7 @@ class ContactCfg:
     @property
     def stiffness(self) -> float:
         """Spring constant per mass of the robot [1/s²]."""
-        return STANDARD_WEIGHT / self.sinking
+        return STANDARD_GRAVITY / self.sinking
 
     @property
     def damping(self) -> float:

@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 from aerial_gym.config.robot import require_finite, require_positive
 
+STANDARD_GRAVITY = 9.81
+"""Downward acceleration of free fall [m/s²] where a sim or a flight does not say another."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SimCfg:
@@ -15,7 +18,7 @@ class SimCfg:
     dt: float
     """Physics step [s], > 0; the controller runs at this rate."""
 
-    gravity: float = 9.81
+    gravity: float = STANDARD_GRAVITY
     """Downward acceleration of free fall [m/s²]."""
 
     integrator: str = "euler"

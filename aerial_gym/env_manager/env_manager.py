@@ -17,6 +17,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import make_controller
 from aerial_gym.errors import ConfigError
+from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.robots import RobotManager
 from aerial_gym.sensors import SENSORS, Imu, SensorManager
@@ -147,7 +148,7 @@ class EnvManager:
             dt=self.dt,
             gravity=self.sim_cfg.gravity,
             seed=self.seed,
-            errors=self.robot_manager.model.imu,
+            errors=self.robot_manager.model.effects[ImuEffect],
         )
 
     @property

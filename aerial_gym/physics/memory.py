@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.random import counted_state
-from aerial_gym.physics.effects import Effect, Moment
+from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect, LoadEffect, Moment
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import held_command
 
@@ -27,7 +27,7 @@ class Memory:
     """Numbers right after a reset, (sum of M,)."""
 
     numbers: Tensor
-    """Of the effects in the order of ``Model.forces``, (E, sum of M)."""
+    """Of the effects in the order of ``EffectsByKind.forces``, (E, sum of M)."""
 
     past: Tensor
     """Commands of the control law [rad/s], newest first, (E, S, R); S is 0 without a delay."""
@@ -48,14 +48,14 @@ class Memory:
 
 def num_past_commands(model: Model, dt: float) -> int:
     """Return how many commands S must be remembered for substeps of ``dt`` [s]: the longest delay ends between two of them."""
-    return ceil(model.longest_delay / dt - 1e-9) + 2 if model.delays else 0
+    return ceil(model.longest_delay / dt - 1e-9) + 2 if model.effects[DelayEffect] else 0
 
 
 def make_memory(model: Model, dt: float, *, seed: int = 0) -> Memory:
     """Return the memory of environments that have just been reset."""
     mass, vehicle = model.vehicle.mass, model.vehicle
     counts = torch.zeros(2, vehicle.num_envs, dtype=torch.int32, device=mass.device)
-    fresh = [number for effect, _ in model.forces for number in effect.fresh_memory(vehicle.num_rotors)]
+    fresh = [number for effect, _ in model.effects.forces for number in effect.fresh_memory(vehicle.num_rotors)]
     initial = mass.new_tensor(fresh)
     return Memory(
         initial=initial,
@@ -79,7 +79,7 @@ def forget(memory: Memory, mask: Tensor) -> Memory:
 def _places(model: Model) -> Iterator[tuple[Effect, Tensor, slice]]:
     """Yield every effect with its parameters and the place of its numbers."""
     first = 0
-    for effect, params in model.forces:
+    for effect, params in model.effects.forces:
         width = len(effect.fresh_memory(model.vehicle.num_rotors))
         yield effect, params, slice(first, first + width)
         first += width
@@ -105,7 +105,7 @@ def begin_substep(
         for effect, params, place in _places(model)
     ]
     model, memory = _with_numbers(model, numbers), replace(memory, numbers=torch.cat(numbers, dim=-1))
-    if not model.delays:
+    if not model.effects[DelayEffect]:
         return model, _led_to(model, command), memory
     memory = replace(memory, past=torch.cat((command.unsqueeze(1), memory.past[:, :-1]), dim=1))
     return model, _delayed(model, memory, rotor_speed, dt), memory
@@ -113,23 +113,26 @@ def begin_substep(
 
 def _with_numbers(model: Model, numbers: list[Tensor]) -> Model:
     """Return the model with what each effect remembers, (E, M), behind its parameters; a load keeps its parameters alone."""
-    rest, kept = iter(numbers), {}
-    for kind in ("winds", "rotors", "wrenches", "commands"):
-        effects = getattr(model, kind)
-        kept[kind] = tuple((effect, torch.cat((params, next(rest)), dim=-1)) for effect, params in effects)
-    return replace(model, **kept)
+    remembered = {effect.name: own for (effect, _), own in zip(model.effects.forces, numbers, strict=True)}
+
+    def joined(effect: Effect, params: Tensor) -> Tensor:
+        if effect.kind is LoadEffect or effect.name not in remembered:
+            return params
+        return torch.cat((params, remembered[effect.name]), dim=-1)
+
+    return replace(model, effects=model.effects.with_params(joined))
 
 
 def _led_to(model: Model, command: Tensor) -> Tensor:
     """Return the speeds (E, R) to which commands lead the rotors."""
-    for effect, values in model.commands:
+    for effect, values in model.effects[CommandEffect]:
         command = effect.command(command, model.vehicle, values)
     return command
 
 
 def _delayed(model: Model, memory: Memory, rotor_speed: Tensor, dt: float) -> Tensor:
     """Return the held command that does the same as those which arrive during the substep, (E, R)."""
-    effect, params = model.delays[0]
+    effect, params = model.effects[DelayEffect][0]
     substeps = (effect.delay(params) / dt).clamp(0.0, float(memory.past.shape[1] - 2))
     whole = substeps.detach().floor()
     arriving = []
@@ -144,7 +147,7 @@ def _delayed(model: Model, memory: Memory, rotor_speed: Tensor, dt: float) -> Te
 
 def load_of(model: Model, memory: Memory) -> Tensor:
     """Return direction and rate of the link of the load, (E, 6), or (E, 0) without one."""
-    width = sum(len(effect.memory) for effect, _ in model.loads)
+    width = sum(len(effect.memory) for effect, _ in model.effects[LoadEffect])
     return memory.numbers[:, memory.numbers.shape[1] - width :]
 
 

@@ -11,28 +11,18 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.physics.effects import (
     EFFECTS,
-    CommandEffect,
     DelayEffect,
-    Effect,
-    ImuEffect,
+    EffectParams,
+    EffectsByKind,
     LearnedResidual,
     LoadEffect,
-    RotorEffect,
-    RotorSensorEffect,
     VehicleEffect,
-    WindEffect,
-    WrenchEffect,
 )
 from aerial_gym.physics.vehicle import Vehicle, is_shared, share_row
-
-STANDARD_GRAVITY = 9.81
-"""Gravity of the registered sims [m/s²]."""
-
-EffectParams = tuple[Effect, Tensor]
-"""An effect and its parameters, (E, P)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,29 +35,8 @@ class Model:
     inertia_inverse: Tensor
     """Inverse of the inertia [1/(kg m²)], (E, 3, 3)."""
 
-    winds: tuple[tuple[WindEffect, Tensor], ...]
-    """Effects that move the air."""
-
-    rotors: tuple[tuple[RotorEffect, Tensor], ...]
-    """Effects that change the thrust of the rotors."""
-
-    wrenches: tuple[tuple[WrenchEffect, Tensor], ...]
-    """Effects that push and turn the body."""
-
-    commands: tuple[tuple[CommandEffect, Tensor], ...]
-    """Effects between commands and the speeds to which they lead the rotors."""
-
-    delays: tuple[tuple[DelayEffect, Tensor], ...]
-    """The effect by which commands act late; one at most."""
-
-    loads: tuple[tuple[LoadEffect, Tensor], ...]
-    """The body that hangs on the vehicle; one at most."""
-
-    imu: tuple[tuple[ImuEffect, Tensor], ...]
-    """Errors of the inertial sensors, in the order in which they act."""
-
-    rotor_sensors: tuple[tuple[RotorSensorEffect, Tensor], ...]
-    """Errors of the sensors of rotor speed."""
+    effects: EffectsByKind
+    """All of them by kind; those on the vehicle's parameters are in ``vehicle`` already."""
 
     gravity: float
     """Downward acceleration of free fall [m/s²]."""
@@ -82,19 +51,9 @@ class Model:
     """Another vehicle, whose wake streams down [m], world, (E, 3)."""
 
     @property
-    def forces(self) -> tuple[EffectParams, ...]:
-        """Effects that act in every step: winds, rotors, wrenches, commands, delays, loads."""
-        return (*self.winds, *self.rotors, *self.wrenches, *self.commands, *self.delays, *self.loads)
-
-    @property
-    def remembering(self) -> tuple[str, ...]:
-        """Names of the effects with memory of their own."""
-        return tuple(effect.name for effect, _ in self.forces if effect.remembers)
-
-    @property
     def longest_delay(self) -> float:
         """Span of which commands must be remembered [s]."""
-        return max((effect.longest for effect, _ in self.delays), default=0.0)
+        return max((effect.longest for effect, _ in self.effects[DelayEffect]), default=0.0)
 
 
 def build_model(
@@ -134,14 +93,7 @@ def build_model(
     return Model(
         vehicle=vehicle,
         inertia_inverse=_inverse(vehicle.inertia),
-        winds=tuple((effect, params) for effect, params in effects if isinstance(effect, WindEffect)),
-        rotors=tuple((effect, params) for effect, params in effects if isinstance(effect, RotorEffect)),
-        wrenches=tuple((effect, params) for effect, params in effects if isinstance(effect, WrenchEffect)),
-        commands=tuple((effect, params) for effect, params in effects if isinstance(effect, CommandEffect)),
-        delays=tuple((effect, params) for effect, params in effects if isinstance(effect, DelayEffect)),
-        loads=tuple((effect, params) for effect, params in effects if isinstance(effect, LoadEffect)),
-        imu=tuple((effect, params) for effect, params in effects if isinstance(effect, ImuEffect)),
-        rotor_sensors=tuple((effect, params) for effect, params in effects if isinstance(effect, RotorSensorEffect)),
+        effects=EffectsByKind(effects),
         gravity=gravity,
         ground_height=ground_height,
         ceiling_height=ceiling_height,
@@ -156,7 +108,7 @@ def _check_scene(effects: Sequence[EffectParams], ceiling_height: float | Tensor
                 f"effect {effect.name}: there is no ceiling. Give ceiling_height [m] in the environment file"
             )
     for kind, what in ((LoadEffect, "load"), (DelayEffect, "delay")):
-        names = [effect.name for effect, _ in effects if isinstance(effect, kind)]
+        names = [effect.name for effect, _ in effects if effect.kind is kind]
         if len(names) > 1:
             raise ConfigError(f"effects {names[0]} and {names[1]}: a vehicle has one {what} at most. Drop one of them")
 

@@ -14,11 +14,22 @@ from torch import Tensor
 from aerial_gym.errors import CapabilityError
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse, quat_to_matrix
 from aerial_gym.math.short import dot
-from aerial_gym.physics.effects import Condition, Suspension
+from aerial_gym.physics.effects import (
+    Condition,
+    Effect,
+    LoadEffect,
+    RotorEffect,
+    Suspension,
+    WindEffect,
+    WrenchEffect,
+)
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import evaluate_map, rotor_wrench
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import is_shared
+
+_FORCES = (WindEffect, RotorEffect, WrenchEffect, LoadEffect)
+"""Kinds on which the acceleration in a state depends."""
 
 
 def multiply_rows(matrix: Tensor, vector: Tensor) -> Tensor:
@@ -30,7 +41,7 @@ def multiply_rows(matrix: Tensor, vector: Tensor) -> Tensor:
 
 def air_velocity(model: Model, position: Tensor, attitude: Tensor, com_vel: Tensor) -> Tensor:
     """Return the velocity of the centre of mass through the air [m/s], body, (E, 3): ``R^T (v_c - wind)``."""
-    for effect, params in model.winds:
+    for effect, params in model.effects[WindEffect]:
         com_vel = com_vel - effect.wind(position, params)
     return quat_rotate_inverse(attitude, com_vel)
 
@@ -56,7 +67,7 @@ def body_wrench(
         rotor_acc: Angular accelerations of the rotors [rad/s²], (E, R).
     """
     vehicle = model.vehicle
-    if not model.rotors and not model.wrenches:
+    if not model.effects[RotorEffect] and not model.effects[WrenchEffect]:
         thrust, drag = evaluate_map(vehicle.thrust_map, rotor_speed), evaluate_map(vehicle.torque_map, rotor_speed)
         return rotor_wrench(vehicle, thrust, drag)
     return _wrench_in(model, _condition_in(model, position, attitude, com_vel, ang_vel, rotor_speed, rotor_acc))
@@ -101,11 +112,11 @@ def _condition_in(
 def _wrench_in(model: Model, condition: Condition) -> tuple[Tensor, Tensor]:
     """Return all force but gravity [N] and torque about the centre of mass [N m], body, each (E, 3)."""
     vehicle, drag = model.vehicle, evaluate_map(model.vehicle.torque_map, condition.rotor_speed)
-    more = [effect.thrust(condition, params) for effect, params in model.rotors]
+    more = [effect.thrust(condition, params) for effect, params in model.effects[RotorEffect]]
     thrust = sum(more, condition.rotor_thrust)
     force, torque = rotor_wrench(vehicle, thrust, drag)
     condition = condition.with_thrust(thrust)
-    for effect, params in model.wrenches:
+    for effect, params in model.effects[WrenchEffect]:
         wrench = effect.wrench(condition, params)
         force, torque = force + wrench[:, :3], torque + wrench[:, 3:]
     return force, torque
@@ -140,7 +151,7 @@ def with_load(
         Derived: a force F at the origin o, at r = -c from the centre of mass, gives ``a_o = a + (1/m - [r] J^-1 [r]) F``.
     """
     swing = load[:, :0]
-    for effect, params in model.loads:
+    for effect, params in model.effects[LoadEffect]:
         lever = -model.vehicle.com
         cross = _skew(lever)
         rotation = quat_to_matrix(attitude)
@@ -170,13 +181,10 @@ def _skew(vector: Tensor) -> Tensor:
 def _with_memory(model: Model, remembered: Mapping[str, Tensor]) -> Model:
     """Return the model with what effects remember behind their parameters."""
 
-    def joined(effects: tuple) -> tuple:
-        return tuple(
-            (effect, torch.cat((params, remembered[effect.name]), dim=-1) if effect.name in remembered else params)
-            for effect, params in effects
-        )
+    def joined(effect: Effect, params: Tensor) -> Tensor:
+        return torch.cat((params, remembered[effect.name]), dim=-1) if effect.name in remembered else params
 
-    return replace(model, winds=joined(model.winds), rotors=joined(model.rotors), wrenches=joined(model.wrenches))
+    return replace(model, effects=model.effects.with_params(joined))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,8 +224,9 @@ def accelerations(
     """
     if remembered:
         model = _with_memory(model, remembered)
-    for effect, _ in (*model.winds, *model.rotors, *model.wrenches, *(model.loads if load is None else ())):
-        if effect.remembers and effect.name not in (remembered or ()):
+    told = {*(remembered or ()), *(effect.name for effect, _ in model.effects[LoadEffect] if load is not None)}
+    for effect, _ in model.effects.forces:
+        if effect.kind in _FORCES and effect.remembers and effect.name not in told:
             raise CapabilityError(
                 f"effect {effect.name}: has memory, so a single state does not tell its force. Fly it with a backend instead"
             )

@@ -38,7 +38,7 @@ def advance(
         dt: Length of one substep [s].
         substeps: How many.
     """
-    memory = make_memory(model, dt) if model.remembering else None
+    memory = make_memory(model, dt) if model.effects.remembering else None
     return advance_remembering(model, stepper, control, state, command, dt, substeps, memory)[0]
 
 
@@ -126,7 +126,7 @@ class TorchBackend:
 
     def _memory_for(self, dt: float) -> Memory | None:
         """Return the memory, made anew where substeps of another length need another number of commands."""
-        if not self._model.remembering:
+        if not self._model.effects.remembering:
             return None
         if self._memory is None or self._memory.past.shape[1] != num_past_commands(self._model, dt):
             self._memory = make_memory(self._model, dt, seed=self._seed)

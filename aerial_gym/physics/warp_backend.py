@@ -14,20 +14,7 @@ from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop import launch_side_by_side, on_torch_stream, split, start_warp
 from aerial_gym.physics.backend import BACKENDS, Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
-from aerial_gym.physics.effects import (
-    EFFECTS,
-    CommandEffect,
-    DelayEffect,
-    ImuEffect,
-    LearnedResidual,
-    LoadEffect,
-    RotorEffect,
-    RotorSensorEffect,
-    VehicleEffect,
-    WindEffect,
-    WrenchEffect,
-)
-from aerial_gym.physics.effects.base import Effect
+from aerial_gym.physics.effects import EFFECTS, Effect, LearnedResidual
 from aerial_gym.physics.fused.command import NoGains
 from aerial_gym.physics.fused.contact import contact_parameters
 from aerial_gym.physics.fused.dynamics import STAGES
@@ -57,25 +44,6 @@ BLOCK_DIM = 128
 
 MIN_STEPS_PER_THREAD = 4096
 """Substeps of environments below which another CPU thread costs more than it saves (a hand-over takes some 50 µs)."""
-
-
-def has_warp_twin(effect: Effect) -> bool:
-    """Return whether an effect can run in the fused kernel."""
-    if type(effect).remember is not Effect.remember and type(effect).warp_remember is Effect.warp_remember:
-        return False
-    if isinstance(effect, LoadEffect):
-        return type(effect).warp_pull is not LoadEffect.warp_pull
-    if isinstance(effect, DelayEffect):
-        return type(effect).warp_delay is not DelayEffect.warp_delay
-    if isinstance(effect, CommandEffect):
-        return type(effect).warp_command is not CommandEffect.warp_command
-    if isinstance(effect, WindEffect):
-        return type(effect).warp_wind is not WindEffect.warp_wind
-    if isinstance(effect, RotorEffect):
-        return type(effect).warp_thrust is not RotorEffect.warp_thrust
-    if isinstance(effect, WrenchEffect):
-        return type(effect).warp_wrench is not WrenchEffect.warp_wrench
-    return isinstance(effect, (VehicleEffect, ImuEffect, RotorSensorEffect))  # they cost nothing in a step
 
 
 class _GroundArrays(NamedTuple):
@@ -124,7 +92,7 @@ class WarpBackend:
         )
 
     def _can_run(self, effect: Effect) -> bool:
-        return has_warp_twin(effect) and not (self._differentiable and effect.remembers)
+        return effect.has_twin and not (self._differentiable and effect.remembers)
 
     def allocate(self, model: Model, control: ControlLaw, *, integrator: str, ground: Ground | None = None) -> None:
         """Compose the kernel and make the buffers.
@@ -134,12 +102,12 @@ class WarpBackend:
         """
         if integrator not in STAGES:
             raise CapabilityError(f"backend warp: no integrator {integrator!r}. Known: {', '.join(STAGES)}")
-        for effect, _ in model.forces:
-            if not has_warp_twin(effect):
+        for effect, _ in model.effects.forces:
+            if not effect.has_twin:
                 raise CapabilityError(f"backend warp: cannot run effect {effect.name!r}. Use backend 'torch'.")
-        if self._differentiable and model.remembering:
+        if self._differentiable and model.effects.remembering:
             raise CapabilityError(
-                f"backend warp: a differentiable rollout cannot run effect {model.remembering[0]!r}, which has memory. "
+                f"backend warp: a differentiable rollout cannot run effect {model.effects.remembering[0]!r}, which has memory. "
                 "Use backend 'torch'."
             )
         if isinstance(model.ground_height, torch.Tensor) or isinstance(model.ceiling_height, torch.Tensor):
@@ -250,7 +218,7 @@ class WarpBackend:
 
     def _arrange_memory(self, dt: float) -> None:
         """Make the memory of the effects, unless there is one that fits; neighbouring environments side by side, (M, E)."""
-        if not self._model.remembering:
+        if not self._model.effects.remembering:
             self._memory_arrays = NoMemory()
             return
         self._memory_arrays = arrays = MemoryArrays()

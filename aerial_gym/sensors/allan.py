@@ -16,14 +16,12 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.imu import ImuCfg, load_imu
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import AerialGymError, ShapeError
 from aerial_gym.sensors.imu import Imu
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-STANDARD_GRAVITY = 9.81
-"""Gravity of the registered sims [m/s²]."""
 
 
 def allan_deviation(samples: Tensor, dt: float) -> tuple[Tensor, Tensor]:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control.allocation import allocation_matrix
 from aerial_gym.physics import vehicle_from_config
-from aerial_gym.physics.model import STANDARD_GRAVITY
 from aerial_gym.physics.rotors import speed_for_thrust
 from aerial_gym.sim2real.checks import body_rate_of
 from aerial_gym.sim2real.flights import Flight

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
-from aerial_gym.physics.model import STANDARD_GRAVITY
 from aerial_gym.sim2real.flight_log import FlightLog
 from aerial_gym.sim2real.kinematics import kinematic_agreement
 from aerial_gym.sim2real.mapping import UNITS

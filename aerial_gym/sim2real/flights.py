@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.physics import vehicle_from_config
-from aerial_gym.physics.model import STANDARD_GRAVITY
 from aerial_gym.physics.rotors import evaluate_map, rotor_wrench
 from aerial_gym.sim2real.checks import body_rate_of, check_log, check_quaternion_norm, check_time, rate_of
 from aerial_gym.sim2real.flight_log import FlightLog, read_flight_log

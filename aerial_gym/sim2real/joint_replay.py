@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from torch import Tensor
 
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.physics import Vehicle
 from aerial_gym.physics.effects.arm_joint import TAU, ArmJoint
-from aerial_gym.physics.model import STANDARD_GRAVITY
 from aerial_gym.physics.rotors import evaluate_map
 from aerial_gym.sim2real.flights import Flight
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from aerial_gym.physics.model import STANDARD_GRAVITY
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.sim2real.flight_log import FlightLog
 from aerial_gym.sim2real.signals import edge_rows, lowpass
 

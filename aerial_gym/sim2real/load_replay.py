@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from torch import Tensor
 
-from aerial_gym.physics.model import STANDARD_GRAVITY, Model
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.physics.effects import LoadEffect
+from aerial_gym.physics.model import Model
 from aerial_gym.sim2real.flights import DERIVED_BAND, Flight
 from aerial_gym.sim2real.load_swing import swing
 from aerial_gym.sim2real.signals import lowpass
@@ -97,7 +99,7 @@ class LoadReplay:
             missed: Specific force that the model without the load leaves unexplained at these times [m/s²], world,
                 (rows, 3) of each flight. None: the link hangs still at the start.
         """
-        effect, params = model.loads[0]
+        effect, params = model.effects[LoadEffect][0]
         felt = None if missed is None else self._at_steps(times, missed)
         key = (effect.name, model.gravity, *params[0].tolist(), None if felt is None else felt.numpy().tobytes())
         if key not in self._results:
@@ -139,7 +141,7 @@ class LoadReplay:
 
     def _find_start(self, model: Model, missed: Tensor) -> Tensor:
         """Return the links at the start, (F, 6), whose swing pulls as ``missed`` (K + 1, F, 3) [m/s²] says."""
-        effect, params = model.loads[0]
+        effect, params = model.effects[LoadEffect][0]
         num_flights, moved = len(self._spans), torch.zeros(5, len(self._spans), 4, dtype=torch.float64)
         moved[1:] += NUDGE * torch.eye(4, dtype=torch.float64).unsqueeze(1)
         weight = self._inside.unsqueeze(-1) / FORCE_STD  # (K + 1, F, 1)

@@ -14,6 +14,9 @@ from aerial_gym.errors import ConfigError, UnknownNameError
 MAPPING_DIR = Path(__file__).parent / "mappings"
 """Folder of the mappings that come with the package."""
 
+UNIT_G = 9.80665
+"""The unit g [m/s²], exact whatever gravity a place has: BIPM (2019), The SI, table 8."""
+
 UNITS: dict[str, float] = {
     "si": 1.0,
     "ms": 1e-3,
@@ -22,11 +25,11 @@ UNITS: dict[str, float] = {
     "mm": 1e-3,
     "cm": 1e-2,
     "deg/s": 0.017453292519943295,
-    "g": 9.80665,
+    "g": UNIT_G,
     "rpm": 0.10471975511965977,
     "rev/s": 6.283185307179586,
 }
-"""What a value in that unit is multiplied by to be SI. ``g``: standard gravity, BIPM (2019), The SI, table 8."""
+"""What a value in that unit is multiplied by to be SI."""
 
 BODY_FRAMES = ("flu", "frd")
 WORLD_FRAMES = ("enu", "ned")

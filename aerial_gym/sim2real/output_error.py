@@ -167,9 +167,9 @@ def impossible(predictor: Predictor, selection: Selection) -> str:
         return "no effect is accepted"
     if any(flight.lin_vel is None or flight.attitude_integrated for flight in flights):
         return "the logs have no velocity and attitude to compare rollouts with"
-    if any(isinstance(EFFECTS.get(name), LoadEffect) for name in selection.final.fit.point.effects):
+    if any(EFFECTS.get(name).kind is LoadEffect for name in selection.final.fit.point.effects):
         return "where a slung load hangs at the start of a window is not logged"
-    if all(isinstance(EFFECTS.get(name), ImuEffect) for name in names):
+    if all(EFFECTS.get(name).kind is ImuEffect for name in names):
         return "errors of the inertial sensors change no rollout"
     return ""
 

@@ -21,6 +21,7 @@ from scipy import ndimage
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.physics import (
@@ -38,12 +39,13 @@ from aerial_gym.physics.effects import (
     LearnedResidual,
     LoadEffect,
     RotorEffect,
+    RotorSensorEffect,
     WindEffect,
     WrenchEffect,
 )
 from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.physics.effects.learned_residual import felt_inputs
-from aerial_gym.physics.model import STANDARD_GRAVITY, EffectParams, Model
+from aerial_gym.physics.model import EffectParams, Model
 from aerial_gym.sim2real.checks import body_rate_of
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.joint_replay import joint_angles
@@ -83,10 +85,10 @@ UNITS = {
 KINEMATIC = ("kinematic_force", "kinematic_rate")
 """Kinds that need no dynamics."""
 
-FORCES = RotorEffect | WrenchEffect | LoadEffect | ImuEffect
+FORCES = (RotorEffect, WrenchEffect, LoadEffect, ImuEffect)
 """Effects of these kinds change neither vehicle nor wind nor rotor speeds: what others see stays the same."""
 
-ADDED = RotorEffect | WrenchEffect | WindEffect
+ADDED = (RotorEffect, WrenchEffect, WindEffect)
 """Effects of these kinds add thrust, force or wind; at neutral parameters a model is the same without them."""
 
 CONDITIONS = 2
@@ -192,20 +194,11 @@ def one_row(vehicle: Vehicle, row: int) -> Vehicle:
 
 def expand_model(model: Model, rows: int) -> Model:
     """Return the model of one environment in every row, without copies."""
-
-    def expand(effects: tuple) -> tuple:
-        return tuple((effect, params.expand(rows, -1)) for effect, params in effects)
-
     return replace(
         model,
         vehicle=expand_rows(model.vehicle, rows),
         inertia_inverse=model.inertia_inverse.expand(rows, 3, 3),
-        winds=expand(model.winds),
-        rotors=expand(model.rotors),
-        wrenches=expand(model.wrenches),
-        loads=expand(model.loads),
-        imu=expand(model.imu),
-        rotor_sensors=expand(model.rotor_sensors),
+        effects=model.effects.with_params(lambda _, params: params.expand(rows, -1)),
     )
 
 
@@ -215,8 +208,7 @@ def with_known_wind(model: Model, flights: Sequence[Flight], flight: NDArray[np.
         return model
     known = torch.tensor([f.wind or (0.0, 0.0, 0.0) for f in flights], dtype=torch.float64)
     steady = EFFECTS.get("constant_wind")
-    assert isinstance(steady, WindEffect)
-    return replace(model, winds=(*model.winds, (steady, known[torch.from_numpy(flight)])))
+    return replace(model, effects=model.effects.plus(steady, known[torch.from_numpy(flight)]))
 
 
 def thinned(flight: Flight, bandwidth: float) -> int:
@@ -316,7 +308,7 @@ class _Together:
         if not self._simulated and all(channel.kind != "rotor_speed" for channel in self.channels):
             return None
         one = self._model(point, vehicle)
-        sensors = () if self._simulated else one.rotor_sensors
+        sensors = () if self._simulated else one.effects[RotorSensorEffect]
         return self._replay.speeds(one, command_shift(self.tolerances, deviation), sensors)
 
     def _vehicle(self, point: Point) -> tuple[Vehicle, Tensor]:
@@ -339,18 +331,18 @@ class _Together:
             return {}
         model, condition = self._flown(point, vehicle, speeds)
         state = BodyState(rotor_speed=condition.rotor_speed, **self._state)
-        load = self._swing(model, state, condition, deviation) if model.loads else None
+        load = self._swing(model, state, condition, deviation) if model.effects[LoadEffect] else None
         angles = self._angles(model, condition, deviation)
         found = accelerations(model, state, load=load, remembered=angles, condition=condition)
         # The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
         force = found.specific_force + torch.linalg.cross(found.ang_acc - self._measured_ang_acc, model.vehicle.com)
         force_bias, rate_bias = sensor_biases(self.tolerances, deviation)
         force_bias = force_bias * self._felt_force  # (E, 3)
-        if not model.imu:
+        if not model.effects[ImuEffect]:
             return {"specific_force": (force + force_bias).numpy(), "angular_acceleration": found.ang_acc.numpy()}
         turning, rate, still = found.ang_acc, self._kinematic_rate, torch.zeros_like(force)
         kinematic_force = self._kinematic_force
-        for effect, params in model.imu:
+        for effect, params in model.effects[ImuEffect]:
             read, rate = effect.measure(force, rate, params)
             force = torch.where(self._felt_force, read, force)
             kinematic_force, moved = effect.measure(kinematic_force, turning, params)
@@ -367,9 +359,11 @@ class _Together:
         if self._measured_force is None:
             return self._load_replay.loads(model, self._row_times)
         remembered = self._angles(model, condition, deviation)
-        found = accelerations(replace(model, loads=()), state, remembered=remembered, condition=condition)
+        found = accelerations(
+            replace(model, effects=model.effects.without(LoadEffect)), state, remembered=remembered, condition=condition
+        )
         force = found.specific_force
-        for effect, params in model.imu:
+        for effect, params in model.effects[ImuEffect]:
             read, _ = effect.measure(force, self._kinematic_rate, params)
             force = torch.where(self._felt_force, read, force)
         force = self._measured_force - force - sensor_biases(self.tolerances, deviation)[0] * self._felt_force
@@ -380,7 +374,7 @@ class _Together:
         """Return the angles of soft arms in every row [rad], (E, R), by effect; empty where they are rigid."""
         found: dict[str, Tensor] = {}
         share = joint_start(self.tolerances, deviation)
-        for effect, params in model.wrenches:
+        for effect, params in model.effects[WrenchEffect]:
             if isinstance(effect, ArmJoint):
                 vehicle = one_row(model.vehicle, 0)
                 parts = [
@@ -402,7 +396,7 @@ class _Together:
         """Return the model in every row, and what its effects see there."""
         model = expand_model(self._model(point, vehicle), self._state["attitude"].shape[0])
         model = with_known_wind(model, self.flights, self._flight)
-        seen = {name: params for name, params in point.effects.items() if not isinstance(EFFECTS.get(name), FORCES)}
+        seen = {name: params for name, params in point.effects.items() if EFFECTS.get(name).kind not in FORCES}
         key = _key(replace(point, effects=seen))
         if key not in self._conditions:
             speed, spin_up = self._turning(model, speeds)
@@ -421,7 +415,7 @@ class _Together:
             spin_up = torch.cat([self._derivative_of(i, s) for i, s in replayed])
         else:
             speed, spin_up = self._measured_speed, self._measured_spin_up
-            for effect, params in model.rotor_sensors:
+            for effect, params in model.effects[RotorSensorEffect]:
                 speed, spin_up = effect.true_speed(speed, params), effect.true_speed(spin_up, params)
         return speed, spin_up
 
@@ -602,10 +596,10 @@ class Predictor:
 
     def links(self, point: Point) -> list[Link] | None:
         """Return how the load of a model swings along each flight, begun as its log says; None for a model without one."""
-        if not any(isinstance(EFFECTS.get(name), LoadEffect) for name in point.effects):
+        if not any(EFFECTS.get(name).kind is LoadEffect for name in point.effects):
             return None
         return [link for part in self._parts for link in part.links(point)]
 
     def _adds_nothing(self, name: str, params: Array) -> bool:
         effect = EFFECTS.get(name)
-        return isinstance(effect, ADDED) and np.array_equal(params, effect.neutral(self.robot))
+        return effect.kind in ADDED and np.array_equal(params, effect.neutral(self.robot))

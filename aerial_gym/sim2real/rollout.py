@@ -24,7 +24,7 @@ from aerial_gym.physics import (
     build_model,
     vehicle_from_config,
 )
-from aerial_gym.physics.effects import CommandEffect, DelayEffect
+from aerial_gym.physics.effects import CommandEffect, DelayEffect, LoadEffect, RotorSensorEffect, WrenchEffect
 from aerial_gym.physics.effects.actuation_delay import LONGEST as LONGEST_DELAY
 from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.physics.memory import Memory, make_memory, place_memory
@@ -210,7 +210,7 @@ def load_at(links: Sequence[Link], flights: Sequence[Flight], windows: Windows) 
 
 def acts_on_commands(name: str) -> bool:
     """Return whether an effect changes what commands lead to."""
-    return isinstance(EFFECTS.get(name), CommandEffect | DelayEffect)
+    return EFFECTS.get(name).kind in (CommandEffect, DelayEffect)
 
 
 class Batch:
@@ -261,8 +261,9 @@ class Batch:
         if (learned := points[0].learned) is not None:
             effects.append((learned, torch.ones(row.size, 1, dtype=torch.float64)))
         around = heights([flights[index] for index in flight], [1] * row.size)
-        model = replace(build_model(vehicle, effects, **around), delays=(), commands=())  # they have acted
-        self._model = with_known_wind(model, flights, flight)
+        model = build_model(vehicle, effects, **around)
+        flown = replace(model, effects=model.effects.without(DelayEffect, CommandEffect))  # they have acted
+        self._model = with_known_wind(flown, flights, flight)
 
     def steps(self, seconds: float) -> int:
         """Return how many steps a span is."""
@@ -311,12 +312,12 @@ class Batch:
 
     def _memory(self, dt: float) -> Memory | None:
         """Return what effects remember at the starts."""
-        if not self._model.remembering:
+        if not self._model.effects.remembering:
             return None
         memory = place_memory(self._model, make_memory(self._model, dt), self._angles())
-        if not self._model.loads:
+        if not self._model.effects[LoadEffect]:
             return memory
-        name = self._model.loads[0][0].name
+        name = self._model.effects[LoadEffect][0][0].name
         if self._load is not None:
             return place_memory(self._model, memory, {name: torch.from_numpy(self._load)})
         flown = np.unique(self._flight)
@@ -329,7 +330,7 @@ class Batch:
     def _angles(self) -> dict[str, Tensor]:
         """Return the angles of soft arms at the starts [rad], (W, R), by effect, as the rotors have turned until then."""
         found: dict[str, Tensor] = {}
-        for effect, params in self._model.wrenches:
+        for effect, params in self._model.effects[WrenchEffect]:
             if isinstance(effect, ArmJoint):
                 angles = torch.zeros(self._row.size, self._rotors, dtype=torch.float64)
                 for model, index in np.unique(np.stack((self._of, self._flight)), axis=1).T:
@@ -352,7 +353,7 @@ class Batch:
             assert led is not None
             return torch.from_numpy(led)
         true = torch.from_numpy(speed)
-        for effect, params in reversed(self._model.rotor_sensors):
+        for effect, params in reversed(self._model.effects[RotorSensorEffect]):
             true = effect.true_speed(true, params[window : window + 1])
         return true
 
@@ -376,7 +377,7 @@ class Batch:
 
     def _true_speed(self, measured: Tensor) -> Tensor:
         """Return measured rotor speeds without the errors of their sensors."""
-        for effect, params in reversed(self._model.rotor_sensors):
+        for effect, params in reversed(self._model.effects[RotorSensorEffect]):
             measured = effect.true_speed(measured, params)
         return measured
 

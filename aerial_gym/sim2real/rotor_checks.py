@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
-from aerial_gym.physics.model import STANDARD_GRAVITY
 from aerial_gym.sim2real.flight_log import FlightLog
 from aerial_gym.sim2real.mapping import UNITS
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from aerial_gym.errors import DataError
 from aerial_gym.physics import Model
-from aerial_gym.physics.effects import Effect
+from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect
 from aerial_gym.sim2real.flights import Flight
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ def arriving_commands(flight: Flight, model: Model, *, shift: float = 0.0) -> tu
     command = flight.rotor_command
     assert command is not None
     moved = torch.from_numpy(command + shift * np.diff(command, axis=0, append=command[-1:]))
-    late = flight.rate * sum(float(effect.delay(params)) for effect, params in model.delays)
+    late = flight.rate * sum(float(effect.delay(params)) for effect, params in model.effects[DelayEffect])
     whole = int(late)
     place = torch.arange(flight.num_rows) - whole
     earlier, later = (_led_to(flight, model, moved[(place - more).clamp_min(0)]) for more in (1, 0))
@@ -57,7 +57,7 @@ def mean_commands(flight: Flight, model: Model) -> Array:
 
 def _led_to(flight: Flight, model: Model, command: Tensor) -> Tensor:
     """Return the speeds to which commands (T, R) lead under the voltage of their rows."""
-    for effect, params in model.commands:
+    for effect, params in model.effects[CommandEffect]:
         if lacking := missing_in_logs(effect, [flight]):
             raise DataError(f"effect {effect.name}: {lacking}, or leave the effect out of the robot file")
         voltage = torch.full(command.shape[:1], torch.nan) if flight.battery is None else torch.tensor(flight.battery)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.physics import Model
-from aerial_gym.physics.effects import RotorSensorEffect
+from aerial_gym.physics.effects import CommandEffect, DelayEffect, RotorSensorEffect
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.rotor_commands import arriving_commands
 from aerial_gym.sim2real.rotor_lag import follow_commands
@@ -47,7 +47,7 @@ class RotorReplay:
         Raises:
             DataError: If a log lacks what an effect of the model needs.
         """
-        vehicle, effects = model.vehicle, (*model.delays, *model.commands, *sensors)
+        vehicle, effects = model.vehicle, (*model.effects[DelayEffect], *model.effects[CommandEffect], *sensors)
         numbers = [vehicle.time_constant_up, vehicle.time_constant_down, vehicle.battery]
         numbers += [params for _, params in effects]
         key = (tuple(effect.name for effect, _ in effects), shift, *torch.cat(numbers, dim=1)[0].tolist())

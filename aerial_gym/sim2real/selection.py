@@ -462,7 +462,7 @@ class _Selector:
 def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight] = ()) -> str:
     """Return what robot file or logs lack for an effect; empty if nothing."""
     effect, flights = EFFECTS.get(name), [*train, *test]
-    if isinstance(effect, ImuEffect) and not any(flight.accelerometer or flight.gyro for flight in train):
+    if effect.kind is ImuEffect and not any(flight.accelerometer or flight.gyro for flight in train):
         return "the logs hold no inertial sensor: forces are derived from the velocity"
     if reason := missing_in_logs(effect, flights) or lacks_around(name, flights) or too_steady(effect, train):
         return reason

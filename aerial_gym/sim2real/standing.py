@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
-from aerial_gym.physics.model import STANDARD_GRAVITY
 from aerial_gym.sim2real.checks import rate_of
 from aerial_gym.sim2real.flight_log import FlightLog
 

@@ -36,7 +36,7 @@ class Heights(TypedDict):
 def lacks_around(name: str, flights: Sequence[Flight]) -> str:
     """Return what of its surroundings the flights lack for an effect; empty if nothing."""
     effect = EFFECTS.get(name)
-    for need in (*effect.needs, *(("lin_vel",) if isinstance(effect, LoadEffect) else ())):
+    for need in (*effect.needs, *(("lin_vel",) if effect.kind is LoadEffect else ())):
         without = [flight.name for flight in flights if getattr(flight, need) is None]
         if without:
             return f"{', '.join(without)}: without {NEEDED[need]}"

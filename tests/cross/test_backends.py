@@ -15,7 +15,7 @@ from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, Model, TorchBackend, build_model, vehicle_from_config
-from aerial_gym.physics.effects import WrenchEffect
+from aerial_gym.physics.effects import EffectsByKind, WrenchEffect
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
@@ -262,7 +262,7 @@ def test_changed_parameters_are_taken(change: str) -> None:
     results = []
     for backend in (TorchBackend(), WarpBackend()):
         model, law = build(robot, controller, 4, torch.float32, effects=("rotor_drag",))
-        vehicle, (effect, params) = model.vehicle, model.wrenches[0]
+        vehicle, (effect, params) = model.vehicle, model.effects[WrenchEffect][0]
         changed = {
             "shared mass": {"mass": vehicle_with_mass(model, 2.0)},
             "mass per environment": {"mass": vehicle.mass * torch.tensor([1.0, 1.5, 2.0, 0.5])},
@@ -318,7 +318,7 @@ def test_what_it_cannot_run_is_refused_by_name() -> None:
         def wrench(self, condition, params):
             raise NotImplementedError
 
-    strange = replace(model, wrenches=((Untwinned(), torch.zeros(2, 3)),))
+    strange = replace(model, effects=EffectsByKind(((Untwinned(), torch.zeros(2, 3)),)))
     with pytest.raises(CapabilityError, match="cannot run effect 'untwinned'"):
         WarpBackend().allocate(strange, law, integrator="euler")
 

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_rotate
 from aerial_gym.physics import INTEGRATORS, BodyState
+from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.integrators import MassState, to_body_state, to_mass_state
 from aerial_gym.physics.memory import Memory, begin_substep, end_substep, load_of, make_memory
 from aerial_gym.physics.model import Model
@@ -37,7 +38,7 @@ def fly_load(
 
 def conserved(model: Model, state: BodyState, load: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return momentum (E, 3), angular momentum about the world origin (E, 3) and energy (E,) of vehicle and payload."""
-    vehicle, params = model.vehicle, model.loads[0][1]
+    vehicle, params = model.vehicle, model.effects[LoadEffect][0][1]
     mass, hung, length = vehicle.mass[:, None], params[:, MASS, None], params[:, LENGTH, None]
     com: MassState = to_mass_state(model, state)
     position, velocity = state.position + length * load[:, :3], state.lin_vel + length * load[:, 3:]

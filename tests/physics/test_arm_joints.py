@@ -13,7 +13,7 @@ from torch import Tensor
 from aerial_gym.config.robot import MountCfg, MountsCfg, RobotCfg
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.physics import EFFECTS, Model, accelerations, build_model, vehicle_from_config
-from aerial_gym.physics.effects import Condition, Moment
+from aerial_gym.physics.effects import Condition, EffectsByKind, Moment, WrenchEffect
 from aerial_gym.physics.effects.arm_joint import LARGEST_ANGLE, ArmJoint
 from aerial_gym.physics.memory import make_memory, place_memory
 from aerial_gym.physics.rigid_body import condition_in
@@ -90,7 +90,7 @@ def test_without_a_lag_arms_rest_under_the_thrust_at_once() -> None:
     model = model_of(cross_robot(), ("joint_spring", (0.3, 1e-9, 0.0)))
     speed = torch.full((1, 4), 1500.0, dtype=F64)
     now = Moment(rotor_speed=speed, since=torch.zeros(1), random=torch.zeros(1), dt=1e-3, vehicle=model.vehicle)
-    values = torch.cat((model.wrenches[0][1], torch.full((1, 4), 0.4, dtype=F64)), dim=1)
+    values = torch.cat((model.effects[WrenchEffect][0][1], torch.full((1, 4), 0.4, dtype=F64)), dim=1)
     found = joint("joint_spring").remember(now, values)
     torch.testing.assert_close(found, torch.full((1, 4), 0.3 * 2.25 * 0.2, dtype=F64), atol=0.0, rtol=1e-12)
 
@@ -116,7 +116,7 @@ def test_the_wrench_is_that_of_turned_arms(name: str) -> None:
     speed, angles = state.rotor_speed[0].numpy(), np.array([0.1, -0.2, 0.3, 0.05])
     thrust, drag = 1e-4 * speed + 3e-6 * speed**2, 2e-6 * speed + 5e-8 * speed**2
     expected = turned(robot, angles, hinge, thrust, drag) - turned(robot, 0.0 * angles, hinge, thrust, drag)
-    values = torch.cat((model.wrenches[0][1], torch.from_numpy(angles).unsqueeze(0)), dim=1)
+    values = torch.cat((model.effects[WrenchEffect][0][1], torch.from_numpy(angles).unsqueeze(0)), dim=1)
     found = joint(name).wrench(condition, values)[0].numpy()
     np.testing.assert_allclose(found, expected, atol=1e-13, rtol=0.0)
 
@@ -157,7 +157,7 @@ def test_elements_in_series_add_their_angles() -> None:
     moment, (fast, slow) = 0.12 * thrust, memory.numbers[0].split(4)
     torch.testing.assert_close(fast, 0.1 * moment * (1.0 - exp(-25.0)))
     torch.testing.assert_close(slow, 0.15 * moment * (1.0 - exp(-0.5 / 0.8)))
-    condition, params = condition_of(model, thrust), [row for _, row in model.wrenches]
+    condition, params = condition_of(model, thrust), [row for _, row in model.effects[WrenchEffect]]
     parts = [
         joint(name).wrench(condition, torch.cat((row, angle.unsqueeze(0)), dim=1))[0]
         for name, row, angle in zip(NAMES, params, (fast, slow), strict=True)
@@ -177,10 +177,10 @@ def test_angles_end_at_a_stop(name: str) -> None:
     """One radian, however soft the joint, up or down."""
     model = model_of(cross_robot(), (name, (20.0, 0.3, 0.0)))
     speed = torch.full((1, 4), 2000.0, dtype=F64)
-    rest = joint(name).deflection(model.vehicle, speed, model.wrenches[0][1])
+    rest = joint(name).deflection(model.vehicle, speed, model.effects[WrenchEffect][0][1])
     assert rest.tolist() == [[float(LARGEST_ANGLE)] * 4]
     pusher = replace(model.vehicle, rotor_axis=-model.vehicle.rotor_axis)
-    rest = joint(name).deflection(pusher, speed, model.wrenches[0][1])
+    rest = joint(name).deflection(pusher, speed, model.effects[WrenchEffect][0][1])
     assert rest.tolist() == [[-float(LARGEST_ANGLE)] * 4]
 
 
@@ -193,7 +193,7 @@ def test_the_angle_of_a_substep_is_that_of_its_middle() -> None:
         start = step * dt
         speed = torch.full((1, 4), start / 1e-6, dtype=F64).sqrt()
         now = Moment(rotor_speed=speed, since=torch.zeros(1), random=torch.zeros(1), dt=dt, vehicle=model.vehicle)
-        angles = joint("joint_spring").remember(now, torch.cat((model.wrenches[0][1], angles), dim=1))
+        angles = joint("joint_spring").remember(now, torch.cat((model.effects[WrenchEffect][0][1], angles), dim=1))
     missed = compliance * 0.2 * (start + 0.5 * dt - tau) - angles
     expected = torch.full_like(missed, compliance * 0.2 * dt**2 / (12.0 * tau))
     torch.testing.assert_close(missed, expected, rtol=0.01, atol=0.0)
@@ -206,7 +206,7 @@ def test_a_single_state_tells_the_force_if_the_angles_are_given() -> None:
     angles = torch.tensor([[0.1, 0.2, 0.3, -0.1]], dtype=F64)
     found = accelerations(model, state, remembered={"joint_spring": angles})
     memory = place_memory(model, make_memory(model, 1e-9), {"joint_spring": angles})
-    slow = replace(model, wrenches=((joint("joint_spring"), torch.tensor([[0.3, 1e3, 0.4]], dtype=F64)),))
+    slow = replace(model, effects=EffectsByKind(((joint("joint_spring"), torch.tensor([[0.3, 1e3, 0.4]], dtype=F64)),)))
     after, _ = fly_remembering(slow, memory, state, [state.rotor_speed], 1e-6, "euler")
     torch.testing.assert_close((after.ang_vel - state.ang_vel) / 1e-6, found.ang_acc, atol=1e-3, rtol=1e-4)
 

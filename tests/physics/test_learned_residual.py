@@ -23,7 +23,7 @@ from aerial_gym.physics import (
     build_model,
     vehicle_from_config,
 )
-from aerial_gym.physics.effects import LearnedResidual
+from aerial_gym.physics.effects import LearnedResidual, WrenchEffect
 from aerial_gym.physics.model import Model, robot_effects
 from aerial_gym.robots.robot_manager import check_capabilities
 from tests.physics.vehicles import F64, lopsided_robot, random_network, random_state
@@ -154,7 +154,7 @@ def test_backends_agree_with_it_and_without_a_share_it_does_nothing(integrator: 
     for backend, dtype in ((TorchBackend(), F64), (WarpBackend(), torch.float32)):
         for vehicle in (robot, replace(robot, learned_residual=None)):
             model = model_of(vehicle, dtype)
-            for _, share in model.wrenches:
+            for _, share in model.effects[WrenchEffect]:
                 share[:4] = 0.0
             law = make_controller(CONTROLLERS.get("rotor_speed_control"), model.vehicle, 9.81)
             state = BodyState(**{name: t.to(dtype, copy=True) for name, t in vars(random_state(NUM_ENVS)).items()})

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from aerial_gym.errors import CapabilityError
 from aerial_gym.physics import EFFECTS, BodyState, Model, accelerations, build_model, vehicle_from_config
+from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.robots import ROBOTS
 from tests.physics.swing import conserved, fly_load
 from tests.physics.vehicles import F64, lopsided_robot, random_state
@@ -31,7 +32,7 @@ def load_at(angle: float) -> Tensor:
 
 def hovering(model: Model) -> BodyState:
     """Return a level vehicle at rest whose rotors carry it and its payload."""
-    weight = (model.vehicle.mass[0] + model.loads[0][1][0, 0]) * model.gravity
+    weight = (model.vehicle.mass[0] + model.effects[LoadEffect][0][1][0, 0]) * model.gravity
     speed = (weight / 4.0 / model.vehicle.thrust_map[0, 0, 2]).sqrt()
     zeros = torch.zeros(1, 3, dtype=F64)
     attitude = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=F64)

@@ -10,12 +10,13 @@ from torch import Tensor
 
 from aerial_gym.cli.bench.measure import WorkloadError, batch_of
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.env_manager import robot_by_name
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.physics import BACKENDS, EFFECTS, BodyState, PhysicsBackend, build_model, vehicle_from_config
-from aerial_gym.physics.model import STANDARD_GRAVITY, EffectParams
+from aerial_gym.physics.model import EffectParams
 from aerial_gym.physics.state import state_at_rest
 from aerial_gym.physics.vehicle import Vehicle
 

@@ -17,15 +17,19 @@ from aerial_gym.physics.effects.base import (
     WindEffect,
     WrenchEffect,
 )
+from aerial_gym.physics.effects.by_kind import STEP_KINDS, EffectParams, EffectsByKind
 from aerial_gym.physics.effects.catalog import EFFECTS
 from aerial_gym.physics.effects.learned_residual import LearnedResidual
 
 __all__ = [
     "EFFECTS",
+    "STEP_KINDS",
     "CommandEffect",
     "Condition",
     "DelayEffect",
     "Effect",
+    "EffectParams",
+    "EffectsByKind",
     "ImuEffect",
     "LearnedResidual",
     "LinearWrenchEffect",

@@ -212,6 +212,10 @@ class Effect(ABC):
     environment: the backend keeps them, and passes them behind the parameters wherever it calls the effect, (E, P + M).
     """
 
+    kind: ClassVar[type["Effect"]]
+    """Which of those it is: the direct subclass of ``Effect`` in its line."""
+    twin: ClassVar[str | None] = None
+    """Name of the method that gives the Warp code of its kind; None for a kind that costs nothing in a step."""
     name: ClassVar[str]
     summary: ClassVar[str]
     acts_on: ClassVar[ActsOn]
@@ -234,6 +238,20 @@ class Effect(ABC):
     """What a log must hold in place of its memory."""
     random: ClassVar[bool] = False
     """Whether chance decides what it does, so that it predicts no row of a flight."""
+
+    def __init_subclass__(cls) -> None:
+        """Make each direct subclass a kind."""
+        super().__init_subclass__()
+        if Effect in cls.__bases__:
+            cls.kind = cls
+
+    @property
+    def has_twin(self) -> bool:
+        """Whether it can run in the fused kernel: all that it does in a step has Warp code."""
+        mine, kind = type(self), self.kind
+        if mine.remember is not Effect.remember and mine.warp_remember is Effect.warp_remember:
+            return False
+        return kind.twin is None or getattr(mine, kind.twin) is not getattr(kind, kind.twin)
 
     @property
     def remembers(self) -> bool:
@@ -313,6 +331,7 @@ class WindEffect(Effect):
     """An effect that moves the air."""
 
     acts_on = "environment"
+    twin = "warp_wind"
 
     @abstractmethod
     def wind(self, position: Tensor, params: Tensor) -> Tensor:
@@ -330,6 +349,7 @@ class RotorEffect(Effect):
     """A change of thrust, rotor by rotor. The drag torque of the rotors stays what it is."""
 
     acts_on = "rotor"
+    twin = "warp_thrust"
 
     @abstractmethod
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
@@ -353,6 +373,7 @@ class WrenchEffect(Effect):
     """A force and torque on the body."""
 
     acts_on = "wrench"
+    twin = "warp_wrench"
 
     @abstractmethod
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
@@ -393,6 +414,7 @@ class LoadEffect(Effect):
     """
 
     acts_on = "wrench"
+    twin = "warp_pull"
     memory = (0.0, 0.0, -1.0, 0.0, 0.0, 0.0)
 
     @abstractmethod
@@ -417,6 +439,7 @@ class DelayEffect(Effect):
     """Commands that act late. A vehicle has one at most; the backend keeps the commands of the longest delay."""
 
     acts_on = "actuation"
+    twin = "warp_delay"
     longest: ClassVar[float]
     """Upper bound of the delay [s]."""
 
@@ -438,6 +461,7 @@ class CommandEffect(Effect):
     """A change of the speeds to which commands lead the rotors."""
 
     acts_on = "actuation"
+    twin = "warp_command"
 
     @abstractmethod
     def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ from typing import Any
 
 import warp as wp
 
+from aerial_gym.physics.effects import Effect, LoadEffect, RotorEffect, WindEffect, WrenchEffect
 from aerial_gym.physics.fused.functions import (
     angular_acceleration,
     attitude_rate,
@@ -96,13 +97,14 @@ def make_accelerations(model: Model) -> wp.Function:
     types = rotor_types(num_rotors)
     params_type, picks = values_type(model), pickers(model)
 
-    def with_picks(kind: str, twins: list[wp.Function]) -> list[tuple[wp.Function, wp.Function]]:
+    def with_picks(kind: type[Effect], twins: list[wp.Function]) -> list[tuple[wp.Function, wp.Function]]:
         return [(twin, pick.get) for twin, pick in zip(twins, picks[kind], strict=True)]
 
-    winds = with_picks("winds", [effect.warp_wind() for effect, _ in model.winds])
-    rotors = with_picks("rotors", [effect.warp_thrust(types.condition, Hub) for effect, _ in model.rotors])
-    wrenches = with_picks("wrenches", [effect.warp_wrench(types.condition) for effect, _ in model.wrenches])
-    any_rotor, any_wrench, any_load = bool(rotors), bool(wrenches), bool(model.loads)
+    effects = model.effects
+    winds = with_picks(WindEffect, [effect.warp_wind() for effect, _ in effects[WindEffect]])
+    rotors = with_picks(RotorEffect, [effect.warp_thrust(types.condition, Hub) for effect, _ in effects[RotorEffect]])
+    wrenches = with_picks(WrenchEffect, [effect.warp_wrench(types.condition) for effect, _ in effects[WrenchEffect]])
+    any_rotor, any_wrench, any_load = bool(rotors), bool(wrenches), bool(effects[LoadEffect])
     wind = _sum_of(winds, wp.vec3, params_type, wp.vec3)
     gain = _sum_of_rotors(rotors, types.condition, params_type)
     wrench = _sum_of(wrenches, types.condition, params_type, wp.spatial_vector)
@@ -176,10 +178,10 @@ def make_accelerations(model: Model) -> wp.Function:
 
 def _make_hang(model: Model) -> wp.Function | None:
     """Return ``rigid_body.with_load`` for one environment; the last result is the rate of change of the load."""
-    if not model.loads:
+    if not model.effects[LoadEffect]:
         return None
-    effect = model.loads[0][0]
-    pull, pick = effect.warp_pull(Suspension), pickers(model)["loads"][0].get
+    effect = model.effects[LoadEffect][0][0]
+    pull, pick = effect.warp_pull(Suspension), pickers(model)[LoadEffect][0].get
     vehicle_type, params_type = rotor_types(model.vehicle.num_rotors).vehicle, values_type(model)
 
     @wp.func
@@ -223,7 +225,13 @@ def settle(load: wp.spatial_vector) -> wp.spatial_vector:
 def make_stepper(model: Model, integrator: str) -> wp.Function:
     """Return a function that advances the motion of the centre of mass and the rotors by one step."""
     types = rotor_types(model.vehicle.num_rotors)
-    parts = (types.vehicle, types.vector, values_type(model), make_accelerations(model), bool(model.loads))
+    parts = (
+        types.vehicle,
+        types.vector,
+        values_type(model),
+        make_accelerations(model),
+        bool(model.effects[LoadEffect]),
+    )
     follow = _make_follow(model.vehicle.num_rotors)
     if integrator == "euler":
         return _make_euler(*parts, follow)

@@ -8,6 +8,7 @@ from typing import Any
 
 import warp as wp
 
+from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.fused.command import NoGains, make_command
 from aerial_gym.physics.fused.contact import ContactParameters, make_push_off_ground
 from aerial_gym.physics.fused.dynamics import make_stepper
@@ -167,7 +168,8 @@ def make_kernel(
     num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
     types = rotor_types(num_rotors)
     vector, action_type, params_type = types.vector, vector_of(law.num_actions), values_type(model)
-    remembers, any_load, num_loads = bool(model.remembering), bool(model.loads), 6 * len(model.loads)
+    remembers, num_loads = bool(model.effects.remembering), 6 * len(model.effects[LoadEffect])
+    any_load = num_loads > 0
     begin = make_begin(model, integrator) if remembers else None
     memory_type = MemoryArrays if remembers else NoMemory
     vehicle_type, command_type, gains_type = types.vehicle, types.command, law.gains_type or NoGains

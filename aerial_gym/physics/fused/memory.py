@@ -8,6 +8,7 @@ from typing import Any
 
 import warp as wp
 
+from aerial_gym.physics.effects import CommandEffect, DelayEffect
 from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.fused.types import rotor_types
 from aerial_gym.physics.fused.values import pickers, values_type
@@ -38,7 +39,7 @@ def make_begin(model: Model, integrator: str) -> wp.Function:
     """Return a function from values and command to those of a substep."""
     types, values, num_rotors = rotor_types(model.vehicle.num_rotors), values_type(model), model.vehicle.num_rotors
     moment, vehicle_type, vector = types.moment, types.vehicle, types.vector
-    remember, lead, any_delay = _make_remember(model), _make_lead(model), bool(model.delays)
+    remember, lead, any_delay = _make_remember(model), _make_lead(model), bool(model.effects[DelayEffect])
     delayed = _make_delayed(model, integrator, lead) if any_delay else None
 
     @wp.func
@@ -90,7 +91,7 @@ def _make_remember(model: Model) -> wp.Function:
         return remember
 
     total = nothing
-    for (effect, _), pick in zip(model.forces, chain.from_iterable(picks.values()), strict=True):
+    for (effect, _), pick in zip(model.effects.forces, chain.from_iterable(picks.values()), strict=True):
         twin = effect.warp_remember(vehicle_type, moment)
         if twin is not None:
             total = after(total, twin, pick.get, pick.put)
@@ -114,7 +115,7 @@ def _make_lead(model: Model) -> wp.Function:
         return lead
 
     total = straight
-    for (effect, _), pick in zip(model.commands, picks["commands"], strict=True):
+    for (effect, _), pick in zip(model.effects[CommandEffect], picks[CommandEffect], strict=True):
         total = after(total, effect.warp_command(vehicle_type, vector), pick.get)
     return total
 
@@ -122,10 +123,10 @@ def _make_lead(model: Model) -> wp.Function:
 def _make_delayed(model: Model, integrator: str, lead: wp.Function) -> wp.Function:
     """Return a function to the held command that does the same as those which arrive during the substep."""
     types, values, num_rotors = rotor_types(model.vehicle.num_rotors), values_type(model), model.vehicle.num_rotors
-    effect = model.delays[0][0]
+    effect = model.effects[DelayEffect][0][0]
     delay_of, pick, arrive = (
         effect.warp_delay(),
-        pickers(model)["delays"][0].get,
+        pickers(model)[DelayEffect][0].get,
         _make_arrive(num_rotors, lead, values),
     )
     moment, vehicle_type, vector = types.moment, types.vehicle, types.vector

@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from aerial_gym.physics.effects import CommandEffect, RotorEffect, WrenchEffect
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.vehicle import is_shared
@@ -67,11 +68,11 @@ def vehicle_fields(model: Model, stage: float) -> list[Field]:
         Field("decay_up", (v.time_constant_up,), decay),
         Field("decay_down", (v.time_constant_down,), decay),
     ]
-    if model.commands:
+    if model.effects[CommandEffect]:
         fields.append(Field("battery", (v.battery,), _same))
-    if model.wrenches:
+    if model.effects[WrenchEffect]:
         fields.append(Field("other_position", (model.other_position,), _same))
-    if model.rotors or model.wrenches:
+    if model.effects[RotorEffect] or model.effects[WrenchEffect]:
         fields += [
             Field("rotor_lever", (v.rotor_position, v.com), lambda position, com: position - com.unsqueeze(1)),
             Field("rotor_radius", (v.rotor_radius,), _same),
@@ -102,8 +103,8 @@ def gain_fields(law: FusedLaw) -> list[Field]:
 
 
 def effect_rows(model: Model) -> list[Tensor]:
-    """Return the parameters (E, P) of the effects that act in a step, in the order of ``Model.forces``."""
-    return [params for _, params in model.forces]
+    """Return the parameters (E, P) of the effects that act in a step, in the order of ``EffectsByKind.forces``."""
+    return [params for _, params in model.effects.forces]
 
 
 @dataclass(frozen=True)

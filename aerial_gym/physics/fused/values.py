@@ -1,6 +1,6 @@
 """Parameters and memory of all effects of one environment in one vector: it stays in registers over the substeps.
 
-First all parameters, then all memory, each in the order of ``Model.forces``.
+First all parameters, then all memory, each in the order of ``EffectsByKind.forces``.
 Letters: P parameters, M remembered numbers of an effect.
 """
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import warp as wp
 
+from aerial_gym.physics.effects import STEP_KINDS, Effect, LoadEffect
 from aerial_gym.physics.fused.types import vector_of
 from aerial_gym.physics.model import Model
 
@@ -26,8 +27,8 @@ class Pick:
 
 def num_values(model: Model) -> tuple[int, int]:
     """Return how many parameters and remembered numbers there are."""
-    memory = sum(len(effect.fresh_memory(model.vehicle.num_rotors)) for effect, _ in model.forces)
-    return sum(p.shape[1] for _, p in model.forces), memory
+    memory = sum(len(effect.fresh_memory(model.vehicle.num_rotors)) for effect, _ in model.effects.forces)
+    return sum(p.shape[1] for _, p in model.effects.forces), memory
 
 
 def values_type(model: Model) -> Any:
@@ -35,14 +36,14 @@ def values_type(model: Model) -> Any:
     return vector_of(max(sum(num_values(model)), 1))
 
 
-def pickers(model: Model) -> dict[str, list[Pick]]:
+def pickers(model: Model) -> dict[type[Effect], list[Pick]]:
     """Return access to each effect of each kind. A load keeps its memory with the motion, and is given parameters alone."""
     found, first, (first_memory, _) = {}, 0, num_values(model)
-    for kind in ("winds", "rotors", "wrenches", "commands", "delays", "loads"):
+    for kind in STEP_KINDS:
         found[kind] = []
-        for effect, params in getattr(model, kind):
+        for effect, params in model.effects[kind]:
             width, memory = params.shape[1], len(effect.fresh_memory(model.vehicle.num_rotors))
-            shown = 0 if kind == "loads" else memory
+            shown = 0 if kind is LoadEffect else memory
             found[kind].append(_pick(values_type(model), first, width, first_memory, shown))
             first, first_memory = first + width, first_memory + memory
     return found

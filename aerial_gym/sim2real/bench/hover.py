@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, DataError
-from aerial_gym.physics.model import STANDARD_GRAVITY
 from aerial_gym.sim2real.bench.statistics import Estimate, correlated_covariance, held_out_error, rms
 from aerial_gym.sim2real.flight_log import FlightLog
 from aerial_gym.sim2real.intervals import Rms

@@ -11,13 +11,14 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.mapping import UNIT_G
 
 Array = NDArray[np.float64]
 
 UNITS: dict[str, dict[str, float]] = {
     "speed": {"rad/s": 1.0, "rpm": np.pi / 30.0, "rev/s": 2.0 * np.pi},
-    "thrust": {"N": 1.0, "mN": 1e-3, "gf": 9.80665e-3, "kgf": 9.80665},
-    "torque": {"N m": 1.0, "mN m": 1e-3, "gf cm": 9.80665e-5},
+    "thrust": {"N": 1.0, "mN": 1e-3, "gf": 1e-3 * UNIT_G, "kgf": UNIT_G},
+    "torque": {"N m": 1.0, "mN m": 1e-3, "gf cm": 1e-5 * UNIT_G},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
     "angle": {"rad": 1.0, "deg": np.pi / 180.0},
 }

@@ -1,0 +1,65 @@
+"""Effects sorted by kind, and which of them can run in the fused kernel."""
+
+import torch
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.effects import STEP_KINDS, Effect, EffectsByKind, LoadEffect, WindEffect, WrenchEffect
+from aerial_gym.physics.effects.rotor_drag import RotorDrag
+
+
+def some() -> EffectsByKind:
+    """Return a load, a drag, a wind and another drag, in this order, each with parameters of its number."""
+    names = ("slung_payload", "rotor_drag", "constant_wind", "quadratic_drag")
+    return EffectsByKind((EFFECTS.get(name), torch.full((2, 3), float(i))) for i, name in enumerate(names))
+
+
+def names_of(effects: EffectsByKind) -> list[str]:
+    return [effect.name for effect, _ in effects]
+
+
+def test_every_effect_is_of_the_kind_next_to_the_root() -> None:
+    """The kind is a direct subclass of Effect in the line of the effect's classes."""
+    for name in EFFECTS.names():
+        effect = EFFECTS.get(name)
+        assert Effect in effect.kind.__bases__
+        assert isinstance(effect, effect.kind)
+
+
+def test_effects_of_a_kind_keep_their_order() -> None:
+    effects = some()
+    assert [effect.name for effect, _ in effects[WrenchEffect]] == ["rotor_drag", "quadratic_drag"]
+    assert [effect.name for effect, _ in effects[WindEffect]] == ["constant_wind"]
+    assert EffectsByKind()[WindEffect] == ()
+
+
+def test_forces_come_by_kind_and_the_load_last() -> None:
+    """Parameters and memory of a step stand in this order; the backends take the load's memory from the end."""
+    forces = some().forces
+    assert [effect.name for effect, _ in forces] == ["constant_wind", "rotor_drag", "quadratic_drag", "slung_payload"]
+    assert [float(params[0, 0]) for _, params in forces] == [2.0, 1.0, 3.0, 0.0]
+    assert STEP_KINDS[-1] is LoadEffect
+    assert some().remembering == ("slung_payload",)
+
+
+def test_changes_make_others() -> None:
+    effects = some()
+    assert names_of(effects.without(LoadEffect)) == ["rotor_drag", "constant_wind", "quadratic_drag"]
+    assert names_of(effects.plus(EFFECTS.get("gusts"), torch.zeros(2, 2)))[-1] == "gusts"
+    doubled = effects.with_params(lambda effect, params: params * (2.0 if effect.kind is WindEffect else 1.0))
+    assert [float(params[0, 0]) for _, params in doubled] == [0.0, 1.0, 4.0, 3.0]
+    assert names_of(effects) == names_of(doubled)
+
+
+def test_an_effect_has_a_twin_where_its_kind_needs_one() -> None:
+    class Untwinned(RotorDrag):
+        warp_wrench = WrenchEffect.warp_wrench
+
+    class Learning(RotorDrag):
+        def remember(self, moment, values):
+            del moment
+            return values[:, 3:]
+
+    assert RotorDrag().has_twin
+    assert EFFECTS.get("com_offset").has_twin  # costs nothing in a step
+    assert not Untwinned().has_twin
+    assert not Learning().has_twin  # what it remembers has no twin
