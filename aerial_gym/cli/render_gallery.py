@@ -80,25 +80,10 @@ def _pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
     import numpy as np
     import torch
 
-    from aerial_gym.config.sensor import StereoCfg
     from aerial_gym.math.quaternion import quat_rotate
-    from aerial_gym.sensors import RayCaster, SensorImages
+    from aerial_gym.sensors import RayCaster, make_images
 
-    shape = (1, cfg.count, cfg.height, cfg.width)
-
-    def image(*more: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
-        return torch.zeros(*shape, *more, dtype=dtype, device=env.device)
-
-    images = SensorImages(
-        distance=image(),
-        segmentation=image(dtype=torch.int32) if cfg.segmentation else None,
-        points=image(3) if cfg.points else None,
-        normals=image(3) if cfg.normals else None,
-        face_ids=image(dtype=torch.int32) if cfg.face_ids else None,
-        color=image(3) if cfg.light else None,
-        disparity=image() if isinstance(cfg, StereoCfg) else None,
-        optical_flow=image(2) if cfg.optical_flow else None,
-    )
+    images = make_images(cfg, 1, device=env.device)
     caster = RayCaster(
         cfg,
         env.asset_manager.scene,

@@ -55,6 +55,11 @@ class StereoCfg(CameraCfg):
         if not 0.0 < abs(self.baseline) < inf:
             raise ConfigError(f"StereoCfg.baseline = {self.baseline!r}: must be finite and not 0. Left is positive")
 
+    @property
+    def has_second_camera(self) -> bool:
+        """The second image is shifted by the disparity."""
+        return True
+
 
 @dataclass(frozen=True, kw_only=True)
 class FisheyeCfg(RangeSensorCfg):

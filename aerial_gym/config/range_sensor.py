@@ -9,10 +9,12 @@ from dataclasses import dataclass
 from math import inf, isfinite, pi
 
 from aerial_gym.config.checks import Vec3, require_finite, require_ordered
+from aerial_gym.config.images import FRAMES, ImagesCfg, LightCfg
 from aerial_gym.errors import ConfigError
 
+__all__ = ["FRAMES", "KINDS", "LightCfg", "NoiseCfg", "RangeSensorCfg"]
+
 KINDS = ("depth", "range")
-FRAMES = ("world", "sensor")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,39 +56,7 @@ class NoiseCfg:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LightCfg:
-    """A sun and a sky that lights every side alike, beside the lamps of the environment; surfaces are matt (Lambert), shadows
-    sharp.
-
-    A surface has its colour times ``ambient + (1 - ambient) max(n . s, 0)``, and its colour times that of every lamp, no
-    channel above 1; there is no light from one surface to another. What lies beyond the range of a sensor throws no shadow in
-    its image.
-    """
-
-    sun: Vec3 | None = (0.4, 0.3, 0.866)
-    """Direction to the sun, world, of any length > 0; None for none, which leaves the sky and the lamps."""
-
-    ambient: float = 0.35
-    """Share of the light that comes from the sky, 0 to 1; the rest comes from the sun."""
-
-    shadows: bool = True
-    """Whether what stands before the sun or a lamp takes its light away: one more ray for every lit pixel and light."""
-
-    sky: Vec3 = (0.6, 0.75, 0.9)
-    """Red, green, blue of a pixel that sees nothing, each 0 to 1."""
-
-    def __post_init__(self) -> None:
-        require_finite(self, "sky", "ambient", *(["sun"] if self.sun is not None else []))
-        if self.sun is not None and not any(self.sun):
-            raise ConfigError(f"LightCfg.sun = {self.sun!r}: must point somewhere")
-        if not 0.0 <= self.ambient <= 1.0:
-            raise ConfigError(f"LightCfg.ambient = {self.ambient!r}: must lie in 0 to 1")
-        if not all(0.0 <= share <= 1.0 for share in self.sky):
-            raise ConfigError(f"LightCfg.sky = {self.sky!r}: red, green and blue must lie in 0 to 1")
-
-
-@dataclass(frozen=True, kw_only=True)
-class RangeSensorCfg:
+class RangeSensorCfg(ImagesCfg):
     """Common part of all cameras, lidars and ray tables; the classes built on it say where the rays point.
 
     Order of what becomes of a distance: ray, noise and dropout, limits, normalisation. Out of its limits a pixel holds
@@ -117,25 +87,6 @@ class RangeSensorCfg:
 
     normalize: bool = False
     """Whether pixels are divided by ``max_range``, which makes them dimensionless. Points stay in metres."""
-
-    segmentation: bool = True
-    """Whether it also writes the semantic id of what each pixel sees."""
-
-    points: str | None = None
-    """Frame in which it also writes the point that each pixel sees [m]: ``world`` or ``sensor``; None writes none."""
-
-    normals: str | None = None
-    """Frame in which it also writes the unit normal of the surface: ``world`` or ``sensor``; None writes none."""
-
-    face_ids: bool = False
-    """Whether it also writes which face of its shape each pixel sees."""
-
-    optical_flow: bool = False
-    """Whether a camera also writes how fast the image of what each pixel sees moves [pixel/s]: right, down. Sensors without an
-    image plane refuse it."""
-
-    light: LightCfg | None = None
-    """Light by which it also writes a colour image; None writes none."""
 
     noise: NoiseCfg | None = None
     """Noise of the distances, from the same source as the other numbers; None has none."""
@@ -189,11 +140,6 @@ class RangeSensorCfg:
         _check_placement(self, "position")
         _check_placement(self, "euler")
         _check_timing(self)
-
-    @property
-    def has_image_plane(self) -> bool:
-        """Whether the model projects points onto an image, which optical flow needs."""
-        return False
 
     @property
     def active_noise(self) -> NoiseCfg | None:

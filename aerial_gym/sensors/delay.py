@@ -3,12 +3,10 @@
 Letters: E environments.
 """
 
-from dataclasses import fields
-
 import torch
 from torch import Tensor
 
-from aerial_gym.sensors.ray_caster import SensorImages
+from aerial_gym.sensors.images import SensorImages
 
 
 class DelayLine:
@@ -17,11 +15,8 @@ class DelayLine:
     def __init__(self, fresh: SensorImages, out: SensorImages, steps: int) -> None:
         """Take what the sensor writes, what users see, and the delay in steps, >= 1."""
         self._pairs: list[tuple[Tensor, Tensor, list[Tensor]]] = []
-        for field in fields(fresh):
-            image = getattr(fresh, field.name)
-            if image is not None:
-                kept = [torch.zeros_like(image) for _ in range(steps)]
-                self._pairs.append((image, getattr(out, field.name), kept))
+        for name, image in fresh.items():
+            self._pairs.append((image, out[name], [torch.zeros_like(image) for _ in range(steps)]))
         like = fresh.distance
         self._started = torch.zeros(like.shape[0], dtype=torch.bool, device=like.device)
 
@@ -42,6 +37,4 @@ class DelayLine:
 
 def like(images: SensorImages) -> SensorImages:
     """Return images of the same shapes."""
-    more = {field.name: getattr(images, field.name) for field in fields(images) if field.name != "distance"}
-    empty = {name: None if tensor is None else torch.zeros_like(tensor) for name, tensor in more.items()}
-    return SensorImages(distance=torch.zeros_like(images.distance), **empty)
+    return SensorImages(**{name: torch.zeros_like(image) for name, image in images.items()})

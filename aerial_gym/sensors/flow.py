@@ -27,7 +27,7 @@ LEAST_DISTANCE = wp.constant(1.0e-6)
 
 @wp.struct
 class Flow:
-    """What the kernel needs of the motion, and where it writes."""
+    """What the kernel needs of the motion."""
 
     right: wp.array[wp.vec3]  # (N,) derivative of the column by the point, at distance 1 [pixel]
     down: wp.array[wp.vec3]  # (N,) derivative of the row
@@ -35,7 +35,6 @@ class Flow:
     drift: wp.array2d[wp.vec3]  # (M, A + 3) a, sensor frame [m/s]
     turn: wp.array2d[wp.vec3]  # (M, A + 3) b, sensor frame [rad/s]
     part_instance: wp.array2d[wp.int32]  # (E, P)
-    image: wp.array2d[wp.vec2]  # (M, N) [pixel/s]
 
 
 @wp.kernel(enable_backward=False)
@@ -96,8 +95,8 @@ def flow_of(flow: Flow, env: int, mount: int, pixel: int, ray: wp.vec3, distance
     return wp.vec2(wp.dot(flow.right[pixel], rate), wp.dot(flow.down[pixel], rate))
 
 
-def make_flow(cfg: RangeSensorCfg, scene: Scene, image: Tensor) -> Flow:
-    """Return what the kernel of a camera needs to write its flow into ``image``, float32, (E, S, H, W, 2)."""
+def make_flow(cfg: RangeSensorCfg, scene: Scene) -> Flow:
+    """Return what the kernel of a camera needs to write its flow."""
     device, mounts = wp.device_from_torch(scene.device), scene.num_envs * cfg.count
     table = flow_table(cfg, device=scene.device).view(-1, 2, 3)
     flow = Flow()
@@ -106,7 +105,6 @@ def make_flow(cfg: RangeSensorCfg, scene: Scene, image: Tensor) -> Flow:
     flow.drift = wp.zeros((mounts, scene.num_instances + 3), dtype=wp.vec3, device=device)
     flow.turn = wp.zeros((mounts, scene.num_instances + 3), dtype=wp.vec3, device=device)
     flow.part_instance = scene.arrays.part_instance
-    flow.image = wp.from_torch(image.view(mounts, -1, 2), dtype=wp.vec2)
     return flow
 
 

@@ -10,33 +10,39 @@ from functools import cache
 
 import warp as wp
 
-from aerial_gym.sensors.flow import Flow, flow_of
+from aerial_gym.config.images import MISS_FACE as _MISS_FACE
+from aerial_gym.config.images import MISS_ID as _MISS_ID
+from aerial_gym.sensors.flow import flow_of
+from aerial_gym.sensors.images import arrays_type
 from aerial_gym.sensors.shading import Light, seen_color
 from aerial_gym.sensors.surface import surface_at
 from aerial_gym.sensors.view import View, is_blocked
 
-MISS_ID = wp.constant(-2)
-"""Segmentation of a pixel that sees nothing within its range. Source: parity with Aerial Gym (3.4)."""
-
-MISS_FACE = wp.constant(-1)
-"""Face of a pixel that sees nothing within its range."""
+MISS_ID = wp.constant(_MISS_ID)
+MISS_FACE = wp.constant(_MISS_FACE)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outputs:
-    """Which images a sensor writes beside the distance, and whether the distance has noise."""
+    """Which images a sensor writes, and what of a pixel is worked out for them."""
+
+    images: tuple[str, ...]
+    """Names in ``IMAGES``."""
+
+    in_world: tuple[str, ...]
+    """Those of them that stand in the world frame."""
 
     noise: bool
-    segmentation: bool
-    points: str | None
-    normals: str | None
-    face_ids: bool
-    stereo: bool
-    color: bool
+    """Whether the distance has noise."""
+
     shadows: bool
+    """Whether what stands before a light takes it away."""
+
     lamps: bool
-    flow: bool
+    """Whether the environment has lamps."""
+
     scan: bool
+    """Whether the columns of a turning lidar are seen from seats of their own."""
 
 
 @wp.struct
@@ -66,23 +72,6 @@ class Noise:
     dropout: wp.float32  # probability
     seed: wp.array[wp.int32]  # (1,)
     image: wp.array[wp.int32]  # (1,) how many images were taken
-
-
-@wp.struct
-class Images:
-    """Where a kernel writes, and what it needs for it; arrays that are not written are empty."""
-
-    distance: wp.array2d[float]  # (M, N) [m] or divided
-    segmentation: wp.array2d[wp.int32]  # (M, N)
-    point: wp.array2d[wp.vec3]  # (M, N) [m]
-    normal: wp.array2d[wp.vec3]  # (M, N)
-    face: wp.array2d[wp.int32]  # (M, N)
-    color: wp.array2d[wp.vec3]  # (M, N)
-    disparity: wp.array2d[float]  # (M, N) [pixel]
-    semantic_id: wp.array2d[wp.int32]  # (E, P) of the scene
-    origin: wp.array[wp.vec3]  # (M,) of the sensor, world [m]; of a turning lidar (M * G,), for every seat
-    attitude: wp.array[wp.quat]  # (M,) sensor to world; likewise
-    flow: Flow
 
 
 @wp.kernel(enable_backward=False)
@@ -130,16 +119,17 @@ def second_camera_sees(view: View, limits: Limits, env: int, mount: int, point: 
 @cache
 def make_write_pixel(outputs: Outputs) -> wp.Function:
     """Return the function that writes a pixel of a sensor with these outputs."""
-    has_noise, segments, faces, stereo = outputs.noise, outputs.segmentation, outputs.face_ids, outputs.stereo
-    points, points_in_world = outputs.points is not None, outputs.points == "world"
-    colors, shadows, lamps = outputs.color, outputs.shadows, outputs.lamps
-    normals, normals_in_world = outputs.normals is not None, outputs.normals == "world"
-    flows = outputs.flow
+    images_type, written, in_world = arrays_type(outputs.images), outputs.images, outputs.in_world
+    has_noise, shadows, lamps = outputs.noise, outputs.shadows, outputs.lamps
+    segments, faces, stereo = "segmentation" in written, "face_ids" in written, "disparity" in written
+    colors, flows = "color" in written, "optical_flow" in written
+    points, points_in_world = "points" in written, "points" in in_world
+    normals, normals_in_world = "normals" in written, "normals" in in_world
 
     # mount: whose image it is; seat: from where it is seen, a row of the view, which differs for a turning lidar
     @wp.func
     def write_pixel(
-        images: Images,
+        images: images_type,
         limits: Limits,
         noise: Noise,
         light: Light,
@@ -181,7 +171,7 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
                 seen = images.semantic_id[env, hit]
             images.segmentation[mount, pixel] = seen
         if wp.static(flows):
-            images.flow.image[mount, pixel] = flow_of(images.flow, env, mount, pixel, ray, nearest, hit)
+            images.optical_flow[mount, pixel] = flow_of(images.flow, env, mount, pixel, ray, nearest, hit)
         valid = hit >= 0 and not dropped and measured >= limits.min_range and measured <= limits.max_range
         if wp.static(stereo):
             images.disparity[mount, pixel] = wp.where(valid, limits.focal_baseline * along / (measured * ray[0]), 0.0)
@@ -189,7 +179,7 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
             point = wp.where(valid, (measured / along) * ray, wp.vec3(0.0, 0.0, 0.0))
             if wp.static(points_in_world):
                 point = images.origin[seat] + wp.quat_rotate(images.attitude[seat], point)
-            images.point[mount, pixel] = point
+            images.points[mount, pixel] = point
         if wp.static(normals or faces or colors):
             normal = wp.vec3(0.0, 0.0, 0.0)
             face = wp.int32(MISS_FACE)
@@ -217,9 +207,9 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
             if wp.static(normals_in_world):
                 normal = wp.quat_rotate(images.attitude[seat], normal)
             if wp.static(normals):
-                images.normal[mount, pixel] = normal
+                images.normals[mount, pixel] = normal
             if wp.static(faces):
-                images.face[mount, pixel] = face
+                images.face_ids[mount, pixel] = face
             if wp.static(colors):
                 images.color[mount, pixel] = color
 

@@ -7,7 +7,7 @@ Frames: body is x forward, y left, z up; a sensor looks along its own x. World i
 Letters: E environments, S sensors of one kind, M = E * S mounts, H x W = N pixels (row 0 on top), P parts.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from math import hypot, radians, tan
 
 import numpy as np
@@ -16,14 +16,15 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets.scene import Scene
-from aerial_gym.assets.views import check_tensor, vector_view
+from aerial_gym.assets.views import vector_view
 from aerial_gym.config.sensor import LidarCfg, RangeSensorCfg, StereoCfg
-from aerial_gym.errors import ConfigError, ShapeError
+from aerial_gym.errors import ConfigError
 from aerial_gym.interop import launch_side_by_side, on_torch_stream, split
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.math.random import uniform
 from aerial_gym.sensors.flow import Flow, make_flow, record_motion
-from aerial_gym.sensors.pixels import MISS_ID, Images, Limits, Noise, Outputs, locate
+from aerial_gym.sensors.images import SensorImages, arrays_of, images_of
+from aerial_gym.sensors.pixels import MISS_ID, Limits, Noise, Outputs, locate
 from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_kernel
 from aerial_gym.sensors.rays import ray_table
 from aerial_gym.sensors.scan import Scan
@@ -38,65 +39,6 @@ GPU_TILE, CPU_TILE = (4, 8), (8, 16)
 
 BLOCK_DIM = 64
 """Threads of a block; 128 is 1 % and 256 is 7 to 24 % slower (docs/results/rendering.md)."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SensorImages:
-    """The tensors that a sensor writes; those that its configuration does not ask for are None."""
-
-    distance: Tensor
-    """Distances [m], or shares of max_range if the sensor normalises, float32, (E, S, H, W)."""
-
-    segmentation: Tensor | None = None
-    """Semantic ids, -2 for a miss, int32, (E, S, H, W)."""
-
-    points: Tensor | None = None
-    """What each pixel sees [m], in the frame that the configuration names, float32, (E, S, H, W, 3). A pixel without a
-    valid distance holds the sensor's own origin."""
-
-    normals: Tensor | None = None
-    """Unit normals of the surfaces towards the sensor, 0 for a miss, float32, (E, S, H, W, 3)."""
-
-    face_ids: Tensor | None = None
-    """Triangle of a mesh; box: 2 axis + (1 for the upper side); cylinder: 0 side, 1 bottom, 2 top; -1 for a miss, int32,
-    (E, S, H, W)."""
-
-    color: Tensor | None = None
-    """Red, green, blue, each 0 to 1, float32, (E, S, H, W, 3)."""
-
-    disparity: Tensor | None = None
-    """Of a stereo camera: by how many pixels the second image is shifted, ``f |b| / z``; 0 where a pixel is invalid, float32,
-    (E, S, H, W)."""
-
-    optical_flow: Tensor | None = None
-    """Velocity of the image of what each pixel sees: right, down [pixel/s], of the true hit whatever noise and limits make of
-    its distance; a miss is at infinity, and flows only as the sensor turns. float32, (E, S, H, W, 2)."""
-
-    def check(self, cfg: RangeSensorCfg, num_envs: int, device: torch.device) -> None:
-        """Raise ``ShapeError`` unless exactly the images that ``cfg`` asks for are here, and fit."""
-        shape = (num_envs, cfg.count, cfg.height, cfg.width)
-        asked = {
-            "distance": True,
-            "segmentation": cfg.segmentation,
-            "points": cfg.points is not None,
-            "normals": cfg.normals is not None,
-            "face_ids": cfg.face_ids,
-            "color": cfg.light is not None,
-            "disparity": isinstance(cfg, StereoCfg),
-            "optical_flow": cfg.optical_flow,
-        }
-        for name, wanted in asked.items():
-            image = getattr(self, name)
-            if (image is not None) != wanted:
-                raise ShapeError(f"{name} must be given exactly if the sensor has such an image: it is {wanted}")
-            if image is None:
-                continue
-            dtype = torch.int32 if name in ("segmentation", "face_ids") else torch.float32
-            full = (*shape, 3) if name in ("points", "normals", "color") else shape
-            full = (*shape, 2) if name == "optical_flow" else full
-            check_tensor(name, image, full, device=device, dtype=dtype)
-            if not image.is_contiguous():
-                raise ShapeError(f"{name} has stride {image.stride()}: images must be contiguous")
 
 
 class RayCaster:
@@ -160,7 +102,7 @@ class RayCaster:
         self._prepare = self._record_preparations(scene, pose)
         self._flow = Flow()
         if images.optical_flow is not None:
-            self._flow = make_flow(cfg, scene, images.optical_flow)
+            self._flow = make_flow(cfg, scene)
             self._prepare.append(record_motion(self._flow, scene, pose, twist))
         self._launches = self._record_rays(scene)
 
@@ -221,16 +163,11 @@ class RayCaster:
         rays.middle = wp.from_torch(tiles.middle, dtype=wp.vec3)
         rays.spread = wp.from_torch(tiles.spread, dtype=wp.vec3)
         outputs = Outputs(
+            images=tuple(self.images),
+            in_world=tuple(name for name, image in images_of(cfg).items() if image.frame_of(cfg) == "world"),
             noise=cfg.active_noise is not None,
-            segmentation=cfg.segmentation,
-            points=cfg.points,
-            normals=cfg.normals,
-            face_ids=cfg.face_ids,
-            stereo=isinstance(cfg, StereoCfg),
-            color=cfg.light is not None,
             shadows=cfg.light is not None and cfg.light.shadows,
             lamps=cfg.light is not None and bool(scene.lamps),
-            flow=cfg.optical_flow,
             scan=self._scan is not None,
         )
         images, due = self._make_images(scene), wp.from_torch(self.due)
@@ -250,23 +187,11 @@ class RayCaster:
         chunks = split(mounts * tiles.num_tiles, torch.get_num_threads())
         return [record(kernel, count, per_tile, first) for first, count in chunks]
 
-    def _make_images(self, scene: Scene) -> Images:
-        images, given, pixels = Images(), self.images, self.cfg.height * self.cfg.width
-        device = wp.device_from_torch(self._device)
-
-        def view(tensor: Tensor | None, dtype: type) -> wp.array:
-            if tensor is None:
-                return wp.empty((0, 0), dtype=dtype, device=device)
-            return wp.from_torch(tensor.view(-1, pixels, *tensor.shape[4:]), dtype=dtype)
-
-        images.distance = view(given.distance, wp.float32)
-        images.segmentation = view(given.segmentation, wp.int32)
-        images.point, images.normal = view(given.points, wp.vec3), view(given.normals, wp.vec3)
-        images.face, images.semantic_id = view(given.face_ids, wp.int32), scene.arrays.semantic_id
-        images.color, images.disparity = view(given.color, wp.vec3), view(given.disparity, wp.float32)
-        images.origin, images.attitude = self._origin, self._attitude
-        images.flow = self._flow
-        return images
+    def _make_images(self, scene: Scene) -> object:
+        arrays = arrays_of(self.images)
+        arrays.semantic_id, arrays.flow = scene.arrays.semantic_id, self._flow
+        arrays.origin, arrays.attitude = self._origin, self._attitude
+        return arrays
 
     def _make_noise(self) -> Noise:
         noise, cfg = Noise(), self.cfg.active_noise

@@ -8,7 +8,8 @@ from functools import cache
 import warp as wp
 
 from aerial_gym.assets.geometry import MESH
-from aerial_gym.sensors.pixels import Images, Limits, Noise, Outputs, limit_of, make_write_pixel
+from aerial_gym.sensors.images import arrays_type
+from aerial_gym.sensors.pixels import Limits, Noise, Outputs, limit_of, make_write_pixel
 from aerial_gym.sensors.shading import Light
 from aerial_gym.sensors.view import View, ballot, entry_of, least_lane, lowest_bit, trace
 
@@ -28,7 +29,7 @@ class Rays:
 @cache
 def make_warp_kernel(outputs: Outputs) -> wp.Kernel:
     """Return the kernel with one ray per thread, for GPUs: the 32 threads of a warp hold one tile."""
-    write_pixel = make_write_pixel(outputs)
+    write_pixel, images_type = make_write_pixel(outputs), arrays_type(outputs.images)
 
     @wp.kernel(module="unique", enable_backward=False)
     def cast_by_warp(
@@ -39,7 +40,7 @@ def make_warp_kernel(outputs: Outputs) -> wp.Kernel:
         light: Light,
         sensors: int,
         due: wp.array[wp.bool],
-        images: Images,
+        images: images_type,
     ):
         """Trace one ray; the threads of a warp look for the candidates of their tile together.
 
@@ -103,7 +104,7 @@ def make_warp_kernel(outputs: Outputs) -> wp.Kernel:
 @cache
 def make_tile_kernel(outputs: Outputs, num_parts: int) -> wp.Kernel:
     """Return the kernel in which one thread traces all rays of a tile: for processors without warps."""
-    write_pixel = make_write_pixel(outputs)
+    write_pixel, images_type = make_write_pixel(outputs), arrays_type(outputs.images)
     num_words = max(1, -(-num_parts // 32))
     words_type = wp.types.vector(length=num_words, dtype=wp.uint32)
 
@@ -141,7 +142,7 @@ def make_tile_kernel(outputs: Outputs, num_parts: int) -> wp.Kernel:
         light: Light,
         sensors: int,
         due: wp.array[wp.bool],
-        images: Images,
+        images: images_type,
         per_tile: int,
         first: int,
     ):

@@ -10,11 +10,12 @@ from torch import Tensor
 
 from aerial_gym.assets import Scene
 from aerial_gym.assets.views import check_tensor
-from aerial_gym.config.sensor import RangeSensorCfg, StereoCfg
+from aerial_gym.config.sensor import RangeSensorCfg
 from aerial_gym.errors import ConfigError, ShapeError
-from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors.delay import DelayLine, like
-from aerial_gym.sensors.ray_caster import RayCaster, SensorImages
+from aerial_gym.sensors.images import declare_images
+from aerial_gym.sensors.ray_caster import RayCaster
 
 _OWNER = "SensorManager"
 
@@ -45,9 +46,8 @@ class SensorManager:
 
         Args:
             cfgs: Sensors by name, in order.
-            gtd: Receives ``depth_range_pixels`` (E, S, H, W) and, as far as a sensor has them, ``segmentation_pixels``,
-                ``face_id_pixels``, ``disparity_pixels``, and ``point_cloud_pixels``, ``normal_pixels``, ``rgb_pixels``
-                (E, S, H, W, 3), ``optical_flow_pixels`` (E, S, H, W, 2); for further sensors with ``<name>_`` in front.
+            gtd: Receives the keys of ``IMAGES`` that a sensor has, (E, S, H, W) or (E, S, H, W, 2 or 3); for further sensors
+                with ``<name>_`` in front.
             scene: What they see.
             position: Body origin [m], world, (E, 3), strided or not; read at every capture.
             attitude: Body to world, xyzw, unit, (E, 4), likewise.
@@ -78,7 +78,7 @@ class SensorManager:
                 for letter, size in (("S", cfg.count), ("H", cfg.height), ("W", cfg.width)):
                     gtd.define_size(letter, size)
             shape = ("E", "S", "H", "W") if first else ("E", cfg.count, cfg.height, cfg.width)
-            seen = _declare_images(gtd, cfg, shape, prefix="" if first else f"{name}_")
+            seen = declare_images(gtd, cfg, shape, prefix="" if first else f"{name}_", owner=_OWNER)
             steps = round(cfg.latency_s / self._dt) if self._dt else 0
             taken = like(seen) if steps else seen
             if steps:
@@ -135,47 +135,3 @@ class SensorManager:
         """Begin the noise of a seed anew."""
         for number, caster in enumerate(self.casters.values()):
             caster.restart(seed + number)
-
-
-def _declare_images(
-    gtd: GlobalTensorDictionary, cfg: RangeSensorCfg, shape: tuple[str | int, ...], *, prefix: str
-) -> SensorImages:
-    def declare(key: str, unit: str, frame: str, meaning: str, *, ids: bool = False, vector: int = 0) -> Tensor:
-        return gtd.declare(TensorSpec(
-            key=f"{prefix}{key}", shape=(*shape, vector) if vector else shape, unit=unit, frame=frame, owner=_OWNER,
-            meaning=meaning, dtype=torch.int32 if ids else torch.float32,
-        ))  # fmt: skip
-
-    kind = "along the optical axis" if cfg.kind == "depth" else "along the ray"
-    unit = f"{cfg.max_range:g} m" if cfg.normalize else "m"
-    limits = f"too far {cfg.far_pixel:g}, too near {cfg.near_pixel:g}"
-    distance = declare("depth_range_pixels", unit, "sensor", f"distance {kind}; {limits}")
-    segmentation = points = normals = faces = color = disparity = flow = None
-    if cfg.segmentation:
-        seen = "semantic id of what the pixel sees; nothing -2"
-        segmentation = declare("segmentation_pixels", "-", "sensor", seen, ids=True)
-    if cfg.points is not None:
-        where = "what the pixel sees; the sensor's origin without a valid distance"
-        points = declare("point_cloud_pixels", "m", cfg.points, where, vector=3)
-    if cfg.normals is not None:
-        normals = declare("normal_pixels", "-", cfg.normals, "unit normal of the surface; 0 for nothing", vector=3)
-    if cfg.face_ids:
-        faces = declare("face_id_pixels", "-", "sensor", "face of the shape; nothing -1", ids=True)
-    if isinstance(cfg, StereoCfg):
-        shift = "by how much the second image is shifted; 0 for an invalid pixel"
-        disparity = declare("disparity_pixels", "pixel", "sensor", shift)
-    if cfg.light is not None:
-        color = declare("rgb_pixels", "-", "sensor", "red, green, blue, each 0 to 1", vector=3)
-    if cfg.optical_flow:
-        moves = "velocity of the image of what the pixel sees: right, down; nothing is at infinity"
-        flow = declare("optical_flow_pixels", "pixel/s", "image", moves, vector=2)
-    return SensorImages(
-        color=color,
-        disparity=disparity,
-        distance=distance,
-        segmentation=segmentation,
-        points=points,
-        normals=normals,
-        face_ids=faces,
-        optical_flow=flow,
-    )

@@ -8,6 +8,7 @@ import warp as wp
 
 from aerial_gym.assets import collision
 from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.images import IMAGES
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.interop import start_warp
 from aerial_gym.physics import EFFECTS, Ground, WarpBackend, build_model, vehicle_from_config
@@ -31,18 +32,12 @@ def compile_for_gpu(module, folder: Path) -> None:
 
 @pytest.mark.parametrize("rich", [False, True])
 def test_ray_kernels_compile(rich: bool, tmp_path: Path) -> None:
-    frame = "world" if rich else None
     outputs = Outputs(
+        images=tuple(IMAGES) if rich else ("distance",),
+        in_world=("points", "normals") if rich else (),
         noise=rich,
-        segmentation=rich,
-        points=frame,
-        normals=frame,
-        face_ids=rich,
-        stereo=rich,
-        color=rich,
         shadows=rich,
         lamps=rich,
-        flow=rich,
         scan=rich,
     )
     compile_for_gpu(make_warp_kernel(outputs).module, tmp_path)

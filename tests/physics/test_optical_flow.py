@@ -17,7 +17,7 @@ from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import quat_exp, quat_from_euler, quat_multiply, quat_rotate, quat_rotate_inverse
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.robots import ROBOTS
-from aerial_gym.sensors import SENSORS, RayCaster, SensorImages, SensorManager
+from aerial_gym.sensors import SENSORS, RayCaster, SensorManager, make_images
 
 DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 COMMON = {
@@ -39,21 +39,6 @@ def device(request: pytest.FixtureRequest) -> torch.device:
     return torch.device(request.param)
 
 
-def make_images(cfg: RangeSensorCfg, num_envs: int, device: torch.device) -> SensorImages:
-    shape = (num_envs, cfg.count, cfg.height, cfg.width)
-
-    def poisoned(*more: int) -> Tensor:
-        return torch.full((*shape, *more), float("nan"), device=device)
-
-    return SensorImages(
-        distance=poisoned(),
-        segmentation=torch.full(shape, -12345, dtype=torch.int32, device=device),
-        points=poisoned(3) if cfg.points else None,
-        disparity=poisoned() if isinstance(cfg, StereoCfg) else None,
-        optical_flow=poisoned(2),
-    )
-
-
 def wall_at(depth: float, device: torch.device, *, twist: Sequence[float] = (0.0,) * 6) -> Scene:
     """Return a scene with a wall across the x axis, whose near side is at a depth, and which has a twist."""
     state = torch.tensor([[[depth + 0.1, 0.0, 0.0, *LEVEL.tolist(), *twist]]], device=device)
@@ -65,7 +50,7 @@ def flow_at(
 ) -> Tensor:
     """Return the flow that one level sensor at the origin sees, (H, W, 2)."""
     device = scene.device
-    images = make_images(cfg, 1, device)
+    images = make_images(cfg, 1, device=device, poisoned=True)
     pose = {"position": torch.zeros(1, 3, device=device), "attitude": LEVEL.repeat(1, 1).to(device)}
     lin_vel, ang_vel = torch.tensor([velocity], device=device), torch.tensor([rates], device=device)
     RayCaster(cfg, scene, images, **pose, lin_vel=lin_vel, ang_vel=ang_vel).cast()
@@ -234,7 +219,7 @@ def test_flow_is_the_limit_of_the_differences_of_projected_points(cfg: RangeSens
     position, lin_vel, ang_vel = (0.6 * torch.rand(2, 3, generator=draw) - 0.3 for _ in range(3))
     attitude = quat_from_euler(0.4 * torch.rand(2, 3, generator=draw) - 0.2)
     lin_vel, ang_vel = 3.0 * lin_vel, 3.0 * ang_vel
-    images = make_images(cfg, 2, device)
+    images = make_images(cfg, 2, device=device, poisoned=True)
     given = (position, attitude, lin_vel, ang_vel)
     keys = ("position", "attitude", "lin_vel", "ang_vel")
     caster = RayCaster(cfg, scene, images, **dict(zip(keys, (t.to(device) for t in given), strict=True)))
@@ -312,7 +297,7 @@ def test_flow_is_refused_where_there_is_no_image_plane_or_no_velocity(device: to
         LidarCfg(**common, elevation_low_deg=-10.0, elevation_high_deg=10.0)
     with pytest.raises(ConfigError, match=r"RayTableCfg.optical_flow = True: a ray_table has no image plane"):
         RayTableCfg(**common, rays=((1.0, 0.0, 0.0), (1.0, 1.0, 0.0)))
-    scene, images = wall_at(4.0, device), make_images(PINHOLE, 1, device)
+    scene, images = wall_at(4.0, device), make_images(PINHOLE, 1, device=device)
     pose = {"position": torch.zeros(1, 3, device=device), "attitude": LEVEL.repeat(1, 1).to(device)}
     with pytest.raises(ConfigError, match=r"CameraCfg.optical_flow needs lin_vel and ang_vel"):
         RayCaster(PINHOLE, scene, images, **pose)

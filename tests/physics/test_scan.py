@@ -13,7 +13,7 @@ from aerial_gym.config.sensor import LidarCfg, LightCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_from_euler, quat_multiply, quat_rotate, quat_rotate_inverse
 from aerial_gym.registry import GlobalTensorDictionary
-from aerial_gym.sensors import RayCaster, SensorImages, SensorManager
+from aerial_gym.sensors import RayCaster, SensorImages, SensorManager, make_images
 
 DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 SCAN_S = 0.1
@@ -54,22 +54,7 @@ def device(request: pytest.FixtureRequest) -> torch.device:
 def shoot(cfg: LidarCfg, scene: Scene, **pose: Tensor) -> RayCaster:
     """Return a lidar that has taken one image; level at the origin and at rest unless given."""
     envs, device = scene.num_envs, scene.device
-    shape = (envs, cfg.count, cfg.height, cfg.width)
-
-    def poisoned(*more: int) -> Tensor:
-        return torch.full((*shape, *more), float("nan"), device=device)
-
-    def ids() -> Tensor:
-        return torch.full(shape, -12345, dtype=torch.int32, device=device)
-
-    images = SensorImages(
-        distance=poisoned(),
-        segmentation=ids(),
-        points=poisoned(3) if cfg.points else None,
-        normals=poisoned(3) if cfg.normals else None,
-        face_ids=ids() if cfg.face_ids else None,
-        color=poisoned(3) if cfg.light else None,
-    )
+    images = make_images(cfg, envs, device=device, poisoned=True)
     zero = torch.zeros(envs, 3)
     state = {"position": zero, "attitude": LEVEL.repeat(envs, 1), "lin_vel": zero, "ang_vel": zero, **pose}
     caster = RayCaster(cfg, scene, images, **{key: value.clone().to(device) for key, value in state.items()})

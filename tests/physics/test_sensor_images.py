@@ -14,7 +14,7 @@ from aerial_gym.config.sensor import CameraCfg, LidarCfg, LightCfg, NoiseCfg, Ra
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate
 from aerial_gym.registry import GlobalTensorDictionary
-from aerial_gym.sensors import RayCaster, SensorImages, SensorManager
+from aerial_gym.sensors import RayCaster, SensorManager, make_images
 
 DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 CAMERA = CameraCfg(
@@ -44,32 +44,12 @@ def make_scene(shapes: list[ShapeCfg], poses: list[tuple[list[float], list[float
     return Scene(shapes, shape_index=rows, semantic_id=rows, asset_state=state.to(device))
 
 
-def make_images(cfg: RangeSensorCfg, num_envs: int, device) -> SensorImages:
-    shape = (num_envs, cfg.count, cfg.height, cfg.width)
-
-    def poisoned(*more: int) -> Tensor:
-        return torch.full((*shape, *more), float("nan"), device=device)
-
-    def ids() -> Tensor:
-        return torch.full(shape, -12345, dtype=torch.int32, device=device)
-
-    return SensorImages(
-        distance=poisoned(),
-        segmentation=ids() if cfg.segmentation else None,
-        points=poisoned(3) if cfg.points else None,
-        normals=poisoned(3) if cfg.normals else None,
-        face_ids=ids() if cfg.face_ids else None,
-        color=poisoned(3) if cfg.light else None,
-        disparity=poisoned() if isinstance(cfg, StereoCfg) else None,
-    )
-
-
 def shoot(cfg: RangeSensorCfg, scene: Scene, *, position=None, attitude=None, seed: int = 0) -> RayCaster:
     """Return a caster that has taken one image; bodies are at the origin and level unless given."""
     envs, device = scene.num_envs, scene.device
     position = torch.zeros(envs, 3) if position is None else position
     attitude = LEVEL.repeat(envs, 1) if attitude is None else attitude
-    images = make_images(cfg, envs, device)
+    images = make_images(cfg, envs, device=device, poisoned=True)
     caster = RayCaster(cfg, scene, images, position=position.to(device), attitude=attitude.to(device), seed=seed)
     caster.cast()
     return caster

@@ -1,0 +1,214 @@
+"""The images that a range sensor may have: their switches in a sensor file, and the table of what each one is.
+
+Buffers, GTD keys, delay lines, the arrays of the kernels and the checks follow from the table; a new image is a switch and
+a row here, and the lines in ``sensors/pixels.py`` that write a pixel of it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from aerial_gym.config.checks import Vec3, require_finite
+from aerial_gym.errors import ConfigError
+
+if TYPE_CHECKING:
+    from aerial_gym.config.range_sensor import RangeSensorCfg
+
+FRAMES = ("world", "sensor")
+"""In which points and normals may stand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightCfg:
+    """A sun and a sky that lights every side alike, beside the lamps of the environment; surfaces are matt (Lambert), shadows
+    sharp.
+
+    A surface has its colour times ``ambient + (1 - ambient) max(n . s, 0)``, and its colour times that of every lamp, no
+    channel above 1; there is no light from one surface to another. What lies beyond the range of a sensor throws no shadow in
+    its image.
+    """
+
+    sun: Vec3 | None = (0.4, 0.3, 0.866)
+    """Direction to the sun, world, of any length > 0; None for none, which leaves the sky and the lamps."""
+
+    ambient: float = 0.35
+    """Share of the light that comes from the sky, 0 to 1; the rest comes from the sun."""
+
+    shadows: bool = True
+    """Whether what stands before the sun or a lamp takes its light away: one more ray for every lit pixel and light."""
+
+    sky: Vec3 = (0.6, 0.75, 0.9)
+    """Red, green, blue of a pixel that sees nothing, each 0 to 1."""
+
+    def __post_init__(self) -> None:
+        require_finite(self, "sky", "ambient", *(["sun"] if self.sun is not None else []))
+        if self.sun is not None and not any(self.sun):
+            raise ConfigError(f"LightCfg.sun = {self.sun!r}: must point somewhere")
+        if not 0.0 <= self.ambient <= 1.0:
+            raise ConfigError(f"LightCfg.ambient = {self.ambient!r}: must lie in 0 to 1")
+        if not all(0.0 <= share <= 1.0 for share in self.sky):
+            raise ConfigError(f"LightCfg.sky = {self.sky!r}: red, green and blue must lie in 0 to 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImagesCfg:
+    """Which images a sensor has beside the distance."""
+
+    segmentation: bool = True
+    """Whether it also writes the semantic id of what each pixel sees."""
+
+    points: str | None = None
+    """Frame in which it also writes the point that each pixel sees [m]: ``world`` or ``sensor``; None writes none."""
+
+    normals: str | None = None
+    """Frame in which it also writes the unit normal of the surface: ``world`` or ``sensor``; None writes none."""
+
+    face_ids: bool = False
+    """Whether it also writes which face of its shape each pixel sees."""
+
+    optical_flow: bool = False
+    """Whether a camera also writes how fast the image of what each pixel sees moves [pixel/s]: right, down. Sensors without an
+    image plane refuse it."""
+
+    light: LightCfg | None = None
+    """Light by which it also writes a colour image; None writes none."""
+
+    @property
+    def has_image_plane(self) -> bool:
+        """Whether the model projects points onto an image, which optical flow needs."""
+        return False
+
+    @property
+    def has_second_camera(self) -> bool:
+        """Whether the model has a second camera, by which images are shifted."""
+        return False
+
+
+Nothing = float | Vec3
+Of = Callable[["RangeSensorCfg"], str]
+"""What an image says of itself, of the sensor that has it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Image:
+    """What one image of a sensor is; a pixel of it is a number or a vector."""
+
+    key: str
+    """In the Global Tensor Dictionary, for the first sensor."""
+
+    wanted: Callable[["RangeSensorCfg"], bool] | None = None
+    """Whether a sensor has it; None: every one."""
+
+    unit: str | Of = "-"
+    """Unit."""
+
+    frame: str | Of = "sensor"
+    """Frame."""
+
+    meaning: str | Of
+    """One line."""
+
+    ids: bool = False
+    """Whether pixels are whole numbers, int32; else they are float32."""
+
+    components: int = 1
+    """Numbers of a pixel: 1, 2 or 3."""
+
+    nothing: Nothing | Callable[["RangeSensorCfg"], Nothing] | None = None
+    """What a pixel holds that sees nothing; None if that depends on where the sensor is and how it moves."""
+
+    def is_in(self, cfg: "RangeSensorCfg") -> bool:
+        """Return whether a sensor has it."""
+        return self.wanted is None or self.wanted(cfg)
+
+    def nothing_of(self, cfg: "RangeSensorCfg") -> Nothing | None:
+        """Return what a pixel that sees nothing holds in a sensor."""
+        return self.nothing(cfg) if callable(self.nothing) else self.nothing
+
+    def unit_of(self, cfg: "RangeSensorCfg") -> str:
+        """Return its unit in a sensor."""
+        return self.unit if isinstance(self.unit, str) else self.unit(cfg)
+
+    def frame_of(self, cfg: "RangeSensorCfg") -> str:
+        """Return its frame in a sensor."""
+        return self.frame if isinstance(self.frame, str) else self.frame(cfg)
+
+    def meaning_of(self, cfg: "RangeSensorCfg") -> str:
+        """Return its line of meaning in a sensor."""
+        return self.meaning if isinstance(self.meaning, str) else self.meaning(cfg)
+
+
+MISS_ID = -2
+"""Segmentation of a pixel that sees nothing within its range. Source: parity with Aerial Gym (3.4)."""
+
+MISS_FACE = -1
+"""Face of a pixel that sees nothing within its range."""
+
+
+def _distance(cfg: "RangeSensorCfg") -> str:
+    along = "along the optical axis" if cfg.kind == "depth" else "along the ray"
+    return f"distance {along}; too far {cfg.far_pixel:g}, too near {cfg.near_pixel:g}"
+
+
+IMAGES: dict[str, Image] = {
+    "distance": Image(
+        key="depth_range_pixels",
+        unit=lambda cfg: f"{cfg.max_range:g} m" if cfg.normalize else "m",
+        meaning=_distance,
+        nothing=lambda cfg: cfg.far_pixel,
+    ),
+    "segmentation": Image(
+        key="segmentation_pixels",
+        wanted=lambda cfg: cfg.segmentation,
+        meaning=f"semantic id of what the pixel sees; nothing {MISS_ID}",
+        ids=True,
+        nothing=MISS_ID,
+    ),
+    "points": Image(
+        key="point_cloud_pixels",
+        wanted=lambda cfg: cfg.points is not None,
+        unit="m",
+        frame=lambda cfg: cfg.points or "-",
+        meaning="what the pixel sees; the sensor's own origin without a valid distance",
+        components=3,
+    ),
+    "normals": Image(
+        key="normal_pixels",
+        wanted=lambda cfg: cfg.normals is not None,
+        frame=lambda cfg: cfg.normals or "-",
+        meaning="unit normal of the surface, towards the sensor; 0 for nothing",
+        components=3,
+        nothing=(0.0, 0.0, 0.0),
+    ),
+    "face_ids": Image(
+        key="face_id_pixels",
+        wanted=lambda cfg: cfg.face_ids,
+        meaning="triangle of a mesh; box: 2 axis + (1 for the upper side); cylinder: 0 side, 1 bottom, 2 top; "
+        f"nothing {MISS_FACE}",
+        ids=True,
+        nothing=MISS_FACE,
+    ),
+    "disparity": Image(
+        key="disparity_pixels",
+        wanted=lambda cfg: cfg.has_second_camera,
+        unit="pixel",
+        meaning="by how much the second image is shifted, f |b| / z; 0 for an invalid pixel",
+        nothing=0.0,
+    ),
+    "color": Image(
+        key="rgb_pixels",
+        wanted=lambda cfg: cfg.light is not None,
+        meaning="red, green, blue, each 0 to 1",
+        components=3,
+        nothing=lambda cfg: (cfg.light or LightCfg()).sky,
+    ),
+    "optical_flow": Image(
+        key="optical_flow_pixels",
+        wanted=lambda cfg: cfg.optical_flow,
+        unit="pixel/s",
+        frame="image",
+        meaning="velocity of the image of what the pixel sees, of the true hit: right, down; nothing is at infinity",
+        components=2,
+    ),
+}
+"""Every image, by the name that it has in the code."""

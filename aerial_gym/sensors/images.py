@@ -1,0 +1,144 @@
+"""The images of a sensor as tensors and as arrays of a kernel, all after the table ``config.images.IMAGES``.
+
+Letters: E environments, S sensors of one kind, M = E * S mounts, H x W = N pixels.
+"""
+
+from collections.abc import Iterator, Mapping
+from functools import cache
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.assets.views import check_tensor
+from aerial_gym.config.images import IMAGES, Image
+from aerial_gym.config.sensor import RangeSensorCfg
+from aerial_gym.errors import ShapeError
+from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+from aerial_gym.sensors.flow import Flow
+
+
+class SensorImages(Mapping[str, Tensor]):
+    """The tensors that a sensor writes, by their names in ``IMAGES``, which are attributes too: None for what it has not.
+
+    Each is contiguous, (E, S, H, W) or with the components of a pixel behind, float32 or int32.
+    """
+
+    distance: Tensor
+    """Distances [m], or shares of max_range if the sensor normalises, float32, (E, S, H, W)."""
+
+    def __init__(self, **images: Tensor | None) -> None:
+        """Take the tensors; None stands for an image that the sensor has not."""
+        self._images = {name: image for name, image in images.items() if image is not None}
+
+    def __getitem__(self, name: str) -> Tensor:
+        return self._images[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._images)
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def __getattr__(self, name: str) -> Tensor | None:
+        if name not in IMAGES:
+            raise AttributeError(f"a sensor has no image {name!r}. Known: {', '.join(IMAGES)}")
+        return self._images.get(name)
+
+    def check(self, cfg: RangeSensorCfg, num_envs: int, device: torch.device) -> None:
+        """Raise ``ShapeError`` unless exactly the images that ``cfg`` asks for are here, and fit."""
+        asked = images_of(cfg)
+        for name in (*IMAGES, *self):
+            if (name in self) != (name in asked):
+                raise ShapeError(f"{name} must be given exactly if the sensor has such an image: it is {name in asked}")
+        for name, image in self.items():
+            shape = image_shape(cfg, asked[name], num_envs)
+            check_tensor(name, image, shape, device=device, dtype=dtype_of(asked[name]))
+            if not image.is_contiguous():
+                raise ShapeError(f"{name} has stride {image.stride()}: images must be contiguous")
+
+
+def images_of(cfg: RangeSensorCfg) -> dict[str, Image]:
+    """Return the rows of ``IMAGES`` that a sensor has."""
+    return {name: image for name, image in IMAGES.items() if image.is_in(cfg)}
+
+
+def dtype_of(image: Image) -> torch.dtype:
+    """Return the type of its numbers."""
+    return torch.int32 if image.ids else torch.float32
+
+
+def image_shape(cfg: RangeSensorCfg, image: Image, num_envs: int) -> tuple[int, ...]:
+    """Return (E, S, H, W), with the components of a pixel behind if there are several."""
+    more = () if image.components == 1 else (image.components,)
+    return (num_envs, cfg.count, cfg.height, cfg.width, *more)
+
+
+POISON = {torch.float32: float("nan"), torch.int32: -(2**31)}
+"""What no kernel writes, by type: a pixel that still holds it was forgotten."""
+
+
+def make_images(cfg: RangeSensorCfg, num_envs: int, *, device: torch.device, poisoned: bool = False) -> SensorImages:
+    """Return new images of a sensor, full of zeros, or of ``POISON``."""
+    images = {}
+    for name, image in images_of(cfg).items():
+        shape, dtype = image_shape(cfg, image, num_envs), dtype_of(image)
+        images[name] = torch.full(shape, POISON[dtype] if poisoned else 0, dtype=dtype, device=device)
+    return SensorImages(**images)
+
+
+def declare_images(
+    gtd: GlobalTensorDictionary, cfg: RangeSensorCfg, shape: tuple[str | int, ...], *, prefix: str, owner: str
+) -> SensorImages:
+    """Declare the images of a sensor and return them.
+
+    Args:
+        gtd: Receives the keys of ``IMAGES`` that the sensor has.
+        cfg: The sensor.
+        shape: (E, S, H, W), as the dictionary names or counts them.
+        prefix: Stands in front of each key.
+        owner: Who writes them.
+    """
+    return SensorImages(**{
+        name: gtd.declare(TensorSpec(
+            key=f"{prefix}{image.key}",
+            shape=shape if image.components == 1 else (*shape, image.components),
+            dtype=dtype_of(image),
+            unit=image.unit_of(cfg),
+            frame=image.frame_of(cfg),
+            owner=owner,
+            meaning=image.meaning_of(cfg),
+        ))
+        for name, image in images_of(cfg).items()
+    })  # fmt: skip
+
+
+_PIXEL = {1: wp.float32, 2: wp.vec2, 3: wp.vec3}
+"""Type of a pixel by the number of its components."""
+
+
+def _pixel_of(image: Image) -> type:
+    return wp.int32 if image.ids else _PIXEL[image.components]
+
+
+@cache
+def arrays_type(names: tuple[str, ...]) -> type:
+    """Return the struct of a kernel that writes these images, each (M, N), and what it needs for it."""
+    needed = {
+        "semantic_id": wp.array2d[wp.int32],  # (E, P) of the scene
+        "origin": wp.array[wp.vec3],  # (M,) of the sensor, world [m]; of a turning lidar (M * G,), for every seat
+        "attitude": wp.array[wp.quat],  # (M,) sensor to world; likewise
+        "flow": Flow,
+    }
+    written = {name: wp.array2d[_pixel_of(IMAGES[name])] for name in names}
+    return wp.struct(type("Images", (), {"__annotations__": {**needed, **written}, "__module__": __name__}))
+
+
+def arrays_of(images: SensorImages) -> object:
+    """Return the struct of these images, whose other members are still to be set."""
+    arrays = arrays_type(tuple(images))()
+    for name, image in images.items():
+        pixels = image.shape[2] * image.shape[3]
+        view = image.view(-1, pixels, *image.shape[4:])
+        setattr(arrays, name, wp.from_torch(view, dtype=_pixel_of(IMAGES[name])))
+    return arrays

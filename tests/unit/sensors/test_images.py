@@ -1,0 +1,132 @@
+"""The table of images: what follows from it, and that a new image needs a row and the code that writes its pixels."""
+
+import pytest
+import torch
+import warp as wp
+
+from aerial_gym.assets import Scene
+from aerial_gym.config.images import IMAGES, Image, LightCfg
+from aerial_gym.config.sensor import CameraCfg, StereoCfg
+from aerial_gym.config.shape import ShapeCfg
+from aerial_gym.errors import ShapeError
+from aerial_gym.registry import GlobalTensorDictionary
+from aerial_gym.sensors import RayCaster, SensorImages, SensorManager, make_images, pixels, ray_kernels
+from aerial_gym.sensors.images import POISON, arrays_type, images_of
+
+STEREO = StereoCfg(
+    summary="every image that there is",
+    width=8,
+    height=6,
+    hfov_deg=60.0,
+    baseline=-0.1,
+    min_range=0.0,
+    max_range=5.0,
+    points="sensor",
+    normals="world",
+    face_ids=True,
+    optical_flow=True,
+    light=LightCfg(sky=(0.25, 0.5, 0.75)),
+    source="chosen for the test",
+)
+CAMERA = CameraCfg(
+    summary="two images",
+    width=8,
+    height=6,
+    hfov_deg=60.0,
+    min_range=0.0,
+    max_range=5.0,
+    latency_s=0.02,
+    source="chosen",
+)
+POSE = {"position": torch.zeros(2, 3), "attitude": torch.tensor([[0.0, 0.0, 0.0, 1.0]]).repeat(2, 1)}
+
+
+def wall(depth: float) -> Scene:
+    """Return a scene of two environments with a wall across the x axis."""
+    state = torch.zeros(2, 1, 13)
+    state[..., 0], state[..., 6] = depth + 0.1, 1.0
+    rows = torch.zeros(1, dtype=torch.long)
+    box = ShapeCfg(kind="box", size=(0.2, 60.0, 60.0))
+    return Scene([box], shape_index=rows, semantic_id=rows, asset_state=state)
+
+
+def test_a_pixel_that_sees_nothing_holds_what_the_table_says() -> None:
+    """The wall is out of range, and every buffer held poison before."""
+    images = make_images(STEREO, 2, device=torch.device("cpu"), poisoned=True)
+    assert set(images) == set(IMAGES)
+    RayCaster(STEREO, wall(30.0), images, **POSE, lin_vel=torch.zeros(2, 3), ang_vel=torch.zeros(2, 3)).cast()
+    for name, row in images_of(STEREO).items():
+        nothing = row.nothing_of(STEREO)
+        expected = torch.zeros(()) if nothing is None else torch.tensor(nothing)  # at rest at the origin
+        assert torch.equal(images[name], expected.to(images[name].dtype).expand_as(images[name])), name
+
+
+def test_images_must_be_exactly_those_of_the_sensor() -> None:
+    device = torch.device("cpu")
+    images = make_images(CAMERA, 2, device=device)
+    images.check(CAMERA, 2, device)
+    with pytest.raises(
+        ShapeError, match="segmentation must be given exactly if the sensor has such an image: it is True"
+    ):
+        SensorImages(distance=images.distance).check(CAMERA, 2, device)
+    with pytest.raises(ShapeError, match="normals must be given exactly if the sensor has such an image: it is False"):
+        SensorImages(**images, normals=torch.zeros(2, 1, 6, 8, 3)).check(CAMERA, 2, device)
+    with pytest.raises(ShapeError, match=r"segmentation is \(2, 1, 6, 8\) torch.float32"):
+        SensorImages(distance=images.distance, segmentation=images.distance).check(CAMERA, 2, device)
+    with pytest.raises(AttributeError, match="no image 'depth'. Known: distance, segmentation"):
+        _ = images.depth
+
+
+def test_a_kernel_has_arrays_for_the_images_of_its_sensor_alone() -> None:
+    struct = arrays_type(tuple(images_of(CAMERA)))()
+    assert not hasattr(struct, "normals")
+    assert hasattr(struct, "segmentation")
+
+
+def test_a_new_image_needs_a_row_and_the_code_that_writes_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With these two alone it has a buffer, a key, a delay line and an array of the kernel, and is checked."""
+    row = Image(key="heading_pixels", unit="m", frame="sensor", meaning="x of the ray, distance", components=2)
+    monkeypatch.setitem(IMAGES, "heading", row)
+
+    def make_write_pixel(outputs: pixels.Outputs) -> wp.Function:
+        write_others, images_type = pixels.make_write_pixel(outputs), arrays_type(outputs.images)
+
+        @wp.func
+        def write_pixel(
+            images: images_type,
+            limits: pixels.Limits,
+            noise: pixels.Noise,
+            light: pixels.Light,
+            view: pixels.View,
+            env: int,
+            mount: int,
+            seat: int,
+            pixel: int,
+            ray: wp.vec3,
+            nearest: float,
+            hit: int,
+        ):
+            write_others(images, limits, noise, light, view, env, mount, seat, pixel, ray, nearest, hit)
+            images.heading[mount, pixel] = wp.vec2(ray[0], nearest)
+
+        return write_pixel
+
+    monkeypatch.setattr(ray_kernels, "make_write_pixel", make_write_pixel)
+    gtd = GlobalTensorDictionary(device=torch.device("cpu"), sizes={"E": 2})
+    manager = SensorManager({"camera": CAMERA}, gtd, wall(3.0), **POSE, num_envs=2, device=torch.device("cpu"), dt=0.01)
+    spec = gtd.spec("heading_pixels")
+    assert (spec.shape, spec.unit, spec.frame) == (("E", "S", "H", "W", 2), "m", "sensor")
+    caster = manager.casters["camera"]
+    caster.images["heading"].fill_(POISON[torch.float32])
+    manager.capture()
+    found = gtd["heading_pixels"]
+    torch.testing.assert_close(found[0, 0, ..., 0], caster.direction[..., 0])
+    torch.testing.assert_close(found[..., 0] * found[..., 1], torch.full((2, 1, 6, 8), 3.0))
+    POSE["position"][:, 0] = 1.0
+    manager.capture()
+    POSE["position"][:, 0] = 0.0
+    torch.testing.assert_close(found[..., 0] * found[..., 1], torch.full((2, 1, 6, 8), 3.0))  # it is delayed too
+    with pytest.raises(ShapeError, match="heading must be given exactly if the sensor has such an image: it is True"):
+        SensorImages(distance=caster.images.distance, segmentation=caster.images.segmentation).check(
+            CAMERA, 2, torch.device("cpu")
+        )
