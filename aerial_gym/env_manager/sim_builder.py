@@ -5,8 +5,10 @@ from pathlib import Path
 import torch
 
 from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.environment import EnvironmentCfg, load_environment
 from aerial_gym.config.robot import RobotCfg, load_robot
+from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager.catalog import SIMS
 from aerial_gym.env_manager.env_manager import EnvManager
@@ -15,15 +17,19 @@ from aerial_gym.interop import resolve_device
 from aerial_gym.robots import ROBOTS
 
 
-def robot_by_name(name: str | Path) -> RobotCfg:
-    """Return a registered robot, or the one in a robot file if ``name`` ends in ``.yaml``."""
+def robot_by_name(name: str | Path | RobotCfg) -> RobotCfg:
+    """Return a registered robot, or the one in a robot file if ``name`` ends in ``.yaml``; a configuration as it is."""
+    if isinstance(name, RobotCfg):
+        return name
     if str(name).endswith((".yaml", ".yml")):
         return load_robot(name)
     return ROBOTS.get(str(name))
 
 
-def environment_by_name(name: str | Path) -> EnvironmentCfg:
-    """Return a registered environment, or the one in an environment file if ``name`` ends in ``.yaml``."""
+def environment_by_name(name: str | Path | EnvironmentCfg) -> EnvironmentCfg:
+    """Return a registered environment, or the one in a file if ``name`` ends in ``.yaml``; a configuration as it is."""
+    if isinstance(name, EnvironmentCfg):
+        return name
     if str(name).endswith((".yaml", ".yml")):
         return load_environment(name)
     return ENVIRONMENTS.get(str(name))
@@ -37,20 +43,20 @@ def _device(name: str | torch.device) -> torch.device:
 
 
 class SimBuilder:
-    """Builds an ``EnvManager`` from names."""
+    """Builds an ``EnvManager`` from names, or from configurations."""
 
     def build_env(
         self,
         *,
-        sim_name: str,
-        env_name: str | Path,
-        robot_name: str | Path,
-        controller_name: str,
+        sim_name: str | SimCfg,
+        env_name: str | Path | EnvironmentCfg,
+        robot_name: str | Path | RobotCfg,
+        controller_name: str | ControllerCfg,
         num_envs: int,
         device: str | torch.device = "auto",
         seed: int = 0,
     ) -> EnvManager:
-        """Return a simulation, built and not yet reset.
+        """Return a simulation, built and not yet reset. In place of a name stands a configuration if it is registered nowhere.
 
         Args:
             sim_name: Registered sim.
@@ -66,10 +72,12 @@ class SimBuilder:
             ConfigError: If a number is impossible.
         """
         return EnvManager(
-            sim=SIMS.get(sim_name),
+            sim=sim_name if isinstance(sim_name, SimCfg) else SIMS.get(sim_name),
             env=environment_by_name(env_name),
             robot=robot_by_name(robot_name),
-            controller=CONTROLLERS.get(controller_name),
+            controller=controller_name
+            if isinstance(controller_name, ControllerCfg)
+            else CONTROLLERS.get(controller_name),
             num_envs=num_envs,
             device=_device(device),
             seed=seed,

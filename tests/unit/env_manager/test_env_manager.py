@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aerial_gym import SimBuilder
+from aerial_gym import CONTROLLERS, ROBOTS, SIMS, SimBuilder
 from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.environment import AssetCfg, ShapeCfg
@@ -14,7 +14,7 @@ from aerial_gym.errors import ConfigError, ShapeError, UnknownNameError
 from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse
 
 
-def build(num_envs: int = 4, *, seed: int = 0, **changes: str) -> EnvManager:
+def build(num_envs: int = 4, *, seed: int = 0, **changes: object) -> EnvManager:
     names = {
         "sim_name": "base_sim",
         "env_name": "empty_env",
@@ -272,3 +272,22 @@ def test_an_environment_can_be_a_file(tmp_path) -> None:
     assert env.gtd["obstacle_position"].shape[1:] == (2, 3)
     with pytest.raises(ConfigError, match="none.yaml"):
         build(env_name=str(tmp_path / "none.yaml"))
+
+
+def test_configurations_stand_in_place_of_names() -> None:
+    """What is registered nowhere is built as it is: the same flight as by the names of the same configurations."""
+    sim, env, robot, controller = (
+        registry.get(name)
+        for registry, name in (
+            (SIMS, "base_sim"),
+            (ENVIRONMENTS, "empty_env"),
+            (ROBOTS, "base_quadrotor"),
+            (CONTROLLERS, "lee_velocity_control"),
+        )
+    )
+    given = build(sim_name=replace(sim, dt=0.02), env_name=env, robot_name=robot, controller_name=controller)
+    assert given.dt == pytest.approx(0.02)
+    named, same = build(), build(sim_name=sim, env_name=env, robot_name=robot, controller_name=controller)
+    for one in (named, same):
+        fly(one)
+    assert torch.equal(named.gtd["robot_state_tensor"], same.gtd["robot_state_tensor"])
