@@ -3,33 +3,34 @@
 Importing this package starts no device and compiles no kernel; the names below are loaded when first used.
 """
 
-from importlib import import_module
+from typing import TYPE_CHECKING
+
+from aerial_gym.lazy import exports
+
+if TYPE_CHECKING:
+    from aerial_gym.assets import ENVIRONMENTS
+    from aerial_gym.control import CONTROLLERS
+    from aerial_gym.env_manager import SIMS, EnvManager, SimBuilder
+    from aerial_gym.physics import BACKENDS, EFFECTS
+    from aerial_gym.robots import ROBOTS
+    from aerial_gym.sensors import SENSORS
+    from aerial_gym.task import Task, task_registry
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "SimBuilder": "aerial_gym.env_manager",
-    "EnvManager": "aerial_gym.env_manager",
-    "SIMS": "aerial_gym.env_manager",
-    "ENVIRONMENTS": "aerial_gym.assets",
-    "ROBOTS": "aerial_gym.robots",
-    "CONTROLLERS": "aerial_gym.control",
-    "SENSORS": "aerial_gym.sensors",
-    "EFFECTS": "aerial_gym.physics",
-    "BACKENDS": "aerial_gym.physics",
-    "Task": "aerial_gym.task",
-    "task_registry": "aerial_gym.task",
-}
+__all__ = [
+    "BACKENDS",
+    "CONTROLLERS",
+    "EFFECTS",
+    "ENVIRONMENTS",
+    "ROBOTS",
+    "SENSORS",
+    "SIMS",
+    "EnvManager",
+    "SimBuilder",
+    "Task",
+    "__version__",
+    "task_registry",
+]
 
-__all__ = ["__version__", *_HOMES]
-
-
-def __getattr__(name: str) -> object:
-    """Return a public name from the part that defines it."""
-    if name not in _HOMES:
-        raise AttributeError(f"module 'aerial_gym' has no attribute {name!r}. Known: {', '.join(_HOMES)}")
-    return getattr(import_module(_HOMES[name]), name)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = exports(__name__, __file__)

@@ -1,13 +1,18 @@
 """Obstacles: shared shapes, per-environment instances, their placement, and the collision test."""
 
-from aerial_gym.assets.asset_manager import AssetManager
-from aerial_gym.assets.catalog import ENVIRONMENTS
-from aerial_gym.assets.collision import CollisionTest
-from aerial_gym.assets.families import FAMILIES, family_shapes
-from aerial_gym.assets.placement import bounds_ranges, draw_bounds
-from aerial_gym.assets.scene import PARKED_Z, Scene
-from aerial_gym.assets.shapes import load_mesh
-from aerial_gym.assets.urdf import load_urdf
+from typing import TYPE_CHECKING
+
+from aerial_gym.lazy import exports
+
+if TYPE_CHECKING:
+    from aerial_gym.assets.asset_manager import AssetManager
+    from aerial_gym.assets.catalog import ENVIRONMENTS
+    from aerial_gym.assets.collision import CollisionTest
+    from aerial_gym.assets.families import FAMILIES, family_shapes
+    from aerial_gym.assets.placement import bounds_ranges, draw_bounds
+    from aerial_gym.assets.scene import PARKED_Z, Scene
+    from aerial_gym.assets.shapes import load_mesh
+    from aerial_gym.assets.urdf import load_urdf
 
 __all__ = [
     "ENVIRONMENTS",
@@ -22,3 +27,5 @@ __all__ = [
     "load_mesh",
     "load_urdf",
 ]
+
+__getattr__, __dir__ = exports(__name__, __file__)

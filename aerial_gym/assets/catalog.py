@@ -1,6 +1,8 @@
 """Every environment that comes with the package, in one table."""
 
-from aerial_gym.config import CONFIG_DIR
+from functools import partial
+
+from aerial_gym.config import CONFIG_DIR, summary_in
 from aerial_gym.config.environment import EnvironmentCfg, load_environment
 from aerial_gym.registry import Registry
 
@@ -15,4 +17,5 @@ for _name in (
     "dynamic_env",
     "landing_env",
 ):
-    ENVIRONMENTS.register(_name, load_environment(CONFIG_DIR / "environments" / f"{_name}.yaml"))
+    _path = CONFIG_DIR / "environments" / f"{_name}.yaml"
+    ENVIRONMENTS.register_later(_name, partial(load_environment, _path), summary=partial(summary_in, _path))

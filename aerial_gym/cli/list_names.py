@@ -1,67 +1,65 @@
 """``aerial-gym list``: what is registered."""
 
 import json
-from collections.abc import Callable
+import sys
+from argparse import ArgumentParser
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
-
-import tyro
-from rich.console import Console
-from rich.table import Table
+from shutil import get_terminal_size
+from textwrap import fill
 
 from aerial_gym.errors import UnknownNameError
+from aerial_gym.lazy import Home
 
-
-def _entries() -> dict[str, Callable[[], dict[str, str]]]:
-    """Return, per kind, what makes the names and one line each."""
-    from aerial_gym.assets import ENVIRONMENTS
-    from aerial_gym.control import CONTROLLERS
-    from aerial_gym.env_manager import SIMS
-    from aerial_gym.physics import BACKENDS, EFFECTS
-    from aerial_gym.registry import Registry
-    from aerial_gym.robots import ROBOTS
-    from aerial_gym.sensors import SENSORS
-    from aerial_gym.task import task_registry
-
-    def summaries(registry: Registry) -> Callable[[], dict[str, str]]:
-        return lambda: {name: registry.get(name).summary for name in registry.names()}
-
-    return {
-        "sims": summaries(SIMS),
-        "environments": summaries(ENVIRONMENTS),
-        "robots": summaries(ROBOTS),
-        "controllers": summaries(CONTROLLERS),
-        "sensors": summaries(SENSORS),
-        "effects": summaries(EFFECTS),
-        "backends": lambda: {name: (BACKENDS.get(name).__doc__ or "").splitlines()[0] for name in BACKENDS.names()},
-        "tasks": summaries(task_registry),
-    }
+KINDS = {
+    "sims": Home("aerial_gym.env_manager:SIMS"),
+    "environments": Home("aerial_gym.assets:ENVIRONMENTS"),
+    "robots": Home("aerial_gym.robots:ROBOTS"),
+    "controllers": Home("aerial_gym.control:CONTROLLERS"),
+    "sensors": Home("aerial_gym.sensors:SENSORS"),
+    "effects": Home("aerial_gym.physics:EFFECTS"),
+    "backends": Home("aerial_gym.physics:BACKENDS"),
+    "tasks": Home("aerial_gym.task:task_registry"),
+}
+"""Registries by what they hold. None of them imports torch or Warp to say what it has."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ListCmd:
     """List what is registered, with one line each."""
 
-    kind: Annotated[str | None, tyro.conf.Positional] = None
+    kind: str | None = None
     """sims, environments, robots, controllers, sensors, effects, backends or tasks; everything if not given."""
 
     json: bool = False
     """Print one JSON object instead of a table."""
 
+    @classmethod
+    def parse(cls, argv: Sequence[str]) -> "ListCmd":
+        """Return the command of its arguments. Without tyro, whose import alone takes as long as everything here."""
+        parser = ArgumentParser(prog="aerial-gym list", description=cls.__doc__, allow_abbrev=False)
+        parser.add_argument("kind", nargs="?", help=f"one of {', '.join(KINDS)}; everything if not given")
+        parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
+        return cls(**vars(parser.parse_args(argv)))
+
     def run(self) -> int:
         """Print names and summaries by kind."""
-        entries = _entries()
-        if self.kind is not None and self.kind not in entries:
-            raise UnknownNameError(f"no kind {self.kind!r}. Known: {', '.join(entries)}")
-        found = {kind: make() for kind, make in entries.items() if self.kind in (None, kind)}
+        if self.kind is not None and self.kind not in KINDS:
+            raise UnknownNameError(f"no kind {self.kind!r}. Known: {', '.join(KINDS)}")
+        found = {kind: home.load().summaries() for kind, home in KINDS.items() if self.kind in (None, kind)}
         if self.json:
             print(json.dumps(found, ensure_ascii=False, indent=2))
             return 0
-        table = Table(box=None, pad_edge=False)
-        for head in ("kind", "name", "summary"):
-            table.add_column(head, overflow="fold")
-        for kind, names in found.items():
-            for name, summary in names.items():
-                table.add_row(kind, name, summary)
-        Console(markup=False).print(table)
+        rows = [(kind, name, line) for kind, lines in found.items() for name, line in lines.items()]
+        kinds, names = (max(len(row[column]) for row in rows) + 2 for column in (0, 1))
+        for kind, name, line in rows:
+            print(_wrapped(f"{kind:<{kinds}}{name:<{names}}", line))
         return 0
+
+
+def _wrapped(head: str, line: str) -> str:
+    """Return a row of the table; broken between words where a terminal would break it anywhere."""
+    if not sys.stdout.isatty():
+        return head + line
+    width = max(get_terminal_size().columns, len(head) + 20)
+    return fill(line, width, initial_indent=head, subsequent_indent=" " * len(head))

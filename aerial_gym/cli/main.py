@@ -5,11 +5,11 @@ Exit status: 0 done, 1 failed, 2 wrong request (one sentence, no traceback).
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
-from importlib import import_module
-from typing import Any, Protocol
+from typing import Protocol
 
+from aerial_gym import __version__
 from aerial_gym.errors import AerialGymError
+from aerial_gym.lazy import Home
 
 
 class Command(Protocol):
@@ -20,37 +20,30 @@ class Command(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class _Home:
-    """Where a subcommand's dataclass stands; loaded only when it is asked for."""
-
-    module: str
-    name: str
-
-
-COMMANDS: dict[str, _Home] = {
-    "list": _Home("aerial_gym.cli.list_names", "ListCmd"),
-    "train": _Home("aerial_gym.cli.train", "TrainCmd"),
-    "play": _Home("aerial_gym.cli.play", "PlayCmd"),
-    "evaluate": _Home("aerial_gym.cli.evaluate", "EvaluateCmd"),
-    "replay": _Home("aerial_gym.cli.replay", "ReplayCmd"),
-    "close-loop": _Home("aerial_gym.cli.close_loop", "CloseLoopCmd"),
-    "identify": _Home("aerial_gym.cli.identify", "IdentifyCmd"),
-    "bench": _Home("aerial_gym.cli.bench.command", "BenchCmd"),
-    "render-gallery": _Home("aerial_gym.cli.render_gallery", "RenderGalleryCmd"),
-    "demo": _Home("aerial_gym.cli.demo.command", "DemoCmd"),
+COMMANDS: dict[str, Home] = {
+    "list": Home("aerial_gym.cli.list_names:ListCmd"),
+    "train": Home("aerial_gym.cli.train:TrainCmd"),
+    "play": Home("aerial_gym.cli.play:PlayCmd"),
+    "evaluate": Home("aerial_gym.cli.evaluate:EvaluateCmd"),
+    "replay": Home("aerial_gym.cli.replay:ReplayCmd"),
+    "close-loop": Home("aerial_gym.cli.close_loop:CloseLoopCmd"),
+    "identify": Home("aerial_gym.cli.identify:IdentifyCmd"),
+    "bench": Home("aerial_gym.cli.bench.command:BenchCmd"),
+    "render-gallery": Home("aerial_gym.cli.render_gallery:RenderGalleryCmd"),
+    "demo": Home("aerial_gym.cli.demo.command:DemoCmd"),
 }
 
 
-def _load(name: str) -> type[Any]:
-    home = COMMANDS[name]
-    return getattr(import_module(home.module), home.name)
-
-
 def _overview() -> str:
-    rows = [f"  {name:<12} {(_load(name).__doc__ or '').splitlines()[0]}" for name in COMMANDS]
+    rows = [f"  {name:<12} {home.summary()}" for name, home in COMMANDS.items()]
     return "\n".join(
-        ["usage: aerial-gym COMMAND [options]", "", *rows, "", "aerial-gym COMMAND --help lists its options."]
+        [
+            "usage: aerial-gym COMMAND [options]",
+            "",
+            *rows,
+            "",
+            "aerial-gym COMMAND --help lists its options; --version says which this is.",
+        ]
     )
 
 
@@ -59,12 +52,18 @@ def _parse(argv: Sequence[str]) -> Command | int:
     if not argv or argv[0] in ("-h", "--help"):
         print(_overview())
         return 0 if argv else 2
+    if argv[0] == "--version":
+        print(f"aerial-gym {__version__}")
+        return 0
     if argv[0] not in COMMANDS:
         print(f"aerial-gym: no command {argv[0]!r}. Known: {', '.join(COMMANDS)}", file=sys.stderr)
         return 2
+    command = COMMANDS[argv[0]].load()
+    if hasattr(command, "parse"):
+        return command.parse(argv[1:])
     import tyro
 
-    return tyro.cli(_load(argv[0]), args=argv[1:], prog=f"aerial-gym {argv[0]}")
+    return tyro.cli(command, args=argv[1:], prog=f"aerial-gym {argv[0]}")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -1,8 +1,7 @@
 """What every configuration checks of its numbers."""
 
-from math import inf
-
-import numpy as np
+from collections.abc import Iterator
+from math import inf, isfinite
 
 from aerial_gym.errors import ConfigError
 
@@ -21,12 +20,21 @@ def require_finite(config: object, *names: str) -> None:
     """Raise ``ConfigError`` unless the named numbers or nested tuples of numbers are finite."""
     for name in names:
         value = getattr(config, name)
-        if not np.all(np.isfinite(np.asarray(value, dtype=float))):
+        if not all(map(isfinite, _numbers(value))):
             raise ConfigError(f"{type(config).__name__}.{name} = {value!r}: must be finite")
 
 
 def require_ordered(config: object, low: str, high: str) -> None:
     """Raise ``ConfigError`` unless every entry of field ``low`` is at most its partner in field ``high``."""
-    a, b = np.asarray(getattr(config, low), dtype=float), np.asarray(getattr(config, high), dtype=float)
-    if not np.all(a <= b):
-        raise ConfigError(f"{type(config).__name__}: {low} = {a.tolist()} must not exceed {high} = {b.tolist()}")
+    a, b = list(_numbers(getattr(config, low))), list(_numbers(getattr(config, high)))
+    if not all(x <= y for x, y in zip(a, b, strict=True)):
+        raise ConfigError(f"{type(config).__name__}: {low} = {a} must not exceed {high} = {b}")
+
+
+def _numbers(value: object) -> Iterator[float]:
+    """Give the numbers of a number or of nested tuples of numbers."""
+    if isinstance(value, (tuple, list)):
+        for item in value:
+            yield from _numbers(item)
+    else:
+        yield float(value)  # type: ignore[arg-type]

@@ -17,11 +17,15 @@ CONFIG_DIR = Path(__file__).parent
 """Folder of the configurations that come with the package."""
 
 
+_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""The safe loader; the one in C, ten times as fast, where PyYAML has it."""
+
+
 def read_yaml(path: str | Path) -> dict[str, object]:
     """Return the mapping in a YAML file; raise ``ConfigError`` that names the file if there is none."""
     path = Path(path)
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -31,6 +35,11 @@ def read_yaml(path: str | Path) -> dict[str, object]:
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: must hold a mapping of fields, found {type(data).__name__}")
     return data
+
+
+def summary_in(path: str | Path) -> str:
+    """Return the ``summary`` of a configuration file without building the configuration."""
+    return str(read_yaml(path).get("summary", ""))
 
 
 def load(cls: type[T], path: str | Path) -> T:

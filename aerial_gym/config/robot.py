@@ -9,8 +9,6 @@ from dataclasses import dataclass, field, replace
 from math import inf, isfinite
 from pathlib import Path
 
-import numpy as np
-
 from aerial_gym.config.checks import Vec3, require_finite, require_ordered, require_positive
 from aerial_gym.config.learned_residual import LearnedResidualCfg
 from aerial_gym.config.loader import load
@@ -56,6 +54,8 @@ class BodyCfg:
     def __post_init__(self) -> None:
         require_positive(self, "mass")
         require_finite(self, "inertia", "com")
+        import numpy as np
+
         matrix = np.asarray(self.inertia, dtype=float)
         if not np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9 * np.abs(matrix).max()):
             raise ConfigError(f"BodyCfg.inertia = {self.inertia!r}: must be symmetric")

@@ -1,6 +1,13 @@
 """Controllers and allocation."""
 
-from aerial_gym.control.catalog import CONTROLLERS
-from aerial_gym.control.controllers import Controller, make_controller
+from typing import TYPE_CHECKING
+
+from aerial_gym.lazy import exports
+
+if TYPE_CHECKING:
+    from aerial_gym.control.catalog import CONTROLLERS
+    from aerial_gym.control.controllers import Controller, make_controller
 
 __all__ = ["CONTROLLERS", "Controller", "make_controller"]
+
+__getattr__, __dir__ = exports(__name__, __file__)

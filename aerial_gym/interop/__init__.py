@@ -1,7 +1,14 @@
 """Where torch and Warp meet: devices, streams and threads."""
 
-from aerial_gym.interop.devices import resolve_device
-from aerial_gym.interop.streams import on_torch_stream, start_warp
-from aerial_gym.interop.threads import launch_side_by_side, one_thread, split
+from typing import TYPE_CHECKING
+
+from aerial_gym.lazy import exports
+
+if TYPE_CHECKING:
+    from aerial_gym.interop.devices import resolve_device
+    from aerial_gym.interop.streams import on_torch_stream, start_warp
+    from aerial_gym.interop.threads import launch_side_by_side, one_thread, split
 
 __all__ = ["launch_side_by_side", "on_torch_stream", "one_thread", "resolve_device", "split", "start_warp"]
+
+__getattr__, __dir__ = exports(__name__, __file__)

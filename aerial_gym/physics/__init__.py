@@ -1,15 +1,21 @@
 """Rigid body, rotors, effects, and the backends that advance them."""
 
-from aerial_gym.physics.backend import BACKENDS, Capabilities, ControlLaw, PhysicsBackend
-from aerial_gym.physics.effects import EFFECTS
-from aerial_gym.physics.ground import Ground
-from aerial_gym.physics.integrators import INTEGRATORS
-from aerial_gym.physics.model import Model, build_model, effects_from_config
-from aerial_gym.physics.rigid_body import Accelerations, accelerations, condition_in
-from aerial_gym.physics.state import BodyState, state_at_rest
-from aerial_gym.physics.torch_backend import TorchBackend, advance, advance_remembering
-from aerial_gym.physics.vehicle import Vehicle, vehicle_from_config
-from aerial_gym.physics.warp_backend import WarpBackend
+from typing import TYPE_CHECKING
+
+from aerial_gym.lazy import exports
+
+if TYPE_CHECKING:
+    from aerial_gym.physics.backend import Capabilities, ControlLaw, PhysicsBackend
+    from aerial_gym.physics.catalog import BACKENDS
+    from aerial_gym.physics.effects import EFFECTS
+    from aerial_gym.physics.ground import Ground
+    from aerial_gym.physics.integrators import INTEGRATORS
+    from aerial_gym.physics.model import Model, build_model, effects_from_config
+    from aerial_gym.physics.rigid_body import Accelerations, accelerations, condition_in
+    from aerial_gym.physics.state import BodyState, state_at_rest
+    from aerial_gym.physics.torch_backend import TorchBackend, advance, advance_remembering
+    from aerial_gym.physics.vehicle import Vehicle, vehicle_from_config
+    from aerial_gym.physics.warp_backend import WarpBackend
 
 __all__ = [
     "BACKENDS",
@@ -34,3 +40,5 @@ __all__ = [
     "state_at_rest",
     "vehicle_from_config",
 ]
+
+__getattr__, __dir__ = exports(__name__, __file__)

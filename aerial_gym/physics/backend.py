@@ -1,6 +1,5 @@
 """The contract of a physics backend, and the registry in which backends stand by name."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,7 +10,6 @@ from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
-from aerial_gym.registry import Registry
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +79,3 @@ class PhysicsBackend(Protocol):
     def set_model(self, model: Model) -> None:
         """Take other parameters of the same shapes: after a randomised reset."""
         ...
-
-
-BACKENDS: Registry[Callable[[], PhysicsBackend]] = Registry("physics backend")
-"""Constructors of backends by name."""

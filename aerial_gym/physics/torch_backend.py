@@ -5,7 +5,7 @@ from torch import Tensor
 
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.errors import CapabilityError
-from aerial_gym.physics.backend import BACKENDS, Capabilities, ControlLaw
+from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
 from aerial_gym.physics.ground import Ground, push_off_ground, touches_ground
 from aerial_gym.physics.integrators import INTEGRATORS, MassState, Stepper, to_body_state, to_mass_state
@@ -180,6 +180,3 @@ class TorchBackend:
         if self._memory is not None:
             self._memory.seed.fill_(seed % 2**31)
             self._memory.count.zero_()
-
-
-BACKENDS.register("torch", TorchBackend)

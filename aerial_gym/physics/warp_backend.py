@@ -12,7 +12,7 @@ from torch import Tensor
 
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop import launch_side_by_side, on_torch_stream, split, start_warp
-from aerial_gym.physics.backend import BACKENDS, Capabilities, ControlLaw
+from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
 from aerial_gym.physics.effects import EFFECTS, Effect, LearnedResidual
 from aerial_gym.physics.fused.command import NoGains
@@ -315,6 +315,3 @@ class WarpBackend:
 def _same_row(new: Tensor, kept: Tensor) -> bool:
     """Return whether rows are shared as before, with the same numbers; waits for the device."""
     return is_shared(new) and torch.equal(new[0], kept[0])
-
-
-BACKENDS.register("warp", WarpBackend)

@@ -1,12 +1,21 @@
 """One class for every family of names: sims, environments, robots, controllers, sensors, effects, backends, tasks."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Generic, TypeVar
+from typing import Generic, TypeVar, cast
 
 from aerial_gym.errors import DuplicateNameError, UnknownNameError
 
 T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class _Later(Generic[T]):
+    """An entry that nobody has asked for yet."""
+
+    make: Callable[[], T]
+    summary: Callable[[], str] | None
 
 
 class Registry(Generic[T]):
@@ -14,7 +23,7 @@ class Registry(Generic[T]):
 
     def __init__(self, kind: str) -> None:
         self._kind = kind
-        self._entries: dict[str, T] = {}
+        self._entries: dict[str, T | _Later[T]] = {}
 
     @property
     def kind(self) -> str:
@@ -27,15 +36,39 @@ class Registry(Generic[T]):
             raise DuplicateNameError(f"{self._kind} {name!r} is registered already. Choose another name.")
         self._entries[name] = entry
 
+    def register_later(self, name: str, make: Callable[[], T], *, summary: Callable[[], str] | None = None) -> None:
+        """Add an entry that is made when it is first asked for.
+
+        Args:
+            name: As for ``register``.
+            make: Returns the entry.
+            summary: Returns one line about the entry without making it; where it is missing, the entry is made and asked.
+        """
+        self.register(name, _Later(make, summary))  # type: ignore[arg-type]
+
     def get(self, name: str) -> T:
         """Return the entry, or raise ``UnknownNameError`` that lists what exists."""
         try:
-            return self._entries[name]
+            entry = self._entries[name]
         except KeyError:
             near = get_close_matches(name, self._entries, n=1)
             hint = f" Did you mean {near[0]!r}?" if near else ""
             known = ", ".join(sorted(self._entries)) or "none"
             raise UnknownNameError(f"no {self._kind} {name!r}.{hint} Known: {known}") from None
+        if isinstance(entry, _Later):
+            entry = self._entries[name] = entry.make()
+        return cast("T", entry)
+
+    def summaries(self) -> dict[str, str]:
+        """Return one line about each entry, by name, sorted: its ``summary``, or the first line of its docstring."""
+        return {name: self._summary(name) for name in self.names()}
+
+    def _summary(self, name: str) -> str:
+        entry = self._entries[name]
+        if isinstance(entry, _Later) and entry.summary is not None:
+            return entry.summary()
+        entry = self.get(name)
+        return getattr(entry, "summary", None) or (entry.__doc__ or "").partition("\n")[0]
 
     def names(self) -> tuple[str, ...]:
         """Return all names, sorted."""

@@ -1,6 +1,8 @@
 """Every sensor that comes with the package, in one table."""
 
-from aerial_gym.config import CONFIG_DIR
+from functools import partial
+
+from aerial_gym.config import CONFIG_DIR, summary_in
 from aerial_gym.config.sensor import RangeSensorCfg, load_sensor
 from aerial_gym.registry import Registry
 
@@ -28,4 +30,5 @@ for _name in (
     "pmd_flexx2",
     "st_vl53l5cx",
 ):
-    SENSORS.register(_name, load_sensor(CONFIG_DIR / "sensors" / f"{_name}.yaml"))
+    _path = CONFIG_DIR / "sensors" / f"{_name}.yaml"
+    SENSORS.register_later(_name, partial(load_sensor, _path), summary=partial(summary_in, _path))

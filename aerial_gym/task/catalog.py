@@ -1,15 +1,18 @@
 """Every task that comes with the package, and the registry that builds them."""
 
 from dataclasses import replace
-
-import torch
+from functools import partial
+from typing import TYPE_CHECKING
 
 from aerial_gym.config import CONFIG_DIR, load
 from aerial_gym.config.task import CurriculumCfg, TaskCfg
-from aerial_gym.env_manager import SimBuilder
 from aerial_gym.errors import ConfigError
 from aerial_gym.registry import Registry
-from aerial_gym.task.task import Task
+
+if TYPE_CHECKING:
+    import torch
+
+    from aerial_gym.task.task import Task
 
 
 class TaskRegistry(Registry[TaskCfg]):
@@ -20,13 +23,13 @@ class TaskRegistry(Registry[TaskCfg]):
         name: str,
         *,
         num_envs: int | None = None,
-        device: str | torch.device = "auto",
+        device: "str | torch.device" = "auto",
         seed: int = 0,
         robot: str | None = None,
         controller: str | None = None,
         level: int | None = None,
         capture: bool | None = None,
-    ) -> Task:
+    ) -> "Task":
         """Return a task, built and not yet reset.
 
         Args:
@@ -43,6 +46,9 @@ class TaskRegistry(Registry[TaskCfg]):
             UnknownNameError: If a name is not registered.
             ConfigError: If a number is impossible.
         """
+        from aerial_gym.env_manager import SimBuilder
+        from aerial_gym.task.task import Task
+
         cfg = self.get(name)
         changes = {"num_envs": num_envs, "robot": robot, "controller": controller}
         cfg = replace(cfg, **{key: value for key, value in changes.items() if value is not None})
@@ -70,4 +76,4 @@ def _held(cfg: TaskCfg, name: str, level: int) -> CurriculumCfg:
 task_registry = TaskRegistry("task")
 
 for _name in ("position_setpoint_task", "navigation_task"):
-    task_registry.register(_name, load(TaskCfg, CONFIG_DIR / "tasks" / f"{_name}.yaml"))
+    task_registry.register_later(_name, partial(load, TaskCfg, CONFIG_DIR / "tasks" / f"{_name}.yaml"))

@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from aerial_gym import __version__
 from aerial_gym.cli.main import COMMANDS, main
 
 
@@ -18,6 +19,11 @@ def test_overview_names_every_command(capsys: pytest.CaptureFixture[str]) -> Non
     assert status == 0
     for name in COMMANDS:
         assert f"\n  {name} " in out
+
+
+def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "--version")
+    assert (status, out) == (0, f"aerial-gym {__version__}\n")
 
 
 @pytest.mark.parametrize("name", list(COMMANDS))

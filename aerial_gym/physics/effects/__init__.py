@@ -1,25 +1,30 @@
 """Physical effects beyond rigid body and rotors, one file each; used by the simulator and by the identification."""
 
-from aerial_gym.physics.effects.base import (
-    CommandEffect,
-    Condition,
-    DelayEffect,
-    Effect,
-    ImuEffect,
-    LinearWrenchEffect,
-    LoadEffect,
-    Moment,
-    Parameter,
-    RotorEffect,
-    RotorSensorEffect,
-    Suspension,
-    VehicleEffect,
-    WindEffect,
-    WrenchEffect,
-)
-from aerial_gym.physics.effects.by_kind import STEP_KINDS, EffectParams, EffectsByKind
-from aerial_gym.physics.effects.catalog import EFFECTS
-from aerial_gym.physics.effects.learned_residual import LearnedResidual
+from typing import TYPE_CHECKING
+
+from aerial_gym.lazy import exports
+
+if TYPE_CHECKING:
+    from aerial_gym.physics.effects.base import (
+        CommandEffect,
+        Condition,
+        DelayEffect,
+        Effect,
+        ImuEffect,
+        LinearWrenchEffect,
+        LoadEffect,
+        Moment,
+        Parameter,
+        RotorEffect,
+        RotorSensorEffect,
+        Suspension,
+        VehicleEffect,
+        WindEffect,
+        WrenchEffect,
+    )
+    from aerial_gym.physics.effects.by_kind import STEP_KINDS, EffectParams, EffectsByKind
+    from aerial_gym.physics.effects.catalog import EFFECTS
+    from aerial_gym.physics.effects.learned_residual import LearnedResidual
 
 __all__ = [
     "EFFECTS",
@@ -43,3 +48,5 @@ __all__ = [
     "WindEffect",
     "WrenchEffect",
 ]
+
+__getattr__, __dir__ = exports(__name__, __file__)

@@ -1,68 +1,48 @@
-"""Every effect that comes with the package, in one table. Adding an effect is adding one file and one line here."""
+"""Every effect that comes with the package, in one table. Adding an effect is adding one file and one line here.
 
-from aerial_gym.physics.effects.actuation_delay import ActuationDelay
-from aerial_gym.physics.effects.axial_inflow import AxialInflow
-from aerial_gym.physics.effects.base import Effect
-from aerial_gym.physics.effects.battery_sag import BatterySag
-from aerial_gym.physics.effects.ceiling_effect import CeilingEffect
-from aerial_gym.physics.effects.com_offset import ComOffset
-from aerial_gym.physics.effects.constant_wind import ConstantWind
-from aerial_gym.physics.effects.downwash import Downwash
-from aerial_gym.physics.effects.ground_effect import GroundEffect
-from aerial_gym.physics.effects.gusts import Gusts
-from aerial_gym.physics.effects.h_force_flapping import HForceFlapping
-from aerial_gym.physics.effects.imu_bias import ImuBias
-from aerial_gym.physics.effects.imu_misalignment import ImuMisalignment
-from aerial_gym.physics.effects.inertia_error import InertiaError
-from aerial_gym.physics.effects.joint_creep import JointCreep
-from aerial_gym.physics.effects.joint_spring import JointSpring
-from aerial_gym.physics.effects.motor_asymmetry import MotorAsymmetry
-from aerial_gym.physics.effects.motor_tilt import MotorTilt
-from aerial_gym.physics.effects.motor_time_constant import MotorTimeConstant
-from aerial_gym.physics.effects.payload_mass import PayloadMass
-from aerial_gym.physics.effects.quadratic_drag import QuadraticDrag
-from aerial_gym.physics.effects.rotor_drag import RotorDrag
-from aerial_gym.physics.effects.rotor_inertia import RotorInertia
-from aerial_gym.physics.effects.rotor_speed_scale import RotorSpeedScale
-from aerial_gym.physics.effects.slung_payload import SlungPayload
-from aerial_gym.physics.effects.thrust_coefficient import ThrustCoefficient
-from aerial_gym.physics.effects.torque_ratio import TorqueRatio
-from aerial_gym.physics.effects.translational_lift import TranslationalLift
-from aerial_gym.physics.effects.weak_motor import WeakMotor
-from aerial_gym.physics.effects.wind_shear import WindShear
+The file has the name of the effect; it is imported when the effect is first asked for.
+"""
+
+from typing import TYPE_CHECKING
+
+from aerial_gym.lazy import Home
 from aerial_gym.registry import Registry
 
-EFFECTS: Registry[Effect] = Registry("effect")
+if TYPE_CHECKING:
+    from aerial_gym.physics.effects.base import Effect
 
-for _effect in (
-    RotorDrag(),
-    QuadraticDrag(),
-    HForceFlapping(),
-    AxialInflow(),
-    TranslationalLift(),
-    ThrustCoefficient(),
-    WeakMotor(),
-    TorqueRatio(),
-    MotorTimeConstant(),
-    MotorAsymmetry(),
-    ActuationDelay(),
-    BatterySag(),
-    RotorInertia(),
-    MotorTilt(),
-    JointSpring(),
-    JointCreep(),
-    ComOffset(),
-    PayloadMass(),
-    SlungPayload(),
-    InertiaError(),
-    ConstantWind(),
-    WindShear(),
-    Gusts(),
-    GroundEffect(),
-    CeilingEffect(),
-    Downwash(),
-    ImuBias(),
-    ImuMisalignment(),
-    RotorSpeedScale(),
+EFFECTS: "Registry[Effect]" = Registry("effect")
+
+for _name, _class in (
+    ("rotor_drag", "RotorDrag"),
+    ("quadratic_drag", "QuadraticDrag"),
+    ("h_force_flapping", "HForceFlapping"),
+    ("axial_inflow", "AxialInflow"),
+    ("translational_lift", "TranslationalLift"),
+    ("thrust_coefficient", "ThrustCoefficient"),
+    ("weak_motor", "WeakMotor"),
+    ("torque_ratio", "TorqueRatio"),
+    ("motor_time_constant", "MotorTimeConstant"),
+    ("motor_asymmetry", "MotorAsymmetry"),
+    ("actuation_delay", "ActuationDelay"),
+    ("battery_sag", "BatterySag"),
+    ("rotor_inertia", "RotorInertia"),
+    ("motor_tilt", "MotorTilt"),
+    ("joint_spring", "JointSpring"),
+    ("joint_creep", "JointCreep"),
+    ("com_offset", "ComOffset"),
+    ("payload_mass", "PayloadMass"),
+    ("slung_payload", "SlungPayload"),
+    ("inertia_error", "InertiaError"),
+    ("constant_wind", "ConstantWind"),
+    ("wind_shear", "WindShear"),
+    ("gusts", "Gusts"),
+    ("ground_effect", "GroundEffect"),
+    ("ceiling_effect", "CeilingEffect"),
+    ("downwash", "Downwash"),
+    ("imu_bias", "ImuBias"),
+    ("imu_misalignment", "ImuMisalignment"),
+    ("rotor_speed_scale", "RotorSpeedScale"),
 ):
-    EFFECTS.register(_effect.name, _effect)
+    _home = Home(f"aerial_gym.physics.effects.{_name}:{_class}")
+    EFFECTS.register_later(_name, _home.make, summary=_home.summary)

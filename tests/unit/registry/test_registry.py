@@ -78,3 +78,16 @@ def test_gtd_prints_its_schema() -> None:
     assert "float32" in row
     assert row.endswith("how fast")
     assert gtd.spec("speed").unit == "m/s"
+
+
+def test_an_entry_for_later_is_made_once_and_only_when_asked_for() -> None:
+    registry: Registry[list[int]] = Registry("list")
+    made: list[int] = []
+    registry.register_later("one", lambda: made.append(1) or [1], summary=lambda: "a one")
+    assert (registry.names(), len(registry), "one" in registry) == (("one",), 1, True)
+    assert registry.summaries() == {"one": "a one"}
+    assert made == []
+    assert registry.get("one") is registry.get("one")
+    assert made == [1]
+    with pytest.raises(DuplicateNameError, match="'one' is registered already"):
+        registry.register_later("one", list)

@@ -1,0 +1,20 @@
+"""Every physics backend that comes with the package, in one table."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from aerial_gym.lazy import Home
+from aerial_gym.registry import Registry
+
+if TYPE_CHECKING:
+    from aerial_gym.physics.backend import PhysicsBackend
+
+BACKENDS: "Registry[Callable[[], PhysicsBackend]]" = Registry("physics backend")
+"""Constructors of backends by name."""
+
+for _name, _place in (
+    ("torch", "aerial_gym.physics.torch_backend:TorchBackend"),
+    ("warp", "aerial_gym.physics.warp_backend:WarpBackend"),
+):
+    _home = Home(_place)
+    BACKENDS.register_later(_name, _home.load, summary=_home.summary)

@@ -1,0 +1,55 @@
+"""Names that are loaded when first used, and what is said about them before."""
+
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+
+from aerial_gym.lazy import Home
+from aerial_gym.physics import BACKENDS, EFFECTS
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A package of one module that counts its imports in ``sys``."""
+    folder = tmp_path / "some_package"
+    folder.mkdir()
+    (folder / "__init__.py").write_text(
+        "from typing import TYPE_CHECKING\n"
+        "from aerial_gym.lazy import exports\n"
+        "if TYPE_CHECKING:\n"
+        "    from some_package.part import Thing\n"
+        "__getattr__, __dir__ = exports(__name__, __file__)\n"
+    )
+    (folder / "part.py").write_text(
+        'class Thing:\n    """Does it. And more.\n\n    More.\n    """\n\n'
+        'class Other:\n    """No."""\n\n    summary = "the other one"\n'
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return "some_package"
+
+
+def test_a_name_is_loaded_when_it_is_first_used(package: str) -> None:
+    module = importlib.import_module(package)
+    assert "some_package.part" not in sys.modules
+    assert "Thing" in dir(module)
+    assert module.Thing is sys.modules["some_package.part"].Thing
+    with pytest.raises(AttributeError, match="no attribute 'Think'. Known: Thing"):
+        _ = module.Think
+
+
+def test_a_summary_is_read_without_importing(package: str) -> None:
+    sys.modules.pop("some_package.part", None)
+    assert Home(f"{package}.part:Thing").summary() == "Does it. And more."
+    assert Home(f"{package}.part:Other").summary() == "the other one"
+    assert "some_package.part" not in sys.modules
+    assert type(Home(f"{package}.part:Other").make()).__name__ == "Other"
+
+
+def test_summaries_read_from_sources_are_those_of_the_objects() -> None:
+    for name, summary in EFFECTS.summaries().items():
+        assert EFFECTS.get(name).name == name
+        assert EFFECTS.get(name).summary == summary
+    for name, summary in BACKENDS.summaries().items():
+        assert (BACKENDS.get(name).__doc__ or "").splitlines()[0] == summary
