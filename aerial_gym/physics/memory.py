@@ -3,7 +3,7 @@
 Letters: E environments, R rotors, P parameters and M remembered numbers of an effect, S remembered commands.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import ceil
 
@@ -76,15 +76,6 @@ def forget(memory: Memory, mask: Tensor) -> Memory:
     return replace(memory, numbers=numbers, since=memory.since.masked_fill(mask, 0))
 
 
-def _places(model: Model) -> Iterator[tuple[Effect, Tensor, slice]]:
-    """Yield every effect with its parameters and the place of its numbers."""
-    first = 0
-    for effect, params in model.effects.forces:
-        width = len(effect.fresh_memory(model.vehicle.num_rotors))
-        yield effect, params, slice(first, first + width)
-        first += width
-
-
 def begin_substep(
     model: Model, memory: Memory, rotor_speed: Tensor, command: Tensor, dt: float
 ) -> tuple[Model, Tensor, Memory]:
@@ -100,9 +91,10 @@ def begin_substep(
     env = torch.arange(command.shape[0], device=command.device)
     random = counted_state(counted_state(counted_state(memory.seed, RANDOM_STREAM), env), memory.count)
     moment = Moment(rotor_speed=rotor_speed, since=memory.since, random=random, dt=dt, vehicle=model.vehicle)
+    places = model.effects.places(command.shape[1])
     numbers = [
-        effect.remember(moment, torch.cat((params, memory.numbers[:, place]), dim=-1))
-        for effect, params, place in _places(model)
+        place.effect.remember(moment, torch.cat((params, memory.numbers[:, place.memory]), dim=-1))
+        for place, (_, params) in zip(places, model.effects.forces, strict=True)
     ]
     model, memory = _with_numbers(model, numbers), replace(memory, numbers=torch.cat(numbers, dim=-1))
     if not model.effects[DelayEffect]:
@@ -153,7 +145,8 @@ def load_of(model: Model, memory: Memory) -> Tensor:
 
 def place_memory(model: Model, memory: Memory, remembered: Mapping[str, Tensor]) -> Memory:
     """Return the memory with what some effects remember, by name, (E, M), in it."""
-    parts = [remembered.get(effect.name, memory.numbers[:, place]) for effect, _, place in _places(model)]
+    places = model.effects.places(model.vehicle.num_rotors)
+    parts = [remembered.get(place.effect.name, memory.numbers[:, place.memory]) for place in places]
     return replace(memory, numbers=torch.cat(parts, dim=-1))
 
 

@@ -15,23 +15,12 @@ from aerial_gym.interop import launch_side_by_side, on_torch_stream, split, star
 from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
 from aerial_gym.physics.effects import EFFECTS, Effect, LearnedResidual
-from aerial_gym.physics.fused.command import NoGains
 from aerial_gym.physics.fused.contact import contact_parameters
 from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.fused.gradient import Rollout
 from aerial_gym.physics.fused.kernel import make_kernel
 from aerial_gym.physics.fused.memory import MemoryArrays, NoMemory
-from aerial_gym.physics.fused.parameters import (
-    Columns,
-    Field,
-    arrange,
-    command_fields,
-    effect_rows,
-    gain_fields,
-    per_env_rows,
-    shared_struct,
-    vehicle_fields,
-)
+from aerial_gym.physics.fused.packing import Numbers, Packing, arrange, numbers_of, packed_rows, shared_structs
 from aerial_gym.physics.fused.types import rotor_types, vector_of
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.memory import Memory, make_memory, num_past_commands
@@ -127,15 +116,14 @@ class WarpBackend:
         self._device = model.vehicle.mass.device
         self._num_envs, self._num_rotors = model.vehicle.num_envs, model.vehicle.num_rotors
         self._dt, self._memory = 0.0, None
-        fields = self._fields(model, dt=1.0)
-        self._columns: Columns = arrange(*fields, effect_rows(model), all_per_env=self._differentiable)
-        self._per_env = torch.zeros(max(self._columns.total, 1), self._num_envs, device=self._device)
+        self._packing: Packing = arrange(self._numbers(1.0), all_packed=self._differentiable)
+        self._packed = torch.zeros(max(self._packing.total, 1), self._num_envs, device=self._device)
         self._ground = self._ground_arrays(ground)
         self.kernel = make_kernel(
             model,
             law,
             integrator,
-            self._columns,
+            self._packing,
             num_spheres=0 if ground is None else ground.spheres.shape[0],
             compliant=ground is not None and ground.cfg is not None,
             com_offset=not is_shared(model.vehicle.com) or bool(model.vehicle.com.any()),
@@ -159,9 +147,8 @@ class WarpBackend:
             wp.from_torch(impulse, dtype=wp.vec3),
         )
 
-    def _fields(self, model: Model, dt: float) -> tuple[list[Field], list[Field], list[Field]]:
-        stage = STAGES[self._integrator] * dt
-        return vehicle_fields(model, stage), command_fields(self._law), gain_fields(self._law)
+    def _numbers(self, dt: float) -> Numbers:
+        return numbers_of(self._model, self._law, STAGES[self._integrator] * dt)
 
     def set_model(self, model: Model) -> None:
         """Take other parameters.
@@ -177,7 +164,7 @@ class WarpBackend:
             self.allocate(model, self._control, integrator=self._integrator, ground=self._given_ground)
             self._memory = memory
         elif self._dt != 0.0:
-            self._write_per_env()
+            self._write_packed()
 
     def reset(self, mask: Tensor) -> None:
         """Let the effects forget the environments in ``mask``, and take new gains where they are randomised."""
@@ -185,8 +172,8 @@ class WarpBackend:
             numbers = self._memory.numbers
             numbers.copy_(torch.where(mask, self._memory.initial.unsqueeze(-1), numbers))
             self._memory.since.masked_fill_(mask, 0)
-        if self._columns.gains is not None and self._dt != 0.0:
-            self._write_per_env()
+        if self._packing.gains is not None and self._dt != 0.0:
+            self._write_packed()
 
     def restart(self, seed: int) -> None:
         """Begin the random numbers of the effects anew with a seed."""
@@ -196,25 +183,16 @@ class WarpBackend:
             self._memory.count.zero_()
 
     @torch.no_grad()
-    def _write_per_env(self) -> None:
-        if self._columns.total:
-            rows = per_env_rows(self._columns, *self._fields(self._model, self._dt), effect_rows(self._model))
-            torch.cat([row.T for row in rows], out=self._per_env)
+    def _write_packed(self) -> None:
+        if self._packing.total:
+            torch.cat([rows.T for rows in packed_rows(self._packing, self._numbers(self._dt))], out=self._packed)
 
     def _prepare(self, dt: float) -> None:
         """Compute everything that depends on the length of a substep."""
         self._dt, self._binding = dt, None
-        self._write_per_env()
+        self._write_packed()
         self._arrange_memory(dt)
-        vehicle, command, gains = self._fields(self._model, dt)
-        types, columns = rotor_types(self._num_rotors), self._columns
-        gains_type = self._law.gains_type or NoGains
-        shared_gains = gains if columns.gains is None else []
-        self._shared = [
-            shared_struct(types.vehicle, vehicle, columns.vehicle),
-            shared_struct(types.command, command, columns.command),
-            shared_struct(gains_type, shared_gains, {}),
-        ]
+        self._shared = shared_structs(self._packing, self._numbers(dt), self._law, self._num_rotors)
 
     def _arrange_memory(self, dt: float) -> None:
         """Make the memory of the effects, unless there is one that fits; neighbouring environments side by side, (M, E)."""
@@ -252,7 +230,7 @@ class WarpBackend:
         arrays = self._arrays(state)
         inputs = [*arrays, self._view(command, vector_of(self._law.num_actions), "command"), *self._shared]
         ground = self._ground
-        inputs += [wp.from_torch(self._per_env), *ground[:3], self._model.gravity, dt, substeps]
+        inputs += [wp.from_torch(self._packed), *ground[:3], self._model.gravity, dt, substeps]
         launches = []
         for first, count in self._chunks(substeps):
             launches.append(
@@ -306,7 +284,7 @@ class WarpBackend:
             after = BodyState(**{name: tensor.clone() for name, tensor in vars(state).items()})
             self.step(after, command, dt, substeps)
             return after
-        rows = per_env_rows(self._columns, *self._fields(self._model, dt), effect_rows(self._model))
+        rows = packed_rows(self._packing, self._numbers(dt))
         rollout = Rollout(self.kernel, self._shared, self._ground, self._model.gravity, dt, substeps, self._kinds())
         after = rollout(state.tensors(), command, torch.cat([row.T for row in rows]))
         return BodyState(**dict(zip(vars(state), after, strict=True)))

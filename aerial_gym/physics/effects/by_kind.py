@@ -4,6 +4,7 @@ Letters: E environments, P parameters of an effect.
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import TypeVar
 
 from torch import Tensor
@@ -25,6 +26,18 @@ STEP_KINDS: tuple[type[Effect], ...] = (WindEffect, RotorEffect, WrenchEffect, C
 """Kinds that act in every step, in the order of parameters and memory; a load comes last, as its memory moves with the body."""
 
 Kind = TypeVar("Kind", bound=Effect)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the numbers of one effect stand among those of all that act in a step."""
+
+    effect: Effect
+    params: slice
+    """Among all parameters."""
+
+    memory: slice
+    """Among all remembered numbers."""
 
 
 class EffectsByKind:
@@ -49,6 +62,15 @@ class EffectsByKind:
     def forces(self) -> tuple[EffectParams, ...]:
         """Effects that act in every step, in the order of ``STEP_KINDS``."""
         return tuple(one for kind in STEP_KINDS for one in self[kind])
+
+    def places(self, num_rotors: int) -> list[Place]:
+        """Return where parameters and memory of each of ``forces`` stand, for a number of rotors R."""
+        found, params, memory = [], 0, 0
+        for effect, _ in self.forces:
+            width, remembered = len(effect.parameters), len(effect.fresh_memory(num_rotors))
+            found.append(Place(effect, slice(params, params + width), slice(memory, memory + remembered)))
+            params, memory = params + width, memory + remembered
+        return found
 
     @property
     def remembering(self) -> tuple[str, ...]:

@@ -5,15 +5,8 @@ Letters: R rotors, U entries of an action.
 
 import warp as wp
 
-from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.fused.law import FusedLaw, NoGains
 from aerial_gym.physics.fused.types import rotor_types, vector_of
-
-
-@wp.struct
-class NoGains:
-    """Stands for the gains of a law that has none."""
-
-    nothing: float
 
 
 def make_command(law: FusedLaw, num_rotors: int) -> wp.Function:

@@ -17,8 +17,8 @@ from aerial_gym.physics.fused.functions import (
     rotate_inverse,
     small_turn,
 )
+from aerial_gym.physics.fused.packing import pickers, values_type
 from aerial_gym.physics.fused.types import Hub, Suspension, rotor_types
-from aerial_gym.physics.fused.values import pickers, values_type
 from aerial_gym.physics.model import Model
 
 STAGES = {"euler": 1.0, "rk4": 0.5}

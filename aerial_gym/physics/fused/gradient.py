@@ -34,21 +34,21 @@ class Rollout:
         self.scalars = (*plane, gravity, dt)
         self.kinds = tuple(kinds)
 
-    def __call__(self, state: Sequence[Tensor], command: Tensor, per_env: Tensor) -> tuple[Tensor, ...]:
+    def __call__(self, state: Sequence[Tensor], command: Tensor, packed: Tensor) -> tuple[Tensor, ...]:
         """Return the tensors of the state after the substeps."""
-        return _Rollout.apply(self, per_env, command, *state)
+        return _Rollout.apply(self, packed, command, *state)
 
 
 class _Rollout(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, rollout: Rollout, per_env: Tensor, command: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
+    def forward(ctx: Any, rollout: Rollout, packed: Tensor, command: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
         def view(tensor: Tensor, kind: type) -> wp.array:
             return wp.from_torch(tensor.detach().contiguous(), dtype=kind, requires_grad=True)
 
         *state_kinds, action_kind = rollout.kinds
         now = [view(tensor, kind) for tensor, kind in zip(state, state_kinds, strict=True)]
         nothing = NoMemory()
-        action, params = view(command, action_kind), view(per_env, wp.float32)
+        action, params = view(command, action_kind), view(packed, wp.float32)
         ctx.inputs, ctx.tape = [params, action, *now], wp.Tape()
         with on_torch_stream(command), ctx.tape:
             for _ in range(rollout.substeps):

@@ -9,38 +9,23 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.physics.effects import LoadEffect
-from aerial_gym.physics.fused.command import NoGains, make_command
+from aerial_gym.physics.fused.command import make_command
 from aerial_gym.physics.fused.contact import ContactParameters, make_push_off_ground
 from aerial_gym.physics.fused.dynamics import make_stepper
 from aerial_gym.physics.fused.functions import load_quat, load_vec4, rotate, store_quat, store_vec4
-from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.fused.law import FusedLaw, NoGains
 from aerial_gym.physics.fused.memory import MemoryArrays, NoMemory, make_begin
-from aerial_gym.physics.fused.parameters import Columns
+from aerial_gym.physics.fused.packing import (
+    Packing,
+    make_command_reader,
+    make_gains_reader,
+    make_reader,
+    make_vehicle_reader,
+    num_values,
+    values_type,
+)
 from aerial_gym.physics.fused.types import rotor_types, vector_of
-from aerial_gym.physics.fused.values import num_values, values_type
 from aerial_gym.physics.model import Model
-
-
-@cache
-def _make_reader(kind: Any, rows: int, columns: int) -> wp.Function:
-    """Return a function that reads a vector (columns 0) or matrix of one environment from (N, E)."""
-
-    @wp.func
-    def read_vector(source: wp.array2d[float], first: int, env: int) -> kind:
-        value = kind()
-        for i in range(wp.static(rows)):
-            value[i] = source[first + i, env]
-        return value
-
-    @wp.func
-    def read_matrix(source: wp.array2d[float], first: int, env: int) -> kind:
-        value = kind()
-        for i in range(wp.static(rows)):
-            for j in range(wp.static(columns)):
-                value[i, j] = source[first + i * wp.static(columns) + j, env]
-        return value
-
-    return read_matrix if columns else read_vector
 
 
 @cache
@@ -58,95 +43,11 @@ def _make_access(kind: Any) -> tuple[wp.Function, wp.Function]:
     return get, put
 
 
-def _make_vehicle_reader(num_rotors: int, places: dict[str, int]) -> wp.Function:
-    """Return a function that completes the shared vehicle with what is per environment."""
-    types, at = rotor_types(num_rotors), places.get
-    vehicle_type = types.vehicle
-    vec3, mat33 = _make_reader(wp.vec3, 3, 0), _make_reader(wp.mat33, 3, 3)
-    vector, rows = _make_reader(types.vector, num_rotors, 0), _make_reader(types.rows, num_rotors, 3)
-    battery = _make_reader(vector_of(6), 6, 0)
-
-    @wp.func
-    def read(shared: vehicle_type, source: wp.array2d[float], env: int) -> vehicle_type:
-        vehicle = shared
-        if wp.static("mass_inverse" in places):
-            vehicle.mass_inverse = source[wp.static(at("mass_inverse", 0)), env]
-        if wp.static("inertia" in places):
-            vehicle.inertia = mat33(source, wp.static(at("inertia", 0)), env)
-            vehicle.inertia_inverse = mat33(source, wp.static(at("inertia_inverse", 0)), env)
-        if wp.static("com" in places):
-            vehicle.com = vec3(source, wp.static(at("com", 0)), env)
-        if wp.static("thrust_map" in places):
-            vehicle.thrust_map = rows(source, wp.static(at("thrust_map", 0)), env)
-        if wp.static("torque_map" in places):
-            vehicle.torque_map = rows(source, wp.static(at("torque_map", 0)), env)
-        if wp.static("rotor_axis" in places):
-            vehicle.rotor_axis = rows(source, wp.static(at("rotor_axis", 0)), env)
-        if wp.static("rotor_moment" in places):
-            vehicle.rotor_moment = rows(source, wp.static(at("rotor_moment", 0)), env)
-        if wp.static("rotor_lever" in places):
-            vehicle.rotor_lever = rows(source, wp.static(at("rotor_lever", 0)), env)
-        if wp.static("rotor_radius" in places):
-            vehicle.rotor_radius = vector(source, wp.static(at("rotor_radius", 0)), env)
-        if wp.static("rotor_reaction" in places):
-            vehicle.rotor_reaction = rows(source, wp.static(at("rotor_reaction", 0)), env)
-        if wp.static("decay_up" in places):
-            vehicle.decay_up = vector(source, wp.static(at("decay_up", 0)), env)
-        if wp.static("decay_down" in places):
-            vehicle.decay_down = vector(source, wp.static(at("decay_down", 0)), env)
-        if wp.static("battery" in places):
-            vehicle.battery = battery(source, wp.static(at("battery", 0)), env)
-        if wp.static("other_position" in places):
-            vehicle.other_position = vec3(source, wp.static(at("other_position", 0)), env)
-        return vehicle
-
-    return read
-
-
-def _make_command_reader(num_rotors: int, places: dict[str, int]) -> wp.Function:
-    types, at = rotor_types(num_rotors), places.get
-    command_type = types.command
-    vector, rows = _make_reader(types.vector, num_rotors, 0), _make_reader(types.rows, num_rotors, 3)
-    matrix = _make_reader(types.allocation, num_rotors, 6)
-
-    @wp.func
-    def read(shared: command_type, source: wp.array2d[float], env: int) -> command_type:
-        command = shared
-        if wp.static("low" in places):
-            command.low = vector(source, wp.static(at("low", 0)), env)
-        if wp.static("high" in places):
-            command.high = vector(source, wp.static(at("high", 0)), env)
-        if wp.static("speed_map" in places):
-            command.speed_map = rows(source, wp.static(at("speed_map", 0)), env)
-        if wp.static("allocation" in places):
-            command.allocation = matrix(source, wp.static(at("allocation", 0)), env)
-        return command
-
-    return read
-
-
-def _make_gains_reader(law: FusedLaw, first: int | None) -> wp.Function:
-    gains_type, load = law.gains_type or NoGains, law.load_gains
-
-    @wp.func
-    def shared_gains(shared: gains_type, source: wp.array2d[float], env: int) -> gains_type:
-        return shared
-
-    if first is None:
-        return shared_gains
-
-    @wp.func
-    def own_gains(shared: gains_type, source: wp.array2d[float], env: int) -> gains_type:
-        return load(source, wp.static(first), env)
-
-    return own_gains
-
-
 def make_kernel(
     model: Model,
     law: FusedLaw,
     integrator: str,
-    columns: Columns,
+    packing: Packing,
     *,
     num_spheres: int,
     compliant: bool,
@@ -159,7 +60,7 @@ def make_kernel(
         model: Gives the number of rotors and the effects.
         law: Control law.
         integrator: Name of the stepper.
-        columns: What is read per environment.
+        packing: Where what differs between environments stands.
         num_spheres: How many spheres are tested against the ground; 0 where there is none.
         compliant: Whether the ground pushes back.
         com_offset: Whether the centre of mass is beside the body origin anywhere.
@@ -174,11 +75,11 @@ def make_kernel(
     memory_type = MemoryArrays if remembers else NoMemory
     vehicle_type, command_type, gains_type = types.vehicle, types.command, law.gains_type or NoGains
     step, command_of = make_stepper(model, integrator), make_command(law, num_rotors)
-    read_vehicle = _make_vehicle_reader(num_rotors, dict(columns.vehicle))
-    read_command = _make_command_reader(num_rotors, dict(columns.command))
-    read_gains = _make_gains_reader(law, columns.gains)
-    read_params = _make_reader(params_type, num_params, 0)
-    first_param = columns.effects
+    read_vehicle = make_vehicle_reader(num_rotors, packing.vehicle)
+    read_command = make_command_reader(num_rotors, packing.command)
+    read_gains = make_gains_reader(law, packing.gains)
+    read_params = make_reader(params_type, num_params, 0)
+    first_param = packing.effects
     push_off_ground = make_push_off_ground(num_rotors, max(num_spheres, 1))
     get_quat, put_quat = (load_quat, store_quat) if not differentiable else _make_access(wp.quat)
     get_rotors, put_rotors = (load_vec4, store_vec4) if num_rotors == 4 and not differentiable else _make_access(vector)
@@ -229,7 +130,7 @@ def make_kernel(
         shared_vehicle: vehicle_type,
         shared_command: command_type,
         shared_gains: gains_type,
-        per_env: wp.array2d[float],  # (N, E)
+        packed: wp.array2d[float],  # (N, E)
         spheres: wp.array[wp.vec4],  # (C,) centre in the body frame, radius [m]
         ground_height: float,  # [m] world
         ground_law: ContactParameters,
@@ -249,10 +150,10 @@ def make_kernel(
     ):
         """Advance one environment; its state stays in registers over the substeps."""
         env = wp.tid() + first
-        vehicle = read_vehicle(shared_vehicle, per_env, env)
-        command_params = read_command(shared_command, per_env, env)
-        gains = read_gains(shared_gains, per_env, env)
-        params = read_params(per_env, wp.static(first_param), env)
+        vehicle = read_vehicle(shared_vehicle, packed, env)
+        command_params = read_command(shared_command, packed, env)
+        gains = read_gains(shared_gains, packed, env)
+        params = read_params(packed, wp.static(first_param), env)
         x = position[env]
         q = get_quat(attitude, env)
         v = lin_vel[env]

@@ -11,6 +11,13 @@ import warp as wp
 from torch import Tensor
 
 
+@wp.struct
+class NoGains:
+    """Stands for the gains of a law that has none."""
+
+    nothing: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class FusedLaw:
     """A control law as Warp code with its parameters.
@@ -44,7 +51,7 @@ class FusedLaw:
     """``wp.struct`` of the gains."""
 
     load_gains: wp.Function | None = None
-    """``wp.func`` (columns: wp.array2d[float], first: int, env: int) -> gains, from rows ``first``... of (N, E)."""
+    """``wp.func`` (packed: wp.array2d[float], first: int, env: int) -> gains, from rows ``first``... of (N, E)."""
 
     gains: Mapping[str, Tensor] = field(default_factory=dict)
     """A tensor (E, ...) for each field of ``gains_type``, in its order."""

@@ -10,8 +10,8 @@ import warp as wp
 
 from aerial_gym.physics.effects import CommandEffect, DelayEffect
 from aerial_gym.physics.fused.dynamics import STAGES
+from aerial_gym.physics.fused.packing import pickers, values_type
 from aerial_gym.physics.fused.types import rotor_types
-from aerial_gym.physics.fused.values import pickers, values_type
 from aerial_gym.physics.memory import RANDOM_STREAM
 from aerial_gym.physics.model import Model
 

@@ -63,3 +63,13 @@ def test_an_effect_has_a_twin_where_its_kind_needs_one() -> None:
     assert EFFECTS.get("com_offset").has_twin  # costs nothing in a step
     assert not Untwinned().has_twin
     assert not Learning().has_twin  # what it remembers has no twin
+
+
+def test_places_follow_one_another_without_a_gap() -> None:
+    """Each effect begins where the one before ends; what a rotor remembers counts once for each of R."""
+    names = ("battery_sag", "joint_spring", "constant_wind")
+    effects = EffectsByKind((EFFECTS.get(name), torch.zeros(2, len(EFFECTS.get(name).parameters))) for name in names)
+    places = effects.places(num_rotors=5)
+    assert [place.effect.name for place in places] == ["constant_wind", "joint_spring", "battery_sag"]
+    assert [place.params for place in places] == [slice(0, 3), slice(3, 6), slice(6, 7)]
+    assert [place.memory for place in places] == [slice(0, 0), slice(0, 5), slice(5, 7)]
