@@ -1,14 +1,16 @@
 """Gains and limits of the controllers."""
 
 from dataclasses import dataclass
+from math import inf, pi
+from typing import Literal
 
-from aerial_gym.config.robot import Vec3, require_finite, require_ordered, require_positive
+from aerial_gym.config.checks import Vec3, require_finite, require_ordered, require_positive
 from aerial_gym.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
 class LeeGainsCfg:
-    """Ranges of the gains of the geometric controllers; the middle is used unless ``randomize`` draws per environment."""
+    """Explicit gains of the geometric controllers as ranges; the middle is used unless ``randomize`` draws per environment."""
 
     position_gain_low: Vec3
     """Acceleration per position error [1/s²], world axes."""
@@ -48,8 +50,7 @@ class LeeGainsCfg:
 
     def __post_init__(self) -> None:
         require_positive(self, "max_yaw_rate", "max_inclination")
-        if self.max_inclination >= 1.57:
-            raise ConfigError(f"LeeGainsCfg.max_inclination = {self.max_inclination!r}: must be below pi/2")
+        _require_tilt(self, self.max_inclination)
         for name in ("position", "velocity", "attitude", "rate"):
             low, high = f"{name}_gain_low", f"{name}_gain_high"
             require_finite(self, low, high)
@@ -59,8 +60,62 @@ class LeeGainsCfg:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ControlCfg:
+    """How a robot is controlled: what is not given follows from its inertia, rotor lag, thrust limits and the time step.
+
+    The attitude loop has the natural frequency w and the damping ratio z, so the torque is ``J w²`` per rad and ``2 z w J`` per
+    rad/s; the position loop likewise gives the acceleration ``w²`` per m and ``2 z w`` per m/s. ``control.gains`` derives both.
+    """
+
+    phase_margin: float = pi / 4
+    """Of the attitude loop, and of the position loop around it, at their crossovers [rad], > 0 and < pi/2: the more, the
+    calmer and the slower."""
+
+    attitude_frequency: Vec3 | None = None
+    """Natural frequencies about the body axes [rad/s], >= 0, in place of the derived ones; 0 leaves an axis alone."""
+
+    attitude_damping: Vec3 | None = None
+    """Damping ratios about the body axes, >= 0, in place of the derived ones."""
+
+    position_frequency: Vec3 | None = None
+    """Natural frequencies along the world axes [rad/s], >= 0, in place of the derived ones."""
+
+    position_damping: Vec3 | None = None
+    """Damping ratios along the world axes, >= 0, in place of the derived ones."""
+
+    max_yaw_rate: float = pi / 3
+    """Yaw rate commands are clamped to this [rad/s], > 0. The default is that of the Aerial Gym Simulator."""
+
+    max_inclination: float | None = None
+    """Largest tilt that position, velocity and acceleration control ask for [rad], > 0 and < pi/2. If not given it leaves half
+    of the thrust beyond the weight for climbing and turning, and is pi/3 at most."""
+
+    gains: LeeGainsCfg | None = None
+    """Explicit gains in place of all of the above, as identified or published for this robot."""
+
+    source: str = "Derived: aerial_gym.control.gains"
+    """Where the numbers come from."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.phase_margin < pi / 2:
+            raise ConfigError(f"ControlCfg.phase_margin = {self.phase_margin!r}: must be > 0 and < pi/2 rad")
+        for name in ("attitude_frequency", "attitude_damping", "position_frequency", "position_damping"):
+            value = getattr(self, name)
+            if value is not None and not all(0.0 <= number < inf for number in value):
+                raise ConfigError(f"ControlCfg.{name} = {value!r}: must be >= 0 and finite")
+        require_positive(self, "max_yaw_rate", *(("max_inclination",) if self.max_inclination is not None else ()))
+        if self.max_inclination is not None:
+            _require_tilt(self, self.max_inclination)
+
+
+def _require_tilt(config: LeeGainsCfg | ControlCfg, tilt: float) -> None:
+    if tilt >= 1.57:
+        raise ConfigError(f"{type(config).__name__}.max_inclination = {tilt!r}: must be below pi/2")
+
+
+@dataclass(frozen=True, kw_only=True)
 class ControllerCfg:
-    """A controller: which law, with which gains."""
+    """A controller: which law, with which gains, and what gives way when rotors are at their limits."""
 
     summary: str
     """One line for people who choose a controller."""
@@ -69,4 +124,12 @@ class ControllerCfg:
     """Name in ``aerial_gym.control.laws.LAWS``."""
 
     gains: LeeGainsCfg | None = None
-    """Needed by the geometric laws."""
+    """Explicit gains for whatever robot flies; if not given, gains are the robot's own (``RobotCfg.control``)."""
+
+    allocation: Literal["prioritised", "clamp"] = "prioritised"
+    """What gives way where rotors are at their limits: with ``prioritised`` yaw first, then thrust, then roll and pitch; with
+    ``clamp`` each rotor by itself. Where no rotor is, both are the pseudo-inverse."""
+
+    def __post_init__(self) -> None:
+        if self.allocation not in ("prioritised", "clamp"):
+            raise ConfigError(f"ControllerCfg.allocation = {self.allocation!r}: must be 'prioritised' or 'clamp'")

@@ -4,11 +4,22 @@ The matrix is derived from the rotors of the *declared* vehicle: an autopilot do
 Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 """
 
+from typing import Literal
+
 import torch
 from torch import Tensor
 
 from aerial_gym.physics.rotors import evaluate_map, speed_for_thrust
 from aerial_gym.physics.vehicle import Vehicle, is_shared, share_row
+
+NEGLIGIBLE = 1e-6
+"""Entries of the pseudo-inverse that, times the largest entry of the matrix for that force or torque, are below this are
+round-off, and taken as zero; a rotor that has a part in it is near 1. Likewise differences of two numbers, to their sum."""
+
+UNLIMITED = 1e9
+"""Thrust along body z [N] to which a rotor that does not carry sets no limit; finite, so that gradients are."""
+
+Saturation = Literal["prioritised", "clamp"]
 
 
 def allocation_matrix(vehicle: Vehicle, gravity: float) -> Tensor:
@@ -29,19 +40,102 @@ def allocation_matrix(vehicle: Vehicle, gravity: float) -> Tensor:
     return torch.cat((vehicle.rotor_axis, torque), dim=-1).transpose(1, 2)
 
 
-class Allocation:
-    """Pseudo-inverse allocation with clamping to the rotors' limits."""
+def _inverse(matrix: Tensor) -> Tensor:
+    """Return the pseudo-inverse (..., R, 6) without its round-off: a rotor that has no part in something is told so exactly."""
+    inverse = torch.linalg.pinv(matrix)
+    part = inverse.detach().abs() * matrix.detach().abs().amax(-1).unsqueeze(-2)
+    return torch.where(part > NEGLIGIBLE, inverse, 0.0)
 
-    def __init__(self, vehicle: Vehicle, gravity: float) -> None:
-        """Take the declared vehicle and gravity [m/s²]."""
+
+def prioritised_thrust(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """Return thrusts [N], (E, R), within their limits: the pseudo-inverse's where they are, else what matters most comes first.
+
+    In this order: the largest share of roll and pitch torque for which there is any thrust along body z within the limits; that
+    thrust as near as can be to the wanted one; the largest share of what is left, yaw torque and lateral force. Each is the
+    exact optimum, given those before it, within the span of the pseudo-inverse; yaw that makes room for thrust is used.
+
+    Args:
+        inverse: Pseudo-inverse of the allocation matrix, (E, R, 6).
+        wrench: Wanted force [N] and torque [N m], body, (E, 6).
+        low: Lowest thrusts [N], (E, R).
+        high: Highest thrusts [N], (E, R).
+
+    Source:
+        Derived: linear programs in two unknowns, solved by eliminating one of them between each pair of limits
+        (Fourier-Motzkin). The order is that of Faessler, Falanga, Scaramuzza (2017), Thrust mixing, saturation, and body-rate
+        control for accurate aggressive quadrotor flight, IEEE RA-L 2(2).
+    """
+    parts = inverse * wrench.unsqueeze(1)
+    plain, lift = parts.sum(-1), inverse[..., 2]
+    turn, rest = parts[..., 3] + parts[..., 4], parts[..., 0] + parts[..., 1] + parts[..., 5]
+    carries = lift != 0.0
+    unit = torch.where(carries, lift, 1.0)
+    ends = low / unit, high / unit
+    floor = torch.where(carries, torch.minimum(*ends), -UNLIMITED)
+    ceiling = torch.where(carries, torch.maximum(*ends), UNLIMITED)
+    slope, twist = (torch.where(carries, change / unit, 0.0) for change in (turn, rest))
+    resting = torch.where(carries, 0.0, torch.clamp(torch.zeros_like(low), low, high))
+    idle = torch.where(carries, 0.0, turn)
+    share = torch.minimum(_share_of_pairs(floor, ceiling, slope), _share(resting, idle, low, high))
+    floor, ceiling = floor - share * slope, ceiling - share * slope
+    resting = resting + share * idle
+    other = torch.where(carries, 0.0, rest)
+    most = torch.minimum(_share_of_pairs(floor, ceiling, twist), _share(resting, other, low, high))
+    lowest, highest = -_highest(-floor, -twist, most), _highest(ceiling, twist, most)
+    collective = torch.maximum(torch.minimum(wrench[:, 2:3], highest), lowest)
+    thrust = torch.where(carries, share * turn + collective * lift, resting)
+    thrust = thrust + _share(thrust, rest, low, high) * rest
+    inside = ((plain >= low) & (plain <= high)).all(-1, keepdim=True)
+    return torch.where(inside, plain, torch.clamp(thrust, low, high))
+
+
+def _fitting(room: Tensor, need: Tensor) -> Tensor:
+    """Return the largest share, at most 1, of a need for which there is room."""
+    room = room.clamp_min(0.0)
+    short = need > room
+    return torch.where(short, room / torch.where(short, need, 1.0), 1.0)
+
+
+def _share(thrust: Tensor, change: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """Return the largest share (E, 1), at most 1, of a change (E, R) that thrusts can take."""
+    room = torch.where(change > 0.0, high - thrust, thrust - low)
+    return _fitting(room, change.abs()).amin(-1, keepdim=True)
+
+
+def _share_of_pairs(floor: Tensor, ceiling: Tensor, slope: Tensor) -> Tensor:
+    """Return the largest s <= 1, (E, 1), with one F for which ``floor <= F + s slope <= ceiling`` in every rotor."""
+    room, upper, lower = ceiling.unsqueeze(1) - floor.unsqueeze(2), slope.unsqueeze(1), slope.unsqueeze(2)
+    need = upper - lower
+    need = torch.where(need > NEGLIGIBLE * (upper.abs() + lower.abs()), need, 0.0)  # rotors of one kind stay level
+    return _fitting(room, need).flatten(1).amin(-1, keepdim=True)
+
+
+def _highest(ceiling: Tensor, twist: Tensor, most: Tensor) -> Tensor:
+    """Return the largest F, (E, 1), with one y from 0 to ``most`` for which ``F + y twist <= ceiling`` in every rotor."""
+    alone = ceiling - most * twist.clamp_max(0.0)
+    up, down = twist.unsqueeze(2), twist.unsqueeze(1)
+    against = (up > 0.0) & (down < 0.0)
+    weight = torch.where(against, up / torch.where(against, up - down, 1.0), 0.0)
+    both = torch.where(
+        against, ceiling.unsqueeze(2) + weight * (ceiling.unsqueeze(1) - ceiling.unsqueeze(2)), UNLIMITED
+    )
+    return torch.minimum(alone.amin(-1, keepdim=True), both.flatten(1).amin(-1, keepdim=True))
+
+
+class Allocation:
+    """Pseudo-inverse allocation within the rotors' limits."""
+
+    def __init__(self, vehicle: Vehicle, gravity: float, *, saturation: Saturation = "prioritised") -> None:
+        """Take the declared vehicle, gravity [m/s²] and what gives way where rotors are at their limits."""
         matrix = allocation_matrix(vehicle, gravity)
         limits = (evaluate_map(vehicle.thrust_map, speed) for speed in (vehicle.speed_low, vehicle.speed_high))
-        self.thrust_map = vehicle.thrust_map
+        self.thrust_map, self.saturation = vehicle.thrust_map, saturation
         if is_shared(vehicle.mass):  # a declared vehicle is the same everywhere
-            self.inverse = share_row(torch.linalg.pinv(matrix[0]), vehicle.num_envs)  # (E, R, 6)
+            self.inverse = share_row(_inverse(matrix[0]), vehicle.num_envs)  # (E, R, 6)
             self.low, self.high = (share_row(limit[0], vehicle.num_envs) for limit in limits)
         else:
-            self.inverse, (self.low, self.high) = torch.linalg.pinv(matrix), limits
+            self.inverse, (self.low, self.high) = _inverse(matrix), limits
+        self._matrix = matrix[0].detach()
 
     def thrust(self, wrench: Tensor) -> Tensor:
         """Return unclamped rotor thrusts [N], (E, R), of least norm for a wrench [N, N m], body, (E, 6)."""
@@ -50,3 +144,27 @@ class Allocation:
     def speed(self, thrust: Tensor) -> Tensor:
         """Return rotor speeds [rad/s], (E, R), that give the thrusts [N] after clamping to the limits."""
         return speed_for_thrust(self.thrust_map, torch.clamp(thrust, self.low, self.high))
+
+    def speed_for_wrench(self, wrench: Tensor) -> Tensor:
+        """Return rotor speeds [rad/s], (E, R), for a wrench [N, N m], body, (E, 6), within the limits."""
+        if self.saturation == "clamp":
+            return self.speed(self.thrust(wrench))
+        return self.speed(prioritised_thrust(self.inverse, wrench, self.low, self.high))
+
+    def torque_authority(self, weight: float) -> Tensor:
+        """Return the torque [N m], (3,), that the rotors give both ways about each body axis while they carry a weight [N].
+
+        Of the first environment; 0 where there is none.
+        """
+        inverse, low, high = self.inverse[0].detach(), self.low[0], self.high[0]
+        hover = inverse[:, 2] * weight
+        room = torch.minimum(high - hover, hover - low).clamp_min(0.0).unsqueeze(-1)
+        need = inverse[:, 3:].abs()
+        limit = torch.where(need > 0.0, room / torch.where(need > 0.0, need, 1.0), torch.inf).amin(0)
+        given = (self._matrix[3:] * inverse[:, 3:].T).sum(-1)  # 1 where the axis can be turned, else 0
+        return torch.where(limit.isfinite(), limit * given, 0.0)
+
+    def largest_thrust(self) -> float:
+        """Return the largest thrust along body z without torque [N], of the first environment."""
+        lift, high = self.inverse[0, :, 2].detach(), self.high[0]
+        return float(torch.where(lift > 0.0, high / torch.where(lift > 0.0, lift, 1.0), torch.inf).amin())

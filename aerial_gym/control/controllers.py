@@ -3,24 +3,21 @@
 Letters: E environments, R rotors.
 """
 
-from dataclasses import replace
 from typing import Any, Literal, Protocol
 
 import torch
 from torch import Tensor
 
-from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg
+from aerial_gym.config.controller import ControlCfg, ControllerCfg, LeeGainsCfg
 from aerial_gym.control import lee_fused
 from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.gains import GAINS, derived_gains, explicit_gains, gain_range, with_own_rows
 from aerial_gym.control.laws import LAWS
-from aerial_gym.control.lee import LeeGains
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.random import uniform
 from aerial_gym.physics.fused import FusedLaw
 from aerial_gym.physics.state import BodyState
-from aerial_gym.physics.vehicle import Vehicle, share_row
-
-_GAINS = ("position", "velocity", "attitude", "rate")
+from aerial_gym.physics.vehicle import Vehicle
 
 
 class Controller(Protocol):
@@ -94,19 +91,30 @@ class RotorSpeedController:
 class LeeController:
     """A geometric law with its gains."""
 
-    def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float) -> None:
-        """Take the configuration, the declared vehicle and gravity [m/s²]."""
-        if cfg.gains is None:
-            raise ConfigError(f"ControllerCfg.gains: law {cfg.law!r} needs gains")
-        law = LAWS[cfg.law]
+    def __init__(
+        self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float | None, control: ControlCfg
+    ) -> None:
+        """Take the configuration, the declared vehicle, gravity [m/s²], the time step [s] and the robot's own settings."""
+        law, explicit = LAWS[cfg.law], explicit_gains_of(cfg, control)
         self.action_names, self._law = law.action, law
-        self._cfg, self._allocation = cfg.gains, Allocation(vehicle, gravity)
-        self.gains = _middle_gains(cfg.gains, vehicle, gravity)
-        self._ranges = {name: _range(cfg.gains, name, vehicle.com) for name in _GAINS}
+        self._allocation = Allocation(vehicle, gravity, saturation=cfg.allocation)
+        self._ranges: dict[str, tuple[Tensor, Tensor]] = {}
+        if explicit is None:
+            if dt is None:
+                raise ConfigError(f"law {cfg.law!r}: gains are derived from the time step. Give dt [s]")
+            self.gains = derived_gains(control, vehicle, self._allocation, gravity=gravity, dt=dt)
+            return
+        self.gains = explicit_gains(explicit, vehicle, gravity)
+        if explicit.randomize:
+            self._ranges = {name: gain_range(explicit, name, vehicle.com) for name in GAINS}
+
+    def own_gains(self) -> None:
+        """Give each environment rows (E, 3) of its own in ``gains``, to be written in place; call it before ``fused``."""
+        self.gains = with_own_rows(self.gains)
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
         """Return the speeds that give the wrench of the law, within the rotors' limits."""
-        return self._allocation.speed(self._allocation.thrust(self._law.wrench(state, action, self.gains)))
+        return self._allocation.speed_for_wrench(self._law.wrench(state, action, self.gains))
 
     def fused(self) -> FusedLaw | None:
         """Return the law's twin in Warp with these gains and the allocation."""
@@ -116,6 +124,7 @@ class LeeController:
             "wrench",
             self._allocation,
             len(self.action_names),
+            saturation=self._allocation.saturation,
             wrench=self._law.fused,
             gains_type=lee_fused.Gains,
             load_gains=lee_fused.load_gains,
@@ -124,8 +133,6 @@ class LeeController:
 
     def reset(self, mask: Tensor, generator: torch.Generator) -> None:
         """Draw gains for the environments in ``mask`` if the configuration randomises them."""
-        if not self._cfg.randomize:
-            return
         for name, (low, high) in self._ranges.items():
             gain = getattr(self.gains, name)
             draw = uniform(low, high, tuple(gain.shape), generator=generator)
@@ -144,41 +151,36 @@ def _fused(output: Literal["thrust", "wrench"], allocation: Allocation, num_acti
     )
 
 
-def _range(cfg: LeeGainsCfg, name: str, like: Tensor) -> tuple[Tensor, Tensor]:
-    return like.new_tensor(getattr(cfg, f"{name}_gain_low")), like.new_tensor(getattr(cfg, f"{name}_gain_high"))
+def explicit_gains_of(cfg: ControllerCfg, control: ControlCfg) -> LeeGainsCfg | None:
+    """Return the explicit gains of a controller, or of the robot; None where they are derived."""
+    return cfg.gains if cfg.gains is not None else control.gains
 
 
-def _middle_gains(cfg: LeeGainsCfg, vehicle: Vehicle, gravity: float) -> LeeGains:
-    empty = torch.zeros_like(vehicle.com)
-    gains = LeeGains(
-        position=empty,
-        velocity=empty,
-        attitude=empty,
-        rate=empty,
-        mass=vehicle.mass,
-        inertia=vehicle.inertia,
-        gravity=gravity,
-        max_yaw_rate=cfg.max_yaw_rate,
-        max_inclination=cfg.max_inclination,
-    )
-    ranges = {name: _range(cfg, name, empty) for name in _GAINS}
-    middle = {name: share_row(0.5 * (low + high), vehicle.num_envs) for name, (low, high) in ranges.items()}
-    if cfg.randomize:
-        middle = {name: rows.clone() for name, rows in middle.items()}
-    return replace(gains, **middle)
-
-
-def make_controller(cfg: ControllerCfg, vehicle: Vehicle, gravity: float) -> Controller:
+def make_controller(
+    cfg: ControllerCfg,
+    vehicle: Vehicle,
+    gravity: float,
+    *,
+    dt: float | None = None,
+    control: ControlCfg | None = None,
+) -> Controller:
     """Return a controller for a declared vehicle.
 
+    Args:
+        cfg: Which law, with which gains.
+        vehicle: As declared.
+        gravity: Downward acceleration of free fall [m/s²].
+        dt: Time step of the law [s]; needed by the geometric laws where gains are derived.
+        control: What the robot file says of its control (``RobotCfg.control``); nothing if not given.
+
     Raises:
-        ConfigError: If the law is unknown.
+        ConfigError: If the law is unknown, or gains must be derived and there is no time step.
     """
     if cfg.law == "thrust":
         return ThrustController(vehicle, gravity)
     if cfg.law == "rotor_speed":
         return RotorSpeedController(vehicle)
     if cfg.law in LAWS:
-        return LeeController(cfg, vehicle, gravity)
+        return LeeController(cfg, vehicle, gravity, dt=dt, control=ControlCfg() if control is None else control)
     known = ", ".join(("thrust", "rotor_speed", *LAWS))
     raise ConfigError(f"ControllerCfg.law = {cfg.law!r}: unknown. Known: {known}")

@@ -31,32 +31,40 @@ class Law:
     action: tuple[str, ...]
     """What each entry of the action is, with its unit."""
 
+    trim: str
+    """Axes of ``control.stability`` that the law brings to rest; it leaves the others to themselves."""
+
 
 LAWS: dict[str, Law] = {
     "position": Law(
         wrench=position_control,
         fused=lee_fused.position_control,
         action=("x [m]", "y [m]", "z [m]", "yaw [rad]"),
+        trim="x y z roll pitch yaw vx vy vz p q r",
     ),
     "velocity": Law(
         wrench=velocity_control,
         fused=lee_fused.velocity_control,
         action=("vx [m/s]", "vy [m/s]", "vz [m/s]", "yaw rate [rad/s]"),
+        trim="roll pitch vx vy vz p q r",
     ),
     "acceleration": Law(
         wrench=acceleration_control,
         fused=lee_fused.acceleration_control,
         action=("ax [m/s²]", "ay [m/s²]", "az [m/s²]", "yaw rate [rad/s]"),
+        trim="roll pitch p q r",
     ),
     "attitude": Law(
         wrench=attitude_control,
         fused=lee_fused.attitude_control,
         action=("thrust - 1 [weights]", "roll [rad]", "pitch [rad]", "yaw rate [rad/s]"),
+        trim="roll pitch p q r",
     ),
     "rates": Law(
         wrench=rates_control,
         fused=lee_fused.rates_control,
         action=("thrust - 1 [weights]", "p [rad/s]", "q [rad/s]", "r [rad/s]"),
+        trim="p q r",
     ),
 }
 """The geometric laws. ``thrust`` and ``rotor_speed`` need none: the action goes to the rotors."""

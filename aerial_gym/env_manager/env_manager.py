@@ -5,6 +5,7 @@
 """
 
 from math import hypot
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,14 +13,20 @@ from torch import Tensor
 from aerial_gym.assets import AssetManager, CollisionTest, bounds_ranges, draw_bounds
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.environment import EnvironmentCfg
+from aerial_gym.config.imu import load_imu
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
-from aerial_gym.control import make_controller
+from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects import ImuEffect
-from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.robots import RobotManager
-from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors
+from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
+from aerial_gym.robots import ROBOTS, RobotManager
+from aerial_gym.sensors import SENSORS, Imu, SensorManager
+
+
+def _name_in(registry: Registry[Any], entry: RobotCfg | ControllerCfg) -> str:
+    """Return how people call a configuration: its registered name, else its summary."""
+    return next((repr(name) for name in registry if registry.get(name) is entry), repr(entry.summary))
 
 
 class EnvManager:
@@ -65,7 +72,9 @@ class EnvManager:
         self.robot_manager = RobotManager(
             robot, sim, self.gtd, root_state=root[:, 0], bounds=bounds, generator=self.generator, seed=seed
         )
-        law = make_controller(controller, self.robot_manager.declared, sim.gravity)
+        names = (_name_in(ROBOTS, robot), _name_in(CONTROLLERS, controller))
+        check_closed_loop(robot, controller, gravity=sim.gravity, dt=sim.dt, integrator=sim.integrator, names=names)
+        law = make_controller(controller, self.robot_manager.declared, sim.gravity, dt=sim.dt, control=robot.control)
         scene = self.asset_manager.scene
         self.robot_manager.attach(
             law,
@@ -76,9 +85,9 @@ class EnvManager:
             scene=scene,
         )
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
-        range_sensors, imus = mounted_sensors(robot.sensor_mounts)
+        cameras = {name: SENSORS.get(name) for name in robot.sensors}
         self.sensor_manager = SensorManager(
-            {name: mounted.cfg for name, mounted in range_sensors.items()},
+            cameras,
             self.gtd,
             scene,
             position=pose["position"],
@@ -90,19 +99,8 @@ class EnvManager:
             dt=self.dt,
             generator=self.generator,
             seed=seed,
-            poses={name: mounted.pose for name, mounted in range_sensors.items()},
         )
-        self.imus = ImuSet(
-            imus,
-            self.gtd,
-            attitude=pose["attitude"],
-            lin_vel=self.gtd["robot_linvel"],
-            ang_vel=self.gtd["robot_body_angvel"],
-            dt=self.dt,
-            gravity=sim.gravity,
-            seed=seed,
-            errors=self.robot_manager.model.effects[ImuEffect],
-        )
+        self._imu = None if robot.imu is None else self._make_imu(robot.imu)
         self._touching = torch.zeros(num_envs, dtype=torch.bool, device=device)
         self._collision = CollisionTest(
             scene,
@@ -143,6 +141,24 @@ class EnvManager:
                 key=key, shape=("E",), dtype=dtype, unit="-", frame="-", owner="env, task", meaning=meaning
             ))  # fmt: skip
 
+    def _make_imu(self, name: str) -> Imu:
+        """Declare the measurement of an IMU and return what writes it."""
+        measurement = self.gtd.declare(TensorSpec(
+            key="imu_measurement", shape=("E", 6), unit="m/s², rad/s", frame="imu", owner="env",
+            meaning="mean specific force over the step, angular velocity at its end, with bias and noise",
+        ))  # fmt: skip
+        return Imu(
+            load_imu(name),
+            attitude=self.gtd["robot_orientation"],
+            lin_vel=self.gtd["robot_linvel"],
+            ang_vel=self.gtd["robot_body_angvel"],
+            measurement_out=measurement,
+            dt=self.dt,
+            gravity=self.sim_cfg.gravity,
+            seed=self.seed,
+            errors=self.robot_manager.model.effects[ImuEffect],
+        )
+
     @property
     def dt(self) -> float:
         """Length of an environment step [s]."""
@@ -164,7 +180,8 @@ class EnvManager:
             self.asset_manager.take_actions(env_actions)
         self._advance()
         self.robot_manager.refresh(self.dt)
-        self.imus.measure()
+        if self._imu is not None:
+            self._imu.measure()
         gtd["sim_steps"].add_(1)
 
     def _advance(self) -> None:
@@ -193,7 +210,8 @@ class EnvManager:
         self.asset_manager.restart(seed)
         self.robot_manager.restart(seed)
         self.sensor_manager.restart(seed)
-        self.imus.restart(seed)
+        if self._imu is not None:
+            self._imu.restart(seed)
 
     def reset(self, mask: Tensor | None = None) -> None:
         """Start the environments in ``mask``, bool (E,), anew; all of them without a mask. Others stay bit for bit."""
@@ -205,7 +223,8 @@ class EnvManager:
         self.robot_manager.reset(mask)
         self.asset_manager.clear_start(mask, self.gtd["robot_position"])
         self.sensor_manager.reset(mask)
-        self.imus.reset(mask)
+        if self._imu is not None:
+            self._imu.reset(mask)
         if self._collision.has_solids:
             self._collision.measure()
         for key in ("crashes", "truncations", "sim_steps"):

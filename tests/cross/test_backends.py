@@ -6,6 +6,7 @@ that grows with the flight (a clamped rotor amplifies it), so the bound is taken
 """
 
 from dataclasses import replace
+from typing import Literal
 
 import pytest
 import torch
@@ -13,6 +14,7 @@ from torch import Tensor
 
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.control.catalog import AERIAL_GYM_GAINS
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, Model, TorchBackend, build_model, vehicle_from_config
 from aerial_gym.physics.effects import EffectsByKind, WrenchEffect
@@ -43,7 +45,7 @@ def build(robot, controller: ControllerCfg, num_envs: int, dtype: torch.dtype, e
         effect = EFFECTS.get(name)
         row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
         rows.append((effect, torch.tensor(row, dtype=dtype).expand(num_envs, -1).clone()))
-    return build_model(vehicle, rows, ceiling_height=CEILING), make_controller(controller, declared, 9.81)
+    return build_model(vehicle, rows, ceiling_height=CEILING), make_controller(controller, declared, 9.81, dt=DT)
 
 
 def actions_for(controller, model: Model, num_envs: int) -> Tensor:
@@ -175,9 +177,13 @@ def test_a_thrust_map_with_an_offset_is_inverted_like_torch() -> None:
     assert_same_flight(offset, CONTROLLERS.get("no_control"), "euler")
 
 
-def test_a_flight_that_amplifies_round_off_is_the_same_step_by_step() -> None:
-    """The gains of ``base_quadrotor`` make the lighter Crazyflie switch between its limits: a chaotic flight."""
+@pytest.mark.parametrize("allocation", ["clamp", "prioritised"])
+def test_a_flight_that_amplifies_round_off_is_the_same_step_by_step(
+    allocation: Literal["clamp", "prioritised"],
+) -> None:
+    """The gains of a heavier vehicle make the Crazyflie switch between its limits: a chaotic flight, clamped or prioritised."""
     robot, controller = ROBOTS.get("crazyflie_21_brushless"), CONTROLLERS.get("lee_velocity_control")
+    controller = replace(controller, gains=AERIAL_GYM_GAINS, allocation=allocation)
     assert_same_flight(robot, controller, "euler", steps_alone=True)
 
 
@@ -212,8 +218,7 @@ def test_parameters_of_each_environment_are_read(controller: str) -> None:
 
 def test_gains_of_each_environment_are_read() -> None:
     cfg = CONTROLLERS.get("lee_position_control")
-    assert cfg.gains is not None
-    cfg = replace(cfg, gains=replace(cfg.gains, randomize=True))
+    cfg = replace(cfg, gains=replace(AERIAL_GYM_GAINS, randomize=True), allocation="clamp")
     robot, ends = ROBOTS.get("base_quadrotor"), []
     for backend, dtype in ((TorchBackend(), torch.float32), (WarpBackend(), torch.float32)):
         model, law = build(robot, cfg, 8, dtype)

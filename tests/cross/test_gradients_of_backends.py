@@ -34,7 +34,7 @@ def gradients(backend, dtype: torch.dtype, controller: str, integrator: str) -> 
     """Return the gradients of a generic function of the state after a rollout, by what they are taken for."""
     robot = lopsided_robot()
     vehicle = vehicle_from_config(robot, num_envs=NUM_ENVS, dtype=dtype)
-    law = make_controller(CONTROLLERS.get(controller), vehicle, 9.81)
+    law = make_controller(CONTROLLERS.get(controller), vehicle, 9.81, dt=DT)
     mass = vehicle.mass.clone().requires_grad_()
     inertia = vehicle.inertia.clone().requires_grad_()
     leaves = {"mass": mass, "inertia": inertia}

@@ -55,7 +55,7 @@ def test_physics_kernels_compile(controller: str, integrator: str, tmp_path: Pat
         effects.append((effect, torch.tensor(effect.neutral(robot)).expand(2, -1).clone()))
     effects.append((LearnedResidual(random_network(16), dtype=torch.float32), torch.ones(2, 1)))
     backend = WarpBackend()
-    law = make_controller(CONTROLLERS.get(controller), vehicle, 9.81)
+    law = make_controller(CONTROLLERS.get(controller), vehicle, 9.81, dt=0.01)
     backend.allocate(build_model(vehicle, effects, ceiling_height=3.0), law, integrator=integrator)
     compile_for_gpu(backend.kernel.module, tmp_path)
 

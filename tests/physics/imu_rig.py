@@ -38,9 +38,7 @@ NOISY = replace(
 class Rig:
     """An IMU on a body that is moved by hand. Everything it writes is NaN beforehand."""
 
-    def __init__(
-        self, cfg: ImuCfg, num_envs: int = 1, *, dt: float = 0.01, seed: int = 0, errors=(), pose=None
-    ) -> None:
+    def __init__(self, cfg: ImuCfg, num_envs: int = 1, *, dt: float = 0.01, seed: int = 0, errors=()) -> None:
         self.attitude = torch.zeros(num_envs, 4)
         self.attitude[:, 3] = 1.0
         self.lin_vel, self.ang_vel = torch.zeros(num_envs, 3), torch.zeros(num_envs, 3)
@@ -56,10 +54,8 @@ class Rig:
             gravity=G,
             seed=seed,
             errors=errors,
-            pose=pose,
         )
-        poisoned = (self.imu._clock, self.imu._force_sum, self.imu._fresh, self.imu._line)
-        for tensor in (self.imu.bias, self.imu.mount_attitude, self.imu._point_vel, *poisoned):
+        for tensor in (self.imu.bias, self.imu.mount_attitude, self.imu._point_vel):
             tensor.fill_(nan)
 
     def reset(self) -> Tensor:
@@ -79,5 +75,4 @@ class Rig:
 
     def memory(self) -> list[Tensor]:
         imu = self.imu
-        kept = [imu._clock, imu._steps, imu._force_sum, imu._fresh, imu._place]
-        return [self.measurement, imu.bias, imu.mount_attitude, imu._point_vel, imu._sample, *kept, *imu._line]
+        return [self.measurement, imu.bias, imu.mount_attitude, imu._point_vel, imu._sample]

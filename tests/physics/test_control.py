@@ -5,8 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
+from aerial_gym.config.controller import ControlCfg
 from aerial_gym.control import CONTROLLERS, Controller, make_controller
 from aerial_gym.control.allocation import Allocation, allocation_matrix
+from aerial_gym.control.catalog import AERIAL_GYM_GAINS
 from aerial_gym.control.lee import (
     attitude_error,
     attitude_from_force,
@@ -96,7 +98,11 @@ def test_attitude_command_is_zyx_euler_at_any_heading() -> None:
 
 
 def test_gains_are_the_middle_of_their_ranges() -> None:
-    gains = controller_for("lee_position_control", "tinyprop", 3).gains
+    """Explicit gains, in the controller or in the robot file, stand in place of the derived ones (parity.md 2.3)."""
+    vehicle = vehicle_from_config(ROBOTS.get("tinyprop"), num_envs=3, dtype=F64)
+    cfg, of_robot = CONTROLLERS.get("lee_position_control"), ControlCfg(gains=AERIAL_GYM_GAINS)
+    gains = make_controller(replace(cfg, gains=AERIAL_GYM_GAINS), vehicle, 9.81).gains
+    torch.testing.assert_close(make_controller(cfg, vehicle, 9.81, control=of_robot).gains.attitude, gains.attitude)
     torch.testing.assert_close(gains.position, torch.tensor([2.5, 2.5, 1.5], dtype=F64).expand(3, 3))
     torch.testing.assert_close(gains.attitude, torch.tensor([1.0, 1.0, 0.5], dtype=F64).expand(3, 3))
     torch.testing.assert_close(gains.rate, torch.tensor([0.15, 0.15, 0.15], dtype=F64).expand(3, 3))
@@ -127,7 +133,7 @@ def fly(
 
 def controller_for(name: str, robot_name: str, num_envs: int) -> Controller:
     vehicle = vehicle_from_config(ROBOTS.get(robot_name), num_envs=num_envs, dtype=F64)
-    return make_controller(CONTROLLERS.get(name), vehicle, 9.81)
+    return make_controller(CONTROLLERS.get(name), vehicle, 9.81, dt=0.01)
 
 
 @pytest.mark.parametrize("robot", ["base_quadrotor", "tinyprop"])
@@ -212,8 +218,7 @@ def test_direct_control_passes_the_action_through(name: str, unit: str) -> None:
 
 def test_randomised_gains_change_only_masked_rows_and_stay_in_range() -> None:
     base = CONTROLLERS.get("lee_position_control")
-    assert base.gains is not None
-    cfg = replace(base, gains=replace(base.gains, randomize=True))
+    cfg = replace(base, gains=replace(AERIAL_GYM_GAINS, randomize=True))
     controller = make_controller(cfg, vehicle_from_config(ROBOTS.get("tinyprop"), num_envs=6, dtype=F64), 9.81)
     before = controller.gains.position.clone()
     mask = torch.tensor([True, False, True, False, False, True])
@@ -222,8 +227,8 @@ def test_randomised_gains_change_only_masked_rows_and_stay_in_range() -> None:
     assert torch.equal(after[~mask], before[~mask])
     assert (after[mask] != before[mask]).all()
     low, high = (
-        torch.tensor(base.gains.position_gain_low, dtype=F64),
-        torch.tensor(base.gains.position_gain_high, dtype=F64),
+        torch.tensor(AERIAL_GYM_GAINS.position_gain_low, dtype=F64),
+        torch.tensor(AERIAL_GYM_GAINS.position_gain_high, dtype=F64),
     )
     assert ((after >= low) & (after <= high)).all()
 

@@ -114,7 +114,7 @@ def make_flight(
         raise CapabilityError(f"backend {backend}: cannot run on {device}. Devices: {able}")
     declared = vehicle_from_config(cfg, num_envs=num_envs, device=device)
     model = build_model(declared, moderate_effects(effects, cfg, num_envs=num_envs, device=device))
-    control = make_controller(law, declared, model.gravity)
+    control = make_controller(law, declared, model.gravity, dt=dt, control=cfg.control)
     generator = torch.Generator(device=device).manual_seed(seed)
     hover = _hover_thrust(cfg, effects, device)
     state = near_hover(num_envs, hover[1], generator)

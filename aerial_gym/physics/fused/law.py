@@ -44,6 +44,9 @@ class FusedLaw:
     allocation: Tensor | None = None
     """From the wrench to thrusts, (E, R, 6); not needed for a speed."""
 
+    saturation: Literal["prioritised", "clamp"] = "clamp"
+    """What gives way where the thrusts of a wrench are beyond the limits (``control.allocation``)."""
+
     wrench: wp.Function | None = None
     """``wp.func`` (position, attitude, lin_vel, ang_vel, action, gains) -> (force, torque), body, ``wp.spatial_vector``."""
 

@@ -1,0 +1,123 @@
+"""Gains from the vehicle: what its inertia, rotor lag and thrust limits, and the time step allow.
+
+Both loops have the form ``1 / (s² (T s + 1))`` with all small lags in one T. A proportional and derivative law around it is
+best placed about the crossover ``1 / (a T)``, half way between its zero at ``1 / (a² T)`` and the lag at ``1 / T``: the phase
+margin there is ``atan a - atan 1/a`` and the largest that this T allows. It gives the natural frequency ``1 / (a^1.5 T)`` and
+the damping ratio ``sqrt(a) / 2``.
+
+- Attitude: T is the rotor lag plus one time step (the command is held for one, and the stepper adds less than half of one).
+- Position: T is the lag of the closed attitude loop, ``2 z / w``, so that it is slower than attitude by the same margin.
+
+Source: Kessler (1958), Das symmetrische Optimum, Regelungstechnik 6, 395-400; in English Preitl, Precup (1999), An extension of
+tuning relations after symmetrical optimum method for PI and PID controllers, Automatica 35(10), 1731-1736 (a² is beta there).
+Frames: body is x forward, y left, z up; world is z up. Letters: E environments, R rotors.
+"""
+
+from dataclasses import replace
+from math import acos, pi, tan
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.controller import ControlCfg, LeeGainsCfg
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.lee import LeeGains
+from aerial_gym.physics.vehicle import Vehicle, share_row
+
+GAINS = ("position", "velocity", "attitude", "rate")
+"""Fields of ``LeeGains`` that a range or an override may change, each (E, 3)."""
+
+LARGEST_INCLINATION = pi / 3
+"""Of a vehicle with thrust to spare [rad]. Source: Aerial Gym Simulator 2.0.1, max_inclination_angle_rad."""
+
+
+def loop_shape(lag: float, phase_margin: float) -> tuple[float, float]:
+    """Return natural frequency [rad/s] and damping ratio of a loop with a lag T [s] and a phase margin [rad].
+
+    Source: Kessler (1958), symmetrical optimum: ``a = tan(pi/4 + margin/2)``, ``w = a^-1.5 / T``, ``z = sqrt(a) / 2``.
+    """
+    spacing = tan(0.25 * pi + 0.5 * phase_margin)
+    return 1.0 / (spacing**1.5 * lag), 0.5 * spacing**0.5
+
+
+def derived_gains(cfg: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, gravity: float, dt: float) -> LeeGains:
+    """Return the gains of a declared vehicle, the same in all environments.
+
+    About each body axis the attitude loop is at most so quick that the largest attitude error, 1, asks for no more torque than
+    the rotors give at hover (``sqrt`` of the angular acceleration): weak yaw is slow, and without yaw torque it is left alone.
+
+    Args:
+        cfg: What the robot file says.
+        vehicle: As declared.
+        allocation: Of the same vehicle.
+        gravity: Downward acceleration of free fall [m/s²].
+        dt: Time step of the control law [s].
+    """
+    first = vehicle.inertia[0]
+    inertia = first.diagonal()
+    lag = float(torch.maximum(vehicle.time_constant_up[0], vehicle.time_constant_down[0]).max()) + dt
+    quickest, damping = loop_shape(lag, cfg.phase_margin)
+    authority = (allocation.torque_authority(float(vehicle.mass[0]) * gravity) / inertia).clamp_min(0.0).sqrt()
+    attitude = _given(cfg.attitude_frequency, authority.clamp_max(quickest))
+    attitude_damping = _given(cfg.attitude_damping, torch.full_like(inertia, damping))
+    attitude_lag = _lag_of(attitude[:2], attitude_damping[:2])
+    frequency, damping = loop_shape(attitude_lag, cfg.phase_margin) if attitude_lag > 0.0 else (0.0, damping)
+    position = _given(cfg.position_frequency, torch.full_like(inertia, frequency))
+    position_damping = _given(cfg.position_damping, torch.full_like(inertia, damping))
+    tilt = cfg.max_inclination
+    return LeeGains(
+        position=share_row(position**2, vehicle.num_envs),
+        velocity=share_row(2.0 * position_damping * position, vehicle.num_envs),
+        attitude=share_row(inertia * attitude**2, vehicle.num_envs),
+        rate=share_row(2.0 * attitude_damping * attitude * inertia, vehicle.num_envs),
+        mass=vehicle.mass,
+        inertia=vehicle.inertia,
+        gravity=gravity,
+        max_yaw_rate=cfg.max_yaw_rate,
+        max_inclination=derived_inclination(vehicle, allocation, gravity) if tilt is None else tilt,
+    )
+
+
+def _given(numbers: tuple[float, ...] | None, derived: Tensor) -> Tensor:
+    return derived if numbers is None else derived.new_tensor(numbers)
+
+
+def _lag_of(frequency: Tensor, damping: Tensor) -> float:
+    """Return the longest lag ``2 z / w`` [s] of closed loops; 0 where an axis is left alone."""
+    return float((2.0 * damping / frequency).max()) if bool((frequency > 0.0).all()) else 0.0
+
+
+def derived_inclination(vehicle: Vehicle, allocation: Allocation, gravity: float) -> float:
+    """Return the tilt [rad] at which the vertical part of the weight and half of the surplus thrust is the weight.
+
+    Derived: ``cos tilt (1 + (F / (m g) - 1) / 2) = 1`` with the largest thrust F along body z.
+    """
+    weight = float(vehicle.mass[0]) * gravity
+    surplus = max(allocation.largest_thrust() / weight - 1.0, 0.0)
+    return min(acos(1.0 / (1.0 + 0.5 * surplus)), LARGEST_INCLINATION)
+
+
+def explicit_gains(cfg: LeeGainsCfg, vehicle: Vehicle, gravity: float) -> LeeGains:
+    """Return gains in the middle of their ranges; where they are randomised each environment has its own rows."""
+    like = vehicle.com[:1]
+    shared = {name: 0.5 * sum(gain_range(cfg, name, like)) for name in GAINS}
+    gains = LeeGains(
+        **{name: share_row(row[0], vehicle.num_envs) for name, row in shared.items()},
+        mass=vehicle.mass,
+        inertia=vehicle.inertia,
+        gravity=gravity,
+        max_yaw_rate=cfg.max_yaw_rate,
+        max_inclination=cfg.max_inclination,
+    )
+    return with_own_rows(gains) if cfg.randomize else gains
+
+
+def with_own_rows(gains: LeeGains) -> LeeGains:
+    """Return gains with a row of each environment's own, (E, 3), that may be written in place."""
+    return replace(gains, **{name: getattr(gains, name).clone() for name in GAINS})
+
+
+def gain_range(cfg: LeeGainsCfg, name: str, like: Tensor) -> tuple[Tensor, Tensor]:
+    """Return lower and upper end of a gain, each (1, 3)."""
+    low, high = getattr(cfg, f"{name}_gain_low"), getattr(cfg, f"{name}_gain_high")
+    return like.new_tensor([low]), like.new_tensor([high])

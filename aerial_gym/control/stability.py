@@ -1,0 +1,220 @@
+"""Whether a vehicle under a control law comes to rest: the closed loop as it is sampled, linearised at hover.
+
+One step of the torch reference, in float64, with the real allocation and rotor lag, is differentiated by central differences,
+all perturbations side by side as environments. The vehicle comes to rest if the spectral radius over the axes that the law
+controls is below 1; what it leaves to itself (position and heading under attitude control, say) is left out, as none of the
+controlled axes depends on it at hover.
+Letters: N axes with rotors, R rotors.
+"""
+
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from math import exp, log
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.controller import ControlCfg, ControllerCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.controllers import explicit_gains_of, make_controller
+from aerial_gym.control.gains import GAINS
+from aerial_gym.control.laws import LAWS
+from aerial_gym.errors import ConfigError
+from aerial_gym.math.quaternion import quat_exp, quat_log
+from aerial_gym.physics.backend import ControlLaw
+from aerial_gym.physics.integrators import INTEGRATORS
+from aerial_gym.physics.model import build_model
+from aerial_gym.physics.rotors import speed_for_thrust
+from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.torch_backend import advance
+from aerial_gym.physics.vehicle import Vehicle, share_row, vehicle_from_config
+
+AXES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "p", "q", "r")
+"""Motion about hover [m, rad, m/s, rad/s]."""
+
+NUDGE = 1e-5
+"""Size of the differences, in the units of the axes: their error is its square."""
+
+ROUND_OFF = 1e-7
+"""By which the spectral radius of a mode that neither grows nor decays may miss 1."""
+
+DT_RANGE = (1e-5, 1.0)
+"""Time steps [s] between which the largest stable one is looked for."""
+
+HALVINGS = 24
+"""Of the logarithm of that range: to 1e-6 of the time step."""
+
+
+def single_vehicle(vehicle: Vehicle, num_rows: int) -> Vehicle:
+    """Return the first environment's vehicle in ``num_rows`` rows on the CPU, in float64."""
+    return Vehicle(
+        **{name: share_row(rows[0].detach().cpu().double(), num_rows) for name, rows in vars(vehicle).items()}
+    )
+
+
+def spectral_radius(
+    vehicle: Vehicle,
+    make_law: Callable[[Vehicle], ControlLaw],
+    hover_action: Tensor,
+    *,
+    axes: str,
+    gravity: float,
+    dt: float,
+    integrator: str,
+    hover_thrust: Tensor,
+) -> float:
+    """Return the largest modulus of the eigenvalues of one step of the closed loop at hover.
+
+    Args:
+        vehicle: As declared.
+        make_law: Returns the law for a vehicle of any number of rows.
+        hover_action: That holds the vehicle at rest at the origin, (U,).
+        axes: Names among ``AXES`` that the law controls; the rotors always count.
+        gravity: Downward acceleration of free fall [m/s²].
+        dt: Time step [s].
+        integrator: Name of the stepper.
+        hover_thrust: Thrusts at rest [N], (R,).
+    """
+    width = len(AXES) + vehicle.num_rotors
+    plant = single_vehicle(vehicle, 2 * width)
+    trim = _speed(plant, hover_thrust)
+    nudges = NUDGE * torch.cat((torch.eye(width, dtype=trim.dtype), -torch.eye(width, dtype=trim.dtype)))
+    size = torch.cat((torch.ones(len(AXES), dtype=trim.dtype), trim.abs().clamp_min(1.0)))
+    start = _state(nudges * size, trim)
+    action = hover_action.to(trim).expand(2 * width, -1)
+    model = build_model(plant, gravity=gravity)
+    end = _offsets(advance(model, INTEGRATORS[integrator], make_law(plant), start, action, dt, 1), trim) / size
+    slope = (end[:width] - end[width:]).T / (2.0 * NUDGE)
+    kept = [AXES.index(name) for name in axes.split()] + list(range(len(AXES), width))
+    return float(torch.linalg.eigvals(slope[kept][:, kept]).abs().max())
+
+
+def _speed(plant: Vehicle, thrust: Tensor) -> Tensor:
+    return speed_for_thrust(plant.thrust_map[0], thrust.to(plant.mass))
+
+
+def _state(offsets: Tensor, trim: Tensor) -> BodyState:
+    position, turn, lin_vel, ang_vel, rotors = offsets.split((3, 3, 3, 3, trim.shape[0]), dim=-1)
+    return BodyState(
+        position=position, attitude=quat_exp(turn), lin_vel=lin_vel, ang_vel=ang_vel, rotor_speed=trim + rotors
+    )
+
+
+def _offsets(state: BodyState, trim: Tensor) -> Tensor:
+    parts = replace(state, attitude=quat_log(state.attitude), rotor_speed=state.rotor_speed - trim)
+    return torch.cat(parts.tensors(), dim=-1)
+
+
+def largest_stable_dt(radius: Callable[[float], float], unstable: float) -> float | None:
+    """Return the largest time step [s] below an unstable one at which the loop is stable; None if there is none.
+
+    Args:
+        radius: Spectral radius at a time step [s].
+        unstable: A time step at which it is above 1.
+    """
+    low, high = DT_RANGE[0], unstable
+    if radius(low) > 1.0 + ROUND_OFF:
+        return None
+    for _ in range(HALVINGS):
+        middle = exp(0.5 * (log(low) + log(high)))
+        low, high = (middle, high) if radius(middle) <= 1.0 + ROUND_OFF else (low, middle)
+    return low
+
+
+def check_closed_loop(
+    robot: RobotCfg, controller: ControllerCfg, *, gravity: float, dt: float, integrator: str, names: tuple[str, str]
+) -> None:
+    """Refuse a robot that does not come to rest under its controller at this time step.
+
+    Derived gains and bandwidths are our promise, and a loop that breaks it is refused. Explicit gains are someone's result,
+    which one may want to reproduce as it is, limit cycles and all: there is a warning instead.
+
+    Args:
+        robot: What flies, as declared.
+        controller: Law and gains.
+        gravity: Downward acceleration of free fall [m/s²].
+        dt: Time step [s].
+        integrator: Name of the stepper.
+        names: Of robot and controller, for people.
+
+    Raises:
+        ConfigError: If the vehicle cannot hover, or the loop is unstable with derived gains.
+    """
+    if controller.law not in LAWS:
+        return
+    loop = ClosedLoop(robot, controller, gravity=gravity, integrator=integrator, names=names)
+    radius = loop.radius(dt)
+    if radius <= 1.0 + ROUND_OFF:
+        return
+    best = largest_stable_dt(loop.radius, dt)
+    explicit = explicit_gains_of(controller, robot.control) is not None
+    message = (
+        f"robot {names[0]} with controller {names[1]} at dt = {dt:g} s is unstable: a disturbance at hover grows by a factor "
+        f"of {radius:.3g} in each step, with "
+        + ("the explicit gains given. " if explicit else "its frequencies and damping. ")
+        + ("It is at every time step" if best is None else f"The largest stable dt is {best:.3g} s")
+        + (": lower the gains, or leave them out to have them derived" if explicit else ": lower the frequencies")
+    )
+    if not explicit:
+        raise ConfigError(message)
+    logging.getLogger(__name__).warning(message)
+
+
+class ClosedLoop:
+    """A robot under a controller, at any time step."""
+
+    def __init__(
+        self, robot: RobotCfg, controller: ControllerCfg, *, gravity: float, integrator: str, names: tuple[str, str]
+    ) -> None:
+        """Find hover, and the axes that the law and the rotors control."""
+        self._robot, self._controller, self._gravity, self._integrator = robot, controller, gravity, integrator
+        self._vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+        allocation = Allocation(self._vehicle, gravity)
+        weight = robot.body.mass * gravity
+        self._hover = allocation.inverse[0, :, 2] * weight
+        low, high = allocation.low[0], allocation.high[0]
+        if bool(((self._hover < low) | (self._hover > high)).any()):
+            raise ConfigError(
+                f"robot {names[0]} cannot hover under controller {names[1]}: its rotors must give "
+                f"{self._hover.tolist()} N, their limits are {low.tolist()} to {high.tolist()} N"
+            )
+        weak = allocation.torque_authority(weight) == 0.0
+        idle = {name for pair, none in zip(_TURNS, weak.tolist(), strict=True) if none for name in pair}
+        self._axes = " ".join(name for name in LAWS[controller.law].trim.split() if name not in idle)
+
+    def radius(self, dt: float) -> float:
+        """Return the spectral radius at a time step [s]; with ranges of gains, the largest of middle and ends."""
+        return max(self._radius_with(controller, dt) for controller in _ends_of(self._controller, self._robot.control))
+
+    def _radius_with(self, controller: ControllerCfg, dt: float) -> float:
+        def make_law(vehicle: Vehicle) -> ControlLaw:
+            return make_controller(controller, vehicle, self._gravity, dt=dt, control=self._robot.control)
+
+        return spectral_radius(
+            self._vehicle,
+            make_law,
+            torch.zeros(len(LAWS[controller.law].action)),
+            axes=self._axes,
+            gravity=self._gravity,
+            dt=dt,
+            integrator=self._integrator,
+            hover_thrust=self._hover,
+        )
+
+
+_TURNS = (("roll", "p"), ("pitch", "q"), ("yaw", "r"))
+
+
+def _ends_of(controller: ControllerCfg, control: ControlCfg) -> list[ControllerCfg]:
+    """Return the controller with the middle of its gains, and where they are drawn with the lowest and the highest."""
+    gains = explicit_gains_of(controller, control)
+    if gains is None or not gains.randomize:
+        return [controller]
+    fixed = replace(gains, randomize=False)
+    ends = [
+        replace(fixed, **{f"{name}_gain_{other}": getattr(gains, f"{name}_gain_{end}") for name in GAINS})
+        for end, other in (("low", "high"), ("high", "low"))
+    ]
+    return [replace(controller, gains=case) for case in (fixed, *ends)]

@@ -1,1 +1,0 @@
-"""Attacks on the package: trainings that are killed, inputs that are mutated."""

@@ -1,0 +1,198 @@
+"""Allocation where rotors are at their limits, against linear programs and the fused twin."""
+
+from dataclasses import replace
+from math import cos, pi, sin
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+from scipy.optimize import linprog
+from torch import Tensor
+
+from aerial_gym.config.robot import MountCfg, RobotCfg
+from aerial_gym.control.allocation import Allocation, allocation_matrix, prioritised_thrust
+from aerial_gym.interop import start_warp
+from aerial_gym.physics import vehicle_from_config
+from aerial_gym.physics.fused.command import make_prioritised_thrust
+from aerial_gym.physics.fused.types import rotor_types
+from aerial_gym.robots import ROBOTS
+
+F64 = torch.float64
+
+
+def hexarotor() -> RobotCfg:
+    """Return six rotors tilted in turn: forces to the side too, and unequal shares of thrust."""
+    base = ROBOTS.get("tinyprop")
+    arms = [(0.2 * cos(k * pi / 3), 0.2 * sin(k * pi / 3), 0.01 * k) for k in range(6)]
+    tilts = [(0.3 * sin(k * pi / 3), -0.3 * cos(k * pi / 3), 1.0) for k in range(6)]
+    layout = [
+        MountCfg(position=arm, axis=tuple((-1) ** k * t if i < 2 else t for i, t in enumerate(tilt)), spin=(-1) ** k)
+        for k, (arm, tilt) in enumerate(zip(arms, tilts, strict=True))
+    ]
+    return replace(base, mounts=replace(base.mounts, layout=tuple(layout)))
+
+
+def with_a_pusher() -> RobotCfg:
+    """Return a quadrotor with a fifth rotor that pushes forward and carries nothing."""
+    base = ROBOTS.get("base_quadrotor")
+    pusher = MountCfg(position=(-0.2, 0.0, 0.0), axis=(1.0, 0.0, 0.0), spin=1)
+    rotor = replace(base.rotor, torque_ratio=0.0)
+    return replace(base, rotor=rotor, mounts=replace(base.mounts, layout=(*base.mounts.layout, pusher)))
+
+
+VEHICLES = {
+    "quadrotor": ROBOTS.get("tinyprop"),
+    "hexarotor": hexarotor(),
+    "pusher": with_a_pusher(),
+}
+
+
+def allocation_of(robot: RobotCfg, num_envs: int, dtype: torch.dtype = F64) -> Allocation:
+    return Allocation(vehicle_from_config(robot, num_envs=num_envs, dtype=dtype), 9.81)
+
+
+def wrenches(robot: RobotCfg, count: int, size: float) -> Tensor:
+    """Return wrenches about hover; ``size`` 1 is about what the rotors can give."""
+    g = torch.Generator().manual_seed(0)
+    weight, reach = robot.body.mass * 9.81, max(max(map(abs, m.position)) for m in robot.mounts.layout)
+    scale = weight * torch.tensor([0.2, 0.2, 0.5, 0.5 * reach, 0.5 * reach, 0.02 * reach], dtype=F64)
+    draw = size * scale * torch.randn(count, 6, dtype=F64, generator=g)
+    draw[:, 2] += weight
+    return draw
+
+
+def best_by_linear_programs(allocation: Allocation, wrench: np.ndarray) -> np.ndarray:
+    """Return the thrusts of which each of roll-pitch share, thrust and the rest's share is the best given those before it.
+
+    On a quadrotor the rest may help from the start; it cannot help roll and pitch there.
+    """
+    inverse, low, high = (t[0].numpy() for t in (allocation.inverse, allocation.low, allocation.high))
+    parts = inverse * wrench
+    turn, rest, lift = parts[:, 3] + parts[:, 4], parts[:, 0] + parts[:, 1] + parts[:, 5], inverse[:, 2]
+    resting = np.where(lift == 0.0, np.clip(0.0, low, high), 0.0)  # a rotor that carries nothing starts where it may
+    columns = np.stack(
+        (turn, lift, -lift, rest), axis=1
+    )  # share, thrust above and below the wanted one, share of the rest
+    base = resting + wrench[2] * lift
+    matrix, limit = np.concatenate((columns, -columns)), np.concatenate((high - base, base - low)) + 1e-11
+    bounds = [(0.0, 1.0), (0.0, None), (0.0, None), (0.0, 1.0 if len(lift) == 4 else 0.0)]
+
+    def solve(cost: list[float]) -> np.ndarray:
+        found = linprog(cost, A_ub=matrix, b_ub=limit, bounds=bounds, method="highs")
+        assert found.status == 0
+        return found.x
+
+    share = solve([-1.0, 0.0, 0.0, 0.0])[0]
+    bounds[0], bounds[3] = (share, share), (0.0, 1.0)
+    away = solve([0.0, 1.0, 1.0, 0.0])
+    bounds[1:3] = [(away[1], away[1]), (away[2], away[2])]
+    return base + columns @ solve([0.0, 0.0, 0.0, -1.0])
+
+
+def inside(allocation: Allocation, wrench: Tensor) -> Tensor:
+    """Return where no rotor is at a limit, (E,)."""
+    plain = allocation.thrust(wrench)
+    return ((plain >= allocation.low) & (plain <= allocation.high)).all(-1)
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+@pytest.mark.parametrize("size", [0.5, 3.0])
+def test_each_priority_is_the_best_that_linear_programs_find(name: str, size: float) -> None:
+    allocation = allocation_of(VEHICLES[name], 40)
+    wanted = wrenches(VEHICLES[name], 40, size)
+    found = prioritised_thrust(allocation.inverse, wanted, allocation.low, allocation.high)
+    at_limits = ~inside(allocation, wanted)
+    expected = np.stack([best_by_linear_programs(allocation, row) for row in wanted[at_limits].numpy()])
+    assert len(expected) > 10
+    torch.testing.assert_close(found[at_limits], torch.from_numpy(expected), atol=1e-7, rtol=0)
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_a_wrench_within_the_limits_is_the_pseudo_inverse_bit_for_bit(name: str) -> None:
+    allocation = allocation_of(VEHICLES[name], 256)
+    low, high = allocation.low, allocation.high
+    g = torch.Generator().manual_seed(1)
+    thrust = low + (high - low) * torch.rand(low.shape, dtype=F64, generator=g)
+    vehicle = vehicle_from_config(VEHICLES[name], num_envs=256, dtype=F64)
+    wanted = (allocation_matrix(vehicle, 9.81) @ thrust.unsqueeze(-1)).squeeze(-1)
+    plain, fits = allocation.thrust(wanted), inside(allocation, wanted)
+    assert fits.sum() > 50
+    assert torch.equal(prioritised_thrust(allocation.inverse, wanted, low, high)[fits], plain[fits])
+
+
+def test_yaw_gives_way_first_then_thrust_and_roll_and_pitch_last() -> None:
+    """Each in turn asked for more than there is, on a quadrotor: what stands before it is kept exactly."""
+    robot = ROBOTS.get("tinyprop")
+    allocation = allocation_of(robot, 3)
+    vehicle = vehicle_from_config(robot, num_envs=3, dtype=F64)
+    wanted = torch.tensor(
+        [[0, 0, 3.66, 0.05, -0.04, 0.5], [0, 0, 30.0, 0.05, -0.04, 0.5], [0, 0, 0.0, 0.6, -0.4, 0.5]], dtype=F64
+    )
+    thrust = prioritised_thrust(allocation.inverse, wanted, allocation.low, allocation.high)
+    assert ((thrust >= allocation.low) & (thrust <= allocation.high)).all()
+    given = (allocation_matrix(vehicle, 9.81) @ thrust.unsqueeze(-1)).squeeze(-1)
+    torch.testing.assert_close(given[:2, 3:5], wanted[:2, 3:5], atol=1e-12, rtol=0)
+    torch.testing.assert_close(given[0, 2], wanted[0, 2], atol=1e-12, rtol=0)
+    assert 0.0 < given[0, 5] < wanted[0, 5]
+    assert given[1, 5].abs() < 1e-12
+    assert 3.66 < given[1, 2] < 4 * 1.2
+    ratio = given[2, 3] / wanted[2, 3]
+    assert 0.0 < ratio < 1.0
+    torch.testing.assert_close(given[2, 4] / wanted[2, 4], ratio)
+
+
+def test_clamp_lets_every_rotor_stop_at_its_own_limit() -> None:
+    """The option that stays: roll is lost where prioritised allocation keeps it."""
+    robot = ROBOTS.get("tinyprop")
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
+    wanted = torch.tensor([[0.0, 0.0, 4.7, 0.05, 0.0, 0.0]], dtype=F64)
+    speeds = {
+        name: Allocation(vehicle, 9.81, saturation=name).speed_for_wrench(wanted) for name in ("clamp", "prioritised")
+    }
+    clamped = Allocation(vehicle, 9.81)
+    torch.testing.assert_close(speeds["clamp"], clamped.speed(clamped.thrust(wanted)))
+    roll = {
+        name: float((allocation_matrix(vehicle, 9.81)[0, 3] * speed[0] ** 2).sum() * robot.rotor.thrust_map[2])
+        for name, speed in speeds.items()
+    }
+    assert roll["prioritised"] == pytest.approx(0.05, rel=1e-9)
+    assert roll["clamp"] < 0.049
+
+
+def test_gradients_flow_through_limits_and_are_those_of_differences() -> None:
+    allocation = allocation_of(ROBOTS.get("tinyprop"), 8)
+    wanted = wrenches(ROBOTS.get("tinyprop"), 8, 1.0).requires_grad_()
+    assert torch.autograd.gradcheck(
+        lambda w: prioritised_thrust(allocation.inverse, w, allocation.low, allocation.high), (wanted,), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_the_fused_twin_gives_the_same_thrusts(name: str) -> None:
+    robot = VEHICLES[name]
+    start_warp()
+    types, twin = rotor_types(robot.num_rotors), make_prioritised_thrust(robot.num_rotors)
+    command_type, vector = types.command, types.vector
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def spread(params: command_type, wanted: wp.array[wp.spatial_vector], thrust_out: wp.array[vector]):
+        env = wp.tid()
+        thrust_out[env] = twin(params, wanted[env])
+
+    exact = allocation_of(robot, 200)
+    wanted = torch.cat([wrenches(robot, 100, size) for size in (0.3, 3.0)])
+    params = command_type()
+    for field, rows in (("low", exact.low), ("high", exact.high), ("allocation", exact.inverse)):
+        setattr(params, field, type(getattr(params, field))(*rows[0].flatten().tolist()))
+    found = torch.full((200, robot.num_rotors), torch.nan)
+    wp.launch(
+        spread,
+        dim=200,
+        inputs=[params, wp.from_torch(wanted.float(), dtype=wp.spatial_vector)],
+        outputs=[wp.from_torch(found, dtype=vector)],
+        device="cpu",
+    )
+    expected = torch.clamp(prioritised_thrust(exact.inverse, wanted, exact.low, exact.high), exact.low, exact.high)
+    size = 1.0 + wanted.abs().max() * exact.inverse.abs().max()
+    torch.testing.assert_close(found.double(), expected, atol=float(size) * 4e-6, rtol=0)

@@ -1,0 +1,110 @@
+"""The closed loop at hover: eigenvalues against closed forms, and what is refused."""
+
+import logging
+from dataclasses import replace
+from math import exp
+
+import numpy as np
+import pytest
+import torch
+
+from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config.controller import ControlCfg, ControllerCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.control import CONTROLLERS, check_closed_loop
+from aerial_gym.control.catalog import AERIAL_GYM_GAINS
+from aerial_gym.control.stability import ClosedLoop, largest_stable_dt
+from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.errors import ConfigError
+from aerial_gym.robots import ROBOTS
+
+LAWS = [name for name in CONTROLLERS.names() if name.startswith("lee_")]
+RATES = CONTROLLERS.get("lee_rates_control")
+
+
+def radius(robot: RobotCfg, controller: ControllerCfg, dt: float) -> float:
+    loop = ClosedLoop(robot, controller, gravity=9.81, integrator="euler", names=("r", "c"))
+    return loop.radius(dt)
+
+
+def test_the_spectral_radius_of_a_rate_loop_is_that_of_its_two_by_two() -> None:
+    """One axis is exactly ``n' = d n + (1 - d) u``, ``p' = p + dt n' / J``, ``u = -K p`` with d = exp(-dt / tau)."""
+    robot, dt, tau = ROBOTS.get("base_quadrotor"), 0.01, 0.04
+    decay = exp(-dt / tau)
+
+    def axis(gain: float) -> float:
+        matrix = [[decay, -(1 - decay) * gain], [decay * dt, 1.0 - dt * (1 - decay) * gain]]
+        return abs(np.linalg.eigvals(matrix)).max()
+
+    for frequency in (4.0, 12.0, 40.0):
+        control = ControlCfg(attitude_frequency=(frequency, frequency, 1.0), attitude_damping=(1.0, 1.0, 1.0))
+        expected = max(axis(2.0 * frequency), axis(2.0))
+        assert radius(replace(robot, control=control), RATES, dt) == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("robot", ["base_quadrotor", "tinyprop", "neural_fly_quad", "crazyflie_2x_arpl"])
+def test_registered_robots_come_to_rest_at_every_sim(law: str, robot: str) -> None:
+    for sim in (SIMS.get(name) for name in SIMS):
+        assert radius(ROBOTS.get(robot), CONTROLLERS.get(law), sim.dt) < 1.0
+
+
+def test_largest_stable_time_step_is_where_the_radius_is_one() -> None:
+    """One number that is multiplied by ``1 - 40 dt`` in each step is stable below dt = 0.05 s."""
+    found = largest_stable_dt(lambda dt: abs(1.0 - 40.0 * dt), 0.2)
+    assert found == pytest.approx(0.05, rel=1e-5)
+    assert largest_stable_dt(lambda dt: 1.0 + dt, 0.2) is None
+
+
+def test_frequencies_that_the_rotor_lag_forbids_are_refused_with_the_largest_time_step() -> None:
+    robot = replace(
+        ROBOTS.get("base_quadrotor"),
+        control=ControlCfg(attitude_frequency=(30.0, 30.0, 2.0), attitude_damping=(2.0, 2.0, 1.0)),
+    )
+    law = CONTROLLERS.get("lee_attitude_control")
+    with pytest.raises(
+        ConfigError, match=r"robot fast with controller att at dt = 0.05 s is unstable.*stable dt is"
+    ) as e:
+        check_closed_loop(robot, law, gravity=9.81, dt=0.05, integrator="euler", names=("fast", "att"))
+    largest = float(str(e.value).split("largest stable dt is ")[1].split(" s")[0])
+    assert radius(robot, law, 0.99 * largest) < 1.0 < radius(robot, law, 1.01 * largest)
+
+
+def test_explicit_gains_are_warned_of(caplog: pytest.LogCaptureFixture) -> None:
+    """One set of gains for every robot: the Crazyflie at 100 Hz, whose flights ended up to 101 m away."""
+    law = replace(CONTROLLERS.get("lee_position_control"), gains=AERIAL_GYM_GAINS)
+    for dt, warnings in ((0.01, 1), (0.002, 0)):
+        caplog.clear()
+        with caplog.at_level(logging.WARNING):
+            check_closed_loop(
+                ROBOTS.get("crazyflie_21"), law, gravity=9.81, dt=dt, integrator="euler", names=("crazyflie_21", "p")
+            )
+        assert len(caplog.records) == warnings
+
+
+def test_ranges_of_gains_are_judged_at_their_ends() -> None:
+    robot, law = ROBOTS.get("base_quadrotor"), CONTROLLERS.get("lee_position_control")
+    wide = replace(AERIAL_GYM_GAINS, rate_gain_low=(0.0, 0.0, 0.0), rate_gain_high=(0.3, 0.3, 0.2))
+    assert radius(robot, replace(law, gains=wide), 0.01) < 1.0
+    assert radius(robot, replace(law, gains=replace(wide, randomize=True)), 0.01) > 1.0
+
+
+def test_a_robot_that_cannot_hover_is_refused() -> None:
+    robot = ROBOTS.get("tinyprop")
+    heavy = replace(robot, body=replace(robot.body, mass=0.6))
+    with pytest.raises(ConfigError, match=r"robot 'heavy' cannot hover under controller 'c': its rotors must give"):
+        check_closed_loop(heavy, RATES, gravity=9.81, dt=0.01, integrator="euler", names=("'heavy'", "'c'"))
+
+
+def test_a_simulation_is_refused_when_it_is_built() -> None:
+    robot = replace(ROBOTS.get("base_quadrotor"), control=ControlCfg(attitude_frequency=(80.0, 80.0, 2.0)))
+    with pytest.raises(ConfigError, match=r"robot '0.25 kg.*' with controller 'lee_velocity_control' at dt = 0.01 s"):
+        EnvManager(
+            sim=SIMS.get("base_sim"),
+            env=ENVIRONMENTS.get("empty_env"),
+            robot=robot,
+            controller=CONTROLLERS.get("lee_velocity_control"),
+            num_envs=1,
+            device=torch.device("cpu"),
+            seed=0,
+        )
