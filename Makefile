@@ -2,7 +2,7 @@
 PYTHON ?= python3.11
 BIN := .venv/bin
 
-.PHONY: setup demo test test-slow undeclared lint format clean
+.PHONY: setup demo test test-slow kill-test undeclared lint format clean
 setup: .venv/ready
 
 .venv/ready: pyproject.toml constraints.txt
@@ -18,6 +18,11 @@ test: setup
 
 test-slow: setup
 	$(BIN)/python -m pytest -m slow
+
+# A quarter of an hour: trainings killed at random moments, each of which must go on.
+KILLS ?= 50
+kill-test: setup
+	$(BIN)/python -m benchmarks.robustness.kill_runs --count $(KILLS)
 
 # Hours: every effect, size and seed that the truth plant can hide. Interrupt and start again at will; SEEDS, JOBS and ARGS
 # (such as --nuisance or --write docs/results/undeclared.md) may be given.

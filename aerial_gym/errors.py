@@ -38,3 +38,7 @@ class DataError(AerialGymError, ValueError):
 
 class MissingDependencyError(AerialGymError, ImportError):
     """An optional dependency is needed and not installed."""
+
+
+class StorageError(AerialGymError, OSError):
+    """A file cannot be written: the disk is full, or the system does not allow it. The request was right."""

@@ -20,7 +20,8 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
-from aerial_gym.config.imu import ImuCfg, load_imu
+from aerial_gym.config.imu import ImuCfg
+from aerial_gym.sensors import IMUS
 from aerial_gym.sensors.allan import allan_deviation, record_at_rest
 
 if TYPE_CHECKING:
@@ -206,7 +207,7 @@ class ImuAllanCmd:
         found: dict[str, tuple[ImuCfg, Record, Record]] = {}
         rows = []
         for number, name in enumerate(self.imu):
-            cfg, seed = load_imu(name), self.seed + 2 * number
+            cfg, seed = IMUS.get(name), self.seed + 2 * number
             both = records(cfg, num_sensors=self.num_sensors, num_samples=self.num_samples, seed=seed)
             found[name] = (cfg, *both)
             rows += compare(name, cfg, *both)

@@ -12,14 +12,15 @@ from aerial_gym.errors import UnknownNameError
 from aerial_gym.lazy import Home
 
 KINDS = {
-    "sims": Home("aerial_gym.env_manager:SIMS"),
-    "environments": Home("aerial_gym.assets:ENVIRONMENTS"),
-    "robots": Home("aerial_gym.robots:ROBOTS"),
-    "controllers": Home("aerial_gym.control:CONTROLLERS"),
-    "sensors": Home("aerial_gym.sensors:SENSORS"),
-    "effects": Home("aerial_gym.physics:EFFECTS"),
-    "backends": Home("aerial_gym.physics:BACKENDS"),
-    "tasks": Home("aerial_gym.task:task_registry"),
+    "sims": (Home("aerial_gym.env_manager:SIMS"),),
+    "environments": (Home("aerial_gym.assets:ENVIRONMENTS"),),
+    "robots": (Home("aerial_gym.robots:ROBOTS"),),
+    "controllers": (Home("aerial_gym.control:CONTROLLERS"),),
+    "sensors": (Home("aerial_gym.sensors:SENSORS"), Home("aerial_gym.sensors:IMUS")),
+    "imus": (Home("aerial_gym.sensors:IMUS"),),
+    "effects": (Home("aerial_gym.physics:EFFECTS"),),
+    "backends": (Home("aerial_gym.physics:BACKENDS"),),
+    "tasks": (Home("aerial_gym.task:task_registry"),),
 }
 """Registries by what they hold. None of them imports torch or Warp to say what it has."""
 
@@ -29,7 +30,7 @@ class ListCmd:
     """List what is registered, with one line each."""
 
     kind: str | None = None
-    """sims, environments, robots, controllers, sensors, effects, backends or tasks; everything if not given."""
+    """sims, environments, robots, controllers, sensors, imus, effects, backends or tasks; everything if not given."""
 
     json: bool = False
     """Print one JSON object instead of a table."""
@@ -46,7 +47,7 @@ class ListCmd:
         """Print names and summaries by kind."""
         if self.kind is not None and self.kind not in KINDS:
             raise UnknownNameError(f"no kind {self.kind!r}. Known: {', '.join(KINDS)}")
-        found = {kind: home.load().summaries() for kind, home in KINDS.items() if self.kind in (None, kind)}
+        found = {kind: _summaries(homes) for kind, homes in KINDS.items() if self.kind in (None, kind)}
         if self.json:
             print(json.dumps(found, ensure_ascii=False, indent=2))
             return 0
@@ -55,6 +56,11 @@ class ListCmd:
         for kind, name, line in rows:
             print(_wrapped(f"{kind:<{kinds}}{name:<{names}}", line))
         return 0
+
+
+def _summaries(homes: Sequence[Home]) -> dict[str, str]:
+    """Return names and lines of registries, one after the other."""
+    return {name: line for home in homes for name, line in home.load().summaries().items()}
 
 
 def _wrapped(head: str, line: str) -> str:

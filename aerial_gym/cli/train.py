@@ -74,8 +74,9 @@ class TrainCmd:
             console = Console(markup=False, highlight=False)
             rate = f"{result.env_steps:,} environment steps, {result.env_steps_per_s:,.0f} per second"
             console.print(f"{'interrupted' if result.interrupted else 'trained'}: {rate}, {result.time_s:.0f} s")
-            console.print(f"checkpoint: {result.checkpoint}")
-            console.print(f"next: aerial-gym evaluate --policy {self.out}")
+            console.print(f"checkpoint: {result.checkpoint or 'none yet'}")
+            again = f"train --out {self.out} --resume" if result.interrupted else f"evaluate --policy {self.out}"
+            console.print(f"next: aerial-gym {again}")
         return 1 if result.interrupted else 0
 
     def _refuse_changes(self) -> None:

@@ -8,10 +8,11 @@ two-sided density, the Allan deviation at 1 s (N of IEEE Std 952-1997). A bias w
 
 from dataclasses import dataclass
 from math import inf, pi
+from pathlib import Path
 
-from aerial_gym.config.loader import CONFIG_DIR, load
-from aerial_gym.config.robot import Vec3, require_finite, require_positive
-from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.config.checks import Vec3, require_finite, require_positive
+from aerial_gym.config.loader import load
+from aerial_gym.errors import ConfigError
 
 MOST_MISALIGNMENT_DEG = 45.0
 """Beyond it the axes of a sensor are exchanged, not misaligned: that is what ``euler`` is for."""
@@ -20,6 +21,9 @@ MOST_MISALIGNMENT_DEG = 45.0
 @dataclass(frozen=True, kw_only=True)
 class ImuCfg:
     """Three accelerometers and three gyros at one point of the body."""
+
+    model: str = "imu"
+    """Name of this model in a sensor file; an IMU's own file may leave it out."""
 
     summary: str
     """One line for people who choose a sensor."""
@@ -57,10 +61,23 @@ class ImuCfg:
     gyro_range: float
     """Gyros saturate at +- this [rad/s], > 0."""
 
+    rate_hz: float | None = None
+    """Measurements per second of simulated time [Hz], > 0 and at most one per environment step, between which the last one
+    stays; each is the mean over its own period. None: one at every step."""
+
+    latency_s: float = 0.0
+    """Age of a measurement when it appears [s], >= 0, rounded to whole environment steps."""
+
     source: str
     """Where the numbers come from."""
 
     def __post_init__(self) -> None:
+        if self.model != "imu":
+            raise ConfigError(f"ImuCfg.model = {self.model!r}: must be 'imu'; another model is another class")
+        if self.rate_hz is not None and not 0.0 < self.rate_hz < inf:
+            raise ConfigError(f"ImuCfg.rate_hz = {self.rate_hz!r}: must be > 0 and finite, or None for every step")
+        if not 0.0 <= self.latency_s < inf:
+            raise ConfigError(f"ImuCfg.latency_s = {self.latency_s!r}: must be >= 0 and finite")
         require_positive(self, "accel_range", "gyro_range")
         require_finite(self, "position")
         for kind in ("accel", "gyro"):
@@ -78,9 +95,6 @@ def _require_each(cfg: ImuCfg, name: str, low: float, high: float, rule: str) ->
         raise ConfigError(f"ImuCfg.{name} = {value!r}: {rule}")
 
 
-def load_imu(name: str) -> ImuCfg:
-    """Return an IMU that comes with the package, by name; raise ``UnknownNameError`` that lists them."""
-    files = {path.stem: path for path in (CONFIG_DIR / "imus").glob("*.yaml")}
-    if name not in files:
-        raise UnknownNameError(f"no IMU {name!r}. Known: {', '.join(sorted(files))}")
-    return load(ImuCfg, files[name])
+def load_imu(path: str | Path) -> ImuCfg:
+    """Return the IMU in a YAML file; those that come with the package are registered in ``aerial_gym.sensors.IMUS``."""
+    return load(ImuCfg, path)

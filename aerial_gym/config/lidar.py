@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import inf
 
+from aerial_gym.config.checks import Vec3, require_finite
 from aerial_gym.config.range_sensor import RangeSensorCfg
-from aerial_gym.config.robot import Vec3, require_finite
 from aerial_gym.errors import ConfigError
 
 

@@ -127,6 +127,10 @@ def _convert_optional(args: tuple[Any, ...], value: Any, where: str) -> Any:
     if value is None and NoneType in args:
         return None
     rest = [arg for arg in args if arg is not NoneType]
+    structures = [arg for arg in rest if dataclasses.is_dataclass(arg)]
+    if len(rest) > 1 and structures:  # a plain value or fields
+        takes_fields = isinstance(value, Mapping) or dataclasses.is_dataclass(value)
+        rest = structures if takes_fields else [arg for arg in rest if arg not in structures]
     return _convert(rest[0], value, where)
 
 

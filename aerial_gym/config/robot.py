@@ -13,6 +13,7 @@ from aerial_gym.config.checks import Vec3, require_finite, require_ordered, requ
 from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.learned_residual import LearnedResidualCfg
 from aerial_gym.config.loader import load
+from aerial_gym.config.sensor_mount import SensorMountCfg, as_mounts, is_file
 from aerial_gym.config.shape import ROBOT_ID, PartCfg, ShapeCfg, absolute_paths
 from aerial_gym.errors import ConfigError
 
@@ -26,6 +27,7 @@ __all__ = [
     "RandomizationCfg",
     "RobotCfg",
     "RotorCfg",
+    "SensorMountCfg",
     "SphereCfg",
     "Vec3",
     "load_robot",
@@ -314,11 +316,11 @@ class RobotCfg:
     control: ControlCfg = field(default_factory=ControlCfg)
     """How it is controlled: bandwidths, damping, limits, or explicit gains; derived where nothing is said."""
 
-    sensors: tuple[str, ...] = ()
-    """Names of registered sensors on board."""
+    sensors: tuple[str | SensorMountCfg, ...] = ()
+    """Sensors and IMUs on board: a name or a file in the sensor's own place, or a mount of its own."""
 
     imu: str | None = None
-    """Name of an IMU of ``config/imus``; its measurement stands in ``imu_measurement``."""
+    """One more IMU, before those of ``sensors``: the short way to ``imu_measurement``."""
 
     visible: bool = False
     """Whether sensors see it: its own, and the shadow that it throws in their colour images. It is never part of the
@@ -344,6 +346,11 @@ class RobotCfg:
         return len(self.mounts.layout)
 
     @property
+    def sensor_mounts(self) -> tuple[SensorMountCfg, ...]:
+        """Every sensor and IMU on board."""
+        return as_mounts((*([] if self.imu is None else [self.imu]), *self.sensors))
+
+    @property
     def seen_parts(self) -> tuple[PartCfg, ...]:
         """What sensors see of it, in the body frame; nothing unless it is visible."""
         spheres = (
@@ -354,6 +361,7 @@ class RobotCfg:
         return tuple(replace(part, semantic_id=ROBOT_ID) if part.semantic_id is None else part for part in parts)
 
     def __post_init__(self) -> None:
+        _ = self.sensor_mounts  # refuses equal names
         if self.visible and not self.visual and not self.collision.spheres:
             raise ConfigError("RobotCfg.visible: there is nothing to see. List shapes in visual, or collision spheres")
         for effect, params in self.effects.items():
@@ -363,7 +371,15 @@ class RobotCfg:
 
 
 def load_robot(path: str | Path) -> RobotCfg:
-    """Return the robot in a YAML file; mesh paths of its visual shapes are taken relative to that file."""
+    """Return the robot in a YAML file; the files of its visual shapes and sensors are taken relative to that file."""
     cfg, folder = load(RobotCfg, path), Path(path).resolve().parent
     parts = (replace(part, shape=absolute_paths(part.shape, folder)) for part in cfg.visual)
-    return replace(cfg, visual=tuple(parts))
+    sensors = (_absolute_sensor(sensor, folder) for sensor in cfg.sensors)
+    imu = str(folder / cfg.imu) if cfg.imu is not None and is_file(cfg.imu) else cfg.imu
+    return replace(cfg, visual=tuple(parts), sensors=tuple(sensors), imu=imu)
+
+
+def _absolute_sensor(sensor: str | SensorMountCfg, folder: Path) -> str | SensorMountCfg:
+    if isinstance(sensor, SensorMountCfg):
+        return replace(sensor, sensor=str(folder / sensor.sensor)) if is_file(sensor.sensor) else sensor
+    return str(folder / sensor) if is_file(sensor) else sensor

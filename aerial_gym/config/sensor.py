@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from aerial_gym.config.camera import CameraCfg, FisheyeCfg, StereoCfg
+from aerial_gym.config.imu import ImuCfg
 from aerial_gym.config.lidar import LidarCfg, RayTableCfg
 from aerial_gym.config.loader import build, read_yaml
 from aerial_gym.config.range_sensor import FRAMES, KINDS, LightCfg, NoiseCfg, RangeSensorCfg
@@ -24,7 +25,9 @@ __all__ = [
     "NoiseCfg",
     "RangeSensorCfg",
     "RayTableCfg",
+    "SensorCfg",
     "StereoCfg",
+    "load_any_sensor",
     "load_sensor",
 ]
 
@@ -38,14 +41,28 @@ MODELS: dict[str, type[RangeSensorCfg]] = {
 """Class of each ``model``."""
 
 
+SensorCfg = RangeSensorCfg | ImuCfg
+"""Whatever a robot can carry."""
+
+
 def load_sensor(path: str | Path) -> RangeSensorCfg:
-    """Return the sensor in a YAML file; the path of its rays, if any, is taken relative to that file."""
+    """Return the range sensor in a YAML file; the path of its rays, if any, is taken relative to that file."""
+    cfg = load_any_sensor(path)
+    if isinstance(cfg, ImuCfg):
+        raise ConfigError(f"{path}: model = 'imu': must be a range sensor, one of {', '.join(MODELS)}")
+    return cfg
+
+
+def load_any_sensor(path: str | Path) -> SensorCfg:
+    """Return the range sensor or the IMU in a YAML file, by its ``model``; an IMU's own file may leave that out."""
     data = read_yaml(path)
     model = data.get("model")
+    if model == "imu" or ("model" not in data and any(str(key).startswith(("accel_", "gyro_")) for key in data)):
+        return build(ImuCfg, data, where=str(path))
     if model not in MODELS:
         near = get_close_matches(str(model), MODELS, n=1)
         hint = f" Did you mean {near[0]!r}?" if near else ""
-        raise ConfigError(f"{path}: model = {model!r}: must be one of {', '.join(MODELS)}.{hint}")
+        raise ConfigError(f"{path}: model = {model!r}: must be one of {', '.join(MODELS)}, imu.{hint}")
     cfg = build(MODELS[str(model)], data, where=str(path))
     if isinstance(cfg, RayTableCfg) and cfg.path is not None:
         return replace(cfg, path=str(Path(path).resolve().parent / cfg.path))

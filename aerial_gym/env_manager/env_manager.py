@@ -13,7 +13,6 @@ from torch import Tensor
 from aerial_gym.assets import AssetManager, CollisionTest, bounds_ranges, draw_bounds
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.environment import EnvironmentCfg
-from aerial_gym.config.imu import load_imu
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
@@ -21,7 +20,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
 from aerial_gym.robots import ROBOTS, RobotManager
-from aerial_gym.sensors import SENSORS, Imu, SensorManager
+from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors
 
 
 def _name_in(registry: Registry[Any], entry: RobotCfg | ControllerCfg) -> str:
@@ -85,9 +84,9 @@ class EnvManager:
             scene=scene,
         )
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
-        cameras = {name: SENSORS.get(name) for name in robot.sensors}
+        range_sensors, imus = mounted_sensors(robot.sensor_mounts)
         self.sensor_manager = SensorManager(
-            cameras,
+            {name: mounted.cfg for name, mounted in range_sensors.items()},
             self.gtd,
             scene,
             position=pose["position"],
@@ -99,8 +98,19 @@ class EnvManager:
             dt=self.dt,
             generator=self.generator,
             seed=seed,
+            poses={name: mounted.pose for name, mounted in range_sensors.items()},
         )
-        self._imu = None if robot.imu is None else self._make_imu(robot.imu)
+        self.imus = ImuSet(
+            imus,
+            self.gtd,
+            attitude=pose["attitude"],
+            lin_vel=self.gtd["robot_linvel"],
+            ang_vel=self.gtd["robot_body_angvel"],
+            dt=self.dt,
+            gravity=sim.gravity,
+            seed=seed,
+            errors=self.robot_manager.model.effects[ImuEffect],
+        )
         self._touching = torch.zeros(num_envs, dtype=torch.bool, device=device)
         self._collision = CollisionTest(
             scene,
@@ -141,24 +151,6 @@ class EnvManager:
                 key=key, shape=("E",), dtype=dtype, unit="-", frame="-", owner="env, task", meaning=meaning
             ))  # fmt: skip
 
-    def _make_imu(self, name: str) -> Imu:
-        """Declare the measurement of an IMU and return what writes it."""
-        measurement = self.gtd.declare(TensorSpec(
-            key="imu_measurement", shape=("E", 6), unit="m/s², rad/s", frame="imu", owner="env",
-            meaning="mean specific force over the step, angular velocity at its end, with bias and noise",
-        ))  # fmt: skip
-        return Imu(
-            load_imu(name),
-            attitude=self.gtd["robot_orientation"],
-            lin_vel=self.gtd["robot_linvel"],
-            ang_vel=self.gtd["robot_body_angvel"],
-            measurement_out=measurement,
-            dt=self.dt,
-            gravity=self.sim_cfg.gravity,
-            seed=self.seed,
-            errors=self.robot_manager.model.effects[ImuEffect],
-        )
-
     @property
     def dt(self) -> float:
         """Length of an environment step [s]."""
@@ -180,8 +172,7 @@ class EnvManager:
             self.asset_manager.take_actions(env_actions)
         self._advance()
         self.robot_manager.refresh(self.dt)
-        if self._imu is not None:
-            self._imu.measure()
+        self.imus.measure()
         gtd["sim_steps"].add_(1)
 
     def _advance(self) -> None:
@@ -210,8 +201,7 @@ class EnvManager:
         self.asset_manager.restart(seed)
         self.robot_manager.restart(seed)
         self.sensor_manager.restart(seed)
-        if self._imu is not None:
-            self._imu.restart(seed)
+        self.imus.restart(seed)
 
     def reset(self, mask: Tensor | None = None) -> None:
         """Start the environments in ``mask``, bool (E,), anew; all of them without a mask. Others stay bit for bit."""
@@ -223,8 +213,7 @@ class EnvManager:
         self.robot_manager.reset(mask)
         self.asset_manager.clear_start(mask, self.gtd["robot_position"])
         self.sensor_manager.reset(mask)
-        if self._imu is not None:
-            self._imu.reset(mask)
+        self.imus.reset(mask)
         if self._collision.has_solids:
             self._collision.measure()
         for key in ("crashes", "truncations", "sim_steps"):

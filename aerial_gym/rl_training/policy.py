@@ -4,7 +4,6 @@ It needs neither trainer installed and is an ordinary ``torch.nn.Module``, so th
 Letters: E environments, O entries of an observation, U entries of an action.
 """
 
-import pickle
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -13,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
+from aerial_gym.rl_training import checkpoint
 from aerial_gym.rl_training.run_folder import RunFolder, run_folder_of
 from aerial_gym.rl_training.settings import TrainingCfg
 
@@ -64,9 +64,9 @@ def load_policy(source: str | Path, *, device: str | torch.device = "cpu") -> tu
     """
     source = Path(source)
     folder = RunFolder(source) if source.is_dir() else run_folder_of(source)
-    checkpoint = folder.last_checkpoint() if source.is_dir() else source
+    file = folder.last_checkpoint() if source.is_dir() else source
     cfg = folder.config()
-    policy = policy_from_state(_read(checkpoint), cfg, where=str(checkpoint))
+    policy = policy_from_state(_read(file), cfg, where=str(file))
     return policy.to(device), cfg
 
 
@@ -114,8 +114,8 @@ def _read_sample_factory(state: Mapping[str, Tensor], num_hidden: int) -> Weight
     return [*layers, head], state.get(f"{normalizer}mean"), state.get(f"{normalizer}var")
 
 
-def _read(checkpoint: Path) -> Mapping[str, Tensor]:
-    try:
-        return torch.load(checkpoint, map_location="cpu", weights_only=True)["model"]
-    except (OSError, RuntimeError, KeyError, TypeError, pickle.UnpicklingError) as error:
-        raise ConfigError(f"checkpoint {checkpoint}: cannot be read ({' '.join(str(error).split())[:200]})") from None
+def _read(path: Path) -> Mapping[str, Tensor]:
+    model = checkpoint.load(path).get("model")
+    if not isinstance(model, Mapping) or not all(isinstance(value, Tensor) for value in model.values()):
+        raise ConfigError(f"checkpoint {path}: holds no network")
+    return model

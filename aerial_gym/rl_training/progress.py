@@ -4,6 +4,7 @@ Both trainers call ``Progress.update`` after each of their updates. Time counts 
 """
 
 import csv
+import io
 import sys
 import time
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 
+from aerial_gym.config.storage import write_whole
 from aerial_gym.rl_training.settings import TrainingCfg
 
 CURVE_COLUMNS = ("time_s", "env_steps", "reward_per_step", "episode_return", "episode_length", "env_steps_per_s")
@@ -40,24 +42,30 @@ class Report:
 class Progress:
     """Bar, curve and limits of one session; a context manager."""
 
-    def __init__(self, cfg: TrainingCfg, curve_file: Path, *, started: float, show: bool) -> None:
-        """Take the limits of ``cfg``, the file of the curve, the time of ``time.perf_counter`` at the start."""
+    def __init__(
+        self, cfg: TrainingCfg, curve_file: Path, *, started: float, show: bool, resumed_steps: int = 0
+    ) -> None:
+        """Take the limits of ``cfg``, the file of the curve, the time of ``time.perf_counter`` at the start.
+
+        Lines of the curve beyond ``resumed_steps`` environment steps, which no checkpoint holds, are dropped.
+        """
         self._cfg, self._started = cfg, started
         self._first_steps: int | None = None
         self._first_time = self._last_line = 0.0
         self.env_steps, self.steps_per_s, self.share = 0, 0.0, 0.0
         self.last: Report | None = None
-        self._past_s = _last_time(curve_file)
-        new = not curve_file.exists()
+        lines = _kept_lines(curve_file, resumed_steps)
+        self._past_s = float(lines[-1][0]) if lines else 0.0
+        text = io.StringIO()
+        csv.writer(text).writerows([CURVE_COLUMNS, *lines])
+        write_whole(curve_file, text.getvalue())
         self._file = curve_file.open("a", encoding="utf-8", newline="", buffering=1)
         self._curve = csv.writer(self._file)
-        if new:
-            self._curve.writerow(CURVE_COLUMNS)
-        text = "{task.description} return {task.fields[reward]} {task.fields[rate]} steps/s {task.fields[left]} left"
+        shown = "{task.description} return {task.fields[reward]} {task.fields[rate]} steps/s {task.fields[left]} left"
         self._bar = Bar(
             TextColumn("{task.fields[name]}"),
             BarColumn(),
-            TextColumn(text),
+            TextColumn(shown),
             console=Console(file=sys.stderr),
             disable=not show,
             redirect_stdout=False,
@@ -124,10 +132,10 @@ class Progress:
         self._file.close()
 
 
-def _last_time(curve_file: Path) -> float:
-    """Return the time of the last line of a learning curve [s], 0 if there is none."""
+def _kept_lines(curve_file: Path, resumed_steps: int) -> list[list[str]]:
+    """Return the lines of a learning curve up to a number of steps; a line torn by a kill is none."""
     if not curve_file.exists():
-        return 0.0
-    with curve_file.open(encoding="utf-8", newline="") as file:
-        times = [row["time_s"] for row in csv.DictReader(file)]
-    return float(times[-1]) if times else 0.0
+        return []
+    with curve_file.open(encoding="utf-8", newline="", errors="replace") as file:
+        rows = [row for row in csv.reader(file) if len(row) == len(CURVE_COLUMNS) and row[1].isdecimal()]
+    return [row for row in rows if int(row[1]) <= resumed_steps]

@@ -7,10 +7,9 @@ Letters: E environments, O entries of an observation, U entries of an action.
 """
 
 import math
-import time
 from pathlib import Path
+from typing import Any
 
-import torch
 from gymnasium import spaces
 from rl_games.algos_torch.a2c_continuous import A2CAgent
 from rl_games.common.algo_observer import AlgoObserver
@@ -18,9 +17,12 @@ from rl_games.common.ivecenv import IVecEnv
 from rl_games.torch_runner import Runner
 from torch import Tensor
 
+from aerial_gym.rl_training.interruption import Interruption
+from aerial_gym.rl_training.keeper import Keeper
 from aerial_gym.rl_training.progress import Progress, Report
 from aerial_gym.rl_training.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.summaries import guard
 from aerial_gym.task import Task
 
 OFF = 10**12
@@ -56,26 +58,39 @@ class TaskVecEnv(IVecEnv):
         return {"observation_space": space["observations"], "action_space": self._task.action_space, "agents": 1}
 
 
-class ResumableAgent(A2CAgent):
-    """PPO whose ``restore`` also restores the adapted learning rate, reads any device and executes nothing in the file."""
+class KeptAgent(A2CAgent):
+    """PPO that saves and restores through a ``Keeper``; the names of files that the library chooses are not used."""
+
+    keeper: Keeper
+
+    def save(self, fn: str) -> None:
+        """Keep everything that is needed to go on."""
+        del fn
+        if self.keeper.ready:
+            self.keeper.save(self.get_full_state_weights(), env_steps=int(self.frame))
 
     def restore(self, fn: str, set_epoch: bool = True) -> None:
-        """Continue from a checkpoint."""
-        state = torch.load(fn, map_location=self.ppo_device, weights_only=True)
-        self.set_full_state_weights(state, set_epoch=set_epoch)
+        """Go on from the checkpoint of the keeper, with the learning rate that had been adapted."""
+        del fn, set_epoch
+        self.keeper.restore(self._take_up)
+
+    def _take_up(self, state: dict[str, Any]) -> None:
+        self.set_full_state_weights(state)
         self.last_lr = self.optimizer.param_groups[0]["lr"]
 
 
 class _Observer(AlgoObserver):
     """Reports after every update, saves from time to time, and tells the agent to end."""
 
-    def __init__(self, cfg: TrainingCfg, progress: Progress, checkpoint: Path) -> None:
-        self._cfg, self._progress, self._checkpoint = cfg, progress, checkpoint
-        self._saved = time.perf_counter()
-        self.algo: A2CAgent | None = None
+    def __init__(self, cfg: TrainingCfg, progress: Progress, keeper: Keeper, interruption: Interruption) -> None:
+        self._cfg, self._progress, self._keeper, self._interruption = cfg, progress, keeper, interruption
+        self.algo: KeptAgent | None = None
 
-    def after_init(self, algo: A2CAgent) -> None:
-        self.algo = algo
+    def after_init(self, algo: KeptAgent) -> None:
+        self.algo, algo.keeper = algo, self._keeper
+        self._summaries = guard(algo.writer)
+        if not self._keeper.resumes:
+            self.save()
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
         del frame, total_time
@@ -87,9 +102,11 @@ class _Observer(AlgoObserver):
             episode_return=float(algo.game_rewards.get_mean()[0]) if known else None,
             episode_length=float(algo.game_lengths.get_mean().item()) if known else None,
         )
+        self._interruption.check()
+        self._summaries.check()
         if self._progress.update(report):
-            algo.max_epochs = epoch_num  # the agent ends after this epoch
-        elif time.perf_counter() - self._saved > self._cfg.checkpoint_every_s:
+            algo.max_epochs = epoch_num  # the agent ends, and saves, after this epoch
+        elif self._keeper.due:
             self.save()
         self._follow_schedules(algo)
 
@@ -101,32 +118,38 @@ class _Observer(AlgoObserver):
 
     def save(self) -> None:
         if self.algo is not None:
-            self.algo.save(str(self._checkpoint.with_suffix("")))  # the library adds .pth
-            self._saved = time.perf_counter()
+            self.algo.save("")
 
 
-def run(cfg: TrainingCfg, task: Task, folder: RunFolder, progress: Progress, *, checkpoint: Path | None) -> bool:
+def run(
+    cfg: TrainingCfg, task: Task, folder: RunFolder, progress: Progress, *, keeper: Keeper, interruption: Interruption
+) -> bool:
     """Train until a limit of ``cfg`` is reached or the user interrupts; return whether it was interrupted.
 
     Args:
         cfg: Settings.
         task: Built task, reset by the trainer.
-        folder: Receives checkpoints and TensorBoard files.
+        folder: Receives TensorBoard files.
         progress: Told after every update.
-        checkpoint: Where to continue, if anywhere.
+        keeper: Keeps checkpoints, and knows where to go on.
+        interruption: Whether the user asked to end.
+
+    Raises:
+        StorageError: If the disk is full.
     """
-    observer = _Observer(cfg, progress, folder.path / "rl_games" / "nn" / "last.pth")
+    observer = _Observer(cfg, progress, keeper, interruption)
     runner = Runner(observer)
-    runner.algo_factory.register_builder("a2c_continuous", lambda **kwargs: ResumableAgent(**kwargs))
+    runner.algo_factory.register_builder("a2c_continuous", lambda **kwargs: KeptAgent(**kwargs))
     runner.load_config(library_params(cfg, TaskVecEnv(task), folder.path, device=str(task.device)))
     interrupted = False
     try:
-        runner.run({"train": True, "play": False, "checkpoint": None if checkpoint is None else str(checkpoint)})
+        runner.run({"train": True, "play": False, "checkpoint": "of the keeper" if keeper.resumes else None})
     except KeyboardInterrupt:
         interrupted = True
-    observer.save()
-    if observer.algo is not None and observer.algo.writer is not None:
-        observer.algo.writer.close()
+        observer.save()
+    finally:
+        if observer.algo is not None and observer.algo.writer is not None:
+            observer.algo.writer.close()
     return interrupted
 
 

@@ -6,10 +6,12 @@
     versions.json     versions, machine and command of every session
     curve.csv         learning curve: one line per report
     result.json       figures at the end of the last session
-    curriculum.json   level and counts of the curriculum at that moment, where the task has one
+    checkpoints/      checkpoint_STEPS.pth: the last two; STEPS are the environment steps of all sessions
     log.txt           what the libraries print
-    rl_games/         nn/last.pth, summaries/ (TensorBoard)
-    sample_factory/   checkpoint_p0/*.pth, .summary/ (TensorBoard), config.json
+    rl_games/         summaries/ (TensorBoard)
+    sample_factory/   .summary/ (TensorBoard), config.json
+
+Files are written whole: a run that is killed at any moment can be continued.
 """
 
 import contextlib
@@ -22,10 +24,18 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from aerial_gym.config import dump_yaml
-from aerial_gym.errors import ConfigError
+from aerial_gym.config.storage import told_storage, write_whole
+from aerial_gym.errors import ConfigError, StorageError
+from aerial_gym.rl_training import checkpoint
 from aerial_gym.rl_training.settings import TrainingCfg, load_settings
+
+KEPT_CHECKPOINTS = 2
+"""The last one, and the one before it in case the disk damages the last."""
+
+_log = logging.getLogger(__name__)
 
 PACKAGES = ("aerial-gym", "torch", "numpy", "gymnasium", "warp-lang", "rl-games", "sample-factory")
 """Packages whose versions are written down."""
@@ -39,18 +49,20 @@ class RunFolder:
         self.path = Path(path)
         self.config_file, self.curve_file = self.path / "config.yaml", self.path / "curve.csv"
         self.result_file, self.log_file = self.path / "result.json", self.path / "log.txt"
-        self.curriculum_file = self.path / "curriculum.json"
+        self.checkpoint_folder = self.path / "checkpoints"
 
     def create(self, cfg: TrainingCfg) -> None:
         """Make the folder and write the settings.
 
         Raises:
             ConfigError: If a run stands there already.
+            StorageError: If nothing can be written there.
         """
         if self.config_file.exists():
             raise ConfigError(f"{self.path}: holds a run already. Choose another --out, or continue it with --resume")
-        self.path.mkdir(parents=True, exist_ok=True)
-        self.config_file.write_text(dump_yaml(cfg), encoding="utf-8")
+        with told_storage(self.path):
+            self.path.mkdir(parents=True, exist_ok=True)
+        write_whole(self.config_file, dump_yaml(cfg))
 
     def config(self) -> TrainingCfg:
         """Return the settings of the run.
@@ -63,9 +75,13 @@ class RunFolder:
         return load_settings(self.config_file)
 
     def checkpoints(self) -> list[Path]:
-        """Return the checkpoints, oldest first."""
-        found = [*self.path.glob("rl_games/nn/*.pth"), *self.path.glob("sample_factory/checkpoint_p0/checkpoint_*.pth")]
-        return sorted(found, key=lambda path: path.stat().st_mtime_ns)
+        """Return the checkpoints, oldest first; those of earlier versions of this package, which lay elsewhere, included."""
+        earlier = [
+            *self.path.glob("rl_games/nn/*.pth"),
+            *self.path.glob("sample_factory/checkpoint_p0/checkpoint_*.pth"),
+        ]
+        earlier.sort(key=lambda path: path.stat().st_mtime_ns)
+        return earlier + sorted(self.checkpoint_folder.glob("checkpoint_*.pth"))
 
     def last_checkpoint(self) -> Path:
         """Return the newest checkpoint.
@@ -75,8 +91,54 @@ class RunFolder:
         """
         found = self.checkpoints()
         if not found:
-            raise ConfigError(f"{self.path}: holds no checkpoint. Train with --out {self.path} first")
+            raise ConfigError(f"{self.path}: holds no checkpoint yet. Train on with --out {self.path} --resume")
         return found[-1]
+
+    def newest_whole(self) -> tuple[Path, dict[str, Any]] | None:
+        """Return the newest checkpoint that can be read, and what it holds; None if the run was ended before its first.
+
+        Damaged ones that are newer keep their content under the name ``NAME.damaged``, and a warning says so.
+
+        Raises:
+            ConfigError: If there are checkpoints and none of them can be read.
+        """
+        found, reasons = self.checkpoints(), []
+        for path in reversed(found):
+            try:
+                payload = checkpoint.load(path)
+            except ConfigError as error:
+                reasons.append((path, str(error)))
+                continue
+            for damaged, reason in reasons:
+                damaged.rename(damaged.with_name(f"{damaged.name}.damaged"))
+                _log.warning("%s; continuing from the one before, %s", reason, path)
+            return path, payload
+        if reasons:
+            raise ConfigError(f"{'; '.join(reason for _, reason in reasons)}. Start a new run in another --out")
+        return None
+
+    def keep_checkpoint(self, env_steps: int, payload: dict[str, object]) -> Path:
+        """Write a checkpoint after so many steps of all sessions, then remove all but the last two.
+
+        Raises:
+            StorageError: If it cannot be written; the checkpoints before it are still there.
+        """
+        path = self.checkpoint_folder / f"checkpoint_{env_steps:015d}.pth"
+        try:
+            with told_storage(path):
+                self.checkpoint_folder.mkdir(exist_ok=True)
+            checkpoint.save(path, payload)
+        except StorageError as error:
+            known = self.checkpoints()
+            left = (
+                f"The last checkpoint is {known[-1]}; --resume goes on from it" if known else "There is no checkpoint"
+            )
+            raise StorageError(f"{error}. {left}") from None
+        for old in sorted(self.checkpoint_folder.glob("checkpoint_*.pth"))[:-KEPT_CHECKPOINTS]:
+            old.unlink(missing_ok=True)
+        for torn in self.checkpoint_folder.glob(".*.partial"):
+            torn.unlink(missing_ok=True)
+        return path
 
     def add_session(self, cfg: TrainingCfg, device: str) -> None:
         """Append seed, device, versions and machine of this session to ``versions.json``."""
@@ -91,7 +153,7 @@ class RunFolder:
                 "machine": f"{platform.platform()}, {os.cpu_count()} CPU cores",
             }
         )
-        file.write_text(json.dumps(sessions, indent=1) + "\n", encoding="utf-8")
+        write_whole(file, json.dumps(sessions, indent=1) + "\n")
 
     @contextlib.contextmanager
     def captured_output(self) -> Iterator[None]:

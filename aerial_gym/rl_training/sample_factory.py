@@ -14,12 +14,16 @@ import pickle
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import torch
 from gymnasium import spaces
+from sample_factory.algo.learning.batcher import Batcher
 from sample_factory.algo.learning.learner import Learner
-from sample_factory.algo.runners.runner import AlgoObserver, Runner
+from sample_factory.algo.learning.learner_worker import LearnerWorker
+from sample_factory.algo.runners.runner import AlgoObserver
+from sample_factory.algo.runners.runner_serial import SerialRunner
 from sample_factory.algo.utils.context import global_env_registry, global_model_factory
 from sample_factory.algo.utils.env_info import env_info_cache_filename, extract_env_info
 from sample_factory.algo.utils.make_env import make_env_func_batched
@@ -27,14 +31,17 @@ from sample_factory.algo.utils.misc import ExperimentStatus
 from sample_factory.cfg.arguments import parse_full_cfg, parse_sf_args
 from sample_factory.envs.env_utils import register_env
 from sample_factory.model.actor_critic import ActorCritic, default_make_actor_critic_func
-from sample_factory.train import make_runner
 from sample_factory.utils.typing import Config
+from signal_slot.signal_slot import EventLoop, EventLoopStatus
 from torch import Tensor
 
 from aerial_gym.errors import AerialGymError, ConfigError
+from aerial_gym.rl_training.interruption import Interruption
+from aerial_gym.rl_training.keeper import Keeper
 from aerial_gym.rl_training.progress import Progress, Report
 from aerial_gym.rl_training.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.summaries import GuardedEvents, guard
 from aerial_gym.task import Task
 
 OFF = 10**15
@@ -50,9 +57,10 @@ class TaskBatchedEnv(gymnasium.Env):
 
     is_multiagent = True
 
-    def __init__(self, task: Task) -> None:
-        """Take a built task."""
+    def __init__(self, task: Task, interruption: Interruption | None = None) -> None:
+        """Take a built task, and whether the user asked to end: the library takes most of a start-up to its first update."""
         self._task, self.num_agents = task, task.num_envs
+        self._interruption = interruption or Interruption()
         space = task.observation_space
         assert isinstance(space, spaces.Dict)
         self.observation_space = spaces.Dict({"obs": space["observations"]})
@@ -69,6 +77,7 @@ class TaskBatchedEnv(gymnasium.Env):
 
     def step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict]:
         """Advance by actions (E, U), clamped to the action space, which the library does not do."""
+        self._interruption.check()
         clamped = torch.clamp(actions, self._low, self._high)
         observation, reward, terminated, truncated, _ = self._task.step(clamped)
         return {"obs": observation["observations"]}, reward, terminated, truncated, {}
@@ -77,13 +86,67 @@ class TaskBatchedEnv(gymnasium.Env):
         """Nothing to show."""
 
 
+class _KeptLearner(Learner):
+    """A learner that saves and restores through a ``Keeper``; the library takes the newest file by its name."""
+
+    keeper: Keeper
+
+    def load_from_checkpoint(self, policy_id: int, load_progress: bool = True) -> None:
+        """Go on from the checkpoint of the keeper, if there is one."""
+        del policy_id, load_progress
+        if self.keeper.resumes:
+            self.keeper.restore(self._load_state)
+
+    def init(self) -> Any:
+        """Make network and optimiser, and keep a new run's first checkpoint."""
+        data = super().init()
+        if not self.keeper.resumes:
+            self.save()
+        return data
+
+    def save(self) -> bool:
+        """Keep everything that is needed to go on; return whether there was anything yet."""
+        if not (self.is_initialized and self.keeper.ready):
+            return False
+        self.keeper.save(self._get_checkpoint_dict(), env_steps=int(self.env_steps))
+        return True
+
+
+class _Runner(SerialRunner):
+    """The library's runner with a kept learner, and without a catch-all: an error keeps its own sentence."""
+
+    def __init__(self, cfg: Config, keeper: Keeper) -> None:
+        super().__init__(cfg)
+        self._keeper = keeper
+        self.summaries: list[GuardedEvents] = [guard(writer) for writer in self.writers.values()]
+
+    def _make_learner(self, event_loop: EventLoop, policy_id: int, batcher: Batcher) -> LearnerWorker:
+        worker = super()._make_learner(event_loop, policy_id, batcher)
+        learner = _KeptLearner(self.cfg, self.env_info, self.buffer_mgr.policy_versions, policy_id, worker.param_server)
+        learner.keeper, worker.learner = self._keeper, learner
+        return worker
+
+    def run(self) -> int:
+        """Train until the end or an interruption; return the status."""
+        with self.timing.timeit("main_loop"):
+            if self.event_loop.exec() == EventLoopStatus.INTERRUPTED:
+                self.status = ExperimentStatus.INTERRUPTED
+            self.stop.emit(self.object_id)
+        return self.status
+
+    def save(self) -> None:
+        """Keep a checkpoint of what there is."""
+        for worker in self.learners.values():
+            worker.learner.save()
+
+
 class _Observer(AlgoObserver):
-    """Reports after every update and tells the runner to end."""
+    """Reports after every update, saves from time to time, and tells the runner to end."""
 
-    def __init__(self, cfg: TrainingCfg, progress: Progress) -> None:
-        self._cfg, self._progress = cfg, progress
+    def __init__(self, cfg: TrainingCfg, progress: Progress, keeper: Keeper, interruption: Interruption) -> None:
+        self._cfg, self._progress, self._keeper, self._interruption = cfg, progress, keeper, interruption
 
-    def on_training_step(self, runner: Runner, training_iteration_since_resume: int) -> None:
+    def on_training_step(self, runner: _Runner, training_iteration_since_resume: int) -> None:
         del training_iteration_since_resume
         if 0 not in runner.env_steps:
             return
@@ -93,8 +156,13 @@ class _Observer(AlgoObserver):
             episode_return=float(sum(returns) / len(returns)) if returns else None,
             episode_length=float(sum(lengths) / len(lengths)) if lengths else None,
         )
+        self._interruption.check()
+        for summaries in runner.summaries:
+            summaries.check()
         if self._progress.update(report):
             runner.total_train_seconds = OFF  # the runner compares it with its limit right after this call
+        elif self._keeper.due:
+            runner.save()
         self._follow_schedules(runner.learners[0].learner)
 
     def _follow_schedules(self, learner: Learner) -> None:
@@ -104,44 +172,54 @@ class _Observer(AlgoObserver):
         learner.actor_critic.action_parameterization.learned_stddev.data.clamp_(min=math.log(ppo.min_std))
 
 
-def run(cfg: TrainingCfg, task: Task, folder: RunFolder, progress: Progress, *, checkpoint: Path | None) -> bool:
+def run(
+    cfg: TrainingCfg, task: Task, folder: RunFolder, progress: Progress, *, keeper: Keeper, interruption: Interruption
+) -> bool:
     """Train until a limit of ``cfg`` is reached or the user interrupts; return whether it was interrupted.
 
     Args:
         cfg: Settings.
         task: Built task, reset by the trainer.
-        folder: Receives checkpoints and TensorBoard files.
+        folder: Receives TensorBoard files.
         progress: Told after every update.
-        checkpoint: Where to continue, if anywhere: the library itself takes the newest in the folder.
+        keeper: Keeps checkpoints, and knows where to go on.
+        interruption: Whether the user asked to end.
 
     Raises:
         ConfigError: If the device is not one that the library can use.
+        StorageError: If the disk is full.
         AerialGymError: If the library gives up; the log says why.
     """
     if task.device.type == "cuda" and (task.device.index or 0) != 0:
         raise ConfigError(f"device {task.device}: Sample Factory uses cuda:0. Choose the GPU with CUDA_VISIBLE_DEVICES")
-    if checkpoint is not None:
-        torch.load(checkpoint, map_location="cpu", weights_only=True)  # the library would start anew if this failed
     name = f"{cfg.task}_{uuid.uuid4().hex[:8]}"
-    with _own_log(), _registered(name, cfg, task):
-        library_cfg = library_config(cfg, folder.path, env_name=name, device=task.device)
-        library_cfg, runner = make_runner(library_cfg)
-        runner.register_observer(_Observer(cfg, progress))
-        with _env_info_known(library_cfg):
-            status = runner.init()
-        if status == ExperimentStatus.SUCCESS:
-            status = runner.run()
-        if status == ExperimentStatus.INTERRUPTED:
-            for worker in runner.learners.values():
-                worker.learner.save()
-        for writer in runner.writers.values():
-            writer.close()
-        progress.env_steps = int(
-            runner.env_steps.get(0, progress.env_steps)
-        )  # the last update came after the last report
+    with _own_log(), _registered(name, cfg, task, interruption):
+        runner = _Runner(library_config(cfg, folder.path, env_name=name, device=task.device), keeper)
+        try:
+            status = _train(runner, _Observer(cfg, progress, keeper, interruption))
+        finally:
+            for writer in runner.writers.values():
+                writer.close()
+        steps = runner.env_steps.get(0, progress.env_steps)  # the last update came after the last report
+        progress.env_steps = int(steps)
     if status not in (ExperimentStatus.SUCCESS, ExperimentStatus.INTERRUPTED):
         raise AerialGymError(f"Sample Factory gave up; {folder.log_file} says why")
     return status == ExperimentStatus.INTERRUPTED
+
+
+def _train(runner: _Runner, observer: _Observer) -> int:
+    """Return the status in which the runner ended; an interrupted one has saved."""
+    runner.register_observer(observer)
+    try:
+        with _env_info_known(runner.cfg):
+            status = runner.init()
+        if status == ExperimentStatus.SUCCESS:
+            status = runner.run()
+    except KeyboardInterrupt:
+        status = ExperimentStatus.INTERRUPTED
+    if status == ExperimentStatus.INTERRUPTED:
+        runner.save()
+    return status
 
 
 def library_config(cfg: TrainingCfg, out: Path, *, env_name: str, device: torch.device) -> Config:
@@ -195,8 +273,8 @@ def library_config(cfg: TrainingCfg, out: Path, *, env_name: str, device: torch.
         "normalize_returns": ppo.normalize_value,
         # files
         "log_to_file": False,
-        "save_every_sec": max(1, round(cfg.checkpoint_every_s)),
-        "save_best_after": OFF,  # its best score is a numpy number, with which its own loader refuses the checkpoint
+        "save_every_sec": OFF // 10,  # the keeper says when
+        "save_best_after": OFF,
         "experiment_summaries_interval": 3,
         "flush_summaries_interval": 5,
         "with_wandb": False,
@@ -212,7 +290,7 @@ def library_config(cfg: TrainingCfg, out: Path, *, env_name: str, device: torch.
 
 
 @contextlib.contextmanager
-def _registered(name: str, cfg: TrainingCfg, task: Task) -> Iterator[None]:
+def _registered(name: str, cfg: TrainingCfg, task: Task, interruption: Interruption) -> Iterator[None]:
     """Make the task and the first weights of the network known to the library, for as long as they are needed."""
 
     def make_network(library_cfg: Config, obs_space: spaces.Space, action_space: spaces.Space) -> ActorCritic:
@@ -225,7 +303,7 @@ def _registered(name: str, cfg: TrainingCfg, task: Task) -> Iterator[None]:
     factory = global_model_factory()
     kept = factory.make_actor_critic_func
     factory.register_actor_critic_factory(make_network)
-    register_env(name, lambda *_: TaskBatchedEnv(task))
+    register_env(name, lambda *_: TaskBatchedEnv(task, interruption))
     try:
         yield
     finally:

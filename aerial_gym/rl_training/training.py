@@ -4,23 +4,29 @@ import contextlib
 import importlib
 import importlib.util
 import json
+import logging
 import random
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
+from aerial_gym.config.storage import told_storage, write_whole
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import robot_by_name
 from aerial_gym.errors import MissingDependencyError
+from aerial_gym.rl_training.interruption import Interruption, interruptible
+from aerial_gym.rl_training.keeper import Keeper, steps_of
 from aerial_gym.rl_training.progress import Progress
 from aerial_gym.rl_training.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import task_registry
-from aerial_gym.task.curriculum import Curriculum
+
+_log = logging.getLogger(__name__)
 
 NEEDED = {"rl_games": "rl_games", "sample_factory": "sample_factory"}
 """Package that each trainer needs."""
@@ -33,8 +39,8 @@ class TrainingResult:
     trainer: str
     """Which library."""
 
-    checkpoint: str
-    """The last checkpoint."""
+    checkpoint: str | None
+    """The last checkpoint; None if the user ended it before the first."""
 
     env_steps: int
     """Environment steps in all sessions."""
@@ -61,39 +67,50 @@ def train(cfg: TrainingCfg, out: str | Path, *, resume: bool = False, show_progr
     Args:
         cfg: Settings; of a resumed run the limits may differ from those of the first session.
         out: Run folder, new unless ``resume``.
-        resume: Whether to continue from the folder's last checkpoint.
+        resume: Whether to continue from the folder's last checkpoint; a run that was ended before its first starts anew.
         show_progress: Whether to draw a bar on stderr.
 
     Raises:
-        ConfigError: If the folder holds a run and ``resume`` is off, or the other way round.
+        ConfigError: If the folder holds a run and ``resume`` is off, or no checkpoint of it can be read.
         UnknownNameError: If the task is not registered.
         MissingDependencyError: If the trainer's package is not installed.
+        StorageError: If the disk is full.
     """
     started = time.perf_counter()
     _check_names(cfg)
     require_trainer(cfg.trainer)
     folder = RunFolder(out)
-    checkpoint = folder.last_checkpoint() if resume else None
     if not resume:
         folder.create(cfg)
+    resumed = folder.newest_whole() if resume else None
+    if resume and resumed is None:
+        _log.warning(
+            "%s: was ended before its first checkpoint; the training starts anew in the same folder", folder.path
+        )
+    steps = steps_of(resumed, cfg.trainer)
     with (
+        told_storage(folder.path, only_full=True),
         _restored_globals(cfg),
-        Progress(cfg, folder.curve_file, started=started, show=show_progress) as progress,
+        interruptible() as interruption,
+        Progress(cfg, folder.curve_file, started=started, show=show_progress, resumed_steps=steps) as progress,
         folder.captured_output(),
     ):
-        interrupted = _run(cfg, folder, progress, checkpoint)
-    last = progress.last
+        try:
+            interrupted = _run(cfg, folder, progress, resumed, interruption)
+        except KeyboardInterrupt:
+            interrupted = True
+    last, checkpoints = progress.last, folder.checkpoints()
     result = TrainingResult(
         trainer=cfg.trainer,
-        checkpoint=str(folder.last_checkpoint()),
-        env_steps=progress.env_steps,
+        checkpoint=str(checkpoints[-1]) if checkpoints else None,
+        env_steps=max(progress.env_steps, steps),
         time_s=progress.elapsed_s(),
         env_steps_per_s=progress.steps_per_s,
         episode_return=last.episode_return if last else None,
         episode_length=last.episode_length if last else None,
         interrupted=interrupted,
     )
-    folder.result_file.write_text(json.dumps(asdict(result), indent=1) + "\n", encoding="utf-8")
+    write_whole(folder.result_file, json.dumps(asdict(result), indent=1) + "\n")
     return result
 
 
@@ -106,31 +123,25 @@ def _check_names(cfg: TrainingCfg) -> None:
         CONTROLLERS.get(cfg.controller)
 
 
-def _run(cfg: TrainingCfg, folder: RunFolder, progress: Progress, checkpoint: Path | None) -> bool:
+def _run(
+    cfg: TrainingCfg,
+    folder: RunFolder,
+    progress: Progress,
+    resumed: tuple[Path, dict[str, Any]] | None,
+    interruption: Interruption,
+) -> bool:
     adapter = importlib.import_module(f"aerial_gym.rl_training.{cfg.trainer}")
+    interruption.check()  # an import may have swallowed it
     torch.manual_seed(cfg.seed)
     np.random.seed(cfg.seed)
     random.seed(cfg.seed)
     with task_registry.make_task(
         cfg.task, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed, robot=cfg.robot, controller=cfg.controller
     ) as task:
+        interruption.check()
         folder.add_session(cfg, str(task.device))
-        with _kept_curriculum(task.curriculum, folder, resume=checkpoint is not None):
-            return adapter.run(cfg, task, folder, progress, checkpoint=checkpoint)
-
-
-@contextlib.contextmanager
-def _kept_curriculum(curriculum: Curriculum | None, folder: RunFolder, *, resume: bool) -> Iterator[None]:
-    """Take the level up where the session before left it, and leave it for the next one, however this one ends."""
-    if curriculum is None:
-        yield
-        return
-    if resume and folder.curriculum_file.exists():
-        curriculum.load(json.loads(folder.curriculum_file.read_text(encoding="utf-8")))
-    try:
-        yield
-    finally:
-        folder.curriculum_file.write_text(json.dumps(curriculum.state()) + "\n", encoding="utf-8")
+        keeper = Keeper(cfg, folder, task, resumed=resumed)
+        return adapter.run(cfg, task, folder, progress, keeper=keeper, interruption=interruption)
 
 
 def require_trainer(trainer: str) -> None:

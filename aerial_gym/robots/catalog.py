@@ -22,8 +22,8 @@ def _variant(summary: str, change: Callable[[RobotCfg], RobotCfg], *, of: str = 
     return replace(change(ROBOTS.get(of)), summary=summary)
 
 
-def _carrying(*sensors: str, imu: str | None = None) -> Callable[[RobotCfg], RobotCfg]:
-    return partial(replace, sensors=sensors, imu=imu)
+def _carrying(*sensors: str) -> Callable[[RobotCfg], RobotCfg]:
+    return partial(replace, sensors=sensors)
 
 
 def _as_arpl_declares(robot: RobotCfg) -> RobotCfg:
@@ -56,13 +56,13 @@ for _name, _of, _change, _summary in (
     (
         "base_quadrotor_with_imu",
         "base_quadrotor",
-        _carrying(imu="base_imu"),
+        _carrying("base_imu"),
         "base_quadrotor with an inertial measurement unit",
     ),
     (
         "base_quadrotor_with_camera_imu",
         "base_quadrotor",
-        _carrying("base_depth_camera", imu="base_imu"),
+        _carrying("base_depth_camera", "base_imu"),
         "base_quadrotor with a depth and segmentation camera and an inertial measurement unit",
     ),
     (

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from aerial_gym.config.imu import ImuCfg, load_imu
+from aerial_gym.config.imu import ImuCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import AerialGymError, ShapeError
+from aerial_gym.sensors.catalog import IMUS
 from aerial_gym.sensors.imu import Imu
 
 if TYPE_CHECKING:
@@ -126,7 +127,7 @@ class AllanCmd:
     def run(self) -> int:
         """Write the image and print its path; return the exit status."""
         try:
-            plot_allan(load_imu(self.imu), self.out, rate_hz=self.rate_hz, duration_s=self.duration_s)
+            plot_allan(IMUS.get(self.imu), self.out, rate_hz=self.rate_hz, duration_s=self.duration_s)
         except AerialGymError as error:
             print(error, file=sys.stderr)
             return 2

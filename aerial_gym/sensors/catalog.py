@@ -1,8 +1,9 @@
-"""Every sensor that comes with the package, in one table."""
+"""Every range sensor and every inertial measurement unit that comes with the package, in one table each."""
 
 from functools import partial
 
 from aerial_gym.config import CONFIG_DIR, summary_in
+from aerial_gym.config.imu import ImuCfg, load_imu
 from aerial_gym.config.sensor import RangeSensorCfg, load_sensor
 from aerial_gym.registry import Registry
 
@@ -32,3 +33,9 @@ for _name in (
 ):
     _path = CONFIG_DIR / "sensors" / f"{_name}.yaml"
     SENSORS.register_later(_name, partial(load_sensor, _path), summary=partial(summary_in, _path))
+
+IMUS: Registry[ImuCfg] = Registry("IMU")
+
+for _name in ("base_imu", "bmi088", "vn100"):
+    _path = CONFIG_DIR / "imus" / f"{_name}.yaml"
+    IMUS.register_later(_name, partial(load_imu, _path), summary=partial(summary_in, _path))

@@ -1,4 +1,4 @@
-"""Images that appear some steps after they were taken.
+"""When measurements are taken, and images that appear some steps after they were.
 
 Letters: E environments.
 """
@@ -7,6 +7,14 @@ import torch
 from torch import Tensor
 
 from aerial_gym.sensors.images import SensorImages
+
+CLOCK_MARGIN = 1e-4
+"""Share of a period by which a measurement may come early: steps do not add up to a period exactly in float32."""
+
+
+def steps_of(latency_s: float, dt: float) -> int:
+    """Return how many steps of ``dt`` [s] late something appears, rounded to whole ones."""
+    return round(latency_s / dt)
 
 
 class DelayLine:

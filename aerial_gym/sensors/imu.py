@@ -11,6 +11,9 @@ Derived: the central difference leaves ``dt²/24 a''``, the turn back by half a 
 the physics of order 1 leave their own O(dt). Float32 adds about ``1e-7 |v_p| / dt`` of round-off.
 The gyro gives ``w(t)`` in IMU axes, at the end of the step.
 
+An IMU with a rate gives the mean of these forces over the n steps of its period T, and ``w(t)`` at its end; between two samples
+the last one stays. Noise and walk are those of its period. What it gives may appear some steps later.
+
 Then, per axis: bias, white noise ``sigma N / sqrt(dt)``, saturation; the bias walks by ``sigma_b N sqrt(dt)``. Source: IEEE Std
 952-1997, annex B (N and K). Every number is drawn in the kernel from seed, environment and a count of its samples: the same
 whatever other environments do, and new at each replay of a captured step.
@@ -28,9 +31,10 @@ from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.imu import ImuCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import on_torch_stream, start_warp
-from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn
+from aerial_gym.sensors.delay import CLOCK_MARGIN, steps_of
+from aerial_gym.sensors.mounts import Pose, nominal_pose
 
 STREAM = wp.constant(0x696D75)
 """Parts these draws from others of the same seed, such as the initial states; any number does."""
@@ -53,6 +57,9 @@ class Unit:
     gyro_range: wp.float32  # [rad/s]
     gravity: wp.float32  # [m/s²]
     dt: wp.float32  # [s]
+    period: wp.float32  # between two samples [s]; dt if there is one in every step
+    due: wp.float32  # age of the last sample from which the next one is due [s]
+    latency: wp.int32  # [steps]
     accel_gain: wp.mat33  # of the robot's own effects on inertial sensors, body axes
     accel_offset: wp.vec3  # [m/s²]
     gyro_gain: wp.mat33
@@ -76,7 +83,13 @@ class Outputs:
     point_vel: wp.array[wp.vec3]  # (E,) world [m/s]
     mount: wp.array[wp.quat]  # (E,) IMU to body, with misalignment
     bias: wp.array2d[wp.vec3]  # (E, 2) [m/s²], [rad/s]
-    measurement: wp.array2d[wp.vec3]  # (E, 2) IMU [m/s²], [rad/s]
+    clock: wp.array[float]  # (E,) age of the last sample [s]
+    steps: wp.array[wp.int32]  # (E,) since the last sample
+    force_sum: wp.array[wp.vec3]  # (E,) of these steps, body [m/s²]
+    fresh: wp.array2d[wp.vec3]  # (E, 2) last sample, IMU [m/s²], [rad/s]
+    line: wp.array3d[wp.vec3]  # (L, E, 2) samples on their way
+    place: wp.array[wp.int32]  # (E,) of the oldest of them
+    measurement: wp.array2d[wp.vec3]  # (E, 2) what appears
 
 
 @wp.func
@@ -126,38 +139,68 @@ def _write(
     ang_vel: wp.vec3,
     accel_bias: wp.vec3,
     gyro_bias: wp.vec3,
+    steps: float,
 ):
-    """Write biases, and what the IMU makes of specific force [m/s²] and angular velocity [rad/s] in body axes."""
+    """Write biases, and what the IMU makes of specific force [m/s²] and angular velocity [rad/s] in body axes.
+
+    The noise is that of a mean over a number of steps.
+    """
+    share = 1.0 / wp.sqrt(steps)
     accel = (
         rotate_inverse(mount, unit.accel_gain * force + unit.accel_offset)
         + accel_bias
-        + _normal(random, 0, unit.accel_noise)
+        + _normal(random, 0, share * unit.accel_noise)
     )
     gyro = (
         rotate_inverse(mount, unit.gyro_gain * ang_vel + unit.gyro_offset)
         + gyro_bias
-        + _normal(random, 1, unit.gyro_noise)
+        + _normal(random, 1, share * unit.gyro_noise)
     )
     out.bias[e, 0] = accel_bias
     out.bias[e, 1] = gyro_bias
-    out.measurement[e, 0] = _limit(accel, unit.accel_range)
-    out.measurement[e, 1] = _limit(gyro, unit.gyro_range)
+    out.fresh[e, 0] = _limit(accel, unit.accel_range)
+    out.fresh[e, 1] = _limit(gyro, unit.gyro_range)
+
+
+@wp.func
+def _deliver(unit: Unit, out: Outputs, e: int):
+    """Let the sample of ``latency`` steps ago appear, and send the last one on its way."""
+    place = out.place[e]
+    for i in range(2):
+        found = out.fresh[e, i]
+        if unit.latency > 0:
+            found = out.line[place, e, i]
+            out.line[place, e, i] = out.fresh[e, i]
+        out.measurement[e, i] = found
+    if unit.latency > 0:
+        out.place[e] = (place + 1) % unit.latency
 
 
 @wp.kernel(enable_backward=False)
 def _measure(motion: Motion, unit: Unit, seed: wp.array[int], out: Outputs):
-    """Write the sample of the step that has just ended."""
+    """Take the step that has just ended into the sample, and write that if it is due."""
     e = wp.tid()
     ang_vel = motion.ang_vel[e]
     velocity = _point_velocity(unit, motion, e)
     acceleration = (velocity - out.point_vel[e]) / unit.dt
     out.point_vel[e] = velocity
     middle = motion.attitude[e] * small_turn(-0.5 * unit.dt * ang_vel)
-    force = rotate_inverse(middle, acceleration + wp.vec3(0.0, 0.0, unit.gravity))
-    random = _count(seed[0], e, out)
-    accel_bias = out.bias[e, 0] + _normal(random, 2, unit.accel_walk)
-    gyro_bias = out.bias[e, 1] + _normal(random, 3, unit.gyro_walk)
-    _write(unit, out, e, random, out.mount[e], force, ang_vel, accel_bias, gyro_bias)
+    force = out.force_sum[e] + rotate_inverse(middle, acceleration + wp.vec3(0.0, 0.0, unit.gravity))
+    clock = out.clock[e] + unit.dt
+    steps = out.steps[e] + 1
+    if clock >= unit.due:
+        count = float(steps)
+        random = _count(seed[0], e, out)
+        accel_bias = out.bias[e, 0] + _normal(random, 2, wp.sqrt(count) * unit.accel_walk)
+        gyro_bias = out.bias[e, 1] + _normal(random, 3, wp.sqrt(count) * unit.gyro_walk)
+        _write(unit, out, e, random, out.mount[e], force / count, ang_vel, accel_bias, gyro_bias, count)
+        clock -= unit.period
+        steps = 0
+        force = wp.vec3()
+    out.clock[e] = clock
+    out.steps[e] = steps
+    out.force_sum[e] = force
+    _deliver(unit, out, e)
 
 
 @wp.kernel(enable_backward=False)
@@ -175,7 +218,15 @@ def _reset(mask: wp.array[wp.bool], motion: Motion, unit: Unit, seed: wp.array[i
     force = rotate_inverse(motion.attitude[e], wp.vec3(0.0, 0.0, unit.gravity))
     out.mount[e] = mount
     out.point_vel[e] = _point_velocity(unit, motion, e)
-    _write(unit, out, e, random, mount, force, motion.ang_vel[e], accel_bias, gyro_bias)
+    _write(unit, out, e, random, mount, force, motion.ang_vel[e], accel_bias, gyro_bias, 1.0)
+    out.clock[e] = 0.0
+    out.steps[e] = 0
+    out.force_sum[e] = wp.vec3()
+    out.place[e] = 0
+    for i in range(2):
+        out.measurement[e, i] = out.fresh[e, i]
+        for k in range(unit.latency):
+            out.line[k, e, i] = out.fresh[e, i]
 
 
 class Imu:
@@ -193,6 +244,7 @@ class Imu:
         gravity: float,
         seed: int,
         errors: Sequence[tuple[ImuEffect, Tensor]] = (),
+        pose: Pose | None = None,
     ) -> None:
         """Take views of the tensors, which must stay where they are, and load the kernels; then ``reset`` all rows.
 
@@ -206,23 +258,35 @@ class Imu:
             gravity: Downward acceleration of free fall [m/s²].
             seed: Of all draws; another one for a second IMU on the same robot.
             errors: Effects of the robot on its inertial sensors with their parameters, (E, P), the same in every environment.
+            pose: Of its mount in the body frame, instead of its own placement.
 
         Raises:
-            ConfigError: If ``dt`` is not positive and finite.
+            ConfigError: If ``dt`` is not positive and finite, or the IMU measures more often.
             ShapeError: If a tensor does not fit.
         """
         if not 0.0 < dt < inf:
             raise ConfigError(f"dt = {dt!r}: must be > 0 and finite")
+        if cfg.rate_hz is not None and cfg.rate_hz * dt > 1.0 + CLOCK_MARGIN:
+            raise ConfigError(
+                f"ImuCfg.rate_hz = {cfg.rate_hz!r}: steps of {dt:g} s give at most {1.0 / dt:g} measurements per second. "
+                "Use shorter environment steps or a lower rate"
+            )
         start_warp()
         envs, device = measurement_out.shape[0], measurement_out.device
         check_tensor("measurement_out", measurement_out, (envs, 6), device=device)
         self.cfg, self.measurement = cfg, measurement_out
         self.bias = torch.zeros(envs, 6, device=device)
         """Present bias [m/s²] and [rad/s], IMU axes, (E, 6)."""
-        self.mount_attitude = quat_from_euler(torch.tensor(cfg.euler, device=device)).expand(envs, 4).clone()
+        pose = nominal_pose(cfg) if pose is None else pose
+        self.mount_attitude = pose.attitude.float().to(device).expand(envs, 4).clone()
         """IMU to body, with the misalignment of the episode, (E, 4)."""
         self._point_vel = torch.zeros(envs, 3, device=device)
         self._sample = torch.zeros(envs, dtype=torch.int32, device=device)
+        latency = steps_of(cfg.latency_s, dt)
+        self._clock, self._force_sum = torch.zeros(envs, device=device), torch.zeros(envs, 3, device=device)
+        self._steps, self._place = torch.zeros_like(self._sample), torch.zeros_like(self._sample)
+        self._fresh = torch.zeros_like(measurement_out)
+        self._line = torch.zeros(latency, envs, 6, device=device)
         self._mask = torch.zeros(envs, dtype=torch.bool, device=device)
         self._seed = torch.zeros(1, dtype=torch.int32, device=device)
         self.restart(seed)
@@ -230,7 +294,9 @@ class Imu:
         motion.attitude = vector_view("attitude", attitude, (envs, 4), device=device)
         motion.lin_vel = vector_view("lin_vel", lin_vel, (envs, 3), device=device)
         motion.ang_vel = vector_view("ang_vel", ang_vel, (envs, 3), device=device)
-        inputs = [motion, _make_unit(cfg, dt, gravity, errors), wp.from_torch(self._seed), self._make_outputs()]
+        unit = _make_unit(cfg, pose, dt, gravity, errors)
+        unit.latency = latency
+        inputs = [motion, unit, wp.from_torch(self._seed), self._make_outputs()]
 
         launch = {"dim": envs, "device": wp.device_from_torch(device), "record_cmd": True}
         self._measure_command = wp.launch(_measure, inputs=inputs, **launch)
@@ -242,11 +308,15 @@ class Imu:
         out.point_vel = wp.from_torch(self._point_vel, dtype=wp.vec3)
         out.mount = wp.from_torch(self.mount_attitude, dtype=wp.quat)
         out.bias = wp.from_torch(self.bias.view(-1, 2, 3), dtype=wp.vec3)
+        out.clock, out.steps, out.place = (wp.from_torch(t) for t in (self._clock, self._steps, self._place))
+        out.force_sum = wp.from_torch(self._force_sum, dtype=wp.vec3)
+        out.fresh = wp.from_torch(self._fresh.view(-1, 2, 3), dtype=wp.vec3)
+        out.line = wp.from_torch(self._line.view(*self._line.shape[:2], 2, 3), dtype=wp.vec3)
         out.measurement = wp.from_torch(self.measurement.view(-1, 2, 3), dtype=wp.vec3)
         return out
 
     def measure(self) -> None:
-        """Write the sample of the step that has just ended; call it once per ``dt``.
+        """Take the step that has just ended into the measurement; call it once per ``dt``.
 
         Launched on torch's current stream, not waited for.
         """
@@ -278,13 +348,15 @@ def _affine(errors: Sequence[tuple[ImuEffect, Tensor]]) -> tuple[Tensor, Tensor,
     return (force[1:] - force[0]).T, force[0], (ang_vel[1:] - ang_vel[0]).T, ang_vel[0]
 
 
-def _make_unit(cfg: ImuCfg, dt: float, gravity: float, errors: Sequence[tuple[ImuEffect, Tensor]]) -> Unit:
+def _make_unit(cfg: ImuCfg, pose: Pose, dt: float, gravity: float, errors: Sequence[tuple[ImuEffect, Tensor]]) -> Unit:
     unit = Unit()
     accel_gain, accel_offset, gyro_gain, gyro_offset = _affine(errors)
     unit.accel_gain, unit.accel_offset = wp.mat33(*accel_gain.flatten().tolist()), wp.vec3(*accel_offset.tolist())
     unit.gyro_gain, unit.gyro_offset = wp.mat33(*gyro_gain.flatten().tolist()), wp.vec3(*gyro_offset.tolist())
     unit.dt, unit.gravity = dt, gravity
-    unit.position, unit.mount = wp.vec3(*cfg.position), wp.quat(*quat_from_euler(torch.tensor(cfg.euler)).tolist())
+    unit.period = dt if cfg.rate_hz is None else 1.0 / cfg.rate_hz
+    unit.due = (1.0 - CLOCK_MARGIN) * unit.period
+    unit.position, unit.mount = wp.vec3(*pose.position.tolist()), wp.quat(*pose.attitude.tolist())
     unit.misalignment = wp.vec3(*(radians(angle) for angle in cfg.misalignment_deg))
     for kind in ("accel", "gyro"):
         noise = wp.vec3(*getattr(cfg, f"{kind}_noise_density")) / sqrt(dt)

@@ -24,6 +24,7 @@ from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.math.random import uniform
 from aerial_gym.sensors.flow import Flow, make_flow, record_motion
 from aerial_gym.sensors.images import SensorImages, arrays_of, images_of
+from aerial_gym.sensors.mounts import Pose, nominal_pose
 from aerial_gym.sensors.pixels import MISS_ID, Limits, Noise, Outputs, locate
 from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_kernel
 from aerial_gym.sensors.rays import ray_table
@@ -56,6 +57,7 @@ class RayCaster:
         ang_vel: Tensor | None = None,
         generator: torch.Generator | None = None,
         seed: int = 0,
+        pose: Pose | None = None,
     ) -> None:
         """Take views of the tensors, which must stay where they are, and load the kernel.
 
@@ -70,6 +72,8 @@ class RayCaster:
             ang_vel: Angular velocity of the body [rad/s], body frame, (E, 3); likewise.
             generator: Source of placements drawn at reset, on the device of the scene; needed only by sensors that draw.
             seed: Of the noise, which is drawn in the kernel from this, the number of the image and the pixel.
+            pose: Of its mount in the body frame, instead of its nominal placement. What is drawn deviates from the mount as
+                it deviates from the nominal placement there: ``T_mount T_nominal^-1 T_drawn``.
 
         Raises:
             ShapeError: If a tensor does not fit sensor and scene.
@@ -80,7 +84,7 @@ class RayCaster:
         self.cfg, self.images, self.num_sensors = cfg, images, cfg.count
         self._generator, self._device = generator, device
         self.direction = ray_table(cfg, device=device)
-        self._place_mounts(envs)
+        self._place_mounts(envs, pose)
         self.due = torch.ones(envs, dtype=torch.bool, device=device)
         """Environments whose images the next ``cast`` takes, bool, (E,)."""
         self._image_number = torch.zeros(1, dtype=torch.int32, device=device)
@@ -106,10 +110,16 @@ class RayCaster:
             self._prepare.append(record_motion(self._flow, scene, pose, twist))
         self._launches = self._record_rays(scene)
 
-    def _place_mounts(self, envs: int) -> None:
+    def _place_mounts(self, envs: int, pose: Pose | None) -> None:
         cfg, device = self.cfg, self._device
-        self._nominal_position = torch.tensor(cfg.position, device=device)
-        self._nominal_attitude = quat_from_euler(torch.tensor(cfg.euler, device=device))
+        nominal = nominal_pose(cfg)
+        self._moved: Pose | None = None
+        if pose is not None:
+            back = nominal.inverse()
+            position, attitude = pose.of(back.position, back.attitude)
+            self._moved, nominal = Pose(position=position, attitude=attitude), pose
+        self._nominal_position = nominal.position.float().to(device)
+        self._nominal_attitude = nominal.attitude.float().to(device)
         self.mount_position = self._nominal_position.expand(envs, cfg.count, 3).clone()
         self.mount_attitude = self._nominal_attitude.expand(envs, cfg.count, 4).clone()
         draws = {"position": (cfg.position_low, cfg.position_high), "euler": (cfg.euler_low, cfg.euler_high)}
@@ -213,14 +223,20 @@ class RayCaster:
     def reset(self, mask: Tensor) -> None:
         """Place the mounts of masked environments, bool (E,), anew: nominal, or drawn if the configuration draws."""
         rows = mask[:, None, None]
-        position, attitude = self._nominal_position, self._nominal_attitude
-        shape, generator = tuple(self.mount_position.shape), self._generator
-        if "position" in self._draws and generator is not None:
-            position = uniform(*self._draws["position"], shape, generator=generator)
-        if "euler" in self._draws and generator is not None:
-            attitude = quat_from_euler(uniform(*self._draws["euler"], shape, generator=generator))
+        position, attitude = self._draw_placement() if self._draws else (self._nominal_position, self._nominal_attitude)
         self.mount_position.copy_(torch.where(rows, position, self.mount_position))
         self.mount_attitude.copy_(torch.where(rows, attitude, self.mount_attitude))
+
+    def _draw_placement(self) -> tuple[Tensor, Tensor]:
+        """Return positions (E, S, 3) and attitudes (E, S, 4) in the body frame; what is not drawn is nominal."""
+        shape, generator = self.mount_position.shape, self._generator
+        found = {}
+        for name in ("position", "euler"):
+            own = torch.tensor(getattr(self.cfg, name), device=self._device).expand(shape)
+            low, high = self._draws.get(name, (own, own))
+            found[name] = uniform(low, high, tuple(shape), generator=generator) if name in self._draws else own
+        placement = found["position"], quat_from_euler(found["euler"])
+        return placement if self._moved is None else self._moved.of(*placement)
 
     def restart(self, seed: int) -> None:
         """Begin the noise of a seed anew."""

@@ -13,14 +13,12 @@ from aerial_gym.assets.views import check_tensor
 from aerial_gym.config.sensor import RangeSensorCfg
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.registry import GlobalTensorDictionary
-from aerial_gym.sensors.delay import DelayLine, like
+from aerial_gym.sensors.delay import CLOCK_MARGIN, DelayLine, like, steps_of
 from aerial_gym.sensors.images import declare_images
+from aerial_gym.sensors.mounts import Pose
 from aerial_gym.sensors.ray_caster import RayCaster
 
 _OWNER = "SensorManager"
-
-CLOCK_MARGIN = 1e-4
-"""Share of a period by which an image may come early: steps do not add up to a period exactly in float32."""
 
 
 class SensorManager:
@@ -41,6 +39,7 @@ class SensorManager:
         dt: float | None = None,
         generator: torch.Generator | None = None,
         seed: int = 0,
+        poses: Mapping[str, Pose | None] | None = None,
     ) -> None:
         """Declare the images and make a ray caster for each sensor.
 
@@ -59,6 +58,7 @@ class SensorManager:
             dt: Time between two captures [s]; needed by sensors with a rate or a latency.
             generator: Source of placements drawn at reset.
             seed: Of the noise.
+            poses: Of mounts in the body frame, instead of the nominal placement of a sensor, by its name.
 
         Raises:
             ShapeError: If a tensor does not fit.
@@ -79,7 +79,7 @@ class SensorManager:
                     gtd.define_size(letter, size)
             shape = ("E", "S", "H", "W") if first else ("E", cfg.count, cfg.height, cfg.width)
             seen = declare_images(gtd, cfg, shape, prefix="" if first else f"{name}_", owner=_OWNER)
-            steps = round(cfg.latency_s / self._dt) if self._dt else 0
+            steps = steps_of(cfg.latency_s, self._dt) if self._dt else 0
             taken = like(seen) if steps else seen
             if steps:
                 self._delay[name] = DelayLine(taken, seen, steps)
@@ -93,6 +93,7 @@ class SensorManager:
                 ang_vel=ang_vel,
                 generator=generator,
                 seed=seed + len(self.casters),
+                pose=(poses or {}).get(name),
             )
             if cfg.rate_hz is not None:
                 self._clock[name] = torch.full((num_envs,), 1.0 / cfg.rate_hz, device=device)

@@ -1,7 +1,10 @@
 """Both trainers through the command: run folder, checkpoints, TensorBoard, resume, evaluation."""
 
 import csv
+import errno
 import json
+import os
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +12,10 @@ import pytest
 
 from aerial_gym.cli.main import main
 from aerial_gym.config import dump_yaml
+from aerial_gym.rl_training import checkpoint, load_settings, settings_for
+from aerial_gym.rl_training.keeper import Keeper
+from aerial_gym.rl_training.progress import Progress, Report
+from aerial_gym.rl_training.run_folder import RunFolder
 from aerial_gym.robots import ROBOTS
 
 pytest.importorskip("rl_games", reason="rl-games is not installed: pip install 'aerial-gym[rl]'")
@@ -61,12 +68,15 @@ def test_a_navigation_training_resumes_at_its_level_and_its_evaluation_tells_how
     where = ("--out", str(out), "--num-envs", "8", "--device", "cpu", "--seed", "3", "--robot", str(robot))
     assert main(["train", "--task", "navigation_task", "--trainer", "rl_games", *where, *limits]) == 0
     assert json.loads(capsys.readouterr().out)["env_steps"] >= 512
-    kept = json.loads((out / "curriculum.json").read_text())
+    last = RunFolder(out).last_checkpoint()
+    payload = checkpoint.load(last)
+    kept = payload["run"]["curriculum"]
     assert kept["level"] == 15
     assert kept["finished"] > 0
-    (out / "curriculum.json").write_text(json.dumps(kept | {"level": 21}))
+    payload["run"]["curriculum"] = kept | {"level": 21}
+    checkpoint.save(last, payload)
     assert main(["train", "--out", str(out), "--resume", "--max-env-steps", "768", "--max-time-s", "40"]) == 0
-    resumed = json.loads((out / "curriculum.json").read_text())
+    resumed = checkpoint.load(RunFolder(out).last_checkpoint())["run"]["curriculum"]
     assert resumed["level"] == 21
     assert resumed["finished"] >= kept["finished"]
 
@@ -105,3 +115,56 @@ def test_wrong_trainings_end_with_status_2_and_leave_nothing(
     assert main(["train", "--out", str(out), *more]) == 2
     assert message in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_run_that_was_killed_before_its_first_checkpoint_starts_anew(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    cfg = load_settings(settings_for("rl_games", "position_setpoint_task"))
+    RunFolder(tmp_path).create(replace(cfg, num_envs=128, device="cpu"))
+    assert main(["train", "--out", str(tmp_path), "--resume", "--max-env-steps", "1", "--max-time-s", "40"]) == 0
+    assert "ended before its first checkpoint; the training starts anew in the same folder" in caplog.text
+    assert RunFolder(tmp_path).newest_whole() is not None
+
+
+@pytest.mark.parametrize("trainer", ["rl_games", "sample_factory"])
+def test_sigterm_saves_and_a_full_disk_ends_with_a_sentence(
+    trainer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The signal comes after the second update of a run, the full disk when it goes on."""
+    out, update = tmp_path / "run", Progress.update
+    updates = []
+
+    def and_then_signal(self: Progress, report: Report) -> bool:
+        updates.append(report.env_steps)
+        if len(updates) == 2:
+            signal.raise_signal(signal.SIGTERM)
+        return update(self, report)
+
+    monkeypatch.setattr(Progress, "update", and_then_signal)
+    assert train(out, trainer) == 1
+    result = json.loads(capsys.readouterr().out)
+    assert result["interrupted"]
+    saved = RunFolder(out).newest_whole()
+    assert saved is not None
+    assert saved[1]["run"]["env_steps"] >= updates[-1]
+
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Keeper, "due", property(lambda self: monkeypatch.setattr(os, "fsync", full) or True))
+    assert main(["train", "--out", str(out), "--resume", "--max-env-steps", "20000", "--max-time-s", "40"]) == 1
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "disk is full" in said
+    assert f"The last checkpoint is {saved[0]}" in said
+
+
+def test_a_resumed_run_refuses_a_checkpoint_of_another_network(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = RunFolder(tmp_path)
+    cfg = load_settings(settings_for("rl_games", "position_setpoint_task"))
+    folder.create(replace(cfg, num_envs=128, device="cpu"))
+    path = folder.keep_checkpoint(5, {"model": {}, "run": {"trainer": "rl_games", "env_steps": 5}})
+    assert main(["train", "--out", str(tmp_path), "--resume", "--max-env-steps", "1"]) == 2
+    assert f"checkpoint {path}: does not fit the settings of its run" in capsys.readouterr().err

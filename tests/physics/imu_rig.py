@@ -38,7 +38,9 @@ NOISY = replace(
 class Rig:
     """An IMU on a body that is moved by hand. Everything it writes is NaN beforehand."""
 
-    def __init__(self, cfg: ImuCfg, num_envs: int = 1, *, dt: float = 0.01, seed: int = 0, errors=()) -> None:
+    def __init__(
+        self, cfg: ImuCfg, num_envs: int = 1, *, dt: float = 0.01, seed: int = 0, errors=(), pose=None
+    ) -> None:
         self.attitude = torch.zeros(num_envs, 4)
         self.attitude[:, 3] = 1.0
         self.lin_vel, self.ang_vel = torch.zeros(num_envs, 3), torch.zeros(num_envs, 3)
@@ -54,8 +56,10 @@ class Rig:
             gravity=G,
             seed=seed,
             errors=errors,
+            pose=pose,
         )
-        for tensor in (self.imu.bias, self.imu.mount_attitude, self.imu._point_vel):
+        poisoned = (self.imu._clock, self.imu._force_sum, self.imu._fresh, self.imu._line)
+        for tensor in (self.imu.bias, self.imu.mount_attitude, self.imu._point_vel, *poisoned):
             tensor.fill_(nan)
 
     def reset(self) -> Tensor:
@@ -75,4 +79,5 @@ class Rig:
 
     def memory(self) -> list[Tensor]:
         imu = self.imu
-        return [self.measurement, imu.bias, imu.mount_attitude, imu._point_vel, imu._sample]
+        kept = [imu._clock, imu._steps, imu._force_sum, imu._fresh, imu._place]
+        return [self.measurement, imu.bias, imu.mount_attitude, imu._point_vel, imu._sample, *kept, *imu._line]

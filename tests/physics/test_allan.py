@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.config.imu import load_imu
 from aerial_gym.errors import ShapeError
+from aerial_gym.sensors import IMUS
 from aerial_gym.sensors.allan import AllanCmd, allan_deviation, record_at_rest
 
 DT = 0.25
@@ -55,7 +55,7 @@ def test_simulated_imus_have_the_configured_densities(name: str, dt: float) -> N
 
     The rate is such that the record spans the time at which both lines meet, 4 s to 40 min.
     """
-    cfg = load_imu(name)
+    cfg = IMUS.get(name)
     tau, deviation = allan_deviation(record_at_rest(cfg, num_sensors=128, num_samples=4096, dt=dt, seed=7), dt)
     densities = [(*cfg.accel_noise_density, *cfg.gyro_noise_density), (*cfg.accel_bias_walk, *cfg.gyro_bias_walk)]
     for channel, truth in enumerate(torch.tensor(densities, dtype=torch.float64).square().T):

@@ -11,6 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from aerial_gym.config.imu import ImuCfg
 from aerial_gym.config.robot import InitialStateCfg, RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import ConfigError, ShapeError
@@ -38,6 +39,7 @@ from aerial_gym.physics import (
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.derived import DerivedStates
 from aerial_gym.robots.initial_state import InitialState
+from aerial_gym.sensors import Pose
 from aerial_gym.sensors.allan import record_at_rest
 from aerial_gym.sensors.imu import Imu
 from tests.physics.imu_rig import IDEAL, NOISY, ZERO, G, Rig
@@ -289,10 +291,16 @@ def test_a_first_sample_is_that_of_a_vehicle_without_acceleration() -> None:
     close(rig.imu._point_vel, torch.tensor([[5.0, -4.0, 3.0]]) + point, 1e-6)
 
 
-def test_reset_leaves_other_rows_bit_for_bit() -> None:
-    rig = Rig(NOISY, 8)
+SLOW = replace(NOISY, rate_hz=40.0, latency_s=0.03)
+"""Every 2.5 steps of 10 ms, three steps late."""
+
+
+@pytest.mark.parametrize("cfg", [NOISY, SLOW])
+def test_reset_leaves_other_rows_bit_for_bit(cfg: ImuCfg) -> None:
+    rig = Rig(cfg, 8)
     rig.reset()
-    rig.imu.measure()
+    for _ in range(4):
+        rig.imu.measure()
     mask = torch.tensor([True, False] * 4)
     before = [tensor.clone() for tensor in rig.memory()]
     rig.imu.reset(mask)
@@ -316,9 +324,10 @@ def test_same_seed_same_noise_and_restart() -> None:
             assert torch.equal(rig.measurement, row)
 
 
-def test_an_environment_does_not_depend_on_the_others() -> None:
+@pytest.mark.parametrize("cfg", [NOISY, SLOW])
+def test_an_environment_does_not_depend_on_the_others(cfg: ImuCfg) -> None:
     """Eight environments, and the same eight among 64 of which others are reset in between, are equal bit for bit."""
-    few, many = Rig(NOISY, 8), Rig(NOISY, 64)
+    few, many = Rig(cfg, 8), Rig(cfg, 64)
     few.reset()
     many.reset()
     late = torch.arange(64) >= 8
@@ -357,3 +366,87 @@ def test_effects_of_the_robot_act_in_body_axes_before_the_mount() -> None:
     in_body = (0.0, G * sin(0.1) + 0.2, G * cos(0.1))
     expected = torch.tensor([in_body[1], -in_body[0], in_body[2], 0.0, -0.03, 0.0])
     torch.testing.assert_close(sample, expected, rtol=0.0, atol=2e-6)
+
+
+def spin_about_z(rig: Rig, samples: int, rate: float, growth: float) -> list[Tensor]:
+    """Return the samples of a body whose origin rests and which turns about z with ``w = rate + growth t``."""
+    found = []
+    rig.move(quat_from_euler(torch.zeros(1, 3)), torch.zeros(1, 3), torch.tensor([[0.0, 0.0, rate]]))
+    rig.reset()
+    for k in range(1, samples + 1):
+        t = 0.01 * k
+        turn = torch.tensor([[0.0, 0.0, rate * t + 0.5 * growth * t * t]])
+        rate_now = torch.tensor([[0.0, 0.0, rate + growth * t]])
+        found.append(rig.sample(quat_from_euler(turn), torch.zeros(1, 3), rate_now).clone())
+    return found
+
+
+def test_a_rolled_mount_feels_the_lever_arm_in_its_own_axes() -> None:
+    """``f = w x (w x r) + dw x r + g``: with r = (0.2, 0, 0.1), w and dw along z that is (-0.2 w², 0.2 dw, g) in body axes.
+
+    Rolled by +90 degrees an IMU has its y along the body's z and its z along minus the body's y: (f_x, f_z, -f_y).
+    """
+    pose = Pose(
+        position=torch.tensor([0.2, 0.0, 0.1], dtype=torch.float64),
+        attitude=quat_from_euler(torch.tensor([0.5 * pi, 0.0, 0.0], dtype=torch.float64)),
+    )
+    w, dw = 2.0, 3.0
+    rig = Rig(replace(IDEAL, position=(9.0, 9.0, 9.0), euler=(1.0, 1.0, 1.0)), pose=pose)  # the mount replaces these
+    (found,) = spin_about_z(rig, 1, w, dw)
+    middle = w + 0.5 * 0.01 * dw
+    close(found, [[-0.2 * middle**2, G, -0.2 * dw, 0.0, w + 0.01 * dw, 0.0]], 0.01**2 * w * dw)  # O(dt²)
+
+
+def test_a_slower_imu_gives_the_mean_of_its_period_and_holds_it() -> None:
+    """With a third of the rate each sample is the mean force of three steps; the gyro stands at their end."""
+    lever = replace(IDEAL, position=(0.2, 0.0, 0.0))
+    every = spin_about_z(Rig(lever), 9, 2.0, 3.0)
+    slow = spin_about_z(Rig(replace(lever, rate_hz=100.0 / 3.0)), 9, 2.0, 3.0)
+    for k in (3, 6):
+        mean = torch.stack(every[k - 3 : k])[..., :3].mean(0)
+        expected = torch.cat((mean, every[k - 1][..., 3:]), dim=-1)
+        for held in slow[k - 1 : k + 2]:
+            close(held, expected.double(), 2e-6)
+    assert torch.equal(slow[0], slow[1])  # the sample of the reset
+
+
+def test_a_rate_between_those_of_the_steps_is_kept_on_average() -> None:
+    """Every 2.5 steps: in 100 steps of 10 ms there are 40 samples, each two or three steps after the one before."""
+    rig = Rig(replace(NOISY, rate_hz=40.0))
+    rig.reset()
+    new, before = [], rig.measurement.clone()
+    for _ in range(100):
+        rig.imu.measure()
+        new.append(not torch.equal(rig.measurement, before))
+        before = rig.measurement.clone()
+    times = [k for k, is_new in enumerate(new) if is_new]
+    assert len(times) == 40
+    assert {b - a for a, b in pairwise(times)} == {2, 3}
+
+
+def test_noise_and_walk_are_those_of_the_period() -> None:
+    """The deviation is ``sigma sqrt(rate)`` and that of a step of the bias ``sigma_b / sqrt(rate)``, whatever dt is."""
+    rig = Rig(replace(NOISY, misalignment_deg=ZERO, rate_hz=20.0), 20_000)
+    rig.reset()
+    start = rig.imu.bias.clone()
+    for _ in range(5):
+        rig.imu.measure()
+    assert_spread(rig.imu.bias - start, torch.tensor([*NOISY.accel_bias_walk, *NOISY.gyro_bias_walk]) / sqrt(20.0))
+    felt = torch.tensor([0.0, 0.0, G, 0.0, 0.0, 0.0])
+    density = torch.tensor([*NOISY.accel_noise_density, *NOISY.gyro_noise_density])
+    assert_spread(rig.measurement - rig.imu.bias - felt, density * sqrt(20.0))
+
+
+def test_a_measurement_appears_after_its_latency() -> None:
+    """What is late by three steps is what is not late, three steps before; until then it is the sample of the reset."""
+    now = spin_about_z(Rig(replace(NOISY, rate_hz=50.0)), 12, 2.0, 3.0)
+    late = spin_about_z(Rig(replace(NOISY, rate_hz=50.0, latency_s=0.03)), 12, 2.0, 3.0)
+    for k in range(3, 12):
+        assert torch.equal(late[k], now[k - 3])
+    assert torch.equal(late[0], late[2])
+    assert not torch.equal(late[3], late[5])
+
+
+def test_a_rate_above_that_of_the_steps_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"rate_hz = 200.0: steps of 0.01 s give at most 100 measurements per second"):
+        Rig(replace(IDEAL, rate_hz=200.0))

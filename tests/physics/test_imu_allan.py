@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from aerial_gym.config.imu import load_imu
+from aerial_gym.sensors import IMUS
 from aerial_gym.sensors.allan import allan_deviation
 from benchmarks.imu_allan import ImuAllanCmd, Record, compare, crossing_s, fit_densities, interval, lowest_point, shares
 
@@ -57,7 +57,7 @@ def test_the_lowest_point_is_where_the_lines_meet() -> None:
 
 
 def test_rows_tell_a_wrong_density_from_a_right_one() -> None:
-    cfg = load_imu("bmi088")
+    cfg = IMUS.get("bmi088")
     fast, slow = (Record.of(cfg, dt=dt, num_sensors=32, num_samples=1024, seed=3) for dt in (0.01, 0.5))
     right = compare("bmi088", cfg, fast, slow)
     assert [(row.sensor, row.axis) for row in right[:4]] == [
@@ -70,7 +70,7 @@ def test_rows_tell_a_wrong_density_from_a_right_one() -> None:
         for name in ("noise", "walk", "lowest"):
             configured, low, high = (getattr(row, f"{name}_{what}") for what in ("configured", "low", "high"))
             assert low - (high - low) <= configured <= high + (high - low), (row, name)  # 6 standard errors
-    wrong = compare("bmi088", load_imu("vn100"), fast, slow)
+    wrong = compare("bmi088", IMUS.get("vn100"), fast, slow)
     assert not wrong[3].noise_low <= wrong[3].noise_configured <= wrong[3].noise_high
 
 
@@ -81,7 +81,7 @@ def test_the_command_prints_rows_and_draws(tmp_path: Path, capsys: pytest.Captur
     assert [(row["sensor"], row["axis"]) for row in rows] == [
         (kind, axis) for kind in ("accel", "gyro") for axis in "xyz"
     ]
-    assert rows[3]["noise_configured"] == load_imu("vn100").gyro_noise_density[0]
+    assert rows[3]["noise_configured"] == IMUS.get("vn100").gyro_noise_density[0]
     assert (tmp_path / "imu_allan.png").read_bytes().startswith(b"\x89PNG")
     assert ImuAllanCmd(**common).run() == 0
     assert "K found" in capsys.readouterr().out

@@ -57,7 +57,7 @@ def learn(out: Path, seed: int, time_s: float) -> dict[str, Any]:
     """Train a policy from scratch, evaluate it on fresh starts, and return figures and numbers."""
     cfg = load_settings(settings_for("rl_games", "position_setpoint_task"))
     result = train(replace(cfg, seed=seed, max_time_s=time_s, device="cpu"), out / "training")
-    policy, _ = load_policy(result.checkpoint)
+    policy, _ = load_policy(out / "training")
     with task_registry.make_task(cfg.task, num_envs=NUM_EVALUATION_STARTS, device="cpu", seed=seed + 1_000_003) as task:
         evaluation = evaluate(policy, task)
         paths = _fly(policy, task)

@@ -6,8 +6,9 @@ from math import inf, nan
 import pytest
 
 from aerial_gym.config import build, to_mapping
-from aerial_gym.config.imu import ImuCfg, load_imu
+from aerial_gym.config.imu import ImuCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.sensors import IMUS
 
 G = 9.80665
 PI_180 = 3.141592653589793 / 180.0
@@ -16,7 +17,7 @@ NAMES = ("base_imu", "bmi088", "vn100")
 
 def test_shipped_imus_hold_the_values_of_aerial_gym() -> None:
     """parity.md 3.6, and the densities of the data sheets per sqrt(Hz): VN-100 and BMI088."""
-    base, vn100, bmi088 = (load_imu(name) for name in ("base_imu", "vn100", "bmi088"))
+    base, vn100, bmi088 = (IMUS.get(name) for name in ("base_imu", "vn100", "bmi088"))
     assert base.accel_noise_density == pytest.approx([0.001688956] * 3, rel=1e-6)
     assert base.gyro_noise_density == pytest.approx([0.001067934] * 3, rel=1e-6)
     assert vn100.accel_noise_density == pytest.approx([0.14e-3 * G] * 3, rel=1e-6)
@@ -37,13 +38,13 @@ def test_shipped_imus_hold_the_values_of_aerial_gym() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_an_imu_survives_the_way_to_yaml_and_back(name: str) -> None:
-    cfg = load_imu(name)
+    cfg = IMUS.get(name)
     assert build(ImuCfg, to_mapping(cfg), where="test") == cfg
 
 
 def test_unknown_names_list_what_exists() -> None:
-    with pytest.raises(UnknownNameError, match="no IMU 'vn10'. Known: base_imu, bmi088, vn100"):
-        load_imu("vn10")
+    with pytest.raises(UnknownNameError, match=r"no IMU 'vn10'. Did you mean 'vn100'\? Known: base_imu, bmi088, vn100"):
+        IMUS.get("vn10")
 
 
 @pytest.mark.parametrize(
@@ -66,4 +67,4 @@ def test_unknown_names_list_what_exists() -> None:
 )
 def test_impossible_imus_are_refused(fields: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        replace(load_imu("vn100"), **fields)
+        replace(IMUS.get("vn100"), **fields)

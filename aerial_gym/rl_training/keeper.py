@@ -1,0 +1,109 @@
+"""What a training keeps, when, and how it takes it up again: the same for both trainers."""
+
+import logging
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from aerial_gym.config import to_mapping
+from aerial_gym.errors import ConfigError
+from aerial_gym.rl_training import checkpoint
+from aerial_gym.rl_training.run_folder import RunFolder
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.task import Task
+
+FIRST_INTERVAL_S = 5.0
+"""At most so long after its start a training has a checkpoint of what it learned [s], or after its first update if that is
+longer; later ones follow every ``checkpoint_every_s``."""
+
+_log = logging.getLogger(__name__)
+
+
+class Keeper:
+    """Writes checkpoints: the trainer's state, and beside it settings, curriculum and random states."""
+
+    def __init__(
+        self, cfg: TrainingCfg, folder: RunFolder, task: Task, *, resumed: tuple[Path, dict[str, Any]] | None
+    ) -> None:
+        """Take what is kept besides the trainer's state, and the checkpoint to go on from, if there is one."""
+        self._cfg, self._folder, self._task, self._resumed = cfg, folder, task, resumed
+        self.ready = resumed is None
+        """Whether there is something of this run to save: not while it has still to take up what was."""
+        self._saved_at, self._interval = time.perf_counter(), min(FIRST_INTERVAL_S, cfg.checkpoint_every_s)
+
+    @property
+    def resumes(self) -> bool:
+        """Whether there is a checkpoint to go on from."""
+        return self._resumed is not None
+
+    @property
+    def due(self) -> bool:
+        """Whether it is time to save."""
+        return time.perf_counter() - self._saved_at >= self._interval
+
+    def save(self, state: Mapping[str, object], *, env_steps: int) -> Path:
+        """Keep a trainer's state after so many environment steps of all sessions.
+
+        Raises:
+            StorageError: If it cannot be written.
+        """
+        first = env_steps == 0
+        path = self._folder.keep_checkpoint(env_steps, {**state, "run": self._run_state(env_steps)})
+        self._saved_at = time.perf_counter()
+        self._interval = min(FIRST_INTERVAL_S, self._cfg.checkpoint_every_s) if first else self._cfg.checkpoint_every_s
+        return path
+
+    def restore(self, load: Callable[[dict[str, Any]], None]) -> None:
+        """Hand the checkpoint to the trainer's ``load``, then take up curriculum and random states.
+
+        Raises:
+            ConfigError: If the checkpoint does not fit the run.
+        """
+        assert self._resumed is not None
+        path, payload = self._resumed
+        try:
+            load(payload)
+            self._restore_run(payload.get("run", {}))
+            self.ready = True
+        except (KeyError, TypeError, ValueError, RuntimeError, AttributeError, IndexError) as error:
+            _log.exception("%s: cannot be taken up", path)
+            raise ConfigError(
+                f"checkpoint {path}: does not fit the settings of its run ({type(error).__name__}; the log of the run says "
+                "more). Start a new run in another --out"
+            ) from None
+
+    def _run_state(self, env_steps: int) -> dict[str, object]:
+        curriculum = self._task.curriculum
+        return {
+            "trainer": self._cfg.trainer,
+            "env_steps": env_steps,
+            "settings": to_mapping(self._cfg),
+            "curriculum": None if curriculum is None else curriculum.state(),
+            "random": checkpoint.random_state(),
+            "task_random": self._task.env.generator.get_state(),
+        }
+
+    def _restore_run(self, state: dict[str, Any]) -> None:
+        curriculum = self._task.curriculum
+        if curriculum is not None and state.get("curriculum") is not None:
+            curriculum.load(state["curriculum"])
+        if "random" in state:
+            checkpoint.restore_random_state(state["random"])
+            self._task.env.generator.set_state(state["task_random"])
+
+
+def steps_of(resumed: tuple[Path, dict[str, Any]] | None, trainer: str) -> int:
+    """Return the environment steps of a checkpoint; 0 without one.
+
+    Raises:
+        ConfigError: If it is one of another trainer, or of none.
+    """
+    if resumed is None:
+        return 0
+    path, payload = resumed
+    found = payload.get("run", {}).get("trainer", trainer)
+    steps = payload.get("run", payload).get("env_steps", payload.get("frame"))
+    if found != trainer or not isinstance(steps, int):
+        raise ConfigError(f"checkpoint {path}: is not one of a {trainer} training")
+    return steps

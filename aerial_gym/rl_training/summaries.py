@@ -1,0 +1,51 @@
+"""TensorBoard writers whose thread outlives a full disk.
+
+``tensorboardX`` writes in a thread behind a queue of ten events. An error of writing ends that thread and nothing else: the
+queue fills, and the training waits in it for ever.
+"""
+
+from typing import Any
+
+from aerial_gym.config.storage import storage_sentence
+from aerial_gym.errors import StorageError
+
+
+class GuardedEvents:
+    """An ``EventsWriter`` that keeps its first error instead of ending the thread that writes."""
+
+    def __init__(self, events: Any, folder: str) -> None:
+        """Take the library's writer of events and the folder it writes to."""
+        self._events, self._folder = events, folder
+        self._error: OSError | None = None
+
+    def write_event(self, event: object) -> None:
+        """Write, unless writing failed before."""
+        self._attempt(self._events.write_event, event)
+
+    def flush(self) -> None:
+        """Write what waits."""
+        self._attempt(self._events.flush)
+
+    def close(self) -> None:
+        """Write what waits and close the file."""
+        self._attempt(self._events.close)
+
+    def check(self) -> None:
+        """Raise ``StorageError`` if something could not be written."""
+        if self._error is not None:
+            raise StorageError(storage_sentence(self._error, self._folder))
+
+    def _attempt(self, call: Any, *arguments: object) -> None:
+        if self._error is None:
+            try:
+                call(*arguments)
+            except OSError as error:
+                self._error = error
+
+
+def guard(writer: Any) -> GuardedEvents:
+    """Put a guard between a ``tensorboardX.SummaryWriter`` and its file, and return it."""
+    file_writer = writer._get_file_writer().event_writer
+    guarded = GuardedEvents(file_writer._ev_writer, writer.logdir)
+    file_writer._ev_writer = file_writer._worker._record_writer = guarded
+    return guarded

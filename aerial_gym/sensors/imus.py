@@ -1,0 +1,89 @@
+"""The inertial measurement units of a robot and their measurements in the Global Tensor Dictionary.
+
+Letters: E environments.
+"""
+
+from collections.abc import Mapping, Sequence
+
+from torch import Tensor
+
+from aerial_gym.config.imu import ImuCfg
+from aerial_gym.physics.effects import ImuEffect
+from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+from aerial_gym.sensors.imu import Imu
+from aerial_gym.sensors.mounts import Mounted
+
+
+class ImuSet:
+    """Owns the measurements. The first IMU has the plain key, a further one has its own name in front of it."""
+
+    def __init__(
+        self,
+        mounted: Mapping[str, Mounted[ImuCfg]],
+        gtd: GlobalTensorDictionary,
+        *,
+        attitude: Tensor,
+        lin_vel: Tensor,
+        ang_vel: Tensor,
+        dt: float,
+        gravity: float,
+        seed: int,
+        errors: Sequence[tuple[ImuEffect, Tensor]] = (),
+    ) -> None:
+        """Declare the measurements and make an ``Imu`` for each.
+
+        Args:
+            mounted: IMUs by name, in order.
+            gtd: Receives ``imu_measurement`` (E, 6), and for further ones ``<name>_imu_measurement``.
+            attitude: Body to world, xyzw, unit, (E, 4); read at every sample, as are the next two.
+            lin_vel: Velocity of the body origin [m/s], world, (E, 3).
+            ang_vel: Angular velocity [rad/s], body, (E, 3).
+            dt: Time between two calls of ``measure`` [s]: the environment step.
+            gravity: Downward acceleration of free fall [m/s²].
+            seed: Of all draws; each further IMU has the next one.
+            errors: Effects of the robot on its inertial sensors with their parameters, (E, P).
+
+        Raises:
+            ConfigError: If an IMU measures more often than ``dt`` allows.
+        """
+        self.imus: dict[str, Imu] = {}
+        for name, given in mounted.items():
+            measurement = gtd.declare(TensorSpec(
+                key="imu_measurement" if not self.imus else f"{name}_imu_measurement",
+                shape=("E", 6), unit="m/s², rad/s", frame="imu", owner="SensorManager",
+                meaning=_meaning(given.cfg),
+            ))  # fmt: skip
+            self.imus[name] = Imu(
+                given.cfg,
+                pose=given.pose,
+                attitude=attitude,
+                lin_vel=lin_vel,
+                ang_vel=ang_vel,
+                measurement_out=measurement,
+                dt=dt,
+                gravity=gravity,
+                seed=seed + len(self.imus),
+                errors=errors,
+            )
+
+    def measure(self) -> None:
+        """Write the samples of the step that has just ended; launched on torch's current stream, not waited for."""
+        for imu in self.imus.values():
+            imu.measure()
+
+    def reset(self, mask: Tensor) -> None:
+        """Begin anew in the environments of ``mask``, bool (E,), from their present state; others stay bit for bit."""
+        for imu in self.imus.values():
+            imu.reset(mask)
+
+    def restart(self, seed: int) -> None:
+        """Begin the draws of a seed anew."""
+        for number, imu in enumerate(self.imus.values()):
+            imu.restart(seed + number)
+
+
+def _meaning(cfg: ImuCfg) -> str:
+    """Return the line of meaning of an IMU's measurement."""
+    period = "the step" if cfg.rate_hz is None else f"its period of {1.0 / cfg.rate_hz:g} s"
+    late = f", {cfg.latency_s:g} s late" if cfg.latency_s else ""
+    return f"mean specific force over {period}, angular velocity at its end, with bias and noise{late}"

@@ -1,0 +1,119 @@
+"""From the mounts of a robot file to sensors with a pose: names and files are looked up here.
+
+Frames: body is x forward, y left, z up.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.imu import ImuCfg
+from aerial_gym.config.sensor import RangeSensorCfg, SensorCfg, load_any_sensor
+from aerial_gym.config.sensor_mount import SensorMountCfg, is_file
+from aerial_gym.math.quaternion import (
+    quat_conjugate,
+    quat_from_euler,
+    quat_multiply,
+    quat_normalize,
+    quat_rotate,
+)
+from aerial_gym.registry import Registry
+from aerial_gym.sensors.catalog import IMUS, SENSORS
+
+Cfg = TypeVar("Cfg", RangeSensorCfg, ImuCfg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pose:
+    """A place in the body frame, float64."""
+
+    position: Tensor
+    """[m], (3,)."""
+
+    attitude: Tensor
+    """To the body, xyzw, unit, (4,)."""
+
+    def of(self, position: Tensor, attitude: Tensor) -> tuple[Tensor, Tensor]:
+        """Return where what stands at ``position`` (..., 3) and ``attitude`` (..., 4) of this frame is in the body frame."""
+        turn = self.attitude.to(attitude).expand_as(attitude)
+        return self.position.to(position) + quat_rotate(turn, position), quat_multiply(turn, attitude)
+
+    def inverse(self) -> "Pose":
+        """Return the pose of the body in this frame."""
+        back = quat_conjugate(self.attitude)
+        return Pose(position=-quat_rotate(back, self.position), attitude=back)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mounted(Generic[Cfg]):
+    """A sensor on a robot."""
+
+    cfg: Cfg
+    """The sensor, with the rate and latency of its mount."""
+
+    pose: Pose | None
+    """Where it is instead of its nominal placement; None where its mount says nothing."""
+
+
+def sensor_by_name(name: str) -> SensorCfg:
+    """Return a registered range sensor or IMU, or the one in a file if ``name`` ends in ``.yaml``.
+
+    Raises:
+        UnknownNameError: If nothing is registered under the name; the message lists what is.
+    """
+    if is_file(name):
+        return load_any_sensor(name)
+    if name in IMUS:
+        return IMUS.get(name)
+    if name in SENSORS:
+        return SENSORS.get(name)
+    known: Registry[SensorCfg] = Registry("sensor")
+    for registry in (SENSORS, IMUS):
+        for each in registry:
+            known.register(each, registry.get(each))
+    return known.get(name)
+
+
+def nominal_pose(cfg: SensorCfg) -> Pose:
+    """Return the placement in the sensor's own file."""
+    attitude = quat_from_euler(torch.tensor(cfg.euler, dtype=torch.float64))
+    return Pose(position=torch.tensor(cfg.position, dtype=torch.float64), attitude=attitude)
+
+
+def mount_pose(mount: SensorMountCfg, cfg: SensorCfg) -> Pose | None:
+    """Return where a mount holds a sensor; what it does not say is as in the sensor's file, None if it says nothing."""
+    if mount.position is None and mount.euler is None and mount.quaternion is None:
+        return None
+    pose = nominal_pose(cfg)
+    if mount.position is not None:
+        pose = replace(pose, position=torch.tensor(mount.position, dtype=torch.float64))
+    if mount.euler is not None:
+        pose = replace(pose, attitude=quat_from_euler(torch.tensor(mount.euler, dtype=torch.float64)))
+    if mount.quaternion is not None:
+        pose = replace(pose, attitude=quat_normalize(torch.tensor(mount.quaternion, dtype=torch.float64)))
+    return pose
+
+
+def mounted_sensors(
+    mounts: Sequence[SensorMountCfg],
+) -> tuple[dict[str, Mounted[RangeSensorCfg]], dict[str, Mounted[ImuCfg]]]:
+    """Return the range sensors and the IMUs of a robot by the names of their mounts, in order.
+
+    Raises:
+        UnknownNameError: If a sensor is not registered.
+        ConfigError: If a file does not hold one, or a mount asks for what the sensor cannot.
+    """
+    ranges: dict[str, Mounted[RangeSensorCfg]] = {}
+    imus: dict[str, Mounted[ImuCfg]] = {}
+    for mount in mounts:
+        cfg = sensor_by_name(mount.sensor)
+        timing = {name: getattr(mount, name) for name in ("rate_hz", "latency_s") if getattr(mount, name) is not None}
+        pose = mount_pose(mount, cfg)
+        if isinstance(cfg, ImuCfg):
+            imus[mount.key] = Mounted(cfg=replace(cfg, **timing), pose=pose)
+        else:
+            ranges[mount.key] = Mounted(cfg=replace(cfg, **timing), pose=pose)
+    return ranges, imus

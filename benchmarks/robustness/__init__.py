@@ -1,0 +1,1 @@
+"""Attacks on the package: trainings that are killed, inputs that are mutated."""

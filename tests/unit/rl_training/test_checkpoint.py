@@ -1,0 +1,142 @@
+"""Checkpoint files: whole or not there, checked when they are read, and the two that a run keeps."""
+
+import errno
+import logging
+import os
+import random
+import signal
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from aerial_gym.errors import ConfigError, StorageError
+from aerial_gym.rl_training import checkpoint
+from aerial_gym.rl_training.interruption import interruptible
+from aerial_gym.rl_training.progress import CURVE_COLUMNS, Progress
+from aerial_gym.rl_training.run_folder import RunFolder
+from aerial_gym.rl_training.settings import load_settings, settings_for
+from aerial_gym.rl_training.summaries import GuardedEvents
+
+
+def payload() -> dict[str, Any]:
+    return {"model": {"weight": torch.arange(500.0)}, "run": {"env_steps": 3, "random": checkpoint.random_state()}}
+
+
+def draws() -> tuple[float, float, float]:
+    return float(torch.rand(())), float(np.random.rand()), random.random()
+
+
+def full_disk(descriptor: int) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_checkpoint_comes_back_with_the_random_states(tmp_path: Path) -> None:
+    checkpoint.save(tmp_path / "a.pth", payload())
+    expected = draws()
+    draws()
+    found = checkpoint.load(tmp_path / "a.pth")
+    torch.testing.assert_close(found["model"]["weight"], torch.arange(500.0), rtol=0.0, atol=0.0)
+    checkpoint.restore_random_state(found["run"]["random"])
+    assert draws() == expected
+
+
+def test_every_flipped_bit_of_the_tensors_is_found(tmp_path: Path) -> None:
+    """Each byte that belongs to the weights is damaged once: torch itself would load most of them."""
+    path = tmp_path / "a.pth"
+    checkpoint.save(path, {"model": {"weight": torch.arange(8.0)}})
+    good = path.read_bytes()
+    start = good.index(torch.arange(8.0).numpy().tobytes())
+    for position in range(start, start + 32):
+        path.write_bytes(good[:position] + bytes([good[position] ^ 1]) + good[position + 1 :])
+        with pytest.raises(ConfigError, match=r"a.pth: is damaged, the check sum"):
+            checkpoint.load(path)
+
+
+def test_bad_files_are_refused_without_the_advice_of_torch(tmp_path: Path) -> None:
+    path = tmp_path / "a.pth"
+    checkpoint.save(path, payload())
+    good = path.read_bytes()
+    torch.save({"model": Path}, tmp_path / "code.pth")
+    for name, content in (("torn", good[: len(good) // 2]), ("empty", b""), ("text", b"weights")):
+        (tmp_path / name).write_bytes(content)
+    for name in ("torn", "empty", "text", "code.pth", "missing"):
+        with pytest.raises(ConfigError) as error:
+            checkpoint.load(tmp_path / name)
+        assert str(error.value).startswith(f"checkpoint {tmp_path / name}: ")
+        assert "weights_only" not in str(error.value)
+        assert "\n" not in str(error.value)
+
+
+def test_a_full_disk_leaves_the_old_checkpoints_and_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = RunFolder(tmp_path)
+    kept = folder.keep_checkpoint(10, payload())
+    monkeypatch.setattr(os, "fsync", full_disk)
+    with pytest.raises(StorageError, match=r"disk is full.*last checkpoint is .*10.pth; --resume"):
+        folder.keep_checkpoint(20, payload())
+    assert list(folder.checkpoint_folder.iterdir()) == [kept]
+
+
+def test_two_checkpoints_are_kept_and_a_damaged_one_gives_way_to_the_one_before(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = RunFolder(tmp_path)
+    assert folder.newest_whole() is None
+    (tmp_path / "checkpoints").mkdir()
+    (tmp_path / "checkpoints" / ".checkpoint_7.pth.partial").write_bytes(b"torn by a kill")
+    first, second, third = (folder.keep_checkpoint(steps, payload()) for steps in (9, 10, 11))
+    assert folder.checkpoints() == [second, third]
+    assert sorted(folder.checkpoint_folder.iterdir()) == [second, third]
+    assert not first.exists()
+    third.write_bytes(third.read_bytes()[:100])
+    with caplog.at_level(logging.WARNING):
+        found = folder.newest_whole()
+    assert found is not None
+    assert found[0] == second
+    assert "damaged" in caplog.text
+    assert third.with_name(third.name + ".damaged").exists()
+    second.write_bytes(b"")
+    with pytest.raises(ConfigError, match="Start a new run in another --out"):
+        folder.newest_whole()
+
+
+def test_a_resumed_curve_has_no_line_beyond_the_checkpoint_nor_a_torn_one(tmp_path: Path) -> None:
+    curve = tmp_path / "curve.csv"
+    curve.write_text(",".join(CURVE_COLUMNS) + "\r\n1.5,100,,,,9\r\n2.5,200,,,,9\r\n3.5,300,,,,9\r\n4.5,40")
+    cfg = load_settings(settings_for("rl_games", "position_setpoint_task"))
+    with Progress(cfg, curve, started=0.0, show=False, resumed_steps=200):
+        pass
+    assert curve.read_text().split() == [",".join(CURVE_COLUMNS), "1.5,100,,,,9", "2.5,200,,,,9"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_swallowed_signal_is_remembered(number: signal.Signals) -> None:
+    before = signal.getsignal(number)
+    with interruptible() as interruption:
+        interruption.check()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(number)
+        with pytest.raises(KeyboardInterrupt):
+            interruption.check()
+    assert signal.getsignal(number) is before
+
+
+def test_a_writer_of_summaries_outlives_a_full_disk_and_says_so() -> None:
+    calls = []
+
+    def write(event: object) -> None:
+        calls.append(event)
+        if len(calls) == 2:
+            full_disk(0)
+
+    events = GuardedEvents(SimpleNamespace(write_event=write, flush=lambda: None, close=lambda: None), "summaries")
+    events.write_event(1)
+    events.check()
+    events.write_event(2)
+    events.write_event(3)
+    assert calls == [1, 2]
+    with pytest.raises(StorageError, match="summaries: cannot be written, the disk is full"):
+        events.check()
