@@ -97,4 +97,6 @@ def test_every_name_of_a_package_is_there() -> None:
         package = import_module(".".join(init.parent.relative_to(ROOT.parent).parts))
         for name in getattr(package, "__all__", ()):
             assert name in dir(package), (package.__name__, name)
+            if "exports(" in init.read_text():
+                assert not (init.parent / f"{name}.py").exists(), f"{package.__name__}.{name} would be the module"
             getattr(package, name)

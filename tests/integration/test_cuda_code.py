@@ -11,6 +11,7 @@ from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.images import IMAGES
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.interop import start_warp
+from aerial_gym.interop.rows import RowFunction
 from aerial_gym.physics import EFFECTS, Ground, WarpBackend, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.robots import ROBOTS, derived, initial_state, scene_contact
@@ -73,6 +74,11 @@ def test_the_physics_kernel_with_contact_compiles(tmp_path: Path) -> None:
     law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, 9.81)
     backend.allocate(build_model(vehicle), law, integrator="euler", ground=ground)
     compile_for_gpu(backend.kernel.module, tmp_path)
+
+
+def test_row_kernels_compile(tmp_path: Path) -> None:
+    rows = RowFunction(lambda a: (torch.asin(a).norm(dim=-1), a > 0.0, torch.remainder(a, 2.0)), (torch.rand(2, 3),))
+    compile_for_gpu(rows.kernel.module, tmp_path)
 
 
 @pytest.mark.parametrize("module", [derived, initial_state, imu, scene_contact, goals, view, collision, flow])

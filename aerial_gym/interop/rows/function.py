@@ -1,0 +1,92 @@
+"""A pure torch function of rows as one launch.
+
+Letters: E rows.
+"""
+
+import hashlib
+from collections.abc import Callable, Sequence
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.interop.rows.source import WARP_TYPES, write
+from aerial_gym.interop.rows.tracing import trace
+from aerial_gym.interop.streams import on_torch_stream, start_warp
+
+_kernels: dict[str, wp.Kernel] = {}
+"""By source: two functions that do the same share a kernel."""
+
+
+class RowFunction:
+    """Does what a torch function does to every row, in one Warp kernel; no gradients flow through it."""
+
+    def __init__(self, function: Callable[..., Tensor | tuple[Tensor, ...]], inputs: Sequence[Tensor]) -> None:
+        """Trace the function and write its kernel, which is compiled at the first call.
+
+        Args:
+            function: Pure; takes tensors, returns tensors of E rows. It is traced once: numbers that it reads from elsewhere
+                are those of this moment.
+            inputs: What it will be called with, or tensors of the same shapes and types: (E, ...), or () for what all share.
+
+        Raises:
+            UntraceableError: If it cannot be done row by row; the text says why.
+        """
+        start_warp()
+        traced = trace(function, inputs)
+        source = write(traced)
+        self.code = source.code
+        """The kernel."""
+        self._inputs = source.inputs
+        self._outputs = [(shape, dtype) for _, shape, dtype in traced.outputs]
+        self.kernel = _kernel(source.code)
+        """It as Warp has it."""
+        self._known: dict[int, tuple[Tensor, wp.array]] = {}
+
+    def __call__(self, *inputs: Tensor, out: Sequence[Tensor | None] = ()) -> tuple[Tensor, ...]:
+        """Return the results; launched on torch's current stream, not waited for.
+
+        Args:
+            inputs: As at construction. Tensors that stay the same objects from call to call cost nothing more.
+            out: Receives the results, where given; new tensors are made for the others. An input may be an output.
+        """
+        first = next(inputs[i] for i in self._inputs if inputs[i].ndim)
+        rows, device = first.shape[0], first.device
+        given = [*out, *[None] * (len(self._outputs) - len(out))]
+        results = [
+            torch.empty((rows, *shape), dtype=dtype, device=device) if tensor is None else tensor
+            for tensor, (shape, dtype) in zip(given, self._outputs, strict=True)
+        ]
+        arrays = [self._view(i, inputs[i]) for i in self._inputs]
+        arrays += [
+            _as_rows(tensor) if new is None else self._view(-1 - i, tensor)
+            for i, (tensor, new) in enumerate(zip(results, given, strict=True))
+        ]
+        with on_torch_stream(first):
+            wp.launch(self.kernel, dim=rows, inputs=arrays, device=wp.device_from_torch(device))
+        return tuple(results)
+
+    def _view(self, key: int, tensor: Tensor) -> wp.array:
+        known = self._known.get(key)
+        if known is None or known[0] is not tensor:
+            known = self._known[key] = (tensor, _as_rows(tensor))
+        return known[1]
+
+
+def _as_rows(tensor: Tensor) -> wp.array:
+    """Return the tensor as Warp sees it: (E, n), or (1,) where it has no rows. Nothing is copied."""
+    kind = getattr(wp, WARP_TYPES[tensor.dtype])
+    view = tensor.view(1) if tensor.ndim == 0 else tensor.view(tensor.shape[0], -1)
+    return wp.from_torch(view, dtype=kind, requires_grad=False)
+
+
+def _kernel(code: str) -> wp.Kernel:
+    """Return the kernel of a source; the same in every process, so that Warp finds it in its cache."""
+    if code not in _kernels:
+        namespace: dict[str, object] = {"wp": wp}
+        exec(code, namespace)
+        name = f"aerial_gym_rows_{hashlib.sha256(code.encode()).hexdigest()[:12]}"
+        module = wp.get_module(name)
+        module.options["enable_backward"] = False
+        _kernels[code] = wp.Kernel(namespace["rows"], key="rows", source=code, module=module)
+    return _kernels[code]

@@ -1,0 +1,87 @@
+"""A trace as the source of a Warp kernel: one thread per row, every number in a register."""
+
+from dataclasses import dataclass
+from math import isinf, isnan
+
+import torch
+
+from aerial_gym.interop.rows.operations import CODE
+from aerial_gym.interop.rows.tracing import Scalar, Trace
+
+WARP_TYPES = {
+    torch.float32: "float32",
+    torch.float64: "float64",
+    torch.int32: "int32",
+    torch.int64: "int64",
+    torch.bool: "bool",
+}
+"""Names of Warp's types."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class KernelSource:
+    """A kernel ``rows`` and which inputs it takes."""
+
+    code: str
+    inputs: tuple[int, ...]
+    """Positions of the inputs that are read; each is an argument, rows as (E, n) and shared ones as (1,). Outputs follow."""
+
+
+def write(trace: Trace) -> KernelSource:
+    """Return the kernel that does what was traced."""
+    needed = _needed(trace)
+    kinds = {int(scalar.args[0]): scalar for n in needed if (scalar := trace.scalars[n]).kind in ("input", "shared")}
+    arguments = [f"in_{i}: {_array(kinds[i].dtype, kinds[i].kind == 'input')}" for i in sorted(kinds)]
+    arguments += [f"out_{i}: {_array(dtype, True)}" for i, (_, _, dtype) in enumerate(trace.outputs)]
+    lines = [f"    v{n} = {_code(trace.scalars[n])}" for n in needed]
+    for i, (numbers, _, _) in enumerate(trace.outputs):
+        lines += [f"    out_{i}[row, {entry}] = v{n}" for entry, n in enumerate(numbers)]
+    head = f"def rows({', '.join(arguments)}):\n    row = wp.tid()\n"
+    return KernelSource(code=head + "\n".join(lines) + "\n", inputs=tuple(sorted(kinds)))
+
+
+def _needed(trace: Trace) -> list[int]:
+    """Return the scalars on which outputs depend, in order."""
+    found: set[int] = set()
+    ahead = [n for numbers, _, _ in trace.outputs for n in numbers]
+    while ahead:
+        number = ahead.pop()
+        if number not in found:
+            found.add(number)
+            scalar = trace.scalars[number]
+            if scalar.kind not in ("input", "shared", "constant"):
+                ahead += [int(n) for n in scalar.args]
+    return sorted(found)
+
+
+def _array(dtype: torch.dtype, rows: bool) -> str:
+    return f"wp.array{'2d' if rows else ''}[wp.{WARP_TYPES[dtype]}]"
+
+
+def _code(scalar: Scalar) -> str:
+    if scalar.kind == "input":
+        return f"in_{scalar.args[0]}[row, {scalar.args[1]}]"
+    if scalar.kind == "shared":
+        return f"in_{scalar.args[0]}[0]"
+    if scalar.kind == "constant":
+        return _constant(scalar.args[0], scalar.dtype)
+    names = [f"v{n}" for n in scalar.args]
+    if scalar.kind == "cast":
+        return f"wp.{WARP_TYPES[scalar.dtype]}({names[0]})"
+    code = CODE[scalar.kind].format(*names)
+    if scalar.dtype == torch.float64:
+        code = (
+            code.replace("1.0", "wp.float64(1.0)")
+            .replace("0.0", "wp.float64(0.0)")
+            .replace("wp.nan", "wp.float64(wp.nan)")
+        )
+    return code
+
+
+def _constant(value: float, dtype: torch.dtype) -> str:
+    kind = f"wp.{WARP_TYPES[dtype]}"
+    if isinstance(value, float) and isnan(value):
+        return f"{kind}(wp.nan)"
+    if isinstance(value, float) and isinf(value):
+        return f"{kind}({'-' if value < 0.0 else ''}wp.inf)"
+    return f"{kind}({value!r})"

@@ -1,0 +1,282 @@
+"""What a pure torch function does to one row, as a list of scalar operations.
+
+The function is called once, on zeros, while it is noted for every element which scalar it is. Operations that only move
+elements (slices, ``cat``, ``stack``, ``expand``, ...) are done on the numbers of those scalars by torch itself; all others
+add scalars, each only once.
+Letters: B rows of the trace.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.overrides import TorchFunctionMode
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from aerial_gym.interop.rows.operations import COMPOSED, MOVES, POINTWISE, REDUCTIONS
+
+ROWS = 97
+"""Rows of the trace, B: a prime number that is no other size."""
+
+LARGEST_ROW = 256
+"""Most entries that a row of an input may have: each becomes a variable of the kernel."""
+
+
+_MARK = 1 << 32
+"""Row b adds (b + 1) times this to the numbers of its scalars: an operation that mixes rows shows."""
+
+
+class UntraceableError(Exception):
+    """The function does something that is not the same small computation in every row; the text says what."""
+
+
+@dataclass(frozen=True)
+class Scalar:
+    """One number of a row: what makes it, from which others."""
+
+    kind: str
+    """``input`` (of a row), ``shared`` (one for all rows), ``constant``, or the name of an operation."""
+
+    args: tuple[int | float | bool, ...]
+    """Numbers of other scalars; of an input its position and its entry; of a constant its value."""
+
+    dtype: torch.dtype
+
+
+@dataclass
+class Trace:
+    """All scalars of a function, in an order in which each needs only earlier ones."""
+
+    scalars: list[Scalar] = field(default_factory=list)
+    outputs: list[tuple[list[int], tuple[int, ...], torch.dtype]] = field(default_factory=list)
+    """Of each output: its scalars, the shape of its row, its type."""
+
+    _numbers: dict[tuple[str, tuple[str, ...], torch.dtype], int] = field(default_factory=dict)
+
+    def number(self, kind: str, args: tuple[Any, ...], dtype: torch.dtype) -> int:
+        """Return the number of a scalar, a new one if there is none like it."""
+        scalar = Scalar(kind, args, dtype)
+        key = (kind, tuple(map(repr, args)), dtype)  # so that 0.0 is not -0.0
+        if key not in self._numbers:
+            self._numbers[key] = len(self.scalars)
+            self.scalars.append(scalar)
+        return self._numbers[key]
+
+    def cast(self, number: int, dtype: torch.dtype) -> int:
+        """Return the scalar as another type."""
+        return number if self.scalars[number].dtype == dtype else self.number("cast", (number,), dtype)
+
+
+def trace(function: Callable[..., Tensor | tuple[Tensor, ...]], inputs: Sequence[Tensor]) -> Trace:
+    """Return what ``function`` does to one row.
+
+    Args:
+        function: Pure, of tensors; returns tensors of rows. No branch on a tensor.
+        inputs: Tensors (E, ...), or shared ones without rows: those of no dimension.
+
+    Raises:
+        UntraceableError: If it cannot be done row by row with the operations of ``operations.py``.
+    """
+    into = Trace()
+    watch = _Watch(into)
+    rows = [watch.input(position, tensor) for position, tensor in enumerate(inputs)]
+    try:
+        with torch.no_grad(), watch, _NothingElse(watch):
+            results = function(*rows)
+    except UntraceableError:
+        raise
+    except Exception as error:
+        raise UntraceableError(f"{type(error).__name__}: {(str(error).strip().splitlines() or [''])[0]}") from error
+    for result in results if isinstance(results, tuple) else (results,):
+        if not isinstance(result, Tensor) or result.shape[:1] != (ROWS,) or not watch.follows(result):
+            raise UntraceableError("a result does not have a row for each environment")
+        numbers = watch.numbers_of(result, result.dtype).expand(result.shape)
+        into.outputs.append((_unmarked(numbers).flatten().tolist(), tuple(result.shape[1:]), result.dtype))
+    return into
+
+
+class _Watch(TorchDispatchMode):
+    """Does every operation of torch, and notes what it does to the scalars of its arguments.
+
+    The scalars of a tensor are int64: (B, ...), in every row the same but for the row's ``_MARK``, or of any shape for what
+    all rows share.
+    """
+
+    def __init__(self, into: Trace) -> None:
+        super().__init__()
+        self.into = into
+        self._numbers: dict[int, tuple[Tensor, Tensor | None]] = {}  # by id of a tensor that is kept; None: a constant
+
+    @classmethod
+    def _should_skip_dynamo(cls) -> bool:
+        return False  # torch would import its whole compiler to be told that this is not to be compiled
+
+    def input(self, position: int, tensor: Tensor) -> Tensor:
+        """Return zeros that stand for an input."""
+        kind, shape = ("shared", tensor.shape) if tensor.ndim == 0 else ("input", tensor.shape[1:])
+        if shape.numel() > LARGEST_ROW:
+            raise UntraceableError(f"input {position} has {shape.numel()} entries in a row")
+        found = [self.into.number(kind, (position, i), tensor.dtype) for i in range(shape.numel())]
+        numbers = torch.tensor(found, dtype=torch.int64).view(shape)
+        rows = () if kind == "shared" else (ROWS,)
+        return self._note(torch.zeros(rows + tuple(shape), dtype=tensor.dtype), _marked(numbers) if rows else numbers)
+
+    def knows(self, tensor: Tensor) -> bool:
+        """Return whether the tensor is an input or was made from inputs and constants."""
+        return id(tensor) in self._numbers
+
+    def follows(self, tensor: Tensor) -> bool:
+        """Return whether the tensor depends on an input."""
+        return self._numbers.get(id(tensor), (None, None))[1] is not None
+
+    def numbers_of(self, value: Any, dtype: torch.dtype | None = None) -> Tensor:
+        """Return the scalars, as a type, of a followed tensor, of one that is the same for all rows, or of a number."""
+        known = self._numbers.get(id(value), (None, None))[1] if isinstance(value, Tensor) else None
+        if known is not None:
+            numbers, given = known, value.dtype
+        else:
+            plain = value.detach().cpu() if isinstance(value, Tensor) else torch.tensor(value, dtype=dtype)
+            if plain.numel() > LARGEST_ROW:
+                raise UntraceableError(f"a constant of {plain.numel()} entries")
+            found = [self.into.number("constant", (entry,), plain.dtype) for entry in plain.flatten().tolist()]
+            numbers, given = torch.tensor(found, dtype=torch.int64).view(plain.shape), plain.dtype
+        if dtype is None or given == dtype:
+            return numbers
+        return _each(lambda number: self.into.cast(number, dtype), numbers)
+
+    def __torch_dispatch__(
+        self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
+    ) -> Any:
+        """Do the operation on the tensors and on their scalars."""
+        kwargs, name = kwargs or {}, func.overloadpacket.__name__
+        follows = any(isinstance(leaf, Tensor) and self.follows(leaf) for leaf in _leaves((args, kwargs)))
+        if follows and name in COMPOSED:
+            with self:
+                return COMPOSED[name](*args, **kwargs)
+        if follows and name not in MOVES and name not in REDUCTIONS and name not in POINTWISE:
+            with self:
+                result = func.decompose(*args, **kwargs)
+            if result is not NotImplemented:
+                return result
+            raise UntraceableError(f"torch.{name} is none of the operations that fit into a row kernel")
+        if torch.Tag.nondeterministic_seeded in func.tags:
+            raise UntraceableError(f"torch.{name} draws random numbers")
+        result = func(*args, **kwargs)
+        if not follows:
+            return _mapped(result, lambda leaf: self._note(leaf, None) if isinstance(leaf, Tensor) else leaf)
+        if name in MOVES:
+            numbers = self._moved(func, args, kwargs, result)
+        elif name in REDUCTIONS:
+            numbers = self._reduced(name, args, kwargs, result)
+        else:
+            numbers = self._pointwise(name, args, kwargs, result)
+        if isinstance(result, (list, tuple)):
+            return [self._note(leaf, each) for leaf, each in zip(result, numbers, strict=True)]
+        return self._note(result, numbers)
+
+    def _note(self, tensor: Tensor, numbers: Tensor | None) -> Tensor:
+        if numbers is not None:
+            _unmarked(numbers)
+        self._numbers[id(tensor)] = (tensor, numbers)
+        return tensor
+
+    def _moved(self, func: Any, args: Any, kwargs: Any, result: Any) -> Any:
+        """Do what only moves elements on the scalars' numbers; ``constant_pad_nd`` also brings a constant."""
+        dtype = result[0].dtype if isinstance(result, (list, tuple)) else result.dtype
+        if func.overloadpacket.__name__ == "constant_pad_nd":
+            value = args[2] if len(args) > 2 else kwargs.get("value", 0.0)
+            args = (*args[:2], self.into.number("constant", (torch.tensor(value, dtype=dtype).item(),), dtype))
+        return func(
+            *_mapped(args, lambda leaf: self.numbers_of(leaf, dtype) if isinstance(leaf, Tensor) else leaf), **kwargs
+        )
+
+    def _pointwise(self, name: str, args: Any, kwargs: Any, result: Tensor) -> Tensor:
+        operation = POINTWISE[name]
+        if (unknown := set(kwargs) - operation.known) or (operation.floats and not result.dtype.is_floating_point):
+            raise UntraceableError(f"torch.{name} of {result.dtype}{' with ' if unknown else ''}{', '.join(unknown)}")
+        if name.startswith("bitwise") and result.dtype != torch.bool:
+            raise UntraceableError(f"torch.{name} of integers")
+        values = operation.arguments(args, kwargs)
+        inside = torch.result_type(*values) if operation.compares else operation.inside or result.dtype
+        types = operation.types or (inside,) * len(values)
+        numbers = [self.numbers_of(value, dtype) for value, dtype in zip(values, types, strict=True)]
+        made = _each(lambda *row: operation.make(self.into, row, result.dtype), *numbers)
+        made = _each(lambda number: self.into.cast(number, result.dtype), made)
+        return made.expand(result.shape)
+
+    def _reduced(self, name: str, args: Any, kwargs: Any, result: Tensor) -> Tensor:
+        reduction, given = REDUCTIONS[name], args[0]
+        dims, keep = reduction.dims(args, kwargs, given.ndim)
+        if given.shape[:1] == (ROWS,) and 0 in dims:
+            raise UntraceableError(f"torch.{name} over the rows")
+        numbers = self.numbers_of(given, torch.bool if name in ("any", "all") else result.dtype)
+        kept = [dim for dim in range(given.ndim) if dim not in dims]
+        front = numbers.permute(*kept, *sorted(dims)).reshape(*(numbers.shape[dim] for dim in kept), -1)
+        made = _each(lambda *row: reduction.make(self.into, row, result.dtype, args, kwargs), *front.unbind(-1))
+        if keep:
+            for dim in sorted(dims):
+                made = made.unsqueeze(dim)
+        return made
+
+
+class _NothingElse(TorchFunctionMode):
+    """Refuses tensors that the function takes from elsewhere: they may hold other numbers at the next call."""
+
+    def __init__(self, watch: _Watch) -> None:
+        super().__init__()
+        self._watch = watch
+
+    def __torch_function__(
+        self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
+    ) -> Any:
+        """Do it."""
+        for leaf in _leaves((args, kwargs or {})):
+            if isinstance(leaf, Tensor) and not self._watch.knows(leaf):
+                raise UntraceableError("it reads a tensor that is not among its arguments")
+        return func(*args, **(kwargs or {}))
+
+
+def _marked(numbers: Tensor) -> Tensor:
+    """Return the scalars of one row for all rows."""
+    marks = _MARK * torch.arange(1, ROWS + 1).view(-1, *[1] * numbers.ndim)
+    return numbers.unsqueeze(0) + marks
+
+
+def _unmarked(numbers: Tensor) -> Tensor:
+    """Return the scalars of one row, or of what all rows share.
+
+    Raises:
+        UntraceableError: If a row does not have its own.
+    """
+    rows = numbers.shape[:1] == (ROWS,)
+    row, scalars = numbers // _MARK, numbers % _MARK
+    own = torch.arange(1, ROWS + 1).view(-1, *[1] * (numbers.ndim - 1)) if rows else torch.zeros(1, dtype=torch.int64)
+    if bool(((row != 0) & (row != own)).any()) or (
+        rows and not torch.equal(scalars, scalars[:1].expand(scalars.shape))
+    ):
+        raise UntraceableError("an operation mixes rows")
+    return scalars[0] if rows else scalars
+
+
+def _each(make: Callable[..., int], *numbers: Tensor) -> Tensor:
+    """Return the scalars that ``make`` gives for those side by side, made once for a row where there are rows."""
+    together = torch.broadcast_tensors(*numbers)
+    rows = together[0].shape[:1] == (ROWS,)
+    single = [_unmarked(tensor) for tensor in together]
+    found = [make(*row) for row in zip(*(tensor.flatten().tolist() for tensor in single), strict=True)]
+    made = torch.tensor(found, dtype=torch.int64).view(single[0].shape)
+    return _marked(made) if rows else made
+
+
+def _leaves(value: Any) -> list[Any]:
+    if isinstance(value, dict):
+        value = list(value.values())
+    return [leaf for item in value for leaf in _leaves(item)] if isinstance(value, (list, tuple)) else [value]
+
+
+def _mapped(value: Any, change: Callable[[Any], Any]) -> Any:
+    if isinstance(value, (list, tuple)):
+        return type(value)(_mapped(item, change) for item in value)
+    return change(value)

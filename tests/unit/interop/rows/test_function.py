@@ -1,0 +1,164 @@
+"""Row kernels against the torch functions from which they were traced, and everything that must be refused."""
+
+from collections.abc import Callable
+from math import inf, nan
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym.interop.rows import RowFunction, UntraceableError, trace
+from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_multiply, quat_rotate_inverse, quat_yaw
+
+ROWS = 5
+
+POINTWISE: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
+    "arithmetic": lambda a, b: (a + 2 * b) / (1.5 - b) - (3 - a) * -b,
+    "alpha": lambda a, b: torch.sub(torch.add(a, b, alpha=0.5), b, alpha=2),
+    "powers": lambda a, b: a**2 + b**3 + (a.abs() + 1.0) ** 0.5 + (b.abs() + 0.1) ** 1.3 + a.square(),
+    "roots": lambda a, b: (a * a).sqrt() + torch.rsqrt(b * b + 1.0) + (b + 3.0).reciprocal(),
+    "exponentials": lambda a, b: torch.exp(-a * a) + torch.log(b.abs() + 0.5) + torch.tanh(a) + torch.sigmoid(b),
+    "angles": lambda a, b: torch.sin(a) + torch.cos(b) + torch.tan(0.1 * a) + torch.atan2(a, b) + torch.atan(b),
+    "arcs": lambda a, b: (
+        torch.asin(torch.tanh(a)) + torch.acos(torch.tanh(b)) + torch.sinh(a) + torch.cosh(b) + torch.asin(a)
+    ),
+    "steps": lambda a, b: torch.floor(a) + torch.ceil(b) + torch.round(3.0 * a) + torch.sign(b),
+    "limits": lambda a, b: a.clamp(-0.5, 0.5) + b.clamp_min(0.0) + a.clamp(max=0.2) + torch.relu(b),
+    "wraps": lambda a, b: torch.remainder(a, 0.7) + torch.remainder(b, -1.1) + (a + 3.0) % 2.0,
+    "extremes": lambda a, b: torch.maximum(a, b) - torch.minimum(a, 2.0 * b),
+    "choices": lambda a, b: (
+        torch.where(a > b, a, 0.0) + torch.where(a.isnan(), 1.0, -1.0) + b.masked_fill(b < 0.0, 3.0)
+    ),
+    "truths": lambda a, b: ((a > 0) & (b <= 1) | ~(a != b)) ^ torch.logical_not(b >= a) & (a < 3) & torch.isfinite(b),
+    "types": lambda a, b: (a > 0).float() + (b == b).to(torch.int32) + (a > b).double().float(),
+    "constants": lambda a, b: a * torch.tensor([1.0, -2.0, inf]) + torch.zeros_like(b) + torch.full_like(b, 2.0),
+}
+
+MOVING: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
+    "columns": lambda a, b: torch.stack((a[:, 0], b[:, 2], a[:, 1] * b[:, 0]), dim=-1),
+    "sides": lambda a, b: torch.cat((a, b[:, 1:], a.new_zeros(a.shape[0], 1)), dim=-1),
+    "unbound": lambda a, b: torch.stack([x * y for x, y in zip(a.unbind(-1), b.unbind(-1), strict=True)], dim=1),
+    "matrices": lambda a, b: (a.unsqueeze(-1) * b.unsqueeze(-2)).transpose(1, 2).flatten(1).flip(-1),
+    "padded": lambda a, b: torch.nn.functional.pad(a, (1, 2), value=7.0).roll(1, -1),
+    "split": lambda a, b: torch.cat(torch.split(a.expand(-1, 3), [1, 2], dim=1)[::-1], dim=1).view(-1, 3),
+    "sums": lambda a, b: torch.stack((a.sum(-1), b.mean(dim=1), a.prod(-1), a.amin(-1), b.amax(-1)), dim=-1),
+    "norms": lambda a, b: a / a.norm(dim=-1, keepdim=True).clamp_min(1e-6) + b.norm(p=1, dim=-1, keepdim=True),
+    "unit": lambda a, b: torch.nn.functional.normalize(a, dim=-1) + torch.linalg.norm(b, ord=inf, dim=-1, keepdim=True),
+    "products": lambda a, b: torch.bmm(torch.einsum("ei,ej->eij", a, b), b.unsqueeze(-1))[..., 0] + a @ torch.eye(3),
+    "any": lambda a, b: torch.stack(((a > 0.0).any(-1), (b < 2.0).all(-1)), dim=-1),
+    "attitudes": lambda a, b: quat_rotate_inverse(quat_yaw(quat_multiply(quat_from_euler(a), quat_from_euler(b))), a),
+    "euler": lambda a, b: euler_from_quat(quat_from_euler(0.3 * torch.tanh(a))) + b,
+}
+
+
+@pytest.fixture(scope="module")
+def rows() -> tuple[Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    a, b = (torch.randn(ROWS, 3, generator=generator) for _ in range(2))
+    a[1, 1], a[3, 0], b[2, 2] = nan, 0.0, inf
+    return a, b
+
+
+def test_kernels_do_what_torch_does(rows: tuple[Tensor, Tensor]) -> None:
+    """Within 4 ulp of the terms, which are of order one; NaN, infinities and truth values exactly; all in one kernel."""
+    table = {**POINTWISE, **MOVING}
+
+    def everything(a: Tensor, b: Tensor) -> tuple[Tensor, ...]:
+        return tuple(function(a, b) for function in table.values())
+
+    for (name, function), found in zip(table.items(), RowFunction(everything, rows)(*rows), strict=True):
+        expected = function(*rows)
+        assert found.dtype == expected.dtype, name
+        torch.testing.assert_close(
+            found, expected, atol=2e-6, rtol=2e-6, equal_nan=True, msg=lambda m, n=name: f"{n}: {m}"
+        )
+
+
+def test_integers_and_shared_numbers() -> None:
+    """Counters, flags and one number for all rows come in as they are; a shared number is read anew at each call."""
+    steps, done, level = (
+        torch.tensor([3, 10, 11], dtype=torch.int32),
+        torch.tensor([True, False, False]),
+        torch.tensor(0.5),
+    )
+
+    def ends(steps: Tensor, done: Tensor, level: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        truncated = (steps >= 10) & ~done
+        return truncated, level * steps, steps + 1
+
+    function = RowFunction(ends, (steps, done, level))
+    for share in (0.5, 0.25):
+        level.fill_(share)
+        for found, expected in zip(function(steps, done, level), ends(steps, done, level), strict=True):
+            assert found.dtype == expected.dtype
+            assert torch.equal(found, expected)
+
+
+def test_results_are_written_where_asked_even_over_an_input() -> None:
+    total, reward, kept = torch.tensor([1.0, 2.0]), torch.tensor([0.5, -1.0]), torch.full((2,), nan)
+    function = RowFunction(lambda t, r: (t + r, torch.where(r < 0.0, 0.0, t + r)), (total, reward))
+    found, over = function(total, reward, out=(kept, total))
+    assert found is kept
+    assert over is total
+    assert found.tolist() == [1.5, 1.0]
+    assert total.tolist() == [1.5, 0.0]
+
+
+def test_a_row_is_the_same_alone() -> None:
+    """Every row is computed by its own thread from its own numbers: bit for bit the same in every batch."""
+    a = torch.randn(9, 3, generator=torch.Generator().manual_seed(1))
+    function = RowFunction(lambda a: torch.tanh(a).norm(dim=-1) * torch.exp(a[:, 0]), (a,))
+    together = function(a)[0]
+    for i in range(9):
+        assert torch.equal(function(a[i : i + 1].clone())[0], together[i : i + 1])
+
+
+def test_views_of_larger_tensors_are_read_in_place() -> None:
+    state = torch.arange(26.0).view(2, 13)
+    function = RowFunction(lambda p, q: p * q[:, :3], (state[:, :3], state[:, 3:7]))
+    assert torch.equal(function(state[:, :3], state[:, 3:7])[0], state[:, :3] * state[:, 3:6])
+
+
+def test_the_same_computation_is_done_once() -> None:
+    traced = trace(lambda a: a.norm(dim=-1) + a.norm(dim=-1), (torch.zeros(4, 3),))
+    assert sum(scalar.kind == "sqrt" for scalar in traced.scalars) == 1
+
+
+ELSEWHERE = torch.rand(3)
+
+REFUSED: dict[str, tuple[Callable[[Tensor], object], str]] = {
+    "branch": (lambda a: a if a.sum() > 0 else -a, "over the rows"),
+    "host": (lambda a: a * a[0, 0].item(), "mixes rows"),
+    "mean": (lambda a: a - a.mean(), "torch.mean over the rows"),
+    "other rows": (lambda a: a.flip(0), "mixes rows"),
+    "first row": (lambda a: a + a[0], "mixes rows"),
+    "product of rows": (lambda a: a[:, :1] + a[:, 0], "mixes rows"),
+    "cumsum": (lambda a: a.cumsum(0), "torch.cumsum is none of the operations"),
+    "random": (lambda a: a + torch.rand(3), "torch.rand draws random numbers"),
+    "elsewhere": (lambda a: a * ELSEWHERE, "not among its arguments"),
+    "in place": (lambda a: a.add_(1.0), "torch.add_ is none of the operations"),
+    "rounded division": (lambda a: torch.div(a, 2.0, rounding_mode="floor"), "rounding_mode"),
+    "no rows": (lambda a: torch.ones(3), "does not have a row"),
+    "error": (lambda a: a.nothing, "AttributeError"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_not_done_row_by_row_is_refused(name: str) -> None:
+    function, reason = REFUSED[name]
+    with pytest.raises(UntraceableError, match=reason):
+        trace(function, (torch.rand(4, 3),))  # type: ignore[arg-type]
+
+
+def test_tracing_loads_no_compiler() -> None:
+    """torch's own compiler takes ten seconds to import: that is what this is for."""
+    import subprocess
+    import sys
+
+    code = (
+        "import sys, torch\nfrom aerial_gym.interop.rows import RowFunction\n"
+        "RowFunction(lambda a: a.norm(dim=-1), (torch.zeros(2, 3),))\n"
+        "print([m for m in ('sympy', 'torch._dynamo', 'torch._inductor') if m in sys.modules])"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
