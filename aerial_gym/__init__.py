@@ -5,10 +5,12 @@ Importing this package starts no device and compiles no kernel; the names below 
 
 from typing import TYPE_CHECKING
 
+from aerial_gym.compat.modules import install
 from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
     from aerial_gym.assets import ENVIRONMENTS
+    from aerial_gym.compat.directory import AERIAL_GYM_DIRECTORY
     from aerial_gym.control import CONTROLLERS
     from aerial_gym.env_manager import SIMS, EnvManager, SimBuilder
     from aerial_gym.physics import BACKENDS, EFFECTS
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "AERIAL_GYM_DIRECTORY",
     "BACKENDS",
     "CONTROLLERS",
     "EFFECTS",
@@ -34,3 +37,5 @@ __all__ = [
 ]
 
 __getattr__, __dir__ = exports(__name__, __file__)
+
+install()  # module paths of the Aerial Gym Simulator; nothing of it is imported before a script asks

@@ -19,6 +19,7 @@ GROUPS = (
     ("env_manager",),
     ("task",),
     ("rl_training", "sim2real", "viewer"),
+    ("compat",),
     ("cli",),
 )
 RANK = {name: rank for rank, group in enumerate(GROUPS) for name in group}

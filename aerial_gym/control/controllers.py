@@ -19,6 +19,8 @@ from aerial_gym.physics.fused import FusedLaw
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
 
+__path__: list[str] = []  # scripts of another simulator import modules below this name: aerial_gym.compat.modules
+
 
 class Controller(Protocol):
     """What a robot needs of a controller."""

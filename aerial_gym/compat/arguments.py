@@ -1,0 +1,63 @@
+"""Command lines of scripts: what Isaac Gym's ``gymutil`` parses there, and a user's own flags."""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from aerial_gym.interop import resolve_device
+
+
+def parse_arguments(
+    description: str = "Aerial Gym Example",
+    headless: bool = False,
+    no_graphics: bool = False,
+    custom_parameters: Sequence[Mapping[str, Any]] = (),
+    argv: Sequence[str] | None = None,
+) -> argparse.Namespace:
+    """Return the flags of a script.
+
+    Args:
+        description: Shown by ``--help``.
+        headless: Whether there is a flag ``--headless``; accepted without effect, as there is no viewer window.
+        no_graphics: The same for ``--nographics``.
+        custom_parameters: The script's own flags: ``name`` and what else ``argparse`` takes.
+        argv: The command line; that of the process if not given.
+
+    Returns:
+        The flags, and ``sim_device``, ``sim_device_type``, ``compute_device_id`` and ``rl_device`` as there.
+    """
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--sim_device", default=str(resolve_device("auto")), help="torch device of the simulation")
+    parser.add_argument(
+        "--rl_device", default=None, help="torch device of the policy; that of the simulation if not given"
+    )
+    own = {str(parameter["name"]) for parameter in custom_parameters}
+    for name, wanted in (("--headless", headless), ("--nographics", no_graphics)):
+        if wanted and name not in own:
+            parser.add_argument(name, action="store_true", help="without effect: there is no viewer window")
+    for parameter in custom_parameters:
+        more = {key: value for key, value in parameter.items() if key != "name"}
+        parser.add_argument(str(parameter["name"]), **more)
+    args = parser.parse_args(argv)
+    kind, _, number = args.sim_device.partition(":")
+    args.sim_device_type, args.compute_device_id = kind, int(number or 0)
+    args.rl_device = args.rl_device or args.sim_device
+    return args
+
+
+def get_args(additional_parameters: Sequence[Mapping[str, Any]] = ()) -> argparse.Namespace:
+    """Return the flags of that simulator's examples: ``--num_envs``, ``--headless``, ``--use_warp`` and more."""
+    flags = (
+        {"name": "--num_envs", "type": int, "default": 64, "help": "environments side by side"},
+        {"name": "--headless", "type": _truth, "default": True, "help": "without effect: there is no viewer window"},
+        {"name": "--use_warp", "type": _truth, "default": True, "help": "without effect: sensors always are Warp's"},
+        {"name": "--task", "type": str, "default": "navigation_task", "help": "registered task"},
+    )
+    taken = {str(parameter["name"]) for parameter in additional_parameters}
+    return parse_arguments(
+        custom_parameters=[*(flag for flag in flags if flag["name"] not in taken), *additional_parameters]
+    )
+
+
+def _truth(text: str) -> bool:
+    return text.lower() in ("1", "true", "yes", "y", "on", "t")

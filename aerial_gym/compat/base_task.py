@@ -1,0 +1,59 @@
+"""The base class of tasks that scripts write themselves."""
+
+import random
+from typing import Any
+
+import numpy as np
+import torch
+
+
+class BaseTask:
+    """What a task class of a script is derived from; it builds its simulation in its own constructor.
+
+    A task has ``reset``, ``reset_idx``, ``step`` and ``render``; ``reset`` and ``step`` return observations, rewards,
+    terminations, truncations, infos.
+    """
+
+    def __init__(self, task_config: Any) -> None:
+        """Keep the configuration and seed what scripts draw from.
+
+        Python's, NumPy's and torch's own generators are seeded, because such tasks draw from them, unless the configuration has
+        no seed or a negative one. The simulation has numbers of its own, which begin at that seed as well.
+        """
+        self.task_config = task_config
+        self.action_space: Any = None
+        self.observation_space: Any = None
+        self.reward_range: Any = None
+        self.metadata: Any = None
+        self.spec: Any = None
+        seed = getattr(task_config, "seed", None)
+        if seed is not None and seed >= 0:
+            self.seed(seed)
+
+    def seed(self, seed: int) -> None:
+        """Seed Python's, NumPy's and torch's own generators."""
+        random.seed(seed)
+        np.random.seed(seed % 2**32)
+        torch.manual_seed(seed)
+
+    def render(self, mode: str = "human") -> Any:
+        """Show nothing, unless the class says otherwise."""
+        raise NotImplementedError(f"{type(self).__name__}.render: the task class must define it")
+
+    def reset(self) -> Any:
+        """Start every environment anew; the class must define it."""
+        raise NotImplementedError(f"{type(self).__name__}.reset: the task class must define it")
+
+    def reset_idx(self, env_ids: Any) -> Any:
+        """Start some environments anew; the class must define it."""
+        raise NotImplementedError(f"{type(self).__name__}.reset_idx: the task class must define it")
+
+    def step(self, actions: Any) -> Any:
+        """Advance by one action; the class must define it."""
+        raise NotImplementedError(f"{type(self).__name__}.step: the task class must define it")
+
+    def close(self) -> None:
+        """Drop what the simulation holds of device memory, if there is one in ``sim_env``."""
+        env = getattr(self, "sim_env", None)
+        if env is not None:
+            env.delete_env()

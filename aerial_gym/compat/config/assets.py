@@ -1,0 +1,148 @@
+"""Obstacles: flat classes with URDF files in a folder, placed by ratios of the bounds.
+
+The state of 13 numbers there is position as a share of the bounds, roll, pitch, yaw [rad], a 1, and velocities.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.compat.config.fields import STANDS_FOR, Changes, Table, Values, carried, idle
+from aerial_gym.compat.directory import AERIAL_GYM_DIRECTORY
+from aerial_gym.config.environment import AssetCfg, FamilyCfg, MotionCfg, ShapeCfg
+from aerial_gym.errors import ConfigError
+
+STANDARD_FOLDERS: dict[str, str] = {"panels": "panels", "objects": "objects", "thin": "thin", "trees": "trees"}
+"""Folders of URDF files that come with that simulator, and the asset here that has the same shapes."""
+
+_FOLDER = "resources/models/environment_assets"
+
+
+def _state(position: Any, euler: Any) -> list[float]:
+    return [*position, *euler, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+
+
+def _placed(end: str) -> Any:
+    def write(values: Values) -> Changes:
+        state = values["min_state_ratio" if end == "low" else "max_state_ratio"]
+        return {f"position_ratio_{end}": tuple(state[0:3]), f"euler_{end}": tuple(state[3:6])}
+
+    return write
+
+
+def _shapes(values: Values) -> Changes:
+    """Return the shapes of the URDF files of a folder, or the ones here that stand for a folder of that simulator."""
+    folder, file = Path(str(values["asset_folder"])), values["file"]
+    if not folder.is_dir() and folder.name in STANDARD_FOLDERS:
+        like = getattr(CLASSES[STANDARD_FOLDERS[folder.name]], STANDS_FOR)
+        return {"shapes": like.shapes, "family": like.family}
+    files = [folder / file] if file else sorted(folder.glob("*.urdf"))
+    if not files or not all(path.is_file() for path in files):
+        raise ConfigError(
+            f"asset_folder = {str(folder)!r}, file = {file!r}: no such URDF file. "
+            f"Folders of that simulator that have shapes here: {', '.join(STANDARD_FOLDERS)}"
+        )
+    link_ids = values["semantic_masked_links"] or None
+    first = max(int(values["semantic_id"]), 0) if values["per_link_semantic"] else None
+    shapes = (ShapeCfg(kind="urdf", path=str(path), link_ids=link_ids, first_link_id=first) for path in files)
+    return {"shapes": tuple(shapes), "family": None}
+
+
+def _folder_of(cfg: AssetCfg) -> str:
+    return f"{AERIAL_GYM_DIRECTORY}/{_FOLDER}/{cfg.name}"
+
+
+TABLE = Table(
+    kind="asset",
+    fields=(
+        carried("num_assets", "count", lambda c: c.count),
+        carried("asset_folder", "shapes", _folder_of, _shapes,
+                "URDF files; folders of that simulator stand for the same shapes here"),
+        carried("file", "shapes", lambda _: None, _shapes, "one file of the folder; None takes all"),
+        carried("min_state_ratio", "position_ratio_low, euler_low",
+                lambda c: _state(c.position_ratio_low, c.euler_low), _placed("low"), "entries 0 to 5"),
+        carried("max_state_ratio", "position_ratio_high, euler_high",
+                lambda c: _state(c.position_ratio_high, c.euler_high), _placed("high"), "entries 0 to 5"),
+        carried("keep_in_env", "keep", lambda c: c.keep),
+        carried("semantic_id", "semantic_id", lambda c: c.semantic_id,
+                remark="-1: the instance's own id, counted in each environment"),
+        carried("per_link_semantic", "shapes: first_link_id", lambda _: False, _shapes, "URDF files only"),
+        carried("semantic_masked_links", "shapes: link_ids", lambda _: {}, _shapes, "URDF files only"),
+        carried("fix_base_link", "motion", lambda c: c.motion.kind == "none",
+                lambda v: {"motion": MotionCfg(kind="none" if v["fix_base_link"] else "twist")},
+                "not fixed: flies with env_actions"),
+        *(idle(name, value, "PhysX") for name, value in (
+            ("collision_mask", 1), ("disable_gravity", True), ("replace_cylinder_with_capsule", False),
+            ("flip_visual_attachments", False), ("density", 0.001), ("angular_damping", 0.1), ("linear_damping", 0.1),
+            ("max_angular_velocity", 100.0), ("max_linear_velocity", 100.0), ("armature", 0.001),
+            ("collapse_fixed_joints", True), ("place_force_sensor", False), ("force_sensor_parent_link", ""),
+            ("force_sensor_transform", None), ("vhacd_enabled", False),
+        )),
+        *(idle(name, None, "read nowhere there either") for name in ("min_position_ratio", "max_position_ratio")),
+        *(idle(name, value, "rays and contact share a shape; its colour is its `color:`") for name, value in (
+            ("use_collision_mesh_instead_of_visual", False), ("use_mesh_materials", False), ("color", None),
+            ("body_semantic_label", 0), ("link_semantic_label", 0), ("specific_filepath", None), ("name", None),
+        )),
+    ),
+    idle_sections={},
+)  # fmt: skip
+"""What becomes of the attributes of an asset class."""
+
+_BOX = AssetCfg(
+    name="asset",
+    shapes=(ShapeCfg(kind="box", size=(0.4, 0.4, 0.4)),),
+    count=1,
+    position_ratio_low=(0.5, 0.5, 0.5),
+    position_ratio_high=(0.5, 0.5, 0.5),
+)
+
+_THIN = AssetCfg(
+    name="thin",
+    family=FamilyCfg(name="thin_rods", variants=100),
+    count=10,
+    position_ratio_low=(0.3, 0.05, 0.05),
+    position_ratio_high=(0.85, 0.95, 0.95),
+    euler_low=(-3.1415927, -3.1415927, -3.1415927),
+    euler_high=(3.1415927, 3.1415927, 3.1415927),
+)
+
+_made: list[tuple[AssetCfg, type]] = []
+
+
+def asset_class(cfg: AssetCfg) -> type:
+    """Return the class that stands for an obstacle; the same one for equal obstacles, to be changed in one place."""
+    for known, cls in _made:
+        if known == cfg:
+            return cls
+    wall = cfg.name.endswith("_wall")
+    cls = TABLE.class_of(
+        cfg.name if wall else f"{cfg.name.removesuffix('s')}_asset_params", cfg, parent=BaseAssetParams
+    )
+    _made.append((cfg, cls))
+    return cls
+
+
+def asset_of(name: str, cls: Any) -> AssetCfg | None:
+    """Return our obstacle under the name that an environment class gives it; None where there shall be none of it."""
+    if not getattr(cls, "num_assets", 1):
+        return None
+    cfg = TABLE.translate(cls, _BOX)
+    if cfg.shapes == _BOX.shapes:
+        raise ConfigError(
+            f"{cls.__name__}.asset_folder: must be given, with URDF files, for a class that has none to inherit"
+        )
+    return replace(cfg, name=name)
+
+
+BaseAssetParams = TABLE.class_of("BaseAssetParams", _BOX)
+
+CLASSES: dict[str, type] = {
+    asset.name: asset_class(asset)
+    for asset in (
+        _THIN,
+        *ENVIRONMENTS.get("env_with_obstacles").assets,
+        next(asset for asset in ENVIRONMENTS.get("forest_env").assets if asset.name == "trees"),
+    )
+}
+"""Classes by the name of the obstacle."""

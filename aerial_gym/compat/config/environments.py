@@ -1,0 +1,89 @@
+"""Environments: ``class env`` with bounds and steps, ``class env_config`` with the classes of its obstacles."""
+
+from typing import Any
+
+from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.compat.config.assets import asset_class, asset_of
+from aerial_gym.compat.config.fields import Changes, Table, Values, carried, changed, idle, kept, refused
+from aerial_gym.config.environment import EnvironmentCfg
+
+
+def _assets(values: Values) -> Changes:
+    included, classes = values["env_config.include_asset_type"], values["env_config.asset_type_to_dict_map"]
+    assets = (asset_of(name, cls) for name, cls in classes.items() if included.get(name, False))
+    return {"assets": tuple(asset for asset in assets if asset is not None)}
+
+
+def _ground(values: Values) -> Changes:
+    return {"ground_height": 0.0 if values["env.create_ground_plane"] else None}
+
+
+_DEAD = "read nowhere there either"
+
+TABLE = Table(
+    kind="environment",
+    fields=(
+        kept("env.num_envs", "build_env(num_envs=...)", lambda _: 64, "the number where build_env is given none"),
+        carried("env.num_physics_steps_per_env_step_mean", "physics_steps_per_env_step",
+                lambda c: c.physics_steps_per_env_step,
+                lambda v: {"physics_steps_per_env_step": int(v["env.num_physics_steps_per_env_step_mean"])}),
+        refused("env.num_physics_steps_per_env_step_std", 0,
+                "must be 0 here: there one number was drawn for all environments, and could be none. A delay is the effect "
+                "actuation_delay of the robot"),
+        kept("env.reset_on_collision", "which rows post_reward_calculation_step resets", lambda _: True),
+        carried("env.create_ground_plane", "ground_height", lambda c: c.ground_height is not None, _ground, "at z = 0"),
+        *(carried(f"env.{theirs}", ours, lambda c, ours=ours: list(getattr(c, ours))) for theirs, ours in (
+            ("lower_bound_min", "bounds_lower_low"), ("lower_bound_max", "bounds_lower_high"),
+            ("upper_bound_min", "bounds_upper_low"), ("upper_bound_max", "bounds_upper_high"),
+        )),
+        carried("env_config.include_asset_type", "assets", lambda c: {a.name: True for a in c.assets}, _assets),
+        carried("env_config.asset_type_to_dict_map", "assets", lambda c: {a.name: asset_class(a) for a in c.assets}, _assets,
+                "classes of obstacles, see assets"),
+        idle("env.collision_force_threshold", 0.01,
+             "every touch is a crash; with `contact:` of an environment file, crash_speed says which"),
+        idle("env.num_env_actions", 4, "obstacles that move take (E, A, 6) twists"),
+        idle("env.write_to_sim_at_every_timestep", False, "states are written where they are"),
+        idle("env.render_viewer_every_n_steps", 1, "there is no viewer window"),
+        idle("env.use_warp", True, "sensors always are Warp's"),
+        *(idle(f"env.{name}", value, _DEAD) for name, value in (
+            ("env_spacing", 5.0), ("sample_timestep_for_latency", False), ("perturb_observations", False),
+            ("keep_same_env_for_num_episodes", 1), ("manual_camera_trigger", False),
+        )),
+    ),
+    idle_sections={},
+)  # fmt: skip
+"""What becomes of the attributes of an environment class."""
+
+
+def environment_of(cls: Any) -> EnvironmentCfg:
+    """Return our environment for an environment class.
+
+    Asset classes are changed in place by scripts, so they are read at every call.
+    """
+    cfg = TABLE.translate(cls, ENVIRONMENTS.get("empty_env"))
+    given = TABLE.values(cls)
+    classes = given.get("env_config.asset_type_to_dict_map")
+    if classes is None:
+        return cfg
+    return changed(cfg, _assets({"env_config.include_asset_type": dict.fromkeys(classes, True)} | given))
+
+
+def kept_values(cls: Any) -> tuple[int, bool]:
+    """Return the number of environments of an environment class, and whether a crash resets."""
+    given = TABLE.values(cls)
+    return int(given.get("env.num_envs", 64)), bool(given.get("env.reset_on_collision", True))
+
+
+EmptyEnvCfg = TABLE.class_of("EmptyEnvCfg", ENVIRONMENTS.get("empty_env"))
+
+CLASSES: dict[str, type] = {"empty_env": EmptyEnvCfg} | {
+    env: TABLE.class_of(name, ENVIRONMENTS.get(env))
+    for name, env in (
+        ("EnvCfg2Ms", "empty_env_2ms"),
+        ("EnvWithObstaclesCfg", "env_with_obstacles"),
+        ("EnvWithLidarNavObstaclesCfg", "env_with_lidar_nav_obstacles"),
+        ("ForestEnvCfg", "forest_env"),
+        ("DynamicEnvironmentCfg", "dynamic_env"),
+    )
+}
+"""Classes by the names under which that simulator registers them."""

@@ -1,0 +1,239 @@
+"""Configuration classes of the Aerial Gym Simulator to the frozen configurations of this package.
+
+There a configuration is a class with attributes, in nested classes, that a user derives and changes. Here each such attribute
+is a ``Field`` of a table that says what it becomes; classes are made from our configurations by the table and are read back by
+it, so that a number stands once, in our YAML file. What a class does not name keeps the value of the configuration that its
+nearest ancestor stands for. An attribute that no table knows is refused by name.
+"""
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from inspect import isclass
+from typing import Any
+
+import numpy as np
+
+from aerial_gym.errors import ConfigError
+
+STANDS_FOR = "_aerial_gym"
+"""Attribute of a class that holds the frozen configuration that it stands for."""
+
+Values = Mapping[str, Any]
+"""Values by dotted path, such as ``env.num_envs``: those of a class, or else those of what it stands for."""
+
+Changes = dict[str, Any]
+"""New values of fields of our configuration by dotted path, such as ``rotor.torque_ratio``."""
+
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Field:
+    """One attribute of a configuration class and what becomes of it."""
+
+    theirs: str
+    """Dotted path in the class."""
+
+    ours: str
+    """What stands in its place here, for people; ``-`` for nothing."""
+
+    remark: str = ""
+    """What differs, or why nothing stands in its place."""
+
+    read: Callable[[Any], object]
+    """Its value in a class that stands for one of our configurations."""
+
+    write: Callable[[Values], Changes] | None = None
+    """What changes here, of all values of the class, where this one is another; None: nothing does."""
+
+    refused: bool = False
+    """Whether another value is an error, with ``remark`` as the way out; otherwise it is noted in the log."""
+
+
+def carried(
+    theirs: str,
+    ours: str,
+    read: Callable[[Any], object],
+    write: Callable[[Values], Changes] | None = None,
+    remark: str = "",
+) -> Field:
+    """Return a field that means the same here; ``write`` is only needed where the value itself is another."""
+    return Field(theirs=theirs, ours=ours, remark=remark, read=read, write=write or (lambda v: {ours: v[theirs]}))
+
+
+def idle(theirs: str, value: object, remark: str) -> Field:
+    """Return a field that has no meaning here, so that any value will do."""
+    return Field(theirs=theirs, ours="-", remark=remark, read=lambda _: value)
+
+
+def refused(theirs: str, value: object, remark: str) -> Field:
+    """Return a field of which one value means the same here and any other is an error; ``remark`` is the way out."""
+    return Field(theirs=theirs, ours="-", remark=remark, read=lambda _: value, refused=True)
+
+
+def derived(theirs: str, read: Callable[[Any], object], remark: str) -> Field:
+    """Return a field whose value follows from what the class stands for; any other is an error, ``remark`` the way out."""
+    return Field(theirs=theirs, ours="-", remark=remark, read=read, refused=True)
+
+
+def kept(theirs: str, ours: str, read: Callable[[Any], object], remark: str = "") -> Field:
+    """Return a field that is read from the class where it is needed, not written into our configuration."""
+    return Field(theirs=theirs, ours=ours, remark=remark, read=read, write=lambda _: {})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """All attributes of one family of configuration classes."""
+
+    kind: str
+    """What the classes are, as messages call them."""
+
+    fields: tuple[Field, ...]
+    """Attributes that are known."""
+
+    idle_sections: Mapping[str, str]
+    """Nested classes of which no attribute means anything here, and why."""
+
+    def class_of(self, name: str, cfg: object, *, parent: type | None = None) -> type:
+        """Return a configuration class that stands for one of our configurations.
+
+        Args:
+            name: Of the class.
+            cfg: Our configuration.
+            parent: A class of the same table from which it is derived; it then has only what differs.
+        """
+        base = parent or type(name, (), {})
+        made = type(name, (base,), {STANDS_FOR: cfg, "__doc__": f"Class-style configuration of a {self.kind}."})
+        for field in self.fields:
+            value = field.read(cfg)
+            if parent is None or not same(value, _get(parent, field.theirs)):
+                _set(made, field.theirs, value)
+        for section in self.idle_sections:
+            if not _has(made, section):
+                _set(made, section, type(section.rpartition(".")[2], (), {}))
+        return made
+
+    def values(self, cls: Any) -> dict[str, Any]:
+        """Return all values of a configuration class, or of an object of one, that a table knows.
+
+        Raises:
+            ConfigError: If it has an attribute that no table knows; the message names the nearest known one.
+        """
+        known = {field.theirs for field in self.fields}
+        found: dict[str, Any] = {}
+        self._visit(cls, "", known, found, name=_name_of(cls))
+        return found
+
+    def _visit(self, node: Any, prefix: str, known: set[str], found: dict[str, Any], *, name: str) -> None:
+        for key in dir(node):
+            path, value = f"{prefix}{key}", getattr(node, key)
+            if key.startswith("_") or path in self.idle_sections:
+                continue
+            if path in known:
+                found[path] = value
+            elif any(other.startswith(f"{path}.") for other in known):
+                self._visit(value, f"{path}.", known, found, name=name)
+            elif isclass(value) or not callable(value):
+                near = get_close_matches(path, known, n=1)
+                hint = f" Did you mean {near[0]!r}?" if near else ""
+                raise ConfigError(
+                    f"{name}.{path} = {value!r}: no such field of a {self.kind}.{hint} Known: {', '.join(sorted(known))}. "
+                    "Names that are the class's own begin with an underscore"
+                )
+
+    def translate(self, cls: Any, stands_for: Any) -> Any:
+        """Return our configuration for a configuration class.
+
+        Args:
+            cls: The class, or an object of it.
+            stands_for: Our configuration for a class that stands for none.
+
+        Raises:
+            ConfigError: If an attribute is unknown, or has a value that means nothing here.
+        """
+        cfg = getattr(cls, STANDS_FOR, stands_for)
+        given = self.values(cls)
+        values = {field.theirs: field.read(cfg) for field in self.fields} | given
+        changes: Changes = {}
+        for field in self.fields:
+            if field.theirs not in given or same(given[field.theirs], field.read(cfg)):
+                continue
+            told = f"{_name_of(cls)}.{field.theirs} = {given[field.theirs]!r}"
+            if field.refused:
+                raise ConfigError(f"{told}: {field.remark}")
+            if field.write is None:
+                _logger.info(f"{told}: without effect here: {field.remark}")
+            else:
+                changes |= field.write(values)
+        return changed(cfg, changes)
+
+
+def changed(cfg: Any, changes: Changes) -> Any:
+    """Return a frozen configuration, or a mapping in it, with entries of it and of those nested in it replaced all at once."""
+    if cfg is None and changes:
+        raise ConfigError(f"{', '.join(changes)}: what this class stands for has none of these to change")
+    nested: dict[str, Changes] = {}
+    flat: dict[str, Any] = {}
+    for path, value in changes.items():
+        head, _, rest = path.partition(".")
+        if rest:
+            nested.setdefault(head, {})[rest] = value
+        else:
+            flat[head] = frozen(value)
+    flat |= {head: changed(getattr(cfg, head), inner) for head, inner in nested.items()}
+    if isinstance(cfg, Mapping):
+        return {**cfg, **flat}
+    return replace(cfg, **flat) if flat else cfg  # pyright: ignore[reportArgumentType]
+
+
+def frozen(value: Any) -> Any:
+    """Return lists, arrays and tensors as tuples of Python numbers; anything else as it is."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    return tuple(frozen(item) for item in value) if isinstance(value, (list, tuple)) else value
+
+
+def same(a: Any, b: Any) -> bool:
+    """Return whether two values are equal; numbers to a millionth, because they may be written in other units."""
+    a, b = frozen(a), frozen(b)
+    if isinstance(a, tuple) or isinstance(b, tuple):
+        return _is_sequence(a) and _is_sequence(b) and len(a) == len(b) and all(map(same, a, b))
+    if isinstance(a, (int, float)) and isinstance(b, (int, float)):
+        return bool(np.isclose(a, b, rtol=1e-6, atol=1e-9, equal_nan=True))
+    return bool(a == b)
+
+
+def _is_sequence(value: Any) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, str)
+
+
+def _name_of(cls: Any) -> str:
+    return cls.__name__ if isclass(cls) else type(cls).__name__
+
+
+def _set(cls: type, path: str, value: object) -> None:
+    """Set an attribute of a nested class, and derive that one from the parent's if it has none of its own."""
+    head, _, rest = path.partition(".")
+    if not rest:
+        setattr(cls, head, value)
+        return
+    if head not in vars(cls):
+        inherited = getattr(cls, head, None)
+        setattr(cls, head, type(head, (inherited,) if inherited else (), {}))
+    _set(vars(cls)[head], rest, value)
+
+
+def _get(cls: type, path: str) -> Any:
+    for name in path.split("."):
+        cls = getattr(cls, name)
+    return cls
+
+
+def _has(cls: type, path: str) -> bool:
+    try:
+        _get(cls, path)
+    except AttributeError:
+        return False
+    return True

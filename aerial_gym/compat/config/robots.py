@@ -1,0 +1,231 @@
+"""Robots: classes with ``init_config``, ``sensor_config``, ``robot_asset`` and ``control_allocator_config`` inside.
+
+Mass, inertia and geometry stand in URDF files there; here in a robot file, from which the allocation matrix is derived. A class
+therefore changes the robot that its nearest ancestor stands for, and cannot bring another body.
+Thrust constants there are per (rev/s)², here per (rad/s)².
+"""
+
+from math import pi
+from typing import Any
+
+import numpy as np
+
+from aerial_gym.compat.config.fields import Changes, Table, Values, carried, changed, derived, idle, kept, refused
+from aerial_gym.compat.config.sensors import (
+    BaseImuConfig,
+    BoschBMI088Config,
+    VN100Config,
+    imu_name,
+    sensor_class,
+    sensor_name,
+)
+from aerial_gym.compat.directory import AERIAL_GYM_DIRECTORY
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sensor import LidarCfg
+from aerial_gym.robots import ROBOTS
+from aerial_gym.sensors import SENSORS
+
+_IMUS = {"base_imu": BaseImuConfig, "vn100": VN100Config, "bmi088": BoschBMI088Config}
+_FILE = (
+    "the body of a robot stands in a robot file here (docs/coming_from_aerial_gym.md, 'A robot'); give its path as robot_name, "
+    "or register it: aerial_gym.ROBOTS.register(name, load_robot(path))"
+)
+_PER_TURN = (2.0 * pi) ** 2
+"""(rad/s)² per (rev/s)²."""
+
+
+def allocation_matrix(cfg: RobotCfg) -> list[list[float]]:
+    """Return force and torque per thrust of each rotor, rows Fx, Fy, Fz, Mx, My, Mz, columns in the order of the mounts."""
+    ratio = cfg.rotor.torque_ratio or 0.0
+    columns = []
+    for mount in cfg.mounts.layout:
+        axis = np.asarray(mount.axis, dtype=float) / np.linalg.norm(mount.axis)
+        torque = np.cross(mount.position, axis) - mount.spin * ratio * axis
+        columns.append(np.concatenate((axis, torque)))
+    return np.stack(columns, axis=1).tolist()
+
+
+def _state(cfg: RobotCfg, end: str) -> list[float]:
+    start = cfg.initial_state
+    parts = (getattr(start, f"{name}_{end}") for name in ("position_ratio", "euler"))
+    speeds = (getattr(start, f"{name}_{end}") for name in ("lin_vel", "ang_vel"))
+    return [*(n for part in parts for n in part), 1.0, *(n for part in speeds for n in part)]
+
+
+def _initial(end: str) -> Any:
+    def write(values: Values) -> Changes:
+        state = values[f"init_config.{'min' if end == 'low' else 'max'}_init_state"]
+        cuts = {"position_ratio": (0, 3), "euler": (3, 6), "lin_vel": (7, 10), "ang_vel": (10, 13)}
+        return {f"initial_state.{name}_{end}": tuple(float(n) for n in state[a:b]) for name, (a, b) in cuts.items()}
+
+    return write
+
+
+def _middle(name: str, factor: float = 1.0) -> Any:
+    """Return the function that takes the middle of a range of the motor model."""
+
+    def value(values: Values) -> float:
+        low, high = (values[f"{_MOTOR}.{name}_{end}"] for end in ("min", "max"))
+        return 0.5 * (low + high) * factor
+
+    return value
+
+
+_MOTOR = "control_allocator_config.motor_model_config"
+_thrust = _middle("motor_thrust_constant", 1.0 / _PER_TURN)
+_rise = _middle("motor_time_constant_increasing")
+_fall = _middle("motor_time_constant_decreasing")
+_RANGE = "the middle of the range; draws are `randomization:` of a robot file"
+
+
+def _thrust_map(values: Values) -> Changes:
+    return {"rotor.thrust_map": (0.0, 0.0, _thrust(values))}
+
+
+def _thrust_range(values: Values) -> Changes:
+    return {"rotor.thrust_range": (float(values[f"{_MOTOR}.min_thrust"]), float(values[f"{_MOTOR}.max_thrust"]))}
+
+
+def _drag(values: Values) -> Changes:
+    """Return the drag effects of the damping coefficients; the same laws."""
+    changes: Changes = {"effects_source": "damping of a robot class"}
+    for name, theirs in (("rotor_drag", "linear"), ("quadratic_drag", "quadratic")):
+        coefficients = values[f"damping.linvel_{theirs}_damping_coefficient"]
+        if any(coefficients):
+            changes[f"effects.{name}"] = dict(zip(("dx", "dy", "dz"), map(float, coefficients), strict=True))
+    return changes
+
+
+def _sensor(values: Values) -> Changes:
+    classes = [
+        values[f"sensor_config.{kind}_config"] for kind in ("camera", "lidar") if values[f"sensor_config.enable_{kind}"]
+    ]
+    return {"sensors": tuple(sensor_name(cls) for cls in classes)}
+
+
+def _imu(values: Values) -> Changes:
+    enabled = values["sensor_config.enable_imu"]
+    return {"imu": imu_name(values["sensor_config.imu_config"]) if enabled else None}
+
+
+def _sensor_class(cfg: RobotCfg, kind: str, default: str | None) -> type | None:
+    """Return the class of the first sensor of a kind, camera or lidar, that a robot has."""
+    for mount in cfg.sensor_mounts:
+        if mount.sensor in SENSORS and isinstance(SENSORS.get(mount.sensor), LidarCfg) == (kind == "lidar"):
+            return sensor_class(mount.sensor)
+    return None if default is None else sensor_class(default)
+
+
+def _urdf(cfg: RobotCfg) -> str:
+    return "quad.urdf" if cfg.body == ROBOTS.get("base_quadrotor").body else "robot.urdf"
+
+
+def _coefficients(cfg: RobotCfg, effect: str) -> list[float]:
+    given = cfg.effects.get(effect, {})
+    return [given.get(name, 0.0) for name in ("dx", "dy", "dz")]
+
+
+TABLE = Table(
+    kind="robot",
+    fields=(
+        carried("init_config.min_init_state", "initial_state.*_low", lambda c: _state(c, "low"), _initial("low"),
+                "shares of the bounds, roll, pitch, yaw, a 1, velocity, angular velocity (body axes)"),
+        carried("init_config.max_init_state", "initial_state.*_high", lambda c: _state(c, "high"), _initial("high")),
+        carried("sensor_config.enable_camera", "sensors", lambda c: _sensor_class(c, "camera", None) is not None, _sensor,
+                "a camera and a lidar together work here"),
+        carried("sensor_config.camera_config", "sensors", lambda c: _sensor_class(c, "camera", "base_depth_camera"), _sensor),
+        carried("sensor_config.enable_lidar", "sensors", lambda c: _sensor_class(c, "lidar", None) is not None, _sensor),
+        carried("sensor_config.lidar_config", "sensors", lambda c: _sensor_class(c, "lidar", "base_lidar"), _sensor),
+        carried("sensor_config.enable_imu", "imu", lambda c: c.imu is not None, _imu),
+        carried("sensor_config.imu_config", "imu", lambda c: _IMUS.get(c.imu, BaseImuConfig), _imu),
+        refused("disturbance.enable_disturbance", False,
+                "pushes per physics step would depend on dt: use the effect gusts in a robot file"),
+        idle("disturbance.prob_apply_disturbance", 0.02, "only with enable_disturbance"),
+        idle("disturbance.max_force_and_torque_disturbance", [0.0] * 6, "only with enable_disturbance"),
+        carried("damping.linvel_linear_damping_coefficient", "effects.rotor_drag",
+                lambda c: _coefficients(c, "rotor_drag"), _drag),
+        carried("damping.linvel_quadratic_damping_coefficient", "effects.quadratic_drag",
+                lambda c: _coefficients(c, "quadratic_drag"), _drag),
+        refused("damping.angular_linear_damping_coefficient", [0.0] * 3,
+                "there is no such effect here yet; 0 is what all robots have"),
+        refused("damping.angular_quadratic_damping_coefficient", [0.0] * 3,
+                "there is no such effect here yet; 0 is what all robots have"),
+        idle("robot_asset.asset_folder", f"{AERIAL_GYM_DIRECTORY}/resources/robots/quad", "the body stands in a robot file"),
+        derived("robot_asset.file", _urdf, _FILE),
+        refused("robot_asset.fix_base_link", False, "robots fly here"),
+        refused("robot_asset.disable_gravity", False, "gravity is the sim's here: a class derived from BaseSimNoGravityConfig"),
+        *(idle(f"robot_asset.{name}", value, why) for name, value, why in (
+            ("name", "base_quadrotor", "the registered name"), ("base_link_name", "base_link", "a robot is one body"),
+            ("collision_mask", 0, "PhysX"), ("replace_cylinder_with_capsule", False, "PhysX"),
+            ("flip_visual_attachments", True, "PhysX"), ("density", 0.000001, "PhysX"), ("angular_damping", 0.01, "PhysX"),
+            ("linear_damping", 0.01, "PhysX"), ("max_angular_velocity", 100.0, "PhysX"),
+            ("max_linear_velocity", 100.0, "PhysX"), ("armature", 0.001, "PhysX"),
+            ("collapse_fixed_joints", True, "PhysX"), ("use_mesh_materials", False, "`visual:` of a robot file"),
+            ("semantic_id", 0, "`visual:` of a robot file"), ("per_link_semantic", False, "`visual:` of a robot file"),
+            ("semantic_masked_links", {}, "`visual:` of a robot file"), ("keep_in_env", True, "a robot is always there"),
+            ("color", None, "`visual:` of a robot file"), ("place_force_sensor", False, "no sensor of forces on links"),
+            ("force_sensor_parent_link", "base_link", "no sensor of forces on links"),
+            ("force_sensor_transform", None, "no sensor of forces on links"),
+            ("use_collision_mesh_instead_of_visual", False, "`visual:` of a robot file"),
+            ("min_state_ratio", None, "init_config says where a robot starts"),
+            ("max_state_ratio", None, "init_config says where a robot starts"),
+            ("min_position_ratio", None, "init_config says where a robot starts"),
+            ("max_position_ratio", None, "init_config says where a robot starts"),
+        )),
+        *(idle(f"init_config.{name}", None, "min_init_state and max_init_state say where a robot starts")
+          for name in ("min_state_ratio", "max_state_ratio")),
+        derived("control_allocator_config.allocation_matrix", allocation_matrix,
+                "the matrix is derived from the rotors here; " + _FILE),
+        derived("control_allocator_config.num_motors", lambda c: c.num_rotors, _FILE),
+        derived("control_allocator_config.motor_directions", lambda c: [m.spin for m in c.mounts.layout], _FILE),
+        idle("control_allocator_config.application_mask", None, "thrust acts where the rotors are"),
+        idle("control_allocator_config.force_application_level", "motor_link", "thrust acts where the rotors are"),
+        refused(f"{_MOTOR}.use_rps", True, "the state of a rotor is its speed here; False is force mode"),
+        *(carried(f"{_MOTOR}.motor_thrust_constant_{end}", "rotor.thrust_map",
+                  lambda c: c.rotor.thrust_map[2] * _PER_TURN, _thrust_map, f"N per (rev/s)²; {_RANGE}")
+          for end in ("min", "max")),
+        *(carried(f"{_MOTOR}.motor_time_constant_increasing_{end}", "rotor.time_constant_up",
+                  lambda c: c.rotor.time_constant_up, lambda v: {"rotor.time_constant_up": _rise(v)},
+                  f"{_RANGE}; there the lag was tau + dt")
+          for end in ("min", "max")),
+        *(carried(f"{_MOTOR}.motor_time_constant_decreasing_{end}", "rotor.time_constant_down",
+                  lambda c: c.rotor.time_constant_down, lambda v: {"rotor.time_constant_down": _fall(v)}, _RANGE)
+          for end in ("min", "max")),
+        carried(f"{_MOTOR}.min_thrust", "rotor.thrust_range", lambda c: c.rotor.thrust_range[0], _thrust_range),
+        carried(f"{_MOTOR}.max_thrust", "rotor.thrust_range", lambda c: c.rotor.thrust_range[1], _thrust_range),
+        carried(f"{_MOTOR}.thrust_to_torque_ratio", "rotor.torque_ratio", lambda c: c.rotor.torque_ratio,
+                lambda v: {"rotor.torque_ratio": float(v[f"{_MOTOR}.thrust_to_torque_ratio"]), "rotor.torque_map": None}),
+        idle(f"{_MOTOR}.max_thrust_rate", 100000.0, "never active there"),
+        idle(f"{_MOTOR}.use_discrete_approximation", True, "the lag is exact for every dt"),
+        idle(f"{_MOTOR}.integration_scheme", "rk4", "the lag is exact for every dt"),
+        kept("dof_control_mode", "-", lambda _: "none", "no robot has joints yet"),
+    ),
+    idle_sections={"reset_asset": "-"},
+)  # fmt: skip
+"""What becomes of the attributes of a robot class."""
+
+
+def robot_of(cls: Any) -> RobotCfg:
+    """Return our robot for a robot class; sensor classes are changed in place by scripts, so they are read at every call."""
+    cfg = TABLE.translate(cls, ROBOTS.get("base_quadrotor"))
+    values = {field.theirs: field.read(cfg) for field in TABLE.fields} | TABLE.values(cls)
+    changes = _sensor(values)
+    plain = all(isinstance(sensor, str) for sensor in cfg.sensors)
+    return changed(cfg, changes) if plain and len(changes["sensors"]) == len(cfg.sensors) else cfg
+
+
+BaseQuadCfg = TABLE.class_of("BaseQuadCfg", ROBOTS.get("base_quadrotor"))
+
+CLASSES: dict[str, type] = {"base_quadrotor": BaseQuadCfg} | {
+    robot: TABLE.class_of(name, ROBOTS.get(robot), parent=BaseQuadCfg)
+    for name, robot in (
+        ("BaseQuadWithImuCfg", "base_quadrotor_with_imu"),
+        ("BaseQuadWithCameraCfg", "base_quadrotor_with_camera"),
+        ("BaseQuadWithCameraImuCfg", "base_quadrotor_with_camera_imu"),
+        ("BaseQuadWithLidarCfg", "base_quadrotor_with_lidar"),
+        ("BaseQuadWithFaceIDNormalCameraCfg", "base_quadrotor_with_faceid_normal_camera"),
+        ("BaseQuadWithStereoCameraCfg", "base_quadrotor_with_stereo_camera"),
+        ("TinyPropCfg", "tinyprop"),
+    )
+}
+"""Classes by the name of the robot for which they stand."""

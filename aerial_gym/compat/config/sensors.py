@@ -1,0 +1,258 @@
+"""Cameras and lidars: flat classes with ``sensor_noise`` inside.
+
+There a camera's frame is turned by ``euler_frame_rot_deg`` into the optical one; here every sensor looks along its own x axis.
+Angles there are degrees, here radians.
+"""
+
+import re
+from dataclasses import replace
+from math import degrees, radians
+from typing import Any
+
+from aerial_gym.compat.config.fields import STANDS_FOR, Changes, Table, Values, carried, idle, refused
+from aerial_gym.config.sensor import CameraCfg, LidarCfg, NoiseCfg, RangeSensorCfg, StereoCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.sensors import SENSORS
+
+_NO_NOISE = NoiseCfg()
+
+
+def _type(cfg: RangeSensorCfg) -> str:
+    family = "lidar" if isinstance(cfg, LidarCfg) else "camera"
+    if cfg.face_ids:
+        return f"normal_faceID_{family}"
+    return "stereo_camera" if isinstance(cfg, StereoCfg) else family
+
+
+def _change_type(values: Values) -> Changes:
+    kind = str(values["sensor_type"])
+    if not kind.startswith("normal_faceID"):
+        raise ConfigError(
+            f"sensor_type = {kind!r}: derive the class from one of that type (BaseDepthCameraConfig, StereoCameraConfig, "
+            "BaseLidarConfig, BaseNormalFaceIDCameraConfig)"
+        )
+    return {"face_ids": True, "normals": "world"}
+
+
+def _points(values: Values) -> Changes:
+    if not values["return_pointcloud"]:
+        return {"points": None}
+    return {"points": "world" if values["pointcloud_in_world_frame"] else "sensor"}
+
+
+def _normalize(values: Values) -> Changes:
+    return {"normalize": bool(values["normalize_range"])}
+
+
+def _placement(values: Values) -> Changes:
+    """Return where the sensor sits: drawn between limits, or the nominal pose."""
+    changes: Changes = {}
+    for ours, nominal, low, high, unit in (
+        ("position", "nominal_position", "min_translation", "max_translation", float),
+        ("euler", "nominal_orientation_euler_deg", "min_euler_rotation_deg", "max_euler_rotation_deg", radians),
+    ):
+        middle, lowest, highest = (tuple(unit(entry) for entry in values[name]) for name in (nominal, low, high))
+        if values["randomize_placement"]:
+            pairs = zip(lowest, middle, highest, strict=True)
+            middle = tuple(min(max(entry, a), b) for a, entry, b in pairs)
+            changes |= {f"{ours}_low": lowest, f"{ours}_high": highest, ours: middle}
+        else:
+            changes |= {f"{ours}_low": None, f"{ours}_high": None, ours: middle}
+    return changes
+
+
+def _noise(values: Values) -> Changes:
+    return {
+        "noise_enabled": bool(values["sensor_noise.enable_sensor_noise"]),
+        "noise": NoiseCfg(
+            std_a=values["sensor_noise.std_a"],
+            std_b=values["sensor_noise.pixel_std_dev_multiplier"] + values["sensor_noise.std_b"],
+            std_c=values["sensor_noise.std_c"],
+            mean_offset=values["sensor_noise.mean_offset"],
+            dropout=values["sensor_noise.pixel_dropout_prob"],
+        ),
+    }
+
+
+def _angles(entries: Any) -> list[float]:
+    return [degrees(entry) for entry in entries]
+
+
+_COMMON = (
+    carried("num_sensors", "count", lambda c: c.count),
+    carried("sensor_type", "model", _type, _change_type, "which class of file: pinhole, stereo, lidar"),
+    carried("height", "height", lambda c: c.height),
+    carried("width", "width", lambda c: c.width),
+    carried("max_range", "max_range", lambda c: c.max_range),
+    carried("min_range", "min_range", lambda c: c.min_range),
+    carried("return_pointcloud", "points", lambda c: c.points is not None, _points, "the distances stay beside the points"),
+    carried("pointcloud_in_world_frame", "points", lambda c: c.points == "world", _points),
+    carried("segmentation_camera", "segmentation", lambda c: c.segmentation),
+    carried("normalize_range", "normalize", lambda c: c.normalize, _normalize),
+    carried(
+        "far_out_of_range_value",
+        "far_out_of_range_value",
+        lambda c: c.far_pixel * (c.max_range if c.normalize else 1.0),
+    ),
+    carried(
+        "near_out_of_range_value",
+        "near_out_of_range_value",
+        lambda c: c.near_pixel * (c.max_range if c.normalize else 1.0),
+    ),
+    carried("randomize_placement", "position_low, ...", lambda c: c.position_low is not None, _placement,
+            "without it the nominal pose holds; there the translation was then 0"),
+    carried("nominal_position", "position", lambda c: list(c.position), _placement),
+    carried("nominal_orientation_euler_deg", "euler", lambda c: _angles(c.euler), _placement),
+    carried("min_translation", "position_low", lambda c: list(c.position_low or c.position), _placement),
+    carried("max_translation", "position_high", lambda c: list(c.position_high or c.position), _placement),
+    carried("min_euler_rotation_deg", "euler_low", lambda c: _angles(c.euler_low or c.euler), _placement),
+    carried("max_euler_rotation_deg", "euler_high", lambda c: _angles(c.euler_high or c.euler), _placement),
+    refused("euler_frame_rot_deg", [-90.0, 0, -90.0],
+            "sensors look along their own x axis here; turn nominal_orientation_euler_deg"),
+    idle("use_collision_geometry", False, "a shape is the same for rays and for contact"),
+    carried("sensor_noise.enable_sensor_noise", "noise_enabled", lambda c: c.noise is not None and c.noise_enabled, _noise,
+            "there it failed for cameras, and spoiled point clouds"),
+    carried("sensor_noise.pixel_dropout_prob", "noise.dropout", lambda c: (c.noise or _NO_NOISE).dropout, _noise),
+    carried("sensor_noise.pixel_std_dev_multiplier", "noise.std_b", lambda c: (c.noise or _NO_NOISE).std_b, _noise),
+    carried("sensor_noise.std_a", "noise.std_a", lambda c: (c.noise or _NO_NOISE).std_a, _noise),
+    carried("sensor_noise.std_b", "noise.std_b", lambda _: 0.0, _noise, "added to pixel_std_dev_multiplier"),
+    carried("sensor_noise.std_c", "noise.std_c", lambda c: (c.noise or _NO_NOISE).std_c, _noise),
+    carried("sensor_noise.mean_offset", "noise.mean_offset", lambda c: (c.noise or _NO_NOISE).mean_offset, _noise),
+)  # fmt: skip
+
+_NORMALS = (
+    carried("normal_in_world_frame", "normals", lambda c: c.normals != "sensor",
+            lambda v: {"normals": "world" if v["normal_in_world_frame"] else "sensor"},
+            "there normals in the sensor frame were no rotation of those in the world"),
+)  # fmt: skip
+
+CAMERA = Table(
+    kind="camera",
+    fields=(
+        *_COMMON,
+        *_NORMALS,
+        carried("horizontal_fov_deg", "hfov_deg", lambda c: c.hfov_deg),
+        carried("calculate_depth", "kind", lambda c: c.kind == "depth",
+                lambda v: {"kind": "depth" if v["calculate_depth"] else "range"}),
+        carried("baseline", "baseline", lambda c: getattr(c, "baseline", None), remark="of a stereo camera"),
+    ),
+    idle_sections={},
+)  # fmt: skip
+"""What becomes of the attributes of a camera class."""
+
+LIDAR = Table(
+    kind="lidar",
+    fields=(
+        *_COMMON,
+        *_NORMALS,
+        carried("horizontal_fov_deg_min", "azimuth_low_deg", lambda c: c.azimuth_low_deg),
+        carried("horizontal_fov_deg_max", "azimuth_high_deg", lambda c: c.azimuth_high_deg),
+        carried("vertical_fov_deg_min", "elevation_low_deg", lambda c: c.elevation_low_deg),
+        carried("vertical_fov_deg_max", "elevation_high_deg", lambda c: c.elevation_high_deg),
+    ),
+    idle_sections={},
+)
+"""What becomes of the attributes of a lidar class."""
+
+
+def sensor_of(cls: Any) -> RangeSensorCfg:
+    """Return our sensor for a camera or lidar class."""
+    base = getattr(cls, STANDS_FOR, None)
+    if base is None:
+        base = SENSORS.get("base_lidar" if "lidar" in str(getattr(cls, "sensor_type", "")) else "base_depth_camera")
+    return (LIDAR if isinstance(base, LidarCfg) else CAMERA).translate(cls, base)
+
+
+def sensor_name(cls: Any) -> str:
+    """Return the name of the registered sensor that a class means; it is registered if it has not been yet."""
+    cfg, wanted = sensor_of(cls), _snake_case(cls.__name__ if isinstance(cls, type) else type(cls).__name__)
+    for known in SENSORS:
+        if SENSORS.get(known) == cfg:
+            return known
+    taken = sum(known == wanted or known.startswith(f"{wanted}_") for known in SENSORS)
+    name = f"{wanted}_{taken + 1}" if taken else wanted
+    SENSORS.register(name, cfg)
+    return name
+
+
+def _snake_case(name: str) -> str:
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+
+
+_made: dict[str, type] = {}
+
+
+def sensor_class(sensor: str, name: str | None = None) -> type:
+    """Return the class that stands for a registered sensor; depth cameras there are divided by their range."""
+    if sensor not in _made:
+        cfg = SENSORS.get(sensor)
+        if isinstance(cfg, CameraCfg):
+            cfg = replace(cfg, normalize=True)
+        _made[sensor] = (LIDAR if isinstance(cfg, LidarCfg) else CAMERA).class_of(name or sensor, cfg)
+    return _made[sensor]
+
+
+CLASSES: dict[str, type] = {
+    sensor: sensor_class(sensor, name)
+    for name, sensor in (
+        ("BaseDepthCameraConfig", "base_depth_camera"),
+        ("BaseNormalFaceIDCameraConfig", "base_normal_face_id_camera"),
+        ("RsD455Config", "rs_d455"),
+        ("IntelRealSenseD455Config", "intel_realsense_d455"),
+        ("LuxonisOakDConfig", "luxonis_oak_d"),
+        ("LuxonisOakDProWConfig", "luxonis_oak_d_pro_w"),
+        ("StereoCameraConfig", "stereo_camera"),
+        ("BaseLidarConfig", "base_lidar"),
+        ("OS_0_128_Config", "os0_128"),
+        ("OS_0_64_Config", "os0_64"),
+        ("OS_1_64_Config", "os1_64"),
+        ("OS_2_64_Config", "os2_64"),
+        ("OSDome_64_Config", "os_dome_64"),
+        ("RSLidar_Airy_Config", "rslidar_airy"),
+        ("FakeRadarConfig", "fake_radar"),
+        ("PMDFlexx2Config", "pmd_flexx2"),
+        ("ST_VL53L5CX_Config", "st_vl53l5cx"),
+    )
+}
+"""Classes by the name of our sensor for which they stand."""
+
+
+class BaseImuConfig:
+    """The IMU ``base_imu``; its numbers stand in ``config/imus/base_imu.yaml``."""
+
+    _imu = "base_imu"
+    sensor_type = "imu"
+    num_sensors = 1
+
+
+class VN100Config(BaseImuConfig):
+    """The IMU ``vn100``."""
+
+    _imu = "vn100"
+
+
+class BoschBMI088Config(BaseImuConfig):
+    """The IMU ``bmi088``."""
+
+    _imu = "bmi088"
+
+
+def imu_name(cls: Any) -> str:
+    """Return our IMU for an IMU class.
+
+    Raises:
+        ConfigError: If it is none of ours, or has attributes of its own.
+    """
+    name = getattr(cls, "_imu", None)
+    own = [key for key in dir(cls) if not key.startswith("_") and not same_as_base(cls, key)]
+    if name is None or own:
+        what = f"{getattr(cls, '__name__', cls)}" + (f".{own[0]}" if own else "")
+        raise ConfigError(
+            f"{what}: IMUs are files here (config/imus/*.yaml). Use BaseImuConfig, VN100Config or BoschBMI088Config"
+        )
+    return name
+
+
+def same_as_base(cls: Any, key: str) -> bool:
+    """Return whether an attribute of an IMU class is the one that every IMU has."""
+    return getattr(cls, key) == getattr(BaseImuConfig, key, object())

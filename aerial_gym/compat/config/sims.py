@@ -1,0 +1,57 @@
+"""Sims: ``class sim`` with time step and gravity; what configures PhysX or the viewer has no meaning here."""
+
+from aerial_gym.compat.config.fields import Changes, Table, Values, carried, idle, refused
+from aerial_gym.config.sim import SimCfg
+from aerial_gym.env_manager import SIMS
+from aerial_gym.errors import ConfigError
+
+
+def _gravity(values: Values) -> Changes:
+    x, y, z = values["sim.gravity"]
+    if x or y or z > 0.0:
+        raise ConfigError(
+            f"sim.gravity = {[x, y, z]!r}: must point down, [0, 0, -g] with g >= 0. Turn the environment instead, or add a "
+            "constant force as an effect of the robot"
+        )
+    return {"gravity": abs(float(z))}
+
+
+TABLE = Table(
+    kind="sim",
+    fields=(
+        carried("sim.dt", "dt", lambda cfg: cfg.dt),
+        carried("sim.gravity", "gravity", lambda cfg: [0.0, 0.0, -cfg.gravity], _gravity, "here the amount, downwards"),
+        refused("sim.substeps", 1, "must be 1 here; take a smaller dt and more physics steps per environment step"),
+        idle("sim.up_axis", 1, "z is up"),
+        idle("sim.use_gpu_pipeline", True, "the device says where everything runs"),
+    ),
+    idle_sections={
+        "sim.physx": "there is no PhysX: contacts are `contact:` of an environment file",
+        "viewer": "there is no viewer window",
+    },
+)
+"""What becomes of the attributes of a sim class."""
+
+
+def sim_of(cls: object) -> SimCfg:
+    """Return our sim for a sim class."""
+    return TABLE.translate(cls, SIMS.get("base_sim"))
+
+
+BaseSimConfig = TABLE.class_of("BaseSimConfig", SIMS.get("base_sim"))
+BaseSimHeadlessConfig = TABLE.class_of("BaseSimHeadlessConfig", SIMS.get("base_sim"), parent=BaseSimConfig)
+BaseSimNoGravityConfig = type(
+    "BaseSimNoGravityConfig",
+    (BaseSimConfig,),
+    {"sim": type("sim", (BaseSimConfig.sim,), {"gravity": [0.0, 0.0, 0.0]})},  # pyright: ignore
+)
+SimCfg2Ms = TABLE.class_of("SimCfg2Ms", SIMS.get("base_sim_2ms"), parent=BaseSimConfig)
+SimCfg4Ms = TABLE.class_of("SimCfg4Ms", SIMS.get("base_sim_4ms"), parent=BaseSimConfig)
+
+CLASSES: dict[str, type] = {
+    "base_sim": BaseSimConfig,
+    "base_sim_headless": BaseSimHeadlessConfig,
+    "base_sim_2ms": SimCfg2Ms,
+    "base_sim_4ms": SimCfg4Ms,
+}
+"""Classes by the names under which that simulator registers them."""

@@ -1,0 +1,176 @@
+"""The environment manager of the Aerial Gym Simulator in front of ours: ids in place of masks, flags that outlive a reset.
+
+The simulation itself is ``EnvManager.env``; every rule stands there. Letters: E environments.
+"""
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any, NoReturn
+
+import torch
+from torch import Tensor
+
+from aerial_gym.compat.tensors import TensorDict
+from aerial_gym.env_manager import EnvManager as Simulation
+from aerial_gym.errors import ConfigError, ShapeError
+from aerial_gym.math.quaternion import quat_rotate_inverse
+
+COMPONENTS = ("sensors", "viewer")
+"""What ``render`` takes; the viewer shows nothing."""
+
+_FLAGS = ("crashes", "truncations")
+
+
+class EnvManager:
+    """A simulation by the names that scripts use; made by ``SimBuilder.build_env``."""
+
+    def __init__(
+        self, env: Simulation, *, cfg: Any, sim_config: Any, robot_config: Any, reset_on_collision: bool
+    ) -> None:
+        """Take a built simulation and the configuration classes from which it was made.
+
+        Args:
+            env: The simulation.
+            cfg: Environment class.
+            sim_config: Sim class.
+            robot_config: Robot class.
+            reset_on_collision: Whether crashed environments are reset with the truncated ones.
+        """
+        self.env, self.cfg, self.sim_config = env, cfg, sim_config
+        self.num_envs, self.device = env.num_envs, env.device
+        self.global_tensor_dict = TensorDict(env)
+        self.robot_manager = RobotManager(self, robot_config)
+        self.asset_manager = AssetManager(env)
+        self.IGE_env = Physics(env)
+        self.reset_on_collision = reset_on_collision
+
+    @property
+    def sim_steps(self) -> Tensor:
+        """Environment steps since the last reset, int32, (E,); written in place by scripts."""
+        return self.env.gtd["sim_steps"]
+
+    def get_obs(self) -> TensorDict:
+        """Return the tensor dictionary itself."""
+        return self.global_tensor_dict
+
+    def step(self, actions: Tensor, env_actions: Tensor | None = None) -> None:
+        """Hold an action (E, U) for one environment step; nothing is reset, no sensor is read."""
+        self.env.step(actions, env_actions)
+
+    def reset(self) -> None:
+        """Start every environment anew."""
+        self.env.reset()
+
+    def reset_idx(self, env_ids: Tensor | Sequence[int]) -> None:
+        """Start the environments of some ids anew; ``crashes`` and ``truncations`` stay until the next step."""
+        self._reset(self.mask_of(env_ids))
+
+    def reset_terminated_and_truncated_envs(self) -> Tensor:
+        """Start crashed (unless ``reset_on_collision`` is False) and truncated environments anew; return their ids, int64."""
+        gtd = self.env.gtd
+        mask = gtd["truncations"] | gtd["crashes"] if self.reset_on_collision else gtd["truncations"].clone()
+        self._reset(mask)
+        return mask.nonzero().squeeze(-1)
+
+    def post_reward_calculation_step(self) -> Tensor:
+        """Start finished environments anew, then read the sensors; return the ids, int64."""
+        env_ids = self.reset_terminated_and_truncated_envs()
+        self.render("sensors")
+        return env_ids
+
+    def render(self, render_components: str = "sensors") -> None:
+        """Read the sensors; ``viewer`` shows nothing.
+
+        Raises:
+            ConfigError: If the component has another name, which there did nothing in silence.
+        """
+        if render_components not in COMPONENTS:
+            raise ConfigError(f"render_components = {render_components!r}: must be one of {', '.join(COMPONENTS)}")
+        if render_components == "sensors":
+            self.env.render()
+
+    def delete_env(self) -> None:
+        """Drop what holds device memory; the tasks there call this, and it did not exist."""
+        self.env.close()
+
+    def mask_of(self, env_ids: Tensor | Sequence[int]) -> Tensor:
+        """Return the bool mask (E,) of environment ids; a mask is taken as it is."""
+        ids = torch.as_tensor(env_ids, device=self.device)
+        if ids.dtype == torch.bool:
+            if ids.shape != (self.num_envs,):
+                raise ShapeError(f"env_ids is a mask of shape {tuple(ids.shape)}, expected (E,) = ({self.num_envs},)")
+            return ids
+        mask = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+        mask[ids.long()] = True
+        return mask
+
+    def _reset(self, mask: Tensor) -> None:
+        flags = [self.env.gtd[key].clone() for key in _FLAGS]
+        self.env.reset(mask)
+        for key, flag in zip(_FLAGS, flags, strict=True):
+            self.env.gtd[key].copy_(flag)
+
+    def __getattr__(self, name: str) -> NoReturn:
+        raise AttributeError(
+            f"EnvManager of aerial_gym.compat has no {name!r}. The simulation itself is .env, its tensors are .env.gtd; "
+            "docs/coming_from_aerial_gym.md has a table of names"
+        )
+
+
+class RobotManager:
+    """``robot_manager`` of that simulator."""
+
+    def __init__(self, manager: EnvManager, config: Any) -> None:
+        env = manager.env
+        self._manager, self.cfg = manager, config
+        imu = "imu_measurement" in env.gtd
+        self.imu_sensor = SimpleNamespace(cfg=config.sensor_config.imu_config) if imu and config is not None else None
+        num_actions = env.robot_manager.num_actions
+        self.robot = SimpleNamespace(
+            cfg=config,
+            num_actions=num_actions,
+            controller=env.robot_manager.controller,
+            controller_config=SimpleNamespace(num_actions=num_actions),
+            robot_mass=env.gtd["robot_mass"],
+            robot_inertia=env.gtd["robot_inertia"],
+        )
+
+    def reset_idx(self, env_ids: Tensor | Sequence[int]) -> None:
+        """Start the robots of some environments anew; the obstacles stay."""
+        self._manager.env.robot_manager.reset(self._manager.mask_of(env_ids))
+
+
+class AssetManager:
+    """``asset_manager`` of that simulator."""
+
+    def __init__(self, env: Simulation) -> None:
+        self.num_keep_in_env = env.cfg.num_kept
+
+
+class Physics:
+    """What scripts call ``IGE_env``; there it is Isaac Gym."""
+
+    def __init__(self, env: Simulation) -> None:
+        self._env = env
+        self.num_assets_per_env = env.cfg.num_assets
+
+    def write_to_sim(self) -> None:
+        """Take rows of ``robot_state_tensor``, (E, 13), that a script has written into the physics; others stay as they are."""
+        gtd = self._env.gtd
+        state = gtd["robot_state_tensor"]
+        keys = ("robot_position", "robot_orientation", "robot_linvel", "robot_angvel")
+        written = (state != torch.cat([gtd[key] for key in keys], dim=-1)).any(dim=-1, keepdim=True)
+        ang_vel = quat_rotate_inverse(state[:, 3:7], state[:, 10:13])
+        for key, value in (
+            ("robot_position", state[:, 0:3]),
+            ("robot_orientation", state[:, 3:7]),
+            ("robot_linvel", state[:, 7:10]),
+            ("robot_body_angvel", ang_vel),
+        ):
+            gtd[key].copy_(torch.where(written, value, gtd[key]))
+        self._env.robot_manager.tensors.derived.refresh()
+
+    def __getattr__(self, name: str) -> NoReturn:
+        raise AttributeError(
+            f"IGE_env.{name}: there is no Isaac Gym here. Tensors are in global_tensor_dict; write_to_sim() takes states"
+        )

@@ -1,0 +1,178 @@
+"""Names of the Aerial Gym Simulator that are registered there and missing here, and methods side by side."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Name:
+    """A name of that simulator and what it is here."""
+
+    theirs: str
+    """As a script writes it."""
+
+    ours: str
+    """What does it here, without this layer."""
+
+    remark: str = ""
+    """What differs, defects that are mended."""
+
+
+_BODY = "write a robot file (docs/coming_from_aerial_gym.md, 'A robot') and give its path as robot_name"
+_JOINTS = "no robot has joints yet"
+_GAINS = (
+    "gains belong to the robot here: take the lee_ controller of the same kind, or register one with a class of gains"
+)
+_TASK = "write it as a task file, or as a class derived from BaseTask"
+
+ABSENT: dict[str, dict[str, str]] = {
+    "sim": {},
+    "environment": {},
+    "robot": dict.fromkeys(
+        (
+            "base_quad_root_link_control",
+            "base_octarotor",
+            "base_random",
+            "lmf1",
+            "lmf2",
+            "lmf2_radar",
+            "magpie",
+            "x500",
+        ),
+        _BODY,
+    )
+    | dict.fromkeys(("morphy", "morphy_fixed_base", "morphy_stiff", "snakey", "snakey5", "snakey6"), _JOINTS)
+    | {"base_rov": "there it is an octarotor without gravity; " + _BODY},
+    "controller": {
+        f"{robot}_{kind}_control": _GAINS
+        for robot in ("lmf2", "magpie", "octarotor")
+        for kind in ("position", "velocity", "attitude", "rates", "acceleration")
+    }
+    | dict.fromkeys(
+        ("rov_fully_actuated_control", "fully_actuated_control"),
+        "a full pose is no command of a law here yet; lee_position_control holds position and yaw",
+    ),
+    "task": dict.fromkeys(
+        (
+            "position_setpoint_task_sim2real",
+            "position_setpoint_task_acceleration_sim2real",
+            "position_setpoint_task_sim2real_end_to_end",
+            "position_setpoint_task_sim2real_px4",
+            "position_setpoint_task_reconfigurable",
+            "position_setpoint_task_morphy",
+            "lidar_navigation_task",
+            "radar_navigation_task",
+            "dce_navigation_task",
+        ),
+        _TASK,
+    ),
+}
+"""Registered there, not here, by kind: the way out. A name that has come since is no longer missed."""
+
+METHODS: tuple[Name, ...] = (
+    Name(
+        "sim_builder:SimBuilder.build_env",
+        "SimBuilder().build_env(sim_name=..., ...)",
+        "args, use_warp and headless are taken and mean nothing; the seed is that of torch.manual_seed unless seed= is given",
+    ),
+    Name("sim_builder:SimBuilder.delete_env", "env.close()"),
+    Name(
+        "env_manager:EnvManager.step",
+        "env.step(actions, env_actions)",
+        "as many physics steps as the environment says; there the number could be drawn, and be 0",
+    ),
+    Name(
+        "env_manager:EnvManager.reset", "env.reset()", "no second placement with half the obstacles in 15 % of the rows"
+    ),
+    Name("env_manager:EnvManager.reset_idx", "env.reset(mask)", "ids become a mask; other rows stay bit for bit"),
+    Name(
+        "env_manager:EnvManager.reset_terminated_and_truncated_envs",
+        'env.reset(gtd["crashes"] | gtd["truncations"])',
+        "ids cost a wait for the GPU, a mask none",
+    ),
+    Name(
+        "env_manager:EnvManager.post_reward_calculation_step",
+        'env.reset(gtd["crashes"] | gtd["truncations"]); env.render()',
+        "images belong to the new episodes, as there",
+    ),
+    Name(
+        "env_manager:EnvManager.render",
+        "env.render()",
+        "an unknown component is an error, where there nothing happened",
+    ),
+    Name("env_manager:EnvManager.get_obs", "env.gtd"),
+    Name("env_manager:EnvManager.delete_env", "env.close()", "called by the tasks there, where it did not exist"),
+    Name("env_manager:EnvManager.sim_steps", 'gtd["sim_steps"]', "int32 (E,)"),
+    Name("env_manager:RobotManager.reset_idx", "env.robot_manager.reset(mask)"),
+    Name(
+        "env_manager:Physics.write_to_sim",
+        'gtd["robot_position"][:] = ...',
+        "takes rows that a script wrote into robot_state_tensor",
+    ),
+    Name(
+        "registries:SimConfigRegistry.register",
+        "SIMS.register(name, SimCfg(...))",
+        "another class under a registered name is refused",
+    ),
+    Name("registries:SimConfigRegistry.get_sim_config", "SIMS.get(name)"),
+    Name("registries:SimConfigRegistry.get_sim_names", "SIMS.names()"),
+    Name("registries:SimConfigRegistry.make_sim", "SIMS.get(name)", "builds nothing, as there"),
+    Name("registries:EnvConfigRegistry.register", "ENVIRONMENTS.register(name, cfg), or a file as env_name"),
+    Name("registries:EnvConfigRegistry.get_env_config", "ENVIRONMENTS.get(name)"),
+    Name("registries:EnvConfigRegistry.get_env_names", "ENVIRONMENTS.names()"),
+    Name("registries:EnvConfigRegistry.make_env", "ENVIRONMENTS.get(name)", "builds nothing, as there"),
+    Name(
+        "registries:RobotRegistry.register",
+        "ROBOTS.register(name, cfg), or a file as robot_name",
+        "the class is BaseMultirotor",
+    ),
+    Name("registries:RobotRegistry.get_robot_class", "-", "robots have no code of their own"),
+    Name("registries:RobotRegistry.get_robot_config", "ROBOTS.get(name)"),
+    Name("registries:RobotRegistry.get_robot_names", "ROBOTS.names()"),
+    Name(
+        "registries:RobotRegistry.make_robot",
+        "SimBuilder().build_env",
+        "refused: a robot is built with its environment",
+    ),
+    Name(
+        "registries:ControllerRegistry.register_controller",
+        "CONTROLLERS.register(name, ControllerCfg(...))",
+        "laws of ours with gains",
+    ),
+    Name("registries:ControllerRegistry.get_controller_class", "CONTROLLERS.get(name).law"),
+    Name("registries:ControllerRegistry.get_controller_config", "CONTROLLERS.get(name)"),
+    Name("registries:ControllerRegistry.get_controller_names", "CONTROLLERS.names()"),
+    Name(
+        "registries:ControllerRegistry.make_controller", "SimBuilder().build_env", "refused: it is built with its robot"
+    ),
+    Name("registries:TaskRegistry.register_task", "task_registry.register(name, TaskCfg(...))"),
+    Name("registries:TaskRegistry.get_task_class", "aerial_gym.Task", "one class runs every task file"),
+    Name("registries:TaskRegistry.get_task_config", "task_registry.get(name)"),
+    Name("registries:TaskRegistry.get_task_names", "task_registry.names()"),
+    Name("registries:TaskRegistry.get_task_classes", "-"),
+    Name("registries:TaskRegistry.get_task_configs", "-"),
+    Name(
+        "registries:TaskRegistry.make_task",
+        "task_registry.make_task(name, ...)",
+        "takes device= too; the class gets a configuration of its own, where there all tasks wrote into one",
+    ),
+    Name(
+        "registered_task:RegisteredTask.reset",
+        "obs, info = task.reset()",
+        "five things, as there; it does reset, also for navigation",
+    ),
+    Name(
+        "registered_task:RegisteredTask.step",
+        "task.step(actions)",
+        "infos has final_observation and time_outs; an episode has exactly episode_len_steps steps",
+    ),
+    Name("registered_task:RegisteredTask.reset_idx", "-", "refused: step resets what is done"),
+    Name("registered_task:RegisteredTask.render", "env.render()", "shows nothing"),
+    Name("registered_task:RegisteredTask.close", "task.close()", "works"),
+    Name(
+        "base_task:BaseTask.seed",
+        "make_task(seed=...)",
+        "seeds Python, NumPy and torch, because such tasks draw from them",
+    ),
+    Name("base_task:BaseTask.close", "task.close()"),
+)
+"""Methods that scripts call: the place below ``aerial_gym.compat``, and ours."""

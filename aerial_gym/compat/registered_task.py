@@ -1,0 +1,111 @@
+"""Tasks of this package with the interface of the Aerial Gym Simulator's. Letters: E environments, U entries of an action."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from aerial_gym.compat.config.tasks import TABLE, task_of
+from aerial_gym.compat.sim_builder import SimBuilder
+from aerial_gym.errors import CapabilityError
+from aerial_gym.task import Task, task_registry
+
+FiveTuple = tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Tensor]]
+"""Observations, rewards, terminations, truncations, infos."""
+
+
+class RegisteredTask:
+    """A task of ours: ``reset`` and ``step`` return five things, observations hold rewards and flags too.
+
+    ``infos`` is ours: ``final_observation``, ``time_outs`` and more, which there are missing.
+    """
+
+    task_name = ""
+    """Name in ``aerial_gym.task_registry``."""
+
+    def __init__(
+        self,
+        task_config: Any,
+        seed: int | None = None,
+        num_envs: int | None = None,
+        headless: bool | None = None,
+        device: str | torch.device | None = None,
+        use_warp: bool | None = None,
+    ) -> None:
+        """Build the simulation that a configuration class names, and the task in it; arguments go before the class.
+
+        Raises:
+            ConfigError: If the class has a field that is unknown, or a number is impossible.
+        """
+        self.task_config = task_config
+        cfg, given = task_of(task_config, self.task_name), TABLE.values(task_config)
+        self.sim_env = SimBuilder().build_env(
+            cfg.sim,
+            str(cfg.env),
+            cfg.robot,
+            cfg.controller,
+            given.get("device", "auto") if device is None else device,
+            num_envs=cfg.num_envs if num_envs is None else num_envs,
+            headless=headless,
+            use_warp=use_warp,
+            seed=int(given.get("seed", 0)) if seed is None else seed,
+        )
+        self.task = Task(cfg, self.sim_env.env)
+        self._pre_reset = bool(given.get("return_state_before_reset", False))
+        self.num_envs, self.device = self.task.num_envs, self.task.device
+        self.observation_space, self.action_space = self.task.observation_space, self.task.action_space
+
+    def reset(self) -> FiveTuple:
+        """Start every environment anew; rewards and flags are zero."""
+        obs, info = self.task.reset()
+        zero = torch.zeros(self.num_envs, device=self.device)
+        return self._five(obs, zero, zero.bool(), zero.bool(), info)
+
+    def step(self, actions: Tensor) -> FiveTuple:
+        """Advance by one action, (E, U); finished environments have begun anew, and their observation is the new one."""
+        obs, reward, terminated, truncated, info = self.task.step(actions)
+        if self._pre_reset:
+            obs = {"observations": info["final_observation"]}
+        return self._five(obs, reward, terminated, truncated, info)
+
+    def reset_idx(self, env_ids: Tensor | Sequence[int]) -> None:
+        """Refuse: finished environments are reset by ``step``, all of them by ``reset``."""
+        raise CapabilityError(
+            f"{self.task_name}.reset_idx({env_ids!r}): step() resets the environments that are done, reset() all of them"
+        )
+
+    def render(self) -> None:
+        """Show nothing; images are in ``sim_env.global_tensor_dict`` after every step."""
+
+    def close(self) -> None:
+        """Drop what holds device memory."""
+        self.sim_env.delete_env()
+
+    def _five(
+        self, obs: dict[str, Tensor], reward: Tensor, terminated: Tensor, truncated: Tensor, info: dict[str, Tensor]
+    ) -> FiveTuple:
+        more = {
+            "priviliged_obs": torch.zeros(self.num_envs, 0, device=self.device),
+            "collisions": terminated.unsqueeze(-1).float(),
+            "rewards": reward,
+            "terminations": terminated,
+            "truncations": truncated,
+        }
+        return obs | more, reward, terminated, truncated, info
+
+
+_made: dict[str, type[RegisteredTask]] = {}
+
+
+def task_class(name: str) -> type[RegisteredTask]:
+    """Return the class of a registered task; the same one at every call."""
+    task_registry.get(name)
+    if name not in _made:
+        camel = "".join(part.capitalize() for part in name.split("_"))
+        _made[name] = type(camel, (RegisteredTask,), {"task_name": name, "__doc__": f"The task ``{name}``."})
+    return _made[name]
+
+
+PositionSetpointTask = task_class("position_setpoint_task")
+NavigationTask = task_class("navigation_task")

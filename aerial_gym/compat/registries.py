@@ -1,0 +1,299 @@
+"""The five registries of the Aerial Gym Simulator in front of ours.
+
+A name is looked up among those that the script has registered, then among ours. A class is translated when something is built,
+so that changes made to it before count, as there. What is registered is found by scripts alone: ``aerial_gym.ROBOTS`` and its
+relatives hold what this package and its users register for good.
+"""
+
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from difflib import get_close_matches
+from inspect import isclass
+from typing import Any, NoReturn
+
+from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.compat.config import controllers, environments, robots, sims, tasks
+from aerial_gym.compat.config.fields import Table
+from aerial_gym.compat.names import ABSENT
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.env_manager import SIMS, robot_by_name
+from aerial_gym.env_manager.sim_builder import environment_by_name
+from aerial_gym.errors import CapabilityError, ConfigError, DuplicateNameError, UnknownNameError
+from aerial_gym.registry import Registry
+from aerial_gym.robots import ROBOTS
+from aerial_gym.task import task_registry as TASKS  # noqa: N812 (as the other registries of ours)
+
+
+class _Names:
+    """What a script has registered, and what is registered here."""
+
+    kind: str
+    ours: Registry[Any]
+    built_in: Mapping[str, Any] = {}
+
+    def __init__(self) -> None:
+        self._own: dict[str, Any] = {}
+
+    def _add(self, name: str, entry: Any, identity: Any) -> None:
+        """Take an entry; the same class again is nothing new, another one under the same name an error."""
+        known = self._own.get(name, (self.built_in.get(name), None))[0]
+        if name not in self.ours if known is None else _same_class(known, identity):
+            self._own[name] = (identity, entry)
+            return
+        raise DuplicateNameError(f"{self.kind} {name!r} is registered already, as something else. Choose another name.")
+
+    def _names(self) -> list[str]:
+        return sorted({*self._own, *self.built_in, *self.ours})
+
+    def _find(self, name: str) -> Any:
+        """Return what the script has registered under a name, None for one of ours; raise ``UnknownNameError`` for neither."""
+        if name in self._own:
+            return self._own[name][1]
+        if name in self.built_in or name in self.ours:
+            return None
+        names = self._names()
+        absent = ABSENT[self.kind].get(name, "")
+        near = get_close_matches(name, names, n=1)
+        hint = f" {absent}." if absent else f" Did you mean {near[0]!r}?" if near else ""
+        raise UnknownNameError(f"no {self.kind} {name!r}.{hint} Known: {', '.join(names)}")
+
+
+def _same_class(a: Any, b: Any) -> bool:
+    """Return whether two classes are one, or one that a notebook has defined again."""
+    return a is b or (isclass(a) and isclass(b) and (a.__module__, a.__qualname__) == (b.__module__, b.__qualname__))
+
+
+def _is_file(name: object) -> bool:
+    return str(name).endswith((".yaml", ".yml"))
+
+
+class _Configurations(_Names):
+    """A registry of configuration classes."""
+
+    table: Table
+    translate: Callable[[Any], Any]
+    load: Callable[[Any], Any]
+
+    def config_class(self, name: str) -> Any:
+        """Return the configuration class of a name: the script's, or one that stands for ours (a file, too)."""
+        found = None if _is_file(name) else self._find(name)
+        if found is not None:
+            return found if isclass(found) else self.table.class_of(name, found)
+        return self.built_in[name] if name in self.built_in else self.table.class_of(str(name), self.load(name))
+
+    def resolve(self, name: str) -> Any:
+        """Return our configuration for a name; a file or a name of ours as it is."""
+        found = None if _is_file(name) else self._find(name)
+        if found is None:
+            found = self.built_in.get(name)
+        return self.translate(found) if isclass(found) else found or name
+
+
+class SimConfigRegistry(_Configurations):
+    """``sim_config_registry``."""
+
+    kind, ours, built_in, table = "sim", SIMS, sims.CLASSES, sims.TABLE
+    translate, load = staticmethod(sims.sim_of), staticmethod(SIMS.get)
+
+    def register(self, sim_name: str, sim_config: Any) -> None:
+        """Register a sim class, or a ``SimCfg``; another one under a registered name is refused."""
+        self._add(sim_name, sim_config, sim_config)
+
+    def get_sim_config(self, sim_name: str) -> Any:
+        """Return the sim class."""
+        return self.config_class(sim_name)
+
+    def get_sim_names(self) -> list[str]:
+        """Return all names, sorted."""
+        return self._names()
+
+    def make_sim(self, sim_name: str) -> Any:
+        """Return the sim class: nothing is built, as there."""
+        return self.config_class(sim_name)
+
+
+class EnvConfigRegistry(_Configurations):
+    """``env_config_registry``."""
+
+    kind, ours, built_in, table = "environment", ENVIRONMENTS, environments.CLASSES, environments.TABLE
+    translate, load = staticmethod(environments.environment_of), staticmethod(environment_by_name)
+
+    def register(self, env_name: str, env_config: Any) -> None:
+        """Register an environment class, or an ``EnvironmentCfg``; another one under a registered name is refused."""
+        self._add(env_name, env_config, env_config)
+
+    def get_env_config(self, env_name: str) -> Any:
+        """Return the environment class."""
+        return self.config_class(env_name)
+
+    def get_env_names(self) -> list[str]:
+        """Return all names, sorted."""
+        return self._names()
+
+    def make_env(self, env_name: str) -> Any:
+        """Return the environment class: nothing is built, as there."""
+        return self.config_class(env_name)
+
+
+class BaseMultirotor:
+    """Stands for the class of every robot; how one flies is its robot file's matter."""
+
+
+class RobotRegistry(_Configurations):
+    """``robot_registry``."""
+
+    kind, ours, built_in, table = "robot", ROBOTS, robots.CLASSES, robots.TABLE
+    translate, load = staticmethod(robots.robot_of), staticmethod(robot_by_name)
+
+    def register(self, robot_name: str, robot_class: type, robot_config: Any) -> None:
+        """Register a robot class, or a ``RobotCfg``; another one under a registered name is refused.
+
+        Raises:
+            ConfigError: If the class of the robot is one of the script's own.
+        """
+        if robot_class is not BaseMultirotor:
+            raise ConfigError(
+                f"robot class {getattr(robot_class, '__name__', robot_class)}: robots have no code of their own here; use "
+                "BaseMultirotor. What acts on a body is an effect (aerial_gym.physics.effects)"
+            )
+        self._add(robot_name, robot_config, robot_config)
+
+    def get_robot_class(self, robot_name: str) -> type:
+        """Return ``BaseMultirotor``."""
+        self._find(robot_name)
+        return BaseMultirotor
+
+    def get_robot_config(self, robot_name: str) -> Any:
+        """Return the robot class."""
+        return self.config_class(robot_name)
+
+    def get_robot_names(self) -> list[str]:
+        """Return all names, sorted."""
+        return self._names()
+
+    def make_robot(self, robot_name: str, *_: object, **__: object) -> NoReturn:
+        """Refuse: a robot is built with its environment."""
+        raise CapabilityError(
+            f"make_robot({robot_name!r}): a robot is built with its environment here; use SimBuilder().build_env"
+        )
+
+
+class ControllerRegistry(_Names):
+    """``controller_registry``."""
+
+    kind, ours = "controller", CONTROLLERS
+
+    def register_controller(self, controller_name: str, controller_class: Any, controller_config: Any) -> None:
+        """Register a law of ours, by the class of that simulator, with a class of gains.
+
+        Raises:
+            ConfigError: If the law is the script's own, or a gain is impossible.
+        """
+        controllers.controller_of(controller_class, controller_config)
+        self._add(controller_name, (controller_class, controller_config), controller_config)
+
+    def get_controller_names(self) -> list[str]:
+        """Return all names, sorted."""
+        return self._names()
+
+    def get_controller_class(self, controller_name: str) -> Any:
+        """Return the class that stands for the law; None for one that only we have."""
+        found = self._find(controller_name)
+        if found is not None:
+            return found[0]
+        return next((law for law in controllers.LAWS.values() if law.name == controller_name), None)
+
+    def get_controller_config(self, controller_name: str) -> Any:
+        """Return the class of gains."""
+        found = self._find(controller_name)
+        return controllers.control if found is None else found[1]
+
+    def make_controller(self, controller_name: str, *_: object, **__: object) -> NoReturn:
+        """Refuse: a controller is built with its robot."""
+        raise CapabilityError(
+            f"make_controller({controller_name!r}): a controller is built with its robot here; use SimBuilder().build_env"
+        )
+
+    def resolve(self, name: str) -> Any:
+        """Return our controller for a name; a name of ours as it is."""
+        found = self._find(name)
+        if found is not None:
+            return controllers.controller_of(*found)
+        changed = controllers.control_is_changed()
+        law = self.get_controller_class(name)
+        return controllers.controller_of(law, controllers.control) if changed and law is not None else name
+
+
+class TaskRegistry(_Names):
+    """``task_registry``."""
+
+    kind, ours = "task", TASKS
+
+    def register_task(self, task_name: str, task_class: type, task_config: Any) -> None:
+        """Register a task class with its configuration; another class under a registered name is refused."""
+        self._add(task_name, (task_class, task_config), task_class)
+
+    def get_task_names(self) -> list[str]:
+        """Return all names, sorted."""
+        return self._names()
+
+    def get_task_class(self, task_name: str) -> type:
+        """Return the task class."""
+        found = self._find(task_name)
+        if found is not None:
+            return found[0]
+        from aerial_gym.compat.registered_task import task_class
+
+        return task_class(task_name)
+
+    def get_task_config(self, task_name: str) -> Any:
+        """Return the configuration class."""
+        found = self._find(task_name)
+        return tasks.task_class_config(task_name) if found is None else found[1]
+
+    def get_task_classes(self) -> list[type]:
+        """Return the class of every task."""
+        return [self.get_task_class(name) for name in self._names()]
+
+    def get_task_configs(self) -> list[Any]:
+        """Return the configuration class of every task."""
+        return [self.get_task_config(name) for name in self._names()]
+
+    def make_task(
+        self,
+        task_name: str,
+        seed: int | None = None,
+        num_envs: int | None = None,
+        headless: bool | None = None,
+        use_warp: bool | None = None,
+        **more: Any,
+    ) -> Any:
+        """Return a task; ``device`` and other arguments of its class may follow.
+
+        The class gets a configuration of its own: what it writes there, as tasks of that simulator do, reaches no other task.
+        """
+        given = {"seed": seed, "num_envs": num_envs, "headless": headless, "use_warp": use_warp}
+        return self.get_task_class(task_name)(fresh(self.get_task_config(task_name)), **given, **more)
+
+
+def fresh(config: Any) -> Any:
+    """Return a configuration class derived from one, whose lists, mappings and nested classes are copies."""
+    if not isclass(config):
+        return deepcopy(config)
+    inner: dict[str, Any] = {}
+    for name in dir(config):
+        value = getattr(config, name)
+        if name.startswith("_"):
+            continue
+        if isclass(value) and value.__qualname__.startswith(f"{config.__qualname__}."):
+            inner[name] = fresh(value)
+        elif isinstance(value, (list, dict, set)):
+            inner[name] = deepcopy(value)
+    return type(config.__name__, (config,), inner)
+
+
+sim_config_registry = SimConfigRegistry()
+env_config_registry = EnvConfigRegistry()
+robot_registry = RobotRegistry()
+controller_registry = ControllerRegistry()
+task_registry = TaskRegistry()

@@ -1,0 +1,52 @@
+"""Scripts of the Aerial Gym Simulator without their ``isaacgym`` imports."""
+
+import ast
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+
+def run_script(path: str | Path, arguments: Sequence[str] = ()) -> dict[str, Any]:
+    """Run a script as ``python PATH ARGUMENTS`` would, without its ``isaacgym`` imports; return its global names."""
+    path = Path(path)
+    code = compile(without_isaacgym(path.read_text(encoding="utf-8")), str(path), "exec")
+    script = ModuleType("__main__")
+    script.__dict__.update(__file__=str(path), __builtins__=__builtins__)
+    before = sys.modules["__main__"], sys.argv, sys.path
+    sys.modules["__main__"], sys.argv = script, [str(path), *arguments]
+    sys.path = [str(path.resolve().parent), *sys.path]
+    try:
+        exec(code, script.__dict__)
+    finally:
+        sys.modules["__main__"], sys.argv, sys.path = before
+    return script.__dict__
+
+
+def without_isaacgym(source: str) -> str:
+    """Return Python source in which imports of ``isaacgym`` are taken out, and nothing else; lines keep their numbers."""
+    lines = source.splitlines(keepends=True)
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, (ast.Import, ast.ImportFrom)) or not _imports_isaacgym(node):
+            continue
+        first, last = node.lineno - 1, (node.end_lineno or node.lineno) - 1
+        before, after = lines[first][: node.col_offset], lines[last][node.end_col_offset :]
+        lines[first : last + 1] = [f"{before}{_rest(node)}{after}", *["\n"] * (last - first)]
+    return "".join(lines)
+
+
+def _imports_isaacgym(node: ast.Import | ast.ImportFrom) -> bool:
+    if isinstance(node, ast.ImportFrom):
+        return node.level == 0 and (node.module or "").split(".")[0] == "isaacgym"
+    return any(_is_isaacgym(alias) for alias in node.names)
+
+
+def _is_isaacgym(alias: ast.alias) -> bool:
+    return alias.name.split(".")[0] == "isaacgym"
+
+
+def _rest(node: ast.Import | ast.ImportFrom) -> str:
+    """Return what stays of an import: the other modules of its line, or nothing that does anything."""
+    others = [alias for alias in node.names if not _is_isaacgym(alias)] if isinstance(node, ast.Import) else []
+    return ast.unparse(ast.Import(names=others)) if others else "pass"

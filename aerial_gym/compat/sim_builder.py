@@ -1,0 +1,79 @@
+"""The simulation builder of the Aerial Gym Simulator: its argument order, its registries, configuration classes."""
+
+import torch
+
+from aerial_gym.compat.config.environments import kept_values
+from aerial_gym.compat.env_manager import EnvManager
+from aerial_gym.compat.registries import (
+    controller_registry,
+    env_config_registry,
+    robot_registry,
+    sim_config_registry,
+)
+from aerial_gym.env_manager import SimBuilder as Builder
+
+
+class SimBuilder:
+    """Builds an environment manager from registered names."""
+
+    def __init__(self) -> None:
+        self._manager: EnvManager | None = None
+
+    def build_env(
+        self,
+        sim_name: str,
+        env_name: str,
+        robot_name: str,
+        controller_name: str,
+        device: str | torch.device = "auto",
+        args: object = None,
+        num_envs: int | None = None,
+        use_warp: bool | None = None,
+        headless: bool | None = None,
+        *,
+        seed: int | None = None,
+    ) -> EnvManager:
+        """Return a simulation, built and not yet reset.
+
+        Args:
+            sim_name: Registered sim, there or here.
+            env_name: Registered environment, or a file of ours.
+            robot_name: Registered robot, or a file of ours.
+            controller_name: Registered controller.
+            device: Torch device; ``auto`` takes the GPU if there is one.
+            args: Not used: the command line is the script's own.
+            num_envs: Environments side by side; that of the environment class if not given.
+            use_warp: Not used: sensors always are Warp's.
+            headless: Not used: there is no viewer window.
+            seed: Seed of every random number of the simulation; if not given that of ``torch.manual_seed``, which scripts call.
+
+        Raises:
+            UnknownNameError: If a name is not registered; the message lists what is.
+            ConfigError: If a configuration class has a field that is unknown or means nothing here.
+        """
+        del args, use_warp, headless
+        env_class = env_config_registry.config_class(env_name)
+        default_envs, reset_on_collision = kept_values(env_class)
+        env = Builder().build_env(
+            sim_name=sim_config_registry.resolve(sim_name),
+            env_name=env_config_registry.resolve(env_name),
+            robot_name=robot_registry.resolve(robot_name),
+            controller_name=controller_registry.resolve(controller_name),
+            num_envs=default_envs if num_envs is None else num_envs,
+            device=device,
+            seed=torch.initial_seed() % 2**31 if seed is None else seed,
+        )
+        self._manager = EnvManager(
+            env,
+            cfg=env_class,
+            sim_config=sim_config_registry.config_class(sim_name),
+            robot_config=robot_registry.config_class(robot_name),
+            reset_on_collision=reset_on_collision,
+        )
+        return self._manager
+
+    def delete_env(self) -> None:
+        """Drop what the last environment holds of device memory."""
+        if self._manager is not None:
+            self._manager.delete_env()
+            self._manager = None
