@@ -86,6 +86,8 @@ class AssetManager:
             episode=self._episode,
         )
         self._placement = Placement(obstacles, mask=self._mask, num_kept=cfg.num_kept, num_others=self._num_obstacles)
+        self.moving = obstacles if cfg.moves else None
+        """The obstacles as kernels see them, where an asset moves."""
         self._motion = Motion(obstacles, twists=self._env_actions) if cfg.moves else None
         wanted = cfg.clearance > 0.0 and self.num_assets > 0
         self._clearance = Clearance(self.scene, obstacles, room=cfg.clearance + robot_radius) if wanted else None

@@ -33,6 +33,56 @@ def _wrap(x: float, low: float, high: float) -> float:
     return x - span * wp.floor((x - low) / span)
 
 
+@wp.func
+def instance_moves(obstacles: Obstacles, env: int, a: int) -> wp.bool:
+    """Return whether an instance is of an asset that moves, and present."""
+    still = obstacles.table[obstacles.asset[env, a]].motion == STILL
+    return not still and obstacles.position[env, a][2] >= ABSENT_BELOW
+
+
+@wp.func
+def moved(
+    obstacles: Obstacles, env: int, a: int, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, dt: float
+):  # fmt: skip
+    """Return position, attitude and velocity of an instance that moves after ``dt`` [s] from these; nothing is written."""
+    row = obstacles.table[obstacles.asset[env, a]]
+    velocity = lin_vel
+    turn = obstacles.ang_vel[env, a]
+    place = position + dt * velocity
+    if row.motion == WAYPOINTS:
+        from_a = obstacles.waypoint_a[env, a]
+        path = obstacles.waypoint_b[env, a] - from_a
+        along = wp.normalize(path)
+        folded = _fold(wp.dot(place - from_a, along), wp.dot(velocity, along), 0.0, wp.length(path))
+        place = from_a + folded[0] * along
+        if folded[1] * wp.dot(velocity, along) < 0.0:
+            velocity = -velocity  # rather than folded[1] * along, whose rounding would slow it down in time
+    elif row.at_bounds == BOUNCE:
+        for i in range(3):
+            folded = _fold(place[i], velocity[i], obstacles.bounds_min[env][i], obstacles.bounds_max[env][i])
+            place[i] = folded[0]
+            velocity[i] = folded[1]
+    elif row.at_bounds == WRAP:
+        for i in range(3):
+            place[i] = _wrap(place[i], obstacles.bounds_min[env][i], obstacles.bounds_max[env][i])
+    rotation = wp.quat_from_axis_angle(wp.normalize(turn), dt * wp.length(turn))
+    return place, wp.normalize(rotation * attitude), velocity
+
+
+@wp.func
+def move_instance(obstacles: Obstacles, env: int, a: int, dt: float, steps: int):
+    """Move an instance by ``steps`` of ``dt`` [s] each, if it is one that moves."""
+    if instance_moves(obstacles, env, a):
+        x = obstacles.position[env, a]
+        q = obstacles.attitude[env, a]
+        v = obstacles.lin_vel[env, a]
+        for _k in range(steps):
+            x, q, v = moved(obstacles, env, a, x, q, v, dt)
+        obstacles.position[env, a] = x
+        obstacles.attitude[env, a] = q
+        obstacles.lin_vel[env, a] = v
+
+
 @wp.kernel(enable_backward=False)
 def _advance(
     dt: float,  # [s]
@@ -41,33 +91,7 @@ def _advance(
 ):
     """Move the present instances of moving assets by one step; leave the others alone."""
     env, a = wp.tid()
-    row = obstacles_out.table[obstacles_out.asset[env, a]]
-    start = obstacles_out.position[env, a]
-    if row.motion == STILL or start[2] < ABSENT_BELOW:
-        return
-    velocity = obstacles_out.lin_vel[env, a]
-    turn = obstacles_out.ang_vel[env, a]
-    place = start + dt * velocity
-    if row.motion == WAYPOINTS:
-        from_a = obstacles_out.waypoint_a[env, a]
-        path = obstacles_out.waypoint_b[env, a] - from_a
-        along = wp.normalize(path)
-        folded = _fold(wp.dot(place - from_a, along), wp.dot(velocity, along), 0.0, wp.length(path))
-        place = from_a + folded[0] * along
-        if folded[1] * wp.dot(velocity, along) < 0.0:
-            velocity = -velocity  # rather than folded[1] * along, whose rounding would slow it down in time
-    elif row.at_bounds == BOUNCE:
-        for i in range(3):
-            folded = _fold(place[i], velocity[i], obstacles_out.bounds_min[env][i], obstacles_out.bounds_max[env][i])
-            place[i] = folded[0]
-            velocity[i] = folded[1]
-    elif row.at_bounds == WRAP:
-        for i in range(3):
-            place[i] = _wrap(place[i], obstacles_out.bounds_min[env][i], obstacles_out.bounds_max[env][i])
-    rotation = wp.quat_from_axis_angle(wp.normalize(turn), dt * wp.length(turn))
-    obstacles_out.position[env, a] = place
-    obstacles_out.attitude[env, a] = wp.normalize(rotation * obstacles_out.attitude[env, a])
-    obstacles_out.lin_vel[env, a] = velocity
+    move_instance(obstacles_out, env, a, dt, 1)
 
 
 @wp.kernel(enable_backward=False)

@@ -1,11 +1,11 @@
-"""What kernels see of a scene, and the distance of a point to it, as Warp code.
+"""What kernels see of a scene, as Warp code.
 
 Frames: world of each environment, z up. Letters: E environments, A instances, P parts of all instances together.
 """
 
 import warp as wp
 
-from aerial_gym.assets.geometry import Shape, signed_distance
+from aerial_gym.assets.geometry import Shape
 
 ABSENT_BELOW = wp.constant(-500.0)
 """Height [m] below which an instance is absent; half way to the parking place, so that drifting there does not matter."""
@@ -64,17 +64,3 @@ def part_is_present(scene: SceneArrays, env: int, part: int) -> wp.bool:
     if a < 0:
         return True
     return scene.position[env, a][2] > ABSENT_BELOW
-
-
-@wp.func
-def scene_distance(scene: SceneArrays, env: int, point: wp.vec3, limit: float) -> float:
-    """Return the signed distance of a world point to the nearest present solid part [m], or ``limit`` if that is smaller."""
-    nearest = float(limit)
-    for part in range(scene.num_solid):
-        if part_is_present(scene, env, part):
-            offset = point - part_position(scene, env, part)
-            if wp.length(offset) - scene.radius[env, part] < nearest:
-                shape = scene.shapes[scene.part_shape[env, part]]
-                local = wp.quat_rotate_inv(part_attitude(scene, env, part), offset)
-                nearest = wp.min(nearest, signed_distance(shape, local))
-    return nearest

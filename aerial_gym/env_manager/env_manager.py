@@ -17,6 +17,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
 from aerial_gym.errors import ConfigError
+from aerial_gym.physics import Trajectory
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
 from aerial_gym.robots import ROBOTS, RobotManager
@@ -75,6 +76,9 @@ class EnvManager:
         check_closed_loop(robot, controller, gravity=sim.gravity, dt=sim.dt, integrator=sim.integrator, names=names)
         law = make_controller(controller, self.robot_manager.declared, sim.gravity, dt=sim.dt, control=robot.control)
         scene = self.asset_manager.scene
+        trajectory = None
+        if env.num_assets and env.contact is None:
+            trajectory = Trajectory.zeros(env.physics_steps_per_env_step, num_envs, device=device)
         self.robot_manager.attach(
             law,
             ground_height=env.ground_height,
@@ -82,6 +86,7 @@ class EnvManager:
             crashes=self.gtd["crashes"],
             contact=env.contact,
             scene=scene,
+            hook=trajectory,
         )
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
         range_sensors, imus = mounted_sensors(robot.sensor_mounts)
@@ -111,14 +116,20 @@ class EnvManager:
             seed=seed,
             errors=self.robot_manager.model.effects[ImuEffect],
         )
-        self._touching = torch.zeros(num_envs, dtype=torch.bool, device=device)
         self._collision = CollisionTest(
             scene,
             robot.collision.spheres,
             distance_out=self.gtd["robot_clearance"],
-            crashes_out=self._touching,
+            moving=self.asset_manager.moving,
             **pose,
         )
+        if trajectory is not None:
+            self._collision.follow(
+                trajectory.position,
+                trajectory.attitude,
+                dt=sim.dt,
+                crashes_out=self.gtd["crashes"],
+            )
         self._bounds_ranges = bounds_ranges(env, device=device)
         self._bounds_vary = bool((self._bounds_ranges[:, 0] != self._bounds_ranges[:, 1]).any())
         bounds[0].copy_(self._bounds_ranges[0, 0])
@@ -176,23 +187,25 @@ class EnvManager:
         gtd["sim_steps"].add_(1)
 
     def _advance(self) -> None:
-        """Advance the physics; where there are obstacles, move them and look for contact after every physics step.
+        """Advance the physics in one launch, and in another move the obstacles and look for contact after every substep.
 
-        The physics itself looks for contact with the ground after every step of its own; without obstacles that is all.
+        The physics itself looks for contact with the ground after every step of its own; without obstacles that is all. Where
+        obstacles push back, they act between the physics steps, which are then launched one by one.
         """
         steps = self.cfg.physics_steps_per_env_step
+        if self.cfg.num_assets and self.cfg.contact is None:
+            self.robot_manager.advance(steps)
+            self._collision.step()
+            return
         if self.cfg.num_assets == 0:
             self.robot_manager.advance(steps)
-            if self._collision.has_solids:
-                self._collision.measure()
-            return
-        for _ in range(steps):
-            self.robot_manager.advance(1)
-            self.asset_manager.step(self.sim_cfg.dt)
-            self.robot_manager.push_off_obstacles()
+        else:
+            for _ in range(steps):
+                self.robot_manager.advance(1)
+                self.asset_manager.step(self.sim_cfg.dt)
+                self.robot_manager.push_off_obstacles()
+        if self._collision.has_solids:
             self._collision.measure()
-            if self.cfg.contact is None:  # else the contact says which touch is a crash
-                self.gtd["crashes"].logical_or_(self._touching)
 
     def restart(self, seed: int) -> None:
         """Begin every random number anew with a seed."""

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from aerial_gym.physics.model import Model, build_model, effects_from_config
     from aerial_gym.physics.rigid_body import Accelerations, accelerations, condition_in
     from aerial_gym.physics.state import BodyState, state_at_rest
+    from aerial_gym.physics.substep_hook import SubstepHook, Trajectory
     from aerial_gym.physics.torch_backend import TorchBackend, advance, advance_remembering
     from aerial_gym.physics.vehicle import Vehicle, vehicle_from_config
     from aerial_gym.physics.warp_backend import WarpBackend
@@ -28,7 +29,9 @@ __all__ = [
     "Ground",
     "Model",
     "PhysicsBackend",
+    "SubstepHook",
     "TorchBackend",
+    "Trajectory",
     "Vehicle",
     "WarpBackend",
     "accelerations",

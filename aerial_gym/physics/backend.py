@@ -10,6 +10,7 @@ from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.substep_hook import SubstepHook
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +53,16 @@ class PhysicsBackend(Protocol):
         """What it can do."""
         ...
 
-    def allocate(self, model: Model, control: ControlLaw, *, integrator: str, ground: Ground | None = None) -> None:
-        """Take model, control law, stepper and ground, and make all buffers.
+    def allocate(
+        self,
+        model: Model,
+        control: ControlLaw,
+        *,
+        integrator: str,
+        ground: Ground | None = None,
+        hook: SubstepHook | None = None,
+    ) -> None:
+        """Take model, control law, stepper, ground and what follows each substep of ``step``, and make all buffers.
 
         Raises:
             CapabilityError: If the backend cannot run what is asked, by name.

@@ -20,6 +20,7 @@ from aerial_gym.physics.memory import (
 )
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
 
 
 def advance(
@@ -90,11 +91,20 @@ class TorchBackend:
     _memory: Memory | None = None
     _seed = 0
 
-    def allocate(self, model: Model, control: ControlLaw, *, integrator: str, ground: Ground | None = None) -> None:
-        """Take model, control law, stepper by name, and ground."""
+    def allocate(
+        self,
+        model: Model,
+        control: ControlLaw,
+        *,
+        integrator: str,
+        ground: Ground | None = None,
+        hook: SubstepHook | None = None,
+    ) -> None:
+        """Take model, control law, stepper by name, ground and hook."""
         if integrator not in INTEGRATORS:
             raise CapabilityError(f"backend torch: no integrator {integrator!r}. Known: {', '.join(INTEGRATORS)}")
         self._stepper, self._control, self._ground = INTEGRATORS[integrator], control, ground
+        self._hook = hook
         self._share = POSITION_SHARE[integrator]
         self._memory = None
         self.set_model(model)
@@ -113,7 +123,7 @@ class TorchBackend:
                 _, after = self._free_substep(state, command, dt)
                 state = to_body_state(self._model, after)
             else:
-                state, _, _ = self._advance_on_ground(self._ground, self._ground.cfg, state, command, dt)
+                _, state, _, _ = self._advance_on_ground(self._ground, self._ground.cfg, state, command, dt)
         return state
 
     def _free_substep(self, state: BodyState, command: Tensor, dt: float) -> tuple[MassState, MassState]:
@@ -143,29 +153,37 @@ class TorchBackend:
 
     def _advance_on_ground(
         self, ground: Ground, cfg: ContactCfg, state: BodyState, command: Tensor, dt: float
-    ) -> tuple[BodyState, Tensor, Tensor]:
-        """Return the state after one substep, the impulse of the ground (E, 3) and which crash (E,)."""
+    ) -> tuple[MassState, BodyState, Tensor, Tensor]:
+        """Return the motion before and the state after one substep, the impulse of the ground (E, 3), and which crash (E,)."""
         before, free = self._free_substep(state, command, dt)
         after, impulse, crashes = push_off_ground(ground, cfg, self._model, before, free, dt=dt, share=self._share)
-        return to_body_state(self._model, after), impulse, crashes
+        return before, to_body_state(self._model, after), impulse, crashes
 
     @torch.no_grad()
     def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
         """Advance ``state`` in place."""
+        check_substeps(self._hook, substeps)
+        for k in range(substeps):
+            before = self._step_once(state, command, dt)
+            if self._hook is not None:
+                self._hook.after_substep(k, before, state)
+
+    def _step_once(self, state: BodyState, command: Tensor, dt: float) -> MassState:
+        """Advance ``state`` in place by one substep and tell the ground; return a copy of the motion before."""
         ground = self._ground
-        if ground is None:
-            state.copy_(self.advance(state, command, dt, substeps))
-            return
-        for _ in range(substeps):
-            if ground.cfg is None:
-                state.copy_(self.advance(state, command, dt, 1))
-                ground.contact.logical_or_(touches_ground(ground, state))
-                continue
-            after, impulse, crashes = self._advance_on_ground(ground, ground.cfg, state, command, dt)
-            state.copy_(after)
+        if ground is None or ground.cfg is None:
+            before, free = self._free_substep(state, command, dt)
+            after = to_body_state(self._model, free)
+        else:
+            before, after, impulse, crashes = self._advance_on_ground(ground, ground.cfg, state, command, dt)
             ground.contact.logical_or_(crashes)
             if ground.impulse is not None:
                 ground.impulse.add_(impulse)
+        before = MassState(**{name: tensor.clone() for name, tensor in vars(before).items()})
+        state.copy_(after)
+        if ground is not None and ground.cfg is None:
+            ground.contact.logical_or_(touches_ground(ground, state))
+        return before
 
     @torch.no_grad()
     def reset(self, mask: Tensor) -> None:

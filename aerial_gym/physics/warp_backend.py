@@ -18,6 +18,7 @@ from aerial_gym.physics.effects import EFFECTS, Effect, LearnedResidual
 from aerial_gym.physics.fused.contact import contact_parameters
 from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.fused.gradient import Rollout
+from aerial_gym.physics.fused.hook import NoHook
 from aerial_gym.physics.fused.kernel import make_kernel
 from aerial_gym.physics.fused.memory import MemoryArrays, NoMemory
 from aerial_gym.physics.fused.packing import Numbers, Packing, arrange, numbers_of, packed_rows, shared_structs
@@ -26,6 +27,7 @@ from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.memory import Memory, make_memory, num_past_commands
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
 from aerial_gym.physics.vehicle import is_shared
 
 BLOCK_DIM = 128
@@ -83,7 +85,15 @@ class WarpBackend:
     def _can_run(self, effect: Effect) -> bool:
         return effect.has_twin and not (self._differentiable and effect.remembers)
 
-    def allocate(self, model: Model, control: ControlLaw, *, integrator: str, ground: Ground | None = None) -> None:
+    def allocate(
+        self,
+        model: Model,
+        control: ControlLaw,
+        *,
+        integrator: str,
+        ground: Ground | None = None,
+        hook: SubstepHook | None = None,
+    ) -> None:
         """Compose the kernel and make the buffers.
 
         Raises:
@@ -110,15 +120,19 @@ class WarpBackend:
             )
         if ground is not None and self._differentiable:
             raise CapabilityError("backend warp: a differentiable rollout knows no ground. Use backend 'torch'.")
+        if hook is not None and self._differentiable:
+            raise CapabilityError("backend warp: a differentiable rollout follows no obstacles. Use backend 'torch'.")
         start_warp()
         self._law, self._control, self._integrator, self._model = law, control, integrator, model
-        self._given_ground = ground
+        self._given_ground, self._hook = ground, hook
         self._device = model.vehicle.mass.device
         self._num_envs, self._num_rotors = model.vehicle.num_envs, model.vehicle.num_rotors
         self._dt, self._memory = 0.0, None
         self._packing: Packing = arrange(self._numbers(1.0), all_packed=self._differentiable)
         self._packed = torch.zeros(max(self._packing.total, 1), self._num_envs, device=self._device)
         self._ground = self._ground_arrays(ground)
+        fused_hook = None if hook is None else hook.fused()
+        self._hook_data = NoHook() if fused_hook is None else fused_hook.data
         self.kernel = make_kernel(
             model,
             law,
@@ -126,6 +140,7 @@ class WarpBackend:
             self._packing,
             num_spheres=0 if ground is None else ground.spheres.shape[0],
             compliant=ground is not None and ground.cfg is not None,
+            hook=fused_hook,
             com_offset=not is_shared(model.vehicle.com) or bool(model.vehicle.com.any()),
             differentiable=self._differentiable,
         )
@@ -161,7 +176,7 @@ class WarpBackend:
         pairs.append((model.other_position, old.other_position))
         if any(is_shared(kept) and new is not kept and not _same_row(new, kept) for new, kept in pairs):
             memory = self._memory
-            self.allocate(model, self._control, integrator=self._integrator, ground=self._given_ground)
+            self.allocate(model, self._control, integrator=self._integrator, ground=self._given_ground, hook=self._hook)
             self._memory = memory
         elif self._dt != 0.0:
             self._write_packed()
@@ -227,6 +242,7 @@ class WarpBackend:
 
     def _bind(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> _Binding:
         """Record the launches for tensors of fixed address, so that a step makes no views."""
+        check_substeps(self._hook, substeps)
         arrays = self._arrays(state)
         inputs = [*arrays, self._view(command, vector_of(self._law.num_actions), "command"), *self._shared]
         ground = self._ground
@@ -237,7 +253,7 @@ class WarpBackend:
                 wp.launch(
                     self.kernel,
                     dim=count,
-                    inputs=[*inputs, first, self._memory_arrays],
+                    inputs=[*inputs, first, self._memory_arrays, self._hook_data],
                     outputs=[*arrays, *ground[3:]],
                     device=wp.device_from_torch(self._device),
                     block_dim=BLOCK_DIM,

@@ -19,6 +19,7 @@ from aerial_gym.math.random import uniform
 from aerial_gym.physics import (
     BACKENDS,
     PhysicsBackend,
+    SubstepHook,
     Vehicle,
     build_model,
     vehicle_from_config,
@@ -110,6 +111,7 @@ class RobotManager:
         crashes: Tensor,
         contact: ContactCfg | None = None,
         scene: Scene | None = None,
+        hook: SubstepHook | None = None,
     ) -> None:
         """Take the controller, declare the tensors and hand everything to the backend.
 
@@ -121,6 +123,7 @@ class RobotManager:
                 obstacle, bool (E,).
             contact: How ground and obstacles push back; None if they do not.
             scene: The obstacles; only needed with ``contact``.
+            hook: Follows the robot from substep to substep.
 
         Raises:
             ConfigError: If there should be contact and the robot has no collision shape, or an effect near a ceiling and none
@@ -162,7 +165,9 @@ class RobotManager:
             ground = Ground(
                 height=ground_height, spheres=spheres, contact=crashes, cfg=contact, impulse=self._contact_force
             )
-        self.backend.allocate(self._build_model(), controller, integrator=self._sim.integrator, ground=ground)
+        self.backend.allocate(
+            self._build_model(), controller, integrator=self._sim.integrator, ground=ground, hook=hook
+        )
         self.backend.restart(self._seed)
         if self._contact_force is not None and contact is not None and scene is not None and scene.num_instances:
             self._scene_contact = SceneContact(

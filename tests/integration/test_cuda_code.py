@@ -6,7 +6,7 @@ import pytest
 import torch
 import warp as wp
 
-from aerial_gym.assets import collision
+from aerial_gym.assets.collision import make_walk
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.images import IMAGES
 from aerial_gym.control import CONTROLLERS, make_controller
@@ -81,6 +81,11 @@ def test_row_kernels_compile(tmp_path: Path) -> None:
     compile_for_gpu(rows.kernel.module, tmp_path)
 
 
-@pytest.mark.parametrize("module", [derived, initial_state, imu, scene_contact, goals, view, collision, flow])
+@pytest.mark.parametrize("moves", [False, True])
+def test_the_collision_kernel_compiles(moves: bool, tmp_path: Path) -> None:
+    compile_for_gpu(make_walk(moves=moves, shared=True).module, tmp_path)
+
+
+@pytest.mark.parametrize("module", [derived, initial_state, imu, scene_contact, goals, view, flow])
 def test_kernels_of_modules_compile(module, tmp_path: Path) -> None:
     compile_for_gpu(wp.get_module(module.__name__), tmp_path)

@@ -12,6 +12,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.interop import on_torch_stream
+from aerial_gym.physics.fused.hook import NoHook
 from aerial_gym.physics.fused.memory import NoMemory
 
 
@@ -47,7 +48,7 @@ class _Rollout(torch.autograd.Function):
 
         *state_kinds, action_kind = rollout.kinds
         now = [view(tensor, kind) for tensor, kind in zip(state, state_kinds, strict=True)]
-        nothing = NoMemory()
+        nothing, no_hook = NoMemory(), NoHook()
         action, params = view(command, action_kind), view(packed, wp.float32)
         ctx.inputs, ctx.tape = [params, action, *now], wp.Tape()
         with on_torch_stream(command), ctx.tape:
@@ -56,7 +57,7 @@ class _Rollout(torch.autograd.Function):
                 wp.launch(
                     rollout.kernel,
                     dim=command.shape[0],
-                    inputs=[*now, action, *rollout.shared, params, *rollout.scalars, 1, 0, nothing],
+                    inputs=[*now, action, *rollout.shared, params, *rollout.scalars, 1, 0, nothing, no_hook],
                     outputs=[*after, rollout.contact, rollout.impulse],
                     device=now[0].device,
                 )

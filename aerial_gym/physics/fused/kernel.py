@@ -13,6 +13,7 @@ from aerial_gym.physics.fused.command import make_command
 from aerial_gym.physics.fused.contact import ContactParameters, make_push_off_ground
 from aerial_gym.physics.fused.dynamics import make_stepper
 from aerial_gym.physics.fused.functions import load_quat, load_vec4, rotate, store_quat, store_vec4
+from aerial_gym.physics.fused.hook import FusedHook, NoHook
 from aerial_gym.physics.fused.law import FusedLaw, NoGains
 from aerial_gym.physics.fused.memory import MemoryArrays, NoMemory, make_begin
 from aerial_gym.physics.fused.packing import (
@@ -52,6 +53,7 @@ def make_kernel(
     num_spheres: int,
     compliant: bool,
     com_offset: bool,
+    hook: FusedHook | None,
     differentiable: bool,
 ) -> wp.Kernel:
     """Return the kernel; what it does not need costs nothing.
@@ -64,6 +66,7 @@ def make_kernel(
         num_spheres: How many spheres are tested against the ground; 0 where there is none.
         compliant: Whether the ground pushes back.
         com_offset: Whether the centre of mass is beside the body origin anywhere.
+        hook: What follows every substep.
         differentiable: Whether Warp also makes the adjoint.
     """
     num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
@@ -80,6 +83,8 @@ def make_kernel(
     read_gains = make_gains_reader(law, packing.gains)
     read_params = make_reader(params_type, num_params, 0)
     first_param = packing.effects
+    follows, hook_type = hook is not None, NoHook if hook is None else hook.struct
+    follow = None if hook is None else hook.function
     push_off_ground = make_push_off_ground(num_rotors, max(num_spheres, 1))
     get_quat, put_quat = (load_quat, store_quat) if not differentiable else _make_access(wp.quat)
     get_rotors, put_rotors = (load_vec4, store_vec4) if num_rotors == 4 and not differentiable else _make_access(vector)
@@ -139,6 +144,7 @@ def make_kernel(
         substeps: int,
         first: int,  # environment of the first thread
         memory: memory_type,  # read and written
+        hook_data: hook_type,  # read and written
         # out
         position_out: wp.array[wp.vec3],
         attitude_out: wp.array[wp.quat],
@@ -201,6 +207,11 @@ def make_kernel(
                         center -= vehicle.com
                     if x[2] + rotate(q, center)[2] - spheres[i][3] < ground_height:
                         contact_out[env] = True
+            if wp.static(follows):
+                mass = 1.0 / vehicle.mass_inverse
+                x, q, v, w = follow(
+                    hook_data, env, k, dt, mass, vehicle.inertia, vehicle.com, first_v, first_w, x, q, v, w
+                )
         if wp.static(remembers):
             memory.since[env] = since + substeps
             memory.count[env] = count + substeps

@@ -58,10 +58,10 @@ def every(num_envs: int) -> Tensor:
 def distance(made: AssetManager, points: Tensor) -> Tensor:
     """Return how far points (E, 3) are from the scene [m]."""
     num = len(points)
-    out, hit = torch.full((num,), float("nan")), torch.zeros(num, dtype=torch.bool)
+    out = torch.full((num,), float("nan"))
     attitude = torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(num, 4).contiguous()
     point = (SphereCfg(center=(0.0, 0.0, 0.0), radius=1e-9),)
-    CollisionTest(made.scene, point, position=points, attitude=attitude, distance_out=out, crashes_out=hit).measure()
+    CollisionTest(made.scene, point, position=points, attitude=attitude, distance_out=out).measure()
     return out
 
 

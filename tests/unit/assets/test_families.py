@@ -28,8 +28,8 @@ def distances(shape: ShapeCfg, points: torch.Tensor, pose: torch.Tensor | None =
     index = torch.zeros(1, dtype=torch.int32)
     scene = Scene([shape], shape_index=index, semantic_id=index + 7, asset_state=state)
     attitude = torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(num, 4).contiguous()
-    out, hit = torch.full((num,), float("nan")), torch.zeros(num, dtype=torch.bool)
-    test = CollisionTest(scene, POINT, position=points, attitude=attitude, distance_out=out, crashes_out=hit)
+    out = torch.full((num,), float("nan"))
+    test = CollisionTest(scene, POINT, position=points, attitude=attitude, distance_out=out)
     test.measure()
     return out
 

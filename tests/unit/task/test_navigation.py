@@ -192,12 +192,10 @@ def test_what_a_cell_without_a_distance_means_follows_from_the_sensor() -> None:
 def distance_at(task: Task, points: Tensor) -> Tensor:
     """Return how far the robot's collision spheres would be from the scene at points (E, 3) [m]."""
     num = len(points)
-    out, hit = torch.full((num,), float("nan")), torch.zeros(num, dtype=torch.bool)
+    out = torch.full((num,), float("nan"))
     upright = torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(num, 4).contiguous()
     spheres = task.env.robot_manager.cfg.collision.spheres
-    CollisionTest(
-        task.env.asset_manager.scene, spheres, position=points, attitude=upright, distance_out=out, crashes_out=hit
-    ).measure()
+    CollisionTest(task.env.asset_manager.scene, spheres, position=points, attitude=upright, distance_out=out).measure()
     return out
 
 

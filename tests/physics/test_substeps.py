@@ -1,0 +1,240 @@
+"""All substeps of a step in one launch: where the robot goes, what it touches on the way, and how obstacles move meanwhile.
+
+The reference is the loop over substeps that the launch replaces: one substep, one move of the obstacles, one measurement of
+the distance. Poses, flags and distances must agree bit for bit on the CPU, since each is found by the same arithmetic.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+import trimesh
+from torch import Tensor
+
+from aerial_gym.assets import PARKED_Z, CollisionTest, Scene
+from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, MotionCfg, PartCfg, ShapeCfg
+from aerial_gym.config.robot import CollisionCfg, SphereCfg
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.errors import ShapeError
+from aerial_gym.physics import Trajectory
+from aerial_gym.robots import ROBOTS
+
+K, DT = 10, 0.01
+PLATE = ShapeCfg(kind="box", size=(0.05, 2.0, 2.0))
+TREE = ShapeCfg(
+    kind="compound",
+    parts=(
+        PartCfg(shape=ShapeCfg(kind="cylinder", radius=0.15, height=1.5)),
+        PartCfg(
+            shape=ShapeCfg(kind="capsule", radius=0.1, height=0.8), position=(0.3, 0.1, 0.4), euler=(0.0, 0.9, 0.2)
+        ),
+        PartCfg(shape=ShapeCfg(kind="sphere", radius=0.4), position=(0.0, 0.0, 1.0)),
+    ),
+)
+ROBOT = replace(
+    ROBOTS.get("base_quadrotor"),
+    collision=CollisionCfg(
+        spheres=(SphereCfg(center=(0.1, 0.0, 0.02), radius=0.1), SphereCfg(center=(-0.15, 0.05, 0.0), radius=0.06)),
+        source="test",
+    ),
+)
+SPIN = MotionCfg(
+    kind="twist",
+    at_bounds="bounce",
+    lin_vel_low=(-15.0, -15.0, -15.0),
+    lin_vel_high=(15.0, 15.0, 15.0),
+    ang_vel_low=(-4.0, -4.0, -4.0),
+    ang_vel_high=(4.0, 4.0, 4.0),
+)
+MOTIONS = {"still": MotionCfg(), "twist": SPIN, "waypoints": MotionCfg(kind="waypoints", speed=(1.0, 20.0))}
+
+
+def crowd(motion: MotionCfg, **fields) -> EnvironmentCfg:
+    """Return a room of 4 m with plates, trees and spheres, of which the last asset does not move."""
+    half = {
+        f"bounds_{side}_{end}": 3 * (x,) for side, x in (("lower", -2.0), ("upper", 2.0)) for end in ("low", "high")
+    }
+    drawn = {"position_ratio_low": (0.1, 0.1, 0.1), "position_ratio_high": (0.9, 0.9, 0.9)}
+    turned = {"euler_low": (-3.0, -3.0, -3.0), "euler_high": (3.0, 3.0, 3.0)}
+    ball = ShapeCfg(kind="sphere", radius=0.2)
+    assets = (
+        AssetCfg(name="movers", count=5, shapes=(PLATE, TREE, ball), motion=motion, **drawn, **turned),
+        AssetCfg(name="others", count=2, shapes=(TREE, PLATE), **drawn, **turned),
+    )
+    return EnvironmentCfg(
+        summary="a test", source="test", physics_steps_per_env_step=K, assets=assets, ground_height=-2.0, **half, **fields
+    )  # fmt: skip
+
+
+def build(env: EnvironmentCfg, num_envs: int, *, backend: str = "warp", num_others: int = 6) -> EnvManager:
+    made = EnvManager(
+        sim=replace(SIMS.get("base_sim"), backend=backend, dt=DT),
+        env=env,
+        robot=ROBOT,
+        controller=CONTROLLERS.get("no_control"),
+        num_envs=num_envs,
+        device=torch.device("cpu"),
+        seed=3,
+    )
+    made.asset_manager.set_num_obstacles(num_others)  # of the crowd the seventh is parked
+    made.reset()
+    return made
+
+
+def throw(env: EnvManager, rows: slice = slice(None)) -> None:
+    """Give the robots speeds at which they pass a plate within a substep or two: 0.1 to 0.3 m each."""
+    generator = torch.Generator().manual_seed(4)
+    draw = torch.randn(64, 9, generator=generator)[rows]
+    env.gtd["robot_position"].copy_(0.6 * draw[:, :3].clamp(-2.0, 2.0))
+    env.gtd["robot_orientation"].copy_(torch.tensor([0.0, 0.0, 0.0, 1.0]))
+    env.gtd["rotor_speed"].fill_(0.0)
+    env.gtd["robot_linvel"].copy_(12.0 * draw[:, 3:6])
+    env.gtd["robot_body_angvel"].copy_(3.0 * draw[:, 6:])
+
+
+def loop(env: EnvManager) -> Tensor:
+    """Advance by one step substep by substep; return which touched an obstacle or the ground, (E, K)."""
+    gtd, touched = env.gtd, []
+    gtd["crashes"].zero_()
+    for _ in range(K):
+        env.robot_manager.advance(1)
+        env.asset_manager.step(DT)
+        env._collision.measure()
+        touched.append(gtd["robot_clearance"] < 0.0)
+    gtd["crashes"].logical_or_(torch.stack(touched).any(dim=0))
+    return torch.stack(touched, dim=1)
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_a_step_equals_the_loop_over_its_substeps(motion: str) -> None:
+    """Robots thrown through a crowd: states of robots and obstacles, crashes and clearances, three steps on end."""
+    one, other = build(crowd(MOTIONS[motion]), 64), build(crowd(MOTIONS[motion]), 64)
+    throw(one)
+    throw(other)
+    only_on_the_way = 0
+    for _ in range(3):
+        one.step(torch.zeros(64, 4))
+        touched = loop(other)
+        only_on_the_way += int((touched.any(dim=1) & ~touched[:, -1]).sum())
+        for key in ("robot_position", "robot_orientation", "robot_linvel", "env_asset_state_tensor"):
+            assert torch.equal(one.gtd[key], other.gtd[key]), key
+        assert torch.equal(one.gtd["robot_clearance"], other.gtd["robot_clearance"])
+        assert torch.equal(one.gtd["crashes"], other.gtd["crashes"])
+    assert only_on_the_way > 20
+    assert not one.gtd["crashes"].all()
+
+
+def test_an_environment_alone_touches_what_it_touches_among_others() -> None:
+    """Environments 0 to 2 of 64 and each of them alone, bit for bit, from the same poses."""
+    kept = tuple(
+        replace(asset, name=f"{asset.name}_{i}", count=1, shapes=(shape,), keep=True)
+        for asset in crowd(SPIN).assets
+        for i, shape in enumerate(asset.shapes)
+    )
+    cfg = replace(crowd(SPIN), assets=kept)
+    many = build(cfg, 64, num_others=0)
+    throw(many)
+    starts = many.gtd["env_asset_state_tensor"].clone()
+    many.step(torch.zeros(64, 4))
+    for e in range(3):
+        alone = build(cfg, 1, num_others=0)
+        throw(alone, slice(e, e + 1))
+        alone.gtd["env_asset_state_tensor"].copy_(starts[e : e + 1])
+        alone.step(torch.zeros(1, 4))
+        for key in ("robot_position", "env_asset_state_tensor", "robot_clearance", "crashes"):
+            assert torch.equal(many.gtd[key][e : e + 1], alone.gtd[key]), key
+
+
+def test_the_torch_backend_tells_the_same_substeps() -> None:
+    """The same poses to float32 rounding of 10 substeps at 30 m/s, so the same crashes where nothing is that close."""
+    ways = []
+    for backend in ("warp", "torch"):
+        env = build(crowd(SPIN), 64, backend=backend)
+        throw(env)
+        env.step(torch.zeros(64, 4))
+        ways.append(env)
+    warp, torch_ = ways
+    torch.testing.assert_close(warp.gtd["robot_position"], torch_.gtd["robot_position"], rtol=0.0, atol=2e-5)
+    torch.testing.assert_close(warp.gtd["robot_clearance"], torch_.gtd["robot_clearance"], rtol=0.0, atol=5e-5)
+    assert torch.equal(warp.gtd["env_asset_state_tensor"], torch_.gtd["env_asset_state_tensor"])
+    assert (warp.gtd["crashes"] != torch_.gtd["crashes"]).sum() <= 1
+
+
+class Flight:
+    """Robots of one sphere of 0.1 m on given ways past one obstacle, without physics."""
+
+    def __init__(self, shape: ShapeCfg, position: Tensor, *, instance: Tensor | None = None) -> None:
+        """Take the ways, (K, E, 3)."""
+        num_envs = position.shape[1]
+        upright = torch.tensor([0.0, 0.0, 0.0, 1.0])
+        state = torch.zeros(num_envs, 1, 13)
+        state[..., 6] = 1.0
+        if instance is not None:
+            state[..., :3] = instance
+        rows = torch.zeros(1, dtype=torch.int64)
+        self.state, self.position = state, position
+        self.crashes, self.distance = torch.zeros(num_envs, dtype=torch.bool), torch.full((num_envs,), float("nan"))
+        self.test = CollisionTest(
+            Scene([shape], shape_index=rows, semantic_id=rows, asset_state=state),
+            (SphereCfg(center=(0.0, 0.0, 0.0), radius=0.1),),
+            position=position[-1],
+            attitude=upright.repeat(num_envs, 1),
+            distance_out=self.distance,
+        )
+        self.test.follow(position, upright.repeat(len(position), num_envs, 1), dt=DT, crashes_out=self.crashes)
+        self.test.step()
+
+
+def test_a_touch_in_one_substep_alone_is_a_crash() -> None:
+    """Environment e stands at the plate after substep e and else 1 m or more away; the last one never does.
+
+    The plate reaches 0.025 m, the sphere 0.1 m: clear is 0.875 m, or 5 m on the far way.
+    """
+    way = torch.full((K, K + 1, 3), 0.0)
+    way[..., 0] = 1.0
+    for e in range(K):
+        way[e, e, 0] = 0.1
+    way[0, 0, 0], way[1:, 0, 0] = 0.1, 5.125  # from the plate to far away
+    flight = Flight(PLATE, way)
+    assert flight.crashes.tolist() == [True] * K + [False]
+    expected = [5.0] + [0.875] * (K - 2) + [-0.025, 0.875]
+    torch.testing.assert_close(flight.distance, torch.tensor(expected), rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [PLATE, ShapeCfg(kind="plane"), TREE, "mesh"], ids=lambda s: getattr(s, "kind", s))
+def test_a_still_part_is_passed_over_only_if_no_substep_can_touch_it(shape: ShapeCfg | str, tmp_path: Path) -> None:
+    """Random ways of every length; each pose by itself says which of them touch, and the last one how far it is."""
+    if isinstance(shape, str):
+        trimesh.creation.icosphere(subdivisions=1, radius=0.5).export(tmp_path / "ball.obj")
+        shape = ShapeCfg(kind="mesh", path=str(tmp_path / "ball.obj"))
+    generator = torch.Generator().manual_seed(6)
+    length = 10.0 ** (3.0 * torch.rand(1, 400, 1, generator=generator) - 2.0)
+    way = torch.randn(1, 400, 3, generator=generator) + length * torch.randn(K, 400, 3, generator=generator)
+    flight = Flight(shape, way)
+    single = [Flight(shape, way[k : k + 1]) for k in range(K)]
+    touched = torch.stack([f.distance < 0.0 for f in single])
+    assert torch.equal(flight.crashes, touched.any(dim=0))
+    assert torch.equal(flight.distance, single[-1].distance)
+    assert (touched.any(dim=0) & ~touched[-1]).sum() > 10
+
+
+def test_crashes_are_never_cleared_and_parked_obstacles_never_touch() -> None:
+    way = torch.zeros(K, 2, 3)
+    way[..., 2] = PARKED_Z
+    flight = Flight(PLATE, way, instance=torch.tensor([0.0, 0.0, PARKED_Z]))
+    assert flight.crashes.tolist() == [False, False]
+    assert flight.distance.tolist() == [float("inf")] * 2
+    flight.crashes[1] = True
+    flight.test.step()
+    assert flight.crashes.tolist() == [False, True]
+
+
+def test_a_step_of_more_substeps_than_there_is_room_for_is_refused() -> None:
+    env = build(crowd(MotionCfg()), 1)
+    with pytest.raises(ShapeError, match="substeps = 11: Trajectory has room for 10"):
+        env.robot_manager.advance(K + 1)
+    record = Trajectory.zeros(3, 2, device=torch.device("cpu"))
+    assert record.position.shape == (3, 2, 3)
+    assert record.attitude.shape == (3, 2, 4)
