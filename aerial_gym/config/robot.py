@@ -13,11 +13,13 @@ from aerial_gym.config.checks import Vec3, require_finite, require_ordered, requ
 from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.learned_residual import LearnedResidualCfg
 from aerial_gym.config.loader import load
+from aerial_gym.config.rotor import ROTOR_TRAITS, RotorCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg, as_mounts, is_file
 from aerial_gym.config.shape import ROBOT_ID, PartCfg, ShapeCfg, absolute_paths
 from aerial_gym.errors import ConfigError
 
 __all__ = [
+    "ROTOR_TRAITS",
     "BatteryCfg",
     "BodyCfg",
     "CollisionCfg",
@@ -73,66 +75,6 @@ class BodyCfg:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RotorCfg:
-    """Thrust curve, drag torque, lag and limits of one rotor type."""
-
-    thrust_map: Vec3
-    """Thrust c0 + c1 w + c2 w² [N] of the speed w [rad/s]; c2 > 0."""
-
-    torque_ratio: float | None = None
-    """Drag torque per thrust [m], >= 0. Exactly one of this and ``torque_map`` is given."""
-
-    torque_map: Vec3 | None = None
-    """Drag torque q0 + q1 w + q2 w² [N m] of the speed w [rad/s]."""
-
-    time_constant_up: float
-    """First-order lag of a rising speed [s], > 0."""
-
-    time_constant_down: float
-    """First-order lag of a falling speed [s], > 0."""
-
-    thrust_range: tuple[float, float]
-    """Lowest and highest thrust [N] that may be commanded, 0 <= low < high < inf."""
-
-    radius: float | None = None
-    """Of the propeller [m], > 0; only effects that depend on it need it."""
-
-    source: str
-    """Where the numbers come from."""
-
-    def __post_init__(self) -> None:
-        require_positive(
-            self, "time_constant_up", "time_constant_down", *(("radius",) if self.radius is not None else ())
-        )
-        require_finite(self, "thrust_map", "thrust_range")
-        if self.thrust_map[2] <= 0.0:
-            raise ConfigError(f"RotorCfg.thrust_map = {self.thrust_map!r}: the coefficient of w² must be > 0")
-        if (self.torque_ratio is None) == (self.torque_map is None):
-            raise ConfigError("RotorCfg: give exactly one of torque_ratio and torque_map")
-        if self.torque_ratio is not None and not 0.0 <= self.torque_ratio < inf:
-            raise ConfigError(f"RotorCfg.torque_ratio = {self.torque_ratio!r}: must be >= 0 and finite")
-        if self.torque_map is not None:
-            require_finite(self, "torque_map")
-        low, high = self.thrust_range
-        if not 0.0 <= low < high:
-            raise ConfigError(f"RotorCfg.thrust_range = {self.thrust_range!r}: needs 0 <= low < high < inf")
-
-    def speed_at(self, thrust: float) -> float:
-        """Return the speed [rad/s] that gives a thrust [N]: the larger root of the thrust map."""
-        c0, c1, c2 = self.thrust_map
-        return (-c1 + max(c1 * c1 + 4.0 * c2 * (thrust - c0), 0.0) ** 0.5) / (2.0 * c2)
-
-    @property
-    def torque_coefficients(self) -> Vec3:
-        """Drag torque polynomial [N m] of the speed [rad/s], whichever way it was given."""
-        if self.torque_map is not None:
-            return self.torque_map
-        c0, c1, c2 = self.thrust_map
-        ratio = self.torque_ratio or 0.0
-        return ratio * c0, ratio * c1, ratio * c2
-
-
-@dataclass(frozen=True, kw_only=True)
 class BatteryCfg:
     """What the battery gives under load; only effects that depend on it need it."""
 
@@ -181,6 +123,9 @@ class MountCfg:
 
     spin: int
     """+1 if the rotor turns positively about its axis, -1 if negatively. The body feels ``-spin`` times the torque."""
+
+    rotor: str | None = None
+    """Name in ``rotors`` of its type; none where all mounts have the one type ``rotor``."""
 
     def __post_init__(self) -> None:
         require_finite(self, "position", "axis")
@@ -295,8 +240,11 @@ class RobotCfg:
     body: BodyCfg
     """Mass and inertia."""
 
-    rotor: RotorCfg
-    """The rotor type, the same for all mounts."""
+    rotor: RotorCfg | None = None
+    """The rotor type of all mounts. Exactly one of this and ``rotors`` is given."""
+
+    rotors: Mapping[str, RotorCfg] = field(default_factory=dict)
+    """Rotor types by name, where mounts differ; each mount then names its own (``rotor: name``)."""
 
     mounts: MountsCfg
     """Where the rotors are."""
@@ -351,6 +299,26 @@ class RobotCfg:
         return as_mounts((*([] if self.imu is None else [self.imu]), *self.sensors))
 
     @property
+    def rotor_types(self) -> tuple[RotorCfg, ...]:
+        """The rotor type of each mount, R of them."""
+        if self.rotor is not None:
+            return (self.rotor,) * self.num_rotors
+        return tuple(self.rotors[mount.rotor or ""] for mount in self.mounts.layout)
+
+    @property
+    def rotor_traits(self) -> frozenset[str]:
+        """What some of its rotors have beyond a plain speed: names of ``ROTOR_TRAITS``."""
+        return frozenset().union(*(rotor.traits for rotor in self.rotor_types))
+
+    def the_rotor(self, purpose: str) -> RotorCfg:
+        """Return its one rotor type; raise ``ConfigError`` that names the purpose if mounts have different ones."""
+        first, *others = self.rotor_types
+        if any(other != first for other in others):
+            names = ", ".join(self.rotors)
+            raise ConfigError(f"{purpose} needs one rotor type, but the mounts of this robot have several: {names}")
+        return first
+
+    @property
     def seen_parts(self) -> tuple[PartCfg, ...]:
         """What sensors see of it, in the body frame; nothing unless it is visible."""
         spheres = (
@@ -362,12 +330,32 @@ class RobotCfg:
 
     def __post_init__(self) -> None:
         _ = self.sensor_mounts  # refuses equal names
+        self._check_rotors()
         if self.visible and not self.visual and not self.collision.spheres:
             raise ConfigError("RobotCfg.visible: there is nothing to see. List shapes in visual, or collision spheres")
         for effect, params in self.effects.items():
             for name, value in params.items():
                 if not isfinite(value):
                     raise ConfigError(f"RobotCfg.effects.{effect}.{name} = {value!r}: must be finite")
+
+    def _check_rotors(self) -> None:
+        if (self.rotor is None) == (not self.rotors):
+            raise ConfigError(
+                "RobotCfg: give exactly one of rotor (one type for all mounts) and rotors (types by name)"
+            )
+        for number, mount in enumerate(self.mounts.layout, 1):
+            if self.rotor is not None and mount.rotor is not None:
+                raise ConfigError(
+                    f"RobotCfg.mounts.layout: mount {number} names the rotor type {mount.rotor!r}, but there is one type for "
+                    "all, rotor. List types by name in rotors"
+                )
+            if self.rotors and mount.rotor not in self.rotors:
+                known = ", ".join(self.rotors)
+                raise ConfigError(
+                    f"RobotCfg.mounts.layout: mount {number} has rotor = {mount.rotor!r}: must be one of {known}"
+                )
+        if unused := set(self.rotors) - {mount.rotor for mount in self.mounts.layout}:
+            raise ConfigError(f"RobotCfg.rotors.{min(unused)}: no mount has this type")
 
 
 def load_robot(path: str | Path) -> RobotCfg:

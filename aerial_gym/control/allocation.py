@@ -9,7 +9,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from aerial_gym.physics.rotors import evaluate_map, speed_for_thrust
+from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, state_for_thrust
 from aerial_gym.physics.vehicle import Vehicle, is_shared, share_row
 
 NEGLIGIBLE = 1e-6
@@ -32,8 +32,8 @@ def allocation_matrix(vehicle: Vehicle, gravity: float) -> Tensor:
         Mahony, Kumar, Corke (2012), Multirotor Aerial Vehicles, eq. 8, for arbitrary axes.
     """
     hover = (vehicle.mass * gravity / vehicle.num_rotors).unsqueeze(-1).expand(-1, vehicle.num_rotors)
-    speed = speed_for_thrust(vehicle.thrust_map, hover)
-    torque_ratio = evaluate_map(vehicle.torque_map, speed) / evaluate_map(vehicle.thrust_map, speed)
+    state = state_for_thrust(vehicle, hover)
+    torque_ratio = rotor_torque(vehicle, state) / rotor_thrust(vehicle, state)
     lever = vehicle.rotor_position - vehicle.com.unsqueeze(1)
     reaction = (vehicle.rotor_spin * torque_ratio).unsqueeze(-1) * vehicle.rotor_axis
     torque = torch.linalg.cross(lever, vehicle.rotor_axis) - reaction
@@ -128,8 +128,8 @@ class Allocation:
     def __init__(self, vehicle: Vehicle, gravity: float, *, saturation: Saturation = "prioritised") -> None:
         """Take the declared vehicle, gravity [m/s²] and what gives way where rotors are at their limits."""
         matrix = allocation_matrix(vehicle, gravity)
-        limits = (evaluate_map(vehicle.thrust_map, speed) for speed in (vehicle.speed_low, vehicle.speed_high))
-        self.thrust_map, self.saturation = vehicle.thrust_map, saturation
+        limits = (rotor_thrust(vehicle, state) for state in (vehicle.speed_low, vehicle.speed_high))
+        self.vehicle, self.saturation = vehicle, saturation
         if is_shared(vehicle.mass):  # a declared vehicle is the same everywhere
             self.inverse = share_row(_inverse(matrix[0]), vehicle.num_envs)  # (E, R, 6)
             self.low, self.high = (share_row(limit[0], vehicle.num_envs) for limit in limits)
@@ -143,7 +143,7 @@ class Allocation:
 
     def speed(self, thrust: Tensor) -> Tensor:
         """Return rotor speeds [rad/s], (E, R), that give the thrusts [N] after clamping to the limits."""
-        return speed_for_thrust(self.thrust_map, torch.clamp(thrust, self.low, self.high))
+        return state_for_thrust(self.vehicle, torch.clamp(thrust, self.low, self.high))
 
     def speed_for_wrench(self, wrench: Tensor) -> Tensor:
         """Return rotor speeds [rad/s], (E, R), for a wrench [N, N m], body, (E, 6), within the limits."""

@@ -64,11 +64,12 @@ class ThrustController:
 
 
 class RotorSpeedController:
-    """``rotor_speed_control``: the action is the speed of each rotor [rad/s], clamped to its limits; replays logs."""
+    """``rotor_speed_control``: the action is the speed of each rotor [rad/s], in force mode its thrust [N], within limits."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         """Take the declared vehicle."""
-        self.action_names = tuple(f"speed {i + 1} [rad/s]" for i in range(vehicle.num_rotors))
+        force = (vehicle.thrust_map[0, :, 2] == 0.0).tolist()  # in force mode the state is the thrust
+        self.action_names = tuple(f"thrust {i} [N]" if f else f"speed {i} [rad/s]" for i, f in enumerate(force, 1))
         self._vehicle = vehicle
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
@@ -147,7 +148,8 @@ def _fused(output: Literal["thrust", "wrench"], allocation: Allocation, num_acti
         num_actions=num_actions,
         low=allocation.low,
         high=allocation.high,
-        thrust_map=allocation.thrust_map,
+        thrust_map=allocation.vehicle.thrust_map,
+        reverse_thrust_map=allocation.vehicle.reverse_thrust_map,
         allocation=allocation.inverse,
         **law,
     )

@@ -26,7 +26,7 @@ from aerial_gym.math.quaternion import quat_exp, quat_log
 from aerial_gym.physics.backend import ControlLaw
 from aerial_gym.physics.integrators import INTEGRATORS
 from aerial_gym.physics.model import build_model
-from aerial_gym.physics.rotors import speed_for_thrust
+from aerial_gym.physics.rotors import state_for_thrust
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.torch_backend import advance
 from aerial_gym.physics.vehicle import Vehicle, share_row, vehicle_from_config
@@ -49,9 +49,7 @@ HALVINGS = 24
 
 def single_vehicle(vehicle: Vehicle, num_rows: int) -> Vehicle:
     """Return the first environment's vehicle in ``num_rows`` rows on the CPU, in float64."""
-    return Vehicle(
-        **{name: share_row(rows[0].detach().cpu().double(), num_rows) for name, rows in vars(vehicle).items()}
-    )
+    return vehicle.map_rows(lambda rows: share_row(rows[0].detach().cpu().double(), num_rows))
 
 
 def spectral_radius(
@@ -92,7 +90,7 @@ def spectral_radius(
 
 
 def _speed(plant: Vehicle, thrust: Tensor) -> Tensor:
-    return speed_for_thrust(plant.thrust_map[0], thrust.to(plant.mass))
+    return state_for_thrust(plant, thrust.to(plant.mass).expand(plant.num_envs, -1))[0]
 
 
 def _state(offsets: Tensor, trim: Tensor) -> BodyState:

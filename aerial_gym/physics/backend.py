@@ -32,6 +32,9 @@ class Capabilities:
     effects: tuple[str, ...] | None
     """Names of effects it can run; None for every one that has a torch formula."""
 
+    rotors: tuple[str, ...] = ()
+    """What rotors may have beyond a plain speed, of ``config.rotor.ROTOR_TRAITS``."""
+
 
 class ControlLaw(Protocol):
     """What turns an action into rotor commands, once per physics step. The controllers fulfil it."""

@@ -13,7 +13,7 @@ from torch import Tensor
 from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize, quat_rotate
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import angular_acceleration, body_wrench, com_acceleration, with_load
-from aerial_gym.physics.rotors import lag_acceleration, lag_speed
+from aerial_gym.physics.rotor_lag import follow_command, rate_towards
 from aerial_gym.physics.state import BodyState
 
 
@@ -69,11 +69,6 @@ def to_body_state(model: Model, state: MassState) -> BodyState:
     )
 
 
-def _rotor_speed_after(model: Model, speed: Tensor, command: Tensor, dt: float) -> Tensor:
-    vehicle = model.vehicle
-    return lag_speed(speed, command, vehicle.time_constant_up, vehicle.time_constant_down, dt)
-
-
 def _derivative(model: Model, state: MassState, rotor_acc: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     position, attitude, lin_vel, ang_vel, rotor_speed, load = vars(state).values()
     force, torque = body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
@@ -96,7 +91,7 @@ def semi_implicit_euler(model: Model, state: MassState, rotor_command: Tensor, d
     The attitude is turned by the exact rotation ``exp(w dt)``. Source: Hairer, Lubich, Wanner (2006), Geometric Numerical
     Integration, I.1.2 (symplectic Euler).
     """
-    rotor_speed = _rotor_speed_after(model, state.rotor_speed, rotor_command, dt)
+    rotor_speed = follow_command(model.vehicle, state.rotor_speed, rotor_command, dt)
     rotor_acc = (rotor_speed - state.rotor_speed) / dt  # over the step: the momentum that the rotors gain is exact
     acc, ang_acc, swing = _derivative(model, MassState(**{**vars(state), "rotor_speed": rotor_speed}), rotor_acc)
     lin_vel, ang_vel = state.lin_vel + dt * acc, state.ang_vel + dt * ang_acc
@@ -116,13 +111,13 @@ def rk4(model: Model, state: MassState, rotor_command: Tensor, dt: float) -> Mas
 
     Source: Hairer, Norsett, Wanner (1993), Solving Ordinary Differential Equations I, table II.1.2.
     """
-    half = _rotor_speed_after(model, state.rotor_speed, rotor_command, 0.5 * dt)
-    end = _rotor_speed_after(model, state.rotor_speed, rotor_command, dt)
-    lag, jump = (model.vehicle.time_constant_up, model.vehicle.time_constant_down), rotor_command - state.rotor_speed
+    half = follow_command(model.vehicle, state.rotor_speed, rotor_command, 0.5 * dt)
+    end = follow_command(model.vehicle, state.rotor_speed, rotor_command, dt)
+    jump = rotor_command - state.rotor_speed
     slopes, stage = [], state
     for speed, weight in ((state.rotor_speed, 0.5), (half, 0.5), (half, 1.0), (end, 0.0)):
         stage = MassState(**{**vars(stage), "rotor_speed": speed})
-        rotor_acc = lag_acceleration(speed, rotor_command, *lag, jump, dt)
+        rotor_acc = rate_towards(model.vehicle, speed, rotor_command, jump, dt)
         acc, ang_acc, swing = _derivative(model, stage, rotor_acc)
         turning = _attitude_rate(stage.attitude, stage.ang_vel)
         slopes.append((stage.lin_vel, turning, acc, ang_acc, torch.cat((stage.load[:, 3:], swing), dim=-1)))

@@ -3,7 +3,7 @@
 Frames: body is x forward, y left, z up; world is z up. Letters: E environments, R rotors, P parameters of an effect.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from math import inf
 
@@ -16,6 +16,7 @@ from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.physics.effects import (
     EFFECTS,
     DelayEffect,
+    Effect,
     EffectParams,
     EffectsByKind,
     LearnedResidual,
@@ -85,6 +86,7 @@ def build_model(
         above = torch.tensor((0.0, 0.0, inf), dtype=vehicle.mass.dtype, device=vehicle.mass.device)
         other_position = share_row(above, vehicle.num_envs)
     for effect, params in effects:
+        check_rotors(effect, vehicle.traits)
         expected = (vehicle.num_envs, len(effect.parameters))
         if tuple(params.shape) != expected:
             raise ShapeError(f"effect {effect.name}: parameters have shape {tuple(params.shape)}, expected {expected}")
@@ -99,6 +101,23 @@ def build_model(
         ceiling_height=ceiling_height,
         other_position=other_position,
     )
+
+
+def check_rotors(effect: Effect, traits: Set[str]) -> None:
+    """Raise ``ConfigError`` if rotors are of a kind that an effect cannot act on (``docs/rotors.md``)."""
+    if missing := sorted(traits - set(effect.rotors)):
+        raise ConfigError(
+            f"effect {effect.name}: its law does not hold for {_TRAIT_WORDS[missing[0]]}. Leave the effect out, or give the "
+            "robot plain rotors (mode: speed, thrust_range from 0 on, no slew_rate)"
+        )
+
+
+_TRAIT_WORDS = {
+    "reversible": "reversible rotors (a thrust_range that begins below 0)",
+    "force": "rotors in force mode, whose state is a thrust and not a speed",
+    "slew": "rotors with a slew_rate",
+    "dead_band": "rotors with a dead_band",
+}
 
 
 def _check_scene(effects: Sequence[EffectParams], ceiling_height: float | Tensor | None) -> None:
@@ -148,6 +167,7 @@ def check_effects(robot: RobotCfg) -> None:
     """Raise the errors of ``effects_from_config`` without making a tensor, and what an effect misses in the robot file."""
     for name, values in robot.effects.items():
         effect = EFFECTS.get(name)
+        check_rotors(effect, robot.rotor_traits)
         effect.check(robot)
         row = dict(zip((p.name for p in effect.parameters), effect.params_from(values), strict=True))
         for parameter in effect.parameters:

@@ -24,7 +24,7 @@ from aerial_gym.physics.effects import (
     WrenchEffect,
 )
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rotors import evaluate_map, rotor_wrench
+from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import is_shared
 
@@ -68,7 +68,7 @@ def body_wrench(
     """
     vehicle = model.vehicle
     if not model.effects[RotorEffect] and not model.effects[WrenchEffect]:
-        thrust, drag = evaluate_map(vehicle.thrust_map, rotor_speed), evaluate_map(vehicle.torque_map, rotor_speed)
+        thrust, drag = rotor_thrust(vehicle, rotor_speed), rotor_torque(vehicle, rotor_speed)
         return rotor_wrench(vehicle, thrust, drag)
     return _wrench_in(model, _condition_in(model, position, attitude, com_vel, ang_vel, rotor_speed, rotor_acc))
 
@@ -100,7 +100,7 @@ def _condition_in(
         air_velocity=air_velocity(model, position, attitude, com_vel),
         ang_vel=ang_vel,
         rotor_speed=rotor_speed,
-        rotor_thrust=evaluate_map(model.vehicle.thrust_map, rotor_speed),
+        rotor_thrust=rotor_thrust(model.vehicle, rotor_speed),
         rotor_acc=rotor_acc,
         ground_height=model.ground_height,
         ceiling_height=nan if model.ceiling_height is None else model.ceiling_height,
@@ -111,7 +111,7 @@ def _condition_in(
 
 def _wrench_in(model: Model, condition: Condition) -> tuple[Tensor, Tensor]:
     """Return all force but gravity [N] and torque about the centre of mass [N m], body, each (E, 3)."""
-    vehicle, drag = model.vehicle, evaluate_map(model.vehicle.torque_map, condition.rotor_speed)
+    vehicle, drag = model.vehicle, rotor_torque(model.vehicle, condition.rotor_speed)
     more = [effect.thrust(condition, params) for effect, params in model.effects[RotorEffect]]
     thrust = sum(more, condition.rotor_thrust)
     force, torque = rotor_wrench(vehicle, thrust, drag)

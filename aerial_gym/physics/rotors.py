@@ -118,6 +118,47 @@ def speed_for_thrust(coefficients: Tensor, thrust: Tensor) -> Tensor:
     return (root - c1) / (2.0 * c2)
 
 
+def _evaluate_signed(forwards: Tensor, backwards: Tensor, state: Tensor) -> Tensor:
+    """Return the map of a state that has a sign: odd, with coefficients of its own on the negative side, (E, R)."""
+    reverse = state < 0.0
+    value = evaluate_map(torch.where(reverse.unsqueeze(-1), backwards, forwards), state.abs())
+    return torch.where(reverse, -value, value)
+
+
+def rotor_thrust(vehicle: Vehicle, state: Tensor) -> Tensor:
+    """Return the thrusts along the axes [N], (E, R), of rotors in a state: speed [rad/s] or, in force mode, thrust [N]."""
+    if "reversible" not in vehicle.traits:
+        return evaluate_map(vehicle.thrust_map, state)
+    return _evaluate_signed(vehicle.thrust_map, vehicle.reverse_thrust_map, state)
+
+
+def rotor_torque(vehicle: Vehicle, state: Tensor) -> Tensor:
+    """Return the drag torques against the turning of the rotors [N m], (E, R); those of reversed ones are negative."""
+    if "reversible" not in vehicle.traits:
+        return evaluate_map(vehicle.torque_map, state)
+    return _evaluate_signed(vehicle.torque_map, vehicle.reverse_torque_map, state)
+
+
+def state_for_thrust(vehicle: Vehicle, thrust: Tensor) -> Tensor:
+    """Return the states that give thrusts [N], (E, R): speeds [rad/s], or in force mode thrusts. Inverts ``rotor_thrust``.
+
+    A thrust below the least of a rotor without sign gives the speed of that least, as in ``speed_for_thrust``.
+
+    Source:
+        Derived: the inverse of an odd function is odd; ``c0 + c1 x = T`` where c2 = 0.
+    """
+    if not vehicle.traits & {"reversible", "force"}:
+        return speed_for_thrust(vehicle.thrust_map, thrust)
+    reverse = (thrust < 0.0) & (vehicle.speed_low < 0.0)
+    wanted = torch.where(reverse, -thrust, thrust)
+    c0, c1, c2 = torch.where(reverse.unsqueeze(-1), vehicle.reverse_thrust_map, vehicle.thrust_map).unbind(-1)
+    linear = c2 == 0.0
+    square, slope = torch.where(linear, 1.0, c2), torch.where(linear, c1, 1.0)
+    root = torch.where(linear, 1.0, c1 * c1 + 4.0 * square * (wanted - c0)).clamp_min(0.0).sqrt()
+    size = torch.where(linear, (wanted - c0) / slope, (root - c1) / (2.0 * square))
+    return torch.where(reverse, -size, size)
+
+
 def rotor_wrench(vehicle: Vehicle, thrust: Tensor, torque: Tensor) -> tuple[Tensor, Tensor]:
     """Return force and torque of all rotors on the body, ``sum T a`` and ``sum (r - c) x T a - s q a``.
 

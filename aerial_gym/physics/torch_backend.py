@@ -4,6 +4,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.errors import CapabilityError
 from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
@@ -19,6 +20,7 @@ from aerial_gym.physics.memory import (
     num_past_commands,
 )
 from aerial_gym.physics.model import Model
+from aerial_gym.physics.rotor_lag import stop_in_dead_band
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
 
@@ -65,6 +67,7 @@ def _substep(
     model: Model, stepper: Stepper, state: BodyState, rotor_command: Tensor, dt: float, memory: Memory | None
 ) -> tuple[MassState, MassState, Memory | None]:
     """Return the motion before and after a substep, and what is remembered after it."""
+    rotor_command = stop_in_dead_band(model.vehicle, rotor_command)
     if memory is None:
         before = to_mass_state(model, state)
         return before, stepper(model, before, rotor_command, dt), None
@@ -83,6 +86,7 @@ class TorchBackend:
         integrators=tuple(INTEGRATORS),
         differentiable=True,
         effects=None,
+        rotors=ROTOR_TRAITS,
     )
 
     _model: Model

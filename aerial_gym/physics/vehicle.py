@@ -5,8 +5,9 @@ once instead of per environment.
 Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 """
 
-from dataclasses import dataclass
-from math import nan
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import inf, nan
 
 import torch
 from torch import Tensor
@@ -47,16 +48,28 @@ class Vehicle:
     """+1 or -1: sense of rotation about the axis, (E, R)."""
 
     thrust_map: Tensor
-    """Thrust polynomial c0, c1, c2 [N, N s, N s²] of the speed [rad/s], (E, R, 3)."""
+    """Thrust polynomial c0, c1, c2 [N, N s, N s²] of the speed [rad/s], (E, R, 3); in force mode 0, 1, 0 of the thrust."""
 
     torque_map: Tensor
-    """Drag torque polynomial q0, q1, q2 [N m, N m s, N m s²], (E, R, 3)."""
+    """Drag torque polynomial q0, q1, q2 [N m, N m s, N m s²], (E, R, 3); in force mode 0, ratio, 0."""
+
+    reverse_thrust_map: Tensor
+    """Likewise of a rotor that turns backwards, of the size of its speed, (E, R, 3); only reversible ones do."""
+
+    reverse_torque_map: Tensor
+    """Likewise, (E, R, 3)."""
 
     time_constant_up: Tensor
-    """Lag of a rising speed [s], (E, R)."""
+    """Lag of a speed, in force mode of a thrust, that grows in size [s], (E, R)."""
 
     time_constant_down: Tensor
-    """Lag of a falling speed [s], (E, R)."""
+    """Lag of one that falls in size [s], (E, R)."""
+
+    slew_rate: Tensor
+    """Largest rate of the speed [rad/s²], in force mode of the thrust [N/s], (E, R); infinite where there is no limit."""
+
+    dead_band: Tensor
+    """Commands of a smaller size [rad/s], in force mode [N], stop the rotor, (E, R)."""
 
     rotor_radius: Tensor
     """Radii of the propellers [m], (E, R); NaN where the robot file gives none."""
@@ -66,10 +79,13 @@ class Vehicle:
     robot file gives none."""
 
     speed_low: Tensor
-    """Lowest speed that can be commanded [rad/s], (E, R)."""
+    """Lowest speed, in force mode thrust, that can be commanded [rad/s] or [N], (E, R)."""
 
     speed_high: Tensor
-    """Highest speed that can be commanded [rad/s], (E, R)."""
+    """Highest one that can be commanded, (E, R)."""
+
+    traits: frozenset[str] = frozenset()
+    """What some rotors have beyond a plain speed: ``config.rotor.ROTOR_TRAITS``; it chooses the formulas."""
 
     @property
     def num_envs(self) -> int:
@@ -80,6 +96,30 @@ class Vehicle:
     def num_rotors(self) -> int:
         """Number of rotors R."""
         return self.rotor_spin.shape[1]
+
+    @property
+    def plain(self) -> bool:
+        """Whether all rotors have speeds without sign that follow their commands with a lag alone."""
+        return not self.traits
+
+    def rows(self) -> dict[str, Tensor]:
+        """Return all tensors by name, each (E, ...)."""
+        return {name: value for name, value in vars(self).items() if isinstance(value, Tensor)}
+
+    def map_rows(self, change: Callable[[Tensor], Tensor]) -> "Vehicle":
+        """Return the vehicle with ``change(rows)`` in place of every tensor."""
+        return replace(self, **{name: change(rows) for name, rows in self.rows().items()})
+
+    def with_scaled_maps(self, *, thrust: Tensor | None = None, torque: Tensor | None = None) -> "Vehicle":
+        """Return the vehicle with factors (E, R) or (E, 1) on thrust and on drag torque, in both directions of turning."""
+        changes = {}
+        for factor, names in (
+            (thrust, ("thrust_map", "reverse_thrust_map")),
+            (torque, ("torque_map", "reverse_torque_map")),
+        ):
+            if factor is not None:
+                changes |= {name: factor.unsqueeze(-1) * getattr(self, name) for name in names}
+        return replace(self, **changes)
 
 
 def vehicle_from_config(
@@ -95,7 +135,7 @@ def vehicle_from_config(
     if cell is not None:
         voltages = cell.nominal_voltage, cell.full_voltage, cell.empty_voltage
         battery = [*voltages, cell.internal_resistance, cell.capacity, cell.efficiency]
-    rotor, layout, count = robot.rotor, robot.mounts.layout, robot.num_rotors
+    rotors, layout = robot.rotor_types, robot.mounts.layout
     axis = torch.tensor([mount.axis for mount in layout], dtype=dtype, device=device)
     return Vehicle(
         mass=rows(robot.body.mass),
@@ -104,12 +144,17 @@ def vehicle_from_config(
         rotor_position=rows([mount.position for mount in layout]),
         rotor_axis=share_row(axis / axis.norm(dim=-1, keepdim=True), num_envs),
         rotor_spin=rows([float(mount.spin) for mount in layout]),
-        thrust_map=rows([rotor.thrust_map] * count),
-        torque_map=rows([rotor.torque_coefficients] * count),
-        time_constant_up=rows([rotor.time_constant_up] * count),
-        time_constant_down=rows([rotor.time_constant_down] * count),
-        rotor_radius=rows([nan if rotor.radius is None else rotor.radius] * count),
+        thrust_map=rows([rotor.thrust_coefficients for rotor in rotors]),
+        torque_map=rows([rotor.torque_coefficients for rotor in rotors]),
+        reverse_thrust_map=rows([rotor.reverse_thrust_coefficients for rotor in rotors]),
+        reverse_torque_map=rows([rotor.reverse_torque_coefficients for rotor in rotors]),
+        time_constant_up=rows([rotor.time_constant_up for rotor in rotors]),
+        time_constant_down=rows([rotor.time_constant_down for rotor in rotors]),
+        slew_rate=rows([inf if rotor.slew_rate is None else rotor.slew_rate for rotor in rotors]),
+        dead_band=rows([rotor.dead_band for rotor in rotors]),
+        rotor_radius=rows([nan if rotor.radius is None else rotor.radius for rotor in rotors]),
         battery=rows(battery),
-        speed_low=rows([rotor.speed_at(rotor.thrust_range[0])] * count),
-        speed_high=rows([rotor.speed_at(rotor.thrust_range[1])] * count),
+        speed_low=rows([rotor.speed_at(rotor.thrust_range[0]) for rotor in rotors]),
+        speed_high=rows([rotor.speed_at(rotor.thrust_range[1]) for rotor in rotors]),
+        traits=robot.rotor_traits,
     )

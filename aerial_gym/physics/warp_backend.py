@@ -10,6 +10,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop import launch_side_by_side, on_torch_stream, split, start_warp
 from aerial_gym.physics.backend import Capabilities, ControlLaw
@@ -21,7 +22,15 @@ from aerial_gym.physics.fused.gradient import Rollout
 from aerial_gym.physics.fused.hook import NoHook
 from aerial_gym.physics.fused.kernel import make_kernel
 from aerial_gym.physics.fused.memory import MemoryArrays, NoMemory
-from aerial_gym.physics.fused.packing import Numbers, Packing, arrange, numbers_of, packed_rows, shared_structs
+from aerial_gym.physics.fused.packing import (
+    Numbers,
+    Packing,
+    arrange,
+    numbers_of,
+    packed_rows,
+    shared_structs,
+    types_of,
+)
 from aerial_gym.physics.fused.types import rotor_types, vector_of
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.memory import Memory, make_memory, num_past_commands
@@ -80,6 +89,7 @@ class WarpBackend:
             integrators=tuple(STAGES),
             differentiable=self._differentiable,
             effects=(*named, LearnedResidual.name),
+            rotors=ROTOR_TRAITS,
         )
 
     def _can_run(self, effect: Effect) -> bool:
@@ -172,7 +182,7 @@ class WarpBackend:
         no longer shared, the kernel is composed anew: capture again then.
         """
         old, self._model = self._model, model
-        pairs = [*zip(vars(model.vehicle).values(), vars(old.vehicle).values(), strict=True)]
+        pairs = [*zip(model.vehicle.rows().values(), old.vehicle.rows().values(), strict=True)]
         pairs.append((model.other_position, old.other_position))
         if any(is_shared(kept) and new is not kept and not _same_row(new, kept) for new, kept in pairs):
             memory = self._memory
@@ -207,7 +217,7 @@ class WarpBackend:
         self._dt, self._binding = dt, None
         self._write_packed()
         self._arrange_memory(dt)
-        self._shared = shared_structs(self._packing, self._numbers(dt), self._law, self._num_rotors)
+        self._shared = shared_structs(self._packing, self._numbers(dt), self._law, types_of(self._model))
 
     def _arrange_memory(self, dt: float) -> None:
         """Make the memory of the effects, unless there is one that fits; neighbouring environments side by side, (M, E)."""

@@ -28,13 +28,14 @@ def _carrying(*sensors: str) -> Callable[[RobotCfg], RobotCfg]:
 
 def _as_arpl_declares(robot: RobotCfg) -> RobotCfg:
     """Rotor offsets and lags with which the ARPL flights were flown."""
+    rotor = robot.the_rotor("the ARPL variant")
     return replace(
         robot,
         rotor=replace(
-            robot.rotor,
+            rotor,
             time_constant_up=0.01,
             time_constant_down=0.01,
-            source=f"{robot.rotor.source} Here the lag is 0.01 s, ASSUMED: the flights were flown to find it.",
+            source=f"{rotor.source} Here the lag is 0.01 s, ASSUMED: the flights were flown to find it.",
         ),
         mounts=replace(
             robot.mounts,

@@ -27,7 +27,7 @@ from aerial_gym.physics import (
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model, check_effects, robot_effects
-from aerial_gym.physics.rotors import speed_for_thrust
+from aerial_gym.physics.rotors import state_for_thrust
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.robots.initial_state import InitialState
 from aerial_gym.robots.scene_contact import PushedRobot, SceneContact
@@ -222,8 +222,8 @@ class RobotManager:
                 vehicle, mass=vehicle.mass * mass.squeeze(-1), inertia=vehicle.inertia * mass.unsqueeze(-1)
             )
         if "thrust_scale" in factors:
-            thrust = factors["thrust_scale"].unsqueeze(-1)
-            vehicle = replace(vehicle, thrust_map=vehicle.thrust_map * thrust, torque_map=vehicle.torque_map * thrust)
+            thrust = factors["thrust_scale"]
+            vehicle = vehicle.with_scaled_maps(thrust=thrust, torque=thrust)
         if "time_constant_scale" in factors:
             lag = factors["time_constant_scale"]
             vehicle = replace(
@@ -299,6 +299,6 @@ class RobotManager:
 
 
 def _hover_speed(vehicle: Vehicle, gravity: float) -> Tensor:
-    """Return the rotor speeds (R,) [rad/s] at which a reset starts: an equal share of the weight each."""
-    share = (vehicle.mass[:1] * gravity / vehicle.num_rotors).expand(vehicle.num_rotors)
-    return torch.clamp(speed_for_thrust(vehicle.thrust_map[0], share), vehicle.speed_low[0], vehicle.speed_high[0])
+    """Return the rotor states (R,) [rad/s], in force mode [N], at which a reset starts: an equal share of the weight each."""
+    share = (vehicle.mass * gravity / vehicle.num_rotors).unsqueeze(-1).expand(-1, vehicle.num_rotors)
+    return torch.clamp(state_for_thrust(vehicle, share)[0], vehicle.speed_low[0], vehicle.speed_high[0])

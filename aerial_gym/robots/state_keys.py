@@ -51,7 +51,9 @@ def declare_robot_tensors(gtd: GlobalTensorDictionary, root_state: Tensor) -> Ro
         attitude=new("robot_orientation", 4, "-", "world", "physics", "body to world, xyzw"),
         lin_vel=new("robot_linvel", 3, "m/s", "world", "physics", "velocity of the origin"),
         ang_vel=new("robot_body_angvel", 3, "rad/s", "body", "physics", "angular velocity"),
-        rotor_speed=new("rotor_speed", "R", "rad/s", "-", "physics", "speed of each rotor"),
+        rotor_speed=new(
+            "rotor_speed", "R", "rad/s", "-", "physics", "speed of each rotor; in force mode its thrust [N]"
+        ),
     )
     state.attitude[:, 3] = 1.0
     derived = DerivedStates(

@@ -14,7 +14,7 @@ from scipy.optimize import lsq_linear
 
 from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
-from aerial_gym.physics.rotors import evaluate_map
+from aerial_gym.sim2real.declared_rotors import drag_torques
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.rotor_commands import missing_in_logs, too_steady
 from aerial_gym.sim2real.rotor_replay import RotorReplay
@@ -102,8 +102,7 @@ def _power(robot: RobotCfg, flight: Flight) -> Array:
     """Return the mechanical power of the rotors [W], (T,), at measured or else at commanded speeds."""
     rotor = flight.rotor_command if flight.rotor_speed is None else flight.rotor_speed
     assert rotor is not None
-    speed, torque_map = torch.tensor(rotor), torch.tensor(robot.rotor.torque_coefficients, dtype=torch.float64)
-    return (evaluate_map(torque_map.expand(1, speed.shape[1], 3), speed) * speed).sum(dim=1).numpy()
+    return (drag_torques(robot, rotor) * rotor).sum(axis=1)
 
 
 def _nominal_voltage(robot: RobotCfg, flights: Sequence[Flight]) -> tuple[float, str]:

@@ -18,7 +18,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control.allocation import allocation_matrix
 from aerial_gym.physics import vehicle_from_config
-from aerial_gym.physics.rotors import speed_for_thrust
+from aerial_gym.physics.rotors import state_for_thrust
 from aerial_gym.sim2real.checks import body_rate_of
 from aerial_gym.sim2real.flights import Flight
 from aerial_gym.sim2real.signals import continuous_quaternion, lowpass
@@ -111,13 +111,13 @@ def fly(name: str, robot: RobotCfg, like: Flight, *, rate: float) -> Flight | No
     ang_vel = body_rate_of(attitude, rate, BAND_HZ)
     thrust = _thrusts(robot, np.linalg.norm(force, axis=1), ang_vel, rate)
     kept = (time >= 0.0) & (time < SPAN_S - 0.5 / rate)
-    low, high = robot.rotor.thrust_range
-    if thrust[kept].min() < low or thrust[kept].max() > high:
+    low, high = np.array([rotor.thrust_range for rotor in robot.rotor_types]).T  # each (R,)
+    if (thrust[kept] < low).any() or (thrust[kept] > high).any():
         return None
     vehicle = vehicle_from_config(robot, num_envs=time.size, dtype=torch.float64)
-    speed = speed_for_thrust(vehicle.thrust_map, torch.from_numpy(thrust)).numpy()
+    speed = state_for_thrust(vehicle, torch.from_numpy(thrust)).numpy()
     change = _derivative(speed, rate)
-    lag = np.where(change > 0.0, robot.rotor.time_constant_up, robot.rotor.time_constant_down)
+    lag = np.where(change * speed > 0.0, vehicle.time_constant_up.numpy(), vehicle.time_constant_down.numpy())
     cell = robot.battery
     emptying = cell is not None and "battery" in name
     voltage = None if cell is None else np.full(kept.sum(), cell.nominal_voltage)

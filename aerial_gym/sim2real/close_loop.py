@@ -21,6 +21,7 @@ from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.battery import with_battery
 from aerial_gym.sim2real.breakdown import by_flight, where_it_acts
 from aerial_gym.sim2real.contribution import contributions
+from aerial_gym.sim2real.declared_rotors import check_speed_mode
 from aerial_gym.sim2real.evaluation import evaluate
 from aerial_gym.sim2real.fit import params_of, with_params
 from aerial_gym.sim2real.flights import Flight, load_flights
@@ -178,6 +179,7 @@ def judge_flights(
     progress: Progress = silent,
 ) -> Analysis:
     """Return the analysis of flights in memory; arguments as for ``close_loop``."""
+    check_speed_mode(robot)
     check_effects(robot)
     stated, robot = robot, with_battery(robot, train)
     tolerances = tolerances or Tolerances()

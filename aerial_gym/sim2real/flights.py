@@ -16,7 +16,8 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.physics import vehicle_from_config
-from aerial_gym.physics.rotors import evaluate_map, rotor_wrench
+from aerial_gym.physics.effects.one_rotor import declared_lag
+from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
 from aerial_gym.sim2real.checks import body_rate_of, check_log, check_quaternion_norm, check_time, rate_of
 from aerial_gym.sim2real.flight_log import FlightLog, read_flight_log
 from aerial_gym.sim2real.held import mend_holds
@@ -194,7 +195,7 @@ def agreement_of(log: FlightLog, robot: RobotCfg, bandwidth: float) -> Agreement
     assert log.lin_vel is not None
     rows = vehicle_from_config(robot, num_envs=log.time.size, dtype=torch.float64)
     speed = torch.from_numpy(log.rotor_speed)
-    force, _ = rotor_wrench(rows, evaluate_map(rows.thrust_map, speed), evaluate_map(rows.torque_map, speed))
+    force, _ = rotor_wrench(rows, rotor_thrust(rows, speed), rotor_torque(rows, speed))
     rate = rate_of(log)
     others = [Rotation.from_quat(log.attitude).apply(log.lin_vel, inverse=True)[:, 2:]]
     if log.ang_vel is not None:
@@ -206,7 +207,7 @@ def agreement_of(log: FlightLog, robot: RobotCfg, bandwidth: float) -> Agreement
 
 def with_rotor_clock(log: FlightLog, lead: Lead, robot: RobotCfg) -> FlightLog:
     """Return the log with rotor speeds, and commands if they share it, on the clock of the other sensors."""
-    lag = 0.5 * (robot.rotor.time_constant_up + robot.rotor.time_constant_down)
+    lag = 0.5 * sum(declared_lag(robot))
     return shift_rotor_log(log, lead, commands=commands_lead_too(log, lead, lag))
 
 
@@ -223,11 +224,12 @@ def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
     if log.position is None or log.specific_force is None:
         raise DataError(f"{log.path}: to scale commands above {log.hover_above:g} m it needs position and acc")
     high = log.position[:, 2] > log.hover_above
-    speed, (c0, c1, c2) = log.rotor_command[high], robot.rotor.thrust_map
+    speed = log.rotor_command[high]
+    c0, c1, c2 = np.array([rotor.thrust_coefficients for rotor in robot.rotor_types]).T  # each (R,)
     if len(speed) * FEWEST_HIGH < log.time.size or not np.any(speed):
         raise DataError(f"{log.path}: hardly flies above {log.hover_above:g} m, where its commands are to be scaled")
-    weight = robot.body.mass * float(log.specific_force[high, 2].mean()) - speed.shape[1] * c0
-    linear, square = c1 * speed.sum(axis=1).mean(), c2 * (speed**2).sum(axis=1).mean()
+    weight = robot.body.mass * float(log.specific_force[high, 2].mean()) - c0.sum()
+    linear, square = (speed @ c1).mean(), (speed**2 @ c2).mean()
     scale = float((-linear + np.sqrt(max(linear**2 + 4.0 * square * weight, 0.0))) / (2.0 * square))
     note = f"commanded speeds scaled by {scale:.4f} to the thrust measured above {log.hover_above:g} m"
     return replace(log, rotor_command=scale * log.rotor_command, notes=(*log.notes, note))

@@ -16,7 +16,7 @@ from torch import Tensor
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.physics import Vehicle
 from aerial_gym.physics.effects.arm_joint import TAU, ArmJoint
-from aerial_gym.physics.rotors import evaluate_map
+from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.sim2real.flights import Flight
 
 Array = NDArray[np.float64]
@@ -63,6 +63,6 @@ def joint_angles(
     if flight.standing is not None and flight.standing[0]:
         start = rest[0]
     else:
-        lift = (evaluate_map(vehicle.thrust_map, speed) * vehicle.rotor_axis[..., 2]).sum(dim=1).mean()
+        lift = (rotor_thrust(vehicle, speed) * vehicle.rotor_axis[..., 2]).sum(dim=1).mean()
         start = share * float(vehicle.mass[0] * STANDARD_GRAVITY / lift) * rest.mean(axis=0)
     return torch.from_numpy(follow_joint(rest, start, tau=float(params[0, TAU]), step=step))

@@ -11,7 +11,7 @@ rate x, y, z. Letters: E rows, C channels, R rotors.
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -184,12 +184,12 @@ def find_channels(flights: Sequence[Flight]) -> tuple[Channel, ...]:
 
 def expand_rows(vehicle: Vehicle, rows: int) -> Vehicle:
     """Return the vehicle of one environment in every row, without copies."""
-    return Vehicle(**{f.name: (v := getattr(vehicle, f.name)).expand(rows, *v.shape[1:]) for f in fields(Vehicle)})
+    return vehicle.map_rows(lambda values: values.expand(rows, *values.shape[1:]))
 
 
 def one_row(vehicle: Vehicle, row: int) -> Vehicle:
     """Return the vehicle of one of several environments."""
-    return Vehicle(**{f.name: getattr(vehicle, f.name)[row : row + 1] for f in fields(Vehicle)})
+    return vehicle.map_rows(lambda values: values[row : row + 1])
 
 
 def expand_model(model: Model, rows: int) -> Model:

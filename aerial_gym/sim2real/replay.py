@@ -11,6 +11,7 @@ from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.close_loop import HIGHEST_BAND, silent
+from aerial_gym.sim2real.declared_rotors import check_speed_mode
 from aerial_gym.sim2real.evaluation import Evaluation, evaluate
 from aerial_gym.sim2real.flights import Flight, load_flights
 from aerial_gym.sim2real.mapping import find_mapping
@@ -76,6 +77,7 @@ def replay(
     if out_dir is not None:
         check_out_dir(Path(out_dir))
     declared = robot_by_name(robot)
+    check_speed_mode(declared)
     check_effects(declared)
     progress("reading flights", 0.0)
     layout = None if mapping is None else find_mapping(mapping)

@@ -6,7 +6,7 @@ Letters: W windows (environments), R rotors.
 """
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -248,12 +248,14 @@ class Batch:
         self._stride = max(1, int(longest_step * self._rate + 1e-9))
         self._substeps = max(1, round(self._stride / (longest_step * self._rate)))
         model_of = torch.from_numpy(of)
-        parts = {f.name: torch.cat([getattr(v, f.name) for v in vehicles])[model_of] for f in fields(Vehicle)}
-        vehicle = Vehicle(**parts)
+        tables = [vehicle.rows() for vehicle in vehicles]
+        vehicle = replace(vehicles[0], **{n: torch.cat([rows[n] for rows in tables])[model_of] for n in tables[0]})
         self._rotors = vehicle.num_rotors
         if not self._commanded:  # the speeds are what they were: the rotors follow at once
             zero = torch.zeros_like(vehicle.time_constant_up)
-            vehicle = replace(vehicle, time_constant_up=zero, time_constant_down=zero)
+            direct = vehicle.traits - {"slew", "dead_band"}
+            vehicle = replace(vehicle, time_constant_up=zero, time_constant_down=zero, traits=direct)
+            vehicle = replace(vehicle, slew_rate=torch.full_like(zero, torch.inf))
         names = [n for n in points[0].effects if self._commanded or EFFECTS.get(n).acts_on != "actuation"]
         effects: list[EffectParams] = [
             (EFFECTS.get(n), torch.from_numpy(np.stack([p.effects[n] for p in points]))[model_of]) for n in names

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.declared_rotors import thrusts
 from aerial_gym.sim2real.flight_log import FlightLog
 from aerial_gym.sim2real.mapping import UNITS
 
@@ -26,7 +27,7 @@ def check_rotors(log: FlightLog, robot: RobotCfg) -> None:
         )
     for name, values in (("rotor", log.rotor_speed), ("cmd", log.rotor_command)):
         if values is not None:
-            _check_sign(log, name, values)
+            _check_sign(log, name, values, robot)
             _check_unit(log, name, values, robot)
     if log.battery is not None and np.any(log.battery <= 0.0):
         row = int(np.argmax(log.battery <= 0.0))
@@ -45,22 +46,23 @@ def without_copied_commands(log: FlightLog) -> FlightLog:
     return replace(log, rotor_command=None, notes=(*log.notes, note))
 
 
-def _check_sign(log: FlightLog, name: str, values: Array) -> None:
-    """A sensor at rest may read a little below zero; a rotor that flies does not."""
-    backwards = np.flatnonzero(np.median(values, axis=0) < 0.0)
+def _check_sign(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> None:
+    """A sensor at rest may read a little below zero; a rotor that flies does not, unless it is reversible."""
+    one_way = np.array([not rotor.reversible for rotor in robot.rotor_types])
+    backwards = np.flatnonzero((np.median(values, axis=0) < 0.0) & one_way)
     if backwards.size:
         raise DataError(
             f"{log.path}: {name}_{backwards[0] + 1} is negative (median {np.median(values[:, backwards[0]]):.4g}); log speeds "
-            "without sign: in which direction a rotor turns is declared in the robot file (spin)"
+            "without sign: in which direction a rotor turns is declared in the robot file (spin); a reversible rotor has a "
+            "thrust_range that begins below 0"
         )
 
 
 def _check_unit(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> None:
     """The declared thrust at high logged speeds must carry the vehicle, give or take a factor of three."""
-    c0, c1, c2 = robot.rotor.thrust_map
 
     def lift(speeds: Array) -> float:
-        return float(np.percentile((c0 + c1 * speeds + c2 * speeds**2).sum(axis=1), 90.0))
+        return float(np.percentile(thrusts(robot, speeds).sum(axis=1), 90.0))
 
     thrust = lift(values)
     ratio = thrust / (robot.body.mass * STANDARD_GRAVITY)

@@ -17,6 +17,7 @@ from torch import Tensor
 from aerial_gym.errors import DataError
 from aerial_gym.physics import Model
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect
+from aerial_gym.physics.rotor_lag import stop_in_dead_band
 from aerial_gym.sim2real.flights import Flight
 
 Array = NDArray[np.float64]
@@ -57,6 +58,7 @@ def mean_commands(flight: Flight, model: Model) -> Array:
 
 def _led_to(flight: Flight, model: Model, command: Tensor) -> Tensor:
     """Return the speeds to which commands (T, R) lead under the voltage of their rows."""
+    command = stop_in_dead_band(model.vehicle, command)
     for effect, params in model.effects[CommandEffect]:
         if lacking := missing_in_logs(effect, [flight]):
             raise DataError(f"effect {effect.name}: {lacking}, or leave the effect out of the robot file")

@@ -6,12 +6,17 @@
 Letters: F flights, R rotors, N rows of all flights.
 """
 
+from functools import cache
+from typing import Any
+
 import torch
 import warp as wp
 from torch import Tensor
 
 from aerial_gym.errors import ShapeError
 from aerial_gym.interop import start_warp
+from aerial_gym.physics.fused.functions import make_limited_lag
+from aerial_gym.physics.rotor_lag import FASTEST, SHORTEST
 
 
 @wp.func
@@ -40,6 +45,33 @@ def _follow(
         speed = _approach(speed, later[row, rotor], kept_late[flight, rotor])
 
 
+@cache
+def _make_follow_limited() -> Any:
+    limited_lag = make_limited_lag(wp.float64)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def follow(
+        ends: wp.array[wp.int32],  # (F + 1,) first row of each flight, and N
+        first: wp.array2d[wp.float64],  # (F, R) [rad/s]
+        earlier: wp.array2d[wp.float64],  # (N, R) [rad/s]
+        later: wp.array2d[wp.float64],  # (N, R) [rad/s]
+        limits: wp.array[wp.vec3d],  # (R,) tau_up, tau_down [s], slew rate [rad/s²]
+        spans: wp.array[wp.vec2d],  # (F,) of the earlier and the later command [s]
+        # out
+        speed_out: wp.array2d[wp.float64],  # (N, R) [rad/s]
+    ):
+        """Write the speed at each row: every row holds its earlier command first, then the later one."""
+        flight, rotor = wp.tid()
+        speed = first[flight, rotor]
+        limit = limits[rotor]
+        for row in range(ends[flight], ends[flight + 1]):
+            speed_out[row, rotor] = speed
+            speed = limited_lag(speed, earlier[row, rotor], limit[0], limit[1], limit[2], spans[flight][0])
+            speed = limited_lag(speed, later[row, rotor], limit[0], limit[1], limit[2], spans[flight][1])
+
+    return follow
+
+
 def follow_commands(
     first: Tensor,
     earlier: Tensor,
@@ -50,8 +82,11 @@ def follow_commands(
     step: Tensor,
     tau_up: Tensor,
     tau_down: Tensor,
+    slew_rate: Tensor | None = None,
 ) -> Tensor:
-    """Return the speeds at the rows of some flights, one after another [rad/s], float64, (N, R): ``rotors.lag_speed``.
+    """Return the speeds at the rows of some flights, one after another [rad/s], float64, (N, R).
+
+    As ``rotors.lag_speed``; with ``slew_rate`` as ``rotor_lag.limited_lag``, for speeds of either sign.
 
     Args:
         first: Speeds at the first row of each flight [rad/s], float64, (F, R).
@@ -62,6 +97,8 @@ def follow_commands(
         step: Between two rows of a flight [s], (F,).
         tau_up: Lag of a rising speed [s], (R,). Zero follows at once.
         tau_down: Lag of a falling speed [s], (R,).
+        slew_rate: Largest rate of the speeds [rad/s²], (R,), infinite where there is no limit. None: no rotor has one, and none
+            is reversible.
 
     Raises:
         ShapeError: If the tables of commands do not fit each other and the flights.
@@ -69,18 +106,21 @@ def follow_commands(
     rows = (int(ends[-1]), first.shape[1])
     if tuple(earlier.shape) != rows or tuple(later.shape) != rows:
         raise ShapeError(f"commands have shapes {tuple(earlier.shape)} and {tuple(later.shape)}, expected {rows}")
-    kept = torch.exp(-step[:, None, None] / torch.stack((tau_up, tau_down), dim=-1))  # (F, R, 2) over a whole row
-    part = share[:, None, None]
-    speed = torch.empty_like(later)
     start_warp()
+    speed, tables = torch.empty_like(later), [wp.from_torch(t.contiguous()) for t in (first, earlier, later)]
+    if slew_rate is None:
+        kept = torch.exp(-step[:, None, None] / torch.stack((tau_up, tau_down), dim=-1))  # (F, R, 2) over a whole row
+        part = share[:, None, None]
+        kernel, numbers = _follow, [kept**part, kept ** (1.0 - part)]
+    else:
+        lags = (tau_up.clamp_min(SHORTEST), tau_down.clamp_min(SHORTEST), slew_rate.clamp_max(FASTEST))
+        spans = torch.stack((share * step, (1.0 - share) * step), dim=-1)
+        kernel, numbers = _make_follow_limited(), [torch.stack(lags, dim=-1), spans]
+    rows_of = [wp.from_torch(n.contiguous(), dtype=wp.vec3d if n.shape[-1] == 3 else wp.vec2d) for n in numbers]
     wp.launch(
-        _follow,
+        kernel,
         dim=first.shape,
-        inputs=[
-            wp.from_torch(ends),
-            *(wp.from_torch(table.contiguous()) for table in (first, earlier, later)),
-            *(wp.from_torch((kept**power).contiguous(), dtype=wp.vec2d) for power in (part, 1.0 - part)),
-        ],
+        inputs=[wp.from_torch(ends), *tables, *rows_of],
         outputs=[wp.from_torch(speed)],
         device="cpu",
     )

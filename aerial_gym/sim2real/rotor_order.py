@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.physics import vehicle_from_config
-from aerial_gym.physics.rotors import evaluate_map, rotor_wrench
+from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
 from aerial_gym.sim2real.checks import CHECK_BANDWIDTH_HZ, WORST_AGREEMENT, rate_of
 from aerial_gym.sim2real.flight_log import FlightLog
 from aerial_gym.sim2real.signals import edge_rows, lowpass
@@ -69,7 +69,7 @@ def _misses(
     single, none = torch.eye(count, dtype=torch.float64), torch.zeros(count, count, dtype=torch.float64)
     lever, reaction = (rotor_wrench(one, *pair)[1].numpy() for pair in ((single, none), (none, single)))
     speed = torch.from_numpy(values)
-    thrust, drag = (slow(evaluate_map(table, speed).numpy()) for table in (one.thrust_map, one.torque_map))
+    thrust, drag = (slow(values(one, speed).numpy()) for values in (rotor_thrust, rotor_torque))
     torque = np.einsum("tnr,rk->ntk", thrust[:, orders], lever) + np.einsum("tnr,rk->ntk", drag[:, orders], reaction)
     left = np.mean((turning - torque @ np.linalg.inv(inertia)) ** 2, axis=1)
     return np.sqrt(np.mean(left / np.maximum(np.mean(turning**2, axis=0), 1e-300), axis=1))

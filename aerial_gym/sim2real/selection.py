@@ -15,6 +15,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import ImuEffect
+from aerial_gym.physics.model import check_rotors
 from aerial_gym.sim2real.fit import (
     Fit,
     Frozen,
@@ -467,6 +468,7 @@ def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Fl
     if reason := missing_in_logs(effect, flights) or lacks_around(name, flights) or too_steady(effect, train):
         return reason
     try:
+        check_rotors(effect, robot.rotor_traits)
         effect.check(robot)
     except ConfigError as error:
         return str(error)

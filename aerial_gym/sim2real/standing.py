@@ -11,6 +11,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.checks import rate_of
+from aerial_gym.sim2real.declared_rotors import thrusts
 from aerial_gym.sim2real.flight_log import FlightLog
 
 Array = NDArray[np.float64]
@@ -48,8 +49,7 @@ def standing_rows(log: FlightLog, robot: RobotCfg) -> Rows | None:
     if log.specific_force is None or rotors is None:
         return None
     width = SMOOTH_S * rate_of(log)
-    c0, c1, c2 = robot.rotor.thrust_map
-    thrust = ndimage.gaussian_filter1d((c0 + c1 * rotors + c2 * rotors**2).sum(axis=1), width)
+    thrust = ndimage.gaussian_filter1d(thrusts(robot, rotors).sum(axis=1), width)
     thrust = thrust / min(float(np.percentile(thrust, 90.0)), robot.body.mass * STANDARD_GRAVITY)
     rest = _size(log.specific_force, width) > CARRIED * STANDARD_GRAVITY
     for name, limit in STILL.items():

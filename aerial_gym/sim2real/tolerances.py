@@ -84,16 +84,14 @@ def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehi
         deviation: In standard deviations, (N,), in the order of ``Tolerances.names``.
     """
     mass, rotors, inertia, com, _, _, lag, voltage, _, _ = _parts(deviation)
-    factor = (1.0 + tolerances.thrust * rotors).unsqueeze(-1)
+    factor = (1.0 + tolerances.thrust * rotors).unsqueeze(0)
     stretch = (1.0 + tolerances.inertia * inertia).clamp_min(0.01).sqrt()
     slower = 1.0 + tolerances.time_constant * lag
     battery = vehicle.battery.clone()
     battery[:, 0] *= 1.0 + tolerances.nominal_voltage * voltage
     return replace(
-        vehicle,
+        vehicle.with_scaled_maps(thrust=factor, torque=factor),
         mass=vehicle.mass * (1.0 + tolerances.mass * mass),
-        thrust_map=vehicle.thrust_map * factor,
-        torque_map=vehicle.torque_map * factor,
         inertia=vehicle.inertia * stretch.unsqueeze(-1) * stretch,
         com=vehicle.com + tolerances.com * com,
         time_constant_up=vehicle.time_constant_up * slower,

@@ -206,7 +206,7 @@ def scale_by_env(vehicle: Vehicle) -> Vehicle:
         steps = torch.linspace(0.9, 1.1, rows.shape[0], dtype=rows.dtype)
         return rows * (1.0 + by * (steps - 1.0)).view(-1, *([1] * (rows.dim() - 1)))
 
-    changes = {k: scaled(v, 1.0) for k, v in vars(vehicle).items() if k not in ("rotor_axis", "rotor_spin")}
+    changes = {k: scaled(v, 1.0) for k, v in vehicle.rows().items() if k not in ("rotor_axis", "rotor_spin")}
     changes["com"] = changes["com"] + 0.01
     return replace(vehicle, **changes, rotor_axis=vehicle.rotor_axis.clone(), rotor_spin=vehicle.rotor_spin.clone())
 

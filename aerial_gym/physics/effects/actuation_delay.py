@@ -26,6 +26,7 @@ class ActuationDelay(DelayEffect):
     parameters = (Parameter(name="delay", unit="s", low=0.0, high=LONGEST, scale=0.01, meaning="dead time"),)
     excitation = "quick changes of the rotor commands, best with measured rotor speeds"
     confused_with = ("motor_time_constant", "motor_asymmetry")
+    rotors = ("force", "dead_band")
     longest = LONGEST
 
     def delay(self, params: Tensor) -> Tensor:

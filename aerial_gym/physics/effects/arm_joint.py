@@ -29,8 +29,9 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics.effects.base import Condition, Moment, Parameter, WrenchEffect
-from aerial_gym.physics.rotors import evaluate_map
+from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Moment, Parameter, WrenchEffect
+from aerial_gym.physics.fused.rotors import make_maps
+from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
 LARGEST_ANGLE = wp.constant(1.0)
@@ -83,6 +84,7 @@ class ArmJoint(WrenchEffect):
     """
 
     rotor_memory = (0.0,)
+    rotors = ANY_ROTOR
 
     def check(self, robot: RobotCfg) -> None:
         """Raise ``ConfigError`` if no rotor has an arm."""
@@ -92,7 +94,7 @@ class ArmJoint(WrenchEffect):
     def deflection(self, vehicle: Vehicle, rotor_speed: Tensor, params: Tensor) -> Tensor:
         """Return the angles [rad] at which arms rest under the thrust of rotor speeds [rad/s], both (E, R)."""
         length = (1.0 - params[:, PLACE, None]) * outwards(vehicle)[1]
-        moment = evaluate_map(vehicle.thrust_map, rotor_speed) * length * vehicle.rotor_axis[..., 2]
+        moment = rotor_thrust(vehicle, rotor_speed) * length * vehicle.rotor_axis[..., 2]
         limit = float(LARGEST_ANGLE)
         return (params[:, COMPLIANCE, None] * moment).clamp(-limit, limit)
 
@@ -118,11 +120,12 @@ class ArmJoint(WrenchEffect):
         force = thrust * leaning
         torque = torch.linalg.cross(condition.lever.expand_as(force), force)
         torque = torque + torch.linalg.cross(moved, thrust * axis + force)
-        drag = vehicle.rotor_spin * evaluate_map(vehicle.torque_map, condition.rotor_speed)
+        drag = vehicle.rotor_spin * rotor_torque(vehicle, condition.rotor_speed)
         return torch.cat((force, torque - drag.unsqueeze(-1) * leaning), dim=-1).sum(1)
 
     def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
         """Return the same in Warp."""
+        thrust_of, _ = make_maps(vehicle)
         num_rotors = len(moment.vars["rotor_speed"].type())
         numbers = wp.types.vector(length=ANGLES + num_rotors, dtype=wp.float32)
 
@@ -135,7 +138,7 @@ class ArmJoint(WrenchEffect):
                 y = plant.rotor_lever[i, 1] + plant.com[1]
                 length = (1.0 - values[wp.static(PLACE)]) * wp.sqrt(x * x + y * y + SHORTEST_ARM * SHORTEST_ARM)
                 n = now.rotor_speed[i]
-                thrust = plant.thrust_map[i, 0] + n * (plant.thrust_map[i, 1] + n * plant.thrust_map[i, 2])
+                thrust = thrust_of(plant, i, n)
                 rest = values[wp.static(COMPLIANCE)] * thrust * length * plant.rotor_axis[i, 2]
                 rest = wp.clamp(rest, -LARGEST_ANGLE, LARGEST_ANGLE)
                 after[wp.static(ANGLES) + i] = rest + (values[wp.static(ANGLES) + i] - rest) * decay

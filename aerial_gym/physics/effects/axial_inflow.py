@@ -1,7 +1,8 @@
 """Thrust falls where air comes from above and grows where it comes from below: a rotor meets its inflow.
 
 ``dT = -ka w v_a`` for a rotor of speed w whose hub moves with v_a along its axis through the air; a roll rate changes the
-thrust of both sides against it and so is damped.
+thrust of both sides against it and so is damped. A reversed rotor is one whose axis points the other way: both v_a and dT
+change sign with it, and ``|w|`` stands for w.
 Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 3.3 (blade element in axial flight): the angle of
 attack falls by v_a / (w r), the lift by that times w²; Svacha, Mohta, Kumar (2017), Improving quadrotor trajectory
 tracking by compensating for aerodynamic effects, eq. 6.
@@ -25,11 +26,12 @@ class AxialInflow(RotorEffect):
     )
     excitation = "climb and descent; roll and pitch rates tell it from a drag along z"
     confused_with = ("rotor_drag", "quadratic_drag", "thrust_coefficient")
+    rotors = ("reversible", "slew", "dead_band")
     follows = ("velocity",)
 
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
-        """Return ``-ka w v_a``."""
-        return -params[:, :1] * condition.rotor_speed * condition.axial_velocity
+        """Return ``-ka |w| v_a``."""
+        return -params[:, :1] * condition.rotor_speed.abs() * condition.axial_velocity
 
     def warp_thrust(self, condition: type, hub: type) -> wp.Function:
         """Return the same in Warp."""
@@ -37,6 +39,6 @@ class AxialInflow(RotorEffect):
 
         @wp.func
         def axial_inflow(at: condition, rotor: hub, ka: params) -> float:
-            return -ka[0] * rotor.speed * wp.dot(rotor.velocity, rotor.axis)
+            return -ka[0] * wp.abs(rotor.speed) * wp.dot(rotor.velocity, rotor.axis)
 
         return axial_inflow

@@ -22,6 +22,12 @@ from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.math.short import dot, sum_slices
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
+RotorTrait = Literal["reversible", "force", "slew", "dead_band"]
+"""Of ``config.rotor.ROTOR_TRAITS``."""
+
+ANY_ROTOR: tuple[RotorTrait, ...] = ("reversible", "force", "slew", "dead_band")
+"""Of an effect that does not depend on what the state of a rotor is."""
+
 ActsOn = Literal["rotor", "actuation", "wrench", "inertia", "environment", "sensor"]
 
 
@@ -236,6 +242,8 @@ class Effect(ABC):
     """On what its force depends, so that an imperfect law leaves a residual which follows it."""
     logged: ClassVar[tuple[Literal["battery"], ...]] = ()
     """What a log must hold in place of its memory."""
+    rotors: ClassVar[tuple[RotorTrait, ...]] = ("slew", "dead_band")
+    """What rotors may have beyond a plain speed under it; with others it is refused by name."""
     random: ClassVar[bool] = False
     """Whether chance decides what it does, so that it predicts no row of a flight."""
 
@@ -332,6 +340,7 @@ class WindEffect(Effect):
 
     acts_on = "environment"
     twin = "warp_wind"
+    rotors = ANY_ROTOR
 
     @abstractmethod
     def wind(self, position: Tensor, params: Tensor) -> Tensor:
@@ -415,6 +424,7 @@ class LoadEffect(Effect):
 
     acts_on = "wrench"
     twin = "warp_pull"
+    rotors = ANY_ROTOR
     memory = (0.0, 0.0, -1.0, 0.0, 0.0, 0.0)
 
     @abstractmethod
@@ -489,6 +499,7 @@ class ImuEffect(Effect):
     """An error of the inertial sensors: the vehicle flies as before, but is measured otherwise."""
 
     acts_on = "sensor"
+    rotors = ANY_ROTOR
 
     @abstractmethod
     def measure(self, specific_force: Tensor, ang_vel: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:

@@ -16,6 +16,8 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects.base import CommandEffect, Moment, Parameter
+from aerial_gym.physics.fused.rotors import make_maps
+from aerial_gym.physics.rotors import rotor_torque
 from aerial_gym.physics.vehicle import Vehicle
 
 LEAST_SQUARE = wp.constant(1e-6)
@@ -44,6 +46,7 @@ class BatterySag(CommandEffect):
     )
     excitation = "a long flight, or hard and gentle thrust, with the voltage and commands in the log"
     confused_with = ("thrust_coefficient", "payload_mass", "motor_time_constant")
+    rotors = ("reversible", "slew", "dead_band")
     follows = ("voltage",)
     memory = (0.0, 0.0)
     """Charge drawn [A s] and voltage [V]; the latter is written before it is first read."""
@@ -61,8 +64,7 @@ class BatterySag(CommandEffect):
         """Return charge at the end and voltage at the start of the substep, (E, 2)."""
         vehicle, charge, speed = moment.vehicle, values[:, 1], moment.rotor_speed
         _, full, empty, resistance, capacity, efficiency = vehicle.battery.unbind(-1)
-        q0, q1, q2 = vehicle.torque_map.unbind(-1)
-        power = ((q0 + speed * (q1 + speed * q2)) * speed).sum(-1) / efficiency
+        power = (rotor_torque(vehicle, speed) * speed).sum(-1) / efficiency
         open_voltage = full - (full - empty) * (charge / capacity).clamp_max(1.0)
         voltage = voltage_under_load(open_voltage, resistance, power)
         return torch.stack((charge + moment.dt * power / voltage, voltage), dim=-1)
@@ -77,13 +79,14 @@ class BatterySag(CommandEffect):
 
     def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
         """Return the same in Warp."""
+        _, torque_of = make_maps(vehicle)
 
         @wp.func
         def battery_state(plant: vehicle, now: moment, values: wp.vec3) -> wp.vec3:
             power = wp.float32(0.0)
             for i in range(len(now.rotor_speed)):
                 n = now.rotor_speed[i]
-                power += n * (plant.torque_map[i, 0] + n * (plant.torque_map[i, 1] + n * plant.torque_map[i, 2]))
+                power += n * torque_of(plant, i, n)
             power = power / plant.battery[5]
             used = wp.min(values[1] / plant.battery[4], 1.0)
             open_voltage = plant.battery[1] - (plant.battery[1] - plant.battery[2]) * used

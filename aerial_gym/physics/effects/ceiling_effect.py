@@ -26,13 +26,14 @@ class CeilingEffect(RotorEffect):
     parameters = (Parameter(name="k", unit="-", low=0.0, high=3.5, scale=1.0, meaning="strength, as of ground_effect"),)
     excitation = "flight within two rotor diameters of the ceiling, and away from it; its height"
     confused_with = ("thrust_coefficient", "battery_sag", "ground_effect")
+    rotors = ("force", "slew", "dead_band")
     follows = ("position",)
     needs = ("position", "ceiling_height")
 
     def check(self, robot: RobotCfg) -> None:
         """Raise ``ConfigError`` unless the radius of the rotors is known."""
-        if robot.rotor.radius is None:
-            raise ConfigError("effect ceiling_effect: the robot file must give rotor.radius [m]")
+        if any(rotor.radius is None for rotor in robot.rotor_types):
+            raise ConfigError("effect ceiling_effect: the robot file must give the radius [m] of each rotor type")
 
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
         """Return ``T (1 / (1 - k (R / 4 h)²) - 1)``."""

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from torch import Tensor
 
-from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, VehicleEffect
 from aerial_gym.physics.vehicle import Vehicle
 
 
@@ -26,6 +26,7 @@ class ComOffset(VehicleEffect):
     )
     excitation = "x and y: any thrust; z: angular acceleration or rate together with the accelerometer"
     confused_with = ("weak_motor", "motor_tilt", "imu_bias")
+    rotors = ANY_ROTOR
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with the shifted centre of mass."""

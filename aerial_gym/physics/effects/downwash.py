@@ -12,7 +12,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Parameter, WrenchEffect
 from aerial_gym.physics.fused.functions import rotate_inverse
 
 
@@ -27,6 +27,7 @@ class Downwash(WrenchEffect):
     )
     excitation = "passes below another vehicle whose position is in the log"
     confused_with = ("gusts", "thrust_coefficient", "ground_effect")
+    rotors = ANY_ROTOR
     follows = ("position",)
     needs = ("position", "other_position")
 

@@ -34,13 +34,14 @@ class GroundEffect(RotorEffect):
         "flight within two rotor diameters of the ground, and away from it; heights above the ground in the log"
     )
     confused_with = ("thrust_coefficient", "battery_sag", "axial_inflow")
+    rotors = ("force", "slew", "dead_band")
     follows = ("position",)
     needs = ("position",)
 
     def check(self, robot: RobotCfg) -> None:
         """Raise ``ConfigError`` unless the radius of the rotors is known."""
-        if robot.rotor.radius is None:
-            raise ConfigError("effect ground_effect: the robot file must give rotor.radius [m]")
+        if any(rotor.radius is None for rotor in robot.rotor_types):
+            raise ConfigError("effect ground_effect: the robot file must give the radius [m] of each rotor type")
 
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
         """Return ``T (1 / (1 - k (R / 4 h)²) - 1)``."""

@@ -4,7 +4,8 @@ At a hub l that moves with v through the air, with the part ``v_e`` of it in the
 ``F = -kh w v_e`` at the hub, and ``tau = l x F + kf w (v_e x a)``: in forward flight the disc tilts back, and lifts the nose.
 Source: Mahony, Kumar, Corke (2012), Multirotor Aerial Vehicles, section "blade flapping"; Hoffmann, Huang, Waslander, Tomlin
 (2007), Quadrotor helicopter flight dynamics and control, section III.B. A lift that is linear in the tip speed makes both
-proportional to w v.
+proportional to w v. A reversed rotor is one whose axis points the other way: its force is against the motion as before, with
+``|w|``, and its moment changes sign with w, as its disc tilts back about the opposite thrust.
 """
 
 import torch
@@ -30,12 +31,14 @@ class HForceFlapping(LinearWrenchEffect):
     )
     excitation = "sideways velocity in both directions; the moment also needs the rotor speeds one by one"
     confused_with = ("rotor_drag", "com_offset", "constant_wind")
+    rotors = ("reversible", "slew", "dead_band")
     follows = ("velocity",)
 
     def regressor(self, condition: Condition) -> Tensor:
         """Return (E, 6, 2), the sums over the rotors."""
         flow = condition.rotor_speed.unsqueeze(-1) * condition.edgewise_velocity
-        in_plane = torch.cat((-sum_slices(flow, 1), sum_of_crosses(flow, condition.lever)), dim=1)
+        against = condition.rotor_speed.abs().unsqueeze(-1) * condition.edgewise_velocity
+        in_plane = torch.cat((-sum_slices(against, 1), sum_of_crosses(against, condition.lever)), dim=1)
         moment = sum_of_crosses(flow, condition.axis)
         return torch.stack((in_plane, torch.cat((torch.zeros_like(moment), moment), dim=1)), dim=2)
 
@@ -51,8 +54,9 @@ class HForceFlapping(LinearWrenchEffect):
                 lever = wp.vec3(at.lever[i, 0], at.lever[i, 1], at.lever[i, 2])
                 hub = at.air_velocity + wp.cross(at.ang_vel, lever)
                 flow = at.rotor_speed[i] * (hub - wp.dot(hub, axis) * axis)
-                force -= k[0] * flow
-                torque += k[1] * wp.cross(flow, axis) - k[0] * wp.cross(lever, flow)
+                against = wp.abs(at.rotor_speed[i]) * (hub - wp.dot(hub, axis) * axis)
+                force -= k[0] * against
+                torque += k[1] * wp.cross(flow, axis) - k[0] * wp.cross(lever, against)
             return wp.spatial_vector(force, torque)
 
         return h_force_flapping

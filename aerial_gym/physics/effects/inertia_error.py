@@ -9,7 +9,7 @@ from dataclasses import replace
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, VehicleEffect
 from aerial_gym.physics.vehicle import Vehicle
 
 
@@ -25,6 +25,7 @@ class InertiaError(VehicleEffect):
     )
     excitation = "angular accelerations about each body axis"
     confused_with = ("torque_ratio", "thrust_coefficient", "rotor_inertia")
+    rotors = ANY_ROTOR
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return 1: inertia as declared."""

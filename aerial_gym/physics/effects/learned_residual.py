@@ -35,6 +35,7 @@ class LearnedResidual(WrenchEffect):
     )
     excitation = "any motion; beyond what was flown it fades to zero"
     confused_with = ()
+    rotors = ("reversible", "slew", "dead_band")
 
     def __init__(
         self, cfg: LearnedResidualCfg, *, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"

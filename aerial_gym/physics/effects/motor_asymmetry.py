@@ -9,7 +9,8 @@ from dataclasses import replace
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, VehicleEffect
+from aerial_gym.physics.effects.one_rotor import declared_lag
 from aerial_gym.physics.vehicle import Vehicle
 
 
@@ -25,10 +26,11 @@ class MotorAsymmetry(VehicleEffect):
     )
     excitation = "quick changes of the rotor commands, up and down"
     confused_with = ("motor_time_constant", "actuation_delay", "battery_sag")
+    rotors = ANY_ROTOR
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
-        """Return the declared lags."""
-        return robot.rotor.time_constant_up, robot.rotor.time_constant_down
+        """Return the declared lags, their means where rotors differ."""
+        return declared_lag(robot)
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with both time constants replaced."""

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, VehicleEffect
 from aerial_gym.physics.effects.one_rotor import ROTOR, chosen_rotor
 from aerial_gym.physics.vehicle import Vehicle
 
@@ -28,6 +28,7 @@ class MotorTilt(VehicleEffect):
     )
     excitation = "thrust of that rotor that varies; yaw tells it from a shifted centre of mass"
     confused_with = ("com_offset", "weak_motor", "imu_misalignment", "torque_ratio")
+    rotors = ANY_ROTOR
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return no turn of the first rotor."""

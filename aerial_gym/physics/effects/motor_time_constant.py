@@ -9,7 +9,8 @@ from dataclasses import replace
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, VehicleEffect
+from aerial_gym.physics.effects.one_rotor import declared_lag
 from aerial_gym.physics.vehicle import Vehicle
 
 
@@ -24,10 +25,11 @@ class MotorTimeConstant(VehicleEffect):
     )
     excitation = "quick changes of the rotor commands"
     confused_with = ("motor_asymmetry", "actuation_delay", "battery_sag")
+    rotors = ANY_ROTOR
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return the mean of the declared rise and fall."""
-        return (0.5 * (robot.rotor.time_constant_up + robot.rotor.time_constant_down),)
+        return (0.5 * sum(declared_lag(robot)),)
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with both time constants replaced."""

@@ -9,7 +9,7 @@ from dataclasses import replace
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, VehicleEffect
 from aerial_gym.physics.vehicle import Vehicle
 
 LEAST_SHARE = 0.7
@@ -27,6 +27,7 @@ class PayloadMass(VehicleEffect):
     )
     excitation = "thrust together with angular accelerations or drag: in hover alone a weaker thrust looks the same"
     confused_with = ("thrust_coefficient", "battery_sag", "weak_motor")
+    rotors = ANY_ROTOR
 
     def bounds(self, robot: RobotCfg) -> list[tuple[float, float]]:
         """Return the bounds: a vehicle was weighed, and has not lost a third of its mass."""

@@ -9,7 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.physics.effects.base import Condition, LinearWrenchEffect, Parameter
+from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, LinearWrenchEffect, Parameter
 
 
 class QuadraticDrag(LinearWrenchEffect):
@@ -23,6 +23,7 @@ class QuadraticDrag(LinearWrenchEffect):
     )
     excitation = "several different speeds through the air, some of them high, along each body axis"
     confused_with = ("rotor_drag", "constant_wind")
+    rotors = ANY_ROTOR
     follows = ("velocity",)
 
     def regressor(self, condition: Condition) -> Tensor:

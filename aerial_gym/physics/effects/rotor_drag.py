@@ -9,7 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.physics.effects.base import Condition, LinearWrenchEffect, Parameter
+from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, LinearWrenchEffect, Parameter
 
 
 class RotorDrag(LinearWrenchEffect):
@@ -23,6 +23,7 @@ class RotorDrag(LinearWrenchEffect):
     )
     excitation = "velocity along each body axis, in both directions or at several speeds"
     confused_with = ("quadratic_drag", "constant_wind", "com_offset")
+    rotors = ANY_ROTOR
     follows = ("velocity",)
 
     def regressor(self, condition: Condition) -> Tensor:

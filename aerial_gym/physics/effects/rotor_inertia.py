@@ -23,6 +23,7 @@ class RotorInertia(LinearWrenchEffect):
     )
     excitation = "quick yaw commands, or fast turns with unequal rotor speeds"
     confused_with = ("torque_ratio", "inertia_error")
+    rotors = ("reversible", "slew", "dead_band")
 
     def regressor(self, condition: Condition) -> Tensor:
         """Return (E, 6, 1)."""

@@ -20,6 +20,7 @@ class RotorSpeedScale(RotorSensorEffect):
     )
     excitation = "measured speeds beside commands; without commands a thrust coefficient looks the same"
     confused_with = ("thrust_coefficient", "battery_sag")
+    rotors = ("reversible", "slew", "dead_band")
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return 1: speeds as measured."""

@@ -4,12 +4,10 @@
 Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.2.5: thrust and torque coefficient.
 """
 
-from dataclasses import replace
-
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, VehicleEffect
 from aerial_gym.physics.vehicle import Vehicle
 
 
@@ -24,6 +22,7 @@ class ThrustCoefficient(VehicleEffect):
     )
     excitation = "thrust, as any flight has; a wrong mass looks the same in the force and differs only in the torque"
     confused_with = ("payload_mass", "weak_motor", "battery_sag")
+    rotors = ANY_ROTOR
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return 1: thrust as declared."""
@@ -32,5 +31,4 @@ class ThrustCoefficient(VehicleEffect):
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with scaled thrust and torque maps."""
-        scale = params[:, :1].unsqueeze(-1)
-        return replace(vehicle, thrust_map=scale * vehicle.thrust_map, torque_map=scale * vehicle.torque_map)
+        return vehicle.with_scaled_maps(thrust=params[:, :1], torque=params[:, :1])

@@ -4,12 +4,10 @@
 Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.2.5: torque coefficient.
 """
 
-from dataclasses import replace
-
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, VehicleEffect
 from aerial_gym.physics.vehicle import Vehicle
 
 
@@ -24,6 +22,7 @@ class TorqueRatio(VehicleEffect):
     )
     excitation = "yaw accelerations that the rotors cause"
     confused_with = ("inertia_error", "motor_tilt", "rotor_inertia")
+    rotors = ANY_ROTOR
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return 1: torque as declared."""
@@ -32,4 +31,4 @@ class TorqueRatio(VehicleEffect):
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with a scaled torque map."""
-        return replace(vehicle, torque_map=params[:, :1].unsqueeze(-1) * vehicle.torque_map)
+        return vehicle.with_scaled_maps(torque=params[:, :1])

@@ -22,6 +22,7 @@ class TranslationalLift(RotorEffect):
     )
     excitation = "several different sideways speeds, some of them high"
     confused_with = ("thrust_coefficient", "quadratic_drag", "payload_mass")
+    rotors = ("force", "slew", "dead_band")
     follows = ("velocity",)
 
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:

@@ -4,12 +4,10 @@
 Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.2.5: both coefficients grow with the blade area.
 """
 
-from dataclasses import replace
-
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import Parameter, VehicleEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR, Parameter, VehicleEffect
 from aerial_gym.physics.effects.one_rotor import ROTOR, chosen_rotor
 from aerial_gym.physics.vehicle import Vehicle
 
@@ -26,6 +24,7 @@ class WeakMotor(VehicleEffect):
     )
     excitation = "thrust that varies, and yaw: in hover alone a shifted centre of mass looks the same"
     confused_with = ("com_offset", "thrust_coefficient", "motor_tilt", "payload_mass")
+    rotors = ANY_ROTOR
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return 1 for the first rotor: thrust as declared."""
@@ -35,5 +34,4 @@ class WeakMotor(VehicleEffect):
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with the maps of one rotor scaled."""
         factor = 1.0 + chosen_rotor(vehicle, params[:, 0]) * (params[:, 1:] - 1.0)
-        scale = factor.unsqueeze(-1)
-        return replace(vehicle, thrust_map=scale * vehicle.thrust_map, torque_map=scale * vehicle.torque_map)
+        return vehicle.with_scaled_maps(thrust=factor, torque=factor)

@@ -15,13 +15,13 @@ UNLIMITED = wp.constant(1.0e9)
 """Thrust along body z [N] to which a rotor that does not carry sets no limit."""
 
 
-def make_command(law: FusedLaw, num_rotors: int) -> wp.Function:
+def make_command(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
     """Return a function from the motion of the body origin and an action to commanded rotor speeds [rad/s]."""
-    types = rotor_types(num_rotors)
+    types = rotor_types(num_rotors, general)
     command_type, vector, action_type = types.command, types.vector, vector_of(law.num_actions)
     gains_type, law_wrench = law.gains_type or NoGains, law.wrench
-    speed_of, prioritised = _make_speed_of(num_rotors), law.saturation == "prioritised"
-    thrust_for = make_prioritised_thrust(num_rotors)
+    speed_of, prioritised = _make_speed_of(num_rotors, general), law.saturation == "prioritised"
+    thrust_for = make_prioritised_thrust(num_rotors, general)
 
     @wp.func
     def speed(
@@ -53,8 +53,8 @@ def make_command(law: FusedLaw, num_rotors: int) -> wp.Function:
     return {"speed": speed, "thrust": thrust, "wrench": wrench}[law.output]
 
 
-def _make_speed_of(num_rotors: int) -> wp.Function:
-    types = rotor_types(num_rotors)
+def _make_speed_of(num_rotors: int, general: bool) -> wp.Function:
+    types = rotor_types(num_rotors, general)
     command_type, vector = types.command, types.vector
 
     @wp.func
@@ -66,15 +66,37 @@ def _make_speed_of(num_rotors: int) -> wp.Function:
             speed[i] = wp.sqrt(wp.max(square, 0.0)) - params.speed_map[i, 2]
         return speed
 
-    return speed_of
+    @wp.func
+    def state_of(params: command_type, thrust: vector) -> vector:
+        state = vector()
+        for i in range(wp.static(num_rotors)):
+            allowed = wp.clamp(thrust[i], params.low[i], params.high[i])
+            c0 = params.thrust_map[i, 0]
+            c1 = params.thrust_map[i, 1]
+            c2 = params.thrust_map[i, 2]
+            reverse = allowed < 0.0 and params.low[i] < 0.0
+            if reverse:
+                c0 = params.reverse_thrust_map[i, 0]
+                c1 = params.reverse_thrust_map[i, 1]
+                c2 = params.reverse_thrust_map[i, 2]
+            size = wp.where(reverse, -allowed, allowed) - c0
+            root = wp.sqrt(wp.max(c1 * c1 + 4.0 * c2 * size, 0.0))
+            if c2 > 0.0:
+                size = (root - c1) / (2.0 * c2)
+            if c2 == 0.0:  # force mode
+                size = size / c1
+            state[i] = wp.where(reverse, -size, size)
+        return state
+
+    return state_of if general else speed_of
 
 
-def make_prioritised_thrust(num_rotors: int) -> wp.Function:
+def make_prioritised_thrust(num_rotors: int, general: bool = False) -> wp.Function:
     """Return ``control.allocation.prioritised_thrust`` for one environment, from parameters and wrench to thrusts [N].
 
     Where no rotor is at a limit, which is nearly always, it is the product with the pseudo-inverse and 2 R comparisons.
     """
-    types = rotor_types(num_rotors)
+    types = rotor_types(num_rotors, general)
     command_type, vector = types.command, types.vector
 
     @wp.func

@@ -186,13 +186,13 @@ def make_velocity_change(count: int) -> wp.Function:
     return velocity_change
 
 
-def make_push_off_ground(num_rotors: int, num_spheres: int) -> wp.Function:
+def make_push_off_ground(num_rotors: int, num_spheres: int, general: bool) -> wp.Function:
     """Return a function that gives one environment the impulses of a horizontal plane.
 
     It takes spheres from the body origin, and motion of the centre of mass before and after a step without contact; it
     returns the motion, the impulse [N s, world] and whether this was a crash. What touches nothing comes back bit for bit.
     """
-    vehicle_type, vector, rows = rotor_types(num_rotors).vehicle, vector_of(num_spheres), rows_of(num_spheres)
+    vehicle_type, vector, rows = rotor_types(num_rotors, general).vehicle, vector_of(num_spheres), rows_of(num_spheres)
     velocity_change = make_velocity_change(num_spheres)
 
     @wp.func

@@ -11,13 +11,12 @@ from aerial_gym.physics.effects import Effect, LoadEffect, RotorEffect, WindEffe
 from aerial_gym.physics.fused.functions import (
     angular_acceleration,
     attitude_rate,
-    lag_acceleration,
-    lag_speed,
     rotate,
     rotate_inverse,
     small_turn,
 )
 from aerial_gym.physics.fused.packing import pickers, values_type
+from aerial_gym.physics.fused.rotors import make_follow, make_maps, make_spin_up
 from aerial_gym.physics.fused.types import Hub, Suspension, rotor_types
 from aerial_gym.physics.model import Model
 
@@ -69,9 +68,9 @@ def _sum_of(terms: list[tuple[wp.Function, wp.Function]], argument: Any, params:
     return total
 
 
-def _make_hub_at(num_rotors: int) -> wp.Function:
+def _make_hub_at(num_rotors: int, general: bool) -> wp.Function:
     """Return a function to what one rotor feels. (A struct written anew in a loop would have a wrong adjoint.)"""
-    types = rotor_types(num_rotors)
+    types = rotor_types(num_rotors, general)
     vehicle_type, condition_type = types.vehicle, types.condition
 
     @wp.func
@@ -93,8 +92,9 @@ def _make_hub_at(num_rotors: int) -> wp.Function:
 
 def make_accelerations(model: Model) -> wp.Function:
     """Return a function to linear [m/s², world] and angular acceleration [rad/s², body] with just the model's effects."""
-    num_rotors = model.vehicle.num_rotors
-    types = rotor_types(num_rotors)
+    num_rotors, general = model.vehicle.num_rotors, not model.vehicle.plain
+    types = rotor_types(num_rotors, general)
+    thrust_of, torque_of = make_maps(types.vehicle)
     params_type, picks = values_type(model), pickers(model)
 
     def with_picks(kind: type[Effect], twins: list[wp.Function]) -> list[tuple[wp.Function, wp.Function]]:
@@ -109,7 +109,7 @@ def make_accelerations(model: Model) -> wp.Function:
     gain = _sum_of_rotors(rotors, types.condition, params_type)
     wrench = _sum_of(wrenches, types.condition, params_type, wp.spatial_vector)
     vehicle_type, vector, condition_type = types.vehicle, types.vector, types.condition
-    ground_height, hub_at = model.ground_height, _make_hub_at(num_rotors)
+    ground_height, hub_at = model.ground_height, _make_hub_at(num_rotors, general)
     ceiling_height = 0.0 if model.ceiling_height is None else model.ceiling_height
     hang = _make_hang(model)
 
@@ -147,10 +147,10 @@ def make_accelerations(model: Model) -> wp.Function:
             at.other_position = vehicle.other_position
         for i in range(wp.static(num_rotors)):
             n = rotor_speed[i]
-            thrust = vehicle.thrust_map[i, 0] + n * (vehicle.thrust_map[i, 1] + n * vehicle.thrust_map[i, 2])
+            thrust = thrust_of(vehicle, i, n)
             if wp.static(any_rotor):
                 thrust = thrust + gain(at, hub_at(vehicle, at, i, thrust, ground, ceiling), params)
-            drag = vehicle.torque_map[i, 0] + n * (vehicle.torque_map[i, 1] + n * vehicle.torque_map[i, 2])
+            drag = torque_of(vehicle, i, n)
             force += thrust * wp.vec3(vehicle.rotor_axis[i, 0], vehicle.rotor_axis[i, 1], vehicle.rotor_axis[i, 2])
             torque += thrust * wp.vec3(
                 vehicle.rotor_moment[i, 0], vehicle.rotor_moment[i, 1], vehicle.rotor_moment[i, 2]
@@ -182,7 +182,8 @@ def _make_hang(model: Model) -> wp.Function | None:
         return None
     effect = model.effects[LoadEffect][0][0]
     pull, pick = effect.warp_pull(Suspension), pickers(model)[LoadEffect][0].get
-    vehicle_type, params_type = rotor_types(model.vehicle.num_rotors).vehicle, values_type(model)
+    types, params_type = rotor_types(model.vehicle.num_rotors, not model.vehicle.plain), values_type(model)
+    vehicle_type = types.vehicle
 
     @wp.func
     def hang(
@@ -224,7 +225,8 @@ def settle(load: wp.spatial_vector) -> wp.spatial_vector:
 
 def make_stepper(model: Model, integrator: str) -> wp.Function:
     """Return a function that advances the motion of the centre of mass and the rotors by one step."""
-    types = rotor_types(model.vehicle.num_rotors)
+    num_rotors, general = model.vehicle.num_rotors, not model.vehicle.plain
+    types = rotor_types(num_rotors, general)
     parts = (
         types.vehicle,
         types.vector,
@@ -232,41 +234,10 @@ def make_stepper(model: Model, integrator: str) -> wp.Function:
         make_accelerations(model),
         bool(model.effects[LoadEffect]),
     )
-    follow = _make_follow(model.vehicle.num_rotors)
+    follow = make_follow(num_rotors, general)
     if integrator == "euler":
         return _make_euler(*parts, follow)
-    return _make_rk4(*parts, follow, _make_spin_up(model.vehicle.num_rotors))
-
-
-def _make_follow(num_rotors: int) -> wp.Function:
-    types = rotor_types(num_rotors)
-    vehicle_type, vector = types.vehicle, types.vector
-
-    @wp.func
-    def follow(vehicle: vehicle_type, speed: vector, command: vector) -> vector:
-        after = vector()
-        for i in range(wp.static(num_rotors)):
-            after[i] = lag_speed(speed[i], command[i], vehicle.decay_up[i], vehicle.decay_down[i])
-        return after
-
-    return follow
-
-
-def _make_spin_up(num_rotors: int) -> wp.Function:
-    """Return ``rotors.lag_acceleration`` for stages of half a step."""
-    types = rotor_types(num_rotors)
-    vehicle_type, vector = types.vehicle, types.vector
-
-    @wp.func
-    def spin_up(vehicle: vehicle_type, speed: vector, command: vector, first: vector, dt: float) -> vector:
-        rate = vector()
-        for i in range(wp.static(num_rotors)):
-            rate[i] = lag_acceleration(
-                speed[i], command[i], vehicle.decay_up[i], vehicle.decay_down[i], command[i] - first[i], dt
-            )
-        return rate
-
-    return spin_up
+    return _make_rk4(*parts, follow, make_spin_up(num_rotors, general))
 
 
 def _make_euler(
@@ -286,7 +257,7 @@ def _make_euler(
         command: vector,
         dt: float,
     ):
-        rotors = follow(vehicle, rotor_speed, command)
+        rotors = follow(vehicle, rotor_speed, command, dt)
         spin_up = (rotors - rotor_speed) / dt
         acc, ang_acc, swing = accelerations(
             vehicle, params, gravity, position, attitude, lin_vel, ang_vel, rotors, spin_up, load
@@ -325,9 +296,9 @@ def _make_rk4(
         command: vector,
         dt: float,
     ):
-        middle = follow(vehicle, rotor_speed, command)
-        end = follow(vehicle, middle, command)
         half = 0.5 * dt
+        middle = follow(vehicle, rotor_speed, command, half)
+        end = follow(vehicle, middle, command, half)
         n1 = spin_up(vehicle, rotor_speed, command, rotor_speed, dt)
         n2 = spin_up(vehicle, middle, command, rotor_speed, dt)
         n4 = spin_up(vehicle, end, command, rotor_speed, dt)

@@ -4,6 +4,9 @@ They follow ``math.quaternion``, ``physics.rotors`` and ``physics.rigid_body``, 
 Frames: body is x forward, y left, z up; world is z up.
 """
 
+from functools import cache
+from typing import Any
+
 import warp as wp
 
 
@@ -58,6 +61,42 @@ def lag_acceleration(speed: float, command: float, decay_up: float, decay_down: 
 def lag_speed(speed: float, command: float, decay_up: float, decay_down: float) -> float:
     """Return the rotor speed [rad/s] after a span in which the distance to the command shrinks by ``exp(-span / tau)``."""
     return command + (speed - command) * wp.where(command > speed, decay_up, decay_down)
+
+
+@cache
+def make_limited_lag(real: Any) -> wp.Function:
+    """Return ``rotor_lag.limited_lag`` of one rotor in a precision: (state, command, tau_up, tau_down, slew, span) -> state."""
+
+    @wp.func
+    def remaining(distance: real, tau: real, slew: real, span: real) -> real:
+        """Return what is left of a distance >= 0 after a span [s]: at the slew rate first, then exponentially."""
+        linear = wp.min(slew * span, wp.max(distance - slew * tau, real(0.0)))
+        return (distance - linear) * wp.exp(-wp.max(span - linear / slew, real(0.0)) / tau)
+
+    @wp.func
+    def time_between(distance: real, less: real, tau: real, slew: real) -> real:
+        """Return the time [s] in which a distance shrinks to a smaller one, > 0."""
+        linear = wp.min(wp.max(distance - slew * tau, real(0.0)), distance - less)
+        return linear / slew + tau * wp.log((distance - linear) / less)
+
+    @wp.func
+    def limited_lag(state: real, command: real, tau_up: real, tau_down: real, slew: real, span: real) -> real:
+        way = wp.where(command < state, real(-1.0), real(1.0))
+        distance = wp.abs(command - state)
+        falling = wp.where(state * way < real(0.0), span, real(0.0))
+        if falling > real(0.0) and command * way > real(0.0):
+            falling = wp.min(time_between(distance, wp.abs(command), tau_down, slew), span)
+        left = remaining(distance, tau_down, slew, falling)
+        return command - way * remaining(left, tau_up, slew, span - falling)
+
+    return limited_lag
+
+
+@wp.func
+def limited_rate(speed: float, command: float, tau_up: float, tau_down: float, slew: float) -> float:
+    """Return ``rotor_lag.rate_towards`` of one rotor; without lag the rate is the slew rate."""
+    tau = wp.where(speed * (command - speed) < 0.0, tau_down, tau_up)
+    return wp.clamp((command - speed) / tau, -slew, slew)
 
 
 @wp.func

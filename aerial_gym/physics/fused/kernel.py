@@ -23,9 +23,11 @@ from aerial_gym.physics.fused.packing import (
     make_reader,
     make_vehicle_reader,
     num_values,
+    types_of,
     values_type,
 )
-from aerial_gym.physics.fused.types import rotor_types, vector_of
+from aerial_gym.physics.fused.rotors import make_dead_band
+from aerial_gym.physics.fused.types import vector_of
 from aerial_gym.physics.model import Model
 
 
@@ -70,22 +72,23 @@ def make_kernel(
         differentiable: Whether Warp also makes the adjoint.
     """
     num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
-    types = rotor_types(num_rotors)
+    general, types = not model.vehicle.plain, types_of(model)
+    stop = make_dead_band(num_rotors) if general else None
     vector, action_type, params_type = types.vector, vector_of(law.num_actions), values_type(model)
     remembers, num_loads = bool(model.effects.remembering), 6 * len(model.effects[LoadEffect])
     any_load = num_loads > 0
     begin = make_begin(model, integrator) if remembers else None
     memory_type = MemoryArrays if remembers else NoMemory
     vehicle_type, command_type, gains_type = types.vehicle, types.command, law.gains_type or NoGains
-    step, command_of = make_stepper(model, integrator), make_command(law, num_rotors)
-    read_vehicle = make_vehicle_reader(num_rotors, packing.vehicle)
-    read_command = make_command_reader(num_rotors, packing.command)
+    step, command_of = make_stepper(model, integrator), make_command(law, num_rotors, general)
+    read_vehicle = make_vehicle_reader(types, packing.vehicle)
+    read_command = make_command_reader(types, packing.command)
     read_gains = make_gains_reader(law, packing.gains)
     read_params = make_reader(params_type, num_params, 0)
     first_param = packing.effects
     follows, hook_type = hook is not None, NoHook if hook is None else hook.struct
     follow = None if hook is None else hook.function
-    push_off_ground = make_push_off_ground(num_rotors, max(num_spheres, 1))
+    push_off_ground = make_push_off_ground(num_rotors, max(num_spheres, 1), general)
     get_quat, put_quat = (load_quat, store_quat) if not differentiable else _make_access(wp.quat)
     get_rotors, put_rotors = (load_vec4, store_vec4) if num_rotors == 4 and not differentiable else _make_access(vector)
     get_action = load_vec4 if law.num_actions == 4 and not differentiable else _make_access(action_type)[0]
@@ -116,6 +119,8 @@ def make_kernel(
             origin = x - rotate(q, vehicle.com)
             origin_vel = v - rotate(q, wp.cross(w, vehicle.com))
         command = command_of(command_params, gains, origin, q, origin_vel, w, u)
+        if wp.static(general):
+            command = stop(vehicle, command)
         values = params
         if wp.static(remembers):
             values, command = begin(vehicle, params, command, n, memory, env, since, count, dt)

@@ -41,6 +41,9 @@ class FusedLaw:
     thrust_map: Tensor | None = None
     """Declared thrust polynomial, from thrust to commanded speed, (E, R, 3); not needed for a speed."""
 
+    reverse_thrust_map: Tensor | None = None
+    """Likewise of rotors that turn backwards; ``thrust_map`` if not given."""
+
     allocation: Tensor | None = None
     """From the wrench to thrusts, (E, R, 6); not needed for a speed."""
 

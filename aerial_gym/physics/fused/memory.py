@@ -10,8 +10,8 @@ import warp as wp
 
 from aerial_gym.physics.effects import CommandEffect, DelayEffect
 from aerial_gym.physics.fused.dynamics import STAGES
-from aerial_gym.physics.fused.packing import pickers, values_type
-from aerial_gym.physics.fused.types import rotor_types
+from aerial_gym.physics.fused.packing import pickers, types_of, values_type
+from aerial_gym.physics.fused.types import RotorTypes
 from aerial_gym.physics.memory import RANDOM_STREAM
 from aerial_gym.physics.model import Model
 
@@ -37,7 +37,7 @@ class NoMemory:
 
 def make_begin(model: Model, integrator: str) -> wp.Function:
     """Return a function from values and command to those of a substep."""
-    types, values, num_rotors = rotor_types(model.vehicle.num_rotors), values_type(model), model.vehicle.num_rotors
+    types, values, num_rotors = types_of(model), values_type(model), model.vehicle.num_rotors
     moment, vehicle_type, vector = types.moment, types.vehicle, types.vector
     remember, lead, any_delay = _make_remember(model), _make_lead(model), bool(model.effects[DelayEffect])
     delayed = _make_delayed(model, integrator, lead) if any_delay else None
@@ -75,7 +75,7 @@ def make_begin(model: Model, integrator: str) -> wp.Function:
 
 def _make_remember(model: Model) -> wp.Function:
     """Return all ``Effect.remember`` as one function, chained like ``dynamics._sum_of``."""
-    types, values, picks = rotor_types(model.vehicle.num_rotors), values_type(model), pickers(model)
+    types, values, picks = types_of(model), values_type(model), pickers(model)
     moment, vehicle_type = types.moment, types.vehicle
 
     @wp.func
@@ -100,7 +100,7 @@ def _make_remember(model: Model) -> wp.Function:
 
 def _make_lead(model: Model) -> wp.Function:
     """Return all ``CommandEffect.command`` as one function."""
-    types, values, picks = rotor_types(model.vehicle.num_rotors), values_type(model), pickers(model)
+    types, values, picks = types_of(model), values_type(model), pickers(model)
     vehicle_type, vector = types.vehicle, types.vector
 
     @wp.func
@@ -122,12 +122,12 @@ def _make_lead(model: Model) -> wp.Function:
 
 def _make_delayed(model: Model, integrator: str, lead: wp.Function) -> wp.Function:
     """Return a function to the held command that does the same as those which arrive during the substep."""
-    types, values, num_rotors = rotor_types(model.vehicle.num_rotors), values_type(model), model.vehicle.num_rotors
+    types, values, num_rotors = types_of(model), values_type(model), model.vehicle.num_rotors
     effect = model.effects[DelayEffect][0][0]
     delay_of, pick, arrive = (
         effect.warp_delay(),
         pickers(model)[DelayEffect][0].get,
-        _make_arrive(num_rotors, lead, values),
+        _make_arrive(types, num_rotors, lead, values),
     )
     moment, vehicle_type, vector = types.moment, types.vehicle, types.vector
     stages = 1.0 / STAGES[integrator]
@@ -149,8 +149,7 @@ def _make_delayed(model: Model, integrator: str, lead: wp.Function) -> wp.Functi
     return delayed
 
 
-def _make_arrive(num_rotors: int, lead: wp.Function, values: Any) -> wp.Function:
-    types = rotor_types(num_rotors)
+def _make_arrive(types: RotorTypes, num_rotors: int, lead: wp.Function, values: Any) -> wp.Function:
     moment, vehicle_type, vector = types.moment, types.vehicle, types.vector
 
     @wp.func

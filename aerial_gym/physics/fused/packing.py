@@ -18,8 +18,9 @@ from torch import Tensor
 
 from aerial_gym.physics.effects import STEP_KINDS, CommandEffect, Effect, LoadEffect, RotorEffect, WrenchEffect
 from aerial_gym.physics.fused.law import FusedLaw, NoGains
-from aerial_gym.physics.fused.types import rotor_types, vector_of
+from aerial_gym.physics.fused.types import RotorTypes, rotor_types, vector_of
 from aerial_gym.physics.model import Model
+from aerial_gym.physics.rotor_lag import FASTEST, SHORTEST
 from aerial_gym.physics.vehicle import is_shared
 
 
@@ -69,9 +70,18 @@ def _vehicle_fields(model: Model, stage: float) -> list[Field]:
         Field("rotor_axis", (v.rotor_axis,), _same),
         Field("rotor_moment", (v.rotor_position, v.com, v.rotor_axis), moment),
         Field("rotor_reaction", (v.rotor_spin, v.rotor_axis), lambda spin, axis: -spin.unsqueeze(-1) * axis),
-        Field("decay_up", (v.time_constant_up,), decay),
-        Field("decay_down", (v.time_constant_down,), decay),
     ]
+    if v.plain:
+        fields += [Field("decay_up", (v.time_constant_up,), decay), Field("decay_down", (v.time_constant_down,), decay)]
+    else:
+        fields += [
+            Field("reverse_thrust_map", (v.reverse_thrust_map,), _same),
+            Field("reverse_torque_map", (v.reverse_torque_map,), _same),
+            Field("tau_up", (v.time_constant_up,), lambda tau: tau.clamp_min(SHORTEST)),
+            Field("tau_down", (v.time_constant_down,), lambda tau: tau.clamp_min(SHORTEST)),
+            Field("slew_rate", (v.slew_rate,), lambda rate: rate.clamp_max(FASTEST)),
+            Field("dead_band", (v.dead_band,), _same),
+        ]
     if model.effects[CommandEffect]:
         fields.append(Field("battery", (v.battery,), _same))
     if model.effects[WrenchEffect]:
@@ -84,7 +94,7 @@ def _vehicle_fields(model: Model, stage: float) -> list[Field]:
     return fields
 
 
-def _command_fields(law: FusedLaw) -> list[Field]:
+def _command_fields(law: FusedLaw, plain: bool) -> list[Field]:
     """Return the fields of ``CommandParameters``."""
 
     def speed_map(thrust_map: Tensor) -> Tensor:
@@ -94,8 +104,11 @@ def _command_fields(law: FusedLaw) -> list[Field]:
         return torch.stack((vertex * vertex - c0 / c2, 1.0 / c2, vertex), dim=-1)
 
     fields = [Field("low", (law.low,), _same), Field("high", (law.high,), _same)]
-    if law.thrust_map is not None:
+    if law.thrust_map is not None and plain:
         fields.append(Field("speed_map", (law.thrust_map,), speed_map))
+    if law.thrust_map is not None and not plain:
+        backwards = law.thrust_map if law.reverse_thrust_map is None else law.reverse_thrust_map
+        fields += [Field("thrust_map", (law.thrust_map,), _same), Field("reverse_thrust_map", (backwards,), _same)]
     if law.allocation is not None:
         fields.append(Field("allocation", (law.allocation,), _same))
     return fields
@@ -118,7 +131,7 @@ def numbers_of(model: Model, law: FusedLaw, stage: float) -> Numbers:
     """Return all numbers; ``stage`` [s] is the span over which a rotor is followed at once."""
     gains = [Field(name, (rows,), _same) for name, rows in law.gains.items()]
     effects = [params for _, params in model.effects.forces]
-    return Numbers(_vehicle_fields(model, stage), _command_fields(law), gains, effects)
+    return Numbers(_vehicle_fields(model, stage), _command_fields(law, model.vehicle.plain), gains, effects)
 
 
 @dataclass(frozen=True)
@@ -164,9 +177,9 @@ def packed_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
     return packed + numbers.effects
 
 
-def shared_structs(packing: Packing, numbers: Numbers, law: FusedLaw, num_rotors: int) -> list[Any]:
+def shared_structs(packing: Packing, numbers: Numbers, law: FusedLaw, types: RotorTypes) -> list[Any]:
     """Return the structs of vehicle, command and gains with the shared numbers in them; fields that are packed stay zero."""
-    types, gains = rotor_types(num_rotors), numbers.gains if packing.gains is None else []
+    gains = numbers.gains if packing.gains is None else []
     return [
         _struct(types.vehicle, numbers.vehicle, packing.vehicle),
         _struct(types.command, numbers.command, packing.command),
@@ -206,9 +219,14 @@ def make_reader(kind: Any, height: int, width: int) -> wp.Function:
     return read_matrix if width else read_vector
 
 
-def make_vehicle_reader(num_rotors: int, packed: Mapping[str, int]) -> wp.Function:
+def types_of(model: Model) -> RotorTypes:
+    """Return the types for the rotors of a model."""
+    return rotor_types(model.vehicle.num_rotors, not model.vehicle.plain)
+
+
+def make_vehicle_reader(types: RotorTypes, packed: Mapping[str, int]) -> wp.Function:
     """Return a function that completes the shared vehicle with what is per environment."""
-    types, at = rotor_types(num_rotors), packed.get
+    at, num_rotors = packed.get, types.vector._length_
     vehicle_type = types.vehicle
     vec3, mat33 = make_reader(wp.vec3, 3, 0), make_reader(wp.mat33, 3, 3)
     vector, rows = make_reader(types.vector, num_rotors, 0), make_reader(types.rows, num_rotors, 3)
@@ -238,6 +256,18 @@ def make_vehicle_reader(num_rotors: int, packed: Mapping[str, int]) -> wp.Functi
             vehicle.rotor_radius = vector(source, wp.static(at("rotor_radius", 0)), env)
         if wp.static("rotor_reaction" in packed):
             vehicle.rotor_reaction = rows(source, wp.static(at("rotor_reaction", 0)), env)
+        if wp.static("reverse_thrust_map" in packed):
+            vehicle.reverse_thrust_map = rows(source, wp.static(at("reverse_thrust_map", 0)), env)
+        if wp.static("reverse_torque_map" in packed):
+            vehicle.reverse_torque_map = rows(source, wp.static(at("reverse_torque_map", 0)), env)
+        if wp.static("tau_up" in packed):
+            vehicle.tau_up = vector(source, wp.static(at("tau_up", 0)), env)
+        if wp.static("tau_down" in packed):
+            vehicle.tau_down = vector(source, wp.static(at("tau_down", 0)), env)
+        if wp.static("slew_rate" in packed):
+            vehicle.slew_rate = vector(source, wp.static(at("slew_rate", 0)), env)
+        if wp.static("dead_band" in packed):
+            vehicle.dead_band = vector(source, wp.static(at("dead_band", 0)), env)
         if wp.static("decay_up" in packed):
             vehicle.decay_up = vector(source, wp.static(at("decay_up", 0)), env)
         if wp.static("decay_down" in packed):
@@ -251,9 +281,9 @@ def make_vehicle_reader(num_rotors: int, packed: Mapping[str, int]) -> wp.Functi
     return read
 
 
-def make_command_reader(num_rotors: int, packed: Mapping[str, int]) -> wp.Function:
+def make_command_reader(types: RotorTypes, packed: Mapping[str, int]) -> wp.Function:
     """Return a function that completes the shared command parameters with what is per environment."""
-    types, at = rotor_types(num_rotors), packed.get
+    at, num_rotors = packed.get, types.vector._length_
     command_type = types.command
     vector, rows = make_reader(types.vector, num_rotors, 0), make_reader(types.rows, num_rotors, 3)
     matrix = make_reader(types.allocation, num_rotors, 6)
@@ -265,6 +295,10 @@ def make_command_reader(num_rotors: int, packed: Mapping[str, int]) -> wp.Functi
             command.low = vector(source, wp.static(at("low", 0)), env)
         if wp.static("high" in packed):
             command.high = vector(source, wp.static(at("high", 0)), env)
+        if wp.static("thrust_map" in packed):
+            command.thrust_map = rows(source, wp.static(at("thrust_map", 0)), env)
+        if wp.static("reverse_thrust_map" in packed):
+            command.reverse_thrust_map = rows(source, wp.static(at("reverse_thrust_map", 0)), env)
         if wp.static("speed_map" in packed):
             command.speed_map = rows(source, wp.static(at("speed_map", 0)), env)
         if wp.static("allocation" in packed):

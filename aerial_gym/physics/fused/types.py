@@ -63,38 +63,58 @@ def vector_of(length: int) -> Any:
     return wp.types.vector(length=length, dtype=wp.float32)
 
 
+def rotor_types(num_rotors: int, general: bool = False) -> RotorTypes:
+    """Return the types for a number of rotors; ``general`` where a rotor is more than a plain speed (``Vehicle.plain``)."""
+    return _rotor_types(num_rotors, general)  # one key however the arguments are given
+
+
 @cache
-def rotor_types(num_rotors: int) -> RotorTypes:
-    """Return the types for a number of rotors."""
+def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
     vector = vector_of(num_rotors)
     rows = wp.types.matrix(shape=(num_rotors, 3), dtype=wp.float32)
     matrix = wp.types.matrix(shape=(num_rotors, 6), dtype=wp.float32)
     six = vector_of(6)
 
-    @wp.struct
-    class VehicleParameters:
-        mass_inverse: float  # [1/kg]
-        inertia: wp.mat33  # [kg m²] about the centre of mass
-        inertia_inverse: wp.mat33  # [1/(kg m²)]
-        com: wp.vec3  # [m] from the body origin
-        thrust_map: rows  # c0, c1, c2 [N, N s, N s²]
-        torque_map: rows  # q0, q1, q2 [N m, N m s, N m s²]
-        rotor_axis: rows  # direction of thrust
-        rotor_moment: rows  # torque per thrust about the centre of mass [m], (r - c) x a
-        rotor_lever: rows  # hub from the centre of mass [m], r - c
-        rotor_radius: vector  # [m]
-        rotor_reaction: rows  # torque per drag torque, -s a
-        decay_up: vector  # exp(-span / tau) of a rising speed over one stage of the stepper
-        decay_down: vector
-        battery: six  # nominal, full, empty voltage [V], resistance [Ohm], capacity [A s], efficiency
-        other_position: wp.vec3  # another vehicle [m], world
-
-    @wp.struct
-    class CommandParameters:
-        low: vector  # [rad/s] or [N]
-        high: vector
-        speed_map: rows  # a, b, c of the speed sqrt(a + b T) - c [rad/s] of a thrust T [N]
-        allocation: matrix  # from force and torque to thrusts
+    vehicle = {
+        "mass_inverse": float,  # [1/kg]
+        "inertia": wp.mat33,  # [kg m²] about the centre of mass
+        "inertia_inverse": wp.mat33,  # [1/(kg m²)]
+        "com": wp.vec3,  # [m] from the body origin
+        "thrust_map": rows,  # c0, c1, c2 [N, N s, N s²]
+        "torque_map": rows,  # q0, q1, q2 [N m, N m s, N m s²]
+        "rotor_axis": rows,  # direction of thrust
+        "rotor_moment": rows,  # torque per thrust about the centre of mass [m], (r - c) x a
+        "rotor_lever": rows,  # hub from the centre of mass [m], r - c
+        "rotor_radius": vector,  # [m]
+        "rotor_reaction": rows,  # torque per drag torque, -s a
+    }
+    if general:
+        vehicle |= {
+            "reverse_thrust_map": rows,
+            "reverse_torque_map": rows,
+            "tau_up": vector,  # [s] of a state that grows in size
+            "tau_down": vector,
+            "slew_rate": vector,  # [rad/s²] or [N/s]
+            "dead_band": vector,  # [rad/s] or [N]
+        }
+    else:
+        vehicle |= {
+            "decay_up": vector,  # exp(-span / tau) of a rising speed over one stage of the stepper
+            "decay_down": vector,
+        }
+    vehicle |= {
+        "battery": six,  # nominal, full, empty voltage [V], resistance [Ohm], capacity [A s], efficiency
+        "other_position": wp.vec3,  # another vehicle [m], world
+    }
+    command = {
+        "low": vector,  # [rad/s] or [N]
+        "high": vector,
+        "allocation": matrix,  # from force and torque to thrusts
+    }
+    if general:
+        command |= {"thrust_map": rows, "reverse_thrust_map": rows}  # from thrusts to states
+    else:
+        command |= {"speed_map": rows}  # a, b, c of the speed sqrt(a + b T) - c [rad/s] of a thrust T [N]
 
     @wp.struct
     class Condition:
@@ -119,4 +139,9 @@ def rotor_types(num_rotors: int) -> RotorTypes:
         random: wp.uint32
         dt: float  # [s]
 
-    return RotorTypes(vector, rows, matrix, VehicleParameters, CommandParameters, Condition, Moment)
+    vehicle_type, command_type = _struct("VehicleParameters", vehicle), _struct("CommandParameters", command)
+    return RotorTypes(vector, rows, matrix, vehicle_type, command_type, Condition, Moment)
+
+
+def _struct(name: str, fields: dict[str, Any]) -> Any:
+    return wp.struct(type(name, (), {"__annotations__": fields, "__module__": __name__}))

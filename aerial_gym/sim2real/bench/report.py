@@ -73,5 +73,7 @@ def rotor_files(robot: RobotCfg | None, changes: dict[str, object], source: str)
             f"  {name}: {list(v) if isinstance(v, tuple) else v!r}" for name, v in changes.items() if v is not None
         ]
         return {"rotor.yaml": "\n".join(["rotor:", *lines, f"  source: {source!r}", ""])}
-    rotor: RotorCfg = replace(robot.rotor, **changes, source=f"{source} Other numbers: {robot.rotor.source}")  # type: ignore[arg-type]
-    return {"robot.yaml": dump_yaml(replace(robot, rotor=rotor))}
+    declared = robot.the_rotor("writing the numbers of a bench into a robot file")
+    rotor: RotorCfg = replace(declared, **changes, source=f"{source} Other numbers: {declared.source}")  # type: ignore[arg-type]
+    kinds = {"rotor": rotor} if robot.rotor is not None else {"rotors": dict.fromkeys(robot.rotors, rotor)}
+    return {"robot.yaml": dump_yaml(replace(robot, **kinds))}

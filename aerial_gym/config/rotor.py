@@ -1,0 +1,160 @@
+"""One rotor type: what its state is, thrust and drag torque, lag and limits.
+
+In speed mode the state of a rotor is its speed [rad/s], in force mode its thrust [N]; lag, slew rate and dead band are those of
+the state. A rotor whose thrust may be negative is reversible: its state has a sign, and turning backwards at a speed w it gives
+the thrust of ``reverse_thrust_map`` at the size of w against its axis, and the opposite drag torque.
+"""
+
+from dataclasses import dataclass
+from math import inf
+
+from aerial_gym.config.checks import Vec3, require_finite, require_positive
+from aerial_gym.errors import ConfigError
+
+ROTOR_TRAITS = ("reversible", "force", "slew", "dead_band")
+"""What a rotor may have beyond a speed without sign that follows its command with a lag alone."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorCfg:
+    """Mode, thrust curve, drag torque, lag and limits of one rotor type."""
+
+    mode: str = "speed"
+    """``speed``: the state is the speed [rad/s]; ``force``: it is the thrust [N], and no thrust map is needed."""
+
+    thrust_map: Vec3 = (0.0, 0.0, 0.0)
+    """Thrust c0 + c1 w + c2 w² [N] of the speed w [rad/s]; c2 > 0. Needed in speed mode, and only there."""
+
+    torque_ratio: float | None = None
+    """Drag torque per thrust [m], >= 0. Exactly one of this and ``torque_map`` is given."""
+
+    torque_map: Vec3 | None = None
+    """Drag torque q0 + q1 w + q2 w² [N m] of the speed w [rad/s]; in speed mode."""
+
+    reverse_thrust_map: Vec3 | None = None
+    """Of a reversible rotor that turns backwards, of the size of w; as ``thrust_map`` if not given."""
+
+    reverse_torque_map: Vec3 | None = None
+    """Likewise; if not given, ``torque_map``, or ``torque_ratio`` times the reverse thrust map."""
+
+    time_constant_up: float
+    """First-order lag of a state that grows in size [s], > 0."""
+
+    time_constant_down: float
+    """First-order lag of a state that falls in size [s], > 0."""
+
+    thrust_range: tuple[float, float]
+    """Lowest and highest thrust [N] that may be commanded, low < high, high > 0. A lowest one below 0 makes the rotor
+    reversible."""
+
+    slew_rate: float | None = None
+    """Largest rate of the state [rad/s², in force mode N/s], > 0; none if not given."""
+
+    dead_band: float = 0.0
+    """A command whose size is below this [rad/s, in force mode N] stops the rotor, >= 0."""
+
+    radius: float | None = None
+    """Of the propeller [m], > 0; only effects that depend on it need it."""
+
+    source: str
+    """Where the numbers come from."""
+
+    def __post_init__(self) -> None:
+        given = [name for name in ("radius", "slew_rate") if getattr(self, name) is not None]
+        require_positive(self, "time_constant_up", "time_constant_down", *given)
+        maps = [name for name in ("torque_map", "reverse_thrust_map", "reverse_torque_map") if getattr(self, name)]
+        require_finite(self, "thrust_map", "thrust_range", *maps)
+        if self.mode not in ("speed", "force"):
+            raise ConfigError(f"RotorCfg.mode = {self.mode!r}: must be speed or force")
+        low, high = self.thrust_range
+        if not (low < high and high > 0.0):
+            raise ConfigError(f"RotorCfg.thrust_range = {self.thrust_range!r}: needs low < high, and high > 0")
+        if not 0.0 <= self.dead_band < inf:
+            raise ConfigError(f"RotorCfg.dead_band = {self.dead_band!r}: must be >= 0 and finite")
+        if (self.torque_ratio is None) == (self.torque_map is None):
+            raise ConfigError("RotorCfg: give exactly one of torque_ratio and torque_map")
+        if self.torque_ratio is not None and not 0.0 <= self.torque_ratio < inf:
+            raise ConfigError(f"RotorCfg.torque_ratio = {self.torque_ratio!r}: must be >= 0 and finite")
+        if self.mode == "force":
+            self._check_force_mode()
+        else:
+            self._check_maps()
+
+    def _check_force_mode(self) -> None:
+        for name in ("torque_map", "reverse_thrust_map", "reverse_torque_map"):
+            if getattr(self, name) is not None:
+                raise ConfigError(f"RotorCfg.{name}: in force mode the state is the thrust; give torque_ratio alone")
+        if any(self.thrust_map):
+            raise ConfigError(
+                f"RotorCfg.thrust_map = {self.thrust_map!r}: in force mode the state is the thrust; leave it out"
+            )
+
+    def _check_maps(self) -> None:
+        if not self.thrust_map[2] > 0.0:
+            raise ConfigError(f"RotorCfg.thrust_map = {self.thrust_map!r}: the coefficient of w² must be > 0")
+        for name in ("reverse_thrust_map", "reverse_torque_map"):
+            if getattr(self, name) is not None and not self.reversible:
+                raise ConfigError(
+                    f"RotorCfg.{name}: only for a reversible rotor, with a thrust_range that begins below 0"
+                )
+        if not self.reversible:
+            return
+        for name in ("thrust_map", "reverse_thrust_map"):
+            c0, c1, c2 = getattr(self, name) or self.thrust_map
+            if c0 != 0.0 or c1 < 0.0 or not c2 > 0.0:
+                raise ConfigError(
+                    f"RotorCfg.{name} = {(c0, c1, c2)!r}: of a reversible rotor thrust passes through 0 with the speed; needs "
+                    "c0 = 0, c1 >= 0 and c2 > 0"
+                )
+        for name in ("torque_map", "reverse_torque_map"):
+            if (coefficients := getattr(self, name)) is not None and coefficients[0] != 0.0:
+                raise ConfigError(
+                    f"RotorCfg.{name} = {coefficients!r}: of a reversible rotor the torque passes through 0 with the speed; "
+                    "needs q0 = 0"
+                )
+
+    @property
+    def reversible(self) -> bool:
+        """Whether its state has a sign."""
+        return self.thrust_range[0] < 0.0
+
+    @property
+    def traits(self) -> frozenset[str]:
+        """Which of ``ROTOR_TRAITS`` it has."""
+        has = {"reversible": self.reversible, "force": self.mode == "force", "slew": self.slew_rate is not None}
+        has["dead_band"] = self.dead_band > 0.0
+        return frozenset(name for name, yes in has.items() if yes)
+
+    def speed_at(self, thrust: float) -> float:
+        """Return the state that gives a thrust [N]: the speed [rad/s], the larger root of its thrust map; or the thrust."""
+        if self.mode == "force":
+            return thrust
+        backwards = thrust < 0.0 and self.reversible
+        c0, c1, c2 = self.reverse_thrust_coefficients if backwards else self.thrust_map
+        wanted = -thrust if backwards else thrust
+        speed = (-c1 + max(c1 * c1 + 4.0 * c2 * (wanted - c0), 0.0) ** 0.5) / (2.0 * c2)
+        return -speed if backwards else speed
+
+    @property
+    def thrust_coefficients(self) -> Vec3:
+        """Thrust polynomial [N] of the state."""
+        return (0.0, 1.0, 0.0) if self.mode == "force" else self.thrust_map
+
+    @property
+    def reverse_thrust_coefficients(self) -> Vec3:
+        """Thrust polynomial [N] of the size of a negative state."""
+        return self.reverse_thrust_map or self.thrust_coefficients
+
+    @property
+    def torque_coefficients(self) -> Vec3:
+        """Drag torque polynomial [N m] of the state, whichever way it was given."""
+        return self.torque_map or self._torque_of(self.thrust_coefficients)
+
+    @property
+    def reverse_torque_coefficients(self) -> Vec3:
+        """Drag torque polynomial [N m] of the size of a negative state."""
+        return self.reverse_torque_map or self.torque_map or self._torque_of(self.reverse_thrust_coefficients)
+
+    def _torque_of(self, thrust: Vec3) -> Vec3:
+        ratio = self.torque_ratio or 0.0
+        return ratio * thrust[0], ratio * thrust[1], ratio * thrust[2]

@@ -1,0 +1,117 @@
+"""How the rotors of one environment follow their commands, and the maps of their states, composed for plain or general rotors.
+
+Plain rotors have speeds without sign that follow with a lag alone: their decays over a stage are worked out beforehand.
+Letters: R rotors.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from aerial_gym.physics.fused.functions import lag_acceleration, lag_speed, limited_rate, make_limited_lag
+from aerial_gym.physics.fused.types import rotor_types
+
+
+@cache
+def make_maps(vehicle: Any) -> tuple[wp.Function, wp.Function]:
+    """Return ``rotors.rotor_thrust`` and ``rotors.rotor_torque`` of one rotor, (vehicle, rotor, state) -> [N], [N m].
+
+    Args:
+        vehicle: The ``wp.struct`` of the vehicle.
+    """
+
+    @wp.func
+    def thrust(plant: vehicle, i: int, n: float) -> float:
+        return plant.thrust_map[i, 0] + n * (plant.thrust_map[i, 1] + n * plant.thrust_map[i, 2])
+
+    @wp.func
+    def torque(plant: vehicle, i: int, n: float) -> float:
+        return plant.torque_map[i, 0] + n * (plant.torque_map[i, 1] + n * plant.torque_map[i, 2])
+
+    if "reverse_thrust_map" not in vehicle.vars:
+        return thrust, torque
+
+    @wp.func
+    def signed_thrust(plant: vehicle, i: int, n: float) -> float:
+        value = thrust(plant, i, n)
+        if n < 0.0:
+            backwards = plant.reverse_thrust_map
+            value = -(backwards[i, 0] - n * (backwards[i, 1] - n * backwards[i, 2]))
+        return value
+
+    @wp.func
+    def signed_torque(plant: vehicle, i: int, n: float) -> float:
+        value = torque(plant, i, n)
+        if n < 0.0:
+            backwards = plant.reverse_torque_map
+            value = -(backwards[i, 0] - n * (backwards[i, 1] - n * backwards[i, 2]))
+        return value
+
+    return signed_thrust, signed_torque
+
+
+@cache
+def make_follow(num_rotors: int, general: bool) -> wp.Function:
+    """Return a function to the states after a stage of the stepper, (vehicle, states, commands, span [s]) -> states."""
+    types, limited_lag = rotor_types(num_rotors, general), make_limited_lag(wp.float32)
+    vehicle_type, vector = types.vehicle, types.vector
+
+    @wp.func
+    def follow(vehicle: vehicle_type, speed: vector, command: vector, span: float) -> vector:
+        after = vector()
+        for i in range(wp.static(num_rotors)):
+            after[i] = lag_speed(speed[i], command[i], vehicle.decay_up[i], vehicle.decay_down[i])
+        return after
+
+    @wp.func
+    def follow_limited(vehicle: vehicle_type, state: vector, command: vector, span: float) -> vector:
+        after = vector()
+        for i in range(wp.static(num_rotors)):
+            after[i] = limited_lag(
+                state[i], command[i], vehicle.tau_up[i], vehicle.tau_down[i], vehicle.slew_rate[i], span
+            )
+        return after
+
+    return follow_limited if general else follow
+
+
+@cache
+def make_spin_up(num_rotors: int, general: bool) -> wp.Function:
+    """Return ``rotor_lag.rate_towards`` for stages of half a step."""
+    types = rotor_types(num_rotors, general)
+    vehicle_type, vector = types.vehicle, types.vector
+
+    @wp.func
+    def spin_up(vehicle: vehicle_type, speed: vector, command: vector, first: vector, dt: float) -> vector:
+        rate = vector()
+        for i in range(wp.static(num_rotors)):
+            rate[i] = lag_acceleration(
+                speed[i], command[i], vehicle.decay_up[i], vehicle.decay_down[i], command[i] - first[i], dt
+            )
+        return rate
+
+    @wp.func
+    def spin_up_limited(vehicle: vehicle_type, state: vector, command: vector, first: vector, dt: float) -> vector:
+        rate = vector()
+        for i in range(wp.static(num_rotors)):
+            rate[i] = limited_rate(state[i], command[i], vehicle.tau_up[i], vehicle.tau_down[i], vehicle.slew_rate[i])
+        return rate
+
+    return spin_up_limited if general else spin_up
+
+
+@cache
+def make_dead_band(num_rotors: int) -> wp.Function:
+    """Return ``rotor_lag.stop_in_dead_band`` for general rotors, (vehicle, commands) -> commands."""
+    types = rotor_types(num_rotors, general=True)
+    vehicle_type, vector = types.vehicle, types.vector
+
+    @wp.func
+    def stop_in_dead_band(vehicle: vehicle_type, command: vector) -> vector:
+        after = vector()
+        for i in range(wp.static(num_rotors)):
+            after[i] = wp.where(wp.abs(command[i]) < vehicle.dead_band[i], 0.0, command[i])
+        return after
+
+    return stop_in_dead_band

@@ -1,0 +1,86 @@
+"""How the state of a rotor, speed or thrust, follows its command: lag, slew limit and dead band.
+
+``dx/dt = clip((c - x) / tau, -S, S)`` with the state x, the command c, the slew rate S, and tau_up where the size of x grows,
+tau_down where it falls. Pure functions of tensors. Letters: E environments, R rotors.
+"""
+
+import torch
+from torch import Tensor
+
+from aerial_gym.physics.rotors import lag_acceleration, lag_speed
+from aerial_gym.physics.vehicle import Vehicle
+
+FASTEST = 1e30
+"""In place of a slew rate without limit: far above all others, and its products are finite in float32."""
+
+SHORTEST = 1e-12
+"""In place of a time constant of zero [s]."""
+
+
+def stop_in_dead_band(vehicle: Vehicle, command: Tensor) -> Tensor:
+    """Return the commands, (E, R), with zero in place of those within the dead band."""
+    if "dead_band" not in vehicle.traits:
+        return command
+    return torch.where(command.abs() < vehicle.dead_band, 0.0, command)
+
+
+def follow_command(vehicle: Vehicle, state: Tensor, command: Tensor, dt: float) -> Tensor:
+    """Return the states of the rotors, (E, R), after ``dt`` [s] under held commands (E, R)."""
+    lag = vehicle.time_constant_up, vehicle.time_constant_down
+    if not vehicle.traits & {"reversible", "slew"}:
+        return lag_speed(state, command, *lag, dt)
+    return limited_lag(state, command, *lag, vehicle.slew_rate, dt)
+
+
+def rate_towards(vehicle: Vehicle, state: Tensor, command: Tensor, jump: Tensor, dt: float) -> Tensor:
+    """Return the rates of change of the states, (E, R); those of rotors without lag are ``jump / dt``."""
+    lag = vehicle.time_constant_up, vehicle.time_constant_down
+    if not vehicle.traits & {"reversible", "slew"}:
+        return lag_acceleration(state, command, *lag, jump, dt)
+    tau = torch.where(state * (command - state) < 0.0, lag[1], lag[0])
+    lags = tau > 0.0
+    rate = torch.where(lags, (command - state) / torch.where(lags, tau, 1.0), jump / dt)
+    return torch.maximum(torch.minimum(rate, vehicle.slew_rate), -vehicle.slew_rate)
+
+
+def limited_lag(state: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, slew: Tensor, dt: float) -> Tensor:
+    """Return the state after ``dt`` under a held command with lag and slew limit; exact, however a span is divided.
+
+    The distance to the command shrinks at the slew rate S until it is ``S tau``, then by ``exp(-t / tau)``. A state that passes
+    through zero on its way first falls in size, with tau_down, and then grows, with tau_up.
+
+    Args:
+        state: Speeds [rad/s] or thrusts [N], of either sign, (E, R).
+        command: Commanded ones, (E, R).
+        tau_up: Time constant where the size of the state grows [s], (E, R). Zero follows as fast as the slew rate lets it.
+        tau_down: Time constant where it falls [s], (E, R).
+        slew: Largest rate of the state, (E, R); infinite where there is no limit.
+        dt: Span [s].
+
+    Returns:
+        States, (E, R).
+
+    Source:
+        Derived: ``dx/dt = clip((c - x) / tau, -S, S)`` integrated piece by piece; the rate is S while ``|c - x| > S tau``.
+    """
+    slew, tau_up, tau_down = slew.clamp_max(FASTEST), tau_up.clamp_min(SHORTEST), tau_down.clamp_min(SHORTEST)
+    way, distance = torch.sign(command - state), (command - state).abs()
+    falls = state * way < 0.0
+    crosses = falls & (command * way > 0.0)
+    beyond = torch.where(crosses, command.abs(), 1.0)
+    until_zero = _time_between(torch.where(crosses, distance, 1.0), beyond, tau_down, slew)
+    falling = torch.where(crosses, until_zero, torch.where(falls, dt, 0.0)).clamp_max(dt)
+    distance = _remaining(distance, tau_down, slew, falling)
+    return command - way * _remaining(distance, tau_up, slew, dt - falling)
+
+
+def _remaining(distance: Tensor, tau: Tensor, slew: Tensor, span: Tensor) -> Tensor:
+    """Return what is left of a distance >= 0 after a span [s]."""
+    linear = torch.minimum(slew * span, (distance - slew * tau).clamp_min(0.0))
+    return (distance - linear) * torch.exp(-(span - linear / slew).clamp_min(0.0) / tau)
+
+
+def _time_between(distance: Tensor, less: Tensor, tau: Tensor, slew: Tensor) -> Tensor:
+    """Return the time [s] in which a distance shrinks to a smaller one, > 0."""
+    linear = torch.minimum((distance - slew * tau).clamp_min(0.0), distance - less)
+    return linear / slew + tau * torch.log((distance - linear) / less)

@@ -1,0 +1,209 @@
+"""Reversible, force-mode and slew-limited rotors against closed forms and an independent integrator."""
+
+from dataclasses import replace
+from math import exp, inf, log
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+
+from aerial_gym.config.loader import dump_yaml
+from aerial_gym.config.robot import load_robot
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.controllers import ThrustController
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, accelerations, advance, build_model, vehicle_from_config
+from aerial_gym.physics.effects import EffectParams
+from aerial_gym.physics.model import check_effects
+from aerial_gym.physics.rotor_lag import limited_lag, stop_in_dead_band
+from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, state_for_thrust
+from tests.physics.mixed_rotors import FORCE, PLAIN, REVERSIBLE, mixed_robot, with_rotor
+from tests.physics.test_rigid_body import SpeedControl
+from tests.physics.vehicles import F64, lopsided_robot, random_state
+
+UP, DOWN, SLEW = 0.03, 0.05, 2e3
+
+
+def lagged(state: float, command: float, span: float, *, slew: float = SLEW, steps: int = 1) -> float:
+    """Return the state after a span that is divided into steps."""
+    x, c, up, down, rate = (torch.full((1, 1), v, dtype=F64) for v in (state, command, UP, DOWN, slew))
+    for _ in range(steps):
+        x = limited_lag(x, c, up, down, rate, span / steps)
+    return x.item()
+
+
+def integrated(state: float, command: float, span: float, *, slew: float = SLEW) -> float:
+    """Return the same from the differential equation, by an adaptive method that stops where the law has a kink."""
+
+    def rate(_: float, x: np.ndarray) -> np.ndarray:
+        tau = np.where(x * (command - x) < 0.0, DOWN, UP)
+        return np.clip((command - x) / tau, -slew, slew)
+
+    found = solve_ivp(rate, (0.0, span), [state], rtol=1e-10, atol=1e-9, max_step=span / 200.0)
+    return float(found.y[0, -1])
+
+
+def test_a_limited_lag_is_a_straight_line_and_then_an_exponential() -> None:
+    """|c - x| = 500 falls by S until it is S tau = 60, after 0.22 s, then by exp(-t / tau)."""
+    corner = (500.0 - SLEW * UP) / SLEW
+    assert lagged(0.0, 500.0, 0.5 * corner) == pytest.approx(SLEW * 0.5 * corner, rel=1e-12)
+    expected = 500.0 - SLEW * UP * exp(-0.04 / UP)
+    assert lagged(0.0, 500.0, corner + 0.04) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_state_that_changes_its_sign_falls_and_then_grows() -> None:
+    """From 100 to -80 without slew limit: zero after tau_down ln(180 / 80), then -80 (1 - exp(-t / tau_up))."""
+    until_zero = DOWN * log(180.0 / 80.0)
+    assert lagged(100.0, -80.0, until_zero, slew=inf) == pytest.approx(0.0, abs=1e-9)
+    expected = -80.0 * (1.0 - exp(-0.02 / UP))
+    assert lagged(100.0, -80.0, until_zero + 0.02, slew=inf) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("slew", [inf, 4e3, 300.0])
+@pytest.mark.parametrize(
+    ("state", "command"), [(300.0, -400.0), (-50.0, 200.0), (-200.0, -20.0), (0.0, -90.0), (90.0, 0.0)]
+)
+def test_the_lag_solves_its_differential_equation(state: float, command: float, slew: float) -> None:
+    """The closed form is what an adaptive integrator finds, to its tolerance across the kinks, and odd."""
+    found = lagged(state, command, 0.12, slew=slew)
+    assert found == pytest.approx(integrated(state, command, 0.12, slew=slew), abs=2e-4 * abs(command - state))
+    assert lagged(-state, -command, 0.12, slew=slew) == pytest.approx(-found, rel=1e-12)
+
+
+@pytest.mark.parametrize("command", [600.0, -250.0, 90.0])
+def test_the_lag_does_not_depend_on_the_division_into_steps(command: float) -> None:
+    once = lagged(350.0, command, 0.2)
+    assert lagged(350.0, command, 0.2, steps=73) == pytest.approx(once, rel=1e-11, abs=1e-9)
+
+
+def test_gradients_pass_the_kinks() -> None:
+    """Finite for a lag of zero, no slew limit, states and commands of every sign, and equal to differences elsewhere."""
+    state = torch.tensor([[100.0, -40.0, 0.0, 70.0]], dtype=F64, requires_grad=True)
+    command = torch.tensor([[-300.0, 500.0, 80.0, 70.0]], dtype=F64, requires_grad=True)
+    up, down = torch.full((1, 4), UP, dtype=F64), torch.full((1, 4), DOWN, dtype=F64)
+    slew = torch.tensor([[4e3, inf, 1e3, 1e3]], dtype=F64)
+    limited_lag(state, command, up * 0.0, down * 0.0, slew, 0.01).sum().backward()
+    assert state.grad is not None
+    assert state.grad.isfinite().all()
+    assert command.grad is not None
+    assert command.grad.isfinite().all()
+    inner = (state[:, :3].detach().requires_grad_(), command[:, :3].detach().requires_grad_())
+    assert torch.autograd.gradcheck(lambda x, c: limited_lag(x, c, up[:, :3], down[:, :3], slew[:, :3], 0.013), inner)
+
+
+def test_a_reversed_rotor_pulls_and_turns_the_other_way() -> None:
+    """T(-w) = -(c1 w + c2 w²) with the reverse map; drag torque -0.015 T; the power torque times speed stays positive."""
+    vehicle = vehicle_from_config(with_rotor(lopsided_robot(), REVERSIBLE), num_envs=1, dtype=F64)
+    speed = torch.tensor([[500.0, -500.0, -1.0, 0.0]], dtype=F64)
+    thrust = rotor_thrust(vehicle, speed)
+    expected = torch.tensor([[0.75, -(1e-4 * 500.0 + 2e-6 * 500.0**2), -(1e-4 + 2e-6), 0.0]], dtype=F64)
+    torch.testing.assert_close(thrust, expected, rtol=1e-13, atol=0.0)
+    torch.testing.assert_close(rotor_torque(vehicle, speed), 0.015 * expected, rtol=1e-13, atol=0.0)
+    assert ((rotor_torque(vehicle, speed) * speed)[:, :3] > 0.0).all()
+    torch.testing.assert_close(state_for_thrust(vehicle, thrust), speed, rtol=1e-12, atol=0.0)
+
+
+def test_a_reversed_rotor_is_one_whose_axis_points_the_other_way() -> None:
+    """With equal maps both ways, -w along +z accelerates the body as w along -z does, with every law that allows it."""
+    rotor = replace(REVERSIBLE, reverse_thrust_map=None, dead_band=0.0, slew_rate=None)
+    robot = with_rotor(lopsided_robot(), rotor)
+    flipped = tuple(replace(m, axis=tuple(-a for a in m.axis)) for m in robot.mounts.layout)
+    turned = replace(robot, mounts=replace(robot.mounts, layout=flipped))
+    names = [name for name in EFFECTS.names() if {"reversible"} <= set(EFFECTS.get(name).rotors)]
+    assert {"axial_inflow", "h_force_flapping", "rotor_inertia"} <= set(names)
+    state = random_state(8)
+    backwards = replace(state, rotor_speed=-state.rotor_speed)
+    spin_up = torch.full_like(state.rotor_speed, 30.0)
+    for name in ("axial_inflow", "h_force_flapping", "rotor_inertia", "rotor_drag", "motor_tilt", "torque_ratio"):
+        effect = EFFECTS.get(name)
+        row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
+        rows: list[EffectParams] = [(effect, torch.tensor(row, dtype=F64).expand(8, -1))]
+        if name == "motor_tilt":  # a tilt turns with the axis
+            rows = []
+        reverse = accelerations(
+            build_model(vehicle_from_config(robot, num_envs=8, dtype=F64), rows), backwards, -spin_up
+        )
+        upside = accelerations(build_model(vehicle_from_config(turned, num_envs=8, dtype=F64), rows), state, spin_up)
+        for one, other in zip(vars(reverse).values(), vars(upside).values(), strict=True):
+            torch.testing.assert_close(
+                one, other, rtol=1e-10, atol=1e-10, msg=lambda text, name=name: f"{name}: {text}"
+            )
+
+
+def test_force_mode_follows_its_thrust_with_its_own_lag() -> None:
+    """Thrust towards 2 N: at 60 N/s until 1.2 N are left, then exp(-t / 0.02 s); the body feels just that along its axes."""
+    robot = with_rotor(lopsided_robot(com=(0.0, 0.0, 0.0)), FORCE)
+    model = build_model(vehicle_from_config(robot, num_envs=1, dtype=F64))
+    state = replace(random_state(1), rotor_speed=torch.zeros(1, 4, dtype=F64))
+    control = ThrustController(model.vehicle, 9.81)
+    dt, steps = 0.001, 30
+    after = advance(model, INTEGRATORS["euler"], control, state, torch.full((1, 4), 2.0, dtype=F64), dt, steps)
+    corner = (2.0 - 60.0 * 0.02) / 60.0
+    expected = 2.0 - 1.2 * exp(-(dt * steps - corner) / 0.02)
+    torch.testing.assert_close(after.rotor_speed, torch.full((1, 4), expected, dtype=F64), rtol=1e-12, atol=0.0)
+    felt = accelerations(model, after).specific_force * model.vehicle.mass
+    axes = (model.vehicle.rotor_axis * expected).sum(1)
+    torch.testing.assert_close(felt, axes, rtol=1e-12, atol=1e-12)
+
+
+def test_commands_in_the_dead_band_stop_a_rotor() -> None:
+    vehicle = vehicle_from_config(mixed_robot(), num_envs=1, dtype=F64)
+    command = torch.tensor([[59.0, 59.0, 0.01, -59.9]], dtype=F64)
+    assert stop_in_dead_band(vehicle, command).tolist() == [[0.0, 59.0, 0.01, 0.0]]
+    assert stop_in_dead_band(vehicle, 1.1 * command)[0, 3].item() == pytest.approx(-65.89)
+
+
+def test_a_reversible_quadrotor_hovers_upside_down() -> None:
+    """Turned over by pi about x and told minus its weight, it stays: thrust along body -z carries it."""
+    rotor = replace(REVERSIBLE, dead_band=0.0)
+    robot = with_rotor(lopsided_robot(com=(0.0, 0.0, 0.0)), rotor)
+    level = tuple(replace(m, axis=(0.0, 0.0, 1.0)) for m in robot.mounts.layout)
+    robot = replace(robot, mounts=replace(robot.mounts, layout=level))
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
+    allocation = Allocation(vehicle, 9.81)
+    assert (allocation.low < 0.0).all()
+    weight = 0.8 * 9.81
+    thrust = allocation.thrust(torch.tensor([[0.0, 0.0, -weight, 0.0, 0.0, 0.0]], dtype=F64))
+    zero = torch.zeros(1, 3, dtype=F64)
+    over = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=F64)
+    speed = allocation.speed(thrust)
+    assert (speed < 0.0).all()
+    start = BodyState(position=zero, attitude=over, lin_vel=zero, ang_vel=zero, rotor_speed=speed)
+    end = advance(build_model(vehicle), INTEGRATORS["rk4"], SpeedControl(), start, speed, 0.01, 50)
+    torch.testing.assert_close(end.position, zero, atol=1e-9, rtol=0.0)
+    torch.testing.assert_close(end.lin_vel, zero, atol=1e-9, rtol=0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "rotor", "words"),
+    [
+        ("ground_effect", REVERSIBLE, "reversible"),
+        ("axial_inflow", FORCE, "force mode"),
+        ("actuation_delay", replace(PLAIN, slew_rate=100.0), "slew_rate"),
+    ],
+)
+def test_an_effect_refuses_rotors_by_name(name: str, rotor, words: str) -> None:
+    """Where the robot is checked, and where a model is built of vehicle and effects."""
+    robot = with_rotor(lopsided_robot(), rotor)
+    effect = EFFECTS.get(name)
+    values = {p.name: max(p.low, 0.01) for p in effect.parameters}
+    with pytest.raises(ConfigError, match=f"effect {name}: its law does not hold for .*{words}"):
+        check_effects(replace(robot, effects={name: values}, effects_source="test"))
+    params = torch.tensor([list(values.values())], dtype=F64)
+    with pytest.raises(ConfigError, match=words):
+        build_model(vehicle_from_config(robot, num_envs=1, dtype=F64), [(effect, params)])
+
+
+def test_a_robot_file_names_a_rotor_type_for_each_mount(tmp_path) -> None:
+    """Written and read again it is the same; rows of the vehicle are those of the mounts' types."""
+    robot = mixed_robot()
+    (tmp_path / "robot.yaml").write_text(dump_yaml(robot))
+    assert load_robot(tmp_path / "robot.yaml") == robot
+    vehicle = vehicle_from_config(robot, num_envs=3, dtype=F64)
+    assert vehicle.slew_rate[1].tolist() == [2e4, inf, 60.0, 2e4]
+    assert vehicle.thrust_map[2, :, 1].tolist() == [0.0, 1e-4, 1.0, 0.0]
+    assert vehicle.speed_low[0, 2].item() == -4.0
+    assert vehicle.traits == {"reversible", "force", "slew", "dead_band"}
+    assert not vehicle.plain
+    assert vehicle_from_config(lopsided_robot(), num_envs=1).plain
