@@ -42,3 +42,7 @@ class MissingDependencyError(AerialGymError, ImportError):
 
 class StorageError(AerialGymError, OSError):
     """A file cannot be written: the disk is full, or the system does not allow it. The request was right."""
+
+
+class TrainingError(AerialGymError, RuntimeError):
+    """A training cannot go on: it diverged, or the library that trains gave up."""

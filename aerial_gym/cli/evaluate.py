@@ -35,6 +35,9 @@ class EvaluateCmd:
     level: int | None = None
     """Level at which the curriculum of the task stays; its highest if not given."""
 
+    watch: Path | None = None
+    """CSV file for the last 64 steps of rows that were NaN or infinite; play --replay shows it."""
+
     json: bool = False
     """Print one JSON object."""
 
@@ -42,7 +45,7 @@ class EvaluateCmd:
         """Fly one episode from every start and print the figures; return the exit status."""
         from aerial_gym.interop import one_thread
         from aerial_gym.rl_training.evaluate import evaluate
-        from aerial_gym.rl_training.policy import load_policy
+        from aerial_gym.rl_training.policy import check_fits, load_policy
         from aerial_gym.task import task_registry
 
         policy, cfg = load_policy(self.policy, device=self.device)
@@ -62,7 +65,12 @@ class EvaluateCmd:
             progress_bar() as progress,
             one_thread(),
         ):
+            check_fits(policy, task, cfg)
+            if self.watch is not None:
+                task.watch()
             found = evaluate(policy, task, on_step=lambda step, steps: progress("flying", step / steps))
+            if self.watch is not None:
+                task.dump(self.watch)
         if self.json:
             print(json.dumps(asdict(found)))
             return 0

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from aerial_gym import __version__
-from aerial_gym.errors import AerialGymError, StorageError
+from aerial_gym.errors import AerialGymError, StorageError, TrainingError
 from aerial_gym.lazy import Home
 
 
@@ -73,7 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return command if isinstance(command, int) else command.run()
     except SystemExit as stop:  # tyro's own: help (0) or a wrong flag (2)
         return int(stop.code or 0)
-    except StorageError as error:
+    except (StorageError, TrainingError) as error:
         print(f"aerial-gym: {error}", file=sys.stderr)
         return 1
     except (AerialGymError, FileNotFoundError) as error:

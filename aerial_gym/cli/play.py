@@ -1,11 +1,15 @@
-"""``aerial-gym play``: flights of a trained policy as a CSV table."""
+"""``aerial-gym play``: flights of a trained policy as a CSV table, or the last steps of rows that were not finite."""
 
 import csv
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+
+from aerial_gym.config.storage import told_storage
+from aerial_gym.errors import ConfigError
 
 COLUMNS = (
     "t",
@@ -30,8 +34,11 @@ COLUMNS = (
 class PlayCmd:
     """Fly a trained policy and write its motion as CSV."""
 
-    policy: Path
+    policy: Path | None = None
     """Run folder of a training, of which the last checkpoint is taken, or one checkpoint in it."""
+
+    replay: Path | None = None
+    """In place of a policy: what a watch kept of rows that were not finite (``train --watch``, ``evaluate --watch FILE``)."""
 
     robot: str | None = None
     """Registered robot, or a robot file, in place of the training's."""
@@ -49,9 +56,14 @@ class PlayCmd:
     """CSV file; stdout if not given."""
 
     def run(self) -> int:
-        """Fly, and write one row per step and environment: world frame, body rates, SI units."""
+        """Fly, and write one row per step and environment: world frame, body rates, SI units; or show a dump of a watch."""
+        if (self.policy is None) == (self.replay is None):
+            raise ConfigError("play: give exactly one of --policy and --replay")
+        if self.replay is not None:
+            return self._show(self.replay)
+        assert self.policy is not None
         from aerial_gym.interop import one_thread
-        from aerial_gym.rl_training.policy import load_policy
+        from aerial_gym.rl_training.policy import check_fits, load_policy
         from aerial_gym.task import task_registry
 
         policy, cfg = load_policy(self.policy)
@@ -66,13 +78,27 @@ class PlayCmd:
             ) as task,
             one_thread(),
         ):
+            check_fits(policy, task, cfg)
             rows = _fly(policy, task, self.num_steps)
-        if self.out is None:
-            _write(rows, sys.stdout)
-        else:
-            with self.out.open("w", encoding="utf-8", newline="") as file:
-                _write(rows, file)
+        self._write([list(COLUMNS), *rows])
         return 0
+
+    def _show(self, dump: Path) -> int:
+        """Say on stderr what ended each row, and write its last steps."""
+        from aerial_gym.robots.watch import read_dump
+
+        table, sentences = read_dump(dump)
+        for sentence in sentences:
+            print(sentence, file=sys.stderr)
+        self._write(table)
+        return 0
+
+    def _write(self, rows: Sequence[Sequence[object]]) -> None:
+        if self.out is None:
+            csv.writer(sys.stdout, lineterminator="\n").writerows(rows)
+            return
+        with told_storage(self.out, only_full=True), self.out.open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file).writerows(rows)
 
 
 @torch.no_grad()
@@ -86,9 +112,3 @@ def _fly(policy, task, num_steps: int) -> list[list[float]]:
         if step < num_steps:
             observation, *_ = task.step(policy(observation["observations"]))
     return rows
-
-
-def _write(rows: list[list[float]], file) -> None:
-    writer = csv.writer(file)
-    writer.writerow(COLUMNS)
-    writer.writerows(rows)

@@ -49,6 +49,10 @@ class TrainCmd:
     max_env_steps: int | None = None
     """End after this many environment steps of all sessions together."""
 
+    watch: bool = False
+    """Keep the last 64 steps of rows that are NaN or infinite, and write them to non_finite.csv in --out; play --replay
+    shows it."""
+
     json: bool = False
     """Print the result as one JSON object."""
 
@@ -67,13 +71,20 @@ class TrainCmd:
             cfg = replace(load_settings(self.config or settings_for(self.trainer, self.task)), task=self.task)
         names = ("num_envs", "device", "seed", "robot", "controller", "max_time_s", "max_env_steps")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
-        result = train(replace(cfg, **given), self.out, resume=self.resume)
+        result = train(replace(cfg, **given), self.out, resume=self.resume, watch=self.watch)
         if self.json:
             print(json.dumps(asdict(result)))
         else:
             console = Console(markup=False, highlight=False)
             rate = f"{result.env_steps:,} environment steps, {result.env_steps_per_s:,.0f} per second"
             console.print(f"{'interrupted' if result.interrupted else 'trained'}: {rate}, {result.time_s:.0f} s")
+            if result.non_finite:
+                where = (
+                    f"play --replay {self.out}/non_finite.csv"
+                    if self.watch
+                    else f"{self.out}/log.txt, or train --watch"
+                )
+                console.print(f"{result.non_finite:,} rows were NaN or infinite and ended as crashes: see {where}")
             console.print(f"checkpoint: {result.checkpoint or 'none yet'}")
             again = f"train --out {self.out} --resume" if result.interrupted else f"evaluate --policy {self.out}"
             console.print(f"next: aerial-gym {again}")

@@ -157,6 +157,11 @@ class EnvManager:
             ),
             ("truncations", torch.bool, "the task ends the episode without a crash"),
             ("sim_steps", torch.int32, "environment steps since the last reset"),
+            (
+                "non_finite",
+                torch.int32,
+                "what was NaN or infinite in this step: 1 action, 2 state, 4 reward, 8 observation; such a row is a crash",
+            ),
         ):
             declare(TensorSpec(
                 key=key, shape=("E",), dtype=dtype, unit="-", frame="-", owner="env, task", meaning=meaning
@@ -229,7 +234,7 @@ class EnvManager:
         self.imus.reset(mask)
         if self._collision.has_solids:
             self._collision.measure()
-        for key in ("crashes", "truncations", "sim_steps"):
+        for key in ("crashes", "truncations", "sim_steps", "non_finite"):
             self.gtd[key].masked_fill_(mask, 0)
 
     def clear_goal(self, mask: Tensor, position: Tensor) -> None:

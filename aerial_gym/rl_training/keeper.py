@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from aerial_gym.config import to_mapping
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import ConfigError, TrainingError
 from aerial_gym.rl_training import checkpoint
 from aerial_gym.rl_training.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
@@ -47,12 +47,21 @@ class Keeper:
 
         Raises:
             StorageError: If it cannot be written.
+            TrainingError: If its weights are not finite; the checkpoints before it stay.
         """
+        self._check_weights(state)
         first = env_steps == 0
         path = self._folder.keep_checkpoint(env_steps, {**state, "run": self._run_state(env_steps)})
         self._saved_at = time.perf_counter()
         self._interval = min(FIRST_INTERVAL_S, self._cfg.checkpoint_every_s) if first else self._cfg.checkpoint_every_s
         return path
+
+    def _check_weights(self, state: Mapping[str, Any]) -> None:
+        bad = [name for name, tensor in state.get("model", {}).items() if not bool(tensor.isfinite().all())]
+        if bad:
+            known = self._folder.checkpoints()
+            left = f"The last checkpoint before that is {known[-1]}" if known else "There is no checkpoint before that"
+            raise TrainingError(f"the training diverged: {bad[0]} is NaN or infinite. {left}")
 
     def restore(self, load: Callable[[dict[str, Any]], None]) -> None:
         """Hand the checkpoint to the trainer's ``load``, then take up curriculum and random states.

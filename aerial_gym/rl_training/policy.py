@@ -15,6 +15,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training import checkpoint
 from aerial_gym.rl_training.run_folder import RunFolder, run_folder_of
 from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.task import Task
 
 NORMALIZER_EPSILON = 1e-5
 """Added to the variance by both libraries (``RunningMeanStd``, ``RunningMeanStdInPlace``)."""
@@ -24,6 +25,18 @@ NORMALIZER_LIMIT = 5.0
 
 ACTIVATIONS = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
 """By the name in the settings."""
+
+
+def check_fits(policy: "Policy", task: Task, cfg: TrainingCfg) -> None:
+    """Raise ``ConfigError`` if a policy does not take the observations of a task, or does not give its actions."""
+    space, actions = task.observation_space["observations"], task.action_space
+    assert space.shape is not None
+    assert actions.shape is not None
+    if (policy.num_observations, policy.num_actions) != (space.shape[0], actions.shape[0]):
+        raise ConfigError(
+            f"policy of {cfg.task}: takes {policy.num_observations} observations and gives {policy.num_actions} actions; this "
+            f"task has {space.shape[0]} and {actions.shape[0]}. Give it the task, robot and controller of its training"
+        )
 
 
 class Policy(nn.Module):
@@ -47,6 +60,7 @@ class Policy(nn.Module):
         self.register_buffer("mean", mean.float())
         self.register_buffer("std", std.float())
         self.limit = limit
+        self.num_observations, self.num_actions = mean.shape[0], layers[-1][1].shape[0]
         self.requires_grad_(False)
         self.eval()
 
@@ -79,6 +93,17 @@ def policy_from_state(state: Mapping[str, Tensor], cfg: TrainingCfg, *, where: s
         raise ConfigError(
             f"{where}: no {error} in it; it is no {cfg.trainer} checkpoint of {cfg.ppo.hidden_layers}"
         ) from None
+    for kind, tensor in [
+        *((f"layer {i}", t) for i, pair in enumerate(layers) for t in pair),
+        ("mean", mean),
+        ("var", var),
+    ]:
+        if tensor is not None and not bool(tensor.isfinite().all()):
+            bad = int((~tensor.isfinite()).sum())
+            raise ConfigError(
+                f"{where}: {kind} holds {bad} numbers that are NaN or infinite: the training diverged. "
+                "Take an earlier checkpoint"
+            )
     num_in = layers[0][0].shape[1]
     if mean is None or var is None:
         mean, std = torch.zeros(num_in), torch.ones(num_in)

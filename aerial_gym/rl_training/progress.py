@@ -54,6 +54,7 @@ class Progress:
         self._first_time = self._last_line = 0.0
         self.env_steps, self.steps_per_s, self.share = 0, 0.0, 0.0
         self.last: Report | None = None
+        self.non_finite = 0
         lines = _kept_lines(curve_file, resumed_steps)
         self._past_s = float(lines[-1][0]) if lines else 0.0
         text = io.StringIO()

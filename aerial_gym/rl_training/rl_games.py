@@ -136,6 +136,7 @@ def run(
 
     Raises:
         StorageError: If the disk is full.
+        TrainingError: If the training diverged.
     """
     observer = _Observer(cfg, progress, keeper, interruption)
     runner = Runner(observer)

@@ -35,7 +35,7 @@ from sample_factory.utils.typing import Config
 from signal_slot.signal_slot import EventLoop, EventLoopStatus
 from torch import Tensor
 
-from aerial_gym.errors import AerialGymError, ConfigError
+from aerial_gym.errors import ConfigError, TrainingError
 from aerial_gym.rl_training.interruption import Interruption
 from aerial_gym.rl_training.keeper import Keeper
 from aerial_gym.rl_training.progress import Progress, Report
@@ -188,7 +188,7 @@ def run(
     Raises:
         ConfigError: If the device is not one that the library can use.
         StorageError: If the disk is full.
-        AerialGymError: If the library gives up; the log says why.
+        TrainingError: If the training diverged, or the library gives up; the log says why.
     """
     if task.device.type == "cuda" and (task.device.index or 0) != 0:
         raise ConfigError(f"device {task.device}: Sample Factory uses cuda:0. Choose the GPU with CUDA_VISIBLE_DEVICES")
@@ -203,7 +203,7 @@ def run(
         steps = runner.env_steps.get(0, progress.env_steps)  # the last update came after the last report
         progress.env_steps = int(steps)
     if status not in (ExperimentStatus.SUCCESS, ExperimentStatus.INTERRUPTED):
-        raise AerialGymError(f"Sample Factory gave up; {folder.log_file} says why")
+        raise TrainingError(f"Sample Factory gave up; {folder.log_file} says why")
     return status == ExperimentStatus.INTERRUPTED
 
 

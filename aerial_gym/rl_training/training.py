@@ -60,8 +60,13 @@ class TrainingResult:
     interrupted: bool
     """Whether the user ended it."""
 
+    non_finite: int = 0
+    """Rows that were NaN or infinite, and so ended, in this session."""
 
-def train(cfg: TrainingCfg, out: str | Path, *, resume: bool = False, show_progress: bool = True) -> TrainingResult:
+
+def train(
+    cfg: TrainingCfg, out: str | Path, *, resume: bool = False, show_progress: bool = True, watch: bool = False
+) -> TrainingResult:
     """Train a policy and leave a run folder; seeds the global random generators while it runs.
 
     Args:
@@ -69,6 +74,7 @@ def train(cfg: TrainingCfg, out: str | Path, *, resume: bool = False, show_progr
         out: Run folder, new unless ``resume``.
         resume: Whether to continue from the folder's last checkpoint; a run that was ended before its first starts anew.
         show_progress: Whether to draw a bar on stderr.
+        watch: Whether to write the last steps of rows that were not finite to ``non_finite.csv``.
 
     Raises:
         ConfigError: If the folder holds a run and ``resume`` is off, or no checkpoint of it can be read.
@@ -96,7 +102,7 @@ def train(cfg: TrainingCfg, out: str | Path, *, resume: bool = False, show_progr
         folder.captured_output(),
     ):
         try:
-            interrupted = _run(cfg, folder, progress, resumed, interruption)
+            interrupted = _run(cfg, folder, progress, resumed, interruption, watch=watch)
         except KeyboardInterrupt:
             interrupted = True
     last, checkpoints = progress.last, folder.checkpoints()
@@ -109,6 +115,7 @@ def train(cfg: TrainingCfg, out: str | Path, *, resume: bool = False, show_progr
         episode_return=last.episode_return if last else None,
         episode_length=last.episode_length if last else None,
         interrupted=interrupted,
+        non_finite=progress.non_finite,
     )
     write_whole(folder.result_file, json.dumps(asdict(result), indent=1) + "\n")
     return result
@@ -129,6 +136,8 @@ def _run(
     progress: Progress,
     resumed: tuple[Path, dict[str, Any]] | None,
     interruption: Interruption,
+    *,
+    watch: bool,
 ) -> bool:
     adapter = importlib.import_module(f"aerial_gym.rl_training.{cfg.trainer}")
     interruption.check()  # an import may have swallowed it
@@ -141,7 +150,13 @@ def _run(
         interruption.check()
         folder.add_session(cfg, str(task.device))
         keeper = Keeper(cfg, folder, task, resumed=resumed)
-        return adapter.run(cfg, task, folder, progress, keeper=keeper, interruption=interruption)
+        if watch:
+            task.watch()
+        interrupted = adapter.run(cfg, task, folder, progress, keeper=keeper, interruption=interruption)
+        progress.non_finite = task.num_non_finite
+        if watch and progress.non_finite:
+            task.dump(folder.path / "non_finite.csv")
+        return interrupted
 
 
 def require_trainer(trainer: str) -> None:

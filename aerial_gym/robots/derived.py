@@ -1,13 +1,17 @@
-"""The states that follow from position, attitude and velocities, written for all environments in one launch.
+"""The states that follow from position, attitude and velocities, and what of them is not finite, in one launch.
 
 Frames: world z up; body x forward, y left, z up; *vehicle* is the world turned by the yaw alone. Letters: E environments.
 """
 
+from dataclasses import dataclass
+
+import torch
 import warp as wp
 from torch import Tensor
 
 from aerial_gym.interop import on_torch_stream, start_warp
 from aerial_gym.physics import BodyState
+from aerial_gym.robots.finite import NonFinite
 
 
 @wp.struct
@@ -43,6 +47,16 @@ def write_derived(out: DerivedArrays, e: int, position: wp.vec3, q: wp.quat, lin
         out.root_state[e, 3 + i] = q[i]
 
 
+@wp.func
+def all_finite(rows: wp.array2d[float], e: int) -> bool:
+    """Return whether no number of a row is NaN or infinite."""
+    bad = wp.int32(0)
+    for i in range(rows.shape[1]):
+        if not wp.isfinite(rows[e, i]):
+            bad += 1
+    return bad == 0
+
+
 @wp.kernel(enable_backward=False)
 def _derive(
     # state
@@ -50,12 +64,53 @@ def _derive(
     attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
     lin_vel: wp.array[wp.vec3],  # (E,) world [m/s]
     ang_vel: wp.array[wp.vec3],  # (E,) body [rad/s]
+    rotor_speed: wp.array2d[float],  # (E, R) [rad/s]
+    actions: wp.array2d[float],  # (E, U)
     # out
     out: DerivedArrays,
+    non_finite_out: wp.array[wp.int32],  # (E,) bits of NonFinite
+    crashes_out: wp.array[wp.bool],  # (E,) set where anything is not finite
 ):
-    """Write the derived states of every environment; everything is read before anything is written."""
+    """Write the derived states of every environment, and what of it is not finite; all is read before any is written."""
     e = wp.tid()
-    write_derived(out, e, position[e], attitude[e], lin_vel[e], ang_vel[e])
+    x = position[e]
+    q = attitude[e]
+    v = lin_vel[e]
+    w = ang_vel[e]
+    bits = wp.int32(0)
+    if not all_finite(actions, e):
+        bits = wp.static(int(NonFinite.ACTION))
+    good = wp.isfinite(x) and wp.isfinite(q) and wp.isfinite(v) and wp.isfinite(w) and all_finite(rotor_speed, e)
+    if not good:
+        bits = bits | wp.static(int(NonFinite.STATE))
+    non_finite_out[e] = bits
+    if bits != 0:
+        crashes_out[e] = True
+    write_derived(out, e, x, q, v, w)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checked:
+    """What is looked at besides the motion, and where it is written that something is not finite."""
+
+    actions: Tensor
+    """(E, U)."""
+
+    non_finite: Tensor
+    """Receives bits of ``NonFinite``, int32 (E,)."""
+
+    crashes: Tensor
+    """Set where there are any, bool (E,)."""
+
+    @classmethod
+    def nothing(cls, state: BodyState) -> "Checked":
+        """Return tensors that nobody reads."""
+        rows, device = state.num_envs, state.position.device
+        return cls(
+            actions=torch.zeros(rows, 1, device=device),
+            non_finite=torch.zeros(rows, dtype=torch.int32, device=device),
+            crashes=torch.zeros(rows, dtype=torch.bool, device=device),
+        )
 
 
 class DerivedStates:
@@ -71,10 +126,12 @@ class DerivedStates:
         vehicle_lin_vel: Tensor,
         euler: Tensor,
         root_state: Tensor,
+        checked: Checked | None = None,
     ) -> None:
-        """Take the motion that is read, and the tensors (E, 3), (E, 4) and (E, 13) that are written."""
+        """Take the motion that is read, the tensors (E, 3), (E, 4) and (E, 13) that are written, and what tells bad rows."""
         start_warp()
         self._like = state.position
+        self._checked = checked = checked or Checked.nothing(state)
         self.arrays = DerivedArrays()
         self.arrays.ang_vel_world = wp.from_torch(ang_vel_world, dtype=wp.vec3)
         self.arrays.lin_vel_body = wp.from_torch(lin_vel_body, dtype=wp.vec3)
@@ -90,7 +147,11 @@ class DerivedStates:
                 wp.from_torch(state.attitude, dtype=wp.quat),
                 wp.from_torch(state.lin_vel, dtype=wp.vec3),
                 wp.from_torch(state.ang_vel, dtype=wp.vec3),
+                wp.from_torch(state.rotor_speed),
+                wp.from_torch(checked.actions),
                 self.arrays,
+                wp.from_torch(checked.non_finite),
+                wp.from_torch(checked.crashes),
             ],
             device=wp.device_from_torch(self._like.device),
             record_cmd=True,

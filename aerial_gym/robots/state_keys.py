@@ -10,7 +10,7 @@ from torch import Tensor
 
 from aerial_gym.physics import BodyState
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.robots.derived import DerivedStates
+from aerial_gym.robots.derived import Checked, DerivedStates
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +56,7 @@ def declare_robot_tensors(gtd: GlobalTensorDictionary, root_state: Tensor) -> Ro
         ),
     )
     state.attitude[:, 3] = 1.0
+    actions = new("robot_actions", "U", "see controller", "-", "robot", "last action")
     derived = DerivedStates(
         state,
         root_state=root_state,
@@ -64,10 +65,11 @@ def declare_robot_tensors(gtd: GlobalTensorDictionary, root_state: Tensor) -> Ro
         vehicle_attitude=new("robot_vehicle_orientation", 4, "-", "world", "robot", "yaw alone, xyzw"),
         vehicle_lin_vel=new("robot_vehicle_linvel", 3, "m/s", "vehicle", "robot", "velocity of the origin"),
         euler=new("robot_euler_angles", 3, "rad", "-", "robot", "ZYX roll, pitch, yaw in (-pi, pi]"),
+        checked=Checked(actions=actions, non_finite=gtd["non_finite"], crashes=gtd["crashes"]),
     )
     return RobotTensors(
         state=state,
         derived=derived,
-        actions=new("robot_actions", "U", "see controller", "-", "robot", "last action"),
+        actions=actions,
         prev_actions=new("robot_prev_actions", "U", "see controller", "-", "robot", "action before, at the step rate"),
     )

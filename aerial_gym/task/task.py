@@ -5,6 +5,7 @@ Letters: E environments, U entries of an action, O entries of an observation.
 
 from collections.abc import Mapping
 from functools import partial
+from pathlib import Path
 from types import TracebackType
 
 import numpy as np
@@ -15,6 +16,8 @@ from torch import Tensor
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
+from aerial_gym.robots.finite import NonFinite
+from aerial_gym.robots.watch import Watch
 from aerial_gym.task.actions import ACTIONS, Action
 from aerial_gym.task.curriculum import Curriculum
 from aerial_gym.task.goals import Goals
@@ -39,6 +42,11 @@ class Task:
     to the target [m] are those before the reset. Where the configuration has a success radius, ``info`` also holds
     ``successes``, ``crashes`` and ``timeouts``, bool (E,): one of them is true where an episode ended (``timeouts``: neither
     crashed nor there in time).
+
+    A row in which something is not finite, NaN or infinite, ends as a crash: ``info["non_finite"]``, bool (E,), marks it. Its
+    reward is that of a crash (0 where the reward knows none), its last observation has zeros there, its state is reset with
+    those of the other rows that ended, and none of these is touched. The first such row is named in a warning, and ``watch``
+    keeps what led to it.
 
     Images are taken once a step, after the reset: those in ``final_observation`` are one step old.
 
@@ -87,7 +95,9 @@ class Task:
         self._difficulty = (
             torch.zeros((), device=self.device) if self.curriculum is None else self.curriculum.difficulty
         )
-        self._observe, self._judge = self._observation, self._judgement
+        self._observe, self._judge = self._finite_observation, self._judgement
+        self._crash_reward = self._params.get("crash", 0.0)
+        self._watch = Watch(env.gtd, num_actions=num_actions, dt=env.dt, keep=False)
         self._graph: StepGraph[StepResult] | None = None
         if capture and self.device.type != "cuda":
             raise CapabilityError(f"capture needs a CUDA device; this task runs on {self.device}")
@@ -115,12 +125,39 @@ class Task:
         }
         reward = partial(self._reward.value, state, self._params, state.crashed)
         check_terms(terms | {f"reward {self.cfg.reward!r}": reward})
-        self._observe, self._judge = fuse(self._observation), fuse(self._judgement)
+        self._observe, self._judge = fuse(self._finite_observation), fuse(self._judgement)
         assert self.action_space.shape is not None
         self._graph = StepGraph(self._step, (self.num_envs, *self.action_space.shape), self.env.generator)
         self._restart(self.env.seed)
         if self.curriculum is not None and level is not None:
             self.curriculum.load(level)
+
+    def watch(self) -> None:
+        """Keep the last steps of rows that are not finite, for ``dump``; call it before the first ``reset``.
+
+        It costs one small launch a step and the memory of 64 steps of state, command and action of every environment.
+
+        Raises:
+            CapabilityError: If the step is held in a CUDA graph already.
+        """
+        if self.captured:
+            raise CapabilityError("watch: the step is recorded already. Call it before the first reset")
+        assert self.action_space.shape is not None
+        self._watch = Watch(self._gtd, num_actions=self.action_space.shape[0], dt=self.env.dt, keep=True)
+
+    @property
+    def num_non_finite(self) -> int:
+        """Number of rows that were not finite since the task was made. Waits for the device."""
+        return self._watch.look(wait=True)
+
+    def dump(self, path: str | Path) -> int:
+        """Write the last steps of the first rows that were not finite as CSV; return how many rows. Waits for the device.
+
+        Raises:
+            ConfigError: If ``watch`` was not called.
+            StorageError: If the file cannot be written.
+        """
+        return self._watch.dump(path)
 
     def reset(self, *, seed: int | None = None) -> tuple[Observation, dict[str, Tensor]]:
         """Start every environment anew; return observation and info.
@@ -135,6 +172,8 @@ class Task:
             if self.curriculum is not None:
                 self.curriculum.restart()
         self._begin(self._all)
+        self._watch.look()
+        self._watch.forget()
         self.episode_return.zero_()
         self.env.render()
         return {"observations": self._noisy(self._observe(*vars(self.state()).values()))}, {}
@@ -146,20 +185,24 @@ class Task:
 
     def step(self, actions: Tensor) -> StepResult:
         """Advance by one action, (E, U); return observation, reward (E,), terminated, truncated (E,) bool, info."""
-        return self._step(actions) if self._graph is None else self._graph.replay(actions)
+        result = self._step(actions) if self._graph is None else self._graph.replay(actions)
+        self._watch.look()
+        return result
 
     def _step(self, actions: Tensor) -> StepResult:
         gtd = self._gtd
         self.env.step(self._action.value(actions, self._action_params))
-        final, reward, terminated, truncated, distance, total = self._judge(
-            gtd["sim_steps"], self.episode_return, *vars(self.state()).values()
+        final, reward, terminated, truncated, distance, total, bits = self._judge(
+            gtd["sim_steps"], self.episode_return, gtd["non_finite"], *vars(self.state()).values()
         )
+        gtd["non_finite"].copy_(bits)
         info = {
             "final_observation": self._noisy(final),
             "time_outs": truncated,
             "episode_return": total,
             "episode_length": gtd["sim_steps"].clone(),
             "distance": distance,
+            "non_finite": bits != 0,
         }
         gtd["crashes"].copy_(terminated)
         gtd["truncations"].copy_(truncated)
@@ -170,6 +213,7 @@ class Task:
             info |= {"successes": success, "crashes": terminated, "timeouts": truncated & ~success}
             if self.curriculum is not None:
                 self.curriculum.count(ended, success)
+        self._watch.notice(actions, ended)
         self._begin(ended)
         self.env.render()
         after = self._noisy(self._observe(*vars(self.state()).values()))
@@ -220,14 +264,30 @@ class Task:
         at = TaskState.of(state)
         return torch.cat([term.value(at) for term, _ in self._terms], dim=-1)
 
-    def _judgement(self, steps: Tensor, episode_return: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
-        """Return last observation, reward, terminated, truncated, distance [m] and return of the episode."""
+    def _finite_observation(self, *state: Tensor) -> Tensor:
+        """Return the terms with zeros where they are not finite; the step after ends such a row."""
+        return self._observation(*state).nan_to_num(0.0, 0.0, 0.0)
+
+    def _judgement(
+        self, steps: Tensor, episode_return: Tensor, non_finite: Tensor, *state: Tensor
+    ) -> tuple[Tensor, ...]:
+        """Return last observation, reward, terminated, truncated, distance [m], return, bits of ``NonFinite``."""
         at = TaskState.of(state)
         distance = (at.target - at.position).norm(dim=-1)
         terminated = at.crashed | (distance > self.cfg.max_distance)
+        reward, observation = self._reward.value(at, self._params, terminated), self._observation(*state)
+        bits = (
+            non_finite
+            + NonFinite.REWARD.value * (~reward.isfinite()).int()
+            + NonFinite.OBSERVATION.value * (~observation.isfinite()).any(dim=-1).int()
+        )
+        bad = bits != 0
+        terminated = terminated | bad
         truncated = (steps >= self.cfg.episode_len_steps) & ~terminated
-        reward = self._reward.value(at, self._params, terminated)
-        return self._observation(*state), reward, terminated, truncated, distance, episode_return + reward
+        reward = torch.where(bad, self._crash_reward, reward)
+        distance = torch.where(distance.isfinite(), distance, self.cfg.max_distance)
+        final = observation.nan_to_num(0.0, 0.0, 0.0)
+        return final, reward, terminated, truncated, distance, episode_return + reward, bits
 
     def _noisy(self, observation: Tensor) -> Tensor:
         if all(std == 0.0 for _, std in self._terms):
@@ -236,7 +296,8 @@ class Task:
         return observation + self._noise_std * noise
 
     def close(self) -> None:
-        """Release the simulation."""
+        """Name what was not finite and not yet named, and release the simulation."""
+        self._watch.look(wait=True)
         self.env.close()
 
     def __enter__(self) -> "Task":

@@ -48,7 +48,9 @@ def test_a_training_leaves_a_run_that_resumes_and_evaluates(
         steps = [int(row["env_steps"]) for row in csv.DictReader(file)]
     assert steps == sorted(steps)
 
-    assert main(["evaluate", "--policy", str(out), "--num-envs", "16", "--json"]) == 0
+    dump = tmp_path / "dump.csv"
+    assert main(["evaluate", "--policy", str(out), "--num-envs", "16", "--json", "--watch", str(dump)]) == 0
+    assert len(dump.read_text().splitlines()) == 1  # the columns: every row was finite
     found = json.loads(capsys.readouterr().out)
     assert found["num_starts"] == 16
     assert 0.0 <= found["success_rate"] <= 1.0

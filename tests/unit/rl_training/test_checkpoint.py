@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 import torch
 
-from aerial_gym.errors import ConfigError, StorageError
+from aerial_gym.errors import ConfigError, StorageError, TrainingError
 from aerial_gym.rl_training import checkpoint
 from aerial_gym.rl_training.interruption import interruptible
+from aerial_gym.rl_training.keeper import Keeper
 from aerial_gym.rl_training.progress import CURVE_COLUMNS, Progress
 from aerial_gym.rl_training.run_folder import RunFolder
 from aerial_gym.rl_training.settings import load_settings, settings_for
@@ -140,3 +141,15 @@ def test_a_writer_of_summaries_outlives_a_full_disk_and_says_so() -> None:
     assert calls == [1, 2]
     with pytest.raises(StorageError, match="summaries: cannot be written, the disk is full"):
         events.check()
+
+
+def test_a_training_that_diverged_ends_and_keeps_what_was_good(tmp_path: Path) -> None:
+    cfg, folder = load_settings(settings_for("rl_games", "position_setpoint_task")), RunFolder(tmp_path)
+    env = SimpleNamespace(generator=torch.Generator())
+    keeper = Keeper(cfg, folder, SimpleNamespace(curriculum=None, env=env), resumed=None)  # type: ignore[arg-type]
+    good = keeper.save({"model": {"weight": torch.ones(3)}}, env_steps=5)
+    with pytest.raises(
+        TrainingError, match=f"diverged: weight is NaN or infinite. The last checkpoint before that is {good}"
+    ):
+        keeper.save({"model": {"weight": torch.tensor([1.0, float("nan")])}}, env_steps=9)
+    assert folder.checkpoints() == [good]

@@ -6,10 +6,11 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from gymnasium.spaces import Box
 
 from aerial_gym.errors import ConfigError, MissingDependencyError, UnknownNameError
 from aerial_gym.rl_training import evaluate, load_policy, load_settings, settings_for
-from aerial_gym.rl_training.policy import policy_from_state
+from aerial_gym.rl_training.policy import check_fits, policy_from_state
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.training import require_trainer
 from aerial_gym.task import task_registry
@@ -174,3 +175,26 @@ def test_a_missing_trainer_names_what_to_install(monkeypatch: pytest.MonkeyPatch
         MissingDependencyError, match=r"trainer 'sample_factory' needs .* pip install 'aerial-gym\[rl\]'"
     ):
         require_trainer("sample_factory")
+
+
+def test_a_policy_that_diverged_or_was_trained_for_another_task_is_refused() -> None:
+    cfg = settings("rl_games", separate=True, normalize=False)
+    state = {
+        "a2c_network.actor_mlp.0.weight": torch.zeros(16, 13),
+        "a2c_network.actor_mlp.0.bias": torch.zeros(16),
+        "a2c_network.actor_mlp.2.weight": torch.zeros(8, 16),
+        "a2c_network.actor_mlp.2.bias": torch.zeros(8),
+        "a2c_network.mu.weight": torch.zeros(4, 8),
+        "a2c_network.mu.bias": torch.zeros(4),
+    }
+    policy = policy_from_state(state, cfg, where="test")
+    with task_registry.make_task(cfg.task, num_envs=2, device="cpu") as task:
+        check_fits(policy, task, cfg)
+        task.observation_space["observations"] = Box(-1.0, 1.0, (78,))
+        with pytest.raises(ConfigError, match="takes 13 observations and gives 4 actions; this task has 78 and 4"):
+            check_fits(policy, task, cfg)
+    state["a2c_network.mu.bias"] = torch.tensor([0.0, float("nan"), 0.0, 0.0])
+    with pytest.raises(
+        ConfigError, match="test: layer 2 holds 1 numbers that are NaN or infinite: the training diverged"
+    ):
+        policy_from_state(state, cfg, where="test")

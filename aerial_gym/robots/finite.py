@@ -1,0 +1,26 @@
+"""What of an environment is not finite, as bits; rows with any bit end in the step in which it is seen.
+
+Letters: E environments.
+"""
+
+from enum import IntFlag
+
+
+class NonFinite(IntFlag):
+    """Quantities that were NaN or infinite in a step; they are bits of ``gtd["non_finite"]``, int32 (E,)."""
+
+    ACTION = 1
+    """What the controller was given. The physics may well clamp it and fly on."""
+
+    STATE = 2
+    """Position, attitude, velocities or rotor speeds after the physics."""
+
+    REWARD = 4
+    """What the reward of the task returned."""
+
+    OBSERVATION = 8
+    """What an observation term of the task returned."""
+
+    def names(self) -> str:
+        """Return the quantities in words."""
+        return " and ".join(str(flag.name).lower() for flag in NonFinite if flag in self)
