@@ -5,7 +5,6 @@ Letters: E environments, U entries of a command, S sensors, H x W pixels.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import inf
 
 import torch
 from torch import Tensor
@@ -57,6 +56,11 @@ class TaskState:
     """The largest distance in the unit of ``image``, and the share of it that stands for a cell in which no pixel holds a
     distance, (2,)."""
 
+    nearest: Tensor
+    """The smallest distance in each of ``IMAGE_CELLS`` cells of the image as a share of the largest, row by row from the upper
+    left one, (E, rows * columns): cells have equal size, rounded up, so that the last row and column may be smaller. Pixels
+    without a distance (negative) do not count; a cell that has no other shows ``image_scale[1]``. (E, 0) without a sensor."""
+
     @classmethod
     def of(cls, tensors: Sequence[Tensor]) -> "TaskState":
         """Return the state of tensors in the order of the fields."""
@@ -100,23 +104,6 @@ def distance(state: TaskState) -> Tensor:
     return (state.target - state.position).norm(dim=-1, keepdim=True)
 
 
-def nearest_in_cells(state: TaskState) -> Tensor:
-    """Return the smallest distance in each cell of the image as a share of the sensor's largest, (E, rows * columns).
-
-    The image of the first sensor is split into ``IMAGE_CELLS`` cells of equal size, rounded up, so that the last row and
-    column of cells may be smaller; they stand row by row from the upper left one. Pixels without a distance (negative)
-    do not count; a cell that has no other shows ``image_scale[1]``.
-    """
-    rows, columns = IMAGE_CELLS
-    share = state.image[:, 0] / state.image_scale[0]
-    share = torch.where(share < 0.0, inf, share)
-    height, width = -(-share.shape[1] // rows), -(-share.shape[2] // columns)
-    margin = (0, columns * width - share.shape[2], 0, rows * height - share.shape[1])
-    cells = torch.nn.functional.pad(share, margin, value=inf).view(-1, rows, height, columns, width)
-    nearest = cells.amin(dim=(2, 4)).flatten(1)
-    return torch.where(nearest == inf, state.image_scale[1], nearest)
-
-
 OBSERVATIONS: dict[str, ObservationTerm] = {
     "position_error_world": ObservationTerm(width=3, value=position_error_world),
     "attitude": ObservationTerm(width=4, value=lambda state: state.attitude),
@@ -128,7 +115,7 @@ OBSERVATIONS: dict[str, ObservationTerm] = {
     "roll_pitch": ObservationTerm(width=2, value=lambda state: euler_from_quat(state.attitude)[:, :2]),
     "zero": ObservationTerm(width=1, value=lambda state: torch.zeros_like(state.position[:, :1])),
     "nearest_in_cells": ObservationTerm(
-        width=IMAGE_CELLS[0] * IMAGE_CELLS[1], value=nearest_in_cells, needs_image=True
+        width=IMAGE_CELLS[0] * IMAGE_CELLS[1], value=lambda state: state.nearest, needs_image=True
     ),
     "last_action": ObservationTerm(width=None, value=lambda state: state.actions),
 }

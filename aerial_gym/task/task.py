@@ -18,10 +18,11 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
 from aerial_gym.robots.finite import NonFinite
 from aerial_gym.robots.watch import Watch
+from aerial_gym.sensors.cells import NearestInCells
 from aerial_gym.task.actions import ACTIONS, Action
 from aerial_gym.task.curriculum import Curriculum
 from aerial_gym.task.goals import Goals
-from aerial_gym.task.observations import OBSERVATIONS, ObservationTerm, TaskState
+from aerial_gym.task.observations import IMAGE_CELLS, OBSERVATIONS, ObservationTerm, TaskState
 from aerial_gym.task.rewards import REWARDS, Reward
 from aerial_gym.task.step_graph import StepGraph, check_terms, fuse
 
@@ -87,6 +88,11 @@ class Task:
         self._all = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         self._prev_distance = torch.zeros(self.num_envs, device=self.device)
         self._image, self._image_scale = _first_image(env)
+        self._cells: NearestInCells | None = None
+        if any(term.needs_image for term, _ in self._terms):
+            largest, empty = self._image_scale.tolist()
+            self._cells = NearestInCells(self._image, cells=IMAGE_CELLS, largest=largest, empty=empty)
+        self._no_cells = torch.zeros(self.num_envs, 0, device=self.device)
         self._goals = self._make_goals()
         self.curriculum = (
             None if cfg.curriculum is None else Curriculum(cfg.curriculum, env.cfg, env.asset_manager, env.gtd)
@@ -175,7 +181,7 @@ class Task:
         self._watch.look()
         self._watch.forget()
         self.episode_return.zero_()
-        self.env.render()
+        self._look()
         return {"observations": self._noisy(self._observe(*vars(self.state()).values()))}, {}
 
     def stagger(self) -> None:
@@ -215,7 +221,7 @@ class Task:
                 self.curriculum.count(ended, success)
         self._watch.notice(actions, ended)
         self._begin(ended)
-        self.env.render()
+        self._look()
         after = self._noisy(self._observe(*vars(self.state()).values()))
         return {"observations": after}, reward, terminated, truncated, info
 
@@ -227,6 +233,12 @@ class Task:
             self.env.clear_goal(mask, self.target_position)
         if self._reward.needs_progress:
             self._prev_distance.copy_((self.target_position - self._gtd["robot_position"]).norm(dim=-1))
+
+    def _look(self) -> None:
+        """Read the sensors, and the image's cells where a term asks for them."""
+        self.env.render()
+        if self._cells is not None:
+            self._cells.measure()
 
     def _restart(self, seed: int) -> None:
         self.env.restart(seed)
@@ -257,6 +269,7 @@ class Task:
             difficulty=self._difficulty,
             image=self._image,
             image_scale=self._image_scale,
+            nearest=self._no_cells if self._cells is None else self._cells.nearest,
         )
 
     def _observation(self, *state: Tensor) -> Tensor:

@@ -16,6 +16,7 @@ from aerial_gym.physics import EFFECTS, Ground, WarpBackend, build_model, vehicl
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.robots import ROBOTS, derived, initial_state, scene_contact
 from aerial_gym.sensors import flow, imu, view
+from aerial_gym.sensors.cells import make_pool
 from aerial_gym.sensors.pixels import Outputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
 from aerial_gym.task import goals
@@ -84,6 +85,10 @@ def test_row_kernels_compile(tmp_path: Path) -> None:
 @pytest.mark.parametrize("moves", [False, True])
 def test_the_collision_kernel_compiles(moves: bool, tmp_path: Path) -> None:
     compile_for_gpu(make_walk(moves=moves, shared=True).module, tmp_path)
+
+
+def test_the_kernel_of_image_cells_compiles(tmp_path: Path) -> None:
+    compile_for_gpu(make_pool(shared=True).module, tmp_path)
 
 
 @pytest.mark.parametrize("module", [derived, initial_state, imu, scene_contact, goals, view, flow])

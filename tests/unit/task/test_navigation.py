@@ -15,7 +15,7 @@ from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.rl_training import evaluate
 from aerial_gym.task import Task
 from aerial_gym.task.actions import forward_flight
-from aerial_gym.task.observations import TaskState, direction_vehicle, nearest_in_cells
+from aerial_gym.task.observations import TaskState, direction_vehicle
 from aerial_gym.task.rewards import navigation
 from tests.unit.task.navigation import make
 
@@ -36,8 +36,6 @@ def state_at(
     prev_actions: list[float] | None = None,
     difficulty: float = 0.0,
     euler: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    image: Tensor | None = None,
-    image_scale: tuple[float, float] = (10.0, 1.0),
 ) -> TaskState:
     """The target is the origin."""
 
@@ -57,8 +55,9 @@ def state_at(
         crashed=torch.zeros(1, dtype=torch.bool),
         prev_distance=torch.tensor([prev_distance], dtype=torch.float64),
         difficulty=torch.tensor(difficulty, dtype=torch.float64),
-        image=torch.zeros(1, 0, 0, 0) if image is None else image,
-        image_scale=torch.tensor(image_scale),
+        image=torch.zeros(1, 0, 0, 0),
+        image_scale=torch.tensor([10.0, 1.0]),
+        nearest=torch.zeros(1, 0),
     )
 
 
@@ -132,24 +131,6 @@ def test_direction_is_seen_from_the_heading_alone() -> None:
         expected = torch.tensor([[0.0, 0.6, -0.8]], dtype=torch.float64)
         torch.testing.assert_close(direction_vehicle(state), expected, rtol=0.0, atol=1e-9)
     assert (direction_vehicle(state_at([0.0, 0.0, 0.0], prev_distance=0.0)) == 0.0).all()
-
-
-def test_cells_hold_the_smallest_distance_of_their_pixels() -> None:
-    """135 x 240 pixels: cells of 17 x 30, the last row of cells 16 high. Pixels without a distance do not count."""
-    image = 0.2 + 9.8 * torch.rand(2, 1, 135, 240, generator=torch.Generator().manual_seed(0))
-    image[:, :, ::5, ::7] = -1.0
-    image[1, 0, 119:, 210:] = -1.0  # the whole last cell
-    state = state_at([1.0, 0.0, 0.0], prev_distance=0.0, image=image, image_scale=(10.0, 0.25))
-    found = nearest_in_cells(state).view(2, 8, 8)
-    pixels = image[:, 0].numpy()
-    for env in range(2):
-        for row in range(8):
-            for column in range(8):
-                cell = pixels[env, 17 * row : 17 * row + 17, 30 * column : 30 * column + 30]
-                held = cell[cell >= 0.0]
-                expected = held.min() / 10.0 if held.size else 0.25
-                assert found[env, row, column] == pytest.approx(expected, rel=1e-6)
-    assert found[1, 7, 7] == 0.25
 
 
 def test_the_observation_is_laid_out_as_documented() -> None:

@@ -125,6 +125,7 @@ def state_at(position: list[float], *, attitude: list[float], ang_vel: list[floa
         difficulty=torch.zeros(()),
         image=torch.zeros(1, 0, 0, 0),
         image_scale=torch.ones(2),
+        nearest=torch.zeros(1, 0),
     )
 
 
