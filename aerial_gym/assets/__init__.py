@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from aerial_gym.assets.catalog import ENVIRONMENTS
     from aerial_gym.assets.collision import CollisionTest
     from aerial_gym.assets.families import FAMILIES, family_shapes
-    from aerial_gym.assets.placement import bounds_ranges, draw_bounds
+    from aerial_gym.assets.placement import Bounds
     from aerial_gym.assets.scene import PARKED_Z, Scene
     from aerial_gym.assets.shapes import load_mesh
     from aerial_gym.assets.urdf import load_urdf
@@ -19,10 +19,9 @@ __all__ = [
     "FAMILIES",
     "PARKED_Z",
     "AssetManager",
+    "Bounds",
     "CollisionTest",
     "Scene",
-    "bounds_ranges",
-    "draw_bounds",
     "family_shapes",
     "load_mesh",
     "load_urdf",

@@ -18,12 +18,10 @@ from aerial_gym.assets.scene import PARKED_Z, Scene
 from aerial_gym.assets.views import check_tensor
 from aerial_gym.config.environment import FIRST_INSTANCE_ID, EnvironmentCfg, PartCfg
 from aerial_gym.errors import ConfigError, ShapeError
+from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 
 _OWNER = "AssetManager"
-
-_STREAM = 0x0B57AC1E
-"""Added to the seed, so that obstacles and robots, which are drawn alike, have different numbers."""
 
 
 class AssetManager:
@@ -36,7 +34,7 @@ class AssetManager:
         *,
         num_envs: int,
         device: torch.device,
-        generator: torch.Generator,
+        random: Randomness,
         bounds_min: Tensor,
         bounds_max: Tensor,
         asset_state: Tensor | None = None,
@@ -51,7 +49,7 @@ class AssetManager:
             gtd: Receives this manager's keys.
             num_envs: Number of environments E.
             device: Where the tensors are.
-            generator: Source of the draws made here, on that device; its seed is that of all resets until ``restart``.
+            random: Of the draws.
             bounds_min: Lower corner of the bounds [m], world, (E, 3); read at every reset.
             bounds_max: Upper corner [m], world, (E, 3).
             asset_state: Memory for the obstacle states, float32, (E, A, 13); allocated if not given.
@@ -70,20 +68,17 @@ class AssetManager:
             check_tensor(name, corner, (num_envs, 3), device=self._device)
         self._assets = with_shapes(cfg.assets)
         self._declare(gtd, asset_state)
-        asset, choice = draw_kinds(self._assets, num_envs=num_envs, generator=generator)
-        self._rank = torch.arange(self.num_assets, device=self._device)
-        self.scene = self._build_scene(asset, choice, robot_parts, robot_state)
+        self.random = random
+        self._asset = torch.zeros(num_envs, self.num_assets, dtype=torch.int32, device=self._device)
+        self.scene = self._build_scene(robot_parts, robot_state)
         self._mask = torch.zeros(num_envs, dtype=torch.bool, device=self._device)
-        self._seed = torch.zeros(1, dtype=torch.int32, device=self._device)
-        self._episode = torch.zeros(num_envs, dtype=torch.int32, device=self._device)
         obstacles = view_obstacles(
             self._state,
             self._waypoints,
             table=asset_table(self._assets, device=self._device),
-            asset=asset,
+            asset=self._asset,
             bounds=(bounds_min, bounds_max),
-            seed=self._seed,
-            episode=self._episode,
+            random=random,
         )
         self._placement = Placement(obstacles, mask=self._mask, num_kept=cfg.num_kept, num_others=self._num_obstacles)
         self.moving = obstacles if cfg.moves else None
@@ -93,12 +88,13 @@ class AssetManager:
         self._clearance = Clearance(self.scene, obstacles, room=cfg.clearance + robot_radius) if wanted else None
         self.set_num_obstacles(self.num_assets - cfg.num_kept)
         self._park_all()
-        self.restart(generator.initial_seed())
 
-    def restart(self, seed: int) -> None:
-        """Begin the draws of a seed anew; the choice of obstacles stays."""
-        self._seed.fill_((seed + _STREAM) % 2**31)
-        self._episode.zero_()
+    def restart(self) -> None:
+        """Draw anew which obstacles each environment has, after another seed was given; all are parked until the next reset."""
+        self.scene.relabel(*self._draw_kinds())
+        if self._clearance is not None:
+            self._clearance.restart()
+        self._park_all()
 
     def set_num_obstacles(self, count: int) -> None:
         """Make ``count`` of the assets that are not kept present from the next reset on; the rest will be parked.
@@ -213,17 +209,24 @@ class AssetManager:
             meaning = "ends of the path of obstacles with waypoints"
             self._waypoints = declare("obstacle_waypoints", (*rows, 2, 3), "m", meaning, None, real)
 
-    def _build_scene(
-        self, asset: Tensor, choice: Tensor, robot_parts: Sequence[PartCfg], robot_state: Tensor | None
-    ) -> Scene:
+    def _draw_kinds(self) -> tuple[Tensor, Tensor]:
+        """Draw which asset each instance is; return its row of the shape table and its semantic id, int64, each (E, A)."""
         assets, device = self._assets, self._device
+        asset, choice = draw_kinds(assets, self.random)
+        self._asset.copy_(asset)
         counts = torch.tensor([len(a.shapes) for a in assets], device=device, dtype=torch.int64)
         first = counts.cumsum(0) - counts
         semantic = torch.tensor([a.semantic_id for a in assets], device=device, dtype=torch.int64)[asset]
+        own = FIRST_INSTANCE_ID + torch.arange(self.num_assets, device=device)
+        return first[asset] + choice, torch.where(semantic >= 0, semantic, own)
+
+    def _build_scene(self, robot_parts: Sequence[PartCfg], robot_state: Tensor | None) -> Scene:
+        shape_index, semantic_id = self._draw_kinds()
         return Scene(
-            [shape for a in assets for shape in a.shapes],
-            shape_index=first[asset] + choice,
-            semantic_id=torch.where(semantic >= 0, semantic, FIRST_INSTANCE_ID + self._rank),
+            [shape for a in self._assets for shape in a.shapes],
+            shape_index=shape_index,
+            semantic_id=semantic_id,
+            groups=[(a.count, len(a.shapes)) for a in self._assets],
             asset_state=self._state,
             fixed=() if self.cfg.ground is None else (self.cfg.ground,),
             robot=robot_parts,

@@ -97,11 +97,13 @@ class Clearance:
         self._mask = torch.zeros(envs, dtype=torch.bool, device=device)
         self._point = torch.zeros(envs, 2, 3, device=device)
         self._last = torch.zeros(envs, dtype=torch.int32, device=device)
-        parts = scene.shape_table.num_parts[scene.shape_index.long()].to(torch.int32)
-        end = parts.cumsum(dim=1, dtype=torch.int32)
-        inputs = [wp.from_torch(self._mask), scene.arrays, wp.from_torch(end - parts), wp.from_torch(end)]
+        self._scene = scene
+        self._first_part, self._end_part = (torch.zeros_like(scene.shape_index) for _ in range(2))
+        self.restart()
+        parts = [wp.from_torch(rows) for rows in (self._first_part, self._end_part)]
+        inputs = [wp.from_torch(self._mask), scene.arrays, *parts]
         inputs += [wp.from_torch(self._point, dtype=wp.vec3), wp.from_torch(self._last)]
-        self._kept_alive = (inputs, scene, obstacles)
+        self._kept_alive = (inputs, obstacles)
         self._command = wp.launch(
             _clear,
             dim=obstacles.asset.shape,
@@ -110,6 +112,12 @@ class Clearance:
             device=wp.device_from_torch(device),
             record_cmd=True,
         )
+
+    def restart(self) -> None:
+        """Take the shapes that the instances of the scene now have."""
+        parts = self._scene.shape_table.num_parts[self._scene.shape_index.long()].to(torch.int32)
+        self._end_part.copy_(parts.cumsum(dim=1))
+        self._first_part.copy_(self._end_part - parts)
 
     def clear(self, mask: Tensor, point: Tensor, *, which: int) -> None:
         """Make room around a point of masked environments, and keep the room around those before it.

@@ -1,17 +1,16 @@
 """Obstacle states as kernels see them, and one draw of them, as Warp code.
 
-The draw of an instance depends on the seed, its environment, how often that was reset, its row and the attempt, on nothing
-else: the same whatever happens in other environments, and it advances when a captured step is replayed.
+The draw of an instance depends on its row and the attempt, beside seed, environment and episode.
 Frames: world of each environment, z up. Letters: E environments, A instances.
 """
 
-import torch
 import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets.asset_table import WAYPOINTS, AssetRow
 from aerial_gym.assets.views import vector_view
-from aerial_gym.math.draws import draw_vec3, quat_of_angles
+from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of, substream
+from aerial_gym.math.random import Purpose, Randomness
 
 
 @wp.struct
@@ -22,8 +21,7 @@ class Obstacles:
     asset: wp.array2d[wp.int32]  # (E, A) row of the table
     bounds_min: wp.array[wp.vec3]  # (E,) world [m]
     bounds_max: wp.array[wp.vec3]  # (E,) world [m]
-    seed: wp.array[wp.int32]  # (1,)
-    episode: wp.array[wp.int32]  # (E,) counted up by every reset
+    random: RandomArrays
     position: wp.array2d[wp.vec3]  # (E, A) world [m]
     attitude: wp.array2d[wp.quat]  # (E, A) instance to world, xyzw, unit
     lin_vel: wp.array2d[wp.vec3]  # (E, A) world [m/s]
@@ -39,8 +37,7 @@ def view_obstacles(
     table: wp.array,
     asset: Tensor,
     bounds: tuple[Tensor, Tensor],
-    seed: Tensor,
-    episode: Tensor,
+    random: Randomness,
 ) -> Obstacles:
     """Return views of tensors, which must stay where they are.
 
@@ -48,27 +45,20 @@ def view_obstacles(
         state: Position, attitude, velocity and angular velocity, (E, A, 13); may be strided, but for the last axis.
         waypoints: Ends of the paths [m], world, (E, A, 2, 3); (0, 0, 2, 3) where no asset has waypoints.
         table: A row for each asset.
-        asset: Row of every instance, integer, (E, A); copied.
+        asset: Row of every instance, int32, (E, A), contiguous.
         bounds: Lower and upper corner [m], world, each (E, 3).
-        seed: Of all draws, int32, (1,).
-        episode: How often each environment was reset, int32, (E,).
+        random: Of the draws.
     """
     arrays = Obstacles()
-    arrays.table, arrays.asset = table, wp.from_torch(asset.to(torch.int32).contiguous())
+    arrays.table, arrays.asset = table, wp.from_torch(asset)
     arrays.bounds_min, arrays.bounds_max = (wp.from_torch(corner, dtype=wp.vec3) for corner in bounds)
-    arrays.seed, arrays.episode = wp.from_torch(seed), wp.from_torch(episode)
+    arrays.random = random_arrays(random)
     for name, columns in (("position", (0, 3)), ("attitude", (3, 7)), ("lin_vel", (7, 10)), ("ang_vel", (10, 13))):
         view = state[..., slice(*columns)]
         setattr(arrays, name, vector_view(name, view, tuple(view.shape), device=state.device))
     arrays.waypoint_a = wp.from_torch(waypoints[:, :, 0], dtype=wp.vec3)
     arrays.waypoint_b = wp.from_torch(waypoints[:, :, 1], dtype=wp.vec3)
     return arrays
-
-
-@wp.func
-def _stream(random: wp.uint32, index: int) -> wp.uint32:
-    """Return a stream of its own for an index within a stream."""
-    return wp.rand_init(int(random), index)
 
 
 @wp.func
@@ -82,15 +72,14 @@ def _draw_place(random: wp.uint32, quantity: int, row: AssetRow, lower: wp.vec3,
 def draw_instance(obstacles: Obstacles, env: int, a: int, attempt: int):
     """Write a new pose, twist and path of one instance."""
     row = obstacles.table[obstacles.asset[env, a]]
-    episode = _stream(_stream(wp.rand_init(obstacles.seed[0], env), obstacles.episode[env]), a)
-    random = _stream(episode, attempt)
+    random = substream(substream(stream_of(obstacles.random, env, wp.static(int(Purpose.OBSTACLES))), a), attempt)
     lower = obstacles.bounds_min[env]
     upper = obstacles.bounds_max[env]
     place = _draw_place(random, 0, row, lower, upper)
     velocity = draw_vec3(random, 2, row.lin_vel_low, row.lin_vel_high)
     if row.motion == WAYPOINTS:
         other = _draw_place(random, 4, row, lower, upper)
-        speed = row.speed_low + (row.speed_high - row.speed_low) * wp.randf(_stream(random, 5))
+        speed = row.speed_low + (row.speed_high - row.speed_low) * wp.randf(substream(random, 5))
         velocity = speed * wp.normalize(other - place)
         obstacles.waypoint_a[env, a] = place
         obstacles.waypoint_b[env, a] = other

@@ -10,51 +10,92 @@ from torch import Tensor
 from aerial_gym.assets.obstacles import Obstacles, draw_instance
 from aerial_gym.assets.scene import PARKED_Z
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg
-from aerial_gym.interop import on_torch_stream
-from aerial_gym.math.random import uniform
+from aerial_gym.interop import on_torch_stream, start_warp
+from aerial_gym.math.draws import RandomArrays, draw_vec3, random_arrays, stream_of
+from aerial_gym.math.random import Purpose, Randomness, counted_state, counted_uniform
 
 
-def bounds_ranges(cfg: EnvironmentCfg, *, device: torch.device) -> Tensor:
-    """Return the limits of the bounds [m], world, (2, 2, 3): lower and upper corner, each from lowest to highest."""
-    lower = (cfg.bounds_lower_low, cfg.bounds_lower_high)
-    return torch.tensor((lower, (cfg.bounds_upper_low, cfg.bounds_upper_high)), device=device)
+@wp.kernel(enable_backward=False)
+def _draw_bounds(
+    mask: wp.array[wp.bool],  # (E,)
+    # params
+    random: RandomArrays,
+    lower_low: wp.vec3,  # [m] world
+    lower_high: wp.vec3,
+    upper_low: wp.vec3,
+    upper_high: wp.vec3,
+    # out
+    lower_out: wp.array[wp.vec3],  # (E,) [m] world
+    upper_out: wp.array[wp.vec3],
+):
+    """Write new corners where the mask says so; leave every other row alone."""
+    env = wp.tid()
+    if not mask[env]:
+        return
+    stream = stream_of(random, env, wp.static(int(Purpose.BOUNDS)))
+    lower_out[env] = draw_vec3(stream, 0, lower_low, lower_high)
+    upper_out[env] = draw_vec3(stream, 1, upper_low, upper_high)
 
 
-def draw_bounds(ranges: Tensor, *, num_envs: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Return lower and upper corners [m], world, each (E, 3), uniform within ``bounds_ranges``."""
-    shape = (num_envs, 3)
-    lower = uniform(ranges[0, 0], ranges[0, 1], shape, generator=generator)
-    return lower, uniform(ranges[1, 0], ranges[1, 1], shape, generator=generator)
+class Bounds:
+    """Draws the bounds of masked environments, with all views made at construction."""
+
+    def __init__(self, cfg: EnvironmentCfg, *, lower: Tensor, upper: Tensor, random: Randomness) -> None:
+        """Take what is written, and put every environment into the smallest lower and upper corner until it is reset.
+
+        Args:
+            cfg: Their limits.
+            lower: Lower corner [m], world, (E, 3), written where a mask says so.
+            upper: Upper corner, likewise.
+            random: Of the draws.
+        """
+        start_warp()
+        envs, device = lower.shape[0], lower.device
+        limits = (cfg.bounds_lower_low, cfg.bounds_lower_high, cfg.bounds_upper_low, cfg.bounds_upper_high)
+        lower.copy_(torch.tensor(limits[0], device=device))
+        upper.copy_(torch.tensor(limits[2], device=device))
+        self.vary = limits[0] != limits[1] or limits[2] != limits[3]
+        """Whether they differ between episodes."""
+        self._mask, self._kept_alive = torch.zeros(envs, dtype=torch.bool, device=device), (lower, upper, random)
+        self._command = wp.launch(
+            _draw_bounds,
+            dim=envs,
+            inputs=[wp.from_torch(self._mask), random_arrays(random), *(wp.vec3(*limit) for limit in limits)],
+            outputs=[wp.from_torch(corner, dtype=wp.vec3) for corner in (lower, upper)],
+            device=wp.device_from_torch(device),
+            record_cmd=True,
+        )
+
+    def draw(self, mask: Tensor) -> None:
+        """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
+        if self.vary:
+            self._mask.copy_(mask)
+            with on_torch_stream(self._mask):
+                self._command.launch()
 
 
-def draw_kinds(assets: tuple[AssetCfg, ...], *, num_envs: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Return which asset and which of its shapes each instance is, both int64 (E, A), on the generator's device.
+def draw_kinds(assets: tuple[AssetCfg, ...], random: Randomness) -> tuple[Tensor, Tensor]:
+    """Return which asset and which of its shapes each instance is, both int64 (E, A), for the seed and all its episodes.
 
     Kept assets come first, in the order of the configuration; the rest are shuffled in each environment, so that the
     first n of them are a fair sample.
     """
-    device = generator.device
+    device, num_envs = random.seed.device, random.num_envs
     kept = [i for i, asset in enumerate(assets) if asset.keep for _ in range(asset.count)]
     rest = [i for i, asset in enumerate(assets) if not asset.keep for _ in range(asset.count)]
-    order = torch.rand(num_envs, len(rest), device=device, generator=generator).argsort(dim=1)
+    key = _lasting(random, Purpose.ASSETS, len(rest))
+    order = key.argsort(dim=1, stable=True)
     shuffled = torch.tensor(rest, device=device, dtype=torch.int64)[order]
     fixed = torch.tensor(kept, device=device, dtype=torch.int64).expand(num_envs, -1)
     asset = torch.cat((fixed, shuffled), dim=1)
     choices = torch.tensor([len(a.shapes) for a in assets], device=device, dtype=torch.int64)[asset]
-    draw = torch.rand(asset.shape, device=device, generator=generator)
-    return asset, torch.minimum((draw * choices).long(), choices - 1)
+    share = counted_uniform(_lasting(random, Purpose.SHAPES, asset.shape[1]), dtype=torch.float64)
+    return asset, (share * choices).long()
 
 
-@wp.kernel(enable_backward=False)
-def _begin_episode(
-    mask: wp.array[wp.bool],  # (E,)
-    # out
-    episode_out: wp.array[wp.int32],  # (E,)
-):
-    """Count the resets of masked environments."""
-    env = wp.tid()
-    if mask[env]:
-        episode_out[env] = episode_out[env] + 1
+def _lasting(random: Randomness, purpose: Purpose, count: int) -> Tensor:
+    """Return a random state for each of ``count`` obstacles, int64, (E, count)."""
+    return counted_state(random.lasting_stream(purpose).unsqueeze(-1), torch.arange(count, device=random.seed.device))
 
 
 @wp.kernel(enable_backward=False)
@@ -93,27 +134,16 @@ class Placement:
         """
         self._mask, self._kept_alive = mask, (obstacles, num_others)
         asked = wp.from_torch(mask)
-        self._commands = [
-            wp.launch(
-                _begin_episode,
-                dim=mask.shape[0],
-                inputs=[asked],
-                outputs=[obstacles.episode],
-                device=asked.device,
-                record_cmd=True,
-            ),
-            wp.launch(
-                _place,
-                dim=obstacles.asset.shape,
-                inputs=[asked, num_kept, wp.from_torch(num_others), PARKED_Z],
-                outputs=[obstacles],
-                device=asked.device,
-                record_cmd=True,
-            ),
-        ]
+        self._command = wp.launch(
+            _place,
+            dim=obstacles.asset.shape,
+            inputs=[asked, num_kept, wp.from_torch(num_others), PARKED_Z],
+            outputs=[obstacles],
+            device=asked.device,
+            record_cmd=True,
+        )
 
     def draw(self) -> None:
         """Place the obstacles; launched on torch's current stream, not waited for."""
         with on_torch_stream(self._mask):
-            for command in self._commands:
-                command.launch()
+            self._command.launch()

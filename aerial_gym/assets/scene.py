@@ -41,6 +41,7 @@ class Scene:
         shape_index: Tensor,
         semantic_id: Tensor,
         asset_state: Tensor,
+        groups: Sequence[tuple[int, int]] | None = None,
         fixed: Sequence[PartCfg] = (),
         robot: Sequence[PartCfg] = (),
         robot_state: Tensor | None = None,
@@ -54,6 +55,8 @@ class Scene:
             semantic_id: What segmentation shows, integer, (E, A) or (A,).
             asset_state: The caller's poses and velocities, float32, (E, A, 13): position [m], attitude xyzw (shape to
                 world, unit), velocity, angular velocity; world. May be strided, but for the last axis. Kept.
+            groups: Of how many shapes of the table, from the first one on, how many instances of an environment are one: pairs
+                of instances and shapes. ``relabel`` may then give instances other shapes; without them they keep theirs.
             fixed: Parts of the world, in its frame, with semantic ids of their own.
             robot: What is seen of the robot, in its body frame, with semantic ids of their own; it is never touched.
             robot_state: The caller's states of the robot, float32, (E, 13), laid out like those of the instances; needed if
@@ -72,18 +75,13 @@ class Scene:
         self.device = asset_state.device
         with on_torch_stream(asset_state):
             self.shape_table = ShapeTable([*shapes, *_as_compound((*fixed, *robot))], device=self.device)
-        self.shape_index = self._per_instance("shape_index", shape_index)
-        self.semantic_id = self._per_instance("semantic_id", semantic_id)
-        if self.num_instances and not 0 <= int(self.shape_index.min()) <= int(self.shape_index.max()) < len(shapes):
-            raise ShapeError(f"shape_index must lie in 0 to {len(shapes) - 1}, the rows of the shape table")
-        self._part_shape, self._part_instance = self._lay_out_parts()
-        self._part_semantic = self._semantic_of_parts()
-        self._append_parts(num_fixed=len(fixed), num_robot=len(robot))
-        self._radius = (
-            self.shape_table.radius[self._part_shape.clamp(min=0).long()]
-            if len(self.shape_table)
-            else torch.zeros(self._part_shape.shape, device=self.device)
-        )
+        self._num_shapes = len(shapes)
+        size = (self.num_envs, self.num_instances)
+        self.shape_index = torch.zeros(size, dtype=torch.int32, device=self.device)
+        self.semantic_id = torch.zeros(size, dtype=torch.int32, device=self.device)
+        self._take_instances(shape_index, semantic_id)
+        self._allocate_parts(self._most_parts(groups), num_fixed=len(fixed), num_robot=len(robot))
+        self._lay_out_parts()
         size = (self.num_envs, self.num_instances)
         self.arrays = SceneArrays()
         self.arrays.shapes = self.shape_table.array
@@ -107,44 +105,76 @@ class Scene:
         """Number of parts P for which an environment has room."""
         return self._part_shape.shape[1]
 
-    def _lay_out_parts(self) -> tuple[Tensor, Tensor]:
-        """Return the row of the shape table (-1 for none) and the instance of every part, int32, each (E, P)."""
+    def relabel(self, shape_index: Tensor, semantic_id: Tensor) -> None:
+        """Give the instances other shapes of their groups, in place: what reads the scene goes on. Waits for the device.
+
+        Args:
+            shape_index: Row of the shape table, integer, (E, A).
+            semantic_id: What segmentation shows, integer, (E, A).
+
+        Raises:
+            ShapeError: If a tensor does not fit, or if there is no room for that many parts.
+        """
+        self._take_instances(shape_index, semantic_id)
+        self._lay_out_parts()
+
+    def _take_instances(self, shape_index: Tensor, semantic_id: Tensor) -> None:
+        self.shape_index.copy_(self._per_instance("shape_index", shape_index))
+        self.semantic_id.copy_(self._per_instance("semantic_id", semantic_id))
+        rows = self.shape_index
+        if self.num_instances and not 0 <= int(rows.min()) <= int(rows.max()) < self._num_shapes:
+            raise ShapeError(f"shape_index must lie in 0 to {self._num_shapes - 1}, the rows of the shape table")
+
+    def _most_parts(self, groups: Sequence[tuple[int, int]] | None) -> int:
+        """Return for how many parts of instances an environment needs room."""
         if not self.num_instances:
-            nothing = torch.zeros(self.num_envs, 0, dtype=torch.int32, device=self.device)
-            return nothing, nothing.clone()
-        table, index = self.shape_table, self.shape_index.long()
-        end = table.num_parts[index].cumsum(dim=1)  # (E, A): parts of an instance stand side by side
-        part = torch.arange(int(end[:, -1].max()), device=self.device).expand(self.num_envs, -1).contiguous()
-        instance = torch.searchsorted(end, part, right=True)
-        exists, instance = instance < self.num_instances, instance.clamp(max=self.num_instances - 1)
-        within = part - (end - table.num_parts[index]).gather(1, instance)
-        row = table.first_part[index].gather(1, instance) + within
-        return torch.where(exists, row, -1).int(), instance.int()
+            return 0
+        if groups is None:
+            return int(self.shape_table.num_parts[self.shape_index.long()].sum(dim=1).max())
+        most, first = 0, 0
+        for count, num_shapes in groups:
+            most += count * int(self.shape_table.num_parts[first : first + num_shapes].max())
+            first += num_shapes
+        return most
 
-    def _semantic_of_parts(self) -> Tensor:
-        """Return what segmentation shows for every part, int32, (E, P): its own id, or that of its instance."""
-        inherited = self.semantic_id.gather(1, self._part_instance.long())
-        own = [-1 if part.semantic_id is None else part.semantic_id for part in self.shape_table.parts]
-        if not own:
-            return inherited
-        own_id = torch.tensor(own, dtype=torch.int32, device=self.device)[self._part_shape.clamp(min=0).long()]
-        return torch.where(own_id >= 0, own_id, inherited).contiguous()
-
-    def _append_parts(self, *, num_fixed: int, num_robot: int) -> None:
-        """Add the parts that belong to no instance: the last ones of the shape table, the same in every environment."""
-        count = num_fixed + num_robot
-        if not count:
-            return
-        first, total = len(self.shape_table.parts) - count, len(self.shape_table.parts)
+    def _allocate_parts(self, num_parts: int, *, num_fixed: int, num_robot: int) -> None:
+        """Make room for parts of instances, and write behind them those that belong to none, the last of the shape table."""
+        first, total = len(self.shape_table.parts) - num_fixed - num_robot, len(self.shape_table.parts)
+        size = (self.num_envs, num_parts + total - first)
+        self._num_carried = num_parts
+        self._part_shape, self._part_instance, self._part_semantic = (
+            torch.zeros(size, dtype=torch.int32, device=self.device) for _ in range(3)
+        )
+        self._radius = torch.zeros(size, device=self.device)
         carrier = [int(WORLD)] * num_fixed + [int(BODY)] * num_robot
         own_id = [part.semantic_id for part in self.shape_table.parts[first:]]
-        for name, values in (
-            ("_part_shape", list(range(first, total))),
-            ("_part_instance", carrier),
-            ("_part_semantic", own_id),
+        for rows, values in (
+            (self._part_shape, list(range(first, total))),
+            (self._part_instance, carrier),
+            (self._part_semantic, own_id),
         ):
-            row = torch.tensor(values, dtype=torch.int32, device=self.device).expand(self.num_envs, -1)
-            setattr(self, name, torch.cat((getattr(self, name), row), dim=1).contiguous())
+            rows[:, num_parts:] = torch.tensor(values, dtype=torch.int32, device=self.device)
+
+    def _lay_out_parts(self) -> None:
+        """Write row of the shape table (-1 for none), instance, semantic id and radius of every part of an instance."""
+        if self.num_instances:
+            table, index = self.shape_table, self.shape_index.long()
+            end = table.num_parts[index].cumsum(dim=1)  # (E, A): parts of an instance stand side by side
+            if int(end[:, -1].max()) > self._num_carried:
+                raise ShapeError(f"shape_index: {int(end[:, -1].max())} parts, there is room for {self._num_carried}")
+            part = torch.arange(self._num_carried, device=self.device).expand(self.num_envs, -1).contiguous()
+            instance = torch.searchsorted(end, part, right=True)
+            exists, instance = instance < self.num_instances, instance.clamp(max=self.num_instances - 1)
+            within = part - (end - table.num_parts[index]).gather(1, instance)
+            row = table.first_part[index].gather(1, instance) + within
+            own = [-1 if part.semantic_id is None else part.semantic_id for part in table.parts]
+            own_id = torch.tensor(own, dtype=torch.int32, device=self.device)[torch.where(exists, row, 0)]
+            carried = slice(None, self._num_carried)
+            self._part_shape[:, carried] = torch.where(exists, row, -1).int()
+            self._part_instance[:, carried] = instance.int()
+            self._part_semantic[:, carried] = torch.where(own_id >= 0, own_id, self.semantic_id.gather(1, instance))
+        if len(self.shape_table):
+            self._radius.copy_(self.shape_table.radius[self._part_shape.clamp(min=0).long()])
 
     def _view_robot(self, state: Tensor | None) -> None:
         if state is None:

@@ -92,7 +92,7 @@ def _pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
         attitude=env.gtd["robot_orientation"],
         lin_vel=quat_rotate(env.gtd["robot_orientation"], torch.tensor([[1.0, 0.0, 0.0]], device=env.device)),
         ang_vel=torch.zeros(1, 3, device=env.device),
-        generator=env.generator,
+        random=env.random,
     )
     caster.reset(torch.ones(1, dtype=torch.bool, device=env.device))
     caster.cast()

@@ -14,7 +14,7 @@ from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.gains import GAINS, derived_gains, explicit_gains, gain_range, with_own_rows
 from aerial_gym.control.laws import LAWS
 from aerial_gym.errors import ConfigError
-from aerial_gym.math.random import uniform
+from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.physics.fused import FusedLaw
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
@@ -32,7 +32,7 @@ class Controller(Protocol):
         """Return commanded rotor speeds [rad/s], (E, R)."""
         ...
 
-    def reset(self, mask: Tensor, generator: torch.Generator) -> None:
+    def reset(self, mask: Tensor, random: Randomness) -> None:
         """Draw new gains for the environments in ``mask``, bool (E,), if they are randomised."""
         ...
 
@@ -58,9 +58,9 @@ class ThrustController:
         """Return the clamp and the thrust map."""
         return _fused("thrust", self._allocation, len(self.action_names))
 
-    def reset(self, mask: Tensor, generator: torch.Generator) -> None:
+    def reset(self, mask: Tensor, random: Randomness) -> None:
         """Nothing is random."""
-        del mask, generator
+        del mask, random
 
 
 class RotorSpeedController:
@@ -86,9 +86,9 @@ class RotorSpeedController:
             high=self._vehicle.speed_high,
         )
 
-    def reset(self, mask: Tensor, generator: torch.Generator) -> None:
+    def reset(self, mask: Tensor, random: Randomness) -> None:
         """Nothing is random."""
-        del mask, generator
+        del mask, random
 
 
 class LeeController:
@@ -134,11 +134,11 @@ class LeeController:
             gains=lee_fused.gain_rows(self.gains),
         )
 
-    def reset(self, mask: Tensor, generator: torch.Generator) -> None:
+    def reset(self, mask: Tensor, random: Randomness) -> None:
         """Draw gains for the environments in ``mask`` if the configuration randomises them."""
-        for name, (low, high) in self._ranges.items():
+        for index, (name, (low, high)) in enumerate(self._ranges.items()):
             gain = getattr(self.gains, name)
-            draw = uniform(low, high, tuple(gain.shape), generator=generator)
+            draw = random.uniform(Purpose.GAINS, low, high, index=index)
             gain.copy_(torch.where(mask.unsqueeze(-1), draw, gain))
 
 

@@ -10,17 +10,18 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import AssetManager, CollisionTest, bounds_ranges, draw_bounds
+from aerial_gym.assets import AssetManager, Bounds, CollisionTest
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
-from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
+from aerial_gym.control import CONTROLLERS, check_closed_loop
 from aerial_gym.errors import ConfigError
+from aerial_gym.math.random import Randomness
 from aerial_gym.physics import Trajectory
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
-from aerial_gym.robots import ROBOTS, RobotManager
+from aerial_gym.robots import ROBOTS, RobotManager, Surroundings
 from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors
 
 
@@ -42,8 +43,10 @@ class EnvManager:
         num_envs: int,
         device: torch.device,
         seed: int,
+        first_env: int = 0,
+        first_episode: int = 0,
     ) -> None:
-        """Build everything; call ``reset`` before the first ``step``. ``SimBuilder.build_env`` resolves names.
+        """Build everything; call ``reset`` before the first ``step``. ``SimBuilder.build_env`` says what is given.
 
         Raises:
             ConfigError: If ``num_envs`` is not positive.
@@ -51,17 +54,18 @@ class EnvManager:
         if num_envs < 1:
             raise ConfigError(f"num_envs = {num_envs!r}: must be at least 1")
         self.cfg, self.sim_cfg, self.num_envs, self.device, self.seed = env, sim, num_envs, device, seed
-        self.generator = torch.Generator(device=device).manual_seed(seed)
+        self.random = Randomness(num_envs, device=device, seed=seed, first_env=first_env, first_episode=first_episode)
         sizes = {"E": num_envs, "A": env.num_assets, "R": robot.num_rotors}
         self.gtd = GlobalTensorDictionary(device=device, sizes=sizes)
         self._declare(env.num_assets)
         root, bounds = self.gtd["vec_root_tensor"], (self.gtd["env_bounds_min"], self.gtd["env_bounds_max"])
+        self._bounds = Bounds(env, lower=bounds[0], upper=bounds[1], random=self.random)
         self.asset_manager = AssetManager(
             env,
             self.gtd,
             num_envs=num_envs,
             device=device,
-            generator=self.generator,
+            random=self.random,
             bounds_min=bounds[0],
             bounds_max=bounds[1],
             asset_state=root[:, 1:],
@@ -69,24 +73,23 @@ class EnvManager:
             robot_parts=robot.seen_parts,
             robot_state=root[:, 0],
         )
-        self.robot_manager = RobotManager(
-            robot, sim, self.gtd, root_state=root[:, 0], bounds=bounds, generator=self.generator, seed=seed
-        )
         names = (_name_in(ROBOTS, robot), _name_in(CONTROLLERS, controller))
         check_closed_loop(robot, controller, gravity=sim.gravity, dt=sim.dt, integrator=sim.integrator, names=names)
-        law = make_controller(controller, self.robot_manager.declared, sim.gravity, dt=sim.dt, control=robot.control)
         scene = self.asset_manager.scene
         trajectory = None
         if env.num_assets and env.contact is None:
             trajectory = Trajectory.zeros(env.physics_steps_per_env_step, num_envs, device=device)
-        self.robot_manager.attach(
-            law,
+        around = Surroundings(
+            bounds=bounds,
+            crashes=self.gtd["crashes"],
             ground_height=env.ground_height,
             ceiling_height=env.ceiling_height,
-            crashes=self.gtd["crashes"],
             contact=env.contact,
             scene=scene,
             hook=trajectory,
+        )
+        self.robot_manager = RobotManager(
+            robot, controller, sim, self.gtd, around, root_state=root[:, 0], random=self.random
         )
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
         range_sensors, imus = mounted_sensors(robot.sensor_mounts)
@@ -101,8 +104,7 @@ class EnvManager:
             num_envs=num_envs,
             device=device,
             dt=self.dt,
-            generator=self.generator,
-            seed=seed,
+            random=self.random,
             poses={name: mounted.pose for name, mounted in range_sensors.items()},
         )
         self.imus = ImuSet(
@@ -113,7 +115,7 @@ class EnvManager:
             ang_vel=self.gtd["robot_body_angvel"],
             dt=self.dt,
             gravity=sim.gravity,
-            seed=seed,
+            random=self.random,
             errors=self.robot_manager.model.effects[ImuEffect],
         )
         self._collision = CollisionTest(
@@ -130,10 +132,6 @@ class EnvManager:
                 dt=sim.dt,
                 crashes_out=self.gtd["crashes"],
             )
-        self._bounds_ranges = bounds_ranges(env, device=device)
-        self._bounds_vary = bool((self._bounds_ranges[:, 0] != self._bounds_ranges[:, 1]).any())
-        bounds[0].copy_(self._bounds_ranges[0, 0])
-        bounds[1].copy_(self._bounds_ranges[1, 0])
         self._collision.measure()
         self._all = torch.ones(num_envs, dtype=torch.bool, device=device)
 
@@ -149,6 +147,10 @@ class EnvManager:
             key="robot_clearance", shape=("E",), unit="m", frame="-", owner="env",
             meaning="signed distance of the robot's collision spheres to obstacles and ground; inf where there is nothing",
         ))  # fmt: skip
+        declare(TensorSpec(
+            key="episodes", shape=("E",), dtype=torch.int32, unit="-", frame="-", owner="env",
+            meaning="number of the present episode, from 0 on; -1 before the first reset",
+        ), view=self.random.episode)  # fmt: skip
         for key, dtype, meaning in (
             (
                 "crashes",
@@ -213,19 +215,16 @@ class EnvManager:
             self._collision.measure()
 
     def restart(self, seed: int) -> None:
-        """Begin every random number anew with a seed."""
+        """Begin every random number anew with a seed, as if all were built with it; call ``reset`` next."""
         self.seed = seed
-        self.generator.manual_seed(seed)
-        self.asset_manager.restart(seed)
-        self.robot_manager.restart(seed)
-        self.sensor_manager.restart(seed)
-        self.imus.restart(seed)
+        self.random.restart(seed)
+        self.asset_manager.restart()
 
     def reset(self, mask: Tensor | None = None) -> None:
         """Start the environments in ``mask``, bool (E,), anew; all of them without a mask. Others stay bit for bit."""
         mask = self._all if mask is None else mask
-        if self._bounds_vary:
-            self._draw_bounds(mask)
+        self.random.begin(mask)
+        self._bounds.draw(mask)
         if self.cfg.num_assets:
             self.asset_manager.reset(mask)
         self.robot_manager.reset(mask)
@@ -255,8 +254,3 @@ class EnvManager:
     def close(self) -> None:
         """Drop what holds device memory."""
         del self.asset_manager, self.robot_manager, self.sensor_manager, self._collision
-
-    def _draw_bounds(self, mask: Tensor) -> None:
-        draws = draw_bounds(self._bounds_ranges, num_envs=self.num_envs, generator=self.generator)
-        for key, draw in zip(("env_bounds_min", "env_bounds_max"), draws, strict=True):
-            self.gtd[key].copy_(torch.where(mask.unsqueeze(-1), draw, self.gtd[key]))

@@ -55,6 +55,8 @@ class SimBuilder:
         num_envs: int,
         device: str | torch.device = "auto",
         seed: int = 0,
+        first_env: int = 0,
+        first_episode: int = 0,
     ) -> EnvManager:
         """Return a simulation, built and not yet reset. In place of a name stands a configuration if it is registered nowhere.
 
@@ -66,6 +68,9 @@ class SimBuilder:
             num_envs: Environments side by side.
             device: Torch device; ``auto`` takes the GPU if there is one.
             seed: Seed of every random number.
+            first_env: Number of the first environment. What is drawn for an environment depends on the seed, its number and its
+                episode alone: ``num_envs=1, first_env=17`` flies environment 17 of any larger batch with that seed.
+            first_episode: Number of the first episode, likewise.
 
         Raises:
             UnknownNameError: If a name is not registered; the message lists what is.
@@ -81,4 +86,6 @@ class SimBuilder:
             num_envs=num_envs,
             device=_device(device),
             seed=seed,
+            first_env=first_env,
+            first_episode=first_episode,
         )

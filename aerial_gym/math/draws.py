@@ -1,12 +1,47 @@
-"""Draws inside kernels, from a state that follows from seed and counters alone."""
+"""Draws inside kernels: twins of ``math.random``.
+
+Letters: E environments.
+"""
 
 import warp as wp
+
+from aerial_gym.math.random import Randomness
+
+
+@wp.struct
+class RandomArrays:
+    """``Randomness`` as a kernel reads it."""
+
+    seed: wp.array[wp.int32]  # (1,)
+    environment: wp.array[wp.int32]  # (E,)
+    episode: wp.array[wp.int32]  # (E,)
+
+
+def random_arrays(random: Randomness) -> RandomArrays:
+    """Return views of the tensors, which must be kept alive."""
+    arrays = RandomArrays()
+    for name in ("seed", "environment", "episode"):
+        setattr(arrays, name, wp.from_torch(getattr(random, name)))
+    return arrays
+
+
+@wp.func
+def substream(state: wp.uint32, index: int) -> wp.uint32:
+    """Return the state that belongs to an index within a state."""
+    return wp.rand_init(int(state), index)
+
+
+@wp.func
+def stream_of(random: RandomArrays, env: int, purpose: int) -> wp.uint32:
+    """Return the state of a purpose in an environment's present episode: ``Randomness.stream``."""
+    state = substream(wp.rand_init(random.seed[0], purpose), random.environment[env])
+    return substream(state, random.episode[env])
 
 
 @wp.func
 def draw_vec3(random: wp.uint32, quantity: int, low: wp.vec3, high: wp.vec3) -> wp.vec3:
     """Return three uniform draws between ``low`` and ``high``; ``quantity`` tells the draws of one ``random`` apart."""
-    stream = wp.rand_init(int(random), quantity)
+    stream = substream(random, quantity)
     share = wp.vec3(wp.randf(stream), wp.randf(stream), wp.randf(stream))
     return low + wp.cw_mul(high - low, share)
 

@@ -1,5 +1,11 @@
-"""Random draws: from a generator that is passed in, or from a seed and counters alone, the same as in Warp's kernels."""
+"""Random numbers that are functions of (seed, environment, episode, purpose[, index or step]), the same as in Warp's kernels.
 
+Nothing here has a state that a draw moves on: what is drawn for one environment cannot change what another one gets, a draw
+repeats wherever its numbers do, and a captured step draws anew because the episode is counted on the device.
+Letters: E environments.
+"""
+
+from enum import IntEnum
 from math import pi
 from typing import TypeVar
 
@@ -10,10 +16,39 @@ Word = TypeVar("Word", int, Tensor)
 """32 bits in an int, or in each element of an int64 tensor."""
 
 
-def uniform(low: Tensor, high: Tensor, shape: tuple[int, ...], *, generator: torch.Generator) -> Tensor:
-    """Return uniform draws between ``low`` and ``high``, which broadcast to ``shape``; same dtype and device."""
-    draw = torch.rand(shape, dtype=low.dtype, device=low.device, generator=generator)
-    return low + (high - low) * draw
+class Purpose(IntEnum):
+    """What a number is drawn for. Each purpose has its own streams; a new one gets a new line and a new number."""
+
+    BOUNDS = 1
+    """Corners of an environment; index: corner."""
+    ASSETS = 2
+    """Order of the obstacles that are not kept; index: obstacle. Drawn for the seed alone, in episode 0."""
+    SHAPES = 3
+    """Which of its shapes an obstacle has; index: obstacle. Drawn for the seed alone, in episode 0."""
+    OBSTACLES = 4
+    """Poses, twists and paths; indices: obstacle, attempt, quantity."""
+    START = 5
+    """The robot's state; index: quantity."""
+    GOAL = 6
+    """The task's goal; index: quantity."""
+    PARAMETERS = 7
+    """Randomised quantities of the vehicle; index: quantity."""
+    GAINS = 8
+    """Gains of the controller; index: gain."""
+    MOUNTS = 9
+    """Places of the sensors; indices: sensor, mount, quantity."""
+    IMAGE_NOISE = 10
+    """Noise of the range sensors; indices: sensor, image, pixel."""
+    IMU = 11
+    """Errors of inertial sensors; indices: unit, sample, quantity."""
+    EFFECTS = 12
+    """Effects in which chance acts; indices: substep, quantity."""
+    OBSERVATION = 13
+    """Noise of what a policy observes; indices: step, column."""
+    FINAL_OBSERVATION = 14
+    """Noise of the last observation of an episode; indices: step, column."""
+    AGE = 15
+    """Age of an environment in a batch that begins staggered."""
 
 
 def _scramble(state: Word) -> Word:
@@ -33,6 +68,11 @@ def counted_state(state: Tensor, count: Tensor | int) -> Tensor:
     return _scramble((state.long() + _scramble(count & 0xFFFFFFFF)) & 0xFFFFFFFF)
 
 
+def counted_uniform(state: Tensor, *, dtype: torch.dtype) -> Tensor:
+    """Return the first uniform draw of each state, in [0, 1): ``wp.randf(state)``."""
+    return (_scramble(state) >> 8).to(dtype) / 2**24
+
+
 def counted_normal(state: Tensor, index: int, width: int, *, dtype: torch.dtype) -> Tensor:
     """Return normal draws (..., width); ``index`` tells the quantities of one random state apart.
 
@@ -45,3 +85,80 @@ def counted_normal(state: Tensor, index: int, width: int, *, dtype: torch.dtype)
         stream = _scramble(stream)
         draws.append(radius * torch.cos(2.0 * pi * ((stream >> 8).to(dtype) / 2**24)))
     return torch.stack(draws, dim=-1)
+
+
+class Randomness:
+    """The three numbers from which everything random in a batch follows; they stand on the device and keep their place.
+
+    The owner of the batch calls ``begin`` where episodes begin, before anything is drawn for them; everyone else reads.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        *,
+        device: str | torch.device = "cpu",
+        seed: int = 0,
+        first_env: int = 0,
+        first_episode: int = 0,
+    ) -> None:
+        """Take the seed and the numbers of the environments.
+
+        Args:
+            num_envs: Number of environments E.
+            device: Where the tensors are.
+            seed: Of all draws.
+            first_env: Number of the first environment; the others follow. Environment 17 of a large batch is number 17 alone.
+            first_episode: Number of the episode that the first ``begin`` begins.
+        """
+        self.first_env, self._first_episode = first_env, first_episode
+        self.seed = torch.zeros(1, dtype=torch.int32, device=device)
+        """(1,)."""
+        self.environment = torch.arange(first_env, first_env + num_envs, dtype=torch.int32, device=device)
+        """Number of each environment, (E,)."""
+        self.episode = torch.zeros(num_envs, dtype=torch.int32, device=device)
+        """Number of each environment's present episode, (E,); one before the first until that begins."""
+        self.restart(seed)
+
+    @property
+    def num_envs(self) -> int:
+        """Number of environments E."""
+        return self.episode.shape[0]
+
+    def restart(self, seed: int) -> None:
+        """Begin the draws of a seed anew."""
+        self.seed.fill_(seed % 2**31)
+        self.episode.fill_(self._first_episode - 1)
+
+    def begin(self, mask: Tensor) -> None:
+        """Count a new episode in the environments of ``mask``, bool (E,)."""
+        self.episode.add_(mask)
+
+    def stream(self, purpose: Purpose) -> Tensor:
+        """Return the random state of a purpose in every environment, int64, (E,): ``draws.stream_of`` in a kernel."""
+        return counted_state(self._environments(purpose), self.episode)
+
+    def lasting_stream(self, purpose: Purpose) -> Tensor:
+        """Return the state of what is drawn for the seed and holds in all episodes, int64, (E,)."""
+        return counted_state(self._environments(purpose), 0)
+
+    def _environments(self, purpose: Purpose) -> Tensor:
+        """Return the state of seed, purpose and environment. The purpose comes first: where two episodes meet by chance in
+
+        one of 2^32 states, they do so for one purpose and differ in the others.
+        """
+        return counted_state(counted_state(self.seed, int(purpose)), self.environment)
+
+    def uniform(self, purpose: Purpose, low: Tensor, high: Tensor, *, index: int = 0) -> Tensor:
+        """Return uniform draws between ``low`` and ``high`` (...) of every environment, (E, ...); same dtype and device.
+
+        Args:
+            purpose: What for.
+            low: Lowest values.
+            high: Highest values, of the same shape.
+            index: Tells the draws of one purpose apart.
+        """
+        count = torch.arange(low.numel(), device=low.device)
+        states = counted_state(counted_state(self.stream(purpose), index).unsqueeze(-1), count)
+        share = counted_uniform(states, dtype=low.dtype).view(-1, *low.shape)
+        return low + (high - low) * share

@@ -6,6 +6,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from aerial_gym.math.random import Randomness
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
@@ -64,8 +65,11 @@ class PhysicsBackend(Protocol):
         integrator: str,
         ground: Ground | None = None,
         hook: SubstepHook | None = None,
+        random: Randomness | None = None,
     ) -> None:
-        """Take model, control law, stepper, ground and what follows each substep of ``step``, and make all buffers.
+        """Take model, control law, stepper, ground, what follows each substep of ``step``, and the batch's random numbers.
+
+        Without random numbers they are those of seed 0. All buffers are made here.
 
         Raises:
             CapabilityError: If the backend cannot run what is asked, by name.
@@ -82,10 +86,6 @@ class PhysicsBackend(Protocol):
 
     def reset(self, mask: Tensor) -> None:
         """Forget what the backend remembers of the environments in ``mask``, bool (E,)."""
-        ...
-
-    def restart(self, seed: int) -> None:
-        """Begin the random numbers of the effects anew with a seed."""
         ...
 
     def set_model(self, model: Model) -> None:

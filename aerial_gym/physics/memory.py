@@ -10,13 +10,10 @@ from math import ceil
 import torch
 from torch import Tensor
 
-from aerial_gym.math.random import counted_state
+from aerial_gym.math.random import Purpose, Randomness, counted_state
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect, LoadEffect, Moment
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import held_command
-
-RANDOM_STREAM = 0x656666
-"""Parts these draws from others of the same seed, such as the initial states; any number does."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,15 +32,12 @@ class Memory:
     since: Tensor
     """Substeps since the reset, int32, (E,)."""
 
-    count: Tensor
-    """Substeps since the seed was given, int32, (E,): random numbers depend on seed, environment and this."""
+    random: Randomness
+    """Of the draws, which depend on ``since`` as well."""
 
-    seed: Tensor
-    """Of the random numbers, int32, (1,)."""
-
-    def tensors(self) -> tuple[Tensor, ...]:
-        """Return the tensors in the order of the fields."""
-        return tuple(vars(self).values())
+    def tensors(self) -> dict[str, Tensor]:
+        """Return what changes from substep to substep, by name."""
+        return {"numbers": self.numbers, "past": self.past, "since": self.since}
 
 
 def num_past_commands(model: Model, dt: float) -> int:
@@ -51,19 +45,17 @@ def num_past_commands(model: Model, dt: float) -> int:
     return ceil(model.longest_delay / dt - 1e-9) + 2 if model.effects[DelayEffect] else 0
 
 
-def make_memory(model: Model, dt: float, *, seed: int = 0) -> Memory:
-    """Return the memory of environments that have just been reset."""
+def make_memory(model: Model, dt: float, *, random: Randomness | None = None) -> Memory:
+    """Return the memory of environments that have just been reset; ``random`` is that of the batch, else that of seed 0."""
     mass, vehicle = model.vehicle.mass, model.vehicle
-    counts = torch.zeros(2, vehicle.num_envs, dtype=torch.int32, device=mass.device)
     fresh = [number for effect, _ in model.effects.forces for number in effect.fresh_memory(vehicle.num_rotors)]
     initial = mass.new_tensor(fresh)
     return Memory(
         initial=initial,
         numbers=initial.expand(vehicle.num_envs, -1).clone(),
         past=mass.new_zeros(vehicle.num_envs, num_past_commands(model, dt), vehicle.num_rotors),
-        since=counts[0].clone(),
-        count=counts[1].clone(),
-        seed=torch.full((1,), seed % 2**31, dtype=torch.int32, device=mass.device),
+        since=torch.zeros(vehicle.num_envs, dtype=torch.int32, device=mass.device),
+        random=random or Randomness(vehicle.num_envs, device=mass.device),
     )
 
 
@@ -88,8 +80,7 @@ def begin_substep(
         command: Speeds that the control law commands in this substep [rad/s], (E, R).
         dt: Its length [s].
     """
-    env = torch.arange(command.shape[0], device=command.device)
-    random = counted_state(counted_state(counted_state(memory.seed, RANDOM_STREAM), env), memory.count)
+    random = counted_state(memory.random.stream(Purpose.EFFECTS), memory.since)
     moment = Moment(rotor_speed=rotor_speed, since=memory.since, random=random, dt=dt, vehicle=model.vehicle)
     places = model.effects.places(command.shape[1])
     numbers = [
@@ -105,12 +96,14 @@ def begin_substep(
 
 def _with_numbers(model: Model, numbers: list[Tensor]) -> Model:
     """Return the model with what each effect remembers, (E, M), behind its parameters; a load keeps its parameters alone."""
-    remembered = {effect.name: own for (effect, _), own in zip(model.effects.forces, numbers, strict=True)}
+    remembered: dict[type[Effect], list[Tensor]] = {}
+    for (effect, _), own in zip(model.effects.forces, numbers, strict=True):
+        remembered.setdefault(effect.kind, []).append(own)
 
     def joined(effect: Effect, params: Tensor) -> Tensor:
-        if effect.kind is LoadEffect or effect.name not in remembered:
+        if effect.kind is LoadEffect or effect.kind not in remembered:
             return params
-        return torch.cat((params, remembered[effect.name]), dim=-1)
+        return torch.cat((params, remembered[effect.kind].pop(0)), dim=-1)  # effects of one kind keep their order
 
     return replace(model, effects=model.effects.with_params(joined))
 
@@ -153,4 +146,4 @@ def place_memory(model: Model, memory: Memory, remembered: Mapping[str, Tensor])
 def end_substep(memory: Memory, load: Tensor) -> Memory:
     """Return the memory after a substep, with the load (E, 6) or (E, 0) as it then moves."""
     numbers = torch.cat((memory.numbers[:, : memory.numbers.shape[1] - load.shape[1]], load), dim=-1)
-    return replace(memory, numbers=numbers, since=memory.since + 1, count=memory.count + 1)
+    return replace(memory, numbers=numbers, since=memory.since + 1)

@@ -1,11 +1,14 @@
 """The readable reference backend in torch: any float type, CPU or GPU, differentiable through a whole rollout."""
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.errors import CapabilityError
+from aerial_gym.math.random import Randomness
 from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
 from aerial_gym.physics.ground import Ground, push_off_ground, touches_ground
@@ -93,7 +96,7 @@ class TorchBackend:
     _control: ControlLaw
     _stepper: Stepper
     _memory: Memory | None = None
-    _seed = 0
+    _random: Randomness | None = None
 
     def allocate(
         self,
@@ -103,14 +106,15 @@ class TorchBackend:
         integrator: str,
         ground: Ground | None = None,
         hook: SubstepHook | None = None,
+        random: Randomness | None = None,
     ) -> None:
-        """Take model, control law, stepper by name, ground and hook."""
+        """Take model, control law, stepper by name, ground, hook and the random numbers."""
         if integrator not in INTEGRATORS:
             raise CapabilityError(f"backend torch: no integrator {integrator!r}. Known: {', '.join(INTEGRATORS)}")
         self._stepper, self._control, self._ground = INTEGRATORS[integrator], control, ground
         self._hook = hook
         self._share = POSITION_SHARE[integrator]
-        self._memory = None
+        self._memory, self._random = None, random
         self.set_model(model)
 
     def set_model(self, model: Model) -> None:
@@ -143,16 +147,20 @@ class TorchBackend:
         if not self._model.effects.remembering:
             return None
         if self._memory is None or self._memory.past.shape[1] != num_past_commands(self._model, dt):
-            self._memory = make_memory(self._model, dt, seed=self._seed)
+            self._memory = make_memory(self._model, dt, random=self._random)
         return self._memory
 
     def _remember(self, memory: Memory | None) -> None:
         """Keep the memory: in place, as a captured step needs it, unless gradients are to flow through it."""
         old = self._memory
-        if memory is None or old is None or any(part.requires_grad for part in (*memory.tensors(), *old.tensors())):
+        if (
+            memory is None
+            or old is None
+            or any(part.requires_grad for m in (memory, old) for part in m.tensors().values())
+        ):
             self._memory = memory
             return
-        for kept, new in zip(old.tensors(), memory.tensors(), strict=True):
+        for kept, new in zip(old.tensors().values(), memory.tensors().values(), strict=True):
             kept.copy_(new)
 
     def _advance_on_ground(
@@ -193,12 +201,5 @@ class TorchBackend:
     def reset(self, mask: Tensor) -> None:
         """Let the effects forget the environments in ``mask``; gradients through memory end here for all environments."""
         if self._memory is not None:
-            cut = {name: tensor.detach() for name, tensor in vars(self._memory).items()}
-            self._remember(forget(Memory(**cut), mask))
-
-    def restart(self, seed: int) -> None:
-        """Begin the random numbers of the effects anew with a seed."""
-        self._seed = seed
-        if self._memory is not None:
-            self._memory.seed.fill_(seed % 2**31)
-            self._memory.count.zero_()
+            cut = {name: tensor.detach() for name, tensor in self._memory.tensors().items()}
+            self._remember(forget(replace(self._memory, **cut), mask))

@@ -13,6 +13,8 @@ from torch import Tensor
 from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop import launch_side_by_side, on_torch_stream, split, start_warp
+from aerial_gym.math.draws import random_arrays
+from aerial_gym.math.random import Randomness
 from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
 from aerial_gym.physics.effects import EFFECTS, Effect, LearnedResidual
@@ -76,7 +78,7 @@ class WarpBackend:
     def __init__(self, *, differentiable: bool = False) -> None:
         """Make a backend; with ``differentiable`` ``advance`` passes gradients through Warp's tape."""
         self._differentiable = differentiable
-        self._seed = 0
+        self._random: Randomness | None = None
         self._memory: Memory | None = None
 
     @property
@@ -103,6 +105,7 @@ class WarpBackend:
         integrator: str,
         ground: Ground | None = None,
         hook: SubstepHook | None = None,
+        random: Randomness | None = None,
     ) -> None:
         """Compose the kernel and make the buffers.
 
@@ -134,7 +137,7 @@ class WarpBackend:
             raise CapabilityError("backend warp: a differentiable rollout follows no obstacles. Use backend 'torch'.")
         start_warp()
         self._law, self._control, self._integrator, self._model = law, control, integrator, model
-        self._given_ground, self._hook = ground, hook
+        self._given_ground, self._hook, self._random = ground, hook, random
         self._device = model.vehicle.mass.device
         self._num_envs, self._num_rotors = model.vehicle.num_envs, model.vehicle.num_rotors
         self._dt, self._memory = 0.0, None
@@ -186,7 +189,14 @@ class WarpBackend:
         pairs.append((model.other_position, old.other_position))
         if any(is_shared(kept) and new is not kept and not _same_row(new, kept) for new, kept in pairs):
             memory = self._memory
-            self.allocate(model, self._control, integrator=self._integrator, ground=self._given_ground, hook=self._hook)
+            self.allocate(
+                model,
+                self._control,
+                integrator=self._integrator,
+                ground=self._given_ground,
+                hook=self._hook,
+                random=self._random,
+            )
             self._memory = memory
         elif self._dt != 0.0:
             self._write_packed()
@@ -199,13 +209,6 @@ class WarpBackend:
             self._memory.since.masked_fill_(mask, 0)
         if self._packing.gains is not None and self._dt != 0.0:
             self._write_packed()
-
-    def restart(self, seed: int) -> None:
-        """Begin the random numbers of the effects anew with a seed."""
-        self._seed = seed
-        if self._memory is not None:
-            self._memory.seed.fill_(seed % 2**31)
-            self._memory.count.zero_()
 
     @torch.no_grad()
     def _write_packed(self) -> None:
@@ -228,12 +231,12 @@ class WarpBackend:
         slots = num_past_commands(self._model, dt)
         memory = self._memory
         if memory is None or memory.past.shape[0] != slots * self._num_rotors:
-            memory = make_memory(self._model, dt, seed=self._seed)
+            memory = make_memory(self._model, dt, random=self._random)
             rows = {"numbers": memory.numbers.T.contiguous(), "past": memory.past.flatten(1).T.contiguous()}
             self._memory = memory = replace(memory, **rows)
         arrays.numbers, arrays.past = wp.from_torch(memory.numbers), wp.from_torch(memory.past)
-        arrays.since, arrays.count = wp.from_torch(memory.since), wp.from_torch(memory.count)
-        arrays.seed, arrays.slots = wp.from_torch(memory.seed), slots
+        arrays.since, arrays.slots = wp.from_torch(memory.since), slots
+        arrays.random = random_arrays(memory.random)
 
     def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
         """Advance ``state`` in place: one launch, on torch's current stream, that waits for nothing."""

@@ -6,8 +6,8 @@ from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
     from aerial_gym.robots.catalog import ROBOTS
-    from aerial_gym.robots.robot_manager import RobotManager
+    from aerial_gym.robots.robot_manager import RobotManager, Surroundings
 
-__all__ = ["ROBOTS", "RobotManager"]
+__all__ = ["ROBOTS", "RobotManager", "Surroundings"]
 
 __getattr__, __dir__ = exports(__name__, __file__)

@@ -1,7 +1,5 @@
-"""Initial states, drawn inside a kernel from a seed and the number of the episode.
+"""Initial states, drawn inside a kernel.
 
-The draw of an environment depends on the seed, its index and how often it was reset, on nothing else: the same on every
-device, whatever happens in the other environments, and it advances when a captured step is replayed.
 Letters: E environments, R rotors, U entries of an action.
 """
 
@@ -11,7 +9,8 @@ from torch import Tensor
 
 from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.interop import on_torch_stream
-from aerial_gym.math.draws import draw_vec3, quat_of_angles
+from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of
+from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.physics import BodyState
 from aerial_gym.robots.derived import DerivedArrays, DerivedStates, write_derived
 
@@ -34,13 +33,12 @@ class Ranges:
 def _reset(
     mask: wp.array[wp.bool],  # (E,)
     # params
-    seed: wp.array[int],  # (1,)
+    random: RandomArrays,
     ranges: Ranges,
     bounds_min: wp.array[wp.vec3],  # (E,) world [m]
     bounds_max: wp.array[wp.vec3],  # (E,) world [m]
     rest_speed: wp.array[float],  # (R,) [rad/s]
     # out
-    episode_out: wp.array[int],  # (E,) counted up
     position_out: wp.array[wp.vec3],
     attitude_out: wp.array[wp.quat],
     lin_vel_out: wp.array[wp.vec3],
@@ -54,14 +52,12 @@ def _reset(
     e = wp.tid()
     if not mask[e]:
         return
-    episode = episode_out[e]
-    episode_out[e] = episode + 1
-    random = wp.rand_init(int(wp.rand_init(seed[0], e)), episode)
-    share = draw_vec3(random, 0, ranges.position_ratio_low, ranges.position_ratio_high)
+    stream = stream_of(random, e, wp.static(int(Purpose.START)))
+    share = draw_vec3(stream, 0, ranges.position_ratio_low, ranges.position_ratio_high)
     position = bounds_min[e] + wp.cw_mul(bounds_max[e] - bounds_min[e], share)
-    attitude = quat_of_angles(draw_vec3(random, 1, ranges.euler_low, ranges.euler_high))
-    lin_vel = draw_vec3(random, 2, ranges.lin_vel_low, ranges.lin_vel_high)
-    ang_vel = draw_vec3(random, 3, ranges.ang_vel_low, ranges.ang_vel_high)
+    attitude = quat_of_angles(draw_vec3(stream, 1, ranges.euler_low, ranges.euler_high))
+    lin_vel = draw_vec3(stream, 2, ranges.lin_vel_low, ranges.lin_vel_high)
+    ang_vel = draw_vec3(stream, 3, ranges.ang_vel_low, ranges.ang_vel_high)
     position_out[e] = position
     attitude_out[e] = attitude
     lin_vel_out[e] = lin_vel
@@ -87,7 +83,7 @@ class InitialState:
         rest_speed: Tensor,
         actions: Tensor,
         prev_actions: Tensor,
-        seed: int,
+        random: Randomness,
     ) -> None:
         """Take what is written and what the draws depend on.
 
@@ -99,24 +95,21 @@ class InitialState:
             rest_speed: Rotor speeds of a new state [rad/s], (R,).
             actions: Set to zero, (E, U).
             prev_actions: Likewise.
-            seed: Of all draws.
+            random: Of the draws.
         """
         device = state.position.device
         self._mask = torch.zeros(state.num_envs, dtype=torch.bool, device=device)
-        self._seed = torch.zeros(1, dtype=torch.int32, device=device)
-        self._episode = torch.zeros(state.num_envs, dtype=torch.int32, device=device)
-        self.restart(seed)
+        self._kept_alive = random
         ranges = Ranges()
         for name, value in vars(cfg).items():
             setattr(ranges, name, wp.vec3(*value))
-        inputs = [wp.from_torch(self._mask), wp.from_torch(self._seed), ranges]
+        inputs = [wp.from_torch(self._mask), random_arrays(random), ranges]
         inputs += [wp.from_torch(corner, dtype=wp.vec3) for corner in bounds]
         self._command = wp.launch(
             _reset,
             dim=state.num_envs,
             inputs=[*inputs, wp.from_torch(rest_speed)],
             outputs=[
-                wp.from_torch(self._episode),
                 wp.from_torch(state.position, dtype=wp.vec3),
                 wp.from_torch(state.attitude, dtype=wp.quat),
                 wp.from_torch(state.lin_vel, dtype=wp.vec3),
@@ -129,11 +122,6 @@ class InitialState:
             device=wp.device_from_torch(device),
             record_cmd=True,
         )
-
-    def restart(self, seed: int) -> None:
-        """Begin the draws of a seed anew."""
-        self._seed.fill_(seed % 2**31)
-        self._episode.zero_()
 
     def reset(self, mask: Tensor) -> None:
         """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""

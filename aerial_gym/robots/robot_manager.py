@@ -3,7 +3,7 @@
 Letters: E environments, R rotors, P parameters of an effect, U entries of an action.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import inf
 
 import torch
@@ -11,11 +11,12 @@ from torch import Tensor
 
 from aerial_gym.assets import Scene
 from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
-from aerial_gym.control import Controller
+from aerial_gym.control import Controller, make_controller
 from aerial_gym.errors import CapabilityError, ConfigError, ShapeError
-from aerial_gym.math.random import uniform
+from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.physics import (
     BACKENDS,
     PhysicsBackend,
@@ -59,34 +60,64 @@ def check_capabilities(backend: PhysicsBackend, robot: RobotCfg, device: torch.d
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class Surroundings:
+    """What is around the robots of all environments."""
+
+    bounds: tuple[Tensor, Tensor]
+    """Lower and upper corner of the environments [m], world, each (E, 3)."""
+
+    crashes: Tensor
+    """Set by the physics where the robot touches the ground, and with ``contact`` where it touches an obstacle, bool (E,)."""
+
+    ground_height: float | None = None
+    """Height of the ground plane [m], world; None where there is none."""
+
+    ceiling_height: float | None = None
+    """Height of the ceiling [m], world; None where there is none."""
+
+    contact: ContactCfg | None = None
+    """How ground and obstacles push back; None if they do not."""
+
+    scene: Scene | None = None
+    """The obstacles; only needed with ``contact``."""
+
+    hook: SubstepHook | None = None
+    """Follows the robot from substep to substep."""
+
+
 class RobotManager:
     """Owns the robot's tensors in the GTD."""
 
     def __init__(
         self,
         robot: RobotCfg,
+        controller: ControllerCfg,
         sim: SimCfg,
         gtd: GlobalTensorDictionary,
+        around: Surroundings,
         *,
         root_state: Tensor,
-        bounds: tuple[Tensor, Tensor],
-        generator: torch.Generator,
-        seed: int,
+        random: Randomness,
     ) -> None:
-        """Declare tensors and build the vehicle; ``attach`` completes it with a controller.
+        """Build vehicle and controller, declare the tensors and hand everything to the backend.
 
         Args:
             robot: What flies.
+            controller: What turns actions into rotor commands.
             sim: Time step, gravity, method.
             gtd: Receives the robot's keys; its size R is the number of rotors.
+            around: What is around it.
             root_state: This robot's row of ``vec_root_tensor``, (E, 13).
-            bounds: Lower and upper bounds of the environments [m], each (E, 3).
-            generator: Source of randomised parameters.
-            seed: Seed of the initial states.
+            random: Of everything that is drawn for the robot.
+
+        Raises:
+            CapabilityError: If the backend cannot run on this device, or an effect.
+            ConfigError: If there should be contact and the robot has no collision shape, or an effect near a ceiling and none
+                is there.
         """
-        self.cfg, self._sim, self._gtd, self._generator = robot, sim, gtd, generator
+        self.cfg, self._sim, self._gtd, self._random, self._around = robot, sim, gtd, random, around
         check_effects(robot)
-        self._bounds, self._seed = bounds, seed
         self._num_envs = root_state.shape[0]
         self.declared: Vehicle = vehicle_from_config(robot, num_envs=self._num_envs, device=gtd.device)
         self._effects = robot_effects(robot, num_envs=self._num_envs, device=gtd.device, dtype=root_state.dtype)
@@ -97,43 +128,43 @@ class RobotManager:
             if getattr(robot.randomization, name) != (1.0, 1.0)
         }
         self._factors = {name: torch.ones(self._num_envs, widths[name], device=gtd.device) for name in self._ranges}
-        self._root_state = root_state
         self._com = torch.zeros(self._num_envs, 3, device=gtd.device)
         self.backend = choose_backend(sim.backend)
         check_capabilities(self.backend, robot, gtd.device)
+        self.controller: Controller = make_controller(
+            controller, self.declared, sim.gravity, dt=sim.dt, control=robot.control
+        )
+        gtd.define_size("U", len(self.controller.action_names))
+        self.tensors: RobotTensors = declare_robot_tensors(gtd, root_state)
+        self._declare_model()
+        rows = [(*sphere.center, sphere.radius) for sphere in robot.collision.spheres]
+        spheres = torch.tensor(rows, dtype=torch.float32, device=gtd.device).view(-1, 4)
+        self._contact_force = self._declare_contact(spheres)
+        self.backend.allocate(
+            self._build_model(),
+            self.controller,
+            integrator=sim.integrator,
+            ground=self._make_ground(spheres),
+            hook=around.hook,
+            random=random,
+        )
+        self._scene_contact = self._make_scene_contact(spheres)
+        rest_speed = _hover_speed(self.declared, sim.gravity)
+        self.tensors.state.rotor_speed.copy_(rest_speed)
+        self._initial = InitialState(
+            robot.initial_state,
+            self.tensors.state,
+            self.tensors.derived,
+            bounds=around.bounds,
+            rest_speed=rest_speed,
+            actions=self.tensors.actions,
+            prev_actions=self.tensors.prev_actions,
+            random=random,
+        )
 
-    def attach(
-        self,
-        controller: Controller,
-        *,
-        ground_height: float | None,
-        ceiling_height: float | None = None,
-        crashes: Tensor,
-        contact: ContactCfg | None = None,
-        scene: Scene | None = None,
-        hook: SubstepHook | None = None,
-    ) -> None:
-        """Take the controller, declare the tensors and hand everything to the backend.
-
-        Args:
-            controller: Turns actions into rotor commands.
-            ground_height: Height of the ground plane [m], world; None where there is none.
-            ceiling_height: Height of the ceiling [m], world; None where there is none.
-            crashes: Set by the physics where the robot touches the ground, and with ``contact`` where it touches an
-                obstacle, bool (E,).
-            contact: How ground and obstacles push back; None if they do not.
-            scene: The obstacles; only needed with ``contact``.
-            hook: Follows the robot from substep to substep.
-
-        Raises:
-            ConfigError: If there should be contact and the robot has no collision shape, or an effect near a ceiling and none
-                is there.
-        """
-        self.controller, self._ground_height = controller, ground_height or 0.0
-        self._ceiling_height = ceiling_height
+    def _declare_model(self) -> None:
+        """Declare what is per environment of the vehicle and its effects."""
         gtd = self._gtd
-        gtd.define_size("U", len(controller.action_names))
-        self.tensors: RobotTensors = declare_robot_tensors(gtd, self._root_state)
         self._mass = gtd.declare(TensorSpec(
             key="robot_mass", shape=("E",), unit="kg", frame="-", owner="robot", meaning="true mass"
         ))  # fmt: skip
@@ -157,54 +188,44 @@ class RobotManager:
                 meaning="vehicle whose wake streams down; call refresh_model() after writing",
             ))  # fmt: skip
             self._other_position[:, 2] = inf
-        rows = [(*sphere.center, sphere.radius) for sphere in self.cfg.collision.spheres]
-        spheres = torch.tensor(rows, dtype=torch.float32, device=gtd.device).view(-1, 4)
-        self._declare_contact(contact, spheres)
-        ground = None
-        if ground_height is not None:
-            ground = Ground(
-                height=ground_height, spheres=spheres, contact=crashes, cfg=contact, impulse=self._contact_force
-            )
-        self.backend.allocate(
-            self._build_model(), controller, integrator=self._sim.integrator, ground=ground, hook=hook
-        )
-        self.backend.restart(self._seed)
-        if self._contact_force is not None and contact is not None and scene is not None and scene.num_instances:
-            self._scene_contact = SceneContact(
-                scene,
-                contact,
-                PushedRobot(mass=self._mass, inertia=self._inertia, com=self._com, spheres=spheres),
-                self.tensors.state,
-                integrator=self._sim.integrator,
-                dt=self._sim.dt,
-                crashes_out=crashes,
-                impulse_out=self._contact_force,
-            )
-        rest_speed = _hover_speed(self.declared, self._sim.gravity)
-        self.tensors.state.rotor_speed.copy_(rest_speed)
-        self._initial = InitialState(
-            self.cfg.initial_state,
-            self.tensors.state,
-            self.tensors.derived,
-            bounds=self._bounds,
-            rest_speed=rest_speed,
-            actions=self.tensors.actions,
-            prev_actions=self.tensors.prev_actions,
-            seed=self._seed,
+
+    def _make_ground(self, spheres: Tensor) -> Ground | None:
+        around = self._around
+        if around.ground_height is None:
+            return None
+        return Ground(
+            height=around.ground_height,
+            spheres=spheres,
+            contact=around.crashes,
+            cfg=around.contact,
+            impulse=self._contact_force,
         )
 
-    def _declare_contact(self, contact: ContactCfg | None, spheres: Tensor) -> None:
+    def _make_scene_contact(self, spheres: Tensor) -> SceneContact | None:
+        scene, contact = self._around.scene, self._around.contact
+        if self._contact_force is None or contact is None or scene is None or not scene.num_instances:
+            return None
+        return SceneContact(
+            scene,
+            contact,
+            PushedRobot(mass=self._mass, inertia=self._inertia, com=self._com, spheres=spheres),
+            self.tensors.state,
+            integrator=self._sim.integrator,
+            dt=self._sim.dt,
+            crashes_out=self._around.crashes,
+            impulse_out=self._contact_force,
+        )
+
+    def _declare_contact(self, spheres: Tensor) -> Tensor | None:
         """Declare the contact force where there is one."""
-        self._scene_contact: SceneContact | None = None
-        self._contact_force: Tensor | None = None
-        if contact is None:
-            return
+        if self._around.contact is None:
+            return None
         if not len(spheres):
             raise ConfigError(
                 "the environment asks for contact, but this robot has no collision shape. Give its file "
                 "collision: {spheres: [{center: [0, 0, 0], radius: ...}]}"
             )
-        self._contact_force = self._gtd.declare(TensorSpec(
+        return self._gtd.declare(TensorSpec(
             key="robot_contact_force", shape=("E", 3), unit="N", frame="world", owner="physics",
             meaning="mean force of ground and obstacles on the robot over the step",
         ))  # fmt: skip
@@ -235,8 +256,8 @@ class RobotManager:
             vehicle,
             self._effects,
             gravity=self._sim.gravity,
-            ground_height=self._ground_height,
-            ceiling_height=self._ceiling_height,
+            ground_height=self._around.ground_height or 0.0,
+            ceiling_height=self._around.ceiling_height,
             other_position=self._other_position,
         )
         self._mass.copy_(self.model.vehicle.mass)
@@ -247,11 +268,6 @@ class RobotManager:
     def refresh_model(self) -> None:
         """Take changed parameters of effects (``gtd["effect_..."]``) into the physics."""
         self.backend.set_model(self._build_model())
-
-    def restart(self, seed: int) -> None:
-        """Begin the draws of initial states and effects anew with a seed."""
-        self._initial.restart(seed)
-        self.backend.restart(seed)
 
     def act(self, actions: Tensor) -> None:
         """Begin a step: store its action, (E, U), and keep the one before."""
@@ -286,13 +302,13 @@ class RobotManager:
         """Draw a new initial state, and new parameters where randomised, for the environments in ``mask``, bool (E,)."""
         self._initial.reset(mask)
         self._randomize(mask.unsqueeze(-1))
-        self.controller.reset(mask, self._generator)
+        self.controller.reset(mask, self._random)
         self.backend.reset(mask)
 
     def _randomize(self, rows: Tensor) -> None:
-        for name, factor in self._factors.items():
-            low, high = self._ranges[name]
-            draw = uniform(low, high, tuple(factor.shape), generator=self._generator)
+        for index, (name, factor) in enumerate(self._factors.items()):
+            low, high = (end.expand(factor.shape[1:]) for end in self._ranges[name].unbind())
+            draw = self._random.uniform(Purpose.PARAMETERS, low, high, index=index)
             factor.copy_(torch.where(rows, draw, factor))
         if self._factors:
             self.refresh_model()

@@ -18,6 +18,7 @@ from torch import Tensor
 from aerial_gym.config.imu import ImuCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import AerialGymError, ShapeError
+from aerial_gym.math.random import Randomness
 from aerial_gym.sensors.catalog import IMUS
 from aerial_gym.sensors.imu import Imu
 
@@ -60,6 +61,7 @@ def record_at_rest(cfg: ImuCfg, *, num_sensors: int, num_samples: int, dt: float
     attitude = torch.zeros(num_sensors, 4)
     attitude[:, 3] = 1.0
     still, measurement = torch.zeros(num_sensors, 3), torch.zeros(num_sensors, 6)
+    random, every = Randomness(num_sensors, seed=seed), torch.ones(num_sensors, dtype=torch.bool)
     imu = Imu(
         cfg,
         attitude=attitude,
@@ -68,9 +70,10 @@ def record_at_rest(cfg: ImuCfg, *, num_sensors: int, num_samples: int, dt: float
         measurement_out=measurement,
         dt=dt,
         gravity=STANDARD_GRAVITY,
-        seed=seed,
+        random=random,
     )
-    imu.reset(torch.ones(num_sensors, dtype=torch.bool))
+    random.begin(every)
+    imu.reset(every)
     samples = torch.empty(num_samples, num_sensors, 6)
     for row in samples:
         imu.measure()

@@ -15,8 +15,7 @@ An IMU with a rate gives the mean of these forces over the n steps of its period
 the last one stays. Noise and walk are those of its period. What it gives may appear some steps later.
 
 Then, per axis: bias, white noise ``sigma N / sqrt(dt)``, saturation; the bias walks by ``sigma_b N sqrt(dt)``. Source: IEEE Std
-952-1997, annex B (N and K). Every number is drawn in the kernel from seed, environment and a count of its samples: the same
-whatever other environments do, and new at each replay of a captured step.
+952-1997, annex B (N and K). Draws of an episode depend on the number of the sample, beside seed, environment and episode.
 Frames: world z up; body x forward, y left, z up. Letters: E environments.
 """
 
@@ -31,13 +30,12 @@ from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.imu import ImuCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import on_torch_stream, start_warp
+from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
+from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn
 from aerial_gym.sensors.delay import CLOCK_MARGIN, steps_of
 from aerial_gym.sensors.mounts import Pose, nominal_pose
-
-STREAM = wp.constant(0x696D75)
-"""Parts these draws from others of the same seed, such as the initial states; any number does."""
 
 
 @wp.struct
@@ -79,7 +77,7 @@ class Motion:
 class Outputs:
     """What a sample and a reset write."""
 
-    sample: wp.array[wp.int32]  # (E,) counted up
+    sample: wp.array[wp.int32]  # (E,) counted from the reset on
     point_vel: wp.array[wp.vec3]  # (E,) world [m/s]
     mount: wp.array[wp.quat]  # (E,) IMU to body, with misalignment
     bias: wp.array2d[wp.vec3]  # (E, 2) [m/s²], [rad/s]
@@ -93,11 +91,11 @@ class Outputs:
 
 
 @wp.func
-def _count(seed: int, e: int, out: Outputs) -> wp.uint32:
+def _count(random: RandomArrays, number: int, e: int, out: Outputs) -> wp.uint32:
     """Return the random state of an environment's next sample, and count it."""
     sample = out.sample[e]
     out.sample[e] = sample + 1
-    return wp.rand_init(int(wp.rand_init(int(wp.rand_init(seed, STREAM)), e)), sample)
+    return substream(substream(stream_of(random, e, wp.static(int(Purpose.IMU))), number), sample)
 
 
 @wp.func
@@ -177,7 +175,7 @@ def _deliver(unit: Unit, out: Outputs, e: int):
 
 
 @wp.kernel(enable_backward=False)
-def _measure(motion: Motion, unit: Unit, seed: wp.array[int], out: Outputs):
+def _measure(motion: Motion, unit: Unit, random: RandomArrays, number: int, out: Outputs):
     """Take the step that has just ended into the sample, and write that if it is due."""
     e = wp.tid()
     ang_vel = motion.ang_vel[e]
@@ -190,10 +188,10 @@ def _measure(motion: Motion, unit: Unit, seed: wp.array[int], out: Outputs):
     steps = out.steps[e] + 1
     if clock >= unit.due:
         count = float(steps)
-        random = _count(seed[0], e, out)
-        accel_bias = out.bias[e, 0] + _normal(random, 2, wp.sqrt(count) * unit.accel_walk)
-        gyro_bias = out.bias[e, 1] + _normal(random, 3, wp.sqrt(count) * unit.gyro_walk)
-        _write(unit, out, e, random, out.mount[e], force / count, ang_vel, accel_bias, gyro_bias, count)
+        state = _count(random, number, e, out)
+        accel_bias = out.bias[e, 0] + _normal(state, 2, wp.sqrt(count) * unit.accel_walk)
+        gyro_bias = out.bias[e, 1] + _normal(state, 3, wp.sqrt(count) * unit.gyro_walk)
+        _write(unit, out, e, state, out.mount[e], force / count, ang_vel, accel_bias, gyro_bias, count)
         clock -= unit.period
         steps = 0
         force = wp.vec3()
@@ -204,21 +202,22 @@ def _measure(motion: Motion, unit: Unit, seed: wp.array[int], out: Outputs):
 
 
 @wp.kernel(enable_backward=False)
-def _reset(mask: wp.array[wp.bool], motion: Motion, unit: Unit, seed: wp.array[int], out: Outputs):
+def _reset(mask: wp.array[wp.bool], motion: Motion, unit: Unit, random: RandomArrays, number: int, out: Outputs):
     """Draw bias and misalignment and write a first sample where the mask says so; leave every other row alone."""
     e = wp.tid()
     if not mask[e]:
         return
-    random = _count(seed[0], e, out)
-    turn = _uniform(random, 4, unit.misalignment)
+    out.sample[e] = 0
+    state = _count(random, number, e, out)
+    turn = _uniform(state, 4, unit.misalignment)
     yaw_pitch = small_turn(wp.vec3(0.0, 0.0, turn[2])) * small_turn(wp.vec3(0.0, turn[1], 0.0))
     mount = wp.normalize(unit.mount * yaw_pitch * small_turn(wp.vec3(turn[0], 0.0, 0.0)))
-    accel_bias = _uniform(random, 5, unit.accel_initial_bias)
-    gyro_bias = _uniform(random, 6, unit.gyro_initial_bias)
+    accel_bias = _uniform(state, 5, unit.accel_initial_bias)
+    gyro_bias = _uniform(state, 6, unit.gyro_initial_bias)
     force = rotate_inverse(motion.attitude[e], wp.vec3(0.0, 0.0, unit.gravity))
     out.mount[e] = mount
     out.point_vel[e] = _point_velocity(unit, motion, e)
-    _write(unit, out, e, random, mount, force, motion.ang_vel[e], accel_bias, gyro_bias, 1.0)
+    _write(unit, out, e, state, mount, force, motion.ang_vel[e], accel_bias, gyro_bias, 1.0)
     out.clock[e] = 0.0
     out.steps[e] = 0
     out.force_sum[e] = wp.vec3()
@@ -242,7 +241,8 @@ class Imu:
         measurement_out: Tensor,
         dt: float,
         gravity: float,
-        seed: int,
+        random: Randomness | None = None,
+        number: int = 0,
         errors: Sequence[tuple[ImuEffect, Tensor]] = (),
         pose: Pose | None = None,
     ) -> None:
@@ -256,7 +256,8 @@ class Imu:
             measurement_out: Receives specific force [m/s²] and angular velocity [rad/s], IMU axes, float32, (E, 6).
             dt: Time between two samples [s], > 0: the environment step.
             gravity: Downward acceleration of free fall [m/s²].
-            seed: Of all draws; another one for a second IMU on the same robot.
+            random: Of the draws; that of seed 0 if not given.
+            number: Of the IMU on its robot: two IMUs are drawn apart.
             errors: Effects of the robot on its inertial sensors with their parameters, (E, P), the same in every environment.
             pose: Of its mount in the body frame, instead of its own placement.
 
@@ -288,16 +289,14 @@ class Imu:
         self._fresh = torch.zeros_like(measurement_out)
         self._line = torch.zeros(latency, envs, 6, device=device)
         self._mask = torch.zeros(envs, dtype=torch.bool, device=device)
-        self._seed = torch.zeros(1, dtype=torch.int32, device=device)
-        self.restart(seed)
+        self._random = random or Randomness(envs, device=device)
         motion = Motion()
         motion.attitude = vector_view("attitude", attitude, (envs, 4), device=device)
         motion.lin_vel = vector_view("lin_vel", lin_vel, (envs, 3), device=device)
         motion.ang_vel = vector_view("ang_vel", ang_vel, (envs, 3), device=device)
         unit = _make_unit(cfg, pose, dt, gravity, errors)
         unit.latency = latency
-        inputs = [motion, unit, wp.from_torch(self._seed), self._make_outputs()]
-
+        inputs = [motion, unit, random_arrays(self._random), number, self._make_outputs()]
         launch = {"dim": envs, "device": wp.device_from_torch(device), "record_cmd": True}
         self._measure_command = wp.launch(_measure, inputs=inputs, **launch)
         self._reset_command = wp.launch(_reset, inputs=[wp.from_torch(self._mask), *inputs], **launch)
@@ -332,11 +331,6 @@ class Imu:
         self._mask.copy_(mask)
         with on_torch_stream(self._mask):
             self._reset_command.launch()
-
-    def restart(self, seed: int) -> None:
-        """Begin the draws of a seed anew."""
-        self._seed.fill_(seed % 2**31)
-        self._sample.zero_()
 
 
 def _affine(errors: Sequence[tuple[ImuEffect, Tensor]]) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from torch import Tensor
 
 from aerial_gym.config.imu import ImuCfg
+from aerial_gym.math.random import Randomness
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.sensors.imu import Imu
@@ -27,7 +28,7 @@ class ImuSet:
         ang_vel: Tensor,
         dt: float,
         gravity: float,
-        seed: int,
+        random: Randomness,
         errors: Sequence[tuple[ImuEffect, Tensor]] = (),
     ) -> None:
         """Declare the measurements and make an ``Imu`` for each.
@@ -40,7 +41,7 @@ class ImuSet:
             ang_vel: Angular velocity [rad/s], body, (E, 3).
             dt: Time between two calls of ``measure`` [s]: the environment step.
             gravity: Downward acceleration of free fall [m/s²].
-            seed: Of all draws; each further IMU has the next one.
+            random: Of the draws.
             errors: Effects of the robot on its inertial sensors with their parameters, (E, P).
 
         Raises:
@@ -62,7 +63,8 @@ class ImuSet:
                 measurement_out=measurement,
                 dt=dt,
                 gravity=gravity,
-                seed=seed + len(self.imus),
+                random=random,
+                number=len(self.imus),
                 errors=errors,
             )
 
@@ -75,11 +77,6 @@ class ImuSet:
         """Begin anew in the environments of ``mask``, bool (E,), from their present state; others stay bit for bit."""
         for imu in self.imus.values():
             imu.reset(mask)
-
-    def restart(self, seed: int) -> None:
-        """Begin the draws of a seed anew."""
-        for number, imu in enumerate(self.imus.values()):
-            imu.restart(seed + number)
 
 
 def _meaning(cfg: ImuCfg) -> str:

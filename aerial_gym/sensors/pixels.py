@@ -12,6 +12,8 @@ import warp as wp
 
 from aerial_gym.config.images import MISS_FACE as _MISS_FACE
 from aerial_gym.config.images import MISS_ID as _MISS_ID
+from aerial_gym.math.draws import RandomArrays, stream_of, substream
+from aerial_gym.math.random import Purpose
 from aerial_gym.sensors.flow import flow_of
 from aerial_gym.sensors.images import arrays_type
 from aerial_gym.sensors.shading import Light, seen_color
@@ -70,8 +72,10 @@ class Noise:
     std_c: wp.float32  # [m]
     mean_offset: wp.float32  # [m]
     dropout: wp.float32  # probability
-    seed: wp.array[wp.int32]  # (1,)
-    image: wp.array[wp.int32]  # (1,) how many images were taken
+    random: RandomArrays
+    sensor: wp.int32  # number of the kind on its robot
+    mounts: wp.int32  # sensors of the kind on a robot
+    image: wp.array[wp.int32]  # (E,) how many images were taken since the reset
 
 
 @wp.kernel(enable_backward=False)
@@ -146,9 +150,9 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
         measured = nearest * along
         dropped = wp.bool(False)
         if wp.static(has_noise):
-            random = wp.rand_init(
-                int(wp.rand_init(noise.seed[0], noise.image[0])), mount * images.distance.shape[1] + pixel
-            )
+            taken = substream(stream_of(noise.random, env, wp.static(int(Purpose.IMAGE_NOISE))), noise.sensor)
+            own = (mount - env * noise.mounts) * images.distance.shape[1] + pixel
+            random = substream(substream(taken, noise.image[env]), own)
             dropped = wp.randf(random) < noise.dropout
             std = (noise.std_a * measured + noise.std_b) * measured + noise.std_c
             measured += std * wp.randn(random) - noise.mean_offset

@@ -20,12 +20,13 @@ from aerial_gym.assets.views import vector_view
 from aerial_gym.config.sensor import LidarCfg, RangeSensorCfg, StereoCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import launch_side_by_side, on_torch_stream, split
-from aerial_gym.math.quaternion import quat_from_euler
-from aerial_gym.math.random import uniform
+from aerial_gym.math.draws import random_arrays
+from aerial_gym.math.random import Randomness
 from aerial_gym.sensors.flow import Flow, make_flow, record_motion
 from aerial_gym.sensors.images import SensorImages, arrays_of, images_of
-from aerial_gym.sensors.mounts import Pose, nominal_pose
+from aerial_gym.sensors.mounts import Pose
 from aerial_gym.sensors.pixels import MISS_ID, Limits, Noise, Outputs, locate
+from aerial_gym.sensors.places import Places
 from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_kernel
 from aerial_gym.sensors.rays import ray_table
 from aerial_gym.sensors.scan import Scan
@@ -55,8 +56,8 @@ class RayCaster:
         attitude: Tensor,
         lin_vel: Tensor | None = None,
         ang_vel: Tensor | None = None,
-        generator: torch.Generator | None = None,
-        seed: int = 0,
+        random: Randomness | None = None,
+        number: int = 0,
         pose: Pose | None = None,
     ) -> None:
         """Take views of the tensors, which must stay where they are, and load the kernel.
@@ -70,8 +71,8 @@ class RayCaster:
             lin_vel: Velocity of the body's origin [m/s], world, (E, 3); likewise. Needed for optical flow
                 and by a lidar with a scan time.
             ang_vel: Angular velocity of the body [rad/s], body frame, (E, 3); likewise.
-            generator: Source of placements drawn at reset, on the device of the scene; needed only by sensors that draw.
-            seed: Of the noise, which is drawn in the kernel from this, the number of the image and the pixel.
+            random: Of the places and the noise; that of seed 0 if not given.
+            number: Of the kind on its robot: two kinds are drawn apart.
             pose: Of its mount in the body frame, instead of its nominal placement. What is drawn deviates from the mount as
                 it deviates from the nominal placement there: ``T_mount T_nominal^-1 T_drawn``.
 
@@ -82,19 +83,19 @@ class RayCaster:
         envs, device = scene.num_envs, scene.device
         images.check(cfg, envs, device)
         self.cfg, self.images, self.num_sensors = cfg, images, cfg.count
-        self._generator, self._device = generator, device
+        self._device, self._number = device, number
+        self._random = random or Randomness(envs, device=device)
         self.direction = ray_table(cfg, device=device)
-        self._place_mounts(envs, pose)
+        self.places = Places(cfg, self._random, number=number, pose=pose)
         self.due = torch.ones(envs, dtype=torch.bool, device=device)
         """Environments whose images the next ``cast`` takes, bool, (E,)."""
-        self._image_number = torch.zeros(1, dtype=torch.int32, device=device)
-        self._seed = torch.full((1,), seed % 2**31, dtype=torch.int32, device=device)
+        self._image_number = torch.zeros(envs, dtype=torch.int32, device=device)
         mounts = (envs, cfg.count)
         pose = [
             vector_view("position", position, (envs, 3), device=device),
             vector_view("attitude", attitude, (envs, 4), device=device),
-            vector_view("mount_position", self.mount_position, (*mounts, 3), device=device),
-            vector_view("mount_attitude", self.mount_attitude, (*mounts, 4), device=device),
+            vector_view("mount_position", self.places.position, (*mounts, 3), device=device),
+            vector_view("mount_attitude", self.places.attitude, (*mounts, 4), device=device),
         ]
         twist = _twist_views(cfg, lin_vel, ang_vel, envs, device)
         self._scan: Scan | None = None
@@ -110,26 +111,15 @@ class RayCaster:
             self._prepare.append(record_motion(self._flow, scene, pose, twist))
         self._launches = self._record_rays(scene)
 
-    def _place_mounts(self, envs: int, pose: Pose | None) -> None:
-        cfg, device = self.cfg, self._device
-        nominal = nominal_pose(cfg)
-        self._moved: Pose | None = None
-        if pose is not None:
-            back = nominal.inverse()
-            position, attitude = pose.of(back.position, back.attitude)
-            self._moved, nominal = Pose(position=position, attitude=attitude), pose
-        self._nominal_position = nominal.position.float().to(device)
-        self._nominal_attitude = nominal.attitude.float().to(device)
-        self.mount_position = self._nominal_position.expand(envs, cfg.count, 3).clone()
-        self.mount_attitude = self._nominal_attitude.expand(envs, cfg.count, 4).clone()
-        draws = {"position": (cfg.position_low, cfg.position_high), "euler": (cfg.euler_low, cfg.euler_high)}
-        self._draws = {
-            name: (torch.tensor(low, device=device), torch.tensor(high, device=device))
-            for name, (low, high) in draws.items()
-            if low is not None and high is not None
-        }
-        if self._draws and self._generator is None:
-            self._generator = torch.Generator(device=device).manual_seed(0)
+    @property
+    def mount_position(self) -> Tensor:
+        """From the body origin [m], body, (E, S, 3)."""
+        return self.places.position
+
+    @property
+    def mount_attitude(self) -> Tensor:
+        """Sensor to body, xyzw, (E, S, 4)."""
+        return self.places.attitude
 
     def _record_preparations(self, scene: Scene, pose: list[wp.array]) -> list[wp.Launch]:
         """Record what comes before the rays: where the sensors are, and how they see each part."""
@@ -208,40 +198,23 @@ class RayCaster:
         if cfg is not None:
             for field in fields(cfg):
                 setattr(noise, field.name, getattr(cfg, field.name))
-        noise.seed, noise.image = wp.from_torch(self._seed), wp.from_torch(self._image_number)
+        noise.random, noise.image = random_arrays(self._random), wp.from_torch(self._image_number)
+        noise.sensor, noise.mounts = self._number, self.num_sensors
         return noise
 
     def cast(self) -> None:
         """Write the images of the environments that are due; launched on torch's current stream, not waited for."""
         if self.cfg.active_noise is not None:
-            self._image_number.add_(1)
+            self._image_number.add_(self.due)
         with on_torch_stream(self.images.distance):
             for launch in self._prepare:
                 launch.launch()
             launch_side_by_side(self._launches)
 
     def reset(self, mask: Tensor) -> None:
-        """Place the mounts of masked environments, bool (E,), anew: nominal, or drawn if the configuration draws."""
-        rows = mask[:, None, None]
-        position, attitude = self._draw_placement() if self._draws else (self._nominal_position, self._nominal_attitude)
-        self.mount_position.copy_(torch.where(rows, position, self.mount_position))
-        self.mount_attitude.copy_(torch.where(rows, attitude, self.mount_attitude))
-
-    def _draw_placement(self) -> tuple[Tensor, Tensor]:
-        """Return positions (E, S, 3) and attitudes (E, S, 4) in the body frame; what is not drawn is nominal."""
-        shape, generator = self.mount_position.shape, self._generator
-        found = {}
-        for name in ("position", "euler"):
-            own = torch.tensor(getattr(self.cfg, name), device=self._device).expand(shape)
-            low, high = self._draws.get(name, (own, own))
-            found[name] = uniform(low, high, tuple(shape), generator=generator) if name in self._draws else own
-        placement = found["position"], quat_from_euler(found["euler"])
-        return placement if self._moved is None else self._moved.of(*placement)
-
-    def restart(self, seed: int) -> None:
-        """Begin the noise of a seed anew."""
-        self._seed.fill_(seed % 2**31)
-        self._image_number.zero_()
+        """Place the mounts of masked environments, bool (E,), anew, nominal or drawn, and count images from 0."""
+        self.places.reset(mask)
+        self._image_number.masked_fill_(mask, 0)
 
 
 def _twist_views(

@@ -12,6 +12,7 @@ from aerial_gym.assets import Scene
 from aerial_gym.assets.views import check_tensor
 from aerial_gym.config.sensor import RangeSensorCfg
 from aerial_gym.errors import ConfigError, ShapeError
+from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors.delay import CLOCK_MARGIN, DelayLine, like, steps_of
 from aerial_gym.sensors.images import declare_images
@@ -37,8 +38,7 @@ class SensorManager:
         num_envs: int,
         device: torch.device,
         dt: float | None = None,
-        generator: torch.Generator | None = None,
-        seed: int = 0,
+        random: Randomness | None = None,
         poses: Mapping[str, Pose | None] | None = None,
     ) -> None:
         """Declare the images and make a ray caster for each sensor.
@@ -56,8 +56,7 @@ class SensorManager:
             num_envs: Number of environments E.
             device: Where the tensors are.
             dt: Time between two captures [s]; needed by sensors with a rate or a latency.
-            generator: Source of placements drawn at reset.
-            seed: Of the noise.
+            random: Of places and noise; that of seed 0 if not given.
             poses: Of mounts in the body frame, instead of the nominal placement of a sensor, by its name.
 
         Raises:
@@ -91,8 +90,8 @@ class SensorManager:
                 attitude=attitude,
                 lin_vel=lin_vel,
                 ang_vel=ang_vel,
-                generator=generator,
-                seed=seed + len(self.casters),
+                random=random,
+                number=len(self.casters),
                 pose=(poses or {}).get(name),
             )
             if cfg.rate_hz is not None:
@@ -131,8 +130,3 @@ class SensorManager:
             caster.reset(mask)
             if name in self._clock:
                 self._clock[name].masked_fill_(mask, 1.0 / (caster.cfg.rate_hz or 1.0))
-
-    def restart(self, seed: int) -> None:
-        """Begin the noise of a seed anew."""
-        for number, caster in enumerate(self.casters.values()):
-            caster.restart(seed + number)

@@ -29,6 +29,8 @@ class TaskRegistry(Registry[TaskCfg]):
         controller: str | None = None,
         level: int | None = None,
         capture: bool | None = None,
+        first_env: int = 0,
+        first_episode: int = 0,
     ) -> "Task":
         """Return a task, built and not yet reset.
 
@@ -41,6 +43,9 @@ class TaskRegistry(Registry[TaskCfg]):
             controller: Registered controller in place of the task's own.
             level: Level at which the curriculum stays, in place of one that changes; within its limits.
             capture: Whether to hold the step in a CUDA graph; if not given, on CUDA devices.
+            first_env: Number of the first environment: with ``num_envs=1`` that one alone, as it is in any larger batch. Where
+                there is a curriculum, give its ``level`` as well: it is the one thing that environments share.
+            first_episode: Number of the first episode, likewise.
 
         Raises:
             UnknownNameError: If a name is not registered.
@@ -62,6 +67,8 @@ class TaskRegistry(Registry[TaskCfg]):
             num_envs=cfg.num_envs,
             device=device,
             seed=seed,
+            first_env=first_env,
+            first_episode=first_episode,
         )
         return Task(cfg, env, capture=capture)
 

@@ -53,29 +53,26 @@ def check_terms(terms: Mapping[str, Callable[[], object]]) -> None:
 class StepGraph(Generic[Result]):
     """A recorded step. The tensors that it returns are the same at every replay and are then overwritten."""
 
-    def __init__(
-        self, step: Callable[[Tensor], Result], actions_shape: tuple[int, ...], generator: torch.Generator
-    ) -> None:
-        """Record ``step``; its random numbers come from ``generator`` or from counters on the device, and so advance.
+    def __init__(self, step: Callable[[Tensor], Result], actions_shape: tuple[int, ...], device: torch.device) -> None:
+        """Record ``step``; its random numbers come from counters on the device, and so advance.
 
         Args:
             step: Takes actions (E, U), writes the tensors of the simulation, returns tensors.
             actions_shape: (E, U).
-            generator: On the CUDA device.
+            device: The CUDA device.
 
         Raises:
             CapabilityError: If something in the step cannot be recorded.
         """
         self._step = step  # kept, with all memory that its launches read: a graph does not keep it
-        self._actions = torch.zeros(actions_shape, device=generator.device)
-        stream = torch.cuda.Stream(generator.device)
-        stream.wait_stream(torch.cuda.current_stream(generator.device))
+        self._actions = torch.zeros(actions_shape, device=device)
+        stream = torch.cuda.Stream(device)
+        stream.wait_stream(torch.cuda.current_stream(device))
         with torch.cuda.stream(stream):
             for _ in range(WARM_UP_STEPS):
                 step(self._actions)
-        torch.cuda.current_stream(generator.device).wait_stream(stream)
+        torch.cuda.current_stream(device).wait_stream(stream)
         self._graph = torch.cuda.CUDAGraph()
-        self._graph.register_generator_state(generator)
         try:
             with torch.cuda.graph(self._graph):
                 self._result = step(self._actions)

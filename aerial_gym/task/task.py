@@ -3,10 +3,11 @@
 Letters: E environments, U entries of an action, O entries of an observation.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from types import TracebackType
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -16,15 +17,20 @@ from torch import Tensor
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
+from aerial_gym.math.random import Purpose, counted_uniform
+from aerial_gym.math.rows import on_whole_vectors
 from aerial_gym.robots.finite import NonFinite
 from aerial_gym.robots.watch import Watch
 from aerial_gym.sensors.cells import NearestInCells
 from aerial_gym.task.actions import ACTIONS, Action
 from aerial_gym.task.curriculum import Curriculum
 from aerial_gym.task.goals import Goals
+from aerial_gym.task.noise import ObservationNoise
 from aerial_gym.task.observations import IMAGE_CELLS, OBSERVATIONS, ObservationTerm, TaskState
 from aerial_gym.task.rewards import REWARDS, Reward
 from aerial_gym.task.step_graph import StepGraph, check_terms, fuse
+
+Rows = TypeVar("Rows", Tensor, tuple[Tensor, ...])
 
 Observation = dict[str, Tensor]
 """``observations``: (E, O) float32."""
@@ -83,8 +89,8 @@ class Task:
         self.target_position = torch.tensor(cfg.target, device=self.device).expand(self.num_envs, 3).clone()
         self.episode_return = torch.zeros(self.num_envs, device=self.device)
         stds = [std for (_, std), width in zip(self._terms, widths, strict=True) for _ in range(width)]
-        self._noise_std = torch.tensor(stds, device=self.device)
         self._gtd = env.gtd
+        self._noise = ObservationNoise(torch.tensor(stds, device=self.device), env.gtd["sim_steps"], env.random)
         self._all = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         self._prev_distance = torch.zeros(self.num_envs, device=self.device)
         self._image, self._image_scale = _first_image(env)
@@ -101,7 +107,8 @@ class Task:
         self._difficulty = (
             torch.zeros((), device=self.device) if self.curriculum is None else self.curriculum.difficulty
         )
-        self._observe, self._judge = self._finite_observation, self._judgement
+        self._observe, self._judge = self._by_row(self._finite_observation), self._by_row(self._judgement)
+        self._command = self._by_row(lambda actions: self._action.value(actions, self._action_params))
         self._crash_reward = self._params.get("crash", 0.0)
         self._watch = Watch(env.gtd, num_actions=num_actions, dt=env.dt, keep=False)
         self._graph: StepGraph[StepResult] | None = None
@@ -133,8 +140,8 @@ class Task:
         check_terms(terms | {f"reward {self.cfg.reward!r}": reward})
         self._observe, self._judge = fuse(self._finite_observation), fuse(self._judgement)
         assert self.action_space.shape is not None
-        self._graph = StepGraph(self._step, (self.num_envs, *self.action_space.shape), self.env.generator)
-        self._restart(self.env.seed)
+        self._graph = StepGraph(self._step, (self.num_envs, *self.action_space.shape), self.device)
+        self.env.restart(self.env.seed)
         if self.curriculum is not None and level is not None:
             self.curriculum.load(level)
 
@@ -168,13 +175,13 @@ class Task:
     def reset(self, *, seed: int | None = None) -> tuple[Observation, dict[str, Tensor]]:
         """Start every environment anew; return observation and info.
 
-        With a ``seed`` all random numbers, and the curriculum, begin anew as well; without one the curriculum goes on. Which
-        assets each environment has was drawn when the task was made, and stays: another seed needs another task for that.
+        With a ``seed`` everything is as in a new task with that seed, the choice of obstacles and the curriculum included;
+        without one the curriculum goes on.
         """
         if self._capture_at_reset:
             self.capture()
         if seed is not None:
-            self._restart(seed)
+            self.env.restart(seed)
             if self.curriculum is not None:
                 self.curriculum.restart()
         self._begin(self._all)
@@ -182,12 +189,12 @@ class Task:
         self._watch.forget()
         self.episode_return.zero_()
         self._look()
-        return {"observations": self._noisy(self._observe(*vars(self.state()).values()))}, {}
+        return {"observations": self._noise.add(self._observe(*vars(self.state()).values()))}, {}
 
     def stagger(self) -> None:
         """Give every environment a random age, so that episodes end one by one: a batch then holds all their phases."""
         steps, age = self.cfg.episode_len_steps, self._gtd["sim_steps"]
-        age.copy_(torch.randint(steps, age.shape, device=self.device, generator=self.env.generator))
+        age.copy_(counted_uniform(self.env.random.stream(Purpose.AGE), dtype=torch.float64).mul_(steps))
 
     def step(self, actions: Tensor) -> StepResult:
         """Advance by one action, (E, U); return observation, reward (E,), terminated, truncated (E,) bool, info."""
@@ -197,13 +204,13 @@ class Task:
 
     def _step(self, actions: Tensor) -> StepResult:
         gtd = self._gtd
-        self.env.step(self._action.value(actions, self._action_params))
+        self.env.step(self._command(actions))
         final, reward, terminated, truncated, distance, total, bits = self._judge(
             gtd["sim_steps"], self.episode_return, gtd["non_finite"], *vars(self.state()).values()
         )
         gtd["non_finite"].copy_(bits)
         info = {
-            "final_observation": self._noisy(final),
+            "final_observation": self._noise.add(final, final=True),
             "time_outs": truncated,
             "episode_return": total,
             "episode_length": gtd["sim_steps"].clone(),
@@ -222,7 +229,7 @@ class Task:
         self._watch.notice(actions, ended)
         self._begin(ended)
         self._look()
-        after = self._noisy(self._observe(*vars(self.state()).values()))
+        after = self._noise.add(self._observe(*vars(self.state()).values()))
         return {"observations": after}, reward, terminated, truncated, info
 
     def _begin(self, mask: Tensor) -> None:
@@ -232,7 +239,8 @@ class Task:
             self._goals.draw(mask)
             self.env.clear_goal(mask, self.target_position)
         if self._reward.needs_progress:
-            self._prev_distance.copy_((self.target_position - self._gtd["robot_position"]).norm(dim=-1))
+            measure = self._by_row(lambda target, position: (target - position).norm(dim=-1))
+            self._prev_distance.copy_(measure(self.target_position, self._gtd["robot_position"]))
 
     def _look(self) -> None:
         """Read the sensors, and the image's cells where a term asks for them."""
@@ -240,17 +248,15 @@ class Task:
         if self._cells is not None:
             self._cells.measure()
 
-    def _restart(self, seed: int) -> None:
-        self.env.restart(seed)
-        if self._goals is not None:
-            self._goals.restart(seed)
+    def _by_row(self, function: Callable[..., Rows]) -> Callable[..., Rows]:
+        return on_whole_vectors(function, self.num_envs, self.device)
 
     def _make_goals(self) -> Goals | None:
         low, high = self.cfg.target_ratio_low, self.cfg.target_ratio_high
         if low is None or high is None:
             return None
         bounds = (self._gtd["env_bounds_min"], self._gtd["env_bounds_max"])
-        return Goals(self.target_position, bounds=bounds, ratios=(low, high), seed=self.env.seed)
+        return Goals(self.target_position, bounds=bounds, ratios=(low, high), random=self.env.random)
 
     def state(self) -> TaskState:
         """Return the states of this instant."""
@@ -301,12 +307,6 @@ class Task:
         distance = torch.where(distance.isfinite(), distance, self.cfg.max_distance)
         final = observation.nan_to_num(0.0, 0.0, 0.0)
         return final, reward, terminated, truncated, distance, episode_return + reward, bits
-
-    def _noisy(self, observation: Tensor) -> Tensor:
-        if all(std == 0.0 for _, std in self._terms):
-            return observation
-        noise = torch.randn(observation.shape, device=self.device, generator=self.env.generator)
-        return observation + self._noise_std * noise
 
     def close(self) -> None:
         """Name what was not finite and not yet named, and release the simulation."""

@@ -16,6 +16,7 @@ from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.catalog import AERIAL_GYM_GAINS
 from aerial_gym.errors import CapabilityError, ShapeError
+from aerial_gym.math.random import Randomness
 from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, Model, TorchBackend, build_model, vehicle_from_config
 from aerial_gym.physics.effects import EffectsByKind, WrenchEffect
 from aerial_gym.physics.vehicle import Vehicle
@@ -227,7 +228,7 @@ def test_gains_of_each_environment_are_read() -> None:
         actions = torch.zeros(8, 4)
         backend.step(state, actions, DT, 1)  # with the middle gains
         mask = torch.ones(8, dtype=torch.bool)
-        law.reset(mask, torch.Generator().manual_seed(4))
+        law.reset(mask, Randomness(8, seed=4))
         backend.reset(mask)
         backend.step(state, actions, DT, SUBSTEPS)
         ends.append(state)

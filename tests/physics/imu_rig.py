@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.imu import ImuCfg
+from aerial_gym.math.random import Randomness
 from aerial_gym.sensors.imu import Imu
 
 G = 9.81
@@ -46,6 +47,7 @@ class Rig:
         self.lin_vel, self.ang_vel = torch.zeros(num_envs, 3), torch.zeros(num_envs, 3)
         self.measurement = torch.full((num_envs, 6), nan)
         self.all = torch.ones(num_envs, dtype=torch.bool)
+        self.random = Randomness(num_envs, seed=seed)
         self.imu = Imu(
             cfg,
             attitude=self.attitude,
@@ -54,7 +56,7 @@ class Rig:
             measurement_out=self.measurement,
             dt=dt,
             gravity=G,
-            seed=seed,
+            random=self.random,
             errors=errors,
             pose=pose,
         )
@@ -63,6 +65,7 @@ class Rig:
             tensor.fill_(nan)
 
     def reset(self) -> Tensor:
+        self.random.begin(self.all)
         self.imu.reset(self.all)
         return self.measurement
 

@@ -18,6 +18,7 @@ from aerial_gym.control.lee import (
 )
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import euler_from_quat, quat_exp, quat_from_euler, quat_multiply, quat_to_matrix
+from aerial_gym.math.random import Randomness
 from aerial_gym.physics import (
     INTEGRATORS,
     BodyState,
@@ -222,7 +223,9 @@ def test_randomised_gains_change_only_masked_rows_and_stay_in_range() -> None:
     controller = make_controller(cfg, vehicle_from_config(ROBOTS.get("tinyprop"), num_envs=6, dtype=F64), 9.81)
     before = controller.gains.position.clone()
     mask = torch.tensor([True, False, True, False, False, True])
-    controller.reset(mask, torch.Generator().manual_seed(0))
+    random = Randomness(6)
+    random.begin(mask)
+    controller.reset(mask, random)
     after = controller.gains.position
     assert torch.equal(after[~mask], before[~mask])
     assert (after[mask] != before[mask]).all()

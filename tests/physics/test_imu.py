@@ -24,6 +24,7 @@ from aerial_gym.math.quaternion import (
     quat_rotate,
     quat_rotate_inverse,
 )
+from aerial_gym.math.random import Randomness
 from aerial_gym.physics import (
     BodyState,
     Model,
@@ -255,6 +256,7 @@ def initial_states(seed: int, count: int) -> Tensor:
     state = state_at_rest(count, 4, device=torch.device("cpu"), dtype=torch.float32)
     widths = {"ang_vel_world": 3, "lin_vel_body": 3, "vehicle_attitude": 4, "vehicle_lin_vel": 3, "euler": 3}
     derived = {name: torch.zeros(count, width) for name, width in (*widths.items(), ("root_state", 13))}
+    random = Randomness(count, seed=seed)
     initial = InitialState(
         InitialStateCfg(**ranges),
         state,
@@ -263,8 +265,9 @@ def initial_states(seed: int, count: int) -> Tensor:
         rest_speed=torch.zeros(4),
         actions=torch.zeros(count, 4),
         prev_actions=torch.zeros(count, 4),
-        seed=seed,
+        random=random,
     )
+    random.begin(torch.ones(count, dtype=torch.bool))
     initial.reset(torch.ones(count, dtype=torch.bool))
     return torch.cat((state.position, derived["euler"], state.lin_vel, state.ang_vel), dim=-1)
 
@@ -303,6 +306,7 @@ def test_reset_leaves_other_rows_bit_for_bit(cfg: ImuCfg) -> None:
         rig.imu.measure()
     mask = torch.tensor([True, False] * 4)
     before = [tensor.clone() for tensor in rig.memory()]
+    rig.random.begin(mask)
     rig.imu.reset(mask)
     for old, new in zip(before, rig.memory(), strict=True):
         assert torch.equal(new[~mask], old[~mask])
@@ -317,7 +321,7 @@ def test_same_seed_same_noise_and_restart() -> None:
     assert (first != other).all()
     rig = Rig(NOISY, 4, seed=3)
     for _ in range(2):
-        rig.imu.restart(3)
+        rig.random.restart(3)
         rig.reset()
         for row in first:
             rig.imu.measure()
@@ -347,7 +351,7 @@ def test_tensors_and_times_that_do_not_fit_are_refused() -> None:
     for name in good:
         bad = {**good, name: torch.zeros(2, 5)}
         with pytest.raises(ShapeError, match=rf"{name} is \(2, 5\)"):
-            Imu(IDEAL, **bad, dt=0.01, gravity=G, seed=0)
+            Imu(IDEAL, **bad, dt=0.01, gravity=G)
 
 
 def test_effects_of_the_robot_act_in_body_axes_before_the_mount() -> None:

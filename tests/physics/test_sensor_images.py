@@ -13,6 +13,7 @@ from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.config.sensor import CameraCfg, LidarCfg, LightCfg, NoiseCfg, RangeSensorCfg, StereoCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate
+from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import RayCaster, SensorManager, make_images
 
@@ -50,7 +51,8 @@ def shoot(cfg: RangeSensorCfg, scene: Scene, *, position=None, attitude=None, se
     position = torch.zeros(envs, 3) if position is None else position
     attitude = LEVEL.repeat(envs, 1) if attitude is None else attitude
     images = make_images(cfg, envs, device=device, poisoned=True)
-    caster = RayCaster(cfg, scene, images, position=position.to(device), attitude=attitude.to(device), seed=seed)
+    random = Randomness(scene.num_envs, device=device, seed=seed)
+    caster = RayCaster(cfg, scene, images, position=position.to(device), attitude=attitude.to(device), random=random)
     caster.cast()
     return caster
 
@@ -325,7 +327,7 @@ def test_noise_differs_between_pixels_images_and_seeds_and_repeats_with_a_seed(d
     assert len(first.flatten().unique()) > 0.99 * first.numel()
     one.cast()
     assert (one.images.distance != first).float().mean() > 0.99
-    one.restart(1)
+    one.reset(torch.ones(1, dtype=torch.bool, device=device))
     one.cast()
     assert torch.equal(one.images.distance, first)
     pairs = noisy_wall(noise, device, images=60).double() - 4.0

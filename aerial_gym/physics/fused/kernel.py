@@ -110,7 +110,6 @@ def make_kernel(
         memory: memory_type,
         env: int,
         since: int,
-        count: int,
         dt: float,
     ):
         origin = x
@@ -123,7 +122,7 @@ def make_kernel(
             command = stop(vehicle, command)
         values = params
         if wp.static(remembers):
-            values, command = begin(vehicle, params, command, n, memory, env, since, count, dt)
+            values, command = begin(vehicle, params, command, n, memory, env, since, dt)
         x, q, v, w, n, load = step(vehicle, values, gravity, x, q, v, w, n, load, command, dt)
         return x, q, v, w, n, load, values
 
@@ -176,10 +175,8 @@ def make_kernel(
             v = v + rotate(q, wp.cross(w, vehicle.com))
         load = wp.spatial_vector()
         since = wp.int32(0)
-        count = wp.int32(0)
         if wp.static(remembers):
             since = memory.since[env]
-            count = memory.count[env]
             for i in range(wp.static(num_memory)):
                 params[wp.static(num_params) + i] = memory.numbers[i, env]
         if wp.static(any_load):
@@ -187,7 +184,7 @@ def make_kernel(
                 load[i] = memory.numbers[wp.static(num_memory - num_loads) + i, env]
         if wp.static(differentiable):  # no loop: its adjoint would need the states on the way
             x, q, v, w, n, load, params = step_once(
-                vehicle, command_params, gains, params, gravity, x, q, v, w, n, load, u, memory, env, since, count, dt
+                vehicle, command_params, gains, params, gravity, x, q, v, w, n, load, u, memory, env, since, dt
             )
             substeps = 0
         total = wp.vec3()
@@ -196,7 +193,7 @@ def make_kernel(
             first_w = w
             x, q, v, w, n, load, params = step_once(
                 vehicle, command_params, gains, params, gravity, x, q, v, w, n, load, u, memory, env,
-                since + k, count + k, dt,
+                since + k, dt,
             )  # fmt: skip
             if wp.static(num_spheres > 0 and compliant):
                 x, q, v, w, impulse, crashes = push_off_ground(
@@ -219,7 +216,6 @@ def make_kernel(
                 )
         if wp.static(remembers):
             memory.since[env] = since + substeps
-            memory.count[env] = count + substeps
             for i in range(wp.static(num_memory - num_loads)):
                 memory.numbers[i, env] = params[wp.static(num_params) + i]
         if wp.static(any_load):

@@ -8,11 +8,12 @@ from typing import Any
 
 import warp as wp
 
+from aerial_gym.math.draws import RandomArrays, stream_of, substream
+from aerial_gym.math.random import Purpose
 from aerial_gym.physics.effects import CommandEffect, DelayEffect
 from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.fused.packing import pickers, types_of, values_type
 from aerial_gym.physics.fused.types import RotorTypes
-from aerial_gym.physics.memory import RANDOM_STREAM
 from aerial_gym.physics.model import Model
 
 
@@ -23,8 +24,7 @@ class MemoryArrays:
     numbers: wp.array2d[float]  # (M, E)
     past: wp.array2d[float]  # (S R, E) commands [rad/s], a ring
     since: wp.array[int]  # (E,) substeps since the reset
-    count: wp.array[int]  # (E,) substeps since the seed was given
-    seed: wp.array[int]  # (1,)
+    random: RandomArrays
     slots: int  # S
 
 
@@ -51,14 +51,12 @@ def make_begin(model: Model, integrator: str) -> wp.Function:
         arrays: MemoryArrays,
         env: int,
         since: int,
-        count: int,
         dt: float,
     ):
         now = moment()
         now.rotor_speed = speed
         now.since = since
-        stream = wp.rand_init(arrays.seed[0], wp.static(RANDOM_STREAM))
-        now.random = wp.rand_init(int(wp.rand_init(int(stream), env)), count)
+        now.random = substream(stream_of(arrays.random, env, wp.static(int(Purpose.EFFECTS))), since)
         now.dt = dt
         remembered = remember(vehicle, now, all_values)
         followed = vector()

@@ -10,10 +10,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import ENVIRONMENTS, PARKED_Z, AssetManager, bounds_ranges, draw_bounds
+from aerial_gym.assets import ENVIRONMENTS, PARKED_Z, AssetManager, Bounds
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, ShapeCfg
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import euler_from_quat
+from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import MISS_ID, SENSORS, SensorManager
 
@@ -30,15 +31,16 @@ def device(request: pytest.FixtureRequest) -> torch.device:
 def make_manager(
     cfg: EnvironmentCfg, num_envs: int, device: torch.device, *, seed: int = 0, asset_state: Tensor | None = None
 ) -> tuple[AssetManager, GlobalTensorDictionary, tuple[Tensor, Tensor]]:
-    generator = torch.Generator(device=device).manual_seed(seed)
+    random = Randomness(num_envs, device=device, seed=seed)
     gtd = GlobalTensorDictionary(device=device, sizes={"E": num_envs})
-    lower, upper = draw_bounds(bounds_ranges(cfg, device=device), num_envs=num_envs, generator=generator)
+    lower, upper = (torch.zeros(num_envs, 3, device=device) for _ in range(2))
+    Bounds(cfg, lower=lower, upper=upper, random=random).draw(every(num_envs, device))
     manager = AssetManager(
         cfg,
         gtd,
         num_envs=num_envs,
         device=device,
-        generator=generator,
+        random=random,
         bounds_min=lower,
         bounds_max=upper,
         asset_state=asset_state,
@@ -48,6 +50,12 @@ def make_manager(
 
 def every(num_envs: int, device: torch.device) -> Tensor:
     return torch.ones(num_envs, dtype=torch.bool, device=device)
+
+
+def begin(made: AssetManager, mask: Tensor) -> None:
+    """Begin an episode in the environments of a mask, as an ``EnvManager`` does."""
+    made.random.begin(mask)
+    made.reset(mask)
 
 
 def test_bounds_are_drawn_within_their_limits(device: torch.device) -> None:
@@ -64,7 +72,7 @@ def test_bounds_are_drawn_within_their_limits(device: torch.device) -> None:
 def test_obstacles_stand_within_their_share_of_the_bounds_at_rest(device: torch.device) -> None:
     manager, gtd, (lower, upper) = make_manager(OBSTACLES, 200, device)
     gtd["env_asset_state_tensor"][..., 7:] = 3.0
-    manager.reset(every(200, device))
+    begin(manager, every(200, device))
     ratio = (gtd["obstacle_position"] - lower[:, None]) / (upper - lower)[:, None]
     for rows, asset in ((PANELS, OBSTACLES.assets[0]), (OBJECTS, OBSTACLES.assets[1])):
         low = torch.tensor(asset.position_ratio_low, device=device)
@@ -84,7 +92,7 @@ def test_obstacles_stand_within_their_share_of_the_bounds_at_rest(device: torch.
 def test_inner_faces_of_walls_lie_on_the_bounds(device: torch.device) -> None:
     """Front, back, left, right, bottom, top: centre beyond the face by half the thickness of 0.2 m, centred on it."""
     manager, gtd, (lower, upper) = make_manager(OBSTACLES, 50, device)
-    manager.reset(every(50, device))
+    begin(manager, every(50, device))
     walls = gtd["obstacle_position"][:, WALLS]
     middle = 0.5 * (lower + upper)
     for row, (axis, side) in enumerate(((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1))):
@@ -102,7 +110,7 @@ def test_walls_close_the_room_for_a_camera_in_the_middle(device: torch.device) -
     """With panels and walls alone, a camera in the middle of each room sees no gap, and ids of the front wall."""
     manager, gtd, (lower, upper) = make_manager(OBSTACLES, 8, device)
     manager.set_num_obstacles(0)
-    manager.reset(every(8, device))
+    begin(manager, every(8, device))
     attitude = torch.tensor([0.0, 0.0, 0.0, 1.0], device=device).repeat(8, 1)
     camera = replace(SENSORS.get("depth_camera_64"), max_range=20.0, min_range=0.0)
     sensors = SensorManager(
@@ -124,18 +132,18 @@ def test_walls_close_the_room_for_a_camera_in_the_middle(device: torch.device) -
 def test_reset_leaves_other_environments_bit_for_bit(device: torch.device) -> None:
     """Rows outside the mask keep every bit, also of NaN; rows inside change, and none of their NaN survives."""
     manager, gtd, _ = make_manager(OBSTACLES, 6, device)
-    manager.reset(every(6, device))
+    begin(manager, every(6, device))
     state = gtd["env_asset_state_tensor"]
     state[1, 5], state[2, 5] = float("nan"), float("nan")
     before = state.clone()
     mask = torch.tensor([True, False, True, False, False, True], device=device)
-    manager.reset(mask)
+    begin(manager, mask)
     bits, old = state.view(torch.int32), before.view(torch.int32)
     assert torch.equal(bits[~mask], old[~mask])
     assert (bits[mask] != old[mask]).flatten(1).any(dim=1).all()
     assert not state[mask].isnan().any()
     unchanged = state.clone()
-    manager.reset(torch.zeros(6, dtype=torch.bool, device=device))
+    begin(manager, torch.zeros(6, dtype=torch.bool, device=device))
     assert torch.equal(state.view(torch.int32), unchanged.view(torch.int32))
 
 
@@ -144,7 +152,7 @@ def test_the_curriculum_parks_all_but_the_first_obstacles(count: int, device: to
     manager, gtd, _ = make_manager(OBSTACLES, 10, device)
     manager.set_num_obstacles(count)
     assert gtd["num_obstacles_in_env"].item() == count
-    manager.reset(every(10, device))
+    begin(manager, every(10, device))
     height = gtd["obstacle_position"][..., 2]
     assert (height[:, : 9 + count] > -10.0).all()
     assert (height[:, 9 + count :] == PARKED_Z).all()
@@ -198,7 +206,7 @@ def test_the_same_seed_gives_the_same_worlds_and_another_seed_others(device: tor
     states, kinds = [], []
     for seed in (1, 1, 2):
         manager, gtd, _ = make_manager(OBSTACLES, 4, device, seed=seed)
-        manager.reset(every(4, device))
+        begin(manager, every(4, device))
         states.append(gtd["env_asset_state_tensor"])
         kinds.append(manager.scene.shape_index)
     assert torch.equal(states[0], states[1])
@@ -210,7 +218,7 @@ def test_states_can_live_in_the_memory_of_another_tensor(device: torch.device) -
     """The obstacles are rows 1 and up of a root tensor whose row 0, the robot, is never written."""
     root = torch.full((3, 45, 13), 7.0, device=device)
     manager, gtd, _ = make_manager(OBSTACLES, 3, device, asset_state=root[:, 1:])
-    manager.reset(every(3, device))
+    begin(manager, every(3, device))
     assert (root[:, 0] == 7.0).all()
     assert torch.equal(root[:, 1:, :3], gtd["obstacle_position"])
     assert gtd["obstacle_position"].data_ptr() == root[:, 1:].data_ptr()
@@ -222,7 +230,7 @@ def test_environments_of_different_sizes_live_side_by_side(device: torch.device)
     small, small_gtd, _ = make_manager(OBSTACLES, 2, device)
     large, large_gtd, _ = make_manager(OBSTACLES, 7, device)
     for manager, size in ((empty, 4), (small, 2), (large, 7)):
-        manager.reset(every(size, device))
+        begin(manager, every(size, device))
     before = small_gtd["env_asset_state_tensor"].clone()
     large.reset(every(7, device))
     empty.set_num_obstacles(0)
@@ -234,7 +242,7 @@ def test_environments_of_different_sizes_live_side_by_side(device: torch.device)
 def test_wrong_tensors_are_refused(device: torch.device) -> None:
     manager, _, _ = make_manager(OBSTACLES, 2, device)
     with pytest.raises(ShapeError, match=r"mask is \(2,\) torch.int64.*expected \(2,\) torch.bool"):
-        manager.reset(torch.zeros(2, dtype=torch.int64, device=device))
+        begin(manager, torch.zeros(2, dtype=torch.int64, device=device))
     with pytest.raises(ShapeError, match=r"'env_asset_state_tensor'.*declared \(2, 44, 13\)"):
         make_manager(OBSTACLES, 2, device, asset_state=torch.zeros(2, 43, 13, device=device))
 
@@ -254,7 +262,7 @@ def test_every_shipped_environment_places_all_its_obstacles_over_its_bounds(name
     """Everything that is present stands within the bounds, but for the half thickness of walls."""
     cfg = ENVIRONMENTS.get(name)
     manager, gtd, (lower, upper) = make_manager(cfg, 50, device)
-    manager.reset(every(50, device))
+    begin(manager, every(50, device))
     position = gtd["obstacle_position"]
     assert (position >= lower[:, None] - 0.11).all()
     assert (position <= upper[:, None] + 0.11).all()
@@ -265,8 +273,9 @@ def test_restarting_a_seed_draws_the_same_places_again(device: torch.device) -> 
     manager, gtd, _ = make_manager(OBSTACLES, 4, device, seed=5)
     states = []
     for seed in (5, 6, 5):
-        manager.restart(seed)
-        manager.reset(every(4, device))
+        manager.random.restart(seed)
+        manager.restart()
+        begin(manager, every(4, device))
         states.append(gtd["env_asset_state_tensor"].clone())
     assert torch.equal(states[0], states[2])
     assert not torch.equal(states[0], states[1])
@@ -279,7 +288,7 @@ def test_what_the_kernels_read_lives_as_long_as_the_manager(device: torch.device
         manager, gtd, _ = make_manager(OBSTACLES, 16, device)
         gc.collect()
         litter = [torch.full((16, 44), 10**6, dtype=torch.int32, device=device) for _ in range(200)] if fill else []
-        manager.reset(every(16, device))
+        begin(manager, every(16, device))
         manager.clear_start(every(16, device), torch.zeros(16, 3, device=device))
         states.append(gtd["env_asset_state_tensor"].clone())
         del litter

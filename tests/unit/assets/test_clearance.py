@@ -12,6 +12,7 @@ from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, FamilyCfg, S
 from aerial_gym.config.robot import SphereCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
+from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
 
 ROUNDING = 2e-6
@@ -43,16 +44,22 @@ def manager(assets: tuple[AssetCfg, ...], num_envs: int, *, clearance: float = 0
         GlobalTensorDictionary(device=torch.device("cpu"), sizes={"E": num_envs}),
         num_envs=num_envs,
         device=torch.device("cpu"),
-        generator=torch.Generator().manual_seed(3),
+        random=Randomness(num_envs, seed=3),
         bounds_min=torch.full((num_envs, 3), -2.0),
         bounds_max=torch.full((num_envs, 3), 2.0),
     )
-    made.reset(every(num_envs))
+    begin(made, every(num_envs))
     return made
 
 
 def every(num_envs: int) -> Tensor:
     return torch.ones(num_envs, dtype=torch.bool)
+
+
+def begin(made: AssetManager, mask: Tensor) -> None:
+    """Begin an episode in the environments of a mask, as an ``EnvManager`` does."""
+    made.random.begin(mask)
+    made.reset(mask)
 
 
 def distance(made: AssetManager, points: Tensor) -> Tensor:
@@ -110,7 +117,7 @@ def test_starts_and_goals_keep_their_room_together() -> None:
     start, goal = (2.0 * torch.rand(500, 3, generator=draw) - 1.0 for _ in range(2))
     start[:, 0], goal[:, 0] = 0.7, -1.3  # far enough from the wall at 0, which stays
     for _ in range(2):
-        made.reset(every(500))
+        begin(made, every(500))
         made.clear_start(every(500), start)
         assert distance(made, start).min() >= 0.5 - ROUNDING
         assert (distance(made, goal) < 0.5).any()
@@ -154,7 +161,7 @@ def test_making_room_leaves_other_environments_bit_for_bit() -> None:
     )
     before = made.scene.asset_state.clone()
     mask = torch.tensor([True, False, False, True, False, False])
-    made.reset(mask)
+    begin(made, mask)
     made.clear_start(mask, torch.full((6, 3), 1.0))
     made.clear_goal(mask, torch.full((6, 3), -1.0))
     assert torch.equal(made.scene.asset_state[~mask], before[~mask])
@@ -168,7 +175,7 @@ def test_a_new_start_forgets_the_goal_of_the_episode_before() -> None:
         if has_goal:
             made.clear_start(every(3), torch.zeros(3, 3))
             made.clear_goal(every(3), torch.ones(3, 3))
-        made.reset(every(3))
+        begin(made, every(3))
         made.clear_start(every(3), torch.full((3, 3), 0.2))
         states.append(made.scene.asset_state.clone())
     assert torch.equal(*states)

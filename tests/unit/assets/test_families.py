@@ -13,6 +13,7 @@ from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, FamilyCfg, P
 from aerial_gym.config.robot import SphereCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
+from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
 
 POINT = (SphereCfg(center=(0.0, 0.0, 0.0), radius=1e-6),)
@@ -177,7 +178,7 @@ def manager(cfg: EnvironmentCfg, num_envs: int = 4) -> AssetManager:
         GlobalTensorDictionary(device=torch.device("cpu"), sizes={"E": num_envs}),
         num_envs=num_envs,
         device=torch.device("cpu"),
-        generator=torch.Generator().manual_seed(0),
+        random=Randomness(num_envs),
         bounds_min=-5.0 * ones,
         bounds_max=5.0 * ones,
     )

@@ -8,6 +8,7 @@ from types import ModuleType
 import pytest
 import torch
 import warp as wp
+from torch import Tensor
 
 from aerial_gym import SimBuilder
 from aerial_gym.assets import PARKED_Z, AssetManager, clearance, motion, placement
@@ -17,6 +18,7 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.interop import start_warp
 from aerial_gym.math.quaternion import quat_exp, quat_multiply
+from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
 
 BALL = AssetCfg(
@@ -38,6 +40,12 @@ TWIST = MotionCfg(
 EPS = 2.0**-23
 
 
+def begin(made: AssetManager, mask: Tensor) -> None:
+    """Begin an episode in the environments of a mask, as an ``EnvManager`` does."""
+    made.random.begin(mask)
+    made.reset(mask)
+
+
 def manager(motion: MotionCfg, num_envs: int = 5, **fields) -> tuple[AssetManager, GlobalTensorDictionary]:
     half = (-4.0, -3.0, -2.0), (4.0, 3.0, 2.0)
     corners = {
@@ -56,11 +64,11 @@ def manager(motion: MotionCfg, num_envs: int = 5, **fields) -> tuple[AssetManage
         gtd,
         num_envs=num_envs,
         device=torch.device("cpu"),
-        generator=torch.Generator().manual_seed(1),
+        random=Randomness(num_envs, seed=1),
         bounds_min=torch.tensor(half[0]).repeat(num_envs, 1),
         bounds_max=torch.tensor(half[1]).repeat(num_envs, 1),
     )
-    made.reset(torch.ones(num_envs, dtype=torch.bool))
+    begin(made, torch.ones(num_envs, dtype=torch.bool))
     return made, gtd
 
 
@@ -159,11 +167,11 @@ def test_assets_without_motion_stay_bit_for_bit_whatever_twist_they_have() -> No
         gtd,
         num_envs=3,
         device=torch.device("cpu"),
-        generator=torch.Generator().manual_seed(1),
+        random=Randomness(3, seed=1),
         bounds_min=-torch.ones(3, 3),
         bounds_max=torch.ones(3, 3),
     )
-    made.reset(torch.ones(3, dtype=torch.bool))
+    begin(made, torch.ones(3, dtype=torch.bool))
     gtd["obstacle_linvel"][:, :2] = 1.0
     before = gtd["env_asset_state_tensor"].clone()
     made.take_actions(torch.full((3, 5, 6), 2.0))
@@ -177,7 +185,7 @@ def test_assets_without_motion_stay_bit_for_bit_whatever_twist_they_have() -> No
 def test_parked_obstacles_stay_parked() -> None:
     made, gtd = manager(TWIST)
     made.set_num_obstacles(1)
-    made.reset(torch.ones(5, dtype=torch.bool))
+    begin(made, torch.ones(5, dtype=torch.bool))
     before = gtd["env_asset_state_tensor"].clone()
     made.take_actions(torch.ones(5, 3, 6))
     made.step(0.1)
@@ -194,7 +202,7 @@ def test_reset_by_mask_leaves_moving_obstacles_of_others_bit_for_bit(motion: Mot
     keys = [key for key in gtd.keys() if key.startswith(("env_asset", "obstacle_"))]  # noqa: SIM118
     before = {key: gtd[key].clone() for key in keys}
     mask = torch.tensor([True, False, True, False, False, True])
-    made.reset(mask)
+    begin(made, mask)
     for key in keys:
         assert torch.equal(gtd[key][~mask], before[key][~mask]), key
     assert (gtd["env_asset_state_tensor"][mask][..., :3] != before["env_asset_state_tensor"][mask][..., :3]).all()
@@ -204,16 +212,17 @@ def test_draws_depend_on_seed_environment_and_episode_alone() -> None:
     """Environment 1 is the same in a larger batch, and after another history of its neighbours."""
     small, small_gtd = manager(TWIST, 2)
     large, large_gtd = manager(TWIST, 7)
-    large.reset(torch.tensor([True, False, False, True, True, False, False]))
+    begin(large, torch.tensor([True, False, False, True, True, False, False]))
     for made, num in ((small, 2), (large, 7)):
-        made.reset(torch.arange(num) == 1)
+        begin(made, torch.arange(num) == 1)
     a, b = small_gtd["env_asset_state_tensor"], large_gtd["env_asset_state_tensor"]
     assert torch.equal(a[1], b[1])
     assert not torch.equal(a[0], b[0])
     first = a.clone()
-    small.restart(1)
-    small.reset(torch.ones(2, dtype=torch.bool))
-    small.reset(torch.ones(2, dtype=torch.bool))
+    small.random.restart(1)
+    small.restart()
+    begin(small, torch.ones(2, dtype=torch.bool))
+    begin(small, torch.ones(2, dtype=torch.bool))
     assert torch.equal(a[1], first[1])
 
 

@@ -1,9 +1,13 @@
 """Initial states: within their ranges, uniform, and a function of seed, environment and episode alone."""
 
+from dataclasses import dataclass
+
 import torch
+from torch import Tensor
 
 from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse, quat_yaw
+from aerial_gym.math.random import Randomness
 from aerial_gym.physics import state_at_rest
 from aerial_gym.robots.derived import DerivedStates
 from aerial_gym.robots.initial_state import InitialState
@@ -20,7 +24,20 @@ CFG = InitialStateCfg(
 )
 
 
+@dataclass(frozen=True)
+class Begun:
+    """Initial states with the numbers that they follow from."""
+
+    initial: InitialState
+    random: Randomness
+
+    def reset(self, mask: Tensor) -> None:
+        self.random.begin(mask)
+        self.initial.reset(mask)
+
+
 def make(num_envs: int, seed: int = 0):
+    random = Randomness(num_envs, seed=seed)
     state = state_at_rest(num_envs, 4, device=torch.device("cpu"), dtype=torch.float32)
     derived = {name: torch.full((num_envs, width), torch.nan) for name, width in (
         ("ang_vel_world", 3), ("lin_vel_body", 3), ("vehicle_attitude", 4), ("vehicle_lin_vel", 3), ("euler", 3),
@@ -34,9 +51,9 @@ def make(num_envs: int, seed: int = 0):
         rest_speed=torch.tensor([1.0, 2.0, 3.0, 4.0]),
         actions=torch.ones(num_envs, 4),
         prev_actions=torch.ones(num_envs, 4),
-        seed=seed,
+        random=random,
     )
-    return state, derived, initial
+    return state, derived, Begun(initial, random)
 
 
 def draws(num_envs: int = 20_000, seed: int = 0):
@@ -86,7 +103,7 @@ def test_a_draw_depends_on_seed_environment_and_episode_alone() -> None:
     initial.reset(late)
     assert (again.position[late] != first[late]).any(-1).all()
     assert torch.equal(again.position[~late], first[~late])
-    initial.restart(3)
+    initial.random.restart(3)
     initial.reset(torch.ones(64, dtype=torch.bool))
     assert torch.equal(again.position, first)
     other, _ = draws(64, seed=4)

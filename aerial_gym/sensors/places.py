@@ -1,0 +1,110 @@
+"""Where the sensors of one kind sit on the body: the same place always, or drawn at every reset.
+
+Frames: body is x forward, y left, z up. Letters: E environments, S sensors of one kind.
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.sensor import RangeSensorCfg
+from aerial_gym.interop import on_torch_stream
+from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of, substream
+from aerial_gym.math.random import Purpose, Randomness
+from aerial_gym.sensors.mounts import Pose, nominal_pose
+
+
+@wp.struct
+class PlaceRange:
+    """Where sensors are, and within what they are drawn."""
+
+    position: wp.vec3  # body [m], where nothing is drawn
+    attitude: wp.quat  # sensor to body
+    is_drawn: wp.bool
+    position_low: wp.vec3  # [m] in the frame of the sensor's own file
+    position_high: wp.vec3
+    euler_low: wp.vec3  # ZYX roll, pitch, yaw [rad]
+    euler_high: wp.vec3
+    shift: wp.vec3  # from that frame to the body [m]
+    turn: wp.quat
+
+
+@wp.kernel(enable_backward=False)
+def _place_sensors(
+    mask: wp.array[wp.bool],  # (E,)
+    # params
+    random: RandomArrays,
+    number: int,  # of the kind on its robot
+    place: PlaceRange,
+    # out
+    position_out: wp.array2d[wp.vec3],  # (E, S) body [m]
+    attitude_out: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
+):
+    """Write new places where the mask says so; leave every other row alone."""
+    env, sensor = wp.tid()
+    if not mask[env]:
+        return
+    position = place.position
+    attitude = place.attitude
+    if place.is_drawn:
+        stream = substream(substream(stream_of(random, env, wp.static(int(Purpose.MOUNTS))), number), sensor)
+        position = place.shift + wp.quat_rotate(
+            place.turn, draw_vec3(stream, 0, place.position_low, place.position_high)
+        )
+        attitude = wp.normalize(place.turn * quat_of_angles(draw_vec3(stream, 1, place.euler_low, place.euler_high)))
+    position_out[env, sensor] = position
+    attitude_out[env, sensor] = attitude
+
+
+class Places:
+    """Places of the sensors of one kind, with all views made at construction."""
+
+    def __init__(self, cfg: RangeSensorCfg, random: Randomness, *, number: int, pose: Pose | None) -> None:
+        """Put every sensor at its nominal place.
+
+        Args:
+            cfg: The sensor.
+            random: Of the draws.
+            number: Of the kind on its robot: two kinds are drawn apart.
+            pose: Of its mount in the body frame, instead of its nominal placement. What is drawn deviates from the mount as
+                it deviates from the nominal placement there: ``T_mount T_nominal^-1 T_drawn``.
+        """
+        device, rows = random.seed.device, (random.num_envs, cfg.count)
+        nominal = pose or nominal_pose(cfg)
+        self.position = nominal.position.float().to(device).expand(*rows, 3).clone()
+        """From the body origin [m], body, (E, S, 3)."""
+        self.attitude = nominal.attitude.float().to(device).expand(*rows, 4).clone()
+        """Sensor to body, xyzw, (E, S, 4)."""
+        self._mask, self._kept_alive = torch.zeros(rows[0], dtype=torch.bool, device=device), random
+        self._command = wp.launch(
+            _place_sensors,
+            dim=rows,
+            inputs=[wp.from_torch(self._mask), random_arrays(random), number, _range_of(cfg, nominal)],
+            outputs=[wp.from_torch(self.position, dtype=wp.vec3), wp.from_torch(self.attitude, dtype=wp.quat)],
+            device=wp.device_from_torch(device),
+            record_cmd=True,
+        )
+
+    def reset(self, mask: Tensor) -> None:
+        """Place the sensors of the environments in ``mask``, bool (E,), anew: nominal, or drawn if the sensor draws places.
+
+        Launched on torch's current stream, not waited for.
+        """
+        self._mask.copy_(mask)
+        with on_torch_stream(self._mask):
+            self._command.launch()
+
+
+def _range_of(cfg: RangeSensorCfg, nominal: Pose) -> PlaceRange:
+    place, back = PlaceRange(), nominal_pose(cfg).inverse()
+    shift, turn = nominal.of(back.position, back.attitude)
+    place.position, place.attitude = wp.vec3(*nominal.position.tolist()), wp.quat(*nominal.attitude.tolist())
+    place.shift, place.turn = wp.vec3(*shift.tolist()), wp.quat(*turn.tolist())
+    for name in ("position", "euler"):
+        ends = getattr(cfg, f"{name}_low"), getattr(cfg, f"{name}_high")
+        drawn = None not in ends
+        low, high = ends if drawn else (getattr(cfg, name), getattr(cfg, name))
+        setattr(place, f"{name}_low", wp.vec3(*low))
+        setattr(place, f"{name}_high", wp.vec3(*high))
+        place.is_drawn = place.is_drawn or drawn
+    return place

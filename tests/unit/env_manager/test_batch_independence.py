@@ -1,0 +1,169 @@
+"""An environment is the same alone, among 4 and among 37, bit for bit: nothing that is drawn or flown looks at a neighbour."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym import SimBuilder, task_registry
+from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.robots import ROBOTS
+from aerial_gym.task import Task
+
+FEW, MANY = 4, 37
+"""Neither is a multiple of the width of the processor's vectors."""
+
+OBSTACLE_COURSES = ("env_with_obstacles", "dynamic_env", "forest_env", "env_with_lidar_nav_obstacles", "landing_env")
+
+
+def build(env: str, robot: str, num_envs: int, *, backend: str = "warp", seed: int = 5, **numbers: int) -> EnvManager:
+    return EnvManager(
+        sim=replace(SIMS.get("base_sim"), backend=backend),
+        env=ENVIRONMENTS.get(env),
+        robot=ROBOTS.get(robot),
+        controller=CONTROLLERS.get("lee_velocity_control"),
+        num_envs=num_envs,
+        device=torch.device("cpu"),
+        seed=seed,
+        **numbers,
+    )
+
+
+def actions_of(num_envs: int, first: int = 0) -> Tensor:
+    """Return an action (E, 4) for each environment, by its number."""
+    number = torch.arange(first, first + num_envs, dtype=torch.float32).unsqueeze(-1)
+    return torch.sin(number + torch.arange(4.0)).clamp(-0.5, 0.5)
+
+
+def snapshot(gtd: Mapping[str, Tensor], rows: slice) -> dict[str, Tensor]:
+    """Return every tensor that has a row for each environment."""
+    num_envs = gtd["sim_steps"].shape[0]
+    shared = ("num_obstacles_in_env", "curriculum_level")
+    return {k: value[rows].clone() for k, value in gtd.items() if value.shape[0] == num_envs and k not in shared}
+
+
+def fly(env: EnvManager, first: int = 0, *, steps: int = 6) -> None:
+    """Fly with resets of some environments, by their number, on the way."""
+    env.reset()
+    number = torch.arange(first, first + env.num_envs)
+    for step in range(steps):
+        env.step(actions_of(env.num_envs, first))
+        env.reset((number + step) % 3 == 0)
+        env.render()
+
+
+def assert_same(found: dict[str, Tensor], expected: dict[str, Tensor]) -> None:
+    assert found.keys() == expected.keys()
+    different = [key for key in found if not torch.equal(found[key].nan_to_num(7.0), expected[key].nan_to_num(7.0))]
+    assert not different
+
+
+@pytest.mark.parametrize(
+    ("env", "robot"),
+    [
+        *((name, "base_quadrotor") for name in OBSTACLE_COURSES),
+        ("env_with_obstacles", "base_quadrotor_with_camera_imu"),
+        ("empty_env", "tinyprop"),
+        ("empty_env", "neural_fly_quad"),
+    ],
+)
+def test_an_environment_is_the_same_among_few_and_many(env: str, robot: str) -> None:
+    found = []
+    for num_envs in (FEW, MANY):
+        built = build(env, robot, num_envs)
+        fly(built)
+        found.append(snapshot(built.gtd, slice(FEW)))
+    assert_same(*found)
+
+
+def test_an_environment_can_be_flown_alone_from_its_numbers() -> None:
+    """Environment 17 in its fourth episode, of 37 that were reset together, is the only environment of another simulation."""
+    many = build("env_with_obstacles", "base_quadrotor_with_camera_imu", MANY)
+    for _ in range(3):
+        many.reset()
+    fly(many)
+    alone = build("env_with_obstacles", "base_quadrotor_with_camera_imu", 1, first_env=17, first_episode=3)
+    fly(alone, 17)
+    assert alone.gtd["episodes"].tolist() == many.gtd["episodes"][17:18].tolist()
+    assert_same(snapshot(alone.gtd, slice(1)), snapshot(many.gtd, slice(17, 18)))
+
+
+def test_another_seed_is_another_simulation() -> None:
+    """A restart gives what a new simulation with that seed gives, the choice of obstacles included."""
+    first = build("env_with_obstacles", "base_quadrotor_with_camera_imu", FEW, seed=1)
+    fly(first)
+    first.restart(2)
+    fly(first)
+    other = build("env_with_obstacles", "base_quadrotor_with_camera_imu", FEW, seed=2)
+    fly(other)
+    assert_same(snapshot(first.gtd, slice(None)), snapshot(other.gtd, slice(None)))
+    shapes = [env.asset_manager.scene.shape_index for env in (first, other)]
+    assert torch.equal(*shapes)
+    assert not torch.equal(
+        shapes[0], build("env_with_obstacles", "base_quadrotor", FEW, seed=1).asset_manager.scene.shape_index
+    )
+
+
+def roll_out(task: Task, first: int = 0, steps: int = 5) -> list[dict[str, Tensor]]:
+    """Return everything that a task gives, step by step; some episodes end on the way."""
+    observation, _ = task.reset()
+    found = [{"observation": observation["observations"].clone()}]
+    number = torch.arange(first, first + task.num_envs)
+    for step in range(steps):
+        task.env.gtd["sim_steps"].masked_fill_((number + step) % 3 == 0, task.cfg.episode_len_steps)
+        observation, reward, terminated, truncated, info = task.step(actions_of(task.num_envs, first))
+        row = {
+            "observation": observation["observations"],
+            "reward": reward,
+            "terminated": terminated,
+            "truncated": truncated,
+        }
+        found.append({key: value.clone() for key, value in (row | info).items()})
+    return found
+
+
+@pytest.mark.parametrize("name", task_registry.names())
+def test_a_task_gives_an_environment_the_same_among_few_and_many(name: str) -> None:
+    level = None if task_registry.get(name).curriculum is None else 20
+    runs = {}
+    for num_envs, first in ((FEW, 0), (MANY, 0), (1, 2)):
+        task = task_registry.make_task(name, num_envs=num_envs, device="cpu", seed=1, level=level, first_env=first)
+        runs[num_envs] = roll_out(task, first)
+    for few, many, alone in zip(*(runs[n] for n in (FEW, MANY, 1)), strict=True):
+        assert_same(few, {key: value[:FEW] for key, value in many.items()})
+        assert_same(alone, {key: value[2:3] for key, value in many.items()})
+
+
+def test_a_seed_given_to_a_reset_makes_a_new_task() -> None:
+    runs = []
+    for seed, again in ((1, 2), (2, None)):
+        task = task_registry.make_task("navigation_task", num_envs=FEW, device="cpu", seed=seed)
+        roll_out(task)
+        if again is not None:
+            task.reset(seed=again)
+            task.env.restart(again)
+        else:
+            task.reset(seed=2)
+            task.env.restart(2)
+        runs.append(roll_out(task))
+    for first, second in zip(*runs, strict=True):
+        assert_same(first, second)
+
+
+def test_environments_of_one_batch_differ() -> None:
+    env = SimBuilder().build_env(
+        sim_name="base_sim",
+        env_name="env_with_obstacles",
+        robot_name="base_quadrotor",
+        controller_name="lee_velocity_control",
+        num_envs=FEW,
+        device="cpu",
+    )
+    env.reset()
+    for key in ("robot_position", "env_bounds_min", "obstacle_position"):
+        rows = env.gtd[key].flatten(1)
+        assert all((rows[i] != rows[j]).any() for i in range(FEW) for j in range(i)), key
