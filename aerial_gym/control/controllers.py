@@ -138,7 +138,7 @@ class LeeController:
         """Draw gains for the environments in ``mask`` if the configuration randomises them."""
         for index, (name, (low, high)) in enumerate(self._ranges.items()):
             gain = getattr(self.gains, name)
-            draw = random.uniform(Purpose.GAINS, low, high, index=index)
+            draw = random.uniform(Purpose.GAINS, low[0], high[0], index=index)
             gain.copy_(torch.where(mask.unsqueeze(-1), draw, gain))
 
 

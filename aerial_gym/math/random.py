@@ -130,6 +130,10 @@ class Randomness:
         self.seed.fill_(seed % 2**31)
         self.episode.fill_(self._first_episode - 1)
 
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return what must be kept to go on, by name."""
+        return {"seed": self.seed, "environment": self.environment, "episode": self.episode}
+
     def begin(self, mask: Tensor) -> None:
         """Count a new episode in the environments of ``mask``, bool (E,)."""
         self.episode.add_(mask)

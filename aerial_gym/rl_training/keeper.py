@@ -90,7 +90,7 @@ class Keeper:
             "settings": to_mapping(self._cfg),
             "curriculum": None if curriculum is None else curriculum.state(),
             "random": checkpoint.random_state(),
-            "task_random": self._task.env.generator.get_state(),
+            "task_random": {name: tensor.clone() for name, tensor in self._task.env.random.state_tensors().items()},
         }
 
     def _restore_run(self, state: dict[str, Any]) -> None:
@@ -99,7 +99,8 @@ class Keeper:
             curriculum.load(state["curriculum"])
         if "random" in state:
             checkpoint.restore_random_state(state["random"])
-            self._task.env.generator.set_state(state["task_random"])
+            for name, tensor in self._task.env.random.state_tensors().items():
+                tensor.copy_(state["task_random"][name])
 
 
 def steps_of(resumed: tuple[Path, dict[str, Any]] | None, trainer: str) -> int:

@@ -24,8 +24,8 @@ from aerial_gym.robots.watch import Watch
 from aerial_gym.sensors.cells import NearestInCells
 from aerial_gym.task.actions import ACTIONS, Action
 from aerial_gym.task.curriculum import Curriculum
-from aerial_gym.task.goals import Goals
-from aerial_gym.task.noise import ObservationNoise
+from aerial_gym.task.draws.goals import Goals
+from aerial_gym.task.draws.noise import ObservationNoise
 from aerial_gym.task.observations import IMAGE_CELLS, OBSERVATIONS, ObservationTerm, TaskState
 from aerial_gym.task.rewards import REWARDS, Reward
 from aerial_gym.task.step_graph import StepGraph, check_terms, fuse

@@ -6,6 +6,7 @@ import pytest
 import torch
 import warp as wp
 
+from aerial_gym.assets import placement
 from aerial_gym.assets.collision import make_walk
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.images import IMAGES
@@ -15,11 +16,11 @@ from aerial_gym.interop.rows import RowFunction
 from aerial_gym.physics import EFFECTS, Ground, WarpBackend, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.robots import ROBOTS, derived, initial_state, scene_contact
-from aerial_gym.sensors import flow, imu, view
+from aerial_gym.sensors import flow, imu, places, view
 from aerial_gym.sensors.cells import make_pool
 from aerial_gym.sensors.pixels import Outputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
-from aerial_gym.task import goals
+from aerial_gym.task.draws import goals, noise
 from tests.physics.vehicles import random_network
 
 ARCHITECTURE = 90
@@ -91,6 +92,8 @@ def test_the_kernel_of_image_cells_compiles(tmp_path: Path) -> None:
     compile_for_gpu(make_pool(shared=True).module, tmp_path)
 
 
-@pytest.mark.parametrize("module", [derived, initial_state, imu, scene_contact, goals, view, flow])
+@pytest.mark.parametrize(
+    "module", [derived, initial_state, imu, scene_contact, goals, noise, places, placement, view, flow]
+)
 def test_kernels_of_modules_compile(module, tmp_path: Path) -> None:
     compile_for_gpu(wp.get_module(module.__name__), tmp_path)

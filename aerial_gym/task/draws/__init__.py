@@ -1,0 +1,1 @@
+"""What a task draws, in kernels: goals and the noise of observations."""
