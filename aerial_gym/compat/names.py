@@ -66,7 +66,7 @@ ABSENT: dict[str, dict[str, str]] = {
         _TASK,
     ),
 }
-"""Registered there, not here, by kind: the way out. A name that has come since is no longer missed."""
+"""Registered there, not here, by kind: the way out."""
 
 METHODS: tuple[Name, ...] = (
     Name(

@@ -11,13 +11,6 @@ from aerial_gym.compat.config import assets, controllers, environments, robots, 
 from aerial_gym.compat.config.fields import Table
 from aerial_gym.compat.modules import GONE, MODULES
 from aerial_gym.compat.names import ABSENT, METHODS
-from aerial_gym.compat.registries import (
-    controller_registry,
-    env_config_registry,
-    robot_registry,
-    sim_config_registry,
-    task_registry,
-)
 from aerial_gym.compat.tensors import KEYS
 
 BEGIN, END = "<!-- names: begin, by python -m aerial_gym.compat.page -->", "<!-- names: end -->"
@@ -67,19 +60,12 @@ def _keys() -> str:
 
 
 def _registered() -> str:
-    registries = (
-        ("sims", sim_config_registry.get_sim_names()),
-        ("environments", env_config_registry.get_env_names()),
-        ("robots", robot_registry.get_robot_names()),
-        ("controllers", controller_registry.get_controller_names()),
-        ("tasks", task_registry.get_task_names()),
+    ways = dict.fromkeys((kind, way) for kind, absent in ABSENT.items() for way in absent.values())
+    rows = ((kind, ", ".join(f"`{name}`" for name, w in ABSENT[kind].items() if w == way), way) for kind, way in ways)
+    return (
+        "Sims, environments, robots, controllers and tasks of that simulator are registered here under their names "
+        "(`aerial-gym list`), `base_sim_headless` among them; but for:\n\n" + _rows(("kind", "names", "way out"), rows)
     )
-    known = _rows(("kind", "names"), ((kind, ", ".join(f"`{name}`" for name in found)) for kind, found in registries))
-    here = {name for _, found in registries for name in found}
-    gone = [(kind, name, way) for kind, absent in ABSENT.items() for name, way in absent.items() if name not in here]
-    ways = dict.fromkeys((kind, way) for kind, _, way in gone)
-    rows = ((kind, ", ".join(f"`{n}`" for k, n, w in gone if (k, w) == (kind, way)), way) for kind, way in ways)
-    return known + "\n\nRegistered there and not here:\n\n" + _rows(("kind", "names", "way out"), rows)
 
 
 def _modules() -> str:

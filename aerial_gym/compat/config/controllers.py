@@ -30,14 +30,14 @@ TABLE = Table(
     kind="controller",
     fields=(
         *(
-            carried(f"{theirs}_{there}", f"gains.{ours}_{here}", lambda c, name=f"{ours}_{here}": list(getattr(c, name)),
+            carried(f"{theirs}_{there}", f"{ours}_{here}", lambda c, name=f"{ours}_{here}": list(getattr(c, name)),
                     _gain(theirs, ours), "a minimum above its maximum, as some of theirs have it, is put in order")
             for theirs, ours in _GAINS
             for there, here in (("min", "low"), ("max", "high"))
         ),
-        carried("max_yaw_rate", "gains.max_yaw_rate", lambda c: c.max_yaw_rate),
-        carried("max_inclination_angle_rad", "gains.max_inclination", lambda c: c.max_inclination, remark="never used there"),
-        carried("randomize_params", "gains.randomize", lambda c: c.randomize),
+        carried("max_yaw_rate", "max_yaw_rate", lambda c: c.max_yaw_rate),
+        carried("max_inclination_angle_rad", "max_inclination", lambda c: c.max_inclination, remark="never used there"),
+        carried("randomize_params", "randomize", lambda c: c.randomize),
         kept("num_actions", "-", lambda _: 4, "follows from the law"),
     ),
     idle_sections={},

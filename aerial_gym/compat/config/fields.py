@@ -139,7 +139,7 @@ class Table:
                 near = get_close_matches(path, known, n=1)
                 hint = f" Did you mean {near[0]!r}?" if near else ""
                 raise ConfigError(
-                    f"{name}.{path} = {value!r}: no such field of a {self.kind}.{hint} Known: {', '.join(sorted(known))}. "
+                    f"{name}.{path} = {value!r}: no such field ({self.kind}).{hint} Known: {', '.join(sorted(known))}. "
                     "Names that are the class's own begin with an underscore"
                 )
 

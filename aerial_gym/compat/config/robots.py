@@ -12,9 +12,7 @@ import numpy as np
 
 from aerial_gym.compat.config.fields import Changes, Table, Values, carried, changed, derived, idle, kept, refused
 from aerial_gym.compat.config.sensors import (
-    BaseImuConfig,
-    BoschBMI088Config,
-    VN100Config,
+    imu_class,
     imu_name,
     sensor_class,
     sensor_name,
@@ -22,25 +20,26 @@ from aerial_gym.compat.config.sensors import (
 from aerial_gym.compat.directory import AERIAL_GYM_DIRECTORY
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sensor import LidarCfg
+from aerial_gym.config.sensor_mount import as_mounts
 from aerial_gym.robots import ROBOTS
-from aerial_gym.sensors import SENSORS
+from aerial_gym.sensors import IMUS, SENSORS
 
-_IMUS = {"base_imu": BaseImuConfig, "vn100": VN100Config, "bmi088": BoschBMI088Config}
 _FILE = (
     "the body of a robot stands in a robot file here (docs/coming_from_aerial_gym.md, 'A robot'); give its path as robot_name, "
     "or register it: aerial_gym.ROBOTS.register(name, load_robot(path))"
 )
+_NEVER_ACTIVE = 100000.0
+"""Largest rate of a motor there if none is wanted."""
 _PER_TURN = (2.0 * pi) ** 2
 """(rad/s)² per (rev/s)²."""
 
 
 def allocation_matrix(cfg: RobotCfg) -> list[list[float]]:
     """Return force and torque per thrust of each rotor, rows Fx, Fy, Fz, Mx, My, Mz, columns in the order of the mounts."""
-    ratio = cfg.rotor.torque_ratio or 0.0
     columns = []
-    for mount in cfg.mounts.layout:
+    for mount, rotor in zip(cfg.mounts.layout, cfg.rotor_types, strict=True):
         axis = np.asarray(mount.axis, dtype=float) / np.linalg.norm(mount.axis)
-        torque = np.cross(mount.position, axis) - mount.spin * ratio * axis
+        torque = np.cross(mount.position, axis) - mount.spin * (rotor.torque_ratio or 0.0) * axis
         columns.append(np.concatenate((axis, torque)))
     return np.stack(columns, axis=1).tolist()
 
@@ -78,8 +77,26 @@ _fall = _middle("motor_time_constant_decreasing")
 _RANGE = "the middle of the range; draws are `randomization:` of a robot file"
 
 
-def _thrust_map(values: Values) -> Changes:
-    return {"rotor.thrust_map": (0.0, 0.0, _thrust(values))}
+def _mode(values: Values) -> Changes:
+    """Return the mode of the rotors, and their thrust map, which there is none of in force mode."""
+    speed = bool(values[f"{_MOTOR}.use_rps"])
+    return {
+        "rotor.mode": "speed" if speed else "force",
+        "rotor.thrust_map": (0.0, 0.0, _thrust(values) if speed else 0.0),
+    }
+
+
+def _slew(values: Values) -> Changes:
+    """Return the largest rate of the state: there [rev/s²] or [N/s]."""
+    rate = float(values[f"{_MOTOR}.max_thrust_rate"])
+    return {"rotor.slew_rate": 2.0 * pi * rate if values[f"{_MOTOR}.use_rps"] else rate}
+
+
+def _largest_rate(cfg: RobotCfg) -> float:
+    rotor = cfg.rotor_types[0]
+    if rotor.slew_rate is None:
+        return _NEVER_ACTIVE
+    return rotor.slew_rate / (2.0 * pi) if rotor.mode == "speed" else rotor.slew_rate
 
 
 def _thrust_range(values: Values) -> Changes:
@@ -97,15 +114,17 @@ def _drag(values: Values) -> Changes:
 
 
 def _sensor(values: Values) -> Changes:
-    classes = [
-        values[f"sensor_config.{kind}_config"] for kind in ("camera", "lidar") if values[f"sensor_config.enable_{kind}"]
+    names = (("camera", sensor_name), ("lidar", sensor_name), ("imu", imu_name))
+    on_board = [
+        name(values[f"sensor_config.{kind}_config"]) for kind, name in names if values[f"sensor_config.enable_{kind}"]
     ]
-    return {"sensors": tuple(sensor_name(cls) for cls in classes)}
+    return {"sensors": tuple(on_board), "imu": None}
 
 
-def _imu(values: Values) -> Changes:
-    enabled = values["sensor_config.enable_imu"]
-    return {"imu": imu_name(values["sensor_config.imu_config"]) if enabled else None}
+def _imu_class(cfg: RobotCfg, default: str | None) -> type | None:
+    """Return the class of the first IMU that a robot has."""
+    found = next((mount.sensor for mount in cfg.sensor_mounts if mount.sensor in IMUS), default)
+    return None if found is None else imu_class(found)
 
 
 def _sensor_class(cfg: RobotCfg, kind: str, default: str | None) -> type | None:
@@ -136,8 +155,8 @@ TABLE = Table(
         carried("sensor_config.camera_config", "sensors", lambda c: _sensor_class(c, "camera", "base_depth_camera"), _sensor),
         carried("sensor_config.enable_lidar", "sensors", lambda c: _sensor_class(c, "lidar", None) is not None, _sensor),
         carried("sensor_config.lidar_config", "sensors", lambda c: _sensor_class(c, "lidar", "base_lidar"), _sensor),
-        carried("sensor_config.enable_imu", "imu", lambda c: c.imu is not None, _imu),
-        carried("sensor_config.imu_config", "imu", lambda c: _IMUS.get(c.imu, BaseImuConfig), _imu),
+        carried("sensor_config.enable_imu", "sensors", lambda c: _imu_class(c, None) is not None, _sensor),
+        carried("sensor_config.imu_config", "sensors", lambda c: _imu_class(c, "base_imu"), _sensor),
         refused("disturbance.enable_disturbance", False,
                 "pushes per physics step would depend on dt: use the effect gusts in a robot file"),
         idle("disturbance.prob_apply_disturbance", 0.02, "only with enable_disturbance"),
@@ -180,22 +199,22 @@ TABLE = Table(
         derived("control_allocator_config.motor_directions", lambda c: [m.spin for m in c.mounts.layout], _FILE),
         idle("control_allocator_config.application_mask", None, "thrust acts where the rotors are"),
         idle("control_allocator_config.force_application_level", "motor_link", "thrust acts where the rotors are"),
-        refused(f"{_MOTOR}.use_rps", True, "the state of a rotor is its speed here; False is force mode"),
+        carried(f"{_MOTOR}.use_rps", "rotor.mode", lambda c: c.rotor_types[0].mode == "speed", _mode, "speed or force"),
         *(carried(f"{_MOTOR}.motor_thrust_constant_{end}", "rotor.thrust_map",
-                  lambda c: c.rotor.thrust_map[2] * _PER_TURN, _thrust_map, f"N per (rev/s)²; {_RANGE}")
+                  lambda c: c.rotor_types[0].thrust_map[2] * _PER_TURN, _mode, f"N per (rev/s)²; {_RANGE}")
           for end in ("min", "max")),
         *(carried(f"{_MOTOR}.motor_time_constant_increasing_{end}", "rotor.time_constant_up",
-                  lambda c: c.rotor.time_constant_up, lambda v: {"rotor.time_constant_up": _rise(v)},
+                  lambda c: c.rotor_types[0].time_constant_up, lambda v: {"rotor.time_constant_up": _rise(v)},
                   f"{_RANGE}; there the lag was tau + dt")
           for end in ("min", "max")),
         *(carried(f"{_MOTOR}.motor_time_constant_decreasing_{end}", "rotor.time_constant_down",
-                  lambda c: c.rotor.time_constant_down, lambda v: {"rotor.time_constant_down": _fall(v)}, _RANGE)
+                  lambda c: c.rotor_types[0].time_constant_down, lambda v: {"rotor.time_constant_down": _fall(v)}, _RANGE)
           for end in ("min", "max")),
-        carried(f"{_MOTOR}.min_thrust", "rotor.thrust_range", lambda c: c.rotor.thrust_range[0], _thrust_range),
-        carried(f"{_MOTOR}.max_thrust", "rotor.thrust_range", lambda c: c.rotor.thrust_range[1], _thrust_range),
-        carried(f"{_MOTOR}.thrust_to_torque_ratio", "rotor.torque_ratio", lambda c: c.rotor.torque_ratio,
+        carried(f"{_MOTOR}.min_thrust", "rotor.thrust_range", lambda c: c.rotor_types[0].thrust_range[0], _thrust_range),
+        carried(f"{_MOTOR}.max_thrust", "rotor.thrust_range", lambda c: c.rotor_types[0].thrust_range[1], _thrust_range),
+        carried(f"{_MOTOR}.thrust_to_torque_ratio", "rotor.torque_ratio", lambda c: c.rotor_types[0].torque_ratio,
                 lambda v: {"rotor.torque_ratio": float(v[f"{_MOTOR}.thrust_to_torque_ratio"]), "rotor.torque_map": None}),
-        idle(f"{_MOTOR}.max_thrust_rate", 100000.0, "never active there"),
+        carried(f"{_MOTOR}.max_thrust_rate", "rotor.slew_rate", _largest_rate, _slew, "100000 is none"),
         idle(f"{_MOTOR}.use_discrete_approximation", True, "the lag is exact for every dt"),
         idle(f"{_MOTOR}.integration_scheme", "rk4", "the lag is exact for every dt"),
         kept("dof_control_mode", "-", lambda _: "none", "no robot has joints yet"),
@@ -210,8 +229,9 @@ def robot_of(cls: Any) -> RobotCfg:
     cfg = TABLE.translate(cls, ROBOTS.get("base_quadrotor"))
     values = {field.theirs: field.read(cfg) for field in TABLE.fields} | TABLE.values(cls)
     changes = _sensor(values)
-    plain = all(isinstance(sensor, str) for sensor in cfg.sensors)
-    return changed(cfg, changes) if plain and len(changes["sensors"]) == len(cfg.sensors) else cfg
+    mounts = cfg.sensor_mounts
+    plain = mounts == as_mounts(tuple(mount.sensor for mount in mounts)) and len(mounts) == len(changes["sensors"])
+    return changed(cfg, changes) if plain else cfg
 
 
 BaseQuadCfg = TABLE.class_of("BaseQuadCfg", ROBOTS.get("base_quadrotor"))

@@ -12,7 +12,7 @@ from typing import Any
 from aerial_gym.compat.config.fields import STANDS_FOR, Changes, Table, Values, carried, idle, refused
 from aerial_gym.config.sensor import CameraCfg, LidarCfg, NoiseCfg, RangeSensorCfg, StereoCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.sensors import SENSORS
+from aerial_gym.sensors import IMUS, SENSORS
 
 _NO_NOISE = NoiseCfg()
 
@@ -237,6 +237,14 @@ class BoschBMI088Config(BaseImuConfig):
     _imu = "bmi088"
 
 
+_imus: dict[str, type] = {cls._imu: cls for cls in (BaseImuConfig, VN100Config, BoschBMI088Config)}
+
+
+def imu_class(name: str) -> type:
+    """Return the class that stands for a registered IMU; the same one at every call."""
+    return _imus.setdefault(name, type(name, (BaseImuConfig,), {"_imu": name}))
+
+
 def imu_name(cls: Any) -> str:
     """Return our IMU for an IMU class.
 
@@ -248,7 +256,7 @@ def imu_name(cls: Any) -> str:
     if name is None or own:
         what = f"{getattr(cls, '__name__', cls)}" + (f".{own[0]}" if own else "")
         raise ConfigError(
-            f"{what}: IMUs are files here (config/imus/*.yaml). Use BaseImuConfig, VN100Config or BoschBMI088Config"
+            f"{what}: IMUs are files here (config/imus/*.yaml); their classes have no numbers. Known: {', '.join(IMUS)}"
         )
     return name
 

@@ -48,7 +48,7 @@ def test_flags_outlive_the_reset_until_the_next_step() -> None:
 
 def test_reset_on_collision_keeps_crashed_rows() -> None:
     class Lasting(env_config_registry.get_env_config("empty_env")):
-        class env(env_config_registry.get_env_config("empty_env").env):  # noqa: N801
+        class env(env_config_registry.get_env_config("empty_env").env):
             reset_on_collision = False
 
     env_config_registry.register("lasting", Lasting)

@@ -1,0 +1,36 @@
+"""The base class of tasks that scripts write."""
+
+import random
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from aerial_gym.compat import BaseTask
+
+
+def test_a_seed_reaches_what_scripts_draw_from() -> None:
+    def draws(seed: int) -> tuple[float, float, float]:
+        BaseTask(SimpleNamespace(seed=seed))
+        return random.random(), float(np.random.rand()), torch.rand(1).item()
+
+    assert draws(3) == draws(3)
+    assert draws(3) != draws(4)
+
+
+@pytest.mark.parametrize("seed", [None, -1])
+def test_no_seed_leaves_them_alone(seed: int | None) -> None:
+    torch.manual_seed(9)
+    BaseTask(SimpleNamespace(seed=seed))
+    first = torch.rand(1)
+    torch.manual_seed(9)
+    assert torch.equal(first, torch.rand(1))
+
+
+@pytest.mark.parametrize("method", ["reset", "step", "reset_idx", "render"])
+def test_what_a_task_must_define_is_named(method: str) -> None:
+    task = BaseTask(SimpleNamespace(seed=None))
+    with pytest.raises(NotImplementedError, match=f"BaseTask.{method}: the task class must define it"):
+        getattr(task, method)(*([] if method in ("reset", "render") else [0]))
+    task.close()

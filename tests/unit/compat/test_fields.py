@@ -1,0 +1,307 @@
+"""Configuration classes: each attribute of each table is carried over, without effect, or refused with the way out."""
+
+import logging
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pytest
+
+from aerial_gym.compat.config import assets, controllers, environments, robots, sensors, sims, tasks
+from aerial_gym.compat.config.fields import STANDS_FOR, Field, Table, same
+from aerial_gym.compat.page import TABLES
+from aerial_gym.errors import ConfigError
+
+URDF = '<robot name="post"><link name="post"><collision><geometry><box size="0.2 0.2 1"/></geometry></collision></link></robot>'
+
+CLASSES: dict[str, Any] = {
+    "Sims": sims.BaseSimConfig,
+    "Environments": environments.CLASSES["env_with_obstacles"],
+    "Obstacles": assets.CLASSES["panels"],
+    "Robots": robots.CLASSES["base_quadrotor_with_camera_imu"],
+    "Cameras": sensors.CLASSES["stereo_camera"],
+    "Lidars": sensors.CLASSES["base_lidar"],
+    "Gains of controllers": controllers.control,
+    "Tasks of this package": tasks.task_class_config("navigation_task"),
+}
+"""A class of each table in which every field has a value."""
+
+OTHER: dict[str, Any] = {
+    "sim.gravity": [0.0, 0.0, -1.62],
+    "sensor_type": "normal_faceID_camera",
+    "env_config.include_asset_type": {"panels": True},
+    "env_config.asset_type_to_dict_map": {"panels": assets.CLASSES["trees"]},
+    "sensor_config.enable_lidar": True,
+    "sensor_config.camera_config": sensors.CLASSES["rs_d455"],
+    "sensor_config.imu_config": sensors.VN100Config,
+    "damping.linvel_linear_damping_coefficient": [0.1, 0.2, 0.3],
+    "damping.linvel_quadratic_damping_coefficient": [0.1, 0.2, 0.3],
+    "control_allocator_config.motor_model_config.min_thrust": 0.1,
+    "min_translation": [0.0, -0.1, 0.0],
+    "min_euler_rotation_deg": [-9.0, -9.0, -9.0],
+    "nominal_position": [0.08, 0.0, 0.02],
+    "nominal_orientation_euler_deg": [1.0, 2.0, 3.0],
+    "max_inclination_angle_rad": 0.7,
+    "horizontal_fov_deg_min": -170.0,
+    "horizontal_fov_deg_max": 170.0,
+    "min_state_ratio": [0.1, 0.0, 0.0, -0.1, -0.1, -1.2, 1.0, 0, 0, 0, 0, 0, 0],
+    "init_config.min_init_state": [0.0, 0.1, 0.1, -0.1, -0.1, -1.0, 1.0, -0.3, -0.3, -0.3, -0.3, -0.3, -0.3],
+    "target_min_ratio": (0.1, 0.2, 0.3),
+    "target_max_ratio": (0.95, 0.9, 0.9),
+    "sim_name": "base_sim_2ms",
+    "env_name": "empty_env",
+    "robot_name": "tinyprop",
+    "controller_name": "lee_attitude_control",
+    "success_rate_for_decrease": 0.5,
+    "curriculum.success_rate_for_decrease": 0.5,
+}
+"""Values other than the plain ones, where a number or a truth will not do."""
+
+NEEDS: dict[str, dict[str, Any]] = {
+    "pointcloud_in_world_frame": {"return_pointcloud": True},
+    "sensor_config.lidar_config": {"sensor_config.enable_lidar": True},
+    "per_link_semantic": {"asset_folder": "URDF"},
+    "semantic_masked_links": {"asset_folder": "URDF"},
+    "file": {"asset_folder": "URDF"},
+    "sensor_noise.std_a": {"sensor_noise.std_b": 0.0},
+}
+"""What else must be set so that a field says something."""
+
+
+KEPT = {
+    "env.num_envs", "env.reset_on_collision", "dof_control_mode", "num_actions", "device", "seed", "return_state_before_reset",
+}  # fmt: skip
+"""Fields that are read where they are needed, and not written into our configuration."""
+
+
+def another(field: Field, value: Any) -> Any:
+    """Return another value of the same kind."""
+    if field.theirs in OTHER:
+        return OTHER[field.theirs]
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int):
+        return value + 1
+    if isinstance(value, float):
+        return 1.01 * value + 0.001
+    if isinstance(value, dict):
+        return {key: 2.0 * number for key, number in value.items()} or {"post": 7}
+    if isinstance(value, (list, tuple)) and all(isinstance(entry, (int, float)) for entry in value):
+        return [1.01 * entry + 0.001 for entry in value]
+    return "another"
+
+
+def derived_class(parent: type, values: dict[str, Any]) -> type:
+    """Return a class derived from a configuration class with other values, written as scripts write it."""
+    made = type("Mine", (parent,), {})
+    for path, value in values.items():
+        node, inherited = made, parent
+        *sections, last = path.split(".")
+        for section in sections:
+            inherited = getattr(inherited, section)
+            if section not in vars(node):
+                setattr(node, section, type(section, (inherited,), {}))
+            node = vars(node)[section]
+        setattr(node, last, value)
+    return made
+
+
+CASES = [(title, table, field) for title, table in TABLES for field in table.fields]
+
+
+@pytest.mark.parametrize(("title", "table", "field"), CASES, ids=[f"{t} {f.theirs}" for t, _, f in CASES])
+def test_every_attribute_does_what_the_table_says(
+    title: str, table: Table, field: Field, tmp_path: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A changed value changes our configuration, is noted in the log as without effect, or is refused with the way out."""
+    parent = CLASSES[title]
+    stands_for = getattr(parent, STANDS_FOR)
+    (tmp_path / "post.urdf").write_text(URDF)
+    values = {key: str(tmp_path) if value == "URDF" else value for key, value in NEEDS.get(field.theirs, {}).items()}
+    before = table.translate(derived_class(parent, values), stands_for)
+    new = another(field, field.read(stands_for))
+    if field.theirs == "asset_folder":
+        new = str(tmp_path)
+    elif field.theirs == "file":
+        new = "post.urdf"
+        (tmp_path / "other.urdf").write_text(URDF)
+        before = table.translate(derived_class(parent, values), stands_for)
+    cls = derived_class(parent, values | {field.theirs: new})
+    if field.refused:
+        with pytest.raises(ConfigError, match=f"Mine.{field.theirs} = "):
+            table.translate(cls, stands_for)
+        assert field.remark
+        return
+    with caplog.at_level(logging.INFO, logger="aerial_gym"):
+        after = table.translate(cls, stands_for)
+    if field.write is None:
+        assert "without effect here" in caplog.text
+        assert field.remark
+    changes = field.write is not None and field.theirs not in KEPT
+    assert (after != before) == changes
+
+
+@pytest.mark.parametrize(("title", "table"), TABLES, ids=[title for title, _ in TABLES])
+def test_a_class_stands_for_its_configuration(title: str, table: Table) -> None:
+    """Read back unchanged, also from a class derived with a nested class of its own, it is the very same numbers."""
+    parent = CLASSES[title]
+    stands_for = getattr(parent, STANDS_FOR)
+    assert table.translate(parent, stands_for) == stands_for
+    assert table.translate(parent(), stands_for) == stands_for
+    assert table.translate(derived_class(parent, {}), stands_for) == stands_for
+
+
+def test_the_sections_that_mean_nothing_take_anything() -> None:
+    class Sim(sims.BaseSimConfig):
+        class viewer:
+            camera_position = [-5, -5, 4]
+
+        class sim(sims.BaseSimConfig.sim):  # pyright: ignore
+            class physx:
+                num_threads = 10
+
+    assert sims.sim_of(Sim) == sims.sim_of(sims.BaseSimConfig)
+
+
+def test_an_unknown_attribute_is_refused_by_name() -> None:
+    cls = derived_class(CLASSES["Environments"], {"env.lower_bound_mim": [0, 0, 0]})
+    with pytest.raises(
+        ConfigError,
+        match=r"Mine.env.lower_bound_mim = \[0, 0, 0\]: no such field \(environment\). Did you mean 'env.lower_bound_min'",
+    ):
+        environments.environment_of(cls)
+    cls = derived_class(CLASSES["Environments"], {"env._my_own_note": 3})
+    assert environments.environment_of(cls) == environments.environment_of(CLASSES["Environments"])
+
+
+def test_changes_are_made_all_at_once() -> None:
+    """Bounds that are only in order together do not pass through a state in which they are not."""
+
+    class Far:
+        class env:
+            lower_bound_min = lower_bound_max = [100.0, 100.0, 100.0]
+            upper_bound_min = upper_bound_max = [120.0, 120.0, 120.0]
+
+    cfg = environments.environment_of(Far)
+    assert cfg.bounds_lower_low == (100.0, 100.0, 100.0)
+    assert cfg.bounds_upper_high == (120.0, 120.0, 120.0)
+    assert cfg.assets == ()
+
+
+def test_asset_classes_are_read_when_something_is_built() -> None:
+    """Scripts change shared classes in place before they build."""
+    panels = assets.CLASSES["panels"]
+    try:
+        panels.num_assets = 7
+        cfg = environments.environment_of(CLASSES["Environments"])
+        assert next(a.count for a in cfg.assets if a.name == "panels") == 7
+        panels.num_assets = 0
+        assert "panels" not in [a.name for a in environments.environment_of(CLASSES["Environments"]).assets]
+    finally:
+        panels.num_assets = 3
+    assert environments.environment_of(CLASSES["Environments"]) == getattr(CLASSES["Environments"], STANDS_FOR)
+
+
+def test_folders_of_that_simulator_have_shapes_here() -> None:
+    class Trees(assets.BaseAssetParams):
+        asset_folder = "/nowhere/aerial_gym/resources/models/environment_assets/trees"
+
+    cfg = assets.asset_of("wood", Trees)
+    assert cfg is not None
+    assert cfg.name == "wood"
+    assert cfg.family is not None
+    assert cfg.family.name == "trees"
+
+    class Nothing(assets.BaseAssetParams):
+        asset_folder = "/nowhere/houses"
+
+    with pytest.raises(
+        ConfigError, match="asset_folder = '/nowhere/houses', file = None: no such URDF file. Folders of that"
+    ):
+        assets.asset_of("houses", Nothing)
+
+    class Bare(assets.BaseAssetParams):
+        num_assets = 2
+
+    with pytest.raises(ConfigError, match="Bare.asset_folder: must be given"):
+        assets.asset_of("bare", Bare)
+
+
+def test_units_of_the_motor_model() -> None:
+    """1.376e-5 N per (rev/s)² is that over (2 pi)² per (rad/s)²; the middle of a range counts."""
+    low, high = 1.0e-5, 1.752e-5
+    motor = "control_allocator_config.motor_model_config"
+    cls = derived_class(
+        robots.BaseQuadCfg,
+        {f"{motor}.motor_thrust_constant_min": low, f"{motor}.motor_thrust_constant_max": high},
+    )
+    assert robots.robot_of(cls).rotor_types[0].thrust_map == pytest.approx((0.0, 0.0, 1.376e-5 / 39.47841760435743))
+
+
+def test_force_mode_has_no_thrust_map() -> None:
+    """There the state of such a motor is its thrust, with limits that may be negative: a reversible rotor."""
+    motor = "control_allocator_config.motor_model_config"
+    values = {"use_rps": False, "min_thrust": -5.0, "max_thrust": 5.0, "max_thrust_rate": 200.0}
+    rotor = robots.robot_of(derived_class(robots.BaseQuadCfg, {f"{motor}.{k}": v for k, v in values.items()})).rotor
+    assert rotor is not None
+    assert (rotor.mode, rotor.thrust_map, rotor.thrust_range, rotor.slew_rate) == (
+        "force",
+        (0.0,) * 3,
+        (-5.0, 5.0),
+        200.0,
+    )
+
+
+def test_allocation_matrix_is_that_of_the_class() -> None:
+    """Parity 2.4: Mx (-l,-l,l,l), My (-l,l,l,-l), Mz (-c,c,-c,c) with l = 0.13 m, c = 0.01 m."""
+    expected = [
+        [0.0] * 4, [0.0] * 4, [1.0] * 4,
+        [-0.13, -0.13, 0.13, 0.13], [-0.13, 0.13, 0.13, -0.13], [-0.01, 0.01, -0.01, 0.01],
+    ]  # fmt: skip
+    assert same(robots.BaseQuadCfg.control_allocator_config.allocation_matrix, expected)  # pyright: ignore
+
+
+def test_depth_of_cameras_there_is_divided_by_the_range() -> None:
+    cfg = sensors.sensor_of(sensors.CLASSES["base_depth_camera"])
+    assert cfg.normalize
+    assert (cfg.far_pixel, cfg.near_pixel) == (1.0, -1.0)
+    assert sensors.sensor_name(sensors.CLASSES["stereo_camera"]) == "stereo_camera"
+
+
+def test_an_imu_is_one_of_ours() -> None:
+    assert sensors.imu_name(sensors.BoschBMI088Config) == "bmi088"
+
+    class Noisy(sensors.BaseImuConfig):
+        imu_noise_std = [1.0] * 6
+
+    with pytest.raises(ConfigError, match="Noisy.imu_noise_std: IMUs are files here"):
+        sensors.imu_name(Noisy)
+
+
+def test_gains_of_a_class_are_explicit_gains() -> None:
+    """A minimum above its maximum, as some classes there have it, is put in order."""
+
+    class Quick(controllers.control):
+        K_rot_tensor_min = [1.6, 1.6, 0.4]
+        K_rot_tensor_max = [1.5, 1.7, 0.5]
+        randomize_params = True
+
+    cfg = controllers.controller_of(controllers.LAWS["LeeAttitudeController"], Quick)
+    assert cfg.gains is not None
+    assert cfg.gains.attitude_gain_low == (1.5, 1.6, 0.4)
+    assert cfg.gains.attitude_gain_high == (1.6, 1.7, 0.5)
+    assert cfg.gains.randomize
+    with pytest.raises(ConfigError, match="controller class MyLaw: its own law cannot be run here"):
+        controllers.controller_of(type("MyLaw", (), {}), Quick)
+
+
+@dataclass(frozen=True)
+class _Inner:
+    a: float = 1.0
+
+
+def test_same_compares_numbers_to_a_millionth() -> None:
+    assert same([1.0, 2], (1.0 + 1e-9, 2.0))
+    assert not same([1.0], [1.0001])
+    assert not same([1.0], 1.0)
+    assert not same("ab", ("a", "b"))
+    assert replace(_Inner(), a=2.0) != _Inner()

@@ -1,0 +1,70 @@
+"""Tasks of this package with the interface of that simulator's."""
+
+import pytest
+import torch
+
+from aerial_gym import task_registry as TASKS  # noqa: N812
+from aerial_gym.compat import task_registry
+from aerial_gym.compat.registered_task import PositionSetpointTask, RegisteredTask, task_class
+from aerial_gym.errors import CapabilityError, ConfigError
+
+NAME = "position_setpoint_task"
+
+
+def make(**given: object) -> RegisteredTask:
+    return task_registry.make_task(NAME, num_envs=3, device="cpu", **given)  # pyright: ignore
+
+
+def test_it_is_our_task() -> None:
+    """Observation, reward and flags are those of the task that ``aerial_gym.task_registry`` makes with the same seed."""
+    theirs, ours = make(seed=4), TASKS.make_task(NAME, num_envs=3, device="cpu", seed=4)
+    assert isinstance(theirs, PositionSetpointTask)
+    obs, rewards, terminations, truncations, infos = theirs.reset()
+    assert torch.equal(obs["observations"], ours.reset()[0]["observations"])
+    assert rewards.tolist() == [0.0] * 3
+    assert not (terminations | truncations).any()
+    assert infos == {}
+    action = torch.full((3, 4), 0.1)
+    for _ in range(5):
+        got, want = theirs.step(action), ours.step(action)
+    obs, rewards, terminations, truncations, infos = got
+    assert torch.equal(obs["observations"], want[0]["observations"])
+    assert torch.equal(rewards, want[1])
+    assert set(obs) == {"observations", "priviliged_obs", "collisions", "rewards", "terminations", "truncations"}
+    assert obs["priviliged_obs"].shape == (3, 0)
+    assert {"final_observation", "time_outs"} <= set(infos)
+    assert theirs.observation_space == ours.observation_space
+
+
+def test_a_configuration_class_changes_it() -> None:
+    """An episode has as many steps as the class says, and the observation is the last one of it where the class says so."""
+
+    class Short(task_registry.get_task_config(NAME)):
+        episode_len_steps = 3
+        return_state_before_reset = True
+
+    task_registry.register_task("short_task", task_class(NAME), Short)
+    task = task_registry.make_task("short_task", num_envs=2, device="cpu", seed=0)
+    task.reset()
+    flags = []
+    for _ in range(3):
+        obs, _, _, truncations, infos = task.step(torch.zeros(2, 4))
+        flags.append(truncations.tolist())
+    assert flags == [[False, False], [False, False], [True, True]]
+    assert torch.equal(obs["observations"], infos["final_observation"])
+    assert task.sim_env.sim_steps.tolist() == [0, 0]
+
+
+def test_what_it_cannot_says_what_to_do() -> None:
+    class Wide(task_registry.get_task_config(NAME)):
+        observation_space_dim = 14
+
+    with pytest.raises(
+        ConfigError, match=r"Wide.observation_space_dim = 14: follows from `observations:` of a task file"
+    ):
+        task_class(NAME)(Wide, device="cpu", num_envs=2)
+    task = make()
+    with pytest.raises(CapabilityError, match=r"position_setpoint_task.reset_idx\(\[0\]\): step\(\) resets"):
+        task.reset_idx([0])
+    task.render()
+    task.close()

@@ -1,0 +1,158 @@
+"""The five registries: names of both simulators, classes, what cannot be had alone."""
+
+import re
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from aerial_gym import CONTROLLERS, ENVIRONMENTS, ROBOTS, SIMS
+from aerial_gym import task_registry as TASKS  # noqa: N812
+from aerial_gym.compat import (
+    SimBuilder,
+    controller_registry,
+    env_config_registry,
+    robot_registry,
+    sim_config_registry,
+    task_registry,
+)
+from aerial_gym.compat.config import controllers, robots, sims
+from aerial_gym.compat.names import ABSENT
+from aerial_gym.compat.registries import BaseMultirotor, fresh
+from aerial_gym.errors import CapabilityError, ConfigError, DuplicateNameError, UnknownNameError
+
+GETTERS: dict[str, Callable[[str], object]] = {
+    "sim": sim_config_registry.get_sim_config,
+    "environment": env_config_registry.get_env_config,
+    "robot": robot_registry.get_robot_config,
+    "controller": controller_registry.get_controller_config,
+    "task": task_registry.get_task_config,
+}
+MISSING = [(kind, name) for kind, absent in ABSENT.items() for name in absent]
+
+
+@pytest.mark.parametrize(("kind", "name"), MISSING)
+def test_what_is_registered_there_and_not_here_says_what_to_do(kind: str, name: str) -> None:
+    ours = {"sim": SIMS, "environment": ENVIRONMENTS, "robot": ROBOTS, "controller": CONTROLLERS, "task": TASKS}[kind]
+    assert name not in ours, (
+        f"{name} has come: take it out of compat/names.py, then python -m aerial_gym.compat.page docs/..."
+    )
+    with pytest.raises(UnknownNameError, match=re.escape(f"no {kind} {name!r}. {ABSENT[kind][name]}. Known: ")):
+        GETTERS[kind](name)
+
+
+def test_all_names_are_those_of_both() -> None:
+    assert {"base_sim_headless", *SIMS} <= set(sim_config_registry.get_sim_names())
+    assert set(ENVIRONMENTS) <= set(env_config_registry.get_env_names())
+    assert set(ROBOTS) <= set(robot_registry.get_robot_names())
+    assert set(CONTROLLERS) <= set(controller_registry.get_controller_names())
+    assert set(TASKS) <= set(task_registry.get_task_names())
+    assert len(task_registry.get_task_classes()) == len(task_registry.get_task_configs()) >= len(TASKS)
+
+
+@pytest.mark.parametrize("name", ROBOTS.names())
+def test_every_robot_of_ours_has_a_class(name: str) -> None:
+    """Read back it is the robot; only depth cameras are divided by their range, as there."""
+    cls = robot_registry.get_robot_config(name)
+    assert robot_registry.get_robot_class(name) is BaseMultirotor
+    translated = robots.robot_of(cls)
+    assert translated.body == ROBOTS.get(name).body
+    assert len(translated.sensors) == len(ROBOTS.get(name).sensors)
+    assert robot_registry.resolve(name) in (name, translated)
+
+
+def test_a_file_of_ours_is_a_robot() -> None:
+    from aerial_gym.config import CONFIG_DIR
+
+    path = str(CONFIG_DIR / "robots" / "tinyprop.yaml")
+    assert robot_registry.resolve(path) == path
+    assert robot_registry.config_class(path).init_config.min_init_state[6] == 1.0
+
+
+def test_another_class_under_a_name_is_refused() -> None:
+    """The same one, or one that a notebook defines again, is taken; there every name could be overwritten in silence."""
+
+    class Slow(sims.BaseSimConfig):
+        class sim(sims.BaseSimConfig.sim):  # pyright: ignore
+            dt = 0.05
+
+    first = Slow
+    sim_config_registry.register("slow", Slow)
+    sim_config_registry.register("slow", Slow)
+    sim_config_registry.register("base_sim", sims.BaseSimConfig)
+    assert sim_config_registry.make_sim("slow") is first
+    assert sim_config_registry.resolve("slow").dt == 0.05
+    with pytest.raises(DuplicateNameError, match="sim 'slow' is registered already, as something else"):
+        sim_config_registry.register("slow", sims.BaseSimConfig)
+    with pytest.raises(DuplicateNameError, match="environment 'empty_env'"):
+        env_config_registry.register("empty_env", Slow)
+
+
+def test_a_frozen_configuration_can_be_registered_too() -> None:
+    robot_registry.register("my_tinyprop", BaseMultirotor, ROBOTS.get("tinyprop"))
+    assert robot_registry.resolve("my_tinyprop") == ROBOTS.get("tinyprop")
+    assert robot_registry.get_robot_config("my_tinyprop").robot_asset.file == "robot.urdf"
+
+
+def test_code_of_a_robot_or_a_part_alone_is_refused() -> None:
+    with pytest.raises(ConfigError, match="robot class MyRobot: robots have no code of their own here"):
+        robot_registry.register("mine", type("MyRobot", (BaseMultirotor,), {}), robots.BaseQuadCfg)
+    with pytest.raises(CapabilityError, match="a robot is built with its environment"):
+        robot_registry.make_robot("base_quadrotor", "no_control", None, "cpu")
+    with pytest.raises(CapabilityError, match="a controller is built with its robot"):
+        controller_registry.make_controller("no_control", 4, "cpu")
+
+
+def test_registered_gains_fly() -> None:
+    class Firm(controllers.control):
+        K_pos_tensor_min = K_pos_tensor_max = [4.0, 4.0, 4.0]
+
+    law = controllers.LAWS["LeePositionController"]
+    controller_registry.register_controller("firm_position_control", law, Firm)
+    assert controller_registry.get_controller_class("firm_position_control") is law
+    assert controller_registry.get_controller_class("lee_rates_control") is controllers.LAWS["LeeRatesController"]
+    assert controller_registry.get_controller_config("firm_position_control") is Firm
+    env = SimBuilder().build_env("base_sim", "empty_env", "base_quadrotor", "firm_position_control", "cpu", num_envs=2)
+    env.reset()
+    goal = torch.tensor([[0.2, 0.0, 0.0, 0.0]]).repeat(2, 1)
+    for _ in range(400):
+        env.step(actions=goal)
+    torch.testing.assert_close(env.get_obs()["robot_position"], goal[:, :3], atol=0.03, rtol=0.0)
+
+
+def test_gains_that_all_share_can_be_changed_in_place() -> None:
+    before = controllers.control.K_vel_tensor_max  # pyright: ignore
+    try:
+        controllers.control.K_vel_tensor_max = [9.0, 9.0, 9.0]  # pyright: ignore
+        assert controller_registry.resolve("lee_velocity_control").gains.velocity_gain_high == (9.0, 9.0, 9.0)
+    finally:
+        controllers.control.K_vel_tensor_max = before  # pyright: ignore
+    assert controller_registry.resolve("lee_velocity_control") == "lee_velocity_control"
+
+
+def test_a_task_gets_a_configuration_of_its_own() -> None:
+    """There, tensors that a task writes into its class reach the next task."""
+
+    class Config:
+        reward_parameters = {"a": 1.0}
+        num_envs = 4
+
+        class inner:
+            levels = [1, 2]
+
+    class Greedy:
+        def __init__(self, task_config: type, **given: object) -> None:
+            self.task_config, self.given = task_config, given
+            task_config.reward_parameters["a"] = torch.tensor(2.0)  # pyright: ignore
+            task_config.inner.levels.append(3)  # pyright: ignore
+            task_config.num_envs = 8  # pyright: ignore
+
+    task_registry.register_task("greedy", Greedy, Config)
+    task = task_registry.make_task("greedy", seed=3, device="cpu")
+    assert task.given == {"seed": 3, "num_envs": None, "headless": None, "use_warp": None, "device": "cpu"}
+    assert Config.reward_parameters == {"a": 1.0}
+    assert Config.inner.levels == [1, 2]
+    assert Config.num_envs == 4
+    assert fresh(Config()).num_envs == 4
+    assert task_registry.get_task_class("greedy") is Greedy
+    assert task_registry.get_task_config("greedy") is Config
