@@ -4,7 +4,7 @@ Letters: E environments, U entries of a command, S sensors, H x W pixels.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -60,6 +60,9 @@ class TaskState:
     """The smallest distance in each of ``IMAGE_CELLS`` cells of the image as a share of the largest, row by row from the upper
     left one, (E, rows * columns): cells have equal size, rounded up, so that the last row and column may be smaller. Pixels
     without a distance (negative) do not count; a cell that has no other shows ``image_scale[1]``. (E, 0) without a sensor."""
+
+    apart: Tensor = field(default_factory=lambda: torch.zeros(0, 0))
+    """Values of the observation terms that are no part of the task's kernel, side by side in their order, (E, W)."""
 
     @classmethod
     def of(cls, tensors: Sequence[Tensor]) -> "TaskState":

@@ -3,9 +3,7 @@
 Letters: E environments, U entries of an action.
 """
 
-import logging
 from collections.abc import Callable, Mapping
-from importlib.util import find_spec
 from typing import Generic, TypeVar
 
 import torch
@@ -16,16 +14,7 @@ from aerial_gym.errors import CapabilityError, ShapeError
 WARM_UP_STEPS = 3
 """Steps before the recording, in which kernels are compiled and memory is taken."""
 
-_log = logging.getLogger(__name__)
 Result = TypeVar("Result")
-
-
-def fuse(function: Callable[..., Result]) -> Callable[..., Result]:
-    """Return a function of tensors compiled into few GPU kernels, or itself where torch has no compiler for GPUs."""
-    if find_spec("triton") is None:
-        _log.warning("observations and rewards run as many small kernels: torch finds no Triton. pip install triton")
-        return function
-    return torch.compile(function, fullgraph=True, dynamic=False)
 
 
 def check_terms(terms: Mapping[str, Callable[[], object]]) -> None:

@@ -3,11 +3,11 @@
 Letters: E environments, U entries of an action, O entries of an observation.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import TypeVar
 
 import numpy as np
 import torch
@@ -18,19 +18,17 @@ from aerial_gym.config.task import TaskCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
 from aerial_gym.math.random import Purpose, counted_uniform
-from aerial_gym.math.rows import on_whole_vectors
 from aerial_gym.robots.finite import NonFinite
 from aerial_gym.robots.watch import Watch
 from aerial_gym.sensors.cells import NearestInCells
-from aerial_gym.task.actions import ACTIONS, Action
+from aerial_gym.task.actions import ACTIONS, Action, direct
+from aerial_gym.task.by_row import ByRow, beside, side_by_side, terms_apart
 from aerial_gym.task.curriculum import Curriculum
 from aerial_gym.task.draws.goals import Goals
 from aerial_gym.task.draws.noise import ObservationNoise
 from aerial_gym.task.observations import IMAGE_CELLS, OBSERVATIONS, ObservationTerm, TaskState
 from aerial_gym.task.rewards import REWARDS, Reward
-from aerial_gym.task.step_graph import StepGraph, check_terms, fuse
-
-Rows = TypeVar("Rows", Tensor, tuple[Tensor, ...])
+from aerial_gym.task.step_graph import StepGraph, check_terms
 
 Observation = dict[str, Tensor]
 """``observations``: (E, O) float32."""
@@ -99,6 +97,7 @@ class Task:
             largest, empty = self._image_scale.tolist()
             self._cells = NearestInCells(self._image, cells=IMAGE_CELLS, largest=largest, empty=empty)
         self._no_cells = torch.zeros(self.num_envs, 0, device=self.device)
+        self._no_terms = torch.zeros(self.num_envs, 0, device=self.device)
         self._goals = self._make_goals()
         self.curriculum = (
             None if cfg.curriculum is None else Curriculum(cfg.curriculum, env.cfg, env.asset_manager, env.gtd)
@@ -107,10 +106,16 @@ class Task:
         self._difficulty = (
             torch.zeros((), device=self.device) if self.curriculum is None else self.curriculum.difficulty
         )
-        self._observe, self._judge = self._by_row(self._finite_observation), self._by_row(self._judgement)
-        self._command = self._by_row(lambda actions: self._action.value(actions, self._action_params))
         self._crash_reward = self._params.get("crash", 0.0)
         self._watch = Watch(env.gtd, num_actions=num_actions, dt=env.dt, keep=False)
+        self._widths, self._apart = widths, ()
+        self._apart = terms_apart([(e.term, OBSERVATIONS[e.term]) for e in cfg.observations], self.state())
+        self._observe = ByRow(self._finite_observation, "the observation")
+        self._judge = ByRow(self._judgement, f"the judgement of a step, with reward {cfg.reward!r},")
+        self._command = ByRow(
+            lambda actions: self._action.value(actions, self._action_params), f"action {cfg.action!r}"
+        )
+        self._measure = ByRow(lambda target, position: (target - position).norm(dim=-1), "the distance to the target")
         self._graph: StepGraph[StepResult] | None = None
         if capture and self.device.type != "cuda":
             raise CapabilityError(f"capture needs a CUDA device; this task runs on {self.device}")
@@ -132,13 +137,7 @@ class Task:
         self._capture_at_reset = False
         level = None if self.curriculum is None else self.curriculum.state()
         self._begin(self._all)
-        state = self.state()
-        terms = {
-            f"observation term {e.term!r}": partial(OBSERVATIONS[e.term].value, state) for e in self.cfg.observations
-        }
-        reward = partial(self._reward.value, state, self._params, state.crashed)
-        check_terms(terms | {f"reward {self.cfg.reward!r}": reward})
-        self._observe, self._judge = fuse(self._finite_observation), fuse(self._judgement)
+        self._check_untraced()
         assert self.action_space.shape is not None
         self._graph = StepGraph(self._step, (self.num_envs, *self.action_space.shape), self.device)
         self.env.restart(self.env.seed)
@@ -172,6 +171,16 @@ class Task:
         """
         return self._watch.dump(path)
 
+    def _check_untraced(self) -> None:
+        """Refuse what waits for the GPU; a kernel cannot, so only what runs as torch operations is asked."""
+        state = self.state()
+        self._judge(self._gtd["sim_steps"], self.episode_return, self._gtd["non_finite"], *vars(state).values())
+        names = {self.cfg.observations[i].term for i in self._apart}
+        terms = {f"observation term {name!r}": partial(OBSERVATIONS[name].value, state) for name in names}
+        if self._judge.reason is not None:
+            terms[f"reward {self.cfg.reward!r}"] = partial(self._reward.value, state, self._params, state.crashed)
+        check_terms(terms)
+
     def reset(self, *, seed: int | None = None) -> tuple[Observation, dict[str, Tensor]]:
         """Start every environment anew; return observation and info.
 
@@ -204,7 +213,7 @@ class Task:
 
     def _step(self, actions: Tensor) -> StepResult:
         gtd = self._gtd
-        self.env.step(self._command(actions))
+        self.env.step(actions if self._action.value is direct else self._command(actions))
         final, reward, terminated, truncated, distance, total, bits = self._judge(
             gtd["sim_steps"], self.episode_return, gtd["non_finite"], *vars(self.state()).values()
         )
@@ -239,17 +248,13 @@ class Task:
             self._goals.draw(mask)
             self.env.clear_goal(mask, self.target_position)
         if self._reward.needs_progress:
-            measure = self._by_row(lambda target, position: (target - position).norm(dim=-1))
-            self._prev_distance.copy_(measure(self.target_position, self._gtd["robot_position"]))
+            self._prev_distance.copy_(self._measure(self.target_position, self._gtd["robot_position"]))
 
     def _look(self) -> None:
         """Read the sensors, and the image's cells where a term asks for them."""
         self.env.render()
         if self._cells is not None:
             self._cells.measure()
-
-    def _by_row(self, function: Callable[..., Rows]) -> Callable[..., Rows]:
-        return on_whole_vectors(function, self.num_envs, self.device)
 
     def _make_goals(self) -> Goals | None:
         low, high = self.cfg.target_ratio_low, self.cfg.target_ratio_high
@@ -261,7 +266,7 @@ class Task:
     def state(self) -> TaskState:
         """Return the states of this instant."""
         gtd = self._gtd
-        return TaskState(
+        state = TaskState(
             target=self.target_position,
             position=gtd["robot_position"],
             attitude=gtd["robot_orientation"],
@@ -276,12 +281,16 @@ class Task:
             image=self._image,
             image_scale=self._image_scale,
             nearest=self._no_cells if self._cells is None else self._cells.nearest,
+            apart=self._no_terms,
         )
+        if not self._apart:
+            return state
+        terms = [self._terms[i][0] for i in self._apart]
+        return replace(state, apart=beside(terms, state))
 
     def _observation(self, *state: Tensor) -> Tensor:
         """Return the terms side by side, (E, O), without their noise."""
-        at = TaskState.of(state)
-        return torch.cat([term.value(at) for term, _ in self._terms], dim=-1)
+        return side_by_side([term for term, _ in self._terms], self._apart, TaskState.of(state), self._widths)
 
     def _finite_observation(self, *state: Tensor) -> Tensor:
         """Return the terms with zeros where they are not finite; the step after ends such a row."""

@@ -27,7 +27,8 @@ class RowFunction:
         Args:
             function: Pure; takes tensors, returns tensors of E rows. It is traced once: numbers that it reads from elsewhere
                 are those of this moment.
-            inputs: What it will be called with, or tensors of the same shapes and types: (E, ...), or () for what all share.
+            inputs: What it will be called with, or tensors of the same shapes and types: (E, ...), or of any other first
+                dimension for what all rows share.
 
         Raises:
             UntraceableError: If it cannot be done row by row; the text says why.
@@ -37,7 +38,7 @@ class RowFunction:
         source = write(traced)
         self.code = source.code
         """The kernel."""
-        self._inputs = source.inputs
+        self._inputs, self._shared = source.inputs, source.shared
         self._outputs = [(shape, dtype) for _, shape, dtype in traced.outputs]
         self.kernel = _kernel(source.code)
         """It as Warp has it."""
@@ -50,7 +51,7 @@ class RowFunction:
             inputs: As at construction. Tensors that stay the same objects from call to call cost nothing more.
             out: Receives the results, where given; new tensors are made for the others. An input may be an output.
         """
-        first = next(inputs[i] for i in self._inputs if inputs[i].ndim)
+        first = next(tensor for tensor in inputs if tensor.ndim)
         rows, device = first.shape[0], first.device
         given = [*out, *[None] * (len(self._outputs) - len(out))]
         results = [
@@ -69,14 +70,14 @@ class RowFunction:
     def _view(self, key: int, tensor: Tensor) -> wp.array:
         known = self._known.get(key)
         if known is None or known[0] is not tensor:
-            known = self._known[key] = (tensor, _as_rows(tensor))
+            known = self._known[key] = (tensor, _as_rows(tensor, shared=key in self._shared))
         return known[1]
 
 
-def _as_rows(tensor: Tensor) -> wp.array:
-    """Return the tensor as Warp sees it: (E, n), or (1,) where it has no rows. Nothing is copied."""
+def _as_rows(tensor: Tensor, *, shared: bool = False) -> wp.array:
+    """Return the tensor as Warp sees it: (E, n), or (n,) where all rows share it. Nothing is copied."""
     kind = getattr(wp, WARP_TYPES[tensor.dtype])
-    view = tensor.view(1) if tensor.ndim == 0 else tensor.view(tensor.shape[0], -1)
+    view = tensor.view(-1) if shared else tensor.view(tensor.shape[0], -1)
     return wp.from_torch(view, dtype=kind, requires_grad=False)
 
 

@@ -98,7 +98,20 @@ def _product(a: Tensor, b: Tensor) -> Tensor:
     return (a.unsqueeze(-1) * b.unsqueeze(-3)).sum(-2)
 
 
-COMPOSED: dict[str, Callable[..., Tensor]] = {"linalg_cross": _cross, "mm": _product, "bmm": _product}
+def _finite(a: Tensor, nan: float | None = None, high: float | None = None, low: float | None = None) -> Tensor:
+    largest = torch.finfo(a.dtype).max
+    a = torch.where(a.isnan(), nan or 0.0, a)
+    return torch.where(
+        a == inf, largest if high is None else high, torch.where(a == -inf, -largest if low is None else low, a)
+    )
+
+
+COMPOSED: dict[str, Callable[..., Tensor]] = {
+    "linalg_cross": _cross,
+    "mm": _product,
+    "bmm": _product,
+    "nan_to_num": _finite,
+}
 """Operations that are made of others."""
 
 Arguments = Callable[[tuple[Any, ...], dict[str, Any]], tuple[Any, ...]]

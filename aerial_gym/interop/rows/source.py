@@ -23,21 +23,25 @@ class KernelSource:
     """A kernel ``rows`` and which inputs it takes."""
 
     code: str
+    shared: frozenset[int]
+    """Positions of those that all rows share."""
+
     inputs: tuple[int, ...]
-    """Positions of the inputs that are read; each is an argument, rows as (E, n) and shared ones as (1,). Outputs follow."""
+    """Positions of the inputs that are read; each is an argument, rows as (E, n) and shared ones as (n,). Outputs follow."""
 
 
 def write(trace: Trace) -> KernelSource:
     """Return the kernel that does what was traced."""
     needed = _needed(trace)
     kinds = {int(scalar.args[0]): scalar for n in needed if (scalar := trace.scalars[n]).kind in ("input", "shared")}
+    shared = frozenset(i for i, scalar in kinds.items() if scalar.kind == "shared")
     arguments = [f"in_{i}: {_array(kinds[i].dtype, kinds[i].kind == 'input')}" for i in sorted(kinds)]
     arguments += [f"out_{i}: {_array(dtype, True)}" for i, (_, _, dtype) in enumerate(trace.outputs)]
     lines = [f"    v{n} = {_code(trace.scalars[n])}" for n in needed]
     for i, (numbers, _, _) in enumerate(trace.outputs):
         lines += [f"    out_{i}[row, {entry}] = v{n}" for entry, n in enumerate(numbers)]
     head = f"def rows({', '.join(arguments)}):\n    row = wp.tid()\n"
-    return KernelSource(code=head + "\n".join(lines) + "\n", inputs=tuple(sorted(kinds)))
+    return KernelSource(code=head + "\n".join(lines) + "\n", inputs=tuple(sorted(kinds)), shared=shared)
 
 
 def _needed(trace: Trace) -> list[int]:
@@ -62,7 +66,7 @@ def _code(scalar: Scalar) -> str:
     if scalar.kind == "input":
         return f"in_{scalar.args[0]}[row, {scalar.args[1]}]"
     if scalar.kind == "shared":
-        return f"in_{scalar.args[0]}[0]"
+        return f"in_{scalar.args[0]}[{scalar.args[1]}]"
     if scalar.kind == "constant":
         return _constant(scalar.args[0], scalar.dtype)
     names = [f"v{n}" for n in scalar.args]

@@ -74,14 +74,18 @@ def trace(function: Callable[..., Tensor | tuple[Tensor, ...]], inputs: Sequence
 
     Args:
         function: Pure, of tensors; returns tensors of rows. No branch on a tensor.
-        inputs: Tensors (E, ...), or shared ones without rows: those of no dimension.
+        inputs: Tensors (E, ...), E being the first dimension of the first that has one; others are shared by all rows. A row
+            of more than ``LARGEST_ROW`` entries, an image, may be passed but not read.
 
     Raises:
         UntraceableError: If it cannot be done row by row with the operations of ``operations.py``.
     """
     into = Trace()
     watch = _Watch(into)
-    rows = [watch.input(position, tensor) for position, tensor in enumerate(inputs)]
+    num_rows = next((tensor.shape[0] for tensor in inputs if tensor.ndim), 0)
+    rows = [
+        watch.input(position, tensor, rows=tensor.shape[:1] == (num_rows,)) for position, tensor in enumerate(inputs)
+    ]
     try:
         with torch.no_grad(), watch, _NothingElse(watch):
             results = function(*rows)
@@ -108,24 +112,27 @@ class _Watch(TorchDispatchMode):
         super().__init__()
         self.into = into
         self._numbers: dict[int, tuple[Tensor, Tensor | None]] = {}  # by id of a tensor that is kept; None: a constant
+        self._large: dict[int, tuple[Tensor, str]] = {}
 
     @classmethod
     def _should_skip_dynamo(cls) -> bool:
         return False  # torch would import its whole compiler to be told that this is not to be compiled
 
-    def input(self, position: int, tensor: Tensor) -> Tensor:
+    def input(self, position: int, tensor: Tensor, *, rows: bool) -> Tensor:
         """Return zeros that stand for an input."""
-        kind, shape = ("shared", tensor.shape) if tensor.ndim == 0 else ("input", tensor.shape[1:])
+        kind, shape = ("input", tensor.shape[1:]) if rows else ("shared", tensor.shape)
+        first = (ROWS,) if rows else ()
         if shape.numel() > LARGEST_ROW:
-            raise UntraceableError(f"input {position} has {shape.numel()} entries in a row")
+            large = torch.zeros((), dtype=tensor.dtype).expand(first + tuple(shape))
+            self._large[id(large)] = (large, f"input {position} has {shape.numel()} entries in a row")
+            return large
         found = [self.into.number(kind, (position, i), tensor.dtype) for i in range(shape.numel())]
         numbers = torch.tensor(found, dtype=torch.int64).view(shape)
-        rows = () if kind == "shared" else (ROWS,)
-        return self._note(torch.zeros(rows + tuple(shape), dtype=tensor.dtype), _marked(numbers) if rows else numbers)
+        return self._note(torch.zeros(first + tuple(shape), dtype=tensor.dtype), _marked(numbers) if rows else numbers)
 
     def knows(self, tensor: Tensor) -> bool:
         """Return whether the tensor is an input or was made from inputs and constants."""
-        return id(tensor) in self._numbers
+        return id(tensor) in self._numbers or id(tensor) in self._large
 
     def follows(self, tensor: Tensor) -> bool:
         """Return whether the tensor depends on an input."""
@@ -151,6 +158,9 @@ class _Watch(TorchDispatchMode):
     ) -> Any:
         """Do the operation on the tensors and on their scalars."""
         kwargs, name = kwargs or {}, func.overloadpacket.__name__
+        for leaf in _leaves((args, kwargs)):
+            if id(leaf) in self._large:
+                raise UntraceableError(self._large[id(leaf)][1])
         follows = any(isinstance(leaf, Tensor) and self.follows(leaf) for leaf in _leaves((args, kwargs)))
         if follows and name in COMPOSED:
             with self:
@@ -163,6 +173,8 @@ class _Watch(TorchDispatchMode):
             raise UntraceableError(f"torch.{name} is none of the operations that fit into a row kernel")
         if torch.Tag.nondeterministic_seeded in func.tags:
             raise UntraceableError(f"torch.{name} draws random numbers")
+        if "empty" in name:
+            raise UntraceableError(f"torch.{name}: whoever fills this memory is not seen")
         result = func(*args, **kwargs)
         if not follows:
             return _mapped(result, lambda leaf: self._note(leaf, None) if isinstance(leaf, Tensor) else leaf)

@@ -22,6 +22,7 @@ POINTWISE: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
     "arcs": lambda a, b: (
         torch.asin(torch.tanh(a)) + torch.acos(torch.tanh(b)) + torch.sinh(a) + torch.cosh(b) + torch.asin(a)
     ),
+    "finite": lambda a, b: a.nan_to_num() + b.nan_to_num(1.0, 2.0, 3.0),
     "steps": lambda a, b: torch.floor(a) + torch.ceil(b) + torch.round(3.0 * a) + torch.sign(b),
     "limits": lambda a, b: a.clamp(-0.5, 0.5) + b.clamp_min(0.0) + a.clamp(max=0.2) + torch.relu(b),
     "wraps": lambda a, b: torch.remainder(a, 0.7) + torch.remainder(b, -1.1) + (a + 3.0) % 2.0,
