@@ -23,6 +23,9 @@ class EvaluateCmd:
     robot: str | None = None
     """Registered robot, or a robot file, in place of the training's: a policy on the corrected vehicle."""
 
+    backend: str | None = None
+    """Registered physics backend (aerial-gym list backends); that of the sim if not given."""
+
     num_envs: int = 512
     """Random starts."""
 
@@ -60,6 +63,7 @@ class EvaluateCmd:
                 seed=self.seed,
                 robot=self.robot or cfg.robot,
                 controller=cfg.controller,
+                backend=self.backend,
                 level=level,
             ) as task,
             progress_bar() as progress,

@@ -43,6 +43,9 @@ class PlayCmd:
     robot: str | None = None
     """Registered robot, or a robot file, in place of the training's."""
 
+    backend: str | None = None
+    """Registered physics backend (aerial-gym list backends); that of the sim if not given."""
+
     num_envs: int = 4
     """Environments side by side."""
 
@@ -75,6 +78,7 @@ class PlayCmd:
                 seed=self.seed,
                 robot=self.robot or cfg.robot,
                 controller=cfg.controller,
+                backend=self.backend,
             ) as task,
             one_thread(),
         ):

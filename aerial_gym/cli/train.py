@@ -43,6 +43,9 @@ class TrainCmd:
     controller: str | None = None
     """Registered controller in place of the task's own."""
 
+    backend: str | None = None
+    """Registered physics backend (aerial-gym list backends); that of the sim if not given."""
+
     max_time_s: float | None = None
     """End after this time, start-up included [s]."""
 
@@ -69,7 +72,7 @@ class TrainCmd:
             self._refuse_changes()
         else:
             cfg = replace(load_settings(self.config or settings_for(self.trainer, self.task)), task=self.task)
-        names = ("num_envs", "device", "seed", "robot", "controller", "max_time_s", "max_env_steps")
+        names = ("num_envs", "device", "seed", "robot", "controller", "backend", "max_time_s", "max_env_steps")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         result = train(replace(cfg, **given), self.out, resume=self.resume, watch=self.watch)
         if self.json:
@@ -91,7 +94,7 @@ class TrainCmd:
         return 1 if result.interrupted else 0
 
     def _refuse_changes(self) -> None:
-        for name in ("config", "num_envs", "seed", "robot", "controller"):
+        for name in ("config", "num_envs", "seed", "robot", "controller", "backend"):
             if getattr(self, name) is not None:
                 flag = name.replace("_", "-")
                 raise ConfigError(

@@ -1,5 +1,6 @@
 """From registered names, or files, to a running simulation."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -57,6 +58,7 @@ class SimBuilder:
         seed: int = 0,
         first_env: int = 0,
         first_episode: int = 0,
+        backend: str | None = None,
     ) -> EnvManager:
         """Return a simulation, built and not yet reset. In place of a name stands a configuration if it is registered nowhere.
 
@@ -71,13 +73,16 @@ class SimBuilder:
             first_env: Number of the first environment. What is drawn for an environment depends on the seed, its number and its
                 episode alone: ``num_envs=1, first_env=17`` flies environment 17 of any larger batch with that seed.
             first_episode: Number of the first episode, likewise.
+            backend: Registered physics backend in place of the sim's own; ``auto`` takes the fastest.
 
         Raises:
             UnknownNameError: If a name is not registered; the message lists what is.
             ConfigError: If a number is impossible.
+            CapabilityError: If the backend cannot do what is asked; the message names one that can.
         """
+        sim = sim_name if isinstance(sim_name, SimCfg) else SIMS.get(sim_name)
         return EnvManager(
-            sim=sim_name if isinstance(sim_name, SimCfg) else SIMS.get(sim_name),
+            sim=sim if backend is None else replace(sim, backend=backend),
             env=environment_by_name(env_name),
             robot=robot_by_name(robot_name),
             controller=controller_name

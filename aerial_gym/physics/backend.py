@@ -36,6 +36,12 @@ class Capabilities:
     rotors: tuple[str, ...] = ()
     """What rotors may have beyond a plain speed, of ``config.rotor.ROTOR_TRAITS``."""
 
+    contact: bool = False
+    """Whether ground and obstacles can push back."""
+
+    joints: bool = False
+    """Whether bodies can hang on joints."""
+
 
 class ControlLaw(Protocol):
     """What turns an action into rotor commands, once per physics step. The controllers fulfil it."""

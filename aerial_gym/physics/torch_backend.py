@@ -90,6 +90,7 @@ class TorchBackend:
         differentiable=True,
         effects=None,
         rotors=ROTOR_TRAITS,
+        contact=True,
     )
 
     _model: Model

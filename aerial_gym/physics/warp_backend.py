@@ -92,6 +92,7 @@ class WarpBackend:
             differentiable=self._differentiable,
             effects=(*named, LearnedResidual.name),
             rotors=ROTOR_TRAITS,
+            contact=not self._differentiable,
         )
 
     def _can_run(self, effect: Effect) -> bool:

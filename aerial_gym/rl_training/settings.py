@@ -158,6 +158,9 @@ class TrainingCfg:
     controller: str | None = None
     """Registered controller in place of the task's own."""
 
+    backend: str | None = None
+    """Registered physics backend in place of the sim's own."""
+
     torch_threads: int | None = None
     """Threads of torch on the CPU, >= 1; None leaves torch's own choice."""
 

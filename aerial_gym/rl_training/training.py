@@ -19,6 +19,7 @@ from aerial_gym.config.storage import told_storage, write_whole
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import robot_by_name
 from aerial_gym.errors import MissingDependencyError
+from aerial_gym.physics import BACKENDS
 from aerial_gym.rl_training.interruption import Interruption, interruptible
 from aerial_gym.rl_training.keeper import Keeper, steps_of
 from aerial_gym.rl_training.progress import Progress
@@ -128,6 +129,8 @@ def _check_names(cfg: TrainingCfg) -> None:
         robot_by_name(cfg.robot)
     if cfg.controller is not None:
         CONTROLLERS.get(cfg.controller)
+    if cfg.backend not in (None, "auto"):
+        BACKENDS.get(cfg.backend)
 
 
 def _run(
@@ -145,7 +148,13 @@ def _run(
     np.random.seed(cfg.seed)
     random.seed(cfg.seed)
     with task_registry.make_task(
-        cfg.task, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed, robot=cfg.robot, controller=cfg.controller
+        cfg.task,
+        num_envs=cfg.num_envs,
+        device=cfg.device,
+        seed=cfg.seed,
+        robot=cfg.robot,
+        controller=cfg.controller,
+        backend=cfg.backend,
     ) as task:
         interruption.check()
         folder.add_session(cfg, str(task.device))

@@ -15,17 +15,15 @@ from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import Controller, make_controller
-from aerial_gym.errors import CapabilityError, ConfigError, ShapeError
+from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.physics import (
-    BACKENDS,
-    PhysicsBackend,
     SubstepHook,
     Vehicle,
     build_model,
     vehicle_from_config,
 )
-from aerial_gym.physics.effects import LearnedResidual
+from aerial_gym.physics.capabilities import choose_backend, needs_of
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model, check_effects, robot_effects
 from aerial_gym.physics.rotors import state_for_thrust
@@ -33,31 +31,6 @@ from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.robots.initial_state import InitialState
 from aerial_gym.robots.scene_contact import PushedRobot, SceneContact
 from aerial_gym.robots.state_keys import RobotTensors, declare_robot_tensors
-
-BACKEND_PREFERENCE = ("warp", "torch")
-"""What the backend name ``auto`` tries, in order."""
-
-
-def choose_backend(name: str) -> PhysicsBackend:
-    """Return a new backend by name; ``auto`` takes the first registered one of ``BACKEND_PREFERENCE``."""
-    if name == "auto":
-        name = next(candidate for candidate in BACKEND_PREFERENCE if candidate in BACKENDS)
-    return BACKENDS.get(name)()
-
-
-def check_capabilities(backend: PhysicsBackend, robot: RobotCfg, device: torch.device) -> None:
-    """Raise ``CapabilityError`` naming the device or effect that a backend cannot run."""
-    able = backend.capabilities
-    if device.type not in able.devices:
-        raise CapabilityError(
-            f"backend {type(backend).__name__}: cannot run on {device}. Devices: {', '.join(able.devices)}"
-        )
-    used = [*robot.effects, *([] if robot.learned_residual is None else [LearnedResidual.name])]
-    missing = [name for name in used if able.effects is not None and name not in able.effects]
-    if missing:
-        raise CapabilityError(
-            f"backend {type(backend).__name__}: cannot run effect {missing[0]!r}. Use backend 'torch'."
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,8 +102,8 @@ class RobotManager:
         }
         self._factors = {name: torch.ones(self._num_envs, widths[name], device=gtd.device) for name in self._ranges}
         self._com = torch.zeros(self._num_envs, 3, device=gtd.device)
-        self.backend = choose_backend(sim.backend)
-        check_capabilities(self.backend, robot, gtd.device)
+        needs = needs_of(robot, gtd.device, integrator=sim.integrator, contact=around.contact is not None)
+        self.backend = choose_backend(sim.backend, needs=needs)
         self.controller: Controller = make_controller(
             controller, self.declared, sim.gravity, dt=sim.dt, control=robot.control
         )

@@ -31,6 +31,7 @@ class TaskRegistry(Registry[TaskCfg]):
         capture: bool | None = None,
         first_env: int = 0,
         first_episode: int = 0,
+        backend: str | None = None,
     ) -> "Task":
         """Return a task, built and not yet reset.
 
@@ -46,6 +47,7 @@ class TaskRegistry(Registry[TaskCfg]):
             first_env: Number of the first environment: with ``num_envs=1`` that one alone, as it is in any larger batch. Where
                 there is a curriculum, give its ``level`` as well: it is the one thing that environments share.
             first_episode: Number of the first episode, likewise.
+            backend: Registered physics backend in place of the sim's own.
 
         Raises:
             UnknownNameError: If a name is not registered.
@@ -69,6 +71,7 @@ class TaskRegistry(Registry[TaskCfg]):
             seed=seed,
             first_env=first_env,
             first_episode=first_episode,
+            backend=backend,
         )
         return Task(cfg, env, capture=capture)
 

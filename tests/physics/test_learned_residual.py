@@ -23,9 +23,9 @@ from aerial_gym.physics import (
     build_model,
     vehicle_from_config,
 )
+from aerial_gym.physics.capabilities import check_capabilities
 from aerial_gym.physics.effects import LearnedResidual, WrenchEffect
 from aerial_gym.physics.model import Model, robot_effects
-from aerial_gym.robots.robot_manager import check_capabilities
 from tests.physics.vehicles import F64, lopsided_robot, random_network, random_state
 
 NUM_ENVS = 24

@@ -18,6 +18,9 @@ class TaskBench:
     device: str = "auto"
     """Torch device; auto takes the GPU if there is one."""
 
+    backend: str | None = None
+    """Registered physics backend (aerial-gym list backends); that of the sim if not given."""
+
     threads: int | None = None
     """Threads on the CPU; torch's own number if not given."""
 
@@ -61,7 +64,9 @@ class TaskBench:
         beside = provenance()
         with (
             torch_threads(self.threads) as threads,
-            task_registry.make_task(self.task, num_envs=self.num_envs, device=device, seed=self.seed) as task,
+            task_registry.make_task(
+                self.task, num_envs=self.num_envs, device=device, seed=self.seed, backend=self.backend
+            ) as task,
         ):
             episodes = Episodes(task, seed=self.seed)
             seconds = time_launches(episodes, repeats=self.repeats, repeat_time_s=self.repeat_time_s)
@@ -70,6 +75,7 @@ class TaskBench:
         return {
             "case": "task",
             "task": self.task,
+            "backend": self.backend or "auto",
             "device": device_name(device),
             "num_envs": self.num_envs,
             "threads": threads,

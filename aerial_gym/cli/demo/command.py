@@ -26,6 +26,9 @@ class DemoCmd:
     train_time_s: float = 150.0
     """Length of the training [s]."""
 
+    backend: str | None = None
+    """Registered physics backend (aerial-gym list backends); that of the sim if not given."""
+
     seed: int = 1
     """Seed of everything."""
 
@@ -41,11 +44,11 @@ class DemoCmd:
         flights = find_flights(self.flights or _shared_flights(), self.out, self.seed)
         with one_thread():
             console.print(f"[bold]1/3 look[/]: cameras in the obstacle environment ({_elapsed(started)})")
-            seen = look(self.seed)
+            seen = look(self.seed, self.backend)
             console.print(
                 f"[bold]2/3 learn[/]: a hover policy from scratch, {self.train_time_s:.0f} s ({_elapsed(started)})"
             )
-            learned = learn(self.out, self.seed, self.train_time_s)
+            learned = learn(self.out, self.seed, self.train_time_s, self.backend)
             console.print(
                 f"[bold]3/3 measure[/]: {len(flights.train)} + {len(flights.test)} flights ({_elapsed(started)})"
             )

@@ -33,7 +33,7 @@ TRAIN_EVERY = 4
 """Every so many of them is trained on: all take minutes."""
 
 
-def look(seed: int) -> dict[str, str]:
+def look(seed: int, backend: str | None = None) -> dict[str, str]:
     """Fly a few steps through the obstacle environment and return a picture of what the cameras see."""
     env = SimBuilder().build_env(
         sim_name="base_sim",
@@ -43,6 +43,7 @@ def look(seed: int) -> dict[str, str]:
         num_envs=NUM_PICTURES,
         device="cpu",
         seed=seed,
+        backend=backend,
     )
     env.reset()
     for _ in range(5):
@@ -53,12 +54,14 @@ def look(seed: int) -> dict[str, str]:
     return {"picture": as_data_url(figure), "tensors": str(env.gtd)}
 
 
-def learn(out: Path, seed: int, time_s: float) -> dict[str, Any]:
+def learn(out: Path, seed: int, time_s: float, backend: str | None = None) -> dict[str, Any]:
     """Train a policy from scratch, evaluate it on fresh starts, and return figures and numbers."""
     cfg = load_settings(settings_for("rl_games", "position_setpoint_task"))
-    result = train(replace(cfg, seed=seed, max_time_s=time_s, device="cpu"), out / "training")
+    result = train(replace(cfg, seed=seed, max_time_s=time_s, device="cpu", backend=backend), out / "training")
     policy, _ = load_policy(out / "training")
-    with task_registry.make_task(cfg.task, num_envs=NUM_EVALUATION_STARTS, device="cpu", seed=seed + 1_000_003) as task:
+    with task_registry.make_task(
+        cfg.task, num_envs=NUM_EVALUATION_STARTS, device="cpu", seed=seed + 1_000_003, backend=backend
+    ) as task:
         evaluation = evaluate(policy, task)
         paths = _fly(policy, task)
         figure = flights_figure(paths, task.env.dt)

@@ -1,0 +1,120 @@
+"""What a simulation needs of a physics backend, and the backend that can do it.
+
+A need that a backend cannot meet is refused by its name, with the registered backends that can.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import CapabilityError
+from aerial_gym.physics.backend import Capabilities, PhysicsBackend
+from aerial_gym.physics.catalog import BACKENDS
+from aerial_gym.physics.effects import LearnedResidual
+
+BACKEND_PREFERENCE = ("warp", "torch")
+"""What the backend name ``auto`` tries, in order."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Needs:
+    """What is asked of a backend."""
+
+    device: torch.device
+    """Where it runs."""
+
+    dtype: torch.dtype = torch.float32
+    """Float type of the state."""
+
+    integrator: str | None = None
+    """Name of a stepper; None where any will do."""
+
+    effects: tuple[str, ...] = ()
+    """Names of effects."""
+
+    rotors: frozenset[str] = frozenset()
+    """Of ``config.rotor.ROTOR_TRAITS``."""
+
+    contact: bool = False
+    """Whether ground or obstacles push back."""
+
+    gradients: bool = False
+    """Whether gradients flow through a step."""
+
+    joints: bool = False
+    """Whether bodies hang on joints."""
+
+
+def needs_of(robot: RobotCfg, device: torch.device, **others: object) -> Needs:
+    """Return what a robot needs, with other fields of ``Needs`` by name."""
+    learned = () if robot.learned_residual is None else (LearnedResidual.name,)
+    return Needs(device=device, effects=(*robot.effects, *learned), rotors=robot.rotor_traits, **others)  # type: ignore[arg-type]
+
+
+def _lacking(able: Capabilities, needs: Needs) -> Iterator[str]:
+    """Yield what a backend cannot do of what is needed, in words that follow 'cannot'."""
+    if needs.device.type not in able.devices:
+        yield f"run on {needs.device} (devices: {', '.join(able.devices)})"
+    if needs.dtype not in able.dtypes:
+        yield f"compute in {needs.dtype} (float types: {', '.join(map(str, able.dtypes))})"
+    if needs.integrator is not None and needs.integrator not in able.integrators:
+        yield f"run integrator {needs.integrator!r} (integrators: {', '.join(able.integrators)})"
+    for name in needs.effects:
+        if able.effects is not None and name not in able.effects:
+            yield f"run effect {name!r}"
+    for trait in sorted(needs.rotors - set(able.rotors)):
+        yield f"run {_ROTOR_WORDS[trait]}"
+    for name, words in (("contact", "push back at a contact"), ("joints", "move joints")):
+        if getattr(needs, name) and not getattr(able, name):
+            yield words
+    if needs.gradients and not able.differentiable:
+        yield "pass gradients through a step"
+
+
+_ROTOR_WORDS = {
+    "reversible": "reversible rotors",
+    "force": "rotors in force mode",
+    "slew": "rotors with a slew rate",
+    "dead_band": "rotors with a dead band",
+}
+
+
+def choose_backend(name: str, *, needs: Needs | None = None) -> PhysicsBackend:
+    """Return a new backend by name.
+
+    ``auto`` takes the first registered one of ``BACKEND_PREFERENCE``; where gradients or another float type than float32 are
+    asked for, which are asked for by name as well, the first that has them.
+
+    Raises:
+        CapabilityError: If it lacks something that is needed.
+    """
+    if name == "auto":
+        present = [candidate for candidate in BACKEND_PREFERENCE if candidate in BACKENDS]
+        special = needs is not None and (needs.gradients or needs.dtype != torch.float32)
+        able = [n for n in present if not special or needs is None or _has_type(BACKENDS.get(n)().capabilities, needs)]
+        name = (able or present)[0]
+    backend = BACKENDS.get(name)()
+    if needs is not None:
+        require(backend, needs, name=name)
+    return backend
+
+
+def _has_type(able: Capabilities, needs: Needs) -> bool:
+    return needs.dtype in able.dtypes and (able.differentiable or not needs.gradients)
+
+
+def require(backend: PhysicsBackend, needs: Needs, *, name: str | None = None) -> None:
+    """Raise ``CapabilityError`` that names what a backend cannot do, and the backends that can."""
+    lacking = list(_lacking(backend.capabilities, needs))
+    if not lacking:
+        return
+    others = [n for n in BACKENDS.names() if n != name and not any(_lacking(BACKENDS.get(n)().capabilities, needs))]
+    way_out = f"Use backend {', '.join(map(repr, others))}." if others else "No registered backend can: leave it out."
+    raise CapabilityError(f"backend {name or type(backend).__name__}: cannot {lacking[0]}. {way_out}")
+
+
+def check_capabilities(backend: PhysicsBackend, robot: RobotCfg, device: torch.device) -> None:
+    """Raise ``CapabilityError`` naming what of a robot on a device a backend cannot run."""
+    require(backend, needs_of(robot, device))
