@@ -1,4 +1,4 @@
-"""The collision test: how far the robot's spheres are from the scene, now or at each substep of a step.
+"""The collision test: how far the robot's shapes are from the scene, now or at each substep of a step.
 
 All substeps are one launch. A block of threads takes an environment and each of its threads some of the parts, which it
 follows through the substeps: moves the instance that carries it, looks for a touch at every pose of the robot, and measures
@@ -7,27 +7,35 @@ is farther.
 
 A part at rest is looked at from the last pose first. Signed distance changes by no more than the point moves, so a part
 that is farther from a sphere than the sphere went in the step touches it in no substep. Of a mesh, whose sign is found by a
-winding number, only the bounding sphere is used.
-Frames: sphere centres in the body frame, poses in the environment's world frame. Letters: E environments, A instances,
-P parts of all instances, C spheres, K substeps.
+winding number, only the bounding sphere is used. Robots of spheres alone have a kernel without boxes and capsules.
+Frames: centres of shapes in the body frame, poses in the environment's world frame. Letters: E environments, A instances,
+P parts of all instances, C shapes, K substeps.
 """
 
 from collections.abc import Sequence
 from functools import cache
-from math import hypot
 from typing import Any
 
 import torch
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.assets.body_shapes import (
+    BodyShape,
+    body_distance,
+    body_reach,
+    body_reach_in_step,
+    body_shapes,
+    contact_points,
+    has_cores,
+)
 from aerial_gym.assets.geometry import MESH, Shape, signed_distance
 from aerial_gym.assets.motion import instance_moves, move_instance, moved
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW, WORLD, SceneArrays
 from aerial_gym.assets.views import check_tensor, vector_view
-from aerial_gym.config.robot import SphereCfg
+from aerial_gym.config.robot import CollisionShape
 from aerial_gym.errors import ShapeError
 from aerial_gym.interop import launch_side_by_side, on_torch_stream, split
 
@@ -91,14 +99,17 @@ def _reach(
 
 
 @cache
-def make_walk(*, moves: bool, shared: bool) -> wp.Kernel:
+def make_walk(*, moves: bool, shared: bool, cores: bool) -> wp.Kernel:
     """Return the kernel of the collision test.
 
     Args:
         moves: Whether obstacles move.
         shared: Whether a block of threads shares an environment, rather than one thread taking all of it; only on a GPU: on
             the CPU Warp's reductions over a block may not run on two threads of the process at once.
+        cores: Whether the robot has boxes or capsules, and its shapes are ``BodyShape`` instead of centre and radius.
     """
+    body_type = wp.array[BodyShape] if cores else wp.array[wp.vec4]
+    gap_of, reach_of = (body_distance, body_reach_in_step) if cores else (_gap, _reach)
     obstacles_type: Any = Obstacles if moves else NoObstacles
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -109,8 +120,8 @@ def make_walk(*, moves: bool, shared: bool) -> wp.Kernel:
         position: wp.array2d[wp.vec3],  # (K, E) after each substep, world [m]
         attitude: wp.array2d[wp.quat],  # (K, E) body to world, xyzw
         # params
-        sphere: wp.array[wp.vec4],  # (C,) centre in the body frame, radius [m]
-        hull: float,  # radius of a ball about the body origin that holds all spheres [m]
+        body: body_type,  # (C,) centre in the body frame, radius [m], or more
+        hull: float,  # radius of a ball about the body origin that holds all shapes [m]
         dt: float,  # [s] of a substep
         is_step: wp.bool,  # whether obstacles move before each pose, and touches are crashes
         first: int,  # environment of the first block
@@ -119,13 +130,13 @@ def make_walk(*, moves: bool, shared: bool) -> wp.Kernel:
         distance_out: wp.array[float],  # (E,) [m]
         crashes_out: wp.array[wp.bool],  # (E,) set where something is touched at one of the poses
     ):
-        """Write the least signed distance between a sphere and a part at the last pose, inf if there is none."""
+        """Write the least signed distance between a shape and a part at the last pose, inf if there is none."""
         block, lane = wp.tid()
         env = block + first
         last = position.shape[0] - 1
         nearest = float(wp.inf)
         touches = wp.bool(False)
-        reach = _reach(sphere, position, attitude, env, last)
+        reach = reach_of(body, position, attitude, env, last)
         for part in range(lane, scene.num_solid, wp.block_dim()):
             row = scene.part_shape[env, part]
             a = scene.part_instance[env, part]
@@ -148,7 +159,7 @@ def make_walk(*, moves: bool, shared: bool) -> wp.Kernel:
                             origin = x + wp.quat_rotate(q, scene.shapes[row].position)
                             if wp.length(p - origin) - scene.radius[env, part] - hull < limit:
                                 shape = scene.shapes[row]
-                                gap = _gap(shape, origin, q * shape.attitude, sphere, p, attitude[k, env], limit)
+                                gap = gap_of(shape, origin, q * shape.attitude, body, p, attitude[k, env], limit)
                                 touches = touches or gap < 0.0
                                 if k == last:
                                     nearest = wp.min(nearest, gap)
@@ -158,7 +169,7 @@ def make_walk(*, moves: bool, shared: bool) -> wp.Kernel:
                     origin = x + wp.quat_rotate(q, scene.shapes[row].position)
                     if wp.length(p - origin) - scene.radius[env, part] - hull < gap:
                         shape = scene.shapes[row]
-                        gap = _gap(shape, origin, q * shape.attitude, sphere, p, attitude[last, env], gap)
+                        gap = gap_of(shape, origin, q * shape.attitude, body, p, attitude[last, env], gap)
                         nearest = wp.min(nearest, gap)
                         touches = touches or gap < 0.0
                     if last > 0 and (gap < reach + MARGIN or scene.shapes[row].kind == MESH):
@@ -166,7 +177,7 @@ def make_walk(*, moves: bool, shared: bool) -> wp.Kernel:
                             p = position[k, env]
                             if wp.length(p - origin) - scene.radius[env, part] - hull < 0.0:
                                 shape = scene.shapes[row]
-                                at = _gap(shape, origin, q * shape.attitude, sphere, p, attitude[k, env], 0.0)
+                                at = gap_of(shape, origin, q * shape.attitude, body, p, attitude[k, env], 0.0)
                                 touches = touches or at < 0.0
         if touches and is_step:
             crashes_out[env] = True
@@ -189,7 +200,7 @@ class CollisionTest:
     def __init__(
         self,
         scene: Scene,
-        spheres: Sequence[SphereCfg],
+        shapes: Sequence[CollisionShape],
         *,
         position: Tensor,
         attitude: Tensor,
@@ -200,7 +211,7 @@ class CollisionTest:
 
         Args:
             scene: What must not be touched.
-            spheres: The robot's collision shapes; none makes every distance infinite.
+            shapes: The robot's collision shapes; none makes every distance infinite.
             position: Body origin [m], world, (E, 3); may be strided, but for the last axis.
             attitude: Body to world, xyzw, unit, (E, 4); likewise.
             distance_out: Receives the smallest signed distance [m], negative where they overlap, inf where there is
@@ -211,9 +222,9 @@ class CollisionTest:
             ShapeError: If a tensor does not fit the scene.
         """
         check_tensor("distance_out", distance_out, (scene.num_envs,), device=scene.device)
-        rows = [(*sphere.center, sphere.radius) for sphere in spheres]
-        self._spheres = torch.tensor(rows, dtype=torch.float32, device=scene.device).view(-1, 4)
-        self._hull = _ROUNDING * max((hypot(*sphere.center) + sphere.radius for sphere in spheres), default=0.0)
+        self._cores, self._hull = has_cores(shapes), _ROUNDING * body_reach(shapes)
+        points = contact_points(shapes, device=scene.device)
+        self._body = body_shapes(shapes, device=scene.device) if self._cores else wp.from_torch(points, dtype=wp.vec4)
         self._scene, self._out, self._moving = scene, distance_out, moving
         self.has_solids = scene.num_solid > 0
         """Whether there is anything to touch."""
@@ -253,7 +264,7 @@ class CollisionTest:
             scene.arrays,
             vector_view("position", position, (*rows, 3), device=scene.device),
             vector_view("attitude", attitude, (*rows, 4), device=scene.device),
-            wp.from_torch(self._spheres, dtype=wp.vec4),
+            self._body,
             self._hull,
             dt,
             is_step,
@@ -267,7 +278,7 @@ class CollisionTest:
         shared = scene.device.type == "cuda"
         return [
             wp.launch_tiled(
-                make_walk(moves=self._moving is not None, shared=shared),
+                make_walk(moves=self._moving is not None, shared=shared, cores=self._cores),
                 dim=[count],
                 inputs=[*inputs, first],
                 outputs=outputs,

@@ -178,8 +178,8 @@ def mesh_distance(mesh: wp.uint64, point: wp.vec3, reach: float) -> float:
 
 
 @wp.func
-def signed_distance(shape: Shape, point: wp.vec3) -> float:
-    """Return the distance of a point to the surface of a shape [m], negative inside."""
+def primitive_distance(shape: Shape, point: wp.vec3) -> float:
+    """Return the signed distance of a point to a shape that is no mesh [m]."""
     distance = 0.0
     if shape.kind == BOX:
         distance = box_distance(point, shape.size)
@@ -191,10 +191,16 @@ def signed_distance(shape: Shape, point: wp.vec3) -> float:
         distance = capsule_distance(point, shape.size[0], shape.size[1])
     elif shape.kind == PLANE:
         distance = point[2]
-    elif shape.kind == MESH:
-        # No point of the surface is farther than this; the margin keeps the bound strict in float32.
-        distance = mesh_distance(shape.mesh, point, 1.01 * (wp.length(point) + shape.radius))
     return distance
+
+
+@wp.func
+def signed_distance(shape: Shape, point: wp.vec3) -> float:
+    """Return the distance of a point to the surface of a shape [m], negative inside."""
+    if shape.kind == MESH:
+        # No point of the surface is farther than this; the margin keeps the bound strict in float32.
+        return mesh_distance(shape.mesh, point, 1.01 * (wp.length(point) + shape.radius))
+    return primitive_distance(shape, point)
 
 
 @wp.func
@@ -203,13 +209,19 @@ def outward_normal(shape: Shape, point: wp.vec3) -> wp.vec3:
 
     On an axis or in the middle of a solid, where several surface points are nearest, it is the direction of one of them.
     """
-    if shape.kind == PLANE:
-        return wp.vec3(0.0, 0.0, 1.0)
     if shape.kind == MESH:
         query = wp.mesh_query_point_sign_winding_number(shape.mesh, point, 1.01 * (wp.length(point) + shape.radius))
         away = query.sign * (point - wp.mesh_eval_position(shape.mesh, query.face, query.u, query.v))
         flat = wp.mesh_eval_face_normal(shape.mesh, query.face)  # on the surface itself
         return wp.where(wp.length(away) > 1.0e-6, wp.normalize(away), flat)
+    return primitive_normal(shape, point)
+
+
+@wp.func
+def primitive_normal(shape: Shape, point: wp.vec3) -> wp.vec3:
+    """Return the outward normal of a shape that is no mesh, as ``outward_normal`` does."""
+    if shape.kind == PLANE:
+        return wp.vec3(0.0, 0.0, 1.0)
     if shape.kind == BOX:
         return _box_normal(point, shape.size)
     axis = wp.vec3(point[0], point[1], 0.0)

@@ -134,7 +134,7 @@ class EnvironmentCfg:
     """Obstacles; an empty list is open space."""
 
     clearance: float = 0.0
-    """A reset leaves at least this much room around the robot's collision spheres [m], >= 0; 0 asks for nothing.
+    """A reset leaves at least this much room around the robot's collision shapes [m], >= 0; 0 asks for nothing.
     It moves or parks obstacles whose place is drawn; those whose place is given, such as walls, stay."""
 
     ground_height: float | None = None

@@ -6,7 +6,7 @@ SI units throughout; rotor speeds in rad/s.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import inf, isfinite
+from math import inf, isfinite, pi
 from pathlib import Path
 
 from aerial_gym.config.checks import Vec3, require_finite, require_ordered, require_positive
@@ -22,7 +22,10 @@ __all__ = [
     "ROTOR_TRAITS",
     "BatteryCfg",
     "BodyCfg",
+    "BoxCfg",
+    "CapsuleCfg",
     "CollisionCfg",
+    "CollisionShape",
     "InitialStateCfg",
     "MountCfg",
     "MountsCfg",
@@ -166,14 +169,89 @@ class SphereCfg:
 
 
 @dataclass(frozen=True, kw_only=True)
+class BoxCfg:
+    """A collision box."""
+
+    center: Vec3 = (0.0, 0.0, 0.0)
+    """From the body origin [m], body axes."""
+
+    size: Vec3
+    """Edge lengths [m], each > 0."""
+
+    euler: Vec3 = (0.0, 0.0, 0.0)
+    """ZYX roll, pitch, yaw from body to box [rad], within +-2 pi."""
+
+    def __post_init__(self) -> None:
+        _check_place(self)
+        require_finite(self, "size")
+        if not all(edge > 0.0 for edge in self.size):
+            raise ConfigError(f"BoxCfg.size = {self.size!r}: every edge must be > 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CapsuleCfg:
+    """A collision capsule: all points within ``radius`` of a line along its own z."""
+
+    center: Vec3 = (0.0, 0.0, 0.0)
+    """Of the line, from the body origin [m], body axes."""
+
+    radius: float
+    """Radius [m], > 0."""
+
+    height: float
+    """Length of the line [m], > 0; the capsule is longer by twice its radius."""
+
+    euler: Vec3 = (0.0, 0.0, 0.0)
+    """ZYX roll, pitch, yaw from body to capsule [rad], within +-2 pi."""
+
+    def __post_init__(self) -> None:
+        _check_place(self)
+        require_positive(self, "radius", "height")
+
+
+CollisionShape = SphereCfg | BoxCfg | CapsuleCfg
+
+
+def _check_place(cfg: BoxCfg | CapsuleCfg) -> None:
+    require_finite(cfg, "center", "euler")
+    if any(abs(angle) > 2.0 * pi for angle in cfg.euler):
+        raise ConfigError(f"{type(cfg).__name__}.euler = {cfg.euler!r}: must lie within +-2 pi. Angles are in radians")
+
+
+@dataclass(frozen=True, kw_only=True)
 class CollisionCfg:
-    """Shapes that must not touch the scene."""
+    """Shapes that must not touch the scene, and on which the robot lands: the union of them all."""
 
     spheres: tuple[SphereCfg, ...] = ()
-    """Union of spheres."""
+    """Spheres; a vehicle that lands on one rolls."""
+
+    boxes: tuple[BoxCfg, ...] = ()
+    """Boxes, which touch surfaces with their corners, and obstacles with what is deepest in them as well."""
+
+    capsules: tuple[CapsuleCfg, ...] = ()
+    """Capsules, such as skids, arms and rods."""
 
     source: str
     """Where the numbers come from."""
+
+    @property
+    def shapes(self) -> tuple[CollisionShape, ...]:
+        """All of them."""
+        return (*self.spheres, *self.boxes, *self.capsules)
+
+    @property
+    def parts(self) -> tuple[PartCfg, ...]:
+        """All of them as shapes that can be seen, in the body frame."""
+        return (
+            *(PartCfg(shape=ShapeCfg(kind="sphere", radius=s.radius), position=s.center) for s in self.spheres),
+            *(PartCfg(shape=ShapeCfg(kind="box", size=s.size), position=s.center, euler=s.euler) for s in self.boxes),
+            *(
+                PartCfg(
+                    shape=ShapeCfg(kind="capsule", radius=s.radius, height=s.height), position=s.center, euler=s.euler
+                )
+                for s in self.capsules
+            ),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -275,7 +353,7 @@ class RobotCfg:
     collision test nor of the placement of obstacles."""
 
     visual: tuple[PartCfg, ...] = ()
-    """What is seen of it: shapes in the body frame; its collision spheres if there is none. A ray that starts inside a
+    """What is seen of it: shapes in the body frame; its collision shapes if there is none. A ray that starts inside a
     shape sees it from within, so sensors belong outside. Segmentation shows 0 unless a part has an id of its own.
     ``load_robot`` takes mesh paths relative to the robot's own file."""
 
@@ -321,18 +399,14 @@ class RobotCfg:
     @property
     def seen_parts(self) -> tuple[PartCfg, ...]:
         """What sensors see of it, in the body frame; nothing unless it is visible."""
-        spheres = (
-            PartCfg(shape=ShapeCfg(kind="sphere", radius=sphere.radius), position=sphere.center)
-            for sphere in self.collision.spheres
-        )
-        parts = (self.visual or tuple(spheres)) if self.visible else ()
+        parts = (self.visual or self.collision.parts) if self.visible else ()
         return tuple(replace(part, semantic_id=ROBOT_ID) if part.semantic_id is None else part for part in parts)
 
     def __post_init__(self) -> None:
         _ = self.sensor_mounts  # refuses equal names
         self._check_rotors()
-        if self.visible and not self.visual and not self.collision.spheres:
-            raise ConfigError("RobotCfg.visible: there is nothing to see. List shapes in visual, or collision spheres")
+        if self.visible and not self.visual and not self.collision.shapes:
+            raise ConfigError("RobotCfg.visible: there is nothing to see. List shapes in visual, or collision shapes")
         for effect, params in self.effects.items():
             for name, value in params.items():
                 if not isfinite(value):

@@ -4,13 +4,13 @@
 -> IMU -> clocks``, then, when the task has seen the result, ``reset by mask -> sense``. Letters: E environments, A obstacles.
 """
 
-from math import hypot
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from aerial_gym.assets import AssetManager, Bounds, CollisionTest
+from aerial_gym.assets.body_shapes import body_reach
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.robot import RobotCfg
@@ -69,7 +69,7 @@ class EnvManager:
             bounds_min=bounds[0],
             bounds_max=bounds[1],
             asset_state=root[:, 1:],
-            robot_radius=max((hypot(*s.center) + s.radius for s in robot.collision.spheres), default=0.0),
+            robot_radius=body_reach(robot.collision.shapes),
             robot_parts=robot.seen_parts,
             robot_state=root[:, 0],
         )
@@ -120,7 +120,7 @@ class EnvManager:
         )
         self._collision = CollisionTest(
             scene,
-            robot.collision.spheres,
+            robot.collision.shapes,
             distance_out=self.gtd["robot_clearance"],
             moving=self.asset_manager.moving,
             **pose,
@@ -145,7 +145,7 @@ class EnvManager:
             declare(TensorSpec(key=key, shape=("E", 3), unit="m", frame="world", owner="env", meaning=meaning))
         declare(TensorSpec(
             key="robot_clearance", shape=("E",), unit="m", frame="-", owner="env",
-            meaning="signed distance of the robot's collision spheres to obstacles and ground; inf where there is nothing",
+            meaning="signed distance of the robot's collision shapes to obstacles and ground; inf where there is nothing",
         ))  # fmt: skip
         declare(TensorSpec(
             key="episodes", shape=("E",), dtype=torch.int32, unit="-", frame="-", owner="env",

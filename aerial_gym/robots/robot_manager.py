@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.assets import Scene
+from aerial_gym.assets.body_shapes import contact_points
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.robot import RobotCfg
@@ -110,8 +111,7 @@ class RobotManager:
         gtd.define_size("U", len(self.controller.action_names))
         self.tensors: RobotTensors = declare_robot_tensors(gtd, root_state)
         self._declare_model()
-        rows = [(*sphere.center, sphere.radius) for sphere in robot.collision.spheres]
-        spheres = torch.tensor(rows, dtype=torch.float32, device=gtd.device).view(-1, 4)
+        spheres = contact_points(robot.collision.shapes, device=gtd.device)
         self._contact_force = self._declare_contact(spheres)
         self.backend.allocate(
             self._build_model(),
@@ -196,7 +196,7 @@ class RobotManager:
         if not len(spheres):
             raise ConfigError(
                 "the environment asks for contact, but this robot has no collision shape. Give its file "
-                "collision: {spheres: [{center: [0, 0, 0], radius: ...}]}"
+                "collision: {boxes: [{size: [...]}]}, or spheres, or capsules"
             )
         return self._gtd.declare(TensorSpec(
             key="robot_contact_force", shape=("E", 3), unit="N", frame="world", owner="physics",

@@ -85,7 +85,7 @@ def test_row_kernels_compile(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("moves", [False, True])
 def test_the_collision_kernel_compiles(moves: bool, tmp_path: Path) -> None:
-    compile_for_gpu(make_walk(moves=moves, shared=True).module, tmp_path)
+    compile_for_gpu(make_walk(moves=moves, shared=True, cores=moves).module, tmp_path)
 
 
 def test_the_kernel_of_image_cells_compiles(tmp_path: Path) -> None:
