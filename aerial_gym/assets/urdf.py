@@ -43,7 +43,7 @@ def load_urdf(
         ConfigError: If the file or a mesh is missing, is not a URDF, holds no geometry or an impossible number, has no
             link of a given name, or if yourdfpy is not installed. The message names the file and, where it is one, the link.
     """
-    robot, link_ids = _read(path), link_ids or {}
+    robot, link_ids = read_urdf(path), link_ids or {}
     for name in link_ids:
         if name not in robot.link_map:
             raise ConfigError(f"URDF {path}: there is no link {name!r}. Known: {', '.join(robot.link_map)}")
@@ -93,8 +93,12 @@ def _color(robot: "URDF", material: "Material | None") -> Vec3 | None:
     return float(rgba[0]), float(rgba[1]), float(rgba[2])
 
 
-def _read(path: str | Path) -> "URDF":
-    """Return the parsed file with its links at zero joint angles; no mesh is loaded."""
+def read_urdf(path: str | Path) -> "URDF":
+    """Return the parsed file with its links at zero joint angles; no mesh is loaded.
+
+    Raises:
+        ConfigError: If the file is missing or is not a URDF with a tree of links, or if yourdfpy is not installed.
+    """
     try:
         import yourdfpy
     except ImportError:

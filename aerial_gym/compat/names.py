@@ -17,7 +17,7 @@ class Name:
     """What differs, defects that are mended."""
 
 
-_BODY = "write a robot file (docs/coming_from_aerial_gym.md, 'A robot') and give its path as robot_name"
+_BODY = "bring your robot class with its URDF, or a robot file (docs/coming_from_aerial_gym.md, 'A robot')"
 _JOINTS = "no robot has joints yet"
 _GAINS = (
     "gains belong to the robot here: take the lee_ controller of the same kind, or register one with a class of gains"

@@ -1,8 +1,11 @@
 """The simulation builder of the Aerial Gym Simulator: its argument order, its registries, configuration classes."""
 
+from dataclasses import replace
+
 import torch
 
 from aerial_gym.compat.config.environments import kept_values
+from aerial_gym.compat.config.robots import floats
 from aerial_gym.compat.env_manager import EnvManager
 from aerial_gym.compat.registries import (
     controller_registry,
@@ -10,6 +13,8 @@ from aerial_gym.compat.registries import (
     robot_registry,
     sim_config_registry,
 )
+from aerial_gym.config.sim import SimCfg
+from aerial_gym.env_manager import SIMS
 from aerial_gym.env_manager import SimBuilder as Builder
 
 
@@ -54,8 +59,12 @@ class SimBuilder:
         del args, use_warp, headless
         env_class = env_config_registry.config_class(env_name)
         default_envs, reset_on_collision = kept_values(env_class)
+        robot_class = robot_registry.config_class(robot_name)
+        sim = sim_config_registry.resolve(sim_name)
+        if floats(robot_class):
+            sim = replace(sim if isinstance(sim, SimCfg) else SIMS.get(sim), gravity=0.0)
         env = Builder().build_env(
-            sim_name=sim_config_registry.resolve(sim_name),
+            sim_name=sim,
             env_name=env_config_registry.resolve(env_name),
             robot_name=robot_registry.resolve(robot_name),
             controller_name=controller_registry.resolve(controller_name),
@@ -67,7 +76,7 @@ class SimBuilder:
             env,
             cfg=env_class,
             sim_config=sim_config_registry.config_class(sim_name),
-            robot_config=robot_registry.config_class(robot_name),
+            robot_config=robot_class,
             reset_on_collision=reset_on_collision,
         )
         return self._manager

@@ -26,13 +26,13 @@ def allocation_matrix(vehicle: Vehicle, gravity: float) -> Tensor:
     """Return the matrix that maps rotor thrusts to force and torque about the centre of mass, (E, 6, R).
 
     A column is ``[a; (r - c) x a - s k a]`` with axis a, hub r, centre of mass c, spin s and torque per thrust k, taken
-    at the hover thrust ``m g / R`` where the two polynomials are not proportional.
+    at the hover thrust ``m g / R`` where the two polynomials are not proportional, and at the largest one without weight.
 
     Source:
         Mahony, Kumar, Corke (2012), Multirotor Aerial Vehicles, eq. 8, for arbitrary axes.
     """
     hover = (vehicle.mass * gravity / vehicle.num_rotors).unsqueeze(-1).expand(-1, vehicle.num_rotors)
-    state = state_for_thrust(vehicle, hover)
+    state = state_for_thrust(vehicle, torch.where(hover > 0.0, hover, rotor_thrust(vehicle, vehicle.speed_high)))
     torque_ratio = rotor_torque(vehicle, state) / rotor_thrust(vehicle, state)
     lever = vehicle.rotor_position - vehicle.com.unsqueeze(1)
     reaction = (vehicle.rotor_spin * torque_ratio).unsqueeze(-1) * vehicle.rotor_axis

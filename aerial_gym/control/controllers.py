@@ -178,12 +178,17 @@ def make_controller(
         control: What the robot file says of its control (``RobotCfg.control``); nothing if not given.
 
     Raises:
-        ConfigError: If the law is unknown, or gains must be derived and there is no time step.
+        ConfigError: If the law is unknown or needs a weight, or gains must be derived and there is no time step.
     """
     if cfg.law == "thrust":
         return ThrustController(vehicle, gravity)
     if cfg.law == "rotor_speed":
         return RotorSpeedController(vehicle)
+    if cfg.law in LAWS and gravity == 0.0:
+        raise ConfigError(
+            f"gravity = {gravity!r}: the law {cfg.law!r} holds a vehicle against its weight; without weight use no_control or "
+            "rotor_speed_control"
+        )
     if cfg.law in LAWS:
         return LeeController(cfg, vehicle, gravity, dt=dt, control=ControlCfg() if control is None else control)
     known = ", ".join(("thrust", "rotor_speed", *LAWS))

@@ -1,47 +1,31 @@
 """Robots: classes with ``init_config``, ``sensor_config``, ``robot_asset`` and ``control_allocator_config`` inside.
 
 Mass, inertia and geometry stand in URDF files there; here in a robot file, from which the allocation matrix is derived. A class
-therefore changes the robot that its nearest ancestor stands for, and cannot bring another body.
+changes the robot that its nearest ancestor stands for; with a URDF and an allocation matrix of its own it brings another body.
 Thrust constants there are per (rev/s)², here per (rad/s)².
 """
 
 from math import pi
 from typing import Any
 
-import numpy as np
-
-from aerial_gym.compat.config.fields import Changes, Table, Values, carried, changed, derived, idle, kept, refused
+from aerial_gym.compat.config import bodies
+from aerial_gym.compat.config.fields import Changes, Table, Values, carried, changed, idle, kept, refused
 from aerial_gym.compat.config.sensors import (
     imu_class,
     imu_name,
     sensor_class,
     sensor_name,
 )
-from aerial_gym.compat.directory import AERIAL_GYM_DIRECTORY
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sensor import LidarCfg
 from aerial_gym.config.sensor_mount import as_mounts
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import IMUS, SENSORS
 
-_FILE = (
-    "the body of a robot stands in a robot file here (docs/coming_from_aerial_gym.md, 'A robot'); give its path as robot_name, "
-    "or register it: aerial_gym.ROBOTS.register(name, load_robot(path))"
-)
 _NEVER_ACTIVE = 100000.0
 """Largest rate of a motor there if none is wanted."""
 _PER_TURN = (2.0 * pi) ** 2
 """(rad/s)² per (rev/s)²."""
-
-
-def allocation_matrix(cfg: RobotCfg) -> list[list[float]]:
-    """Return force and torque per thrust of each rotor, rows Fx, Fy, Fz, Mx, My, Mz, columns in the order of the mounts."""
-    columns = []
-    for mount, rotor in zip(cfg.mounts.layout, cfg.rotor_types, strict=True):
-        axis = np.asarray(mount.axis, dtype=float) / np.linalg.norm(mount.axis)
-        torque = np.cross(mount.position, axis) - mount.spin * (rotor.torque_ratio or 0.0) * axis
-        columns.append(np.concatenate((axis, torque)))
-    return np.stack(columns, axis=1).tolist()
 
 
 def _state(cfg: RobotCfg, end: str) -> list[float]:
@@ -169,10 +153,11 @@ TABLE = Table(
                 "there is no such effect here yet; 0 is what all robots have"),
         refused("damping.angular_quadratic_damping_coefficient", [0.0] * 3,
                 "there is no such effect here yet; 0 is what all robots have"),
-        idle("robot_asset.asset_folder", f"{AERIAL_GYM_DIRECTORY}/resources/robots/quad", "the body stands in a robot file"),
-        derived("robot_asset.file", _urdf, _FILE),
+        carried("robot_asset.asset_folder", "body, collision", lambda _: bodies.FOLDER, bodies.body,
+                "a URDF: all links as one body about their common centre of mass, collision shapes as spheres around them"),
+        carried("robot_asset.file", "body, collision", _urdf, bodies.body),
         refused("robot_asset.fix_base_link", False, "robots fly here"),
-        refused("robot_asset.disable_gravity", False, "gravity is the sim's here: a class derived from BaseSimNoGravityConfig"),
+        kept("robot_asset.disable_gravity", "gravity: 0 of the sim", lambda _: False, "only robots feel gravity, there too"),
         *(idle(f"robot_asset.{name}", value, why) for name, value, why in (
             ("name", "base_quadrotor", "the registered name"), ("base_link_name", "base_link", "a robot is one body"),
             ("collision_mask", 0, "PhysX"), ("replace_cylinder_with_capsule", False, "PhysX"),
@@ -193,10 +178,11 @@ TABLE = Table(
         )),
         *(idle(f"init_config.{name}", None, "min_init_state and max_init_state say where a robot starts")
           for name in ("min_state_ratio", "max_state_ratio")),
-        derived("control_allocator_config.allocation_matrix", allocation_matrix,
-                "the matrix is derived from the rotors here; " + _FILE),
-        derived("control_allocator_config.num_motors", lambda c: c.num_rotors, _FILE),
-        derived("control_allocator_config.motor_directions", lambda c: [m.spin for m in c.mounts.layout], _FILE),
+        carried(bodies.MATRIX, "mounts", bodies.allocation_matrix, bodies.rotors,
+                "the rotors stand where the matrix has them; it is derived from them again"),
+        carried("control_allocator_config.num_motors", "mounts", lambda c: c.num_rotors, bodies.rotors),
+        carried(bodies.DIRECTIONS, "mounts: spin", lambda c: [m.spin for m in c.mounts.layout], bodies.rotors,
+                "matrix and directions must say the same"),
         idle("control_allocator_config.application_mask", None, "thrust acts where the rotors are"),
         idle("control_allocator_config.force_application_level", "motor_link", "thrust acts where the rotors are"),
         carried(f"{_MOTOR}.use_rps", "rotor.mode", lambda c: c.rotor_types[0].mode == "speed", _mode, "speed or force"),
@@ -222,6 +208,11 @@ TABLE = Table(
     idle_sections={"reset_asset": "-"},
 )  # fmt: skip
 """What becomes of the attributes of a robot class."""
+
+
+def floats(cls: Any) -> bool:
+    """Return whether a robot class feels no gravity."""
+    return bool(TABLE.values(cls).get("robot_asset.disable_gravity", False))
 
 
 def robot_of(cls: Any) -> RobotCfg:

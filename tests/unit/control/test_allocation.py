@@ -11,7 +11,9 @@ from scipy.optimize import linprog
 from torch import Tensor
 
 from aerial_gym.config.robot import MountCfg, RobotCfg
+from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.allocation import Allocation, allocation_matrix, prioritised_thrust
+from aerial_gym.errors import ConfigError
 from aerial_gym.interop import start_warp
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.fused.command import make_prioritised_thrust
@@ -196,3 +198,12 @@ def test_the_fused_twin_gives_the_same_thrusts(name: str) -> None:
     expected = torch.clamp(prioritised_thrust(exact.inverse, wanted, exact.low, exact.high), exact.low, exact.high)
     size = 1.0 + wanted.abs().max() * exact.inverse.abs().max()
     torch.testing.assert_close(found.double(), expected, atol=float(size) * 4e-6, rtol=0)
+
+
+def test_a_vehicle_without_weight_has_an_allocation_but_no_geometric_law() -> None:
+    """A constant torque ratio is the same at every thrust, so the matrix is the same as with weight."""
+    vehicle = vehicle_from_config(ROBOTS.get("base_quadrotor"), num_envs=2)
+    torch.testing.assert_close(allocation_matrix(vehicle, 0.0), allocation_matrix(vehicle, 9.81))
+    make_controller(CONTROLLERS.get("no_control"), vehicle, 0.0)
+    with pytest.raises(ConfigError, match="gravity = 0.0: the law 'velocity' holds a vehicle against its weight"):
+        make_controller(CONTROLLERS.get("lee_velocity_control"), vehicle, 0.0, dt=0.01)

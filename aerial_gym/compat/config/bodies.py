@@ -1,0 +1,127 @@
+"""The body of a robot class: mass, inertia and shapes of its URDF, rotors of its allocation matrix.
+
+A column of the matrix is force and torque per thrust of a rotor: its axis a, and ``r x a - d c a`` with its place r, its
+direction d and torque ratio c. The place along the axis changes nothing and is that of the origin.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from aerial_gym.assets.urdf import load_urdf
+from aerial_gym.assets.urdf_body import urdf_body
+from aerial_gym.compat.config.fields import Changes, Values, same
+from aerial_gym.compat.directory import AERIAL_GYM_DIRECTORY
+from aerial_gym.config.robot import BodyCfg, CollisionCfg, MountCfg, MountsCfg, PartCfg, RobotCfg, SphereCfg, Vec3
+from aerial_gym.errors import ConfigError
+
+FOLDER = f"{AERIAL_GYM_DIRECTORY}/resources/robots/quad"
+"""Folder of the URDF in a class that stands for a robot of ours; it need not be there."""
+
+MATRIX, DIRECTIONS = "control_allocator_config.allocation_matrix", "control_allocator_config.motor_directions"
+_MOTORS = "control_allocator_config.num_motors"
+_RATIO = "control_allocator_config.motor_model_config.thrust_to_torque_ratio"
+
+
+def allocation_matrix(cfg: RobotCfg) -> list[list[float]]:
+    """Return force and torque per thrust of each rotor, rows Fx, Fy, Fz, Mx, My, Mz, columns in the order of the mounts."""
+    columns = []
+    for mount, rotor in zip(cfg.mounts.layout, cfg.rotor_types, strict=True):
+        axis = np.asarray(mount.axis, dtype=float) / np.linalg.norm(mount.axis)
+        torque = np.cross(mount.position, axis) - mount.spin * (rotor.torque_ratio or 0.0) * axis
+        columns.append(np.concatenate((axis, torque)))
+    return np.stack(columns, axis=1).tolist()
+
+
+def rotors(values: Values) -> Changes:
+    """Return the mounts of an allocation matrix.
+
+    Raises:
+        ConfigError: If the matrix, the directions and the torque ratio contradict one another.
+    """
+    matrix = np.asarray(values[MATRIX], dtype=float)
+    directions, ratio = [int(d) for d in values[DIRECTIONS]], float(values[_RATIO])
+    if matrix.shape != (6, len(directions)) or int(values[_MOTORS]) != len(directions):
+        raise ConfigError(
+            f"{MATRIX} of shape {matrix.shape}: needs a column for each of the {values[_MOTORS]} motors and of the "
+            f"{len(directions)} motor_directions"
+        )
+    layout = tuple(
+        _mount(column, spin, ratio, i) for i, (column, spin) in enumerate(zip(matrix.T, directions, strict=True))
+    )
+    return {"mounts": MountsCfg(layout=layout, source=f"{MATRIX} of a robot class")}
+
+
+def _mount(column: np.ndarray, spin: int, ratio: float, number: int) -> MountCfg:
+    force, torque = column[:3], column[3:]
+    size = float(np.linalg.norm(force))
+    if not np.isclose(size, 1.0, rtol=1e-3):
+        raise ConfigError(f"{MATRIX}, motor {number}: force {force.tolist()} per thrust has the size {size:g}, not 1")
+    axis = force / size
+    along = float(torque @ axis)
+    if not np.isclose(along, -spin * ratio, rtol=1e-2, atol=1e-6):
+        raise ConfigError(
+            f"{MATRIX}, motor {number}: torque {along:g} about its axis per thrust, but motor_directions and "
+            f"thrust_to_torque_ratio say {-spin * ratio:g}. There the matrix allocates and the others act; say one thing"
+        )
+    place = np.cross(axis, torque)
+    return MountCfg(position=_vec3(place), axis=_vec3(axis), spin=spin)
+
+
+def body(values: Values) -> Changes:
+    """Return mass, inertia and collision shapes of the URDF of a class; nothing where that is one of a robot of ours.
+
+    Raises:
+        ConfigError: If the file is missing or not possible as one body.
+    """
+    folder, file = str(values["robot_asset.asset_folder"]), str(values["robot_asset.file"])
+    path = Path(folder) / file
+    if same(folder, FOLDER) and not path.is_file():
+        return {}
+    if not path.is_file():
+        raise ConfigError(
+            f"robot_asset {path}: no such URDF file; those of that simulator are not here. Give your own, "
+            "or a robot file (.yaml) as robot_name"
+        )
+    whole = urdf_body(path)
+    return {
+        "body": BodyCfg(
+            mass=whole.mass,
+            inertia=(_vec3(whole.inertia[0]), _vec3(whole.inertia[1]), _vec3(whole.inertia[2])),
+            com=_vec3(whole.com),
+            source=f"URDF {path.name}, all links at zero joint angles",
+        ),
+        "collision": CollisionCfg(
+            spheres=tuple(_sphere(part) for part in load_urdf(path).parts or ()),
+            source=f"URDF {path.name}: the smallest sphere around each of its shapes, about their centres",
+        ),
+        "summary": f"robot of {path.name}",
+    }
+
+
+def _sphere(part: PartCfg) -> SphereCfg:
+    """Return the sphere around a shape about its origin; of a mesh, about the middle of its bounds."""
+    shape = part.shape
+    if shape.kind == "mesh":
+        return _sphere_of_mesh(part)
+    half = {
+        "sphere": (shape.radius or 0.0,),
+        "cylinder": (shape.radius or 0.0, 0.5 * (shape.height or 0.0)),
+        "box": tuple(0.5 * edge for edge in shape.size or ()),
+    }[shape.kind]
+    return SphereCfg(center=part.position, radius=float(np.linalg.norm(half)))
+
+
+def _sphere_of_mesh(part: PartCfg) -> SphereCfg:
+    import trimesh
+    from trimesh.transformations import euler_matrix
+
+    mesh = trimesh.load(part.shape.path, force="mesh")
+    low, high = np.asarray(mesh.bounds) * part.shape.scale  # pyright: ignore[reportAttributeAccessIssue]
+    middle = euler_matrix(*part.euler, axes="sxyz")[:3, :3] @ (0.5 * (low + high)) + part.position
+    return SphereCfg(center=_vec3(middle), radius=float(0.5 * np.linalg.norm(high - low)))
+
+
+def _vec3(vector: np.ndarray) -> Vec3:
+    x, y, z = map(float, vector)
+    return x, y, z
