@@ -1,0 +1,88 @@
+"""A step of every registered task makes no tensor from Python numbers and reads none: either ends the capture of a CUDA graph.
+
+Both are seen by torch's dispatcher on any device, so that this needs no GPU; what only a GPU shows is in
+``tests/integration/test_cuda.py``.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from aerial_gym.config.robot import SensorMountCfg
+from aerial_gym.env_manager import SimBuilder
+from aerial_gym.robots import ROBOTS
+from aerial_gym.task import task_registry
+
+FORBIDDEN = {
+    "aten::lift_fresh": "makes a tensor from Python numbers: torch.tensor, new_tensor",
+    "aten::_local_scalar_dense": "reads a tensor: item, tolist, bool, float",
+    "aten::nonzero": "has a size that depends on the data",
+}
+
+
+class NothingThatWaits(TorchDispatchMode):
+    """Refuses what a captured step must not do."""
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        name = func.name().split(".")[0]
+        assert name not in FORBIDDEN, f"{name} {FORBIDDEN[name]}"
+        by_mask = name == "aten::index" and any(i is not None and i.dtype == torch.bool for i in args[1])
+        assert not by_mask, "aten::index by a mask has a size that depends on the data"
+        return func(*args, **(kwargs or {}))
+
+
+def test_the_mode_sees_what_it_refuses() -> None:
+    rows, mask = torch.ones(3), torch.tensor([True, False, True])
+    with NothingThatWaits():
+        rows.add_(1.0)
+        for wrong in (
+            lambda: torch.tensor((0.0, 1.0)),
+            lambda: float(rows[0]),
+            lambda: rows[mask],
+            lambda: bool(mask[0]),
+        ):
+            with pytest.raises(AssertionError, match="aten::"):
+                wrong()
+
+
+@pytest.mark.parametrize("name", task_registry.names())
+def test_a_step_of_a_task_can_be_captured(name: str) -> None:
+    """Some environments end on the way, so that the masked reset, with all that it draws, is in the step."""
+    task = task_registry.make_task(name, num_envs=4, device="cpu", seed=0)
+    task.reset()
+    actions = torch.zeros(4, task.env.robot_manager.num_actions)
+    task.step(actions)
+    task.env.gtd["sim_steps"][::2] = task.cfg.episode_len_steps
+    with NothingThatWaits():
+        task.step(actions)
+        task.step(actions)
+
+
+def test_mounted_sensors_with_rate_and_latency_can_be_captured() -> None:
+    """Two cameras, one of them late and at a rate, with places that a reset draws, and two IMUs, likewise."""
+    late = {"rate_hz": 50.0, "latency_s": 0.02}
+    mounts = (
+        "base_depth_camera",
+        SensorMountCfg(sensor="base_depth_camera", name="rear", euler=(0.0, 0.0, 3.0), **late),
+        "vn100",
+        SensorMountCfg(sensor="bmi088", name="tail", position=(-0.1, 0.0, 0.0), **late),
+    )
+    env = SimBuilder().build_env(
+        sim_name="base_sim",
+        env_name="landing_env",
+        robot_name=replace(ROBOTS.get("base_quadrotor"), sensors=mounts),
+        controller_name="lee_velocity_control",
+        num_envs=2,
+        device="cpu",
+    )
+    env.reset()
+    actions, mask = torch.zeros(2, 4), torch.tensor([True, False])
+    env.step(actions)
+    env.render()
+    with NothingThatWaits():
+        env.step(actions)
+        env.reset(mask)
+        env.render()
