@@ -1,7 +1,8 @@
 """The order of a step, and nothing else.
 
-``act -> [control -> allocate -> rotors -> effects -> integrate -> ground -> move obstacles -> obstacles push -> collide] x K
--> IMU -> clocks``, then, when the task has seen the result, ``reset by mask -> sense``. Letters: E environments, A obstacles.
+``act -> [control -> allocate -> rotors -> effects -> integrate -> ground -> move obstacles -> obstacles push] x K -> collide
+-> IMU -> clocks``, then, when the task has seen the result, ``reset by mask -> sense``. Obstacles that do not push move
+with the collision test, which follows all K substeps. Letters: E environments, A obstacles, K substeps.
 """
 
 from typing import Any
@@ -86,6 +87,7 @@ class EnvManager:
             ceiling_height=env.ceiling_height,
             contact=env.contact,
             scene=scene,
+            moving=self.asset_manager.moving,
             hook=trajectory,
         )
         self.robot_manager = RobotManager(
@@ -188,30 +190,25 @@ class EnvManager:
         self.robot_manager.act(actions)
         if env_actions is not None:
             self.asset_manager.take_actions(env_actions)
-        self._advance()
+        self.fly()
+        self.collide()
         self.robot_manager.refresh(self.dt)
         self.imus.measure()
         gtd["sim_steps"].add_(1)
 
-    def _advance(self) -> None:
-        """Advance the physics in one launch, and in another move the obstacles and look for contact after every substep.
+    def fly(self) -> None:
+        """Advance the physics by an environment step, in one launch.
 
-        The physics itself looks for contact with the ground after every step of its own; without obstacles that is all. Where
-        obstacles push back, they act between the physics steps, which are then launched one by one.
+        It looks for contact with the ground after every substep, and obstacles that push back (``contact``) move and push
+        between the substeps. Other obstacles wait for ``collide``.
         """
-        steps = self.cfg.physics_steps_per_env_step
+        self.robot_manager.advance(self.cfg.physics_steps_per_env_step)
+
+    def collide(self) -> None:
+        """Measure the clearance in one launch; obstacles that do not push back move meanwhile, and every touch is a crash."""
         if self.cfg.num_assets and self.cfg.contact is None:
-            self.robot_manager.advance(steps)
             self._collision.step()
-            return
-        if self.cfg.num_assets == 0:
-            self.robot_manager.advance(steps)
-        else:
-            for _ in range(steps):
-                self.robot_manager.advance(1)
-                self.asset_manager.step(self.sim_cfg.dt)
-                self.robot_manager.push_off_obstacles()
-        if self._collision.has_solids:
+        elif self._collision.has_solids:
             self._collision.measure()
 
     def restart(self, seed: int) -> None:

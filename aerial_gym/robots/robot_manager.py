@@ -11,6 +11,7 @@ from torch import Tensor
 
 from aerial_gym.assets import Scene
 from aerial_gym.assets.body_shapes import contact_points
+from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.robot import RobotCfg
@@ -54,10 +55,13 @@ class Surroundings:
     """How ground and obstacles push back; None if they do not."""
 
     scene: Scene | None = None
-    """The obstacles; only needed with ``contact``."""
+    """The obstacles; only needed with ``contact``, which moves them between the substeps."""
+
+    moving: "Obstacles | None" = None
+    """Its instances as they move; None if nothing moves."""
 
     hook: SubstepHook | None = None
-    """Follows the robot from substep to substep."""
+    """Follows the robot from substep to substep, where there is no contact with obstacles."""
 
 
 class RobotManager:
@@ -118,10 +122,9 @@ class RobotManager:
             self.controller,
             integrator=sim.integrator,
             ground=self._make_ground(spheres),
-            hook=around.hook,
+            hook=self._make_scene_contact(spheres) or around.hook,
             random=random,
         )
-        self._scene_contact = self._make_scene_contact(spheres)
         rest_speed = _hover_speed(self.declared, sim.gravity)
         self.tensors.state.rotor_speed.copy_(rest_speed)
         self._initial = InitialState(
@@ -187,6 +190,7 @@ class RobotManager:
             dt=self._sim.dt,
             crashes_out=self._around.crashes,
             impulse_out=self._contact_force,
+            moving=self._around.moving,
         )
 
     def _declare_contact(self, spheres: Tensor) -> Tensor | None:
@@ -255,15 +259,8 @@ class RobotManager:
             self._contact_force.zero_()
 
     def advance(self, substeps: int) -> None:
-        """Advance the physics by ``substeps`` with the stored action held; where obstacles push back, one at a time."""
-        if self._scene_contact is not None:
-            self._scene_contact.remember()
+        """Advance the physics by ``substeps`` with the stored action held; obstacles that push back move and push between."""
         self.backend.step(self.tensors.state, self.tensors.actions, self._sim.dt, substeps)
-
-    def push_off_obstacles(self) -> None:
-        """Let the obstacles push back, where they do; call it after each physics step, when they have moved."""
-        if self._scene_contact is not None:
-            self._scene_contact.push()
 
     def refresh(self, span: float) -> None:
         """Bring everything that follows from the physics to its instant; ``span`` [s] is the length of the step."""

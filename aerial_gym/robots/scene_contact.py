@@ -1,10 +1,12 @@
-"""Contact of the robot with obstacles, at rest or moving: changes its motion after each physics step.
+"""Contact of the robot with obstacles, at rest or moving: changes its motion after each substep of the physics.
 
-The ground plane of an environment is solved inside the physics step, before. Formula and sources: ``physics.contact``.
+After a substep and its contact with the ground plane the obstacles move, then push. It is a ``SubstepHook``: the fused kernel
+holds it, and the torch backend calls it. Formula and sources: ``physics.contact``.
 Frames: world of each environment, z up; spheres in the body frame. Letters: E environments, A instances, C spheres.
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 import warp as wp
@@ -12,9 +14,12 @@ from torch import Tensor
 
 from aerial_gym.assets import Scene
 from aerial_gym.assets.geometry import outward_normal, signed_distance
+from aerial_gym.assets.motion import move_instance
+from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import SceneArrays, part_attitude, part_is_present, part_position
 from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.contact import ContactCfg
+from aerial_gym.errors import ShapeError
 from aerial_gym.interop import on_torch_stream
 from aerial_gym.physics import BodyState
 from aerial_gym.physics.contact import POSITION_SHARE
@@ -27,7 +32,9 @@ from aerial_gym.physics.fused.contact import (
     rows_of,
 )
 from aerial_gym.physics.fused.functions import rotate
+from aerial_gym.physics.fused.hook import FusedHook
 from aerial_gym.physics.fused.types import vector_of
+from aerial_gym.physics.integrators import MassState
 
 MAX_CONTACTS = 8
 """Pairs of sphere and part that push in one step; of more, the deepest."""
@@ -54,16 +61,6 @@ class SceneMotion:
     ang_vel: wp.array2d[wp.vec3]  # (E, A) world [rad/s]
 
 
-@wp.struct
-class RobotBody:
-    """What is pushed."""
-
-    mass: wp.array[float]  # (E,) [kg]
-    inertia: wp.array[wp.mat33]  # (E,) about the centre of mass, body [kg m²]
-    com: wp.array[wp.vec3]  # (E,) from the body origin, body [m]
-    sphere: wp.array[wp.vec4]  # (C,) centre in the body frame, radius [m]
-
-
 @wp.func
 def _shallowest(pairs: TouchingPairs) -> int:
     """Return the entry of the smallest overlap, an empty one if there is any."""
@@ -76,7 +73,13 @@ def _shallowest(pairs: TouchingPairs) -> int:
 
 @wp.func
 def _find_pairs(
-    scene: SceneArrays, motion: SceneMotion, body: RobotBody, env: int, center_of_mass: wp.vec3, attitude: wp.quat
+    scene: SceneArrays,
+    motion: SceneMotion,
+    sphere: wp.array[wp.vec4],
+    com: wp.vec3,
+    env: int,
+    center_of_mass: wp.vec3,
+    attitude: wp.quat,
 ) -> TouchingPairs:
     """Return the pairs that overlap, the deepest ``MAX_CONTACTS`` if there are more; instances alone, not the ground."""
     pairs = TouchingPairs()
@@ -86,11 +89,9 @@ def _find_pairs(
             shape = scene.shapes[scene.part_shape[env, part]]
             turn = part_attitude(scene, env, part)
             origin = part_position(scene, env, part)
-            for c in range(body.sphere.shape[0]):
-                radius = body.sphere[c][3]
-                offset = rotate(
-                    attitude, wp.vec3(body.sphere[c][0], body.sphere[c][1], body.sphere[c][2]) - body.com[env]
-                )
+            for c in range(sphere.shape[0]):
+                radius = sphere[c][3]
+                offset = rotate(attitude, wp.vec3(sphere[c][0], sphere[c][1], sphere[c][2]) - com)
                 away = center_of_mass + offset - origin
                 if wp.length(away) - scene.radius[env, part] < radius:
                     local = wp.quat_rotate_inv(turn, away)
@@ -107,52 +108,126 @@ def _find_pairs(
     return pairs
 
 
-@wp.kernel(enable_backward=False)
-def _push(
-    # scene
-    scene: SceneArrays,
-    motion: SceneMotion,
-    # params
-    body: RobotBody,
-    law: ContactParameters,
-    # state
-    first_lin_vel: wp.array[wp.vec3],  # (E,) of the body origin at the start of the physics step, world [m/s]
-    first_ang_vel: wp.array[wp.vec3],  # (E,) likewise, body [rad/s]
-    dt: float,  # [s]
-    # out
-    position_out: wp.array[wp.vec3],  # (E,) body origin, world [m]; read, and written where something touches
-    attitude_out: wp.array[wp.quat],  # (E,) body to world, xyzw
-    lin_vel_out: wp.array[wp.vec3],  # (E,) world [m/s]
-    ang_vel_out: wp.array[wp.vec3],  # (E,) body [rad/s]
-    crashes_out: wp.array[wp.bool],  # (E,) set where this is a crash
-    impulse_out: wp.array[wp.vec3],  # (E,) world [N s], added to
+@wp.struct
+class SceneSurroundings:
+    """What can be touched, how it pushes, and what is told."""
+
+    scene: SceneArrays
+    motion: SceneMotion
+    sphere: wp.array[wp.vec4]  # (C,) centre in the body frame, radius [m]
+    law: ContactParameters
+    crashes: wp.array[wp.bool]  # (E,) set where a touch is a crash
+    impulse: wp.array[wp.vec3]  # (E,) world [N s], added to
+
+
+@wp.struct
+class MovingSurroundings:
+    """The same with obstacles that move."""
+
+    around: SceneSurroundings
+    obstacles: Obstacles
+
+
+@wp.func
+def _meet(
+    around: SceneSurroundings,
+    env: int,
+    k: int,  # noqa: ARG001 (all hooks have the same arguments)
+    dt: float,
+    mass: float,
+    inertia: wp.mat33,
+    com: wp.vec3,
+    v0: wp.vec3,
+    w0: wp.vec3,
+    x: wp.vec3,
+    q: wp.quat,
+    v: wp.vec3,
+    w: wp.vec3,
 ):
-    """Change the motion of the robots that overlap obstacles; leave the others alone."""
-    env = wp.tid()
-    q = attitude_out[env]
-    w = ang_vel_out[env]
-    com = body.com[env]
-    x = position_out[env] + rotate(q, com)
-    pairs = _find_pairs(scene, motion, body, env, x, q)
+    """Return the motion of a robot after the push of what it overlaps; as it came, bit for bit, where that is nothing.
+
+    Arguments as in ``FusedHook.function``.
+    """
+    pairs = _find_pairs(around.scene, around.motion, around.sphere, com, env, x, q)
     if wp.min(pairs.gaps) >= 0.0:
-        return
-    v = lin_vel_out[env] + rotate(q, wp.cross(w, com))
-    turn = rotate(q, first_ang_vel[env])
-    first_v = first_lin_vel[env] + wp.cross(turn, rotate(q, com))
+        return x, q, v, w
+    turn = rotate(q, w0)
     for i in range(MAX_CONTACTS):
-        approach = wp.dot(pairs.normals[i], pairs.surface_vels[i] - point_velocity(first_v, turn, pairs.levers[i]))
-        if pairs.gaps[i] < 0.0 and approach >= law.least_approach:
-            crashes_out[env] = True
+        approach = wp.dot(pairs.normals[i], pairs.surface_vels[i] - point_velocity(v0, turn, pairs.levers[i]))
+        if pairs.gaps[i] < 0.0 and approach >= around.law.least_approach:
+            around.crashes[env] = True
     delta, delta_turn = _velocity_change(
-        law, dt, body.mass[env], body.inertia[env], q, v, rotate(q, w),
+        around.law, dt, mass, inertia, q, v, rotate(q, w),
         pairs.gaps, pairs.levers, pairs.normals, pairs.surface_vels,
     )  # fmt: skip
-    x, q, v, w = displaced(law, dt, x, q, v, w, delta, delta_turn)
-    position_out[env] = x - rotate(q, com)
-    attitude_out[env] = q
-    lin_vel_out[env] = v - rotate(q, wp.cross(w, com))
-    ang_vel_out[env] = w
-    impulse_out[env] = impulse_out[env] + body.mass[env] * delta
+    around.impulse[env] = around.impulse[env] + mass * delta
+    pushed_x, pushed_q, pushed_v, pushed_w = displaced(around.law, dt, x, q, v, w, delta, delta_turn)
+    return pushed_x, pushed_q, pushed_v, pushed_w
+
+
+@wp.func
+def _move_and_meet(
+    data: MovingSurroundings,
+    env: int,
+    k: int,
+    dt: float,
+    mass: float,
+    inertia: wp.mat33,
+    com: wp.vec3,
+    v0: wp.vec3,
+    w0: wp.vec3,
+    x: wp.vec3,
+    q: wp.quat,
+    v: wp.vec3,
+    w: wp.vec3,
+):
+    """Do the same when the obstacles of the environment have moved by a substep."""
+    for a in range(data.obstacles.asset.shape[1]):
+        move_instance(data.obstacles, env, a, dt, 1)
+    next_x, next_q, next_v, next_w = _meet(data.around, env, k, dt, mass, inertia, com, v0, w0, x, q, v, w)
+    return next_x, next_q, next_v, next_w
+
+
+@cache
+def _make_push(moves: bool) -> wp.Kernel:
+    """Return the kernel of one substep, for backends that are no kernel themselves."""
+    data_type, meet = (MovingSurroundings, _move_and_meet) if moves else (SceneSurroundings, _meet)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def push(
+        data: data_type,  # read and written
+        # params
+        mass: wp.array[float],  # (E,) [kg]
+        inertia: wp.array[wp.mat33],  # (E,) about the centre of mass, body [kg m²]
+        com: wp.array[wp.vec3],  # (E,) from the body origin, body [m]
+        # state
+        first_lin_vel: wp.array[wp.vec3],  # (E,) of the centre of mass at the start of the substep, world [m/s]
+        first_ang_vel: wp.array[wp.vec3],  # (E,) likewise, body [rad/s]
+        dt: float,  # [s]
+        # out
+        position_out: wp.array[wp.vec3],  # (E,) body origin, world [m]; read, and written where something touches
+        attitude_out: wp.array[wp.quat],  # (E,) body to world, xyzw
+        lin_vel_out: wp.array[wp.vec3],  # (E,) world [m/s]
+        ang_vel_out: wp.array[wp.vec3],  # (E,) body [rad/s]
+    ):
+        """Change the motion of the robots that overlap obstacles."""
+        env = wp.tid()
+        q = attitude_out[env]
+        w = ang_vel_out[env]
+        c = com[env]
+        x = position_out[env] + rotate(q, c)
+        v = lin_vel_out[env] + rotate(q, wp.cross(w, c))
+        next_x, next_q, next_v, next_w = meet(
+            data, env, 0, dt, mass[env], inertia[env], c, first_lin_vel[env], first_ang_vel[env], x, q, v, w
+        )
+        if wp.length(next_v - v) == 0.0 and wp.length(next_w - w) == 0.0:
+            return  # bit for bit as it was
+        position_out[env] = next_x - rotate(next_q, c)
+        attitude_out[env] = next_q
+        lin_vel_out[env] = next_v - rotate(next_q, wp.cross(next_w, c))
+        ang_vel_out[env] = next_w
+
+    return push
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +248,10 @@ class PushedRobot:
 
 
 class SceneContact:
-    """Contact of one robot per environment with the obstacles, with all views made at construction."""
+    """Contact of one robot per environment with the obstacles, with all views made at construction; a ``SubstepHook``."""
+
+    max_substeps: int | None = None
+    """Any number."""
 
     def __init__(
         self,
@@ -186,6 +264,7 @@ class SceneContact:
         dt: float,
         crashes_out: Tensor,
         impulse_out: Tensor,
+        moving: "Obstacles | None" = None,
     ) -> None:
         """Take views of the tensors, which must stay where they are.
 
@@ -195,51 +274,68 @@ class SceneContact:
             robot: What is pushed.
             state: Its motion, written in place where it touches something.
             integrator: Stepper of the physics, an entry of ``contact.POSITION_SHARE``.
-            dt: Length of a physics step [s].
+            dt: Length of a substep [s].
             crashes_out: Set, bool, (E,), where it touches at the speed of a crash; never cleared here.
             impulse_out: Receives the sum of the impulses [N s], world, (E, 3); never cleared here.
+            moving: The instances of the scene as they move; None if nothing moves.
 
         Raises:
             ShapeError: If a tensor does not fit the scene.
         """
         envs, device = (scene.num_envs,), scene.device
         check_tensor("crashes_out", crashes_out, envs, device=device, dtype=torch.bool)
-        self._state, self._kept_alive = state, (scene, robot, crashes_out, impulse_out)
+        self._scene, self._robot, self._state, self._dt = scene, robot, state, dt
         self._first = (torch.zeros_like(state.lin_vel), torch.zeros_like(state.ang_vel))
-        motion, body = SceneMotion(), RobotBody()
-        size = (scene.num_envs, scene.num_instances, 3)
-        motion.lin_vel = vector_view("lin_vel", scene.asset_state[..., 7:10], size, device=device)
-        motion.ang_vel = vector_view("ang_vel", scene.asset_state[..., 10:13], size, device=device)
+        around, size = SceneSurroundings(), (scene.num_envs, scene.num_instances, 3)
+        around.scene, around.law = scene.arrays, contact_parameters(cfg, POSITION_SHARE[integrator])
+        around.motion.lin_vel = vector_view("lin_vel", scene.asset_state[..., 7:10], size, device=device)
+        around.motion.ang_vel = vector_view("ang_vel", scene.asset_state[..., 10:13], size, device=device)
+        around.sphere = wp.from_torch(robot.spheres, dtype=wp.vec4)
+        around.crashes = wp.from_torch(crashes_out)
+        around.impulse = vector_view("impulse_out", impulse_out, (*envs, 3), device=device)
+        self._data = around
+        if moving is not None:
+            self._data = MovingSurroundings()
+            self._data.around, self._data.obstacles = around, moving
+        self._moves, self._kept_alive = moving is not None, (crashes_out, impulse_out, moving)
+        self._command: wp.Launch | None = None
+
+    def fused(self) -> FusedHook:
+        """Return the same as Warp code."""
+        struct, function = (MovingSurroundings, _move_and_meet) if self._moves else (SceneSurroundings, _meet)
+        return FusedHook(struct, self._data, function)
+
+    def after_substep(self, k: int, before: MassState, state: BodyState) -> None:
+        """Move the obstacles, and push the robots that overlap them; launched on torch's current stream, not waited for."""
+        del k
+        if state is not self._state:
+            raise ShapeError("SceneContact: pushes the robots of another state. Make one for this state")
+        self._first[0].copy_(before.lin_vel)
+        self._first[1].copy_(before.ang_vel)
+        if self._command is None:
+            self._command = self._record()
+        with on_torch_stream(self._state.lin_vel):
+            self._command.launch()
+
+    def _record(self) -> wp.Launch:
+        scene, robot, envs, device = self._scene, self._robot, (self._scene.num_envs,), self._scene.device
         check_tensor("mass", robot.mass, envs, device=device)
         check_tensor("inertia", robot.inertia, (*envs, 3, 3), device=device)
-        body.mass, body.inertia = wp.from_torch(robot.mass), wp.from_torch(robot.inertia, dtype=wp.mat33)
-        body.com = vector_view("com", robot.com, (*envs, 3), device=device)
-        body.sphere = wp.from_torch(robot.spheres, dtype=wp.vec4)
 
         def view(name: str, tensor: Tensor) -> wp.array:
             return vector_view(name, tensor, (*envs, tensor.shape[-1]), device=device)
 
-        law = contact_parameters(cfg, POSITION_SHARE[integrator])
-        first = [view(name, tensor) for name, tensor in zip(("lin_vel", "ang_vel"), self._first, strict=True)]
-        moved = [view(name, getattr(state, name)) for name in ("position", "attitude", "lin_vel", "ang_vel")]
-        self._command = wp.launch(
-            _push,
+        inputs = [self._data, wp.from_torch(robot.mass), wp.from_torch(robot.inertia, dtype=wp.mat33)]
+        inputs += [
+            view(name, tensor) for name, tensor in zip(("com", "v0", "w0"), (robot.com, *self._first), strict=True)
+        ]
+        moved = [view(name, getattr(self._state, name)) for name in ("position", "attitude", "lin_vel", "ang_vel")]
+        self._views = (inputs, moved)
+        return wp.launch(
+            _make_push(self._moves),
             dim=scene.num_envs,
-            inputs=[scene.arrays, motion, body, law, *first, dt],
-            outputs=[*moved, wp.from_torch(crashes_out), view("impulse_out", impulse_out)],
+            inputs=[*inputs, self._dt],
+            outputs=moved,
             device=wp.device_from_torch(device),
             record_cmd=True,
         )
-
-    def remember(self) -> None:
-        """Keep the velocities of this instant, the start of a physics step: they say how fast things approach."""
-        self._first[0].copy_(self._state.lin_vel)
-        self._first[1].copy_(self._state.ang_vel)
-
-    def push(self) -> None:
-        """Push the robots that overlap obstacles at the end of a physics step.
-
-        Launched on torch's current stream, not waited for.
-        """
-        with on_torch_stream(self._state.lin_vel):
-            self._command.launch()

@@ -39,14 +39,18 @@ def test_one_step_on_the_ground_is_that_of_torch(integrator: str) -> None:
         WarpBackend(), ROUGH, low_starts(count, torch.float32), spheres=FEET, robot=robot, integrator=integrator
     )
     fused.run(0.01, 0.01)
-    state = low_starts(count, torch.float32)
-    scene = InScene(
-        [ShapeCfg(kind="plane")], obstacle(count), ROUGH, state, spheres=FEET, robot=robot, integrator=integrator
-    )
-    scene.run(0.01)
+    scenes = [
+        InScene(
+            [ShapeCfg(kind="plane")], obstacle(count), ROUGH, low_starts(count, torch.float32), spheres=FEET,
+            robot=robot, integrator=integrator, backend=backend,
+        )
+        for backend in (WarpBackend(), TorchBackend())
+    ]  # fmt: skip
+    for scene in scenes:
+        scene.run(0.01)
     touched = truth.impulse[:, 2] > 0.0
     assert 16 < touched.sum() < 64
-    for rig in (fused, scene):
+    for rig in (fused, *scenes):
         assert rig.crashes.tolist() == truth.crashes.tolist()
         error = (torch.cat(rig.state.tensors(), -1) - torch.cat(truth.state.tensors(), -1)).abs().amax(dim=1)
         assert error.sort().values[:-1].max() < 2e-4  # all but one on an edge

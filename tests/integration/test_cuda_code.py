@@ -10,17 +10,19 @@ from aerial_gym.assets import placement
 from aerial_gym.assets.collision import make_walk
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.images import IMAGES
+from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.interop import start_warp
 from aerial_gym.interop.rows import RowFunction
 from aerial_gym.physics import EFFECTS, Ground, WarpBackend, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LearnedResidual
-from aerial_gym.robots import ROBOTS, derived, initial_state, scene_contact
+from aerial_gym.robots import ROBOTS, derived, initial_state
 from aerial_gym.sensors import flow, imu, places, view
 from aerial_gym.sensors.cells import make_pool
 from aerial_gym.sensors.pixels import Outputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
 from aerial_gym.task.draws import goals, noise
+from tests.physics.contact_rig import InScene, obstacle, start
 from tests.physics.vehicles import random_network
 
 ARCHITECTURE = 90
@@ -83,6 +85,12 @@ def test_row_kernels_compile(tmp_path: Path) -> None:
     compile_for_gpu(rows.kernel.module, tmp_path)
 
 
+def test_the_physics_kernel_with_obstacles_that_push_compiles(tmp_path: Path) -> None:
+    state = start(2, height=1.0, dtype=torch.float32)
+    rig = InScene([ShapeCfg(kind="plane")], obstacle(2), ContactCfg(friction=0.5), state)
+    compile_for_gpu(rig.backend.kernel.module, tmp_path)
+
+
 @pytest.mark.parametrize("moves", [False, True])
 def test_the_collision_kernel_compiles(moves: bool, tmp_path: Path) -> None:
     compile_for_gpu(make_walk(moves=moves, shared=True, cores=moves).module, tmp_path)
@@ -92,8 +100,6 @@ def test_the_kernel_of_image_cells_compiles(tmp_path: Path) -> None:
     compile_for_gpu(make_pool(shared=True).module, tmp_path)
 
 
-@pytest.mark.parametrize(
-    "module", [derived, initial_state, imu, scene_contact, goals, noise, places, placement, view, flow]
-)
+@pytest.mark.parametrize("module", [derived, initial_state, imu, goals, noise, places, placement, view, flow])
 def test_kernels_of_modules_compile(module, tmp_path: Path) -> None:
     compile_for_gpu(wp.get_module(module.__name__), tmp_path)

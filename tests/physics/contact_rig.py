@@ -7,7 +7,10 @@ import torch
 from torch import Tensor
 
 from aerial_gym.assets import Scene
+from aerial_gym.assets.asset_table import asset_table
+from aerial_gym.assets.obstacles import Obstacles, view_obstacles
 from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.environment import AssetCfg, MotionCfg
 from aerial_gym.config.robot import BodyCfg
 from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.control import CONTROLLERS, make_controller
@@ -85,22 +88,22 @@ class InScene:
         integrator: str = "euler",
         dt: float = 0.01,
         gravity: float = GRAVITY,
+        backend: TorchBackend | WarpBackend | None = None,
     ) -> None:
         """Take poses and velocities of the obstacles, (E, A, 13), and the state that is advanced in place."""
         num_envs, rows = state.num_envs, torch.arange(len(shapes))
         vehicle = vehicle_from_config(robot or robot_with(), num_envs=num_envs)
         self.state, self.dt, self.asset_state = state, dt, asset_state
         self.crashes, self.impulse = torch.zeros(num_envs, dtype=torch.bool), torch.zeros(num_envs, 3)
-        self.backend = WarpBackend()
+        self.backend = backend or WarpBackend()
         law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, GRAVITY)
-        self.backend.allocate(build_model(vehicle, gravity=gravity), law, integrator=integrator)
         pushed = PushedRobot(
             mass=vehicle.mass.clone(),
             inertia=vehicle.inertia.clone(),
             com=vehicle.com.clone(),
             spheres=torch.tensor(spheres),
         )
-        self.contact = SceneContact(
+        contact = SceneContact(
             Scene(list(shapes), shape_index=rows, semantic_id=rows, asset_state=asset_state),
             cfg,
             pushed,
@@ -109,16 +112,33 @@ class InScene:
             dt=dt,
             crashes_out=self.crashes,
             impulse_out=self.impulse,
+            moving=_moving(shapes, asset_state),
         )
+        self.backend.allocate(build_model(vehicle, gravity=gravity), law, integrator=integrator, hook=contact)
         self._still = torch.zeros(num_envs, 4)
 
     def run(self, span: float) -> None:
-        """Advance robots, then obstacles along their velocity, by ``span`` [s]."""
-        for _ in range(round(span / self.dt)):
-            self.contact.remember()
-            self.backend.step(self.state, self._still, self.dt, 1)
-            self.asset_state[..., :3] += self.dt * self.asset_state[..., 7:10]
-            self.contact.push()
+        """Advance robots, and obstacles along their twists, by ``span`` [s] in one call."""
+        self.backend.step(self.state, self._still, self.dt, round(span / self.dt))
+
+
+def _moving(shapes: Sequence[ShapeCfg], asset_state: Tensor) -> Obstacles:
+    """Return obstacles that keep their twists."""
+    place, twist = (0.5, 0.5, 0.5), MotionCfg(kind="twist")
+    asset = AssetCfg(
+        name="moving", shapes=tuple(shapes), count=len(shapes), motion=twist, position_ratio_low=place,
+        position_ratio_high=place,
+    )  # fmt: skip
+    num_envs = len(asset_state)
+    return view_obstacles(
+        asset_state,
+        torch.zeros(0, 0, 2, 3),
+        table=asset_table([asset], device=CPU),
+        asset=torch.zeros(asset_state.shape[:2], dtype=torch.int32),
+        bounds=(torch.zeros(num_envs, 3), torch.zeros(num_envs, 3)),
+        seed=torch.zeros(1, dtype=torch.int32),
+        episode=torch.zeros(num_envs, dtype=torch.int32),
+    )
 
 
 def start(num_envs: int = 1, *, height: float = 0.0, dtype: torch.dtype = torch.float64, **values) -> BodyState:

@@ -13,6 +13,7 @@ import trimesh
 from torch import Tensor
 
 from aerial_gym.assets import PARKED_Z, CollisionTest, Scene
+from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, MotionCfg, PartCfg, ShapeCfg
 from aerial_gym.config.robot import CollisionCfg, SphereCfg
 from aerial_gym.control import CONTROLLERS
@@ -160,6 +161,54 @@ def test_the_torch_backend_tells_the_same_substeps() -> None:
     torch.testing.assert_close(warp.gtd["robot_clearance"], torch_.gtd["robot_clearance"], rtol=0.0, atol=5e-5)
     assert torch.equal(warp.gtd["env_asset_state_tensor"], torch_.gtd["env_asset_state_tensor"])
     assert (warp.gtd["crashes"] != torch_.gtd["crashes"]).sum() <= 1
+
+
+PUSHING = crowd(SPIN, contact=ContactCfg(friction=0.4, crash_speed=4.0))
+
+
+def test_obstacles_that_push_do_so_after_every_substep_of_one_launch() -> None:
+    """Thrown through a crowd that pushes: ten substeps at once against ten launches of one, bit for bit.
+
+    A launch of one substep stores in float32 what the long one keeps in registers.
+    """
+    one, other = build(PUSHING, 64), build(PUSHING, 64)
+    throw(one)
+    throw(other)
+    one.step(torch.zeros(64, 4))
+    other.robot_manager.act(torch.zeros(64, 4))
+    for _ in range(K):
+        other.robot_manager.advance(1)
+    other.collide()
+    other.robot_manager.refresh(other.dt)
+    for key in ("robot_position", "robot_linvel", "env_asset_state_tensor", "robot_clearance", "crashes"):
+        assert torch.equal(one.gtd[key], other.gtd[key]), key
+    force, expected = one.gtd["robot_contact_force"], other.gtd["robot_contact_force"]
+    rounding = (
+        2 * K * 2.0**-24 * expected.abs().max().item()
+    )  # the impulses of ground and obstacles are added in another order
+    torch.testing.assert_close(force, expected, rtol=0.0, atol=rounding)
+    assert 5 < one.gtd["crashes"].sum() < 60
+
+
+def test_the_torch_backend_calls_the_obstacles_that_push() -> None:
+    """One substep, as collisions at 30 m/s multiply every rounding: velocities to 1e-4 of what the push changed.
+
+    Float32 (6e-8) times the condition of the system of contacts, some 1e3: its penalty is 100 masses.
+    """
+    ways = []
+    for backend in ("warp", "torch"):
+        env = build(PUSHING, 64, backend=backend)
+        throw(env)
+        before = env.gtd["robot_linvel"].clone()
+        env.robot_manager.act(torch.zeros(64, 4))
+        env.robot_manager.advance(1)
+        ways.append(env.gtd)
+    warp, torch_ = ways
+    error = (warp["robot_linvel"] - torch_["robot_linvel"]).norm(dim=1)
+    assert (error <= 1e-4 * (warp["robot_linvel"] - before).norm(dim=1) + 1e-6).all()
+    assert (warp["robot_contact_force"] != 0.0).any(dim=1).sum() > 3
+    assert torch.equal(warp["crashes"], torch_["crashes"])
+    assert torch.equal(warp["env_asset_state_tensor"], torch_["env_asset_state_tensor"])
 
 
 class Flight:
