@@ -6,6 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from aerial_gym.compat.config.fields import fresh
 from aerial_gym.compat.config.tasks import TABLE, task_of
 from aerial_gym.compat.sim_builder import SimBuilder
 from aerial_gym.errors import CapabilityError
@@ -35,21 +36,25 @@ class RegisteredTask:
     ) -> None:
         """Build the simulation that a configuration class names, and the task in it; arguments go before the class.
 
+        ``task_config`` is then a class of the task's own, derived from the given one, with what was given in place.
+
         Raises:
             ConfigError: If the class has a field that is unknown, or a number is impossible.
         """
-        self.task_config = task_config
-        cfg, given = task_of(task_config, self.task_name), TABLE.values(task_config)
+        self.task_config = fresh(task_config)
+        overrides = {"seed": seed, "num_envs": num_envs, "headless": headless, "device": device, "use_warp": use_warp}
+        for name, value in overrides.items():
+            if value is not None:
+                setattr(self.task_config, name, value)
+        cfg, given = task_of(self.task_config, self.task_name), TABLE.values(self.task_config)
         self.sim_env = SimBuilder().build_env(
             cfg.sim,
             str(cfg.env),
             cfg.robot,
             cfg.controller,
-            given.get("device", "auto") if device is None else device,
-            num_envs=cfg.num_envs if num_envs is None else num_envs,
-            headless=headless,
-            use_warp=use_warp,
-            seed=int(given.get("seed", 0)) if seed is None else seed,
+            given.get("device", "auto"),
+            num_envs=cfg.num_envs,
+            seed=int(given.get("seed", 0)),
         )
         self.task = Task(cfg, self.sim_env.env)
         self._pre_reset = bool(given.get("return_state_before_reset", False))

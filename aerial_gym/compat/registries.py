@@ -6,14 +6,13 @@ relatives hold what this package and its users register for good.
 """
 
 from collections.abc import Callable, Mapping
-from copy import deepcopy
 from difflib import get_close_matches
 from inspect import isclass
 from typing import Any, NoReturn
 
 from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.compat.config import controllers, environments, robots, sims, tasks
-from aerial_gym.compat.config.fields import Table
+from aerial_gym.compat.config.fields import Table, fresh
 from aerial_gym.compat.names import ABSENT
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, robot_by_name
@@ -274,22 +273,6 @@ class TaskRegistry(_Names):
         """
         given = {"seed": seed, "num_envs": num_envs, "headless": headless, "use_warp": use_warp}
         return self.get_task_class(task_name)(fresh(self.get_task_config(task_name)), **given, **more)
-
-
-def fresh(config: Any) -> Any:
-    """Return a configuration class derived from one, whose lists, mappings and nested classes are copies."""
-    if not isclass(config):
-        return deepcopy(config)
-    inner: dict[str, Any] = {}
-    for name in dir(config):
-        value = getattr(config, name)
-        if name.startswith("_"):
-            continue
-        if isclass(value) and value.__qualname__.startswith(f"{config.__qualname__}."):
-            inner[name] = fresh(value)
-        elif isinstance(value, (list, dict, set)):
-            inner[name] = deepcopy(value)
-    return type(config.__name__, (config,), inner)
 
 
 sim_config_registry = SimConfigRegistry()

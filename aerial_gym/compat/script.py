@@ -7,9 +7,14 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from aerial_gym.compat.stand_ins import stand_ins
+
 
 def run_script(path: str | Path, arguments: Sequence[str] = ()) -> dict[str, Any]:
-    """Run a script as ``python PATH ARGUMENTS`` would, without its ``isaacgym`` imports; return its global names."""
+    """Run a script as ``python PATH ARGUMENTS`` would, without its ``isaacgym`` imports; return its global names.
+
+    Modules that it imports may import ``isaacgym`` and ``gym`` themselves: ``stand_ins`` are lent to them.
+    """
     path = Path(path)
     code = compile(without_isaacgym(path.read_text(encoding="utf-8")), str(path), "exec")
     script = ModuleType("__main__")
@@ -18,7 +23,8 @@ def run_script(path: str | Path, arguments: Sequence[str] = ()) -> dict[str, Any
     sys.modules["__main__"], sys.argv = script, [str(path), *arguments]
     sys.path = [str(path.resolve().parent), *sys.path]
     try:
-        exec(code, script.__dict__)
+        with stand_ins():
+            exec(code, script.__dict__)
     finally:
         sys.modules["__main__"], sys.argv, sys.path = before
     return script.__dict__

@@ -1,10 +1,12 @@
 """The simulation builder of the Aerial Gym Simulator: its argument order, its registries, configuration classes."""
 
 from dataclasses import replace
+from typing import Any
 
 import torch
 
 from aerial_gym.compat.config.environments import kept_values
+from aerial_gym.compat.config.fields import fresh
 from aerial_gym.compat.config.robots import floats
 from aerial_gym.compat.env_manager import EnvManager
 from aerial_gym.compat.registries import (
@@ -74,7 +76,7 @@ class SimBuilder:
         )
         self._manager = EnvManager(
             env,
-            cfg=env_class,
+            cfg=_with_number(env_class, env.num_envs),
             sim_config=sim_config_registry.config_class(sim_name),
             robot_config=robot_class,
             reset_on_collision=reset_on_collision,
@@ -86,3 +88,11 @@ class SimBuilder:
         if self._manager is not None:
             self._manager.delete_env()
             self._manager = None
+
+
+def _with_number(env_class: Any, num_envs: int) -> Any:
+    """Return a class of its own for the number of environments that were built, which scripts read there."""
+    cfg = fresh(env_class)
+    if hasattr(cfg, "env"):
+        cfg.env.num_envs = num_envs
+    return cfg

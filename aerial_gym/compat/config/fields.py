@@ -8,6 +8,7 @@ nearest ancestor stands for. An attribute that no table knows is refused by name
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from inspect import isclass
@@ -186,6 +187,22 @@ def changed(cfg: Any, changes: Changes) -> Any:
     if isinstance(cfg, Mapping):
         return {**cfg, **flat}
     return replace(cfg, **flat) if flat else cfg  # pyright: ignore[reportArgumentType]
+
+
+def fresh(config: Any) -> Any:
+    """Return a configuration class derived from one, with lists, mappings and nested classes of its own, to be written to."""
+    if not isclass(config):
+        return deepcopy(config)
+    inner: dict[str, Any] = {}
+    for name in dir(config):
+        value = getattr(config, name)
+        if name.startswith("_"):
+            continue
+        if isclass(value) and value.__name__ == name:
+            inner[name] = fresh(value)
+        elif isinstance(value, (list, dict, set)):
+            inner[name] = deepcopy(value)
+    return type(config.__name__, (config,), inner)
 
 
 def frozen(value: Any) -> Any:

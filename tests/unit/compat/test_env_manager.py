@@ -91,6 +91,8 @@ def test_the_seed_is_that_of_torch_unless_given() -> None:
 def test_the_number_of_environments_is_the_class_s_unless_given() -> None:
     env = SimBuilder().build_env("base_sim", "empty_env", "base_quadrotor", "lee_velocity_control", "cpu")
     assert env.num_envs == env.cfg.env.num_envs == 64
+    assert build().cfg.env.num_envs == 4
+    assert env_config_registry.get_env_config("empty_env").env.num_envs == 64
 
 
 def test_what_is_gone_says_what_to_do() -> None:

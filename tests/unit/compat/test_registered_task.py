@@ -34,6 +34,8 @@ def test_it_is_our_task() -> None:
     assert obs["priviliged_obs"].shape == (3, 0)
     assert {"final_observation", "time_outs"} <= set(infos)
     assert theirs.observation_space == ours.observation_space
+    assert (theirs.task_config.num_envs, theirs.task_config.action_space_dim) == (3, 4)
+    assert task_registry.get_task_config(NAME).num_envs == 4096
 
 
 def test_a_configuration_class_changes_it() -> None:

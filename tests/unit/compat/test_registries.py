@@ -17,8 +17,9 @@ from aerial_gym.compat import (
     task_registry,
 )
 from aerial_gym.compat.config import controllers, robots, sims
+from aerial_gym.compat.config.fields import fresh
 from aerial_gym.compat.names import ABSENT
-from aerial_gym.compat.registries import BaseMultirotor, fresh
+from aerial_gym.compat.registries import BaseMultirotor
 from aerial_gym.errors import CapabilityError, ConfigError, DuplicateNameError, UnknownNameError
 
 GETTERS: dict[str, Callable[[str], object]] = {

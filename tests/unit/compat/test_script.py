@@ -1,10 +1,13 @@
 """Scripts without their ``isaacgym`` imports."""
 
+import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 from aerial_gym.compat.script import run_script, without_isaacgym
+from aerial_gym.math.quaternion import quat_multiply
 
 
 @pytest.mark.parametrize(
@@ -22,9 +25,26 @@ def test_imports_are_taken_out_and_lines_stay(before: str, after: str) -> None:
     assert without_isaacgym(before) == after
 
 
-def test_a_script_is_main_with_its_arguments_and_folder(tmp_path: Path) -> None:
-    import sys
+def test_modules_of_a_script_may_import_what_is_not_installed(tmp_path: Path) -> None:
+    """They get gymnasium's spaces, the helpers, and a sentence for each use of Isaac Gym; afterwards nothing of it stays."""
+    (tmp_path / "my_task_module.py").write_text(
+        "import isaacgym\nfrom isaacgym import gymapi, gymtorch\nfrom isaacgym.torch_utils import *\n"
+        "from gym.spaces import Box\nfrom gym import spaces\n"
+        "try:\n    gymapi.Vec3\nexcept AttributeError as error:\n    said = str(error)\n"
+    )
+    script = tmp_path / "script.py"
+    script.write_text("import my_task_module as m\nsaid, Box, spaces, quat_mul = m.said, m.Box, m.spaces, m.quat_mul\n")
+    names = run_script(script)
+    sys.modules.pop("my_task_module")
+    assert names["said"].startswith("isaacgym.gymapi.Vec3: there is no Isaac Gym here.")
+    assert names["quat_mul"] is quat_multiply
+    assert names["Box"] is names["spaces"].Box
+    assert "isaacgym" not in sys.modules
+    with pytest.raises(ModuleNotFoundError, match="No module named 'isaacgym'"):
+        import_module("isaacgym")
 
+
+def test_a_script_is_main_with_its_arguments_and_folder(tmp_path: Path) -> None:
     (tmp_path / "beside_the_script.py").write_text("value = 3\n")
     script = tmp_path / "script.py"
     script.write_text(

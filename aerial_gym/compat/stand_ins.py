@@ -1,0 +1,65 @@
+"""Modules that scripts of the Aerial Gym Simulator import and that need not be installed, while such a script runs.
+
+``isaacgym``: importable, and each use of it says what to do; but ``isaacgym.torch_utils`` has the functions of ``compat.math``.
+``gym``: gymnasium, whose spaces are the same. What is installed is used as it is.
+"""
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec, spec_from_loader
+from types import ModuleType
+from typing import Any, NoReturn
+
+_GYM = {"gym": "gymnasium", "gym.spaces": "gymnasium.spaces"}
+
+
+class _Loader(Loader):
+    """Fills a module of ``isaacgym``."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Give the module its functions, or the sentence that every other name gets."""
+        if module.__name__ == "isaacgym.torch_utils":
+            helpers = import_module("aerial_gym.compat.math")
+            module.__dict__.update({name: getattr(helpers, name) for name in helpers.__all__}, __all__=helpers.__all__)
+            return
+
+        def missing(name: str) -> NoReturn:
+            raise AttributeError(
+                f"{module.__name__}.{name}: there is no Isaac Gym here. What scripts ask it for is in global_tensor_dict; see "
+                "docs/coming_from_aerial_gym.md"
+            )
+
+        module.__dict__.update(__getattr__=missing, __all__=[])
+
+
+class _Finder(MetaPathFinder):
+    """Knows ``isaacgym`` and whatever is imported from it."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the spec of a stand-in, None for any other module."""
+        del path, target
+        if fullname.partition(".")[0] != "isaacgym":
+            return None
+        return spec_from_loader(fullname, _Loader(), is_package=True)
+
+
+@contextmanager
+def stand_ins() -> Iterator[None]:
+    """Let scripts import ``isaacgym`` and ``gym`` where they are not installed; afterwards all is as before."""
+    finder = _Finder()
+    lent: dict[str, Any] = {} if find_spec("gym") else {name: import_module(real) for name, real in _GYM.items()}
+    sys.meta_path.append(finder)
+    sys.modules.update(lent)
+    try:
+        yield
+    finally:
+        sys.meta_path.remove(finder)
+        for name in [*lent, *(name for name in sys.modules if name.partition(".")[0] == "isaacgym")]:
+            if name in lent or isinstance(getattr(sys.modules[name], "__loader__", None), _Loader):
+                del sys.modules[name]
