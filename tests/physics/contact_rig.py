@@ -14,6 +14,7 @@ from aerial_gym.config.environment import AssetCfg, MotionCfg
 from aerial_gym.config.robot import BodyCfg
 from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.math.random import Randomness
 from aerial_gym.physics import (
     BodyState,
     Ground,
@@ -136,8 +137,7 @@ def _moving(shapes: Sequence[ShapeCfg], asset_state: Tensor) -> Obstacles:
         table=asset_table([asset], device=CPU),
         asset=torch.zeros(asset_state.shape[:2], dtype=torch.int32),
         bounds=(torch.zeros(num_envs, 3), torch.zeros(num_envs, 3)),
-        seed=torch.zeros(1, dtype=torch.int32),
-        episode=torch.zeros(num_envs, dtype=torch.int32),
+        random=Randomness(num_envs),
     )
 
 
