@@ -23,12 +23,24 @@ from aerial_gym.physics import Trajectory
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
 from aerial_gym.robots import ROBOTS, RobotManager, Surroundings
+from aerial_gym.robots.differentiable import DifferentiableBackend, states_by_key
 from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors
 
 
 def _name_in(registry: Registry[Any], entry: RobotCfg | ControllerCfg) -> str:
     """Return how people call a configuration: its registered name, else its summary."""
     return next((repr(name) for name in registry if registry.get(name) is entry), repr(entry.summary))
+
+
+def _check_gradients(env: EnvironmentCfg, *, differentiable: bool, dtype: torch.dtype) -> None:
+    if not differentiable and dtype != torch.float32:
+        raise ConfigError(
+            f"dtype = {dtype}: the GTD is float32; give differentiable=True as well, and read the states in env.traced"
+        )
+    if differentiable and env.num_assets and env.contact is not None:
+        raise ConfigError(
+            "differentiable=True: the push of obstacles has no gradient. Leave contact out of the environment, or its obstacles"
+        )
 
 
 class EnvManager:
@@ -46,14 +58,17 @@ class EnvManager:
         seed: int,
         first_env: int = 0,
         first_episode: int = 0,
+        differentiable: bool = False,
+        dtype: torch.dtype = torch.float32,
     ) -> None:
         """Build everything; call ``reset`` before the first ``step``. ``SimBuilder.build_env`` says what is given.
 
         Raises:
-            ConfigError: If ``num_envs`` is not positive.
+            ConfigError: If ``num_envs`` is not positive, or a differentiable simulation is asked for what has no gradient.
         """
         if num_envs < 1:
             raise ConfigError(f"num_envs = {num_envs!r}: must be at least 1")
+        _check_gradients(env, differentiable=differentiable, dtype=dtype)
         self.cfg, self.sim_cfg, self.num_envs, self.device, self.seed = env, sim, num_envs, device, seed
         self.random = Randomness(num_envs, device=device, seed=seed, first_env=first_env, first_episode=first_episode)
         sizes = {"E": num_envs, "A": env.num_assets, "R": robot.num_rotors}
@@ -91,7 +106,14 @@ class EnvManager:
             hook=trajectory,
         )
         self.robot_manager = RobotManager(
-            robot, controller, sim, self.gtd, around, root_state=root[:, 0], random=self.random
+            robot,
+            controller,
+            sim,
+            self.gtd,
+            around,
+            root_state=root[:, 0],
+            random=self.random,
+            gradients=dtype if differentiable else None,
         )
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
         range_sensors, imus = mounted_sensors(robot.sensor_mounts)
@@ -172,6 +194,24 @@ class EnvManager:
             ))  # fmt: skip
 
     @property
+    def traced(self) -> dict[str, Tensor]:
+        """The robots' motion of this instant by the keys of the GTD, with its gradients, of a ``differentiable`` simulation.
+
+        The tensors are never written again: a loss may hold those of many steps. The GTD shows the same in float32.
+        """
+        return states_by_key(self._graph().state)
+
+    def detach(self) -> None:
+        """Let gradients end at this instant: what comes later is differentiated back to here, and no further."""
+        self._graph().detach()
+
+    def _graph(self) -> DifferentiableBackend:
+        found = self.robot_manager.differentiable
+        if found is None:
+            raise ConfigError("this simulation has no gradients: build it with differentiable=True")
+        return found
+
+    @property
     def dt(self) -> float:
         """Length of an environment step [s]."""
         return self.sim_cfg.dt * self.cfg.physics_steps_per_env_step
@@ -225,6 +265,8 @@ class EnvManager:
         if self.cfg.num_assets:
             self.asset_manager.reset(mask)
         self.robot_manager.reset(mask)
+        if mask is self._all and self.robot_manager.differentiable is not None:
+            self.detach()  # no row goes on
         self.asset_manager.clear_start(mask, self.gtd["robot_position"])
         self.sensor_manager.reset(mask)
         self.imus.reset(mask)

@@ -59,6 +59,8 @@ class SimBuilder:
         first_env: int = 0,
         first_episode: int = 0,
         backend: str | None = None,
+        differentiable: bool = False,
+        dtype: torch.dtype = torch.float32,
     ) -> EnvManager:
         """Return a simulation, built and not yet reset. In place of a name stands a configuration if it is registered nowhere.
 
@@ -74,6 +76,9 @@ class SimBuilder:
                 episode alone: ``num_envs=1, first_env=17`` flies environment 17 of any larger batch with that seed.
             first_episode: Number of the first episode, likewise.
             backend: Registered physics backend in place of the sim's own; ``auto`` takes the fastest.
+            differentiable: Whether gradients flow from actions through ``step`` to the states in ``env.traced``; on backend
+                ``torch``. ``env.detach()`` ends them.
+            dtype: Float type of those states; the GTD shows them in float32.
 
         Raises:
             UnknownNameError: If a name is not registered; the message lists what is.
@@ -93,4 +98,6 @@ class SimBuilder:
             seed=seed,
             first_env=first_env,
             first_episode=first_episode,
+            differentiable=differentiable,
+            dtype=dtype,
         )

@@ -4,7 +4,7 @@ Frames: body is x forward, y left, z up; world is z up. Letters: E environments,
 """
 
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 
 import torch
@@ -50,6 +50,18 @@ class Model:
 
     other_position: Tensor
     """Another vehicle, whose wake streams down [m], world, (E, 3)."""
+
+    def to(self, dtype: torch.dtype) -> "Model":
+        """Return the model in another float type."""
+        vehicle = self.vehicle.to(dtype)
+        effects = EffectsByKind((effect.to(dtype), _as_type(params, dtype)) for effect, params in self.effects)
+        heights = {
+            name: _as_type(height, dtype) if isinstance(height := getattr(self, name), Tensor) else height
+            for name in ("ground_height", "ceiling_height")
+        }
+        other = _as_type(self.other_position, dtype)
+        inverse = _inverse(vehicle.inertia)
+        return replace(self, vehicle=vehicle, effects=effects, inertia_inverse=inverse, other_position=other, **heights)
 
     @property
     def longest_delay(self) -> float:
@@ -130,6 +142,10 @@ def _check_scene(effects: Sequence[EffectParams], ceiling_height: float | Tensor
         names = [effect.name for effect, _ in effects if effect.kind is kind]
         if len(names) > 1:
             raise ConfigError(f"effects {names[0]} and {names[1]}: a vehicle has one {what} at most. Drop one of them")
+
+
+def _as_type(rows: Tensor, dtype: torch.dtype) -> Tensor:
+    return share_row(rows[0].to(dtype), rows.shape[0]) if is_shared(rows) else rows.to(dtype, copy=True)
 
 
 def _inverse(inertia: Tensor) -> Tensor:

@@ -183,24 +183,35 @@ class TorchBackend:
 
     def _step_once(self, state: BodyState, command: Tensor, dt: float) -> MassState:
         """Advance ``state`` in place by one substep and tell the ground; return a copy of the motion before."""
+        before, after = self.advance_once(state, command, dt)
+        before = MassState(**{name: tensor.clone() for name, tensor in vars(before).items()})
+        state.copy_(after)
+        return before
+
+    def advance_once(self, state: BodyState, command: Tensor, dt: float) -> tuple[MassState, BodyState]:
+        """Return the motion before and the state after one substep, differentiable, and tell the ground."""
         ground = self._ground
         if ground is None or ground.cfg is None:
             before, free = self._free_substep(state, command, dt)
             after = to_body_state(self._model, free)
-        else:
-            before, after, impulse, crashes = self._advance_on_ground(ground, ground.cfg, state, command, dt)
-            ground.contact.logical_or_(crashes)
-            if ground.impulse is not None:
-                ground.impulse.add_(impulse)
-        before = MassState(**{name: tensor.clone() for name, tensor in vars(before).items()})
-        state.copy_(after)
-        if ground is not None and ground.cfg is None:
-            ground.contact.logical_or_(touches_ground(ground, state))
-        return before
+            if ground is not None:
+                ground.contact.logical_or_(touches_ground(ground, after))
+            return before, after
+        before, after, impulse, crashes = self._advance_on_ground(ground, ground.cfg, state, command, dt)
+        ground.contact.logical_or_(crashes)
+        if ground.impulse is not None:
+            ground.impulse.add_(impulse.detach())
+        return before, after
+
+    def detach(self) -> None:
+        """Let gradients through what effects remember end at this instant."""
+        if self._memory is not None:
+            cut = {name: tensor.detach() for name, tensor in self._memory.tensors().items()}
+            self._memory = replace(self._memory, **cut)
 
     @torch.no_grad()
     def reset(self, mask: Tensor) -> None:
         """Let the effects forget the environments in ``mask``; gradients through memory end here for all environments."""
         if self._memory is not None:
-            cut = {name: tensor.detach() for name, tensor in self._memory.tensors().items()}
-            self._remember(forget(replace(self._memory, **cut), mask))
+            self.detach()
+            self._remember(forget(self._memory, mask))

@@ -110,6 +110,12 @@ class Vehicle:
         """Return the vehicle with ``change(rows)`` in place of every tensor."""
         return replace(self, **{name: change(rows) for name, rows in self.rows().items()})
 
+    def to(self, dtype: torch.dtype) -> "Vehicle":
+        """Return the vehicle in another float type; what is shared stays so."""
+        return self.map_rows(
+            lambda rows: share_row(rows[0].to(dtype), rows.shape[0]) if is_shared(rows) else rows.to(dtype, copy=True)
+        )
+
     def with_scaled_maps(self, *, thrust: Tensor | None = None, torque: Tensor | None = None) -> "Vehicle":
         """Return the vehicle with factors (E, R) or (E, 1) on thrust and on drag torque, in both directions of turning."""
         changes = {}

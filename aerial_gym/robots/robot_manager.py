@@ -20,6 +20,7 @@ from aerial_gym.control import Controller, make_controller
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.physics import (
+    PhysicsBackend,
     SubstepHook,
     Vehicle,
     build_model,
@@ -30,6 +31,7 @@ from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model, check_effects, robot_effects
 from aerial_gym.physics.rotors import state_for_thrust
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.initial_state import InitialState
 from aerial_gym.robots.scene_contact import PushedRobot, SceneContact
 from aerial_gym.robots.state_keys import RobotTensors, declare_robot_tensors
@@ -77,6 +79,7 @@ class RobotManager:
         *,
         root_state: Tensor,
         random: Randomness,
+        gradients: torch.dtype | None = None,
     ) -> None:
         """Build vehicle and controller, declare the tensors and hand everything to the backend.
 
@@ -88,6 +91,7 @@ class RobotManager:
             around: What is around it.
             root_state: This robot's row of ``vec_root_tensor``, (E, 13).
             random: Of everything that is drawn for the robot.
+            gradients: Float type of the motion through which gradients flow; None where they do not.
 
         Raises:
             CapabilityError: If the backend cannot run on this device, or an effect.
@@ -107,13 +111,24 @@ class RobotManager:
         }
         self._factors = {name: torch.ones(self._num_envs, widths[name], device=gtd.device) for name in self._ranges}
         self._com = torch.zeros(self._num_envs, 3, device=gtd.device)
-        needs = needs_of(robot, gtd.device, integrator=sim.integrator, contact=around.contact is not None)
-        self.backend = choose_backend(sim.backend, needs=needs)
+        asked = {"integrator": sim.integrator, "contact": around.contact is not None}
+        if gradients is not None:
+            asked |= {"gradients": True, "dtype": gradients}
+        self.backend: PhysicsBackend = choose_backend(sim.backend, needs=needs_of(robot, gtd.device, **asked))
         self.controller: Controller = make_controller(
-            controller, self.declared, sim.gravity, dt=sim.dt, control=robot.control
+            controller,
+            self.declared if gradients is None else self.declared.to(gradients),
+            sim.gravity,
+            dt=sim.dt,
+            control=robot.control,
         )
         gtd.define_size("U", len(self.controller.action_names))
         self.tensors: RobotTensors = declare_robot_tensors(gtd, root_state)
+        self.differentiable: DifferentiableBackend | None = None
+        if gradients is not None:
+            self.backend = self.differentiable = DifferentiableBackend(
+                self.backend, self.tensors.state, dtype=gradients
+            )
         self._declare_model()
         spheres = contact_points(robot.collision.shapes, device=gtd.device)
         self._contact_force = self._declare_contact(spheres)
@@ -254,7 +269,9 @@ class RobotManager:
                 f"{', '.join(self.controller.action_names)}"
             )
         self.tensors.prev_actions.copy_(self.tensors.actions)
-        self.tensors.actions.copy_(actions)
+        self.tensors.actions.copy_(actions.detach())
+        if self.differentiable is not None:
+            self.differentiable.action = actions.to(self.differentiable.state.position)
         if self._contact_force is not None:
             self._contact_force.zero_()
 

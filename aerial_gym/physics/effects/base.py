@@ -308,6 +308,11 @@ class Effect(ABC):
         del robot
         return [(parameter.low, parameter.high) for parameter in self.parameters]
 
+    def to(self, dtype: torch.dtype) -> "Effect":
+        """Return the effect for another float type: itself, unless it holds numbers of its own."""
+        del dtype
+        return self
+
     def check(self, robot: RobotCfg) -> None:
         """Raise ``ConfigError`` if the robot file lacks a number that the effect needs."""
         del robot

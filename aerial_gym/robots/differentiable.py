@@ -1,0 +1,120 @@
+"""The motion of the robots as tensors of a graph, through which gradients flow from step to step.
+
+The Global Tensor Dictionary holds copies of it in float32, for sensors, rewards and whoever else reads it; gradients flow
+through the motion here, which is never overwritten. Letters: E environments, U entries of an action.
+"""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from aerial_gym.errors import CapabilityError
+from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_rotate, quat_rotate_inverse
+from aerial_gym.math.random import Randomness
+from aerial_gym.physics.backend import Capabilities, ControlLaw, PhysicsBackend
+from aerial_gym.physics.ground import Ground
+from aerial_gym.physics.model import Model
+from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
+from aerial_gym.physics.torch_backend import TorchBackend
+
+
+class DifferentiableBackend:
+    """The torch backend in a float type of its own, that keeps the motion as a graph beside the tensors it is shown in."""
+
+    def __init__(self, backend: PhysicsBackend, shown: BodyState, *, dtype: torch.dtype) -> None:
+        """Take a new backend, the state in the Global Tensor Dictionary, and the float type of the graph.
+
+        Raises:
+            CapabilityError: If it is another backend than ``torch``.
+        """
+        if not isinstance(backend, TorchBackend):
+            raise CapabilityError(
+                f"backend {type(backend).__name__}: gradients flow through an environment on backend 'torch' alone"
+            )
+        self._inner, self._shown, self._dtype = backend, shown, dtype
+        self._hook: SubstepHook | None = None
+        self.state: BodyState = _map(shown, lambda rows: rows.detach().to(dtype, copy=True))
+        self.action: Tensor | None = None
+        """What the robots do in the step, (E, U), with its graph."""
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """What it can do."""
+        return self._inner.capabilities
+
+    def allocate(
+        self,
+        model: Model,
+        control: ControlLaw,
+        *,
+        integrator: str,
+        ground: Ground | None = None,
+        hook: SubstepHook | None = None,
+        random: Randomness | None = None,
+    ) -> None:
+        """Take everything in the float type of the graph; the control law is in it already."""
+        if ground is not None:
+            ground = replace(ground, spheres=ground.spheres.to(self._dtype))
+        self._hook = hook
+        self._inner.allocate(model.to(self._dtype), control, integrator=integrator, ground=ground, random=random)
+
+    def set_model(self, model: Model) -> None:
+        """Take other parameters."""
+        self._inner.set_model(model.to(self._dtype))
+
+    def advance(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> BodyState:
+        """Return the state after ``substeps`` of ``dt`` [s]; differentiable."""
+        return self._inner.advance(state, command, dt, substeps)
+
+    def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
+        """Go on with the graph by ``substeps`` of ``dt`` [s] under its own action, and show it in ``state``."""
+        check_substeps(self._hook, substeps)
+        action = command.to(self._dtype) if self.action is None else self.action
+        for k in range(substeps):
+            before, self.state = self._inner.advance_once(self.state, action, dt)
+            with torch.no_grad():
+                state.copy_(self.state)
+                if self._hook is not None:
+                    self._hook.after_substep(k, _map(before, torch.Tensor.detach), state)
+
+    def reset(self, mask: Tensor) -> None:
+        """Take the environments in ``mask``, bool (E,), from where they are shown; the graphs of others go on.
+
+        Gradients through what effects remember end here for all environments.
+        """
+        self._inner.reset(mask)
+        rows = mask.unsqueeze(-1)
+        pairs = zip(vars(self._shown).items(), self.state.tensors(), strict=True)
+        self.state = BodyState(**{name: torch.where(rows, new.to(self._dtype), old) for (name, new), old in pairs})
+
+    def detach(self) -> None:
+        """Let gradients end at this instant."""
+        self.state = _map(self.state, torch.Tensor.detach)
+        self._inner.detach()
+        self.action = None
+
+
+def _map(state, change):
+    """Return a state with a change of every tensor."""
+    return replace(state, **{name: change(rows) for name, rows in vars(state).items()})
+
+
+def states_by_key(state: BodyState) -> dict[str, Tensor]:
+    """Return a motion, and all that follows from it, by the keys of the Global Tensor Dictionary; differentiable."""
+    euler = euler_from_quat(state.attitude)
+    heading = torch.cat((torch.zeros_like(euler[:, :2]), euler[:, 2:]), dim=-1)
+    vehicle = quat_from_euler(heading)
+    return {
+        "robot_position": state.position,
+        "robot_orientation": state.attitude,
+        "robot_linvel": state.lin_vel,
+        "robot_body_angvel": state.ang_vel,
+        "rotor_speed": state.rotor_speed,
+        "robot_angvel": quat_rotate(state.attitude, state.ang_vel),
+        "robot_body_linvel": quat_rotate_inverse(state.attitude, state.lin_vel),
+        "robot_vehicle_orientation": vehicle,
+        "robot_vehicle_linvel": quat_rotate_inverse(vehicle, state.lin_vel),
+        "robot_euler_angles": euler,
+    }

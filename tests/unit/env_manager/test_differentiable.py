@@ -1,0 +1,106 @@
+"""Gradients through whole simulations: from actions, over several steps, to the states."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym import EnvManager, SimBuilder
+from aerial_gym.errors import CapabilityError, ConfigError
+
+F64 = torch.float64
+STEPS, NUM_ENVS = 3, 2
+
+
+def build(controller: str = "lee_attitude_control", **options) -> EnvManager:
+    """Return a simulation with gradients in float64, reset."""
+    chosen = {"env_name": "empty_env", "dtype": F64, "differentiable": True, **options}
+    env = SimBuilder().build_env(
+        sim_name="base_sim",
+        robot_name="base_quadrotor",
+        controller_name=controller,
+        num_envs=NUM_ENVS,
+        device="cpu",
+        seed=3,
+        **chosen,
+    )
+    env.reset()
+    return env
+
+
+def flown(env: EnvManager) -> Callable[[Tensor], Tensor]:
+    """Return a function from actions (T, E, U) to a number that depends on all states of a flight from the same start."""
+
+    def loss(actions: Tensor) -> Tensor:
+        env.restart(3)
+        env.reset()
+        total = actions.new_zeros(())
+        for action in actions:
+            env.step(action)
+            for i, rows in enumerate(env.traced.values()):
+                total = total + (rows * torch.arange(1.0 + i, rows.shape[1] + 1.0 + i, dtype=rows.dtype).cos()).sum()
+        return total
+
+    return loss
+
+
+@pytest.mark.parametrize(("controller", "size"), [("lee_attitude_control", 0.1), ("no_control", 0.6)])
+def test_gradients_of_a_flight_are_its_differences(controller: str, size: float) -> None:
+    """Of every state in every step with respect to every action before it, to the accuracy of central differences."""
+    actions = size * torch.rand(STEPS, NUM_ENVS, 4, dtype=F64, generator=torch.Generator().manual_seed(1))
+    assert torch.autograd.gradcheck(flown(build(controller)), (actions.requires_grad_(),), atol=1e-6, rtol=1e-5)
+
+
+def test_the_dictionary_shows_what_is_traced() -> None:
+    """Position to yaw, each key in float32; nothing of the dictionary carries a graph."""
+    env = build()
+    env.step(torch.full((NUM_ENVS, 4), 0.1, dtype=F64).requires_grad_())
+    for key, rows in env.traced.items():
+        assert rows.dtype == F64
+        assert rows.requires_grad or key == "robot_vehicle_orientation"
+        assert not env.gtd[key].requires_grad
+        torch.testing.assert_close(env.gtd[key].double(), rows.detach(), atol=2e-6, rtol=2e-6)
+
+
+def test_a_flight_with_gradients_is_the_flight_without() -> None:
+    """The same starts and actions on the fused backend, to float32."""
+    traced, fused = build(), build(differentiable=False, dtype=torch.float32)
+    for _ in range(20):
+        for env in (traced, fused):
+            env.step(torch.full((NUM_ENVS, 4), 0.05))
+    torch.testing.assert_close(traced.gtd["robot_position"], fused.gtd["robot_position"], atol=1e-5, rtol=1e-5)
+
+
+def test_a_reset_cuts_its_own_rows_and_detach_all() -> None:
+    env, action = build(), torch.full((NUM_ENVS, 4), 0.1, dtype=F64, requires_grad=True)
+    env.step(action)
+    env.reset(torch.tensor([True, False]))
+    env.traced["robot_linvel"].sum().backward()
+    assert action.grad is not None
+    assert action.grad[0].tolist() == [0.0] * 4
+    assert action.grad[1].abs().max() > 0.0
+    for cut in (env.detach, env.reset):
+        env.step(action)
+        cut()
+        assert not env.traced["robot_linvel"].requires_grad
+
+
+def test_obstacles_are_met_as_without_gradients() -> None:
+    """The collision test follows the substeps; distances and crashes are those of the fused backend."""
+    traced = build("lee_velocity_control", env_name="env_with_obstacles")
+    fused = build("lee_velocity_control", env_name="env_with_obstacles", differentiable=False, dtype=torch.float32)
+    for _ in range(5):
+        for env in (traced, fused):
+            env.step(torch.full((NUM_ENVS, 4), 0.5))
+    torch.testing.assert_close(traced.gtd["robot_clearance"], fused.gtd["robot_clearance"], atol=1e-5, rtol=1e-5)
+    assert torch.equal(traced.gtd["crashes"], fused.gtd["crashes"])
+
+
+def test_what_has_no_gradient_is_refused_by_name() -> None:
+    with pytest.raises(CapabilityError, match="backend warp: cannot .*. Use backend 'torch'"):
+        build(backend="warp")
+    with pytest.raises(ConfigError, match="the GTD is float32; give differentiable=True"):
+        build(differentiable=False)
+    with pytest.raises(ConfigError, match="build it with differentiable=True"):
+        _ = build(differentiable=False, dtype=torch.float32).traced
