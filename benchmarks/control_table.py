@@ -46,6 +46,7 @@ class Flight:
     """What came of a robot under a controller at a sim."""
 
     robot: str
+    controller: str
     law: str
     sim: str
     error: float
@@ -85,8 +86,8 @@ def axes_of(robot: RobotCfg) -> tuple[bool, ...]:
     return tuple((allocation.torque_authority(robot.body.mass * 9.81) > 0.0).tolist())
 
 
-def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple[str, str]) -> Flight:
-    """Return one flight; ``names`` are those of robot and sim."""
+def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple[str, str, str]) -> Flight:
+    """Return one flight; ``names`` are those of robot, controller and sim."""
     law, can_turn = controller.law, axes_of(robot)
     env = EnvManager(
         sim=sim,
@@ -117,7 +118,8 @@ def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple
         tilts.append(float(_tilt(gtd["robot_orientation"][1:]).max()))
     settled, overshoot = figures(response)
     return Flight(
-        robot=names[0], law=law, sim=names[1], error=float(errors.max()), settling_s=settled, overshoot=overshoot,
+        robot=names[0], controller=names[1], law=law, sim=names[2],
+        error=float(errors.max()), settling_s=settled, overshoot=overshoot,
         tilt_rad=max(tilts[-round(1.0 / SAMPLE) :]), response=tuple(response),
     )  # fmt: skip
 
@@ -164,9 +166,9 @@ def table(flights: list[Flight]) -> str:
         "| robot | controller | " + " | ".join(f"`{sim}`: error, settling, overshoot" for sim in sims) + " |",
         "| --- | --- |" + " --- |" * len(sims),
     ]
-    for robot, law in dict.fromkeys((flight.robot, flight.law) for flight in flights):
-        cells = [_cell(f) for f in flights if (f.robot, f.law) == (robot, law)]
-        lines.append(f"| `{robot}` | `lee_{law}_control` | {' | '.join(cells)} |")
+    for robot, controller in dict.fromkeys((flight.robot, flight.controller) for flight in flights):
+        cells = [_cell(f) for f in flights if (f.robot, f.controller) == (robot, controller)]
+        lines.append(f"| `{robot}` | `{controller}` | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
@@ -182,17 +184,21 @@ def draw(flights: list[Flight], path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    figure, panels = pyplot.subplots(1, len(STEPS), figsize=(15, 3.2), sharey=True, layout="constrained")
-    for panel, law in zip(panels, STEPS, strict=True):
-        for flight in flights:
-            if flight.law == law and flight.sim == "base_sim":
-                times = [SAMPLE * (i + 1) for i in range(len(flight.response))]
-                panel.plot(times, flight.response, label=flight.robot, lw=1.2)
-        panel.axhline(1.0, color="0.7", lw=0.8, zorder=0)
-        panel.set(title=f"lee_{law}_control", xlabel="t [s]", ylim=(-0.1, 1.3))
-        panel.set_xlim(0.0, 8.0 if law in ("position", "velocity") else 3.0)
-    panels[0].set_ylabel("share of the step")
-    panels[0].legend(fontsize=7)
+    shape = {"figsize": (15, 5.6), "sharey": True, "sharex": "col", "layout": "constrained"}
+    figure, rows = pyplot.subplots(2, len(STEPS), **shape)
+    for family, panels in zip(("lee", "pid"), rows, strict=True):
+        for panel, law in zip(panels, STEPS, strict=True):
+            for flight in flights:
+                if flight.controller == f"{family}_{law}_control" and flight.sim == "base_sim":
+                    times = [SAMPLE * (i + 1) for i in range(len(flight.response))]
+                    panel.plot(times, flight.response, label=flight.robot, lw=1.2)
+            panel.axhline(1.0, color="0.7", lw=0.8, zorder=0)
+            panel.set(title=f"{family}_{law}_control", ylim=(-0.1, 1.4))
+            panel.set_xlim(0.0, 8.0 if law in ("position", "velocity") else 3.0)
+        panels[0].set_ylabel("share of the step")
+    for panel in rows[1]:
+        panel.set_xlabel("t [s]")
+    rows[0, 0].legend(fontsize=7)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
 
@@ -204,9 +210,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder for control_steps.png")
     options = parser.parse_args()
     flights = [
-        fly(robot, controller, SIMS.get(sim), names=(name, sim))
+        fly(robot, controller, SIMS.get(sim), names=(name, controller_name, sim))
         for name, robot in different_robots().items()
-        for controller in geometric_controllers().values()
+        for controller_name, controller in geometric_controllers().items()
         for sim in SIMS
     ]
     if options.json:

@@ -114,6 +114,46 @@ def _require_tilt(config: LeeGainsCfg | ControlCfg, tilt: float) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RateLoopCfg:
+    """A controller of body rates with memory, as flight firmware has it: proportional, integral and filtered derivative action.
+
+    The wanted angular acceleration is ``P e + I - D``, with the rate error e, the integral I of ``integral e``, and D the
+    measured angular acceleration times ``derivative`` behind a low-pass. Where the rotors give less than what is asked of an
+    axis, I grows no further in that direction. What is not given is derived (``control.gains``).
+    """
+
+    rate_hz: float | None = None
+    """How often it runs [1/s], > 0; every physics step if not given. A whole number of physics steps must fit between."""
+
+    proportional: Vec3 | None = None
+    """Angular acceleration per rate error [1/s], >= 0, body axes."""
+
+    integral: Vec3 | None = None
+    """Growth of angular acceleration per rate error [1/s²], >= 0, body axes; 0 for none."""
+
+    integral_limit: Vec3 | None = None
+    """Largest angular acceleration of the integral [rad/s²], > 0. If not given it is half of what the rotors can give at
+    hover."""
+
+    derivative: Vec3 = (0.0, 0.0, 0.0)
+    """Share of the measured angular acceleration that is taken back [-], >= 0; 0 for none. It is not derived: what it gains
+    depends on the noise of the gyro."""
+
+    cutoff_hz: float | None = None
+    """Of the first-order low-pass on the derivative [1/s], > 0; no low-pass if not given."""
+
+    source: str = "Derived: aerial_gym.control.gains"
+    """Where the numbers come from."""
+
+    def __post_init__(self) -> None:
+        require_positive(self, *(name for name in ("rate_hz", "cutoff_hz") if getattr(self, name) is not None))
+        for name in ("proportional", "integral", "derivative", "integral_limit"):
+            value = getattr(self, name)
+            if value is not None and not all(0.0 <= number < inf for number in value):
+                raise ConfigError(f"RateLoopCfg.{name} = {value!r}: must be >= 0 and finite")
+
+
+@dataclass(frozen=True, kw_only=True)
 class ControllerCfg:
     """A controller: which law, with which gains, and what gives way when rotors are at their limits."""
 
@@ -130,6 +170,30 @@ class ControllerCfg:
     """What gives way where rotors are at their limits: with ``prioritised`` yaw first, then thrust, then roll and pitch; with
     ``clamp`` each rotor by itself. Where no rotor is, both are the pseudo-inverse."""
 
+    rate_loop: RateLoopCfg | None = None
+    """A loop with memory between the law and the rotors: the law then wants body rates of it. None where the law itself
+    asks for torque."""
+
+    rate_hz: float | None = None
+    """How often the law runs [1/s], > 0; every physics step, or with a rate loop as often as that, if not given. What it
+    wants is held in between."""
+
+    delay: float = 0.0
+    """Until what the law wants has reached its rate loop [s], >= 0: a whole number of physics steps."""
+
+    action_delay: float = 0.0
+    """Until an action has reached the law [s], >= 0: a whole number of physics steps. The first one after a reset acts at
+    once."""
+
     def __post_init__(self) -> None:
+        if self.rate_hz is not None:
+            require_positive(self, "rate_hz")
+        for name in ("delay", "action_delay"):
+            if not 0.0 <= getattr(self, name) < inf:
+                raise ConfigError(f"ControllerCfg.{name} = {getattr(self, name)!r}: must be >= 0 and finite")
+        if self.delay > 0.0 and self.rate_loop is None:
+            raise ConfigError(
+                f"ControllerCfg.delay = {self.delay!r}: there is no rate loop to reach. Give rate_loop, or action_delay"
+            )
         if self.allocation not in ("prioritised", "clamp"):
             raise ConfigError(f"ControllerCfg.allocation = {self.allocation!r}: must be 'prioritised' or 'clamp'")

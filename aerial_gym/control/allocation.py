@@ -4,6 +4,7 @@ The matrix is derived from the rotors of the *declared* vehicle: an autopilot do
 Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 """
 
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -47,7 +48,26 @@ def _inverse(matrix: Tensor) -> Tensor:
     return torch.where(part > NEGLIGIBLE, inverse, 0.0)
 
 
+@dataclass(frozen=True)
+class Allotment:
+    """Thrusts, and how much of the wanted torque they give."""
+
+    thrust: Tensor
+    """[N], (E, R)."""
+
+    turn: Tensor
+    """Share of the roll and pitch torque, 0 to 1, (E, 1)."""
+
+    rest: Tensor
+    """Share of the yaw torque and the lateral force, 0 to 1, (E, 1)."""
+
+
 def prioritised_thrust(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """Return the thrusts of ``allot``, (E, R) [N]."""
+    return allot(inverse, wrench, low, high).thrust
+
+
+def allot(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor) -> Allotment:
     """Return thrusts [N], (E, R), within their limits: the pseudo-inverse's where they are, else what matters most comes first.
 
     In this order: the largest share of roll and pitch torque for which there is any thrust along body z within the limits; that
@@ -84,9 +104,17 @@ def prioritised_thrust(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tenso
     lowest, highest = -_highest(-floor, -twist, most), _highest(ceiling, twist, most)
     collective = torch.maximum(torch.minimum(wrench[:, 2:3], highest), lowest)
     thrust = torch.where(carries, share * turn + collective * lift, resting)
-    thrust = thrust + _share(thrust, rest, low, high) * rest
-    inside = ((plain >= low) & (plain <= high)).all(-1, keepdim=True)
-    return torch.where(inside, plain, torch.clamp(thrust, low, high))
+    rest_share = _share(thrust, rest, low, high)
+    thrust = torch.clamp(thrust + rest_share * rest, low, high)
+    inside = within(plain, low, high)
+    return Allotment(
+        torch.where(inside, plain, thrust), torch.where(inside, 1.0, share), torch.where(inside, 1.0, rest_share)
+    )
+
+
+def within(thrust: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """Return whether all rotors are within their limits, (E, 1)."""
+    return ((thrust >= low) & (thrust <= high)).all(-1, keepdim=True)
 
 
 def _fitting(room: Tensor, need: Tensor) -> Tensor:
@@ -147,9 +175,15 @@ class Allocation:
 
     def speed_for_wrench(self, wrench: Tensor) -> Tensor:
         """Return rotor speeds [rad/s], (E, R), for a wrench [N, N m], body, (E, 6), within the limits."""
-        if self.saturation == "clamp":
-            return self.speed(self.thrust(wrench))
-        return self.speed(prioritised_thrust(self.inverse, wrench, self.low, self.high))
+        return self.speed(self.allot(wrench).thrust)
+
+    def allot(self, wrench: Tensor) -> Allotment:
+        """Return thrusts for a wrench [N, N m], body, (E, 6); where they must be clamped, the shares say 0."""
+        if self.saturation == "prioritised":
+            return allot(self.inverse, wrench, self.low, self.high)
+        thrust = self.thrust(wrench)
+        given = within(thrust, self.low, self.high).to(thrust.dtype)
+        return Allotment(thrust, given, given)
 
     def torque_authority(self, weight: float) -> Tensor:
         """Return the torque [N m], (3,), that the rotors give both ways about each body axis while they carry a weight [N].

@@ -1,7 +1,9 @@
 """Every controller that comes with the package, in one table."""
 
+from dataclasses import replace
+
 from aerial_gym.config import CONFIG_DIR, load
-from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg
+from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg, RateLoopCfg
 from aerial_gym.registry import Registry
 
 CONTROLLERS: Registry[ControllerCfg] = Registry("controller")
@@ -19,3 +21,10 @@ for _name, _law, _summary in (
     ("lee_rates_control", "rates", "thrust (0 is hover) and body rates [rad/s]"),
 ):
     CONTROLLERS.register(_name, ControllerCfg(summary=_summary, law=_law))
+
+for _law in ("position", "velocity", "acceleration", "attitude", "rates"):
+    _cfg = CONTROLLERS.get(f"lee_{_law}_control")
+    CONTROLLERS.register(
+        f"pid_{_law}_control",
+        replace(_cfg, summary=f"{_cfg.summary}; over a rate loop with an integral", rate_loop=RateLoopCfg()),
+    )

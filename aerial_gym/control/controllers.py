@@ -8,11 +8,13 @@ from typing import Any, Literal, Protocol
 import torch
 from torch import Tensor
 
-from aerial_gym.config.controller import ControlCfg, ControllerCfg, LeeGainsCfg
+from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control import lee_fused
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.gains import GAINS, derived_gains, explicit_gains, gain_range, with_own_rows
+from aerial_gym.control.cascade import CascadeController
+from aerial_gym.control.gains import GAINS, explicit_gains_of, gain_range, gains_for, with_own_rows
 from aerial_gym.control.laws import LAWS
+from aerial_gym.control.timing import remembers
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.physics.fused import FusedLaw
@@ -101,15 +103,9 @@ class LeeController:
         law, explicit = LAWS[cfg.law], explicit_gains_of(cfg, control)
         self.action_names, self._law = law.action, law
         self._allocation = Allocation(vehicle, gravity, saturation=cfg.allocation)
-        self._ranges: dict[str, tuple[Tensor, Tensor]] = {}
-        if explicit is None:
-            if dt is None:
-                raise ConfigError(f"law {cfg.law!r}: gains are derived from the time step. Give dt [s]")
-            self.gains = derived_gains(control, vehicle, self._allocation, gravity=gravity, dt=dt)
-            return
-        self.gains = explicit_gains(explicit, vehicle, gravity)
-        if explicit.randomize:
-            self._ranges = {name: gain_range(explicit, name, vehicle.com) for name in GAINS}
+        self.gains = gains_for(cfg, control, vehicle, self._allocation, gravity=gravity, dt=dt)
+        drawn = explicit if explicit is not None and explicit.randomize else None
+        self._ranges = {} if drawn is None else {name: gain_range(drawn, name, vehicle.com) for name in GAINS}
 
     def own_gains(self) -> None:
         """Give each environment rows (E, 3) of its own in ``gains``, to be written in place; call it before ``fused``."""
@@ -155,11 +151,6 @@ def _fused(output: Literal["thrust", "wrench"], allocation: Allocation, num_acti
     )
 
 
-def explicit_gains_of(cfg: ControllerCfg, control: ControlCfg) -> LeeGainsCfg | None:
-    """Return the explicit gains of a controller, or of the robot; None where they are derived."""
-    return cfg.gains if cfg.gains is not None else control.gains
-
-
 def make_controller(
     cfg: ControllerCfg,
     vehicle: Vehicle,
@@ -189,7 +180,19 @@ def make_controller(
             f"gravity = {gravity!r}: the law {cfg.law!r} holds a vehicle against its weight; without weight use no_control or "
             "rotor_speed_control"
         )
+    control = ControlCfg() if control is None else control
+    if cfg.law in LAWS and not remembers(cfg):
+        return LeeController(cfg, vehicle, gravity, dt=dt, control=control)
     if cfg.law in LAWS:
-        return LeeController(cfg, vehicle, gravity, dt=dt, control=ControlCfg() if control is None else control)
+        if dt is None:
+            raise ConfigError(
+                f"law {cfg.law!r}: a controller with rates or memory is built for one time step. Give dt [s]"
+            )
+        explicit = explicit_gains_of(cfg, control)
+        if explicit is not None and explicit.randomize:
+            raise ConfigError(
+                "LeeGainsCfg.randomize: a controller with memory draws no gains. Write rows of own_gains()"
+            )
+        return CascadeController(cfg, vehicle, gravity, dt=dt, control=control)
     known = ", ".join(("thrust", "rotor_speed", *LAWS))
     raise ConfigError(f"ControllerCfg.law = {cfg.law!r}: unknown. Known: {known}")

@@ -19,9 +19,10 @@ from math import acos, pi, tan
 import torch
 from torch import Tensor
 
-from aerial_gym.config.controller import ControlCfg, LeeGainsCfg
+from aerial_gym.config.controller import ControlCfg, ControllerCfg, LeeGainsCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.lee import LeeGains
+from aerial_gym.errors import ConfigError
 from aerial_gym.physics.vehicle import Vehicle, share_row
 
 GAINS = ("position", "velocity", "attitude", "rate")
@@ -36,11 +37,18 @@ def loop_shape(lag: float, phase_margin: float) -> tuple[float, float]:
 
     Source: Kessler (1958), symmetrical optimum: ``a = tan(pi/4 + margin/2)``, ``w = a^-1.5 / T``, ``z = sqrt(a) / 2``.
     """
-    spacing = tan(0.25 * pi + 0.5 * phase_margin)
+    spacing = spacing_of(phase_margin)
     return 1.0 / (spacing**1.5 * lag), 0.5 * spacing**0.5
 
 
-def derived_gains(cfg: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, gravity: float, dt: float) -> LeeGains:
+def spacing_of(phase_margin: float) -> float:
+    """Return the factor a between zero, crossover and lag of a loop with a phase margin [rad]."""
+    return tan(0.25 * pi + 0.5 * phase_margin)
+
+
+def derived_gains(
+    cfg: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, gravity: float, dt: float, extra_lag: float = 0.0
+) -> LeeGains:
     """Return the gains of a declared vehicle, the same in all environments.
 
     About each body axis the attitude loop is at most so quick that the largest attitude error, 1, asks for no more torque than
@@ -52,6 +60,8 @@ def derived_gains(cfg: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, 
         allocation: Of the same vehicle.
         gravity: Downward acceleration of free fall [m/s²].
         dt: Time step of the control law [s].
+        extra_lag: By which attitude is seen later than body rates [s]; the rate of turning stays what it is, and attitude is
+            slower.
     """
     first = vehicle.inertia[0]
     inertia = first.diagonal()
@@ -60,6 +70,8 @@ def derived_gains(cfg: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, 
     authority = (allocation.torque_authority(float(vehicle.mass[0]) * gravity) / inertia).clamp_min(0.0).sqrt()
     attitude = _given(cfg.attitude_frequency, authority.clamp_max(quickest))
     attitude_damping = _given(cfg.attitude_damping, torch.full_like(inertia, damping))
+    if extra_lag > 0.0:
+        attitude, attitude_damping = _slowed(attitude, attitude_damping, spacing_of(cfg.phase_margin) * extra_lag)
     attitude_lag = _lag_of(attitude[:2], attitude_damping[:2])
     frequency, damping = loop_shape(attitude_lag, cfg.phase_margin) if attitude_lag > 0.0 else (0.0, damping)
     position = _given(cfg.position_frequency, torch.full_like(inertia, frequency))
@@ -76,6 +88,14 @@ def derived_gains(cfg: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, 
         max_yaw_rate=cfg.max_yaw_rate,
         max_inclination=derived_inclination(vehicle, allocation, gravity) if tilt is None else tilt,
     )
+
+
+def _slowed(frequency: Tensor, damping: Tensor, lag: float) -> tuple[Tensor, Tensor]:
+    """Return frequency and damping with the same gain on the rate, ``2 z w``, and a closed loop later by ``lag`` [s]."""
+    moves = frequency > 0.0
+    rate = 2.0 * damping * frequency
+    slower = (rate / (torch.where(moves, 2.0 * damping / torch.where(moves, frequency, 1.0), 1.0) + lag)).sqrt()
+    return torch.where(moves, slower, 0.0), torch.where(moves, 0.5 * rate / torch.where(moves, slower, 1.0), damping)
 
 
 def _given(numbers: tuple[float, ...] | None, derived: Tensor) -> Tensor:
@@ -95,6 +115,34 @@ def derived_inclination(vehicle: Vehicle, allocation: Allocation, gravity: float
     weight = float(vehicle.mass[0]) * gravity
     surplus = max(allocation.largest_thrust() / weight - 1.0, 0.0)
     return min(acos(1.0 / (1.0 + 0.5 * surplus)), LARGEST_INCLINATION)
+
+
+def explicit_gains_of(cfg: ControllerCfg, control: ControlCfg) -> LeeGainsCfg | None:
+    """Return the explicit gains of a controller, or of the robot; None where they are derived."""
+    return cfg.gains if cfg.gains is not None else control.gains
+
+
+def gains_for(
+    cfg: ControllerCfg,
+    control: ControlCfg,
+    vehicle: Vehicle,
+    allocation: Allocation,
+    *,
+    gravity: float,
+    dt: float | None,
+    extra_lag: float = 0.0,
+) -> LeeGains:
+    """Return the gains of a controller: explicit ones where there are any, else ``derived_gains``.
+
+    Raises:
+        ConfigError: If gains must be derived and there is no time step.
+    """
+    explicit = explicit_gains_of(cfg, control)
+    if explicit is not None:
+        return explicit_gains(explicit, vehicle, gravity)
+    if dt is None:
+        raise ConfigError(f"law {cfg.law!r}: gains are derived from the time step. Give dt [s]")
+    return derived_gains(control, vehicle, allocation, gravity=gravity, dt=dt, extra_lag=extra_lag)
 
 
 def explicit_gains(cfg: LeeGainsCfg, vehicle: Vehicle, gravity: float) -> LeeGains:

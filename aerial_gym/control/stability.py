@@ -1,9 +1,9 @@
 """Whether a vehicle under a control law comes to rest: the closed loop as it is sampled, linearised at hover.
 
 One step of the torch reference, in float64, with the real allocation and rotor lag, is differentiated by central differences,
-all perturbations side by side as environments. The vehicle comes to rest if the spectral radius over the axes that the law
-controls is below 1; what it leaves to itself (position and heading under attitude control, say) is left out, as none of the
-controlled axes depends on it at hover.
+all perturbations side by side as environments; with rates and memory it is a whole period, and memory is perturbed too. The
+vehicle comes to rest if the spectral radius over the axes that the law controls is below 1; what it leaves to itself (position
+and heading under attitude control, say) is left out, as none of the controlled axes depends on it at hover.
 Letters: N axes with rotors, R rotors.
 """
 
@@ -18,17 +18,18 @@ from torch import Tensor
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.controllers import explicit_gains_of, make_controller
-from aerial_gym.control.gains import GAINS
+from aerial_gym.control.cascade import CascadeController
+from aerial_gym.control.controllers import make_controller
+from aerial_gym.control.gains import GAINS, explicit_gains_of
 from aerial_gym.control.laws import LAWS
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_log
 from aerial_gym.physics.backend import ControlLaw
-from aerial_gym.physics.integrators import INTEGRATORS
-from aerial_gym.physics.model import build_model
+from aerial_gym.physics.integrators import INTEGRATORS, Stepper, to_body_state, to_mass_state
+from aerial_gym.physics.law_memory import law_command
+from aerial_gym.physics.model import Model, build_model
 from aerial_gym.physics.rotors import state_for_thrust
 from aerial_gym.physics.state import BodyState
-from aerial_gym.physics.torch_backend import advance
 from aerial_gym.physics.vehicle import Vehicle, share_row, vehicle_from_config
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "p", "q", "r")
@@ -63,7 +64,9 @@ def spectral_radius(
     integrator: str,
     hover_thrust: Tensor,
 ) -> float:
-    """Return the largest modulus of the eigenvalues of one step of the closed loop at hover.
+    """Return the largest modulus of the eigenvalues of the closed loop at hover, by physics step.
+
+    A law with memory is followed over its own period, together with what it remembers; the modulus is the root of that.
 
     Args:
         vehicle: As declared.
@@ -75,18 +78,44 @@ def spectral_radius(
         integrator: Name of the stepper.
         hover_thrust: Thrusts at rest [N], (R,).
     """
-    width = len(AXES) + vehicle.num_rotors
+    law = make_law(single_vehicle(vehicle, 1))
+    memory = law.resting(hover_thrust) if isinstance(law, CascadeController) else None
+    extra = 0 if memory is None else memory.shape[0]
+    width, steps = len(AXES) + vehicle.num_rotors + extra, law.period if isinstance(law, CascadeController) else 1
     plant = single_vehicle(vehicle, 2 * width)
     trim = _speed(plant, hover_thrust)
+    rest = trim if memory is None else torch.cat((trim, memory.to(trim)))
+    size = torch.cat((torch.ones(len(AXES), dtype=trim.dtype), rest.abs().clamp_min(1.0)))
     nudges = NUDGE * torch.cat((torch.eye(width, dtype=trim.dtype), -torch.eye(width, dtype=trim.dtype)))
-    size = torch.cat((torch.ones(len(AXES), dtype=trim.dtype), trim.abs().clamp_min(1.0)))
-    start = _state(nudges * size, trim)
-    action = hover_action.to(trim).expand(2 * width, -1)
-    model = build_model(plant, gravity=gravity)
-    end = _offsets(advance(model, INTEGRATORS[integrator], make_law(plant), start, action, dt, 1), trim) / size
+    run = _Run(make_law(plant), build_model(plant, gravity=gravity), INTEGRATORS[integrator], dt, steps)
+    end = run.after(nudges * size, rest, hover_action.to(trim).expand(2 * width, -1)) / size
     slope = (end[:width] - end[width:]).T / (2.0 * NUDGE)
     kept = [AXES.index(name) for name in axes.split()] + list(range(len(AXES), width))
-    return float(torch.linalg.eigvals(slope[kept][:, kept]).abs().max())
+    return float(torch.linalg.eigvals(slope[kept][:, kept]).abs().max()) ** (1.0 / steps)
+
+
+class _Run:
+    """Some steps of a closed loop, from offsets to offsets (2 N, N) from rest."""
+
+    def __init__(self, law: ControlLaw, model: Model, stepper: Stepper, dt: float, steps: int) -> None:
+        self._law, self._model, self._stepper, self._dt, self._steps = law, model, stepper, dt, steps
+
+    def after(self, offsets: Tensor, rest: Tensor, action: Tensor) -> Tensor:
+        """Return where the offsets are after the steps; ``rest`` is that of rotors and memory."""
+        num_rotors = self._model.vehicle.num_rotors
+        state = _state(offsets[:, : len(AXES) + num_rotors], rest[:num_rotors])
+        cascade = self._law if isinstance(self._law, CascadeController) else None
+        resting, changes = rest[num_rotors:], offsets[:, len(AXES) + num_rotors :]
+        memory = None if cascade is None else cascade.memory_from(resting + changes)
+        for _ in range(self._steps):
+            command, memory = law_command(self._law, state, action, memory)
+            state = to_body_state(
+                self._model, self._stepper(self._model, to_mass_state(self._model, state), command, self._dt)
+            )
+        moved = _offsets(state, rest[:num_rotors])
+        if cascade is None or memory is None:
+            return moved
+        return torch.cat((moved, cascade.remembered_after(memory) - resting), dim=-1)
 
 
 def _speed(plant: Vehicle, thrust: Tensor) -> Tensor:

@@ -1,6 +1,7 @@
 """The readable reference backend in torch: any float type, CPU or GPU, differentiable through a whole rollout."""
 
 from dataclasses import replace
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -13,6 +14,14 @@ from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
 from aerial_gym.physics.ground import Ground, push_off_ground, touches_ground
 from aerial_gym.physics.integrators import INTEGRATORS, MassState, Stepper, to_body_state, to_mass_state
+from aerial_gym.physics.law_memory import (
+    LawMemory,
+    check_law_step,
+    forget_law,
+    fresh_law_memory,
+    law_command,
+    needs_of,
+)
 from aerial_gym.physics.memory import (
     Memory,
     begin_substep,
@@ -33,7 +42,7 @@ def advance(
 ) -> BodyState:
     """Return the state after ``substeps`` of ``dt`` [s]; the control law runs before each. Differentiable.
 
-    Effects with memory begin as after a reset; a backend keeps what they remember between calls.
+    Effects and laws with memory begin as after a reset; a backend keeps what they remember between calls.
 
     Args:
         model: Vehicle and effects.
@@ -44,8 +53,12 @@ def advance(
         dt: Length of one substep [s].
         substeps: How many.
     """
-    memory = make_memory(model, dt) if model.effects.remembering else None
-    return advance_remembering(model, stepper, control, state, command, dt, substeps, memory)[0]
+    memory, law_memory = make_memory(model, dt) if model.effects.remembering else None, None
+    needs = needs_of(control)
+    if needs is not None:
+        check_law_step(needs, dt)
+        law_memory = fresh_law_memory(needs, state.num_envs, state.position)
+    return _roll(model, stepper, control, state, command, dt, substeps, memory, law_memory)[0]
 
 
 def advance_remembering(
@@ -59,8 +72,22 @@ def advance_remembering(
     memory: Memory | None,
 ) -> tuple[BodyState, Memory | None]:
     """Return what ``advance`` does, from a memory on, and the memory at the end; None if no effect has one."""
+    return _roll(model, stepper, control, state, command, dt, substeps, memory, None)
+
+
+def _roll(
+    model: Model,
+    stepper: Stepper,
+    control: ControlLaw,
+    state: BodyState,
+    command: Tensor,
+    dt: float,
+    substeps: int,
+    memory: Memory | None,
+    law_memory: LawMemory | None,
+) -> tuple[BodyState, Memory | None]:
     for _ in range(substeps):
-        rotor_command = control.rotor_command(state, command)
+        rotor_command, law_memory = law_command(control, state, command, law_memory)
         _, after, memory = _substep(model, stepper, state, rotor_command, dt, memory)
         state = to_body_state(model, after)
     return state, memory
@@ -78,6 +105,23 @@ def _substep(
     before = to_mass_state(model, state, load_of(model, memory))
     after = stepper(now, before, rotor_command, dt)
     return before, after, end_substep(memory, after.load)
+
+
+AnyMemory = TypeVar("AnyMemory", Memory, LawMemory)
+
+
+def _kept(old: AnyMemory | None, new: AnyMemory | None) -> AnyMemory | None:
+    """Return the memory to keep: the old one, written in place as a captured step needs, unless gradients flow through it."""
+    if new is None or old is None or any(part.requires_grad for m in (new, old) for part in m.tensors().values()):
+        return new
+    for kept, part in zip(old.tensors().values(), new.tensors().values(), strict=True):
+        kept.copy_(part)
+    return old
+
+
+def _cut(memory: AnyMemory) -> AnyMemory:
+    """Return the memory without its gradients."""
+    return replace(memory, **{name: tensor.detach() for name, tensor in memory.tensors().items()})
 
 
 class TorchBackend:
@@ -98,6 +142,8 @@ class TorchBackend:
     _stepper: Stepper
     _memory: Memory | None = None
     _random: Randomness | None = None
+    law_memory: LawMemory | None = None
+    """What the control law remembers; None before its first step, and without memory."""
 
     def allocate(
         self,
@@ -115,7 +161,7 @@ class TorchBackend:
         self._stepper, self._control, self._ground = INTEGRATORS[integrator], control, ground
         self._hook = hook
         self._share = POSITION_SHARE[integrator]
-        self._memory, self._random = None, random
+        self._memory, self.law_memory, self._random = None, None, random
         self.set_model(model)
 
     def set_model(self, model: Model) -> None:
@@ -138,10 +184,21 @@ class TorchBackend:
     def _free_substep(self, state: BodyState, command: Tensor, dt: float) -> tuple[MassState, MassState]:
         """Return the motion before and after a substep without contact."""
         memory = self._memory_for(dt)
-        rotor_command = self._control.rotor_command(state, command)
+        rotor_command, law_memory = law_command(self._control, state, command, self._law_memory_for(state, dt))
         before, after, memory = _substep(self._model, self._stepper, state, rotor_command, dt, memory)
-        self._remember(memory)
+        self._memory = _kept(self._memory, memory)
+        self.law_memory = _kept(self.law_memory, law_memory)
         return before, after
+
+    def _law_memory_for(self, state: BodyState, dt: float) -> LawMemory | None:
+        """Return the memory of the control law, made at its first step."""
+        needs = needs_of(self._control)
+        if needs is None:
+            return None
+        check_law_step(needs, dt)
+        if self.law_memory is None:
+            self.law_memory = fresh_law_memory(needs, state.num_envs, state.position)
+        return self.law_memory
 
     def _memory_for(self, dt: float) -> Memory | None:
         """Return the memory, made anew where substeps of another length need another number of commands."""
@@ -150,19 +207,6 @@ class TorchBackend:
         if self._memory is None or self._memory.past.shape[1] != num_past_commands(self._model, dt):
             self._memory = make_memory(self._model, dt, random=self._random)
         return self._memory
-
-    def _remember(self, memory: Memory | None) -> None:
-        """Keep the memory: in place, as a captured step needs it, unless gradients are to flow through it."""
-        old = self._memory
-        if (
-            memory is None
-            or old is None
-            or any(part.requires_grad for m in (memory, old) for part in m.tensors().values())
-        ):
-            self._memory = memory
-            return
-        for kept, new in zip(old.tensors().values(), memory.tensors().values(), strict=True):
-            kept.copy_(new)
 
     def _advance_on_ground(
         self, ground: Ground, cfg: ContactCfg, state: BodyState, command: Tensor, dt: float
@@ -204,14 +248,17 @@ class TorchBackend:
         return before, after
 
     def detach(self) -> None:
-        """Let gradients through what effects remember end at this instant."""
+        """Let gradients through what effects and law remember end at this instant."""
         if self._memory is not None:
-            cut = {name: tensor.detach() for name, tensor in self._memory.tensors().items()}
-            self._memory = replace(self._memory, **cut)
+            self._memory = _cut(self._memory)
+        if self.law_memory is not None:
+            self.law_memory = _cut(self.law_memory)
 
     @torch.no_grad()
     def reset(self, mask: Tensor) -> None:
-        """Let the effects forget the environments in ``mask``; gradients through memory end here for all environments."""
+        """Let effects and law forget the environments in ``mask``; gradients through memory end here for all environments."""
+        self.detach()
         if self._memory is not None:
-            self.detach()
-            self._remember(forget(self._memory, mask))
+            self._memory = _kept(self._memory, forget(self._memory, mask))
+        if self.law_memory is not None:
+            self.law_memory = _kept(self.law_memory, forget_law(self.law_memory, mask))

@@ -23,7 +23,7 @@ from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.fused.gradient import Rollout
 from aerial_gym.physics.fused.hook import NoHook
 from aerial_gym.physics.fused.kernel import make_kernel
-from aerial_gym.physics.fused.memory import MemoryArrays, NoMemory
+from aerial_gym.physics.fused.memory import LawArrays, MemoryArrays, memory_type
 from aerial_gym.physics.fused.packing import (
     Numbers,
     Packing,
@@ -35,6 +35,7 @@ from aerial_gym.physics.fused.packing import (
 )
 from aerial_gym.physics.fused.types import rotor_types, vector_of
 from aerial_gym.physics.ground import Ground
+from aerial_gym.physics.law_memory import LawMemory, check_law_step, fresh_law_memory
 from aerial_gym.physics.memory import Memory, make_memory, num_past_commands
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
@@ -80,6 +81,7 @@ class WarpBackend:
         self._differentiable = differentiable
         self._random: Randomness | None = None
         self._memory: Memory | None = None
+        self.law_memory: LawMemory | None = None
 
     @property
     def capabilities(self) -> Capabilities:
@@ -128,6 +130,11 @@ class WarpBackend:
         law = control.fused()
         if law is None:
             raise CapabilityError(f"backend warp: {type(control).__name__} has no Warp law. Use backend 'torch'.")
+        if law.needs is not None and self._differentiable:
+            raise CapabilityError(
+                f"backend warp: a differentiable rollout cannot run {type(control).__name__}, which has memory. "
+                "Use backend 'torch'."
+            )
         if model.vehicle.mass.dtype != torch.float32:
             raise CapabilityError(
                 f"backend warp: float32 only, not {model.vehicle.mass.dtype}. Use backend 'torch' for others."
@@ -141,7 +148,7 @@ class WarpBackend:
         self._given_ground, self._hook, self._random = ground, hook, random
         self._device = model.vehicle.mass.device
         self._num_envs, self._num_rotors = model.vehicle.num_envs, model.vehicle.num_rotors
-        self._dt, self._memory = 0.0, None
+        self._dt, self._memory, self.law_memory = 0.0, None, None
         self._packing: Packing = arrange(self._numbers(1.0), all_packed=self._differentiable)
         self._packed = torch.zeros(max(self._packing.total, 1), self._num_envs, device=self._device)
         self._ground = self._ground_arrays(ground)
@@ -189,7 +196,7 @@ class WarpBackend:
         pairs = [*zip(model.vehicle.rows().values(), old.vehicle.rows().values(), strict=True)]
         pairs.append((model.other_position, old.other_position))
         if any(is_shared(kept) and new is not kept and not _same_row(new, kept) for new, kept in pairs):
-            memory = self._memory
+            memory, law_memory = self._memory, self.law_memory
             self.allocate(
                 model,
                 self._control,
@@ -198,16 +205,19 @@ class WarpBackend:
                 hook=self._hook,
                 random=self._random,
             )
-            self._memory = memory
+            self._memory, self.law_memory = memory, law_memory
         elif self._dt != 0.0:
             self._write_packed()
 
     def reset(self, mask: Tensor) -> None:
-        """Let the effects forget the environments in ``mask``, and take new gains where they are randomised."""
+        """Let effects and law forget the environments in ``mask``, and take new gains where they are randomised."""
         if self._memory is not None:
             numbers = self._memory.numbers
             numbers.copy_(torch.where(mask, self._memory.initial.unsqueeze(-1), numbers))
             self._memory.since.masked_fill_(mask, 0)
+        if self.law_memory is not None:
+            self.law_memory.numbers.masked_fill_(mask, 0.0)
+            self.law_memory.since.masked_fill_(mask, 0)
         if self._packing.gains is not None and self._dt != 0.0:
             self._write_packed()
 
@@ -224,12 +234,20 @@ class WarpBackend:
         self._shared = shared_structs(self._packing, self._numbers(dt), self._law, types_of(self._model))
 
     def _arrange_memory(self, dt: float) -> None:
-        """Make the memory of the effects, unless there is one that fits; neighbouring environments side by side, (M, E)."""
+        """Make what is remembered, unless there is something that fits; neighbouring environments side by side, (M, E)."""
+        effects, law = self._effect_arrays(dt), self._law_arrays(dt)
+        together = memory_type(effects=effects is not None, law=law is not None)
+        self._memory_arrays = effects if effects is not None and law is None else together()
+        if law is not None:
+            self._memory_arrays.law = law
+            if effects is not None:
+                self._memory_arrays.effects = effects
+
+    def _effect_arrays(self, dt: float) -> Any:
+        """Return ``MemoryArrays``, or None where no effect remembers anything."""
         if not self._model.effects.remembering:
-            self._memory_arrays = NoMemory()
-            return
-        self._memory_arrays = arrays = MemoryArrays()
-        slots = num_past_commands(self._model, dt)
+            return None
+        arrays, slots = MemoryArrays(), num_past_commands(self._model, dt)
         memory = self._memory
         if memory is None or memory.past.shape[0] != slots * self._num_rotors:
             memory = make_memory(self._model, dt, random=self._random)
@@ -238,6 +256,22 @@ class WarpBackend:
         arrays.numbers, arrays.past = wp.from_torch(memory.numbers), wp.from_torch(memory.past)
         arrays.since, arrays.slots = wp.from_torch(memory.since), slots
         arrays.random = random_arrays(memory.random)
+        return arrays
+
+    def _law_arrays(self, dt: float) -> Any:
+        """Return ``LawArrays``, or None where the law remembers nothing."""
+        needs = self._law.needs
+        if needs is None:
+            return None
+        check_law_step(needs, dt)
+        if self.law_memory is None:
+            height = replace(needs, width=max(needs.width, 1), past=max(needs.past, 1))
+            fresh = fresh_law_memory(height, self._num_envs, self._model.vehicle.mass)
+            self.law_memory = replace(fresh, numbers=fresh.numbers.T.contiguous(), past=fresh.past.T.contiguous())
+        arrays = LawArrays()
+        arrays.numbers, arrays.past = wp.from_torch(self.law_memory.numbers), wp.from_torch(self.law_memory.past)
+        arrays.since = wp.from_torch(self.law_memory.since)
+        return arrays
 
     def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
         """Advance ``state`` in place: one launch, on torch's current stream, that waits for nothing."""

@@ -19,22 +19,26 @@ def assert_flies(flight: Flight) -> None:
     assert flight.error < ALLOWED[flight.law], f"{flight.error:.3g} after 10 s"
     assert flight.tilt_rad < pi / 2
     assert flight.settling_s < 10.0
-    assert flight.overshoot < 0.05
+    assert flight.overshoot < (0.2 if flight.controller.startswith("pid_rates") else 0.05)  # an integral overshoots
 
 
-@pytest.mark.parametrize("controller", geometric_controllers())
+FAST = [n for n, cfg in geometric_controllers().items() if cfg.rate_loop is None or cfg.law in ("position", "rates")]
+
+
+@pytest.mark.parametrize("controller", FAST)
 @pytest.mark.parametrize("robot", different_robots())
 def test_no_registered_robot_falls(robot: str, controller: str) -> None:
-    cfg = different_robots()[robot]
-    assert_flies(fly(cfg, geometric_controllers()[controller], SIMS.get("base_sim"), names=(robot, "base_sim")))
+    cfg, names = different_robots()[robot], (robot, controller, "base_sim")
+    assert_flies(fly(cfg, geometric_controllers()[controller], SIMS.get("base_sim"), names=names))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sim", [name for name in SIMS if name != "base_sim"])
+@pytest.mark.parametrize("sim", SIMS)
 @pytest.mark.parametrize("controller", geometric_controllers())
 @pytest.mark.parametrize("robot", different_robots())
-def test_nor_at_any_other_sim(robot: str, controller: str, sim: str) -> None:
-    assert_flies(fly(different_robots()[robot], geometric_controllers()[controller], SIMS.get(sim), names=(robot, sim)))
+def test_nor_with_any_other_controller_at_any_sim(robot: str, controller: str, sim: str) -> None:
+    cfg = different_robots()[robot]
+    assert_flies(fly(cfg, geometric_controllers()[controller], SIMS.get(sim), names=(robot, controller, sim)))
 
 
 def test_figures_of_a_response() -> None:

@@ -20,7 +20,7 @@ def make_command(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
     types = rotor_types(num_rotors, general)
     command_type, vector, action_type = types.command, types.vector, vector_of(law.num_actions)
     gains_type, law_wrench = law.gains_type or NoGains, law.wrench
-    speed_of, prioritised = _make_speed_of(num_rotors, general), law.saturation == "prioritised"
+    speed_of, prioritised = make_speed_of(num_rotors, general), law.saturation == "prioritised"
     thrust_for = make_prioritised_thrust(num_rotors, general)
 
     @wp.func
@@ -47,13 +47,15 @@ def make_command(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
     ) -> vector:  # fmt: skip
         wanted = law_wrench(position, attitude, lin_vel, ang_vel, action, gains)
         if wp.static(prioritised):
-            return speed_of(params, thrust_for(params, wanted))
+            allotted, _turn, _rest = thrust_for(params, wanted)
+            return speed_of(params, allotted)
         return speed_of(params, params.allocation * wanted)
 
     return {"speed": speed, "thrust": thrust, "wrench": wrench}[law.output]
 
 
-def _make_speed_of(num_rotors: int, general: bool) -> wp.Function:
+def make_speed_of(num_rotors: int, general: bool) -> wp.Function:
+    """Return a function from thrusts [N] to what is commanded of the rotors within the limits."""
     types = rotor_types(num_rotors, general)
     command_type, vector = types.command, types.vector
 
@@ -92,7 +94,7 @@ def _make_speed_of(num_rotors: int, general: bool) -> wp.Function:
 
 
 def make_prioritised_thrust(num_rotors: int, general: bool = False) -> wp.Function:
-    """Return ``control.allocation.prioritised_thrust`` for one environment, from parameters and wrench to thrusts [N].
+    """Return ``control.allocation.allot`` for one environment, from parameters and wrench to thrusts [N] and two shares.
 
     Where no rotor is at a limit, which is nearly always, it is the product with the pseudo-inverse and 2 R comparisons.
     """
@@ -129,7 +131,7 @@ def make_prioritised_thrust(num_rotors: int, general: bool = False) -> wp.Functi
         return found
 
     @wp.func
-    def spread(params: command_type, wanted: wp.spatial_vector) -> vector:
+    def spread(params: command_type, wanted: wp.spatial_vector):
         inverse = params.allocation
         turn, rest, resting, idle, other = vector(), vector(), vector(), vector(), vector()
         lift, floor, ceiling, slope, twist = vector(), vector(), vector(), vector(), vector()
@@ -155,18 +157,21 @@ def make_prioritised_thrust(num_rotors: int, general: bool = False) -> wp.Functi
         most = wp.min(share_of_pairs(floor, ceiling, twist), share_of(resting, other, params))
         thrust = share * (turn - idle) + resting
         thrust += wp.max(wp.min(wanted[2], highest(ceiling, twist, most)), -highest(-floor, -twist, most)) * lift
-        return thrust + share_of(thrust, rest, params) * rest
+        rest_share = share_of(thrust, rest, params)
+        return thrust + rest_share * rest, share, rest_share
 
     @wp.func
-    def prioritised_thrust(params: command_type, wanted: wp.spatial_vector) -> vector:
+    def prioritised_thrust(params: command_type, wanted: wp.spatial_vector):
         thrust = params.allocation * wanted
+        turn = 1.0
+        rest = 1.0
         inside = True
         for i in range(wp.static(num_rotors)):
             if thrust[i] < params.low[i] or thrust[i] > params.high[i]:
                 inside = False
         if not inside:
-            thrust = spread(params, wanted)
-        return thrust
+            thrust, turn, rest = spread(params, wanted)
+        return thrust, turn, rest
 
     return prioritised_thrust
 

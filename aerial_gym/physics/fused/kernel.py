@@ -15,7 +15,7 @@ from aerial_gym.physics.fused.dynamics import make_stepper
 from aerial_gym.physics.fused.functions import load_quat, load_vec4, rotate, store_quat, store_vec4
 from aerial_gym.physics.fused.hook import FusedHook, NoHook
 from aerial_gym.physics.fused.law import FusedLaw, NoGains
-from aerial_gym.physics.fused.memory import MemoryArrays, NoMemory, make_begin
+from aerial_gym.physics.fused.memory import make_begin, memory_type
 from aerial_gym.physics.fused.packing import (
     Packing,
     make_command_reader,
@@ -78,7 +78,9 @@ def make_kernel(
     remembers, num_loads = bool(model.effects.remembering), 6 * len(model.effects[LoadEffect])
     any_load = num_loads > 0
     begin = make_begin(model, integrator) if remembers else None
-    memory_type = MemoryArrays if remembers else NoMemory
+    law_remembers = law.remembering is not None
+    memories_type = memory_type(effects=remembers, law=law_remembers)
+    remembered_command = law.remembering(law, num_rotors, general) if law.remembering is not None else None
     vehicle_type, command_type, gains_type = types.vehicle, types.command, law.gains_type or NoGains
     step, command_of = make_stepper(model, integrator), make_command(law, num_rotors, general)
     read_vehicle = make_vehicle_reader(types, packing.vehicle)
@@ -107,7 +109,7 @@ def make_kernel(
         n: vector,
         load: wp.spatial_vector,
         u: action_type,
-        memory: memory_type,
+        memory: memories_type,
         env: int,
         since: int,
         dt: float,
@@ -117,11 +119,16 @@ def make_kernel(
         if wp.static(com_offset):
             origin = x - rotate(q, vehicle.com)
             origin_vel = v - rotate(q, wp.cross(w, vehicle.com))
-        command = command_of(command_params, gains, origin, q, origin_vel, w, u)
+        if wp.static(law_remembers):
+            command = remembered_command(command_params, gains, origin, q, origin_vel, w, u, memory.law, env, dt)
+        else:
+            command = command_of(command_params, gains, origin, q, origin_vel, w, u)
         if wp.static(general):
             command = stop(vehicle, command)
         values = params
-        if wp.static(remembers):
+        if wp.static(remembers and law_remembers):
+            values, command = begin(vehicle, params, command, n, memory.effects, env, since, dt)
+        elif wp.static(remembers):
             values, command = begin(vehicle, params, command, n, memory, env, since, dt)
         x, q, v, w, n, load = step(vehicle, values, gravity, x, q, v, w, n, load, command, dt)
         return x, q, v, w, n, load, values
@@ -147,7 +154,7 @@ def make_kernel(
         dt: float,  # [s]
         substeps: int,
         first: int,  # environment of the first thread
-        memory: memory_type,  # read and written
+        memory: memories_type,  # read and written
         hook_data: hook_type,  # read and written
         # out
         position_out: wp.array[wp.vec3],
@@ -175,13 +182,17 @@ def make_kernel(
             v = v + rotate(q, wp.cross(w, vehicle.com))
         load = wp.spatial_vector()
         since = wp.int32(0)
+        if wp.static(remembers and law_remembers):
+            effects = memory.effects
+        elif wp.static(remembers):
+            effects = memory
         if wp.static(remembers):
-            since = memory.since[env]
+            since = effects.since[env]
             for i in range(wp.static(num_memory)):
-                params[wp.static(num_params) + i] = memory.numbers[i, env]
+                params[wp.static(num_params) + i] = effects.numbers[i, env]
         if wp.static(any_load):
             for i in range(6):
-                load[i] = memory.numbers[wp.static(num_memory - num_loads) + i, env]
+                load[i] = effects.numbers[wp.static(num_memory - num_loads) + i, env]
         if wp.static(differentiable):  # no loop: its adjoint would need the states on the way
             x, q, v, w, n, load, params = step_once(
                 vehicle, command_params, gains, params, gravity, x, q, v, w, n, load, u, memory, env, since, dt
@@ -215,12 +226,12 @@ def make_kernel(
                     hook_data, env, k, dt, mass, vehicle.inertia, vehicle.com, first_v, first_w, x, q, v, w
                 )
         if wp.static(remembers):
-            memory.since[env] = since + substeps
+            effects.since[env] = since + substeps
             for i in range(wp.static(num_memory - num_loads)):
-                memory.numbers[i, env] = params[wp.static(num_params) + i]
+                effects.numbers[i, env] = params[wp.static(num_params) + i]
         if wp.static(any_load):
             for i in range(6):
-                memory.numbers[wp.static(num_memory - num_loads) + i, env] = load[i]
+                effects.numbers[wp.static(num_memory - num_loads) + i, env] = load[i]
         if wp.static(com_offset):
             x = x - rotate(q, vehicle.com)
             v = v - rotate(q, wp.cross(w, vehicle.com))

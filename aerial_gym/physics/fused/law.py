@@ -3,12 +3,14 @@
 Letters: E environments, R rotors.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import warp as wp
 from torch import Tensor
+
+from aerial_gym.physics.law_memory import LawNeeds
 
 
 @wp.struct
@@ -52,6 +54,14 @@ class FusedLaw:
 
     wrench: wp.Function | None = None
     """``wp.func`` (position, attitude, lin_vel, ang_vel, action, gains) -> (force, torque), body, ``wp.spatial_vector``."""
+
+    remembering: "Callable[[FusedLaw, int, bool], wp.Function] | None" = None
+    """For a law with memory, in place of ``wrench``: from this, the number of rotors and whether they are of any kind to a
+    ``wp.func`` (params, gains, position, attitude, lin_vel, ang_vel, action, ``memory.LawArrays``, env, dt) -> commanded
+    speeds, vector of R."""
+
+    needs: LawNeeds | None = None
+    """What a law with memory must be given to remember."""
 
     gains_type: Any = None
     """``wp.struct`` of the gains."""

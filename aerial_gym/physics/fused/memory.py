@@ -35,6 +35,37 @@ class NoMemory:
     slots: int  # 0
 
 
+@wp.struct
+class LawArrays:
+    """Memory of the control law in all environments: ``law_memory.LawMemory``."""
+
+    numbers: wp.array2d[float]  # (M, E)
+    past: wp.array2d[float]  # (P, E)
+    since: wp.array[int]  # (E,)
+
+
+@wp.struct
+class LawAlone:
+    """Where the law remembers, and no effect."""
+
+    law: LawArrays
+
+
+@wp.struct
+class LawAndEffects:
+    """Where both remember."""
+
+    law: LawArrays
+    effects: MemoryArrays
+
+
+def memory_type(*, effects: bool, law: bool) -> Any:
+    """Return the struct that a kernel is given, by who remembers anything."""
+    if law:
+        return LawAndEffects if effects else LawAlone
+    return MemoryArrays if effects else NoMemory
+
+
 def make_begin(model: Model, integrator: str) -> wp.Function:
     """Return a function from values and command to those of a substep."""
     types, values, num_rotors = types_of(model), values_type(model), model.vehicle.num_rotors

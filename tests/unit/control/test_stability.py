@@ -9,16 +9,17 @@ import pytest
 import torch
 
 from aerial_gym.assets import ENVIRONMENTS
-from aerial_gym.config.controller import ControlCfg, ControllerCfg
+from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.control import CONTROLLERS, check_closed_loop
+from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
 from aerial_gym.control.catalog import AERIAL_GYM_GAINS
 from aerial_gym.control.stability import ClosedLoop, largest_stable_dt
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import ConfigError
+from aerial_gym.physics import TorchBackend, build_model, state_at_rest, vehicle_from_config
 from aerial_gym.robots import ROBOTS
 
-LAWS = [name for name in CONTROLLERS.names() if name.startswith("lee_")]
+LAWS = [name for name in CONTROLLERS.names() if CONTROLLERS.get(name).law not in ("thrust", "rotor_speed")]
 RATES = CONTROLLERS.get("lee_rates_control")
 
 
@@ -47,6 +48,23 @@ def test_the_spectral_radius_of_a_rate_loop_is_that_of_its_two_by_two() -> None:
 def test_registered_robots_come_to_rest_at_every_sim(law: str, robot: str) -> None:
     for sim in (SIMS.get(name) for name in SIMS):
         assert radius(ROBOTS.get(robot), CONTROLLERS.get(law), sim.dt) < 1.0
+
+
+def test_the_radius_of_a_controller_with_memory_is_that_of_a_flight() -> None:
+    """A small turn dies out by the radius in each step: over 400 steps, when the quicker modes are gone, by its 400th power."""
+    loop = RateLoopCfg(rate_hz=100.0, derivative=(0.1, 0.1, 0.1), cutoff_hz=20.0)
+    cfg = replace(CONTROLLERS.get("pid_rates_control"), rate_hz=50.0, rate_loop=loop, delay=0.01, action_delay=0.004)
+    robot, backend, dt = ROBOTS.get("base_quadrotor"), TorchBackend(), 0.002
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+    backend.allocate(build_model(vehicle), make_controller(cfg, vehicle, 9.81, dt=dt), integrator="euler")
+    state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=torch.float64)
+    state.rotor_speed.fill_(robot.rotor.speed_at(0.25 * 9.81 / 4))
+    state.ang_vel.copy_(torch.tensor([[0.0, 0.0, 1e-3]], dtype=torch.float64))
+    sizes = []
+    for steps in (1600, 400):
+        backend.step(state, torch.zeros(1, 4, dtype=torch.float64), dt, steps)
+        sizes.append(float(state.ang_vel[0, 2]))
+    assert (sizes[1] / sizes[0]) ** (1 / 400) == pytest.approx(radius(robot, cfg, dt), abs=2e-5)
 
 
 def test_largest_stable_time_step_is_where_the_radius_is_one() -> None:

@@ -1,0 +1,280 @@
+"""Controllers with memory: a law over a rate loop, each at its own rate, with delays between them.
+
+    action --(action delay)--> law --(delay, held)--> rate loop --> allocation --(held)--> rotors
+
+A law of ``control.lee`` is given unit gain on the rate and no inertia: its torque is then the error of the body rates that it
+wants. Without a rate loop the law asks for torque itself, and only its rate and the delay of the action are new.
+Frames: body is x forward, y left, z up. Letters: E environments, R rotors, U entries of an action, S slots of a ring,
+M remembered numbers, P numbers on their way.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from math import exp, pi
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
+from aerial_gym.control import cascade_fused, lee_fused
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.gains import gains_for, spacing_of
+from aerial_gym.control.laws import LAWS
+from aerial_gym.control.lee import LeeGains, wrench_from
+from aerial_gym.control.timing import Timing, timing_of
+from aerial_gym.math.random import Randomness
+from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.law_memory import LawMemory, LawNeeds, fresh_law_memory
+from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.vehicle import Vehicle, share_row
+
+INTEGRAL_SHARE = 0.5
+"""Of the torque at hover that the integral may take if nothing else is said: the other half stays for manoeuvres."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RateGains:
+    """Gains of a rate loop."""
+
+    proportional: Tensor
+    """[1/s], (E, 3)."""
+
+    integral: Tensor
+    """[1/s²], (E, 3)."""
+
+    integral_limit: Tensor
+    """[rad/s²], (E, 3)."""
+
+    derivative: Tensor
+    """[-], (E, 3)."""
+
+    smoothing: float
+    """Share of the new value that the low-pass takes in one run, ``1 - exp(-2 pi f dt)``: exact for a held input."""
+
+
+def rate_gains(
+    cfg: RateLoopCfg, base: LeeGains, vehicle: Vehicle, allocation: Allocation, *, phase_margin: float, dt: float
+) -> RateGains:
+    """Return the gains of a rate loop that runs every ``dt`` [s]; what is not given follows from the law's own.
+
+    The proportional gain is the law's on the rate over the inertia. The integral is slower than it by a², with the a of
+    ``control.gains``: at the crossover of the attitude loop it costs ``atan 1/a²`` of phase.
+    """
+    inertia, row = vehicle.inertia[0].diagonal(), partial(share_row, num_envs=vehicle.num_envs)
+    authority = allocation.torque_authority(float(vehicle.mass[0]) * base.gravity) / inertia
+    proportional = _given(cfg.proportional, base.rate[0] / inertia)
+    return RateGains(
+        proportional=row(proportional),
+        integral=row(_given(cfg.integral, (proportional / spacing_of(phase_margin)) ** 2)),
+        integral_limit=row(_given(cfg.integral_limit, INTEGRAL_SHARE * authority)),
+        derivative=row(inertia.new_tensor(cfg.derivative)),
+        smoothing=1.0 if cfg.cutoff_hz is None else 1.0 - exp(-2.0 * pi * cfg.cutoff_hz * dt),
+    )
+
+
+def _given(numbers: tuple[float, ...] | None, derived: Tensor) -> Tensor:
+    return derived if numbers is None else derived.new_tensor(numbers)
+
+
+def setpoint_gains(base: LeeGains) -> LeeGains:
+    """Return the gains with which a law's torque is the error of the body rates that it wants [rad/s]."""
+    moves = base.rate > 0.0
+    attitude = torch.where(moves, base.attitude / torch.where(moves, base.rate, 1.0), 0.0)
+    return replace(base, attitude=attitude, rate=torch.ones_like(base.rate), inertia=torch.zeros_like(base.inertia))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each remembered number stands."""
+
+    held: int
+    """First commanded speed; (R,) numbers, if the rotors' command is held."""
+
+    width: int
+    """M."""
+
+    actions: int
+    """First number of the ring of actions, behind that of setpoints."""
+
+    past: int
+    """P."""
+
+
+def layout_of(timing: Timing, *, has_loop: bool, num_rotors: int, num_actions: int) -> Layout:
+    """Return the places: integral (3), derivative (3), angular velocity of the run before (3), held command (R)."""
+    held = 9 if has_loop else 0
+    actions = 4 * timing.setpoint_slots if has_loop else 0
+    return Layout(
+        held, held + (num_rotors if timing.loop > 1 else 0), actions, actions + timing.action_slots * num_actions
+    )
+
+
+class CascadeController:
+    """A law with memory; ``command`` is one physics step of it."""
+
+    def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
+        """Take the configuration, the declared vehicle, gravity [m/s²], the physics step [s] and the robot's own settings."""
+        law, loop = LAWS[cfg.law], cfg.rate_loop
+        self.timing = timing = timing_of(cfg, dt)
+        self.action_names, self._law = law.action, law
+        self._allocation = Allocation(vehicle, gravity, saturation=cfg.allocation)
+        base = gains_for(
+            cfg, control, vehicle, self._allocation, gravity=gravity, dt=timing.loop * dt, extra_lag=timing.extra_lag
+        )
+        self._inertia = vehicle.inertia
+        self.gains = base if loop is None else setpoint_gains(base)
+        self.rate_gains: RateGains | None = None
+        if loop is not None:
+            margin, span = control.phase_margin, timing.loop * dt
+            self.rate_gains = rate_gains(loop, base, vehicle, self._allocation, phase_margin=margin, dt=span)
+        self._layout = layout_of(
+            timing, has_loop=loop is not None, num_rotors=vehicle.num_rotors, num_actions=len(law.action)
+        )
+
+    @property
+    def needs(self) -> LawNeeds:
+        """What it must be given to remember."""
+        return LawNeeds(width=self._layout.width, past=self._layout.past, dt=self.timing.dt)
+
+    @property
+    def period(self) -> int:
+        """Physics steps after which every level begins anew."""
+        return self.timing.law
+
+    def resting(self, thrust: Tensor) -> Tensor:
+        """Return what the first environment remembers at rest under thrusts [N], (R,): numbers and wishes of the law."""
+        numbers, sent = thrust.new_zeros(self._layout.width), thrust.new_zeros(self._layout.actions)
+        if self.timing.loop > 1:
+            numbers[self._layout.held :] = self._allocation.speed(
+                thrust.to(self._inertia).expand(len(self._inertia), -1)
+            )[0]
+        sent[::4] = self.gains.mass[0].to(thrust) * self.gains.gravity
+        return torch.cat((numbers, sent))
+
+    def memory_from(self, remembered: Tensor) -> LawMemory:
+        """Return the memory with numbers and wishes (E, ...) as in ``resting``, long after a reset, without late actions."""
+        numbers, sent = remembered.split((self._layout.width, self._layout.actions), dim=-1)
+        actions = sent.new_zeros(len(sent), self._layout.past - self._layout.actions)
+        long_ago = 1000 * self.period * max(self.timing.setpoint_slots, 1)
+        since = torch.full((len(sent),), long_ago, dtype=torch.int32, device=sent.device)
+        return LawMemory(numbers=numbers, past=torch.cat((sent, actions), dim=-1), since=since)
+
+    def remembered_after(self, memory: LawMemory) -> Tensor:
+        """Return numbers and wishes, a period later: the ring turned back, so that equal places are equally old."""
+        sent, slots = memory.past[:, : self._layout.actions], self.timing.setpoint_slots
+        if slots:
+            sent = sent.unflatten(-1, (slots, 4)).roll(-1, dims=1).flatten(1)
+        return torch.cat((memory.numbers, sent), dim=-1)
+
+    def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
+        """Return the command of the first step after a reset."""
+        return self.command(state, action, fresh_law_memory(self.needs, state.num_envs, state.position))[0]
+
+    def command(self, state: BodyState, action: Tensor, memory: LawMemory) -> tuple[Tensor, LawMemory]:
+        """Return commanded rotor speeds [rad/s], (E, R), of one physics step, and the memory after it."""
+        layout, timing, since = self._layout, self.timing, memory.since
+        setpoints, actions = memory.past[:, : layout.actions], memory.past[:, layout.actions :]
+        if timing.action_delay:
+            actions = _write(actions, action, since, timing.action_slots)
+            action = _read(actions, (since - timing.action_delay).clamp_min(0), timing.action_slots)
+        wanted = self._law.wrench(state, action, self.gains)
+        gains = self.rate_gains
+        if gains is None:
+            command, numbers = self._allocation.speed_for_wrench(wanted), memory.numbers
+        else:
+            setpoint = torch.cat((wanted[:, 2:3], wanted[:, 3:] + state.ang_vel), dim=-1)
+            setpoint, setpoints = self._pass_on(setpoint, setpoints, since)
+            command, numbers = self._run_loop(gains, state.ang_vel, setpoint, memory)
+        if timing.loop > 1:
+            due = (since % timing.loop == 0).unsqueeze(-1)
+            command = torch.where(due, command, memory.numbers[:, layout.held :])
+            numbers = torch.where(due, numbers, memory.numbers)
+            numbers = torch.cat((numbers[:, : layout.held], command), dim=-1)
+        return command, LawMemory(numbers=numbers, past=torch.cat((setpoints, actions), dim=-1), since=since + 1)
+
+    def _pass_on(self, setpoint: Tensor, sent: Tensor, since: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the thrust and body rates (E, 4) that have come through by now, and what is on its way."""
+        timing = self.timing
+        if not timing.setpoint_slots:
+            return setpoint, sent
+        due = (since % timing.law == 0).unsqueeze(-1)
+        sent = torch.where(due, _write(sent, setpoint, since // timing.law, timing.setpoint_slots), sent)
+        arrived = (since - timing.delay).clamp_min(0) // timing.law
+        return _read(sent, arrived, timing.setpoint_slots), sent
+
+    def _run_loop(
+        self, gains: RateGains, ang_vel: Tensor, setpoint: Tensor, memory: LawMemory
+    ) -> tuple[Tensor, Tensor]:
+        """Return rotor speeds (E, R) and the numbers after one run of the rate loop."""
+        integral, slope, before = memory.numbers[:, :9].split(3, dim=-1)
+        span = self.timing.loop * self.timing.dt
+        begins = (memory.since == 0).unsqueeze(-1)
+        measured = torch.where(begins, 0.0, (ang_vel - before) / span)
+        slope = slope + gains.smoothing * (measured - slope)
+        error = setpoint[:, 1:] - ang_vel
+        wanted = gains.proportional * error + integral - gains.derivative * slope
+        torque = (self._inertia * wanted.unsqueeze(1)).sum(-1)
+        torque = torque + torch.linalg.cross(ang_vel, (self._inertia * ang_vel.unsqueeze(1)).sum(-1))
+        allotted = self._allocation.allot(wrench_from(setpoint[:, 0], torque))
+        given = torch.cat((allotted.turn, allotted.turn, allotted.rest), dim=-1)
+        grows = (given >= 1.0) | (error * wanted <= 0.0)  # no further where the rotors give less than was asked
+        integral = integral + torch.where(grows, gains.integral * span * error, 0.0)
+        integral = torch.minimum(torch.maximum(integral, -gains.integral_limit), gains.integral_limit)
+        numbers = torch.cat((integral, slope, ang_vel, memory.numbers[:, 9:]), dim=-1)
+        return self._allocation.speed(allotted.thrust), numbers
+
+    def own_gains(self) -> None:
+        """Give each environment rows (E, 3) of its own, to be written in place; call it before ``fused``."""
+        own = {name: getattr(self.gains, name).clone() for name in ("position", "velocity", "attitude", "rate")}
+        self.gains = replace(self.gains, **own)
+        if self.rate_gains is not None:
+            rows = {name: rows.clone() for name, rows in vars(self.rate_gains).items() if isinstance(rows, Tensor)}
+            self.rate_gains = replace(self.rate_gains, **rows)
+
+    def fused(self) -> FusedLaw | None:
+        """Return the twin in Warp."""
+        if self._law.fused is None:
+            return None
+        has_loop, allocation = self.rate_gains is not None, self._allocation
+        return FusedLaw(
+            output="wrench",
+            num_actions=len(self.action_names),
+            low=allocation.low,
+            high=allocation.high,
+            thrust_map=allocation.vehicle.thrust_map,
+            reverse_thrust_map=allocation.vehicle.reverse_thrust_map,
+            allocation=allocation.inverse,
+            saturation=allocation.saturation,
+            needs=self.needs,
+            remembering=cascade_fused.maker(self._law.fused, self.timing, self._layout, has_loop=has_loop),
+            gains_type=cascade_fused.CascadeGains if has_loop else lee_fused.Gains,
+            load_gains=cascade_fused.load_gains if has_loop else lee_fused.load_gains,
+            gains=self._fused_gains(),
+        )
+
+    def _fused_gains(self) -> Mapping[str, Tensor]:
+        rows = dict(lee_fused.gain_rows(self.gains))
+        if self.rate_gains is None:
+            return rows
+        loop = {name: value for name, value in vars(self.rate_gains).items() if isinstance(value, Tensor)}
+        smoothing = share_row(self.gains.mass.new_tensor(self.rate_gains.smoothing), self._inertia.shape[0])
+        return rows | loop | {"smoothing": smoothing, "body_inertia": self._inertia}
+
+    def reset(self, mask: Tensor, random: Randomness) -> None:
+        """Nothing is random; the backend forgets what was remembered."""
+        del mask, random
+
+
+def _write(ring: Tensor, row: Tensor, count: Tensor, slots: int) -> Tensor:
+    """Return a ring (E, S W) with a row (E, W) in the slot of a count (E,)."""
+    here = torch.arange(slots, device=ring.device) == (count % slots).unsqueeze(-1)
+    rows = torch.where(here.unsqueeze(-1), row.unsqueeze(1), ring.unflatten(-1, (slots, -1)))
+    return rows.flatten(1)
+
+
+def _read(ring: Tensor, count: Tensor, slots: int) -> Tensor:
+    """Return the row (E, W) of a ring (E, S W) in the slot of a count (E,)."""
+    rows = ring.unflatten(-1, (slots, -1))
+    index = (count.long() % slots)[:, None, None].expand(-1, 1, rows.shape[-1])
+    return rows.gather(1, index).squeeze(1)

@@ -1,0 +1,250 @@
+"""Controllers with memory, the twin of ``control.cascade`` for one environment in the fused kernel.
+
+What is remembered stands in device memory: a level that is not due costs one comparison.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from aerial_gym.control.lee_fused import Gains, read_vec3
+from aerial_gym.control.lee_fused import load_gains as load_lee_gains
+from aerial_gym.control.timing import Timing
+from aerial_gym.physics.fused.command import make_prioritised_thrust, make_speed_of
+from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.fused.memory import LawArrays
+from aerial_gym.physics.fused.types import rotor_types, vector_of
+
+if TYPE_CHECKING:
+    from aerial_gym.control.cascade import Layout
+
+
+@wp.struct
+class CascadeGains:
+    """Those of ``lee_fused.Gains``, in their order, and those of the rate loop."""
+
+    position: wp.vec3
+    velocity: wp.vec3
+    attitude: wp.vec3
+    rate: wp.vec3
+    mass: float
+    inertia: wp.mat33
+    gravity: float
+    max_yaw_rate: float
+    max_slope: float
+    proportional: wp.vec3  # [1/s]
+    integral: wp.vec3  # [1/s²]
+    integral_limit: wp.vec3  # [rad/s²]
+    derivative: wp.vec3  # [-]
+    smoothing: float
+    body_inertia: wp.mat33  # [kg m²]
+
+
+NUM_LEE_GAINS = 25
+"""Numbers of ``lee_fused.Gains``."""
+
+
+@wp.func
+def lee_gains_of(gains: CascadeGains) -> Gains:
+    """Return the gains of the law."""
+    lee = Gains()
+    lee.position = gains.position
+    lee.velocity = gains.velocity
+    lee.attitude = gains.attitude
+    lee.rate = gains.rate
+    lee.mass = gains.mass
+    lee.inertia = gains.inertia
+    lee.gravity = gains.gravity
+    lee.max_yaw_rate = gains.max_yaw_rate
+    lee.max_slope = gains.max_slope
+    return lee
+
+
+@wp.func
+def own_gains(gains: Gains) -> Gains:
+    """Return the gains: without a rate loop they are the law's."""
+    return gains
+
+
+@wp.func
+def load_gains(source: wp.array2d[float], first: int, env: int) -> CascadeGains:
+    """Return the gains of one environment from the rows of (N, E)."""
+    lee = load_lee_gains(source, first, env)
+    at = first + wp.static(NUM_LEE_GAINS)
+    gains = CascadeGains()
+    gains.position = lee.position
+    gains.velocity = lee.velocity
+    gains.attitude = lee.attitude
+    gains.rate = lee.rate
+    gains.mass = lee.mass
+    gains.inertia = lee.inertia
+    gains.gravity = lee.gravity
+    gains.max_yaw_rate = lee.max_yaw_rate
+    gains.max_slope = lee.max_slope
+    gains.proportional = read_vec3(source, at, env)
+    gains.integral = read_vec3(source, at + 3, env)
+    gains.integral_limit = read_vec3(source, at + 6, env)
+    gains.derivative = read_vec3(source, at + 9, env)
+    gains.smoothing = source[at + 12, env]
+    gains.body_inertia = wp.matrix_from_rows(
+        read_vec3(source, at + 13, env), read_vec3(source, at + 16, env), read_vec3(source, at + 19, env)
+    )
+    return gains
+
+
+def maker(
+    law_wrench: wp.Function, timing: Timing, layout: "Layout", *, has_loop: bool
+) -> Callable[[FusedLaw, int, bool], wp.Function]:
+    """Return what composes the controller for a number of rotors: ``FusedLaw.remembering``."""
+
+    def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
+        return make_cascade(law, num_rotors, general, law_wrench, timing, layout, has_loop=has_loop)
+
+    return make
+
+
+def make_cascade(
+    law: FusedLaw,
+    num_rotors: int,
+    general: bool,
+    law_wrench: wp.Function,
+    timing: Timing,
+    layout: "Layout",
+    *,
+    has_loop: bool,
+) -> wp.Function:
+    """Return a function of one physics step: from motion and action to commanded rotor speeds [rad/s]; memory is written."""
+    types = rotor_types(num_rotors, general)
+    command_type, vector, action_type = types.command, types.vector, vector_of(law.num_actions)
+    gains_type, lee_of = law.gains_type, lee_gains_of if has_loop else own_gains
+    period, held, loop_steps = timing.law, layout.held, timing.loop
+    slots, delay = timing.setpoint_slots, timing.delay
+    late = make_late_action(law.num_actions, timing, layout)
+    allot, speed_of = make_allot(law, num_rotors, general), make_speed_of(num_rotors, general)
+    run_loop = make_rate_loop(law, num_rotors, general, timing) if has_loop else None
+
+    @wp.func
+    def wanted_by_law(
+        gains: gains_type, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3,
+        action: action_type, arrays: LawArrays, env: int, since: int,
+    ) -> wp.vec4:  # fmt: skip
+        """Return the thrust and body rates that have come through by now."""
+        setpoint = wp.vec4()
+        if since % wp.static(period) == 0:
+            wrench = law_wrench(position, attitude, lin_vel, ang_vel, action, lee_of(gains))
+            setpoint = wp.vec4(
+                wrench[2], wrench[3] + ang_vel[0], wrench[4] + ang_vel[1], wrench[5] + ang_vel[2]
+            )  # fmt: skip
+            if wp.static(slots > 0):
+                for i in range(4):
+                    arrays.past[4 * ((since / wp.static(period)) % wp.static(slots)) + i, env] = setpoint[i]
+        if wp.static(slots > 0):
+            arrived = wp.max(since - wp.static(delay), 0) / wp.static(period)
+            for i in range(4):
+                setpoint[i] = arrays.past[4 * (arrived % wp.static(slots)) + i, env]
+        return setpoint
+
+    @wp.func
+    def cascade(
+        params: command_type, gains: gains_type, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3,
+        ang_vel: wp.vec3, action: action_type, arrays: LawArrays, env: int, dt: float,
+    ) -> vector:  # fmt: skip
+        since = arrays.since[env]
+        arrays.since[env] = since + 1
+        arrived = late(arrays, env, since, action)
+        command = vector()
+        if since % wp.static(loop_steps) == 0:
+            if wp.static(has_loop):
+                setpoint = wanted_by_law(
+                    gains, position, attitude, lin_vel, ang_vel, arrived, arrays, env, since
+                )  # fmt: skip
+                command = run_loop(params, gains, ang_vel, setpoint, arrays, env, since, dt)
+            else:
+                thrust, _turn, _rest = allot(
+                    params, law_wrench(position, attitude, lin_vel, ang_vel, arrived, lee_of(gains))
+                )  # fmt: skip
+                command = speed_of(params, thrust)
+            if wp.static(loop_steps > 1):
+                for i in range(wp.static(num_rotors)):
+                    arrays.numbers[wp.static(held) + i, env] = command[i]
+        else:
+            for i in range(wp.static(num_rotors)):
+                command[i] = arrays.numbers[wp.static(held) + i, env]
+        return command
+
+    return cascade
+
+
+def make_late_action(num_actions: int, timing: Timing, layout: "Layout") -> wp.Function:
+    """Return a function to the action that has come through; the one of this step is on its way."""
+    action_type, first = vector_of(num_actions), layout.actions
+    slots, delay = timing.action_slots, timing.action_delay
+
+    @wp.func
+    def at_once(arrays: LawArrays, env: int, since: int, action: action_type) -> action_type:
+        return action
+
+    @wp.func
+    def late(arrays: LawArrays, env: int, since: int, action: action_type) -> action_type:
+        arrived = action_type()
+        for i in range(wp.static(num_actions)):
+            arrays.past[wp.static(first) + (since % wp.static(slots)) * wp.static(num_actions) + i, env] = action[i]
+        now = wp.max(since - wp.static(delay), 0) % wp.static(slots)
+        for i in range(wp.static(num_actions)):
+            arrived[i] = arrays.past[wp.static(first) + now * wp.static(num_actions) + i, env]
+        return arrived
+
+    return late if slots else at_once
+
+
+def make_allot(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
+    """Return ``Allocation.allot``: thrusts and the shares of the wanted torque that they give."""
+    types, prioritised = rotor_types(num_rotors, general), law.saturation == "prioritised"
+    command_type, thrust_for = types.command, make_prioritised_thrust(num_rotors, general)
+
+    @wp.func
+    def clamped(params: command_type, wanted: wp.spatial_vector):
+        thrust = params.allocation * wanted
+        given = 1.0
+        for i in range(wp.static(num_rotors)):
+            if thrust[i] < params.low[i] or thrust[i] > params.high[i]:
+                given = 0.0
+        return thrust, given, given
+
+    return thrust_for if prioritised else clamped
+
+
+def make_rate_loop(law: FusedLaw, num_rotors: int, general: bool, timing: Timing) -> wp.Function:
+    """Return ``CascadeController._run_loop``."""
+    types = rotor_types(num_rotors, general)
+    command_type, vector, period = types.command, types.vector, float(timing.loop)
+    allot, speed_of = make_allot(law, num_rotors, general), make_speed_of(num_rotors, general)
+
+    @wp.func
+    def run_loop(
+        params: command_type, gains: CascadeGains, ang_vel: wp.vec3, setpoint: wp.vec4, arrays: LawArrays, env: int,
+        since: int, dt: float,
+    ) -> vector:  # fmt: skip
+        span = wp.static(period) * dt
+        integral = read_vec3(arrays.numbers, 0, env)
+        slope = read_vec3(arrays.numbers, 3, env)
+        measured = wp.vec3()
+        if since > 0:
+            measured = (ang_vel - read_vec3(arrays.numbers, 6, env)) / span
+        slope += gains.smoothing * (measured - slope)
+        error = wp.vec3(setpoint[1], setpoint[2], setpoint[3]) - ang_vel
+        wanted = wp.cw_mul(gains.proportional, error) + integral - wp.cw_mul(gains.derivative, slope)
+        torque = gains.body_inertia * wanted + wp.cross(ang_vel, gains.body_inertia * ang_vel)
+        thrust, turn, rest = allot(params, wp.spatial_vector(0.0, 0.0, setpoint[0], torque[0], torque[1], torque[2]))
+        given = wp.vec3(turn, turn, rest)
+        for i in range(3):
+            if given[i] >= 1.0 or error[i] * wanted[i] <= 0.0:
+                integral[i] = integral[i] + gains.integral[i] * span * error[i]
+            integral[i] = wp.clamp(integral[i], -gains.integral_limit[i], gains.integral_limit[i])
+            arrays.numbers[i, env] = integral[i]
+            arrays.numbers[3 + i, env] = slope[i]
+            arrays.numbers[6 + i, env] = ang_vel[i]
+        return speed_of(params, thrust)
+
+    return run_loop

@@ -1,0 +1,100 @@
+"""What a control law remembers of each environment between substeps: integrators, filters, held and late commands.
+
+As with the memory of effects, a backend keeps it, and resets it by mask. It is kept apart from theirs, so that a law without
+memory costs nothing.
+Letters: E environments, M remembered numbers, P numbers on their way.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics.state import BodyState
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawNeeds:
+    """What a law must be given to remember."""
+
+    width: int
+    """Numbers M; all are zero after a reset."""
+
+    past: int
+    """Numbers P in rings: commands on their way. They are not cleared, as ``since`` says which are not to be read."""
+
+    dt: float
+    """Time step [s] for which the law was built."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawMemory:
+    """Memory of a law in all environments."""
+
+    numbers: Tensor
+    """(E, M); (M, E) in the fused backend."""
+
+    past: Tensor
+    """(E, P); (P, E) in the fused backend."""
+
+    since: Tensor
+    """Physics steps since the reset, int32, (E,)."""
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return what changes from substep to substep, by name."""
+        return {"numbers": self.numbers, "past": self.past, "since": self.since}
+
+
+class RememberingLaw(Protocol):
+    """A control law with memory."""
+
+    @property
+    def needs(self) -> LawNeeds:
+        """What it must be given to remember."""
+        ...
+
+    def command(self, state: BodyState, action: Tensor, memory: LawMemory) -> tuple[Tensor, LawMemory]:
+        """Return commanded rotor speeds [rad/s], (E, R), of one physics step, and the memory after it."""
+        ...
+
+
+def needs_of(law: object) -> LawNeeds | None:
+    """Return what a law must be given to remember, or None: it remembers nothing."""
+    return getattr(law, "needs", None)
+
+
+def fresh_law_memory(needs: LawNeeds, num_envs: int, like: Tensor) -> LawMemory:
+    """Return the memory of environments that have just been reset; float type and device are those of ``like``."""
+    return LawMemory(
+        numbers=like.new_zeros(num_envs, needs.width),
+        past=like.new_zeros(num_envs, needs.past),
+        since=torch.zeros(num_envs, dtype=torch.int32, device=like.device),
+    )
+
+
+def forget_law(memory: LawMemory, mask: Tensor) -> LawMemory:
+    """Return the memory (E, ...) with the environments in ``mask``, bool (E,), as after a reset; others stay bit for bit."""
+    return replace(
+        memory,
+        numbers=memory.numbers.masked_fill(mask.unsqueeze(-1), 0.0),
+        since=memory.since.masked_fill(mask, 0),
+    )
+
+
+def law_command(
+    law: Any, state: BodyState, action: Tensor, memory: LawMemory | None
+) -> tuple[Tensor, LawMemory | None]:
+    """Return the rotor speeds (E, R) that a law commands [rad/s], with or without memory, and the memory after it."""
+    if memory is None:
+        return law.rotor_command(state, action), None
+    return law.command(state, action, memory)
+
+
+def check_law_step(needs: LawNeeds, dt: float) -> None:
+    """Raise ``ConfigError`` if a law is run at another time step than it was built for."""
+    if abs(dt - needs.dt) > 1e-9 * needs.dt:
+        raise ConfigError(
+            f"the control law was built for steps of {needs.dt:g} s, but the physics takes {dt:g} s. Build it anew"
+        )
