@@ -71,8 +71,19 @@ def test_task_gives_one_object_with_every_key(capsys: pytest.CaptureFixture[str]
     assert status == 0
     found = json.loads(out)
     rates = {"env_steps_per_s", "env_steps_per_s_min", "env_steps_per_s_max", "step_us"}
-    assert set(found) == SHARED_KEYS | rates | {"task", "captured"}
+    assert set(found) == SHARED_KEYS | rates | {"task", "captured", "backend"}
     assert isinstance(found["captured"], bool)
+
+
+def test_task_tells_its_parts_apart(capsys: pytest.CaptureFixture[str]) -> None:
+    """The parts of a step without a sensor, none longer than ten steps of this short run, all of them positive."""
+    status, out, _ = run(capsys, "bench", "task", "--num-envs", "16", "--parts", "--json", *QUICK)
+    assert status == 0
+    found = json.loads(out)
+    parts = {"physics_us", "collision_us", "reset_us"}
+    assert parts <= set(found)
+    assert "rendering_us" not in found
+    assert all(0.0 < found[part] < 10.0 * found["step_us"] for part in parts)
 
 
 def test_people_get_a_table_with_every_key(capsys: pytest.CaptureFixture[str]) -> None:

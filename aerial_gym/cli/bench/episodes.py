@@ -32,8 +32,8 @@ class Episodes:
         """Take a task and reset it."""
         self.device, self._task = task.device, task
         generator = torch.Generator(device=task.device).manual_seed(seed)
-        self._actions = torch.empty(task.num_envs, task.action_space.shape[0], device=task.device)
-        self._actions.uniform_(-ACTION_SIZE, ACTION_SIZE, generator=generator)
+        self.actions = torch.empty(task.num_envs, task.action_space.shape[0], device=task.device)
+        self.actions.uniform_(-ACTION_SIZE, ACTION_SIZE, generator=generator)
 
     def restore(self) -> None:
         """Begin all episodes anew, at random ages."""
@@ -43,14 +43,14 @@ class Episodes:
     def run_batch(self) -> None:
         """Take some task steps."""
         for _ in range(STEPS_PER_BATCH):
-            self._task.step(self._actions)
+            self._task.step(self.actions)
 
     def check(self, *, started: bool) -> None:
         """Take some more steps, and raise ``WorkloadError`` unless they are those of a healthy task."""
         del started
         crashed = []
         for _ in range(CHECKED_STEPS):
-            observation, reward, terminated, _, _ = self._task.step(self._actions)
+            observation, reward, terminated, _, _ = self._task.step(self.actions)
             check_step(observation["observations"], reward)
             crashed.append(terminated.float().mean())
         check_crashes(float(torch.stack(crashed).mean()))

@@ -33,6 +33,9 @@ class TaskBench:
     seed: int = 0
     """Seed of the task and of the actions."""
 
+    parts: bool = False
+    """Also time physics, collision, reset of a hundredth of the environments, and rendering, each alone."""
+
     json: bool = False
     """Print one JSON object."""
 
@@ -58,6 +61,7 @@ class TaskBench:
         from aerial_gym.cli.bench.episodes import Episodes
         from aerial_gym.cli.bench.measure import spread, time_launches, torch_threads
         from aerial_gym.cli.bench.output import device_by_name, device_name, provenance
+        from aerial_gym.cli.bench.parts import time_parts
         from aerial_gym.task import task_registry
 
         device = device_by_name(self.device)
@@ -71,6 +75,7 @@ class TaskBench:
             episodes = Episodes(task, seed=self.seed)
             seconds = time_launches(episodes, repeats=self.repeats, repeat_time_s=self.repeat_time_s)
             captured = bool(getattr(task, "captured", False))
+            parts = time_parts(task, episodes.actions, repeats=self.repeats) if self.parts else {}
         median, low, high = spread(seconds, self.num_envs)
         return {
             "case": "task",
@@ -84,5 +89,6 @@ class TaskBench:
             "env_steps_per_s_min": low,
             "env_steps_per_s_max": high,
             "step_us": 1e6 * statistics.median(seconds),
+            **{f"{name}_us": 1e6 * span for name, span in parts.items()},
             **beside,
         }
