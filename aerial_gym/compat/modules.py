@@ -114,9 +114,10 @@ MODULES: dict[str, dict[str, str]] = {
             (_LIDARS, "osdome_64_config", "OSDome_64_Config", "os_dome_64"),
         )
     },
-    f"{_IMUS}.base_imu_config": {"BaseImuConfig": "config.sensors:BaseImuConfig"},
-    f"{_IMUS}.vn100_config": {"VN100Config": "config.sensors:VN100Config"},
-    f"{_IMUS}.bosch_bmi088_config": {"BoschBMI088Config": "config.sensors:BoschBMI088Config"},
+    "config.sensor_config.base_sensor_config": {"BaseSensorConfig": "config.sensors:BaseSensorConfig"},
+    f"{_IMUS}.base_imu_config": {"BaseImuConfig": 'config.imus:CLASSES["base_imu"]'},
+    f"{_IMUS}.vn100_config": {"VN100Config": 'config.imus:CLASSES["vn100"]'},
+    f"{_IMUS}.bosch_bmi088_config": {"BoschBMI088Config": 'config.imus:CLASSES["bmi088"]'},
 }
 """Names of each module below ``aerial_gym``, and where in ``aerial_gym.compat`` each stands; ``*`` is all of a module, an empty
 name what a package of ours gives as if it were its own."""

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from aerial_gym.compat.config import assets, controllers, environments, robots, sensors, sims, tasks
+from aerial_gym.compat.config import assets, controllers, environments, imus, robots, sensors, sims, tasks
 from aerial_gym.compat.config.fields import Table
 from aerial_gym.compat.modules import GONE, MODULES
 from aerial_gym.compat.names import ABSENT, METHODS
@@ -22,6 +22,7 @@ TABLES: tuple[tuple[str, Table], ...] = (
     ("Robots", robots.TABLE),
     ("Cameras", sensors.CAMERA),
     ("Lidars", sensors.LIDAR),
+    ("IMUs", imus.TABLE),
     ("Gains of controllers", controllers.TABLE),
     ("Tasks of this package", tasks.TABLE),
 )

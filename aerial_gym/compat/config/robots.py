@@ -10,12 +10,8 @@ from typing import Any
 
 from aerial_gym.compat.config import bodies
 from aerial_gym.compat.config.fields import Changes, Table, Values, carried, changed, idle, kept, refused
-from aerial_gym.compat.config.sensors import (
-    imu_class,
-    imu_name,
-    sensor_class,
-    sensor_name,
-)
+from aerial_gym.compat.config.imus import imu_class, imu_name
+from aerial_gym.compat.config.sensors import sensor_class, sensor_name
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sensor import LidarCfg
 from aerial_gym.config.sensor_mount import as_mounts

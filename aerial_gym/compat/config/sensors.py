@@ -4,15 +4,15 @@ There a camera's frame is turned by ``euler_frame_rot_deg`` into the optical one
 Angles there are degrees, here radians.
 """
 
-import re
 from dataclasses import replace
 from math import degrees, radians
 from typing import Any
 
 from aerial_gym.compat.config.fields import STANDS_FOR, Changes, Table, Values, carried, idle, refused
+from aerial_gym.compat.config.registered import registered_name
 from aerial_gym.config.sensor import CameraCfg, LidarCfg, NoiseCfg, RangeSensorCfg, StereoCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.sensors import IMUS, SENSORS
+from aerial_gym.sensors import SENSORS
 
 _NO_NOISE = NoiseCfg()
 
@@ -165,18 +165,7 @@ def sensor_of(cls: Any) -> RangeSensorCfg:
 
 def sensor_name(cls: Any) -> str:
     """Return the name of the registered sensor that a class means; it is registered if it has not been yet."""
-    cfg, wanted = sensor_of(cls), _snake_case(cls.__name__ if isinstance(cls, type) else type(cls).__name__)
-    for known in SENSORS:
-        if SENSORS.get(known) == cfg:
-            return known
-    taken = sum(known == wanted or known.startswith(f"{wanted}_") for known in SENSORS)
-    name = f"{wanted}_{taken + 1}" if taken else wanted
-    SENSORS.register(name, cfg)
-    return name
-
-
-def _snake_case(name: str) -> str:
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+    return registered_name(cls, sensor_of(cls), SENSORS)
 
 
 _made: dict[str, type] = {}
@@ -217,50 +206,5 @@ CLASSES: dict[str, type] = {
 """Classes by the name of our sensor for which they stand."""
 
 
-class BaseImuConfig:
-    """The IMU ``base_imu``; its numbers stand in ``config/imus/base_imu.yaml``."""
-
-    _imu = "base_imu"
-    sensor_type = "imu"
-    num_sensors = 1
-
-
-class VN100Config(BaseImuConfig):
-    """The IMU ``vn100``."""
-
-    _imu = "vn100"
-
-
-class BoschBMI088Config(BaseImuConfig):
-    """The IMU ``bmi088``."""
-
-    _imu = "bmi088"
-
-
-_imus: dict[str, type] = {cls._imu: cls for cls in (BaseImuConfig, VN100Config, BoschBMI088Config)}
-
-
-def imu_class(name: str) -> type:
-    """Return the class that stands for a registered IMU; the same one at every call."""
-    return _imus.setdefault(name, type(name, (BaseImuConfig,), {"_imu": name}))
-
-
-def imu_name(cls: Any) -> str:
-    """Return our IMU for an IMU class.
-
-    Raises:
-        ConfigError: If it is none of ours, or has attributes of its own.
-    """
-    name = getattr(cls, "_imu", None)
-    own = [key for key in dir(cls) if not key.startswith("_") and not same_as_base(cls, key)]
-    if name is None or own:
-        what = f"{getattr(cls, '__name__', cls)}" + (f".{own[0]}" if own else "")
-        raise ConfigError(
-            f"{what}: IMUs are files here (config/imus/*.yaml); their classes have no numbers. Known: {', '.join(IMUS)}"
-        )
-    return name
-
-
-def same_as_base(cls: Any, key: str) -> bool:
-    """Return whether an attribute of an IMU class is the one that every IMU has."""
-    return getattr(cls, key) == getattr(BaseImuConfig, key, object())
+class BaseSensorConfig:
+    """Ancestor of sensor classes that stand for none of ours: ``sensor_type`` says which kind they are."""

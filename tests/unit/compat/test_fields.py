@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from aerial_gym.compat.config import assets, controllers, environments, robots, sensors, sims, tasks
+from aerial_gym.compat.config import assets, controllers, environments, imus, robots, sensors, sims, tasks
 from aerial_gym.compat.config.fields import STANDS_FOR, Field, Table, same
 from aerial_gym.compat.page import TABLES
 from aerial_gym.errors import ConfigError
@@ -20,6 +20,7 @@ CLASSES: dict[str, Any] = {
     "Robots": robots.CLASSES["base_quadrotor_with_camera_imu"],
     "Cameras": sensors.CLASSES["stereo_camera"],
     "Lidars": sensors.CLASSES["base_lidar"],
+    "IMUs": imus.CLASSES["bmi088"],
     "Gains of controllers": controllers.control,
     "Tasks of this package": tasks.task_class_config("navigation_task"),
 }
@@ -32,7 +33,7 @@ OTHER: dict[str, Any] = {
     "env_config.asset_type_to_dict_map": {"panels": assets.CLASSES["trees"]},
     "sensor_config.enable_lidar": True,
     "sensor_config.camera_config": sensors.CLASSES["rs_d455"],
-    "sensor_config.imu_config": sensors.VN100Config,
+    "sensor_config.imu_config": imus.CLASSES["vn100"],
     "damping.linvel_linear_damping_coefficient": [0.1, 0.2, 0.3],
     "damping.linvel_quadratic_damping_coefficient": [0.1, 0.2, 0.3],
     "control_allocator_config.motor_model_config.min_thrust": 0.1,
@@ -115,12 +116,18 @@ def derived_class(parent: type, values: dict[str, Any]) -> type:
 
 
 TOGETHER = {
-    "control_allocator_config.num_motors", "control_allocator_config.motor_directions", "robot_asset.asset_folder",
-    "robot_asset.file",
+    "Robots control_allocator_config.num_motors", "Robots control_allocator_config.motor_directions",
+    "Robots robot_asset.asset_folder", "Robots robot_asset.file",
+    "IMUs min_euler_rotation_deg", "IMUs max_euler_rotation_deg",
 }  # fmt: skip
-"""Fields that mean something with others alone: ``test_bodies``."""
+"""Fields that mean something with others alone: ``test_bodies``, ``test_an_imu_of_one_s_own``."""
 
-CASES = [(title, table, field) for title, table in TABLES for field in table.fields if field.theirs not in TOGETHER]
+CASES = [
+    (title, table, field)
+    for title, table in TABLES
+    for field in table.fields
+    if f"{title} {field.theirs}" not in TOGETHER
+]
 
 
 @pytest.mark.parametrize(("title", "table", "field"), CASES, ids=[f"{t} {f.theirs}" for t, _, f in CASES])
@@ -273,14 +280,30 @@ def test_depth_of_cameras_there_is_divided_by_the_range() -> None:
     assert sensors.sensor_name(sensors.CLASSES["stereo_camera"]) == "stereo_camera"
 
 
-def test_an_imu_is_one_of_ours() -> None:
-    assert sensors.imu_name(sensors.BoschBMI088Config) == "bmi088"
+def test_an_imu_of_one_s_own() -> None:
+    """Six numbers are three of the accelerometers and three of the gyros; a bias that is switched off is 0."""
+    assert imus.imu_name(imus.CLASSES["bmi088"]) == "bmi088"
 
-    class Noisy(sensors.BaseImuConfig):
-        imu_noise_std = [1.0] * 6
+    class Noisy(sensors.BaseSensorConfig):
+        sensor_type = "imu"
+        imu_noise_std = [0.1, 0.1, 0.2, 0.01, 0.01, 0.02]
+        bias_std = [1.0] * 6
+        enable_bias = False
 
-    with pytest.raises(ConfigError, match="Noisy.imu_noise_std: IMUs are files here"):
-        sensors.imu_name(Noisy)
+    cfg = imus.imu_of(Noisy)
+    assert (cfg.accel_noise_density, cfg.gyro_noise_density) == ((0.1, 0.1, 0.2), (0.01, 0.01, 0.02))
+    assert cfg.accel_bias_walk == cfg.gyro_bias_walk == cfg.gyro_initial_bias == (0.0,) * 3
+    name = imus.imu_name(Noisy)
+    assert name == "noisy"
+    assert imus.imu_name(Noisy) == name
+    turned = {
+        "randomize_placement": True,
+        "min_euler_rotation_deg": [-1.0, -2.0, 0.0],
+        "max_euler_rotation_deg": [1.0, 2.0, 0.0],
+    }
+    assert imus.imu_of(derived_class(Noisy, turned)).misalignment_deg == (1.0, 2.0, 0.0)
+    with pytest.raises(ConfigError, match="max_euler_rotation_deg = .* must lie about 0"):
+        imus.imu_of(derived_class(Noisy, turned | {"min_euler_rotation_deg": [0.0, 0.0, 1.0]}))
 
 
 def test_gains_of_a_class_are_explicit_gains() -> None:

@@ -1,0 +1,113 @@
+"""Inertial measurement units: flat classes, each quantity six numbers: three of the accelerometers, three of the gyros."""
+
+from typing import Any
+
+from aerial_gym.compat.config.fields import Changes, Table, Values, carried, idle, refused
+from aerial_gym.compat.config.registered import registered_name
+from aerial_gym.config.imu import ImuCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.sensors import IMUS
+
+
+def _six(name: str, switch: str) -> Any:
+    """Return the function that splits six numbers; zeros where the switch is off."""
+
+    def write(values: Values) -> Changes:
+        numbers = [float(n) if values[switch] else 0.0 for n in values[_SIXES[name][0]]]
+        if len(numbers) != 6:
+            raise ConfigError(
+                f"{_SIXES[name][0]} = {values[_SIXES[name][0]]!r}: needs six numbers, accelerometers first"
+            )
+        return {f"accel_{name}": tuple(numbers[:3]), f"gyro_{name}": tuple(numbers[3:])}
+
+    return write
+
+
+_SIXES = {
+    "noise_density": ("imu_noise_std", "enable_noise"),
+    "bias_walk": ("bias_std", "enable_bias"),
+    "initial_bias": ("max_bias_init_value", "enable_bias"),
+}
+
+
+def _switched(*names: str) -> Any:
+    return lambda values: {key: v for name in names for key, v in _six(name, _SIXES[name][1])(values).items()}
+
+
+def _ranges(values: Values) -> Changes:
+    limits = [float(n) for n in values["max_measurement_value"]]
+    if len(limits) != 6 or len(set(limits[:3])) > 1 or len(set(limits[3:])) > 1:
+        raise ConfigError(
+            f"max_measurement_value = {limits!r}: needs one limit for the accelerometers and one for the gyros"
+        )
+    return {"accel_range": limits[0], "gyro_range": limits[3]}
+
+
+def _limits(cfg: ImuCfg) -> list[float]:
+    return [*[cfg.accel_range] * 3, *[cfg.gyro_range] * 3]
+
+
+def _misalignment(values: Values) -> Changes:
+    low, high = ([float(n) for n in values[f"{end}_euler_rotation_deg"]] for end in ("min", "max"))
+    if not values["randomize_placement"]:
+        return {"misalignment_deg": (0.0, 0.0, 0.0)}
+    if any(abs(a + b) > 1e-9 for a, b in zip(low, high, strict=True)):
+        raise ConfigError(
+            f"min_euler_rotation_deg = {low!r}, max_euler_rotation_deg = {high!r}: must lie about 0; turn the mount"
+        )
+    return {"misalignment_deg": tuple(high)}
+
+
+TABLE = Table(
+    kind="IMU",
+    fields=(
+        *(
+            carried(theirs, f"accel_{ours}, gyro_{ours}",
+                    lambda c, ours=ours: [*getattr(c, f"accel_{ours}"), *getattr(c, f"gyro_{ours}")], _six(ours, switch),
+                    "six numbers")
+            for ours, (theirs, switch) in _SIXES.items()
+        ),
+        carried("enable_noise", "accel_noise_density, gyro_noise_density", lambda _: True, _switched("noise_density"),
+                "False makes them 0"),
+        carried("enable_bias", "accel_bias_walk, ...", lambda _: True, _switched("bias_walk", "initial_bias"),
+                "False makes them 0"),
+        carried("max_measurement_value", "accel_range, gyro_range", _limits, _ranges),
+        carried("randomize_placement", "misalignment_deg", lambda c: any(c.misalignment_deg), _misalignment),
+        carried("min_euler_rotation_deg", "misalignment_deg", lambda c: [-n for n in c.misalignment_deg], _misalignment),
+        carried("max_euler_rotation_deg", "misalignment_deg", lambda c: list(c.misalignment_deg), _misalignment),
+        *(idle(name, None, "not used there; the place of an IMU is its mount in a robot file")
+          for name in ("min_translation", "max_translation")),
+        refused("num_sensors", 1, "several IMUs are several mounts in a robot file"),
+        refused("sensor_type", "imu", "an IMU is an IMU"),
+        refused("world_frame", False, "rotate imu_measurement yourself; there a body rate was turned"),
+        refused("gravity_compensation", False, "accelerometers measure specific force; add gravity in the IMU's frame"),
+    ),
+    idle_sections={},
+)  # fmt: skip
+"""What becomes of the attributes of an IMU class."""
+
+_made: dict[str, type] = {}
+
+
+def imu_class(imu: str, name: str | None = None) -> type:
+    """Return the class that stands for a registered IMU; the same one at every call."""
+    if imu not in _made:
+        _made[imu] = TABLE.class_of(name or imu, IMUS.get(imu))
+    return _made[imu]
+
+
+def imu_of(cls: Any) -> ImuCfg:
+    """Return our IMU for an IMU class."""
+    return TABLE.translate(cls, IMUS.get("base_imu"))
+
+
+def imu_name(cls: Any) -> str:
+    """Return the name of the registered IMU that a class means; it is registered if it has not been yet."""
+    return registered_name(cls, imu_of(cls), IMUS)
+
+
+CLASSES: dict[str, type] = {
+    imu: imu_class(imu, name)
+    for name, imu in (("BaseImuConfig", "base_imu"), ("VN100Config", "vn100"), ("BoschBMI088Config", "bmi088"))
+}
+"""Classes by the name of our IMU for which they stand."""
