@@ -48,7 +48,10 @@ class RotorCfg:
     reversible."""
 
     slew_rate: float | None = None
-    """Largest rate of the state [rad/s², in force mode N/s], > 0; none if not given."""
+    """Largest rate at which the size of the state grows [rad/s², in force mode N/s], > 0; no limit if not given."""
+
+    slew_rate_down: float | None = None
+    """Largest rate at which it falls, likewise; ``slew_rate`` if not given."""
 
     dead_band: float = 0.0
     """A command whose size is below this [rad/s, in force mode N] stops the rotor, >= 0."""
@@ -60,7 +63,7 @@ class RotorCfg:
     """Where the numbers come from."""
 
     def __post_init__(self) -> None:
-        given = [name for name in ("radius", "slew_rate") if getattr(self, name) is not None]
+        given = [name for name in ("radius", "slew_rate", "slew_rate_down") if getattr(self, name) is not None]
         require_positive(self, "time_constant_up", "time_constant_down", *given)
         maps = [name for name in ("torque_map", "reverse_thrust_map", "reverse_torque_map") if getattr(self, name)]
         require_finite(self, "thrust_map", "thrust_range", *maps)
@@ -121,9 +124,15 @@ class RotorCfg:
     @property
     def traits(self) -> frozenset[str]:
         """Which of ``ROTOR_TRAITS`` it has."""
-        has = {"reversible": self.reversible, "force": self.mode == "force", "slew": self.slew_rate is not None}
+        has = {"reversible": self.reversible, "force": self.mode == "force", "slew": min(self.slew_rates) < inf}
         has["dead_band"] = self.dead_band > 0.0
         return frozenset(name for name, yes in has.items() if yes)
+
+    @property
+    def slew_rates(self) -> tuple[float, float]:
+        """Largest rates of growing and of falling, infinite where there is no limit."""
+        up = inf if self.slew_rate is None else self.slew_rate
+        return up, up if self.slew_rate_down is None else self.slew_rate_down
 
     def speed_at(self, thrust: float) -> float:
         """Return the state that gives a thrust [N]: the speed [rad/s], the larger root of its thrust map; or the thrust."""

@@ -1,7 +1,7 @@
 """How the state of a rotor, speed or thrust, follows its command: lag, slew limit and dead band.
 
-``dx/dt = clip((c - x) / tau, -S, S)`` with the state x, the command c, the slew rate S, and tau_up where the size of x grows,
-tau_down where it falls. Pure functions of tensors. Letters: E environments, R rotors.
+``dx/dt = clip((c - x) / tau, -S, S)`` with the state x, the command c, and time constant and slew rate of their own where the
+size of x grows and where it falls. Pure functions of tensors. Letters: E environments, R rotors.
 """
 
 import torch
@@ -29,7 +29,7 @@ def follow_command(vehicle: Vehicle, state: Tensor, command: Tensor, dt: float) 
     lag = vehicle.time_constant_up, vehicle.time_constant_down
     if not vehicle.traits & {"reversible", "slew"}:
         return lag_speed(state, command, *lag, dt)
-    return limited_lag(state, command, *lag, vehicle.slew_rate, dt)
+    return limited_lag(state, command, *lag, vehicle.slew_rate, vehicle.slew_rate_down, dt)
 
 
 def rate_towards(vehicle: Vehicle, state: Tensor, command: Tensor, jump: Tensor, dt: float) -> Tensor:
@@ -37,24 +37,28 @@ def rate_towards(vehicle: Vehicle, state: Tensor, command: Tensor, jump: Tensor,
     lag = vehicle.time_constant_up, vehicle.time_constant_down
     if not vehicle.traits & {"reversible", "slew"}:
         return lag_acceleration(state, command, *lag, jump, dt)
-    tau = torch.where(state * (command - state) < 0.0, lag[1], lag[0])
+    falls = state * (command - state) < 0.0
+    tau, slew = torch.where(falls, lag[1], lag[0]), torch.where(falls, vehicle.slew_rate_down, vehicle.slew_rate)
     lags = tau > 0.0
     rate = torch.where(lags, (command - state) / torch.where(lags, tau, 1.0), jump / dt)
-    return torch.maximum(torch.minimum(rate, vehicle.slew_rate), -vehicle.slew_rate)
+    return torch.maximum(torch.minimum(rate, slew), -slew)
 
 
-def limited_lag(state: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, slew: Tensor, dt: float) -> Tensor:
+def limited_lag(
+    state: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, slew_up: Tensor, slew_down: Tensor, dt: float
+) -> Tensor:
     """Return the state after ``dt`` under a held command with lag and slew limit; exact, however a span is divided.
 
     The distance to the command shrinks at the slew rate S until it is ``S tau``, then by ``exp(-t / tau)``. A state that passes
-    through zero on its way first falls in size, with tau_down, and then grows, with tau_up.
+    through zero on its way first falls in size, then grows, each with its own time constant and slew rate.
 
     Args:
         state: Speeds [rad/s] or thrusts [N], of either sign, (E, R).
         command: Commanded ones, (E, R).
         tau_up: Time constant where the size of the state grows [s], (E, R). Zero follows as fast as the slew rate lets it.
         tau_down: Time constant where it falls [s], (E, R).
-        slew: Largest rate of the state, (E, R); infinite where there is no limit.
+        slew_up: Largest rate at which it grows, (E, R); infinite where there is no limit.
+        slew_down: Largest rate at which it falls, (E, R), likewise.
         dt: Span [s].
 
     Returns:
@@ -63,15 +67,16 @@ def limited_lag(state: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor
     Source:
         Derived: ``dx/dt = clip((c - x) / tau, -S, S)`` integrated piece by piece; the rate is S while ``|c - x| > S tau``.
     """
-    slew, tau_up, tau_down = slew.clamp_max(FASTEST), tau_up.clamp_min(SHORTEST), tau_down.clamp_min(SHORTEST)
+    tau_up, tau_down = tau_up.clamp_min(SHORTEST), tau_down.clamp_min(SHORTEST)
+    slew_up, slew_down = slew_up.clamp_max(FASTEST), slew_down.clamp_max(FASTEST)
     way, distance = torch.sign(command - state), (command - state).abs()
     falls = state * way < 0.0
     crosses = falls & (command * way > 0.0)
     beyond = torch.where(crosses, command.abs(), 1.0)
-    until_zero = _time_between(torch.where(crosses, distance, 1.0), beyond, tau_down, slew)
+    until_zero = _time_between(torch.where(crosses, distance, 1.0), beyond, tau_down, slew_down)
     falling = torch.where(crosses, until_zero, torch.where(falls, dt, 0.0)).clamp_max(dt)
-    distance = _remaining(distance, tau_down, slew, falling)
-    return command - way * _remaining(distance, tau_up, slew, dt - falling)
+    distance = _remaining(distance, tau_down, slew_down, falling)
+    return command - way * _remaining(distance, tau_up, slew_up, dt - falling)
 
 
 def _remaining(distance: Tensor, tau: Tensor, slew: Tensor, span: Tensor) -> Tensor:

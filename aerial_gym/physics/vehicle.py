@@ -7,7 +7,7 @@ Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import inf, nan
+from math import nan
 
 import torch
 from torch import Tensor
@@ -66,7 +66,11 @@ class Vehicle:
     """Lag of one that falls in size [s], (E, R)."""
 
     slew_rate: Tensor
-    """Largest rate of the speed [rad/s²], in force mode of the thrust [N/s], (E, R); infinite where there is no limit."""
+    """Largest rate at which the size of the speed [rad/s²], in force mode of the thrust [N/s], grows, (E, R); infinite where
+    there is no limit."""
+
+    slew_rate_down: Tensor
+    """Largest rate at which it falls, likewise."""
 
     dead_band: Tensor
     """Commands of a smaller size [rad/s], in force mode [N], stop the rotor, (E, R)."""
@@ -156,7 +160,8 @@ def vehicle_from_config(
         reverse_torque_map=rows([rotor.reverse_torque_coefficients for rotor in rotors]),
         time_constant_up=rows([rotor.time_constant_up for rotor in rotors]),
         time_constant_down=rows([rotor.time_constant_down for rotor in rotors]),
-        slew_rate=rows([inf if rotor.slew_rate is None else rotor.slew_rate for rotor in rotors]),
+        slew_rate=rows([rotor.slew_rates[0] for rotor in rotors]),
+        slew_rate_down=rows([rotor.slew_rates[1] for rotor in rotors]),
         dead_band=rows([rotor.dead_band for rotor in rotors]),
         rotor_radius=rows([nan if rotor.radius is None else rotor.radius for rotor in rotors]),
         battery=rows(battery),

@@ -255,7 +255,8 @@ class Batch:
             zero = torch.zeros_like(vehicle.time_constant_up)
             direct = vehicle.traits - {"slew", "dead_band"}
             vehicle = replace(vehicle, time_constant_up=zero, time_constant_down=zero, traits=direct)
-            vehicle = replace(vehicle, slew_rate=torch.full_like(zero, torch.inf))
+            unlimited = torch.full_like(zero, torch.inf)
+            vehicle = replace(vehicle, slew_rate=unlimited, slew_rate_down=unlimited)
         names = [n for n in points[0].effects if self._commanded or EFFECTS.get(n).acts_on != "actuation"]
         effects: list[EffectParams] = [
             (EFFECTS.get(n), torch.from_numpy(np.stack([p.effects[n] for p in points]))[model_of]) for n in names

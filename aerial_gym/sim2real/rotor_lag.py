@@ -55,7 +55,7 @@ def _make_follow_limited() -> Any:
         first: wp.array2d[wp.float64],  # (F, R) [rad/s]
         earlier: wp.array2d[wp.float64],  # (N, R) [rad/s]
         later: wp.array2d[wp.float64],  # (N, R) [rad/s]
-        limits: wp.array[wp.vec3d],  # (R,) tau_up, tau_down [s], slew rate [rad/s²]
+        limits: wp.array[wp.vec4d],  # (R,) tau_up, tau_down [s], slew rates up and down [rad/s²]
         spans: wp.array[wp.vec2d],  # (F,) of the earlier and the later command [s]
         # out
         speed_out: wp.array2d[wp.float64],  # (N, R) [rad/s]
@@ -66,8 +66,8 @@ def _make_follow_limited() -> Any:
         limit = limits[rotor]
         for row in range(ends[flight], ends[flight + 1]):
             speed_out[row, rotor] = speed
-            speed = limited_lag(speed, earlier[row, rotor], limit[0], limit[1], limit[2], spans[flight][0])
-            speed = limited_lag(speed, later[row, rotor], limit[0], limit[1], limit[2], spans[flight][1])
+            speed = limited_lag(speed, earlier[row, rotor], limit[0], limit[1], limit[2], limit[3], spans[flight][0])
+            speed = limited_lag(speed, later[row, rotor], limit[0], limit[1], limit[2], limit[3], spans[flight][1])
 
     return follow
 
@@ -82,11 +82,11 @@ def follow_commands(
     step: Tensor,
     tau_up: Tensor,
     tau_down: Tensor,
-    slew_rate: Tensor | None = None,
+    slew_rates: tuple[Tensor, Tensor] | None = None,
 ) -> Tensor:
     """Return the speeds at the rows of some flights, one after another [rad/s], float64, (N, R).
 
-    As ``rotors.lag_speed``; with ``slew_rate`` as ``rotor_lag.limited_lag``, for speeds of either sign.
+    As ``rotors.lag_speed``; with ``slew_rates`` as ``rotor_lag.limited_lag``, for speeds of either sign.
 
     Args:
         first: Speeds at the first row of each flight [rad/s], float64, (F, R).
@@ -97,8 +97,8 @@ def follow_commands(
         step: Between two rows of a flight [s], (F,).
         tau_up: Lag of a rising speed [s], (R,). Zero follows at once.
         tau_down: Lag of a falling speed [s], (R,).
-        slew_rate: Largest rate of the speeds [rad/s²], (R,), infinite where there is no limit. None: no rotor has one, and none
-            is reversible.
+        slew_rates: Largest rates of growing and of falling speeds [rad/s²], each (R,), infinite where there is no limit. None:
+            no rotor has one, and none is reversible.
 
     Raises:
         ShapeError: If the tables of commands do not fit each other and the flights.
@@ -108,15 +108,15 @@ def follow_commands(
         raise ShapeError(f"commands have shapes {tuple(earlier.shape)} and {tuple(later.shape)}, expected {rows}")
     start_warp()
     speed, tables = torch.empty_like(later), [wp.from_torch(t.contiguous()) for t in (first, earlier, later)]
-    if slew_rate is None:
+    if slew_rates is None:
         kept = torch.exp(-step[:, None, None] / torch.stack((tau_up, tau_down), dim=-1))  # (F, R, 2) over a whole row
         part = share[:, None, None]
         kernel, numbers = _follow, [kept**part, kept ** (1.0 - part)]
     else:
-        lags = (tau_up.clamp_min(SHORTEST), tau_down.clamp_min(SHORTEST), slew_rate.clamp_max(FASTEST))
+        lags = [*(tau.clamp_min(SHORTEST) for tau in (tau_up, tau_down)), *(s.clamp_max(FASTEST) for s in slew_rates)]
         spans = torch.stack((share * step, (1.0 - share) * step), dim=-1)
         kernel, numbers = _make_follow_limited(), [torch.stack(lags, dim=-1), spans]
-    rows_of = [wp.from_torch(n.contiguous(), dtype=wp.vec3d if n.shape[-1] == 3 else wp.vec2d) for n in numbers]
+    rows_of = [wp.from_torch(n.contiguous(), dtype=wp.vec4d if n.shape[-1] == 4 else wp.vec2d) for n in numbers]
     wp.launch(
         kernel,
         dim=first.shape,

@@ -75,7 +75,9 @@ class RotorReplay:
             step=self._step,
             tau_up=model.vehicle.time_constant_up[0],
             tau_down=model.vehicle.time_constant_down[0],
-            slew_rate=model.vehicle.slew_rate[0] if model.vehicle.traits & {"slew", "reversible"} else None,
+            slew_rates=(model.vehicle.slew_rate[0], model.vehicle.slew_rate_down[0])
+            if model.vehicle.traits & {"slew", "reversible"}
+            else None,
         )
         for effect, params in sensors:
             table = effect.measure(table, params)

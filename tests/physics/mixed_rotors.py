@@ -35,6 +35,7 @@ FORCE = RotorCfg(
     time_constant_down=0.005,
     thrust_range=(-4.0, 6.0),
     slew_rate=60.0,
+    slew_rate_down=90.0,
     radius=0.1,
     source="test",
 )

@@ -25,20 +25,23 @@ from tests.physics.vehicles import F64, lopsided_robot, random_state
 UP, DOWN, SLEW = 0.03, 0.05, 2e3
 
 
-def lagged(state: float, command: float, span: float, *, slew: float = SLEW, steps: int = 1) -> float:
+def lagged(
+    state: float, command: float, span: float, *, slew: float = SLEW, down: float = SLEW, steps: int = 1
+) -> float:
     """Return the state after a span that is divided into steps."""
-    x, c, up, down, rate = (torch.full((1, 1), v, dtype=F64) for v in (state, command, UP, DOWN, slew))
+    x, c, *limits = (torch.full((1, 1), v, dtype=F64) for v in (state, command, UP, DOWN, slew, down))
     for _ in range(steps):
-        x = limited_lag(x, c, up, down, rate, span / steps)
+        x = limited_lag(x, c, *limits, span / steps)
     return x.item()
 
 
-def integrated(state: float, command: float, span: float, *, slew: float = SLEW) -> float:
+def integrated(state: float, command: float, span: float, *, slew: float, down: float) -> float:
     """Return the same from the differential equation, by an adaptive method that stops where the law has a kink."""
 
     def rate(_: float, x: np.ndarray) -> np.ndarray:
-        tau = np.where(x * (command - x) < 0.0, DOWN, UP)
-        return np.clip((command - x) / tau, -slew, slew)
+        falls = x * (command - x) < 0.0
+        most = np.where(falls, down, slew)
+        return np.clip((command - x) / np.where(falls, DOWN, UP), -most, most)
 
     found = solve_ivp(rate, (0.0, span), [state], rtol=1e-10, atol=1e-9, max_step=span / 200.0)
     return float(found.y[0, -1])
@@ -55,20 +58,22 @@ def test_a_limited_lag_is_a_straight_line_and_then_an_exponential() -> None:
 def test_a_state_that_changes_its_sign_falls_and_then_grows() -> None:
     """From 100 to -80 without slew limit: zero after tau_down ln(180 / 80), then -80 (1 - exp(-t / tau_up))."""
     until_zero = DOWN * log(180.0 / 80.0)
-    assert lagged(100.0, -80.0, until_zero, slew=inf) == pytest.approx(0.0, abs=1e-9)
+    assert lagged(100.0, -80.0, until_zero, slew=inf, down=inf) == pytest.approx(0.0, abs=1e-9)
     expected = -80.0 * (1.0 - exp(-0.02 / UP))
-    assert lagged(100.0, -80.0, until_zero + 0.02, slew=inf) == pytest.approx(expected, rel=1e-12)
+    assert lagged(100.0, -80.0, until_zero + 0.02, slew=inf, down=inf) == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.parametrize("slew", [inf, 4e3, 300.0])
+@pytest.mark.parametrize(("slew", "down"), [(inf, inf), (4e3, 4e3), (300.0, 300.0), (inf, 2e3), (3e3, 900.0)])
 @pytest.mark.parametrize(
     ("state", "command"), [(300.0, -400.0), (-50.0, 200.0), (-200.0, -20.0), (0.0, -90.0), (90.0, 0.0)]
 )
-def test_the_lag_solves_its_differential_equation(state: float, command: float, slew: float) -> None:
+def test_the_lag_solves_its_differential_equation(state: float, command: float, slew: float, down: float) -> None:
     """The closed form is what an adaptive integrator finds, to its tolerance across the kinks, and odd."""
-    found = lagged(state, command, 0.12, slew=slew)
-    assert found == pytest.approx(integrated(state, command, 0.12, slew=slew), abs=2e-4 * abs(command - state))
-    assert lagged(-state, -command, 0.12, slew=slew) == pytest.approx(-found, rel=1e-12)
+    found = lagged(state, command, 0.12, slew=slew, down=down)
+    assert found == pytest.approx(
+        integrated(state, command, 0.12, slew=slew, down=down), abs=2e-4 * abs(command - state)
+    )
+    assert lagged(-state, -command, 0.12, slew=slew, down=down) == pytest.approx(-found, rel=1e-12)
 
 
 @pytest.mark.parametrize("command", [600.0, -250.0, 90.0])
@@ -83,13 +88,14 @@ def test_gradients_pass_the_kinks() -> None:
     command = torch.tensor([[-300.0, 500.0, 80.0, 70.0]], dtype=F64, requires_grad=True)
     up, down = torch.full((1, 4), UP, dtype=F64), torch.full((1, 4), DOWN, dtype=F64)
     slew = torch.tensor([[4e3, inf, 1e3, 1e3]], dtype=F64)
-    limited_lag(state, command, up * 0.0, down * 0.0, slew, 0.01).sum().backward()
+    limited_lag(state, command, up * 0.0, down * 0.0, slew, slew, 0.01).sum().backward()
     assert state.grad is not None
     assert state.grad.isfinite().all()
     assert command.grad is not None
     assert command.grad.isfinite().all()
-    inner = (state[:, :3].detach().requires_grad_(), command[:, :3].detach().requires_grad_())
-    assert torch.autograd.gradcheck(lambda x, c: limited_lag(x, c, up[:, :3], down[:, :3], slew[:, :3], 0.013), inner)
+    inner = ((state[:, :3] + 5.0).detach().requires_grad_(), command[:, :3].detach().requires_grad_())
+    limits = [rows[:, :3] for rows in (up, down, slew, 2.0 * slew)]
+    assert torch.autograd.gradcheck(lambda x, c: limited_lag(x, c, *limits, 0.013), inner)
 
 
 def test_a_reversed_rotor_pulls_and_turns_the_other_way() -> None:

@@ -65,7 +65,7 @@ def lag_speed(speed: float, command: float, decay_up: float, decay_down: float) 
 
 @cache
 def make_limited_lag(real: Any) -> wp.Function:
-    """Return ``rotor_lag.limited_lag`` of one rotor in a precision: (state, command, tau_up, tau_down, slew, span) -> state."""
+    """Return ``rotor_lag.limited_lag`` of one rotor in a precision, with the arguments of it."""
 
     @wp.func
     def remaining(distance: real, tau: real, slew: real, span: real) -> real:
@@ -80,23 +80,28 @@ def make_limited_lag(real: Any) -> wp.Function:
         return linear / slew + tau * wp.log((distance - linear) / less)
 
     @wp.func
-    def limited_lag(state: real, command: real, tau_up: real, tau_down: real, slew: real, span: real) -> real:
+    def limited_lag(
+        state: real, command: real, tau_up: real, tau_down: real, slew_up: real, slew_down: real, span: real
+    ) -> real:
         way = wp.where(command < state, real(-1.0), real(1.0))
         distance = wp.abs(command - state)
         falling = wp.where(state * way < real(0.0), span, real(0.0))
         if falling > real(0.0) and command * way > real(0.0):
-            falling = wp.min(time_between(distance, wp.abs(command), tau_down, slew), span)
-        left = remaining(distance, tau_down, slew, falling)
-        return command - way * remaining(left, tau_up, slew, span - falling)
+            falling = wp.min(time_between(distance, wp.abs(command), tau_down, slew_down), span)
+        left = remaining(distance, tau_down, slew_down, falling)
+        return command - way * remaining(left, tau_up, slew_up, span - falling)
 
     return limited_lag
 
 
 @wp.func
-def limited_rate(speed: float, command: float, tau_up: float, tau_down: float, slew: float) -> float:
+def limited_rate(
+    speed: float, command: float, tau_up: float, tau_down: float, slew_up: float, slew_down: float
+) -> float:
     """Return ``rotor_lag.rate_towards`` of one rotor; without lag the rate is the slew rate."""
-    tau = wp.where(speed * (command - speed) < 0.0, tau_down, tau_up)
-    return wp.clamp((command - speed) / tau, -slew, slew)
+    falls = speed * (command - speed) < 0.0
+    slew = wp.where(falls, slew_down, slew_up)
+    return wp.clamp((command - speed) / wp.where(falls, tau_down, tau_up), -slew, slew)
 
 
 @wp.func

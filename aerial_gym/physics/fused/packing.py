@@ -79,7 +79,8 @@ def _vehicle_fields(model: Model, stage: float) -> list[Field]:
             Field("reverse_torque_map", (v.reverse_torque_map,), _same),
             Field("tau_up", (v.time_constant_up,), lambda tau: tau.clamp_min(SHORTEST)),
             Field("tau_down", (v.time_constant_down,), lambda tau: tau.clamp_min(SHORTEST)),
-            Field("slew_rate", (v.slew_rate,), lambda rate: rate.clamp_max(FASTEST)),
+            Field("slew_up", (v.slew_rate,), lambda rate: rate.clamp_max(FASTEST)),
+            Field("slew_down", (v.slew_rate_down,), lambda rate: rate.clamp_max(FASTEST)),
             Field("dead_band", (v.dead_band,), _same),
         ]
     if model.effects[CommandEffect]:
@@ -264,8 +265,10 @@ def make_vehicle_reader(types: RotorTypes, packed: Mapping[str, int]) -> wp.Func
             vehicle.tau_up = vector(source, wp.static(at("tau_up", 0)), env)
         if wp.static("tau_down" in packed):
             vehicle.tau_down = vector(source, wp.static(at("tau_down", 0)), env)
-        if wp.static("slew_rate" in packed):
-            vehicle.slew_rate = vector(source, wp.static(at("slew_rate", 0)), env)
+        if wp.static("slew_up" in packed):
+            vehicle.slew_up = vector(source, wp.static(at("slew_up", 0)), env)
+        if wp.static("slew_down" in packed):
+            vehicle.slew_down = vector(source, wp.static(at("slew_down", 0)), env)
         if wp.static("dead_band" in packed):
             vehicle.dead_band = vector(source, wp.static(at("dead_band", 0)), env)
         if wp.static("decay_up" in packed):

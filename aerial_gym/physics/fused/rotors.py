@@ -69,7 +69,13 @@ def make_follow(num_rotors: int, general: bool) -> wp.Function:
         after = vector()
         for i in range(wp.static(num_rotors)):
             after[i] = limited_lag(
-                state[i], command[i], vehicle.tau_up[i], vehicle.tau_down[i], vehicle.slew_rate[i], span
+                state[i],
+                command[i],
+                vehicle.tau_up[i],
+                vehicle.tau_down[i],
+                vehicle.slew_up[i],
+                vehicle.slew_down[i],
+                span,
             )
         return after
 
@@ -95,7 +101,14 @@ def make_spin_up(num_rotors: int, general: bool) -> wp.Function:
     def spin_up_limited(vehicle: vehicle_type, state: vector, command: vector, first: vector, dt: float) -> vector:
         rate = vector()
         for i in range(wp.static(num_rotors)):
-            rate[i] = limited_rate(state[i], command[i], vehicle.tau_up[i], vehicle.tau_down[i], vehicle.slew_rate[i])
+            rate[i] = limited_rate(
+                state[i],
+                command[i],
+                vehicle.tau_up[i],
+                vehicle.tau_down[i],
+                vehicle.slew_up[i],
+                vehicle.slew_down[i],
+            )
         return rate
 
     return spin_up_limited if general else spin_up

@@ -94,7 +94,8 @@ def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
             "reverse_torque_map": rows,
             "tau_up": vector,  # [s] of a state that grows in size
             "tau_down": vector,
-            "slew_rate": vector,  # [rad/s²] or [N/s]
+            "slew_up": vector,  # [rad/s²] or [N/s]
+            "slew_down": vector,
             "dead_band": vector,  # [rad/s] or [N]
         }
     else:

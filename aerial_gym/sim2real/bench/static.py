@@ -3,7 +3,7 @@
 Letters: T rows, K terms.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,6 +131,9 @@ class StaticFit:
 
     notes: tuple[str, ...]
 
+    reverse: "StaticFit | None" = None
+    """Of the rows in which the rotor turns backwards, with speed, thrust and torque of the other sign."""
+
     @property
     def thrust_coefficient(self) -> Estimate:
         """Thrust per squared speed [N s²/rad²], of the fit with this term alone."""
@@ -146,11 +149,16 @@ class StaticFit:
         }
         if self.torque_map is not None and self.torque_ratio is not None:
             found |= {"c_t2t": self.torque_ratio.as_mapping(), "torque": self.torque_map.as_mapping()}
+        if self.reverse is not None:
+            found["reverse"] = self.reverse.as_mapping()
         return found | {"notes": list(self.notes)}
 
 
 def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], list[str]]:
     """Return the maps of one file, and why some of its tests have none; a column ``test`` splits it into several tests.
+
+    Negative speeds are those of a reversible rotor that turns backwards, with thrust and torque of the other sign: they have
+    maps of their own, and all pass through 0 with the speed.
 
     Args:
         bench: Speed, thrust and, where there is one, torque.
@@ -165,14 +173,14 @@ def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], l
     speed, thrust = bench.values("speed"), bench.values("thrust") / num_motors
     torque = None if bench.column("torque") is None else bench.values("torque") / num_motors
     if "test" not in bench.table.columns:
-        return [_fit_test(bench.path, speed, thrust, torque)], []
+        return [_fit_both_ways(bench.path, speed, thrust, torque)], []
     tests = np.asarray(bench.table["test"].astype(str))
     fits, left_out = [], []
     for test in dict.fromkeys(tests):
         rows = tests == test
         part = None if torque is None else torque[rows]
         try:
-            fits.append(_fit_test(f"{bench.path}, test {test}", speed[rows], thrust[rows], part))
+            fits.append(_fit_both_ways(f"{bench.path}, test {test}", speed[rows], thrust[rows], part))
         except DataError as error:
             left_out.append(str(error))
     if not fits:
@@ -180,7 +188,17 @@ def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], l
     return fits, left_out
 
 
-def _fit_test(name: str, speed: Array, thrust: Array, torque: Array | None) -> StaticFit:
+def _fit_both_ways(name: str, speed: Array, thrust: Array, torque: Array | None) -> StaticFit:
+    back = speed < 0.0
+    if not back.any():
+        return _fit_test(name, speed, thrust, torque)
+    parts = [None if torque is None else torque[~back], None if torque is None else -torque[back]]
+    forwards = _fit_test(name, speed[~back], thrust[~back], parts[0], through_zero=True)
+    backwards = _fit_test(f"{name}, backwards", -speed[back], -thrust[back], parts[1], through_zero=True)
+    return replace(forwards, reverse=backwards)
+
+
+def _fit_test(name: str, speed: Array, thrust: Array, torque: Array | None, *, through_zero: bool = False) -> StaticFit:
     check_rotor_numbers(name, speed, thrust, torque)
     dead = (speed == 0.0) & (thrust > STALLED * thrust.max())
     notes = (f"{dead.sum()} rows with thrust at speed 0 left out: the speed sensor did not read",) if dead.any() else ()
@@ -188,7 +206,7 @@ def _fit_test(name: str, speed: Array, thrust: Array, torque: Array | None) -> S
     torque = None if torque is None else torque[~dead]
     if np.unique(speed).size < FEWEST_ROWS:
         raise DataError(f"{name}: has {np.unique(speed).size} different speeds, needs at least {FEWEST_ROWS}")
-    thrust_map = choose_map(speed, thrust, unit="N")
+    thrust_map = choose_map(speed, thrust, unit="N", through_zero=through_zero)
     ratio = None
     if torque is not None:
         ratio = _fit_regressors("ratio", thrust[:, None], torque, ("ratio",)).coefficients["ratio"]
@@ -198,20 +216,26 @@ def _fit_test(name: str, speed: Array, thrust: Array, torque: Array | None) -> S
         thrust=thrust,
         torque=torque,
         thrust_map=thrust_map,
-        torque_map=None if torque is None else choose_map(speed, torque, unit="N m", thrust=thrust_map.best),
+        torque_map=None
+        if torque is None
+        else choose_map(speed, torque, unit="N m", thrust=thrust_map.best, through_zero=through_zero),
         torque_ratio=ratio,
         notes=notes,
     )
 
 
-def choose_map(speed: Array, values: Array, *, unit: str, thrust: MapFit | None = None) -> Choice:
+def choose_map(
+    speed: Array, values: Array, *, unit: str, thrust: MapFit | None = None, through_zero: bool = False
+) -> Choice:
     """Return the candidates for ``values`` (T,) at speeds (T,) and the choice among them.
 
     ``thrust``: the chosen thrust map, which adds the candidate of a constant torque ratio. A map whose term in w² is not
-    positive is no candidate: no robot file holds it.
+    positive is no candidate: no robot file holds it; nor, for a reversible rotor (``through_zero``), one with a constant or a
+    negative term in w.
     """
-    candidates = {name: _fit_powers(name, powers, speed, values) for name, powers in (MAPS | BEYOND).items()}
-    columns = {name: speed[:, None] ** np.array(powers) for name, powers in MAPS.items()}
+    maps = {name: powers for name, powers in MAPS.items() if not (through_zero and 0 in powers)}
+    candidates = {name: _fit_powers(name, powers, speed, values) for name, powers in (maps | BEYOND).items()}
+    columns = {name: speed[:, None] ** np.array(powers) for name, powers in maps.items()}
     if thrust is not None:
         carried = np.polyval(thrust.polynomial()[::-1], speed)[:, None]
         columns = {"torque ratio": carried, **columns}
@@ -224,6 +248,8 @@ def choose_map(speed: Array, values: Array, *, unit: str, thrust: MapFit | None 
         gains = np.linalg.lstsq(columns[best][others], values[others], rcond=None)[0]
         nested[row] = values[row] - columns[best][row] @ gains
     rising = [name for name in columns if name == "torque ratio" or candidates[name].polynomial()[2] > 0.0]
+    if through_zero:
+        rising = [name for name in rising if name == "torque ratio" or candidates[name].polynomial()[1] >= 0.0]
     chosen = _parsimonious({name: candidates[name].held_out_rms for name in rising}, columns)
     return Choice(unit=unit, candidates=candidates, chosen=chosen, nested=nested)
 

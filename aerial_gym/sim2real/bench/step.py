@@ -48,8 +48,8 @@ LAWS: dict[str, tuple[str, ...]] = {
 }
 """Parameters of each candidate."""
 
-ROBOT_LAWS = ("one time constant", "up and down")
-"""Candidates that the rotor of a robot file can hold."""
+ROBOT_LAWS = tuple(name for name, params in LAWS.items() if "delay" not in params)
+"""Candidates that the rotor of a robot file can hold; a delay is the effect ``actuation_delay``."""
 
 
 @dataclass(frozen=True, kw_only=True)

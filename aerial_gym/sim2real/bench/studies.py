@@ -1,6 +1,6 @@
 """The identifications of ``aerial-gym identify``, from files to a study with tables, figures and notes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from aerial_gym.sim2real.bench.joint import PUBLISHED, fit_joint, release_record
 from aerial_gym.sim2real.bench.report import Study, Table, rotor_files
 from aerial_gym.sim2real.bench.static import Choice, StaticFit, fit_static
 from aerial_gym.sim2real.bench.statistics import Estimate, rms
-from aerial_gym.sim2real.bench.step import StepFit, fit_steps, step_record
+from aerial_gym.sim2real.bench.step import BOUNDS, StepFit, fit_steps, step_record
 from aerial_gym.sim2real.bench.tables import Bench
 from aerial_gym.sim2real.flight_log import read_flight_log
 from aerial_gym.sim2real.intervals import Rms
@@ -91,11 +91,38 @@ def rotor_changes(static: Sequence[StaticFit], lag: StepFit | None) -> dict[str,
             constant = fit.torque_map.chosen == "torque ratio"
             found["torque_ratio"] = fit.torque_map.best.coefficients["ratio"].value if constant else None
             found["torque_map"] = None if constant else fit.torque_map.best.polynomial()
+        if fit.reverse is not None:
+            found |= _reverse_changes(fit, fit.reverse)
     if lag is not None:
         params = lag.laws[lag.in_robot].params
         for way in ("up", "down"):
             found[f"time_constant_{way}"] = params.get(f"tau_{way}", params.get("tau")).value  # type: ignore[union-attr]
+        found |= slew_rates(params)
     return found
+
+
+def _reverse_changes(fit: StaticFit, reverse: StaticFit) -> dict[str, object]:
+    """Return the fields of a reversible rotor: maps backwards, and the range of thrusts that were measured."""
+    thrust_map = reverse.thrust_map.best.polynomial()
+    found: dict[str, object] = {"reverse_thrust_map": thrust_map}
+    found["thrust_range"] = -float(reverse.thrust.max()), float(fit.thrust.max())
+    if reverse.torque_map is not None and reverse.torque_ratio is not None:
+        best = reverse.torque_map.best
+        constant = reverse.torque_map.chosen == "torque ratio"
+        ratio = best.coefficients["ratio"].value if constant else 0.0
+        c0, c1, c2 = thrust_map
+        found["reverse_torque_map"] = (ratio * c0, ratio * c1, ratio * c2) if constant else best.polynomial()
+    return found
+
+
+def slew_rates(params: Mapping[str, Estimate]) -> dict[str, object]:
+    """Return the slew rates of a rotor from those of a law; one that no step reaches is none."""
+    rates = {way: params.get(f"slew_{way}") for way in ("up", "down")}
+    reached = {way: rate for way, rate in rates.items() if rate is not None and rate.high < BOUNDS[f"slew_{way}"][2]}
+    up, down = (reached[way].value if way in reached else None for way in ("up", "down"))
+    if up is not None and down is None:  # without a number of its own falling has that of growing
+        down = BOUNDS["slew_down"][2]
+    return {"slew_rate": up, "slew_rate_down": down}
 
 
 def all_tests(static: Sequence[StaticFit]) -> dict[str, object]:
@@ -115,7 +142,8 @@ def all_tests(static: Sequence[StaticFit]) -> dict[str, object]:
 def static_tables(static: Sequence[StaticFit]) -> list[Table]:
     """Return the tables of static tests: all candidates of a few, a summary of many."""
     tables = []
-    for fit in static if len(static) <= MOST_TESTS_SHOWN else []:
+    parts = [part for fit in static for part in (fit, fit.reverse) if part is not None]
+    for fit in parts if len(static) <= MOST_TESTS_SHOWN else []:
         rows = [("c_t (w² alone) [N s²/rad²]", interval(fit.thrust_coefficient))]
         if fit.torque_ratio is not None:
             rows.append(("c_t2t, torque per thrust [m]", interval(fit.torque_ratio)))

@@ -11,13 +11,14 @@ from scipy.integrate import solve_ivp
 
 from aerial_gym.cli.main import main
 from aerial_gym.config import load
-from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.robot import RobotCfg, RotorCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.bench.hover import fit_hover
 from aerial_gym.sim2real.bench.joint import Release, fit_joint, joint_angle, release_record
 from aerial_gym.sim2real.bench.static import StaticFit, fit_static
 from aerial_gym.sim2real.bench.statistics import correlated_covariance, estimates, independent_covariance
 from aerial_gym.sim2real.bench.step import fit_steps, lag_error, simulate, step_record
+from aerial_gym.sim2real.bench.studies import rotor_changes
 from aerial_gym.sim2real.bench.tables import read_columns
 from aerial_gym.sim2real.flight_log import FlightLog
 
@@ -414,3 +415,33 @@ def test_wrong_requests_are_one_sentence(
 ) -> None:
     assert main(["identify", *argv]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_a_signed_table_gives_a_reversible_rotor(tmp_path: Path) -> None:
+    """T = 1e-6 w² forwards and -(0.6e-6 w² + 1e-4 w) backwards, torque 0.012 and 0.02 m times the thrust."""
+    speed = np.concatenate((np.linspace(200.0, 2000.0, 14), -np.linspace(200.0, 1800.0, 14)))
+    rng = np.random.default_rng(8)
+    thrust = np.where(speed > 0.0, 1e-6 * speed**2, -(0.6e-6 * speed**2 - 1e-4 * speed))
+    torque = np.where(speed > 0.0, 0.012, 0.02) * thrust
+    noise = 1.0 + 0.002 * rng.standard_normal((2, speed.size))
+    table = pd.DataFrame({"omega": speed, "thrust_N": thrust * noise[0], "torque_Nm": torque * noise[1]})
+    fits, _ = fit_static(bench(table, tmp_path))
+    changes = rotor_changes(fits, None)
+    assert changes["thrust_map"] == pytest.approx((0.0, 0.0, 1e-6), rel=0.01)
+    assert changes["reverse_thrust_map"] == pytest.approx((0.0, 1e-4, 0.6e-6), rel=0.05)
+    torques = np.polyval(np.array(changes["reverse_torque_map"])[::-1], 1500.0)
+    assert torques == pytest.approx(0.02 * (0.6e-6 * 1500.0**2 + 0.15), rel=0.01)
+    rotor = RotorCfg(time_constant_up=0.03, time_constant_down=0.03, source="test", **changes)  # type: ignore[arg-type]
+    assert rotor.reversible
+    assert rotor.speed_at(-1.0) == pytest.approx(-1210.0, rel=0.01)
+
+
+def test_steps_give_slew_rates_that_a_robot_file_holds(tmp_path: Path) -> None:
+    """Falling is limited, rising is not: the rotor has a slew rate down, and none up."""
+    params = {"tau": 0.03, "slew_down": 2e4}
+    fit = fit_steps([step_record(bench(step_table(params, noise=4.0), tmp_path))])
+    assert fit.in_robot == fit.chosen
+    changes = rotor_changes([], fit)
+    assert changes["slew_rate"] is None
+    assert changes["slew_rate_down"] == pytest.approx(2e4, rel=0.05)
+    assert changes["time_constant_up"] == changes["time_constant_down"] == pytest.approx(0.03, rel=0.05)
