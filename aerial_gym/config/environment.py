@@ -3,6 +3,7 @@
 Frames: the environment's own world frame, z up; lengths in metres, angles in radians.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import inf, pi
 from pathlib import Path
@@ -11,6 +12,7 @@ from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.lamp import LampCfg
 from aerial_gym.config.loader import load
 from aerial_gym.config.motion import AT_BOUNDS, MOTIONS, MotionCfg
+from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import Vec3, require_finite, require_ordered
 from aerial_gym.config.shape import (
     FIRST_INSTANCE_ID,
@@ -161,6 +163,10 @@ class EnvironmentCfg:
     lamps: tuple[LampCfg, ...] = ()
     """Lights at a point, in colour images beside the sun and the sky of the sensor; none cost nothing, each of them a ray per
     pixel that it lights where the sensor has shadows."""
+
+    randomize: Mapping[str, RandomizeCfg] = field(default_factory=dict)
+    """What a reset draws anew of the robots here, such as the wind, beside what the robot file says; a name here
+    replaces the robot's."""
 
     source: str
     """Where the numbers come from."""

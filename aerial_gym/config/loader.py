@@ -131,6 +131,9 @@ def _convert_optional(args: tuple[Any, ...], value: Any, where: str) -> Any:
     if len(rest) > 1 and structures:  # a plain value or fields
         takes_fields = isinstance(value, Mapping) or dataclasses.is_dataclass(value)
         rest = structures if takes_fields else [arg for arg in rest if arg not in structures]
+    lists = [arg for arg in rest if get_origin(arg) is tuple]
+    if len(rest) > 1 and lists:  # a number or several
+        rest = lists if isinstance(value, (list, tuple)) else [arg for arg in rest if arg not in lists]
     return _convert(rest[0], value, where)
 
 

@@ -13,6 +13,7 @@ from aerial_gym.config.checks import Vec3, require_finite, require_ordered, requ
 from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.learned_residual import LearnedResidualCfg
 from aerial_gym.config.loader import load
+from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.rotor import ROTOR_TRAITS, RotorCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg, as_mounts, is_file
 from aerial_gym.config.shape import ROBOT_ID, PartCfg, ShapeCfg, absolute_paths
@@ -29,7 +30,6 @@ __all__ = [
     "InitialStateCfg",
     "MountCfg",
     "MountsCfg",
-    "RandomizationCfg",
     "RobotCfg",
     "RotorCfg",
     "SensorMountCfg",
@@ -289,26 +289,6 @@ class InitialStateCfg:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RandomizationCfg:
-    """Factors drawn uniformly per environment at reset, unknown to the controllers; (1, 1) leaves the value alone."""
-
-    mass_scale: tuple[float, float] = (1.0, 1.0)
-    """Factor on mass and inertia."""
-
-    thrust_scale: tuple[float, float] = (1.0, 1.0)
-    """Factor on thrust and drag torque, drawn per rotor."""
-
-    time_constant_scale: tuple[float, float] = (1.0, 1.0)
-    """Factor on both rotor time constants, drawn per rotor."""
-
-    def __post_init__(self) -> None:
-        for name in ("mass_scale", "thrust_scale", "time_constant_scale"):
-            low, high = getattr(self, name)
-            if not 0.0 < low <= high < inf:
-                raise ConfigError(f"RandomizationCfg.{name} = {(low, high)!r}: needs 0 < low <= high < inf")
-
-
-@dataclass(frozen=True, kw_only=True)
 class RobotCfg:
     """A multirotor."""
 
@@ -333,8 +313,8 @@ class RobotCfg:
     initial_state: InitialStateCfg = InitialStateCfg()
     """What a reset draws from."""
 
-    randomization: RandomizationCfg = RandomizationCfg()
-    """What differs between environments."""
+    randomize: Mapping[str, RandomizeCfg] = field(default_factory=dict)
+    """What a reset draws anew in each environment, by the names of quantities (``docs/randomisation.md``)."""
 
     battery: BatteryCfg | None = None
     """The battery; only effects that depend on it need it."""

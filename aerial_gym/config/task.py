@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf
 
+from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import Vec3, require_finite
 from aerial_gym.errors import ConfigError
 
@@ -106,6 +107,9 @@ class TaskCfg:
 
     episode_len_steps: int
     """Steps after which an episode is truncated, >= 1."""
+
+    randomize: Mapping[str, RandomizeCfg] = field(default_factory=dict)
+    """What a reset draws anew, beside what robot and environment say; the same names replace it."""
 
     target: Vec3 = (0.0, 0.0, 0.0)
     """Where to fly [m], environment frame; not used where ``target_ratio_low`` is given."""

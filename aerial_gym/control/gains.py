@@ -23,7 +23,7 @@ from aerial_gym.config.controller import ControlCfg, ControllerCfg, LeeGainsCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.lee import LeeGains
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics.vehicle import Vehicle, share_row
+from aerial_gym.physics.vehicle import Vehicle, own_rows, share_row
 
 GAINS = ("position", "velocity", "attitude", "rate")
 """Fields of ``LeeGains`` that a range or an override may change, each (E, 3)."""
@@ -162,7 +162,7 @@ def explicit_gains(cfg: LeeGainsCfg, vehicle: Vehicle, gravity: float) -> LeeGai
 
 def with_own_rows(gains: LeeGains) -> LeeGains:
     """Return gains with a row of each environment's own, (E, 3), that may be written in place."""
-    return replace(gains, **{name: getattr(gains, name).clone() for name in GAINS})
+    return replace(gains, **{name: own_rows(getattr(gains, name)) for name in GAINS})
 
 
 def gain_range(cfg: LeeGainsCfg, name: str, like: Tensor) -> tuple[Tensor, Tensor]:

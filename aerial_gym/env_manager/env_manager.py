@@ -14,6 +14,7 @@ from aerial_gym.assets import AssetManager, Bounds, CollisionTest
 from aerial_gym.assets.body_shapes import body_reach
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.environment import EnvironmentCfg
+from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop
@@ -24,7 +25,7 @@ from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
 from aerial_gym.robots import ROBOTS, RobotManager, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend, states_by_key
-from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors
+from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors, with_drawn_places
 
 
 def _name_in(registry: Registry[Any], entry: RobotCfg | ControllerCfg) -> str:
@@ -60,6 +61,7 @@ class EnvManager:
         first_episode: int = 0,
         differentiable: bool = False,
         dtype: torch.dtype = torch.float32,
+        randomize: Randomize | None = None,
     ) -> None:
         """Build everything; call ``reset`` before the first ``step``. ``SimBuilder.build_env`` says what is given.
 
@@ -89,6 +91,8 @@ class EnvManager:
             robot_parts=robot.seen_parts,
             robot_state=root[:, 0],
         )
+        random = {**robot.randomize, **env.randomize, **(randomize or {})}
+        places = {name: each for name, each in random.items() if name.startswith("sensors.")}
         names = (_name_in(ROBOTS, robot), _name_in(CONTROLLERS, controller))
         check_closed_loop(robot, controller, gravity=sim.gravity, dt=sim.dt, integrator=sim.integrator, names=names)
         scene = self.asset_manager.scene
@@ -114,9 +118,11 @@ class EnvManager:
             root_state=root[:, 0],
             random=self.random,
             gradients=dtype if differentiable else None,
+            randomize={name: each for name, each in random.items() if name not in places},
         )
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
         range_sensors, imus = mounted_sensors(robot.sensor_mounts)
+        range_sensors = with_drawn_places(range_sensors, places)
         self.sensor_manager = SensorManager(
             {name: mounted.cfg for name, mounted in range_sensors.items()},
             self.gtd,
@@ -285,6 +291,10 @@ class EnvManager:
         """Reset the crashed and truncated environments, then read the sensors: images belong to the new episodes."""
         self.reset(self.gtd["crashes"] | self.gtd["truncations"])
         self.render()
+
+    def draws(self) -> dict[str, Tensor]:
+        """Return what the present episodes have drawn, by the names of quantities, (E, ...): factors, offsets or values."""
+        return self.robot_manager.draws() | self.sensor_manager.draws()
 
     def render(self) -> None:
         """Read every sensor at the states of this instant."""

@@ -8,6 +8,7 @@ import torch
 from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.environment import EnvironmentCfg, load_environment
+from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg, load_robot
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROLLERS
@@ -61,6 +62,7 @@ class SimBuilder:
         backend: str | None = None,
         differentiable: bool = False,
         dtype: torch.dtype = torch.float32,
+        randomize: Randomize | None = None,
     ) -> EnvManager:
         """Return a simulation, built and not yet reset. In place of a name stands a configuration if it is registered nowhere.
 
@@ -79,6 +81,8 @@ class SimBuilder:
             differentiable: Whether gradients flow from actions through ``step`` to the states in ``env.traced``; on backend
                 ``torch``. ``env.detach()`` ends them.
             dtype: Float type of those states; the GTD shows them in float32.
+            randomize: What resets draw, by the names of quantities, beside what robot and environment say; the same names
+                replace it.
 
         Raises:
             UnknownNameError: If a name is not registered; the message lists what is.
@@ -100,4 +104,5 @@ class SimBuilder:
             first_episode=first_episode,
             differentiable=differentiable,
             dtype=dtype,
+            randomize=randomize,
         )

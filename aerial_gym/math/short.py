@@ -14,6 +14,14 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
     return reduce(torch.add, (x * y for x, y in zip(a.unbind(-1), b.unbind(-1), strict=True)))
 
 
+def inverse_3x3(matrix: Tensor) -> Tensor:
+    """Return the inverse of regular matrices, (..., 3, 3): the adjugate over the determinant; no factorisation that waits."""
+    a, b, c = matrix.unbind(-2)
+    columns = (torch.linalg.cross(b, c, dim=-1), torch.linalg.cross(c, a, dim=-1), torch.linalg.cross(a, b, dim=-1))
+    determinant = dot(a, columns[0])
+    return torch.stack(columns, dim=-1) / determinant[..., None, None]
+
+
 def sum_slices(a: Tensor, dim: int) -> Tensor:
     """Return the sum over an axis with few elements."""
     return reduce(torch.add, a.unbind(dim))

@@ -95,5 +95,17 @@ class PhysicsBackend(Protocol):
         ...
 
     def set_model(self, model: Model) -> None:
-        """Take other parameters of the same shapes: after a randomised reset."""
+        """Take other parameters of the same shapes."""
+        ...
+
+    def prepare(self, dt: float) -> None:
+        """Make everything that depends on the length of a substep [s]."""
+        ...
+
+    def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
+        """Return what it keeps of a model for each environment, (E, ...): plain torch on rows of the model, nothing else."""
+        ...
+
+    def parameter_targets(self) -> tuple[Tensor, ...]:
+        """Return where it keeps that, in the same order; whoever writes rows there gives environments other parameters."""
         ...

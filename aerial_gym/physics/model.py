@@ -13,6 +13,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, ShapeError
+from aerial_gym.math.short import inverse_3x3
 from aerial_gym.physics.effects import (
     EFFECTS,
     DelayEffect,
@@ -149,7 +150,7 @@ def _as_type(rows: Tensor, dtype: torch.dtype) -> Tensor:
 
 
 def _inverse(inertia: Tensor) -> Tensor:
-    inverse = torch.linalg.inv_ex(inertia[0] if is_shared(inertia) else inertia).inverse  # inv would wait for the GPU
+    inverse = inverse_3x3(inertia[0] if is_shared(inertia) else inertia)
     return share_row(inverse, inertia.shape[0]) if is_shared(inertia) else inverse
 
 

@@ -35,6 +35,7 @@ from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotor_lag import stop_in_dead_band
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
+from aerial_gym.physics.vehicle import is_shared
 
 
 def advance(
@@ -167,6 +168,21 @@ class TorchBackend:
     def set_model(self, model: Model) -> None:
         """Take other parameters."""
         self._model = model
+        rows = model.vehicle.rows() | {"inertia_inverse": model.inertia_inverse}
+        self._own = [name for name, kept in rows.items() if not is_shared(kept)]
+
+    def prepare(self, dt: float) -> None:
+        """Make the memory of the effects."""
+        self._memory_for(dt)
+
+    def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
+        """Return the parameters of the vehicle that environments do not share, and the inverse inertia."""
+        rows = model.vehicle.rows() | {"inertia_inverse": model.inertia_inverse}
+        return tuple(rows[name] for name in self._own)
+
+    def parameter_targets(self) -> tuple[Tensor, ...]:
+        """Return these of the model that it has."""
+        return self.parameter_rows(self._model)
 
     def advance(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> BodyState:
         """Return the state after ``substeps`` of ``dt`` [s], differentiable; a ground that pushes does so here as well.

@@ -25,6 +25,11 @@ def is_shared(rows: Tensor) -> bool:
     return rows.stride(0) == 0
 
 
+def own_rows(rows: Tensor) -> Tensor:
+    """Return a copy (E, ...) with memory for every row, which is not shared even where E is 1."""
+    return torch.empty(rows.shape, dtype=rows.dtype, device=rows.device).copy_(rows)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Vehicle:
     """Everything rigid body and rotors need; effects that act on a parameter replace it here."""

@@ -219,7 +219,35 @@ class WarpBackend:
             self.law_memory.numbers.masked_fill_(mask, 0.0)
             self.law_memory.since.masked_fill_(mask, 0)
         if self._packing.gains is not None and self._dt != 0.0:
-            self._write_packed()
+            self._write_gains(self._packing.gains)
+
+    def prepare(self, dt: float) -> None:
+        """Compute everything that depends on the length of a substep [s]."""
+        if dt != self._dt:
+            self._prepare(dt)
+
+    def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
+        """Return the packed numbers of the vehicle, (E, n), and the parameters of the effects, (E, m)."""
+        numbers = numbers_of(model, self._law, STAGES[self._integrator] * self._dt)
+        vehicle = [field.rows() for field in numbers.vehicle if field.name in self._packing.vehicle]
+        return tuple(torch.cat(rows, dim=1) for rows in (vehicle, numbers.effects) if rows)
+
+    def parameter_targets(self) -> tuple[Tensor, ...]:
+        """Return their places in the packed tensor (N, E)."""
+        width = sum(rows.shape[1] for rows in self._numbers(self._dt).effects)
+        first = min(
+            [*self._packing.command.values(), *([] if self._packing.gains is None else [self._packing.gains])],
+            default=self._packing.effects,
+        )
+        return tuple(
+            rows.T for rows in (self._packed[:first], self._packed[self._packing.effects :][:width]) if len(rows)
+        )
+
+    @torch.no_grad()
+    def _write_gains(self, first: int) -> None:
+        """Write the gains of every environment, which the control law keeps."""
+        rows = torch.cat([field.rows().T for field in self._numbers(self._dt).gains])
+        self._packed[first : first + len(rows)].copy_(rows)
 
     @torch.no_grad()
     def _write_packed(self) -> None:

@@ -64,6 +64,18 @@ class DifferentiableBackend:
         """Take other parameters."""
         self._inner.set_model(model.to(self._dtype))
 
+    def prepare(self, dt: float) -> None:
+        """Make the memory of the effects."""
+        self._inner.prepare(dt)
+
+    def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
+        """Return what the inner backend keeps for each environment, in its float type."""
+        return tuple(rows.to(self._dtype) for rows in self._inner.parameter_rows(model))
+
+    def parameter_targets(self) -> tuple[Tensor, ...]:
+        """Return where it keeps that."""
+        return self._inner.parameter_targets()
+
     def advance(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> BodyState:
         """Return the state after ``substeps`` of ``dt`` [s]; differentiable."""
         return self._inner.advance(state, command, dt, substeps)

@@ -14,11 +14,13 @@ from aerial_gym.assets.body_shapes import contact_points
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.controller import ControllerCfg
+from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
-from aerial_gym.control import Controller, make_controller
+from aerial_gym.control import Controller, LeeController, make_controller
 from aerial_gym.errors import ConfigError, ShapeError
-from aerial_gym.math.random import Purpose, Randomness
+from aerial_gym.interop.rows import MaskedRows
+from aerial_gym.math.random import Randomness
 from aerial_gym.physics import (
     PhysicsBackend,
     SubstepHook,
@@ -27,12 +29,16 @@ from aerial_gym.physics import (
     vehicle_from_config,
 )
 from aerial_gym.physics.capabilities import choose_backend, needs_of
+from aerial_gym.physics.effects import EffectsByKind
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model, check_effects, robot_effects
 from aerial_gym.physics.rotors import state_for_thrust
+from aerial_gym.physics.vehicle import is_shared, own_rows
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.initial_state import InitialState
+from aerial_gym.robots.parameter_draws import ParameterDraws
+from aerial_gym.robots.randomized import GAINS, Followed, Randomized, with_drawn_effects
 from aerial_gym.robots.scene_contact import PushedRobot, SceneContact
 from aerial_gym.robots.state_keys import RobotTensors, declare_robot_tensors
 
@@ -80,6 +86,7 @@ class RobotManager:
         root_state: Tensor,
         random: Randomness,
         gradients: torch.dtype | None = None,
+        randomize: Randomize | None = None,
     ) -> None:
         """Build vehicle and controller, declare the tensors and hand everything to the backend.
 
@@ -92,24 +99,19 @@ class RobotManager:
             root_state: This robot's row of ``vec_root_tensor``, (E, 13).
             random: Of everything that is drawn for the robot.
             gradients: Float type of the motion through which gradients flow; None where they do not.
+            randomize: What a reset draws, by the names of quantities.
 
         Raises:
             CapabilityError: If the backend cannot run on this device, or an effect.
             ConfigError: If there should be contact and the robot has no collision shape, or an effect near a ceiling and none
                 is there.
         """
+        robot = with_drawn_effects(robot, randomize or {})
         self.cfg, self._sim, self._gtd, self._random, self._around = robot, sim, gtd, random, around
         check_effects(robot)
         self._num_envs = root_state.shape[0]
         self.declared: Vehicle = vehicle_from_config(robot, num_envs=self._num_envs, device=gtd.device)
         self._effects = robot_effects(robot, num_envs=self._num_envs, device=gtd.device, dtype=root_state.dtype)
-        widths = {"mass_scale": 1, "thrust_scale": robot.num_rotors, "time_constant_scale": robot.num_rotors}
-        self._ranges = {
-            name: torch.tensor(getattr(robot.randomization, name), device=gtd.device)
-            for name in widths
-            if getattr(robot.randomization, name) != (1.0, 1.0)
-        }
-        self._factors = {name: torch.ones(self._num_envs, widths[name], device=gtd.device) for name in self._ranges}
         self._com = torch.zeros(self._num_envs, 3, device=gtd.device)
         asked = {"integrator": sim.integrator, "contact": around.contact is not None}
         if gradients is not None:
@@ -130,6 +132,7 @@ class RobotManager:
                 self.backend, self.tensors.state, dtype=gradients
             )
         self._declare_model()
+        self._randomized = self._make_randomized(randomize or {})
         spheres = contact_points(robot.collision.shapes, device=gtd.device)
         self._contact_force = self._declare_contact(spheres)
         self.backend.allocate(
@@ -140,6 +143,8 @@ class RobotManager:
             hook=self._make_scene_contact(spheres) or around.hook,
             random=random,
         )
+        self.backend.prepare(sim.dt)
+        self._update = self._make_update()
         rest_speed = _hover_speed(self.declared, sim.gravity)
         self.tensors.state.rotor_speed.copy_(rest_speed)
         self._initial = InitialState(
@@ -227,35 +232,107 @@ class RobotManager:
         """Width U of an action."""
         return len(self.controller.action_names)
 
-    def _build_model(self) -> Model:
-        vehicle, factors = self.declared, self._factors
-        if "mass_scale" in factors:
-            mass = factors["mass_scale"]
-            vehicle = replace(
-                vehicle, mass=vehicle.mass * mass.squeeze(-1), inertia=vehicle.inertia * mass.unsqueeze(-1)
-            )
-        if "thrust_scale" in factors:
-            thrust = factors["thrust_scale"]
-            vehicle = vehicle.with_scaled_maps(thrust=thrust, torque=thrust)
-        if "time_constant_scale" in factors:
-            lag = factors["time_constant_scale"]
-            vehicle = replace(
-                vehicle,
-                time_constant_up=vehicle.time_constant_up * lag,
-                time_constant_down=vehicle.time_constant_down * lag,
-            )
-        self.model = build_model(
-            vehicle,
-            self._effects,
+    def _make_randomized(self, cfg: Randomize) -> Randomized | None:
+        """Return the layout of what is drawn, and declare its numbers; None where nothing is drawn."""
+        if not cfg:
+            return None
+        gains = getattr(self.controller, "gains", None)
+        declared = {} if gains is None else {name: getattr(gains, name) for name in GAINS}
+        randomized = Randomized(cfg, self.cfg, self.declared, self._effects, declared)
+        if randomized.drawn_gains and isinstance(self.controller, LeeController):
+            self.controller.own_gains()
+        names = ", ".join(f"{each.name} ({each.cfg.how})" for each in randomized.drawn)
+        self._values = self._gtd.declare(TensorSpec(
+            key="drawn_parameters", shape=("E", randomized.width), unit="see draws()", frame="-", owner="robot",
+            meaning=f"what the episode has drawn: {names}",
+        ))  # fmt: skip
+        randomized.neutral(self._values)
+        self._draws = ParameterDraws(randomized.drawn, self._values, self._random)
+        return randomized
+
+    def draws(self) -> dict[str, Tensor]:
+        """Return what the present episodes have drawn, by the names of quantities, (E, ...)."""
+        return {} if self._randomized is None else self._randomized.views(self._values)
+
+    def _sources(self) -> tuple[Tensor, ...]:
+        """Return what decides the parameters of each environment: draws, parameters of effects, another vehicle's place."""
+        drawn = () if self._randomized is None else (self._values,)
+        other = () if self._other_position is None else (self._other_position,)
+        return (*drawn, *(params for _, params in self._effects), *other)
+
+    def _model_of(self, *sources: Tensor, declared: Vehicle | None = None) -> tuple[Model, Followed]:
+        """Return the model, and what follows from the draws; plain torch on the rows of ``_sources`` and of ``declared``."""
+        rest = list(sources)
+        values = rest.pop(0) if self._randomized is not None else None
+        other = rest.pop() if self._other_position is not None else None
+        followed = Followed(vehicle=self.declared, params=tuple(rest), gains={})
+        if self._randomized is not None and values is not None:
+            followed = self._randomized.follow(values, *rest, vehicle=declared)
+        model = build_model(
+            followed.vehicle,
+            [(effect, params) for (effect, _), params in zip(self._effects, followed.params, strict=True)],
             gravity=self._sim.gravity,
             ground_height=self._around.ground_height or 0.0,
             ceiling_height=self._around.ceiling_height,
-            other_position=self._other_position,
+            other_position=other,
         )
-        self._mass.copy_(self.model.vehicle.mass)
-        self._inertia.copy_(self.model.vehicle.inertia)
-        self._com.copy_(self.model.vehicle.com)
+        return model, followed
+
+    def _build_model(self) -> Model:
+        """Return the model of all environments with tensors of its own, and write what is known of it elsewhere."""
+        model, followed = self._model_of(*self._sources(), declared=self.declared)
+        self._write(followed, self._everywhere)
+        effects = EffectsByKind(self._effects)  # which the model keeps reading
+        if self._randomized is not None:
+            declared = self.declared.rows()
+            changed = {name: rows for name, rows in model.vehicle.rows().items() if rows is not declared[name]}
+            vehicle = replace(model.vehicle, **{name: own_rows(rows) for name, rows in changed.items()})
+            inverse = own_rows(model.inertia_inverse) if "inertia" in changed else model.inertia_inverse
+            model = replace(model, vehicle=vehicle, inertia_inverse=inverse)
+        self.model = replace(model, effects=effects)
+        self._mass.copy_(model.vehicle.mass)
+        self._inertia.copy_(model.vehicle.inertia)
+        self._com.copy_(model.vehicle.com)
         return self.model
+
+    @property
+    def _everywhere(self) -> Tensor:
+        return torch.ones(self._num_envs, dtype=torch.bool, device=self._gtd.device)
+
+    def _write(self, followed: Followed, mask: Tensor) -> None:
+        """Write parameters of effects and gains that follow from draws into the environments of a mask, bool (E,)."""
+        for target, rows in zip(self._targets(), self._rows(followed), strict=True):
+            target.copy_(torch.where(mask.unsqueeze(-1), rows, target))
+
+    def _rows(self, followed: Followed) -> list[Tensor]:
+        if self._randomized is None:
+            return []
+        params = [followed.params[i] for i in self._randomized.drawn_effects]
+        return params + [followed.gains[name] for name in self._randomized.drawn_gains]
+
+    def _targets(self) -> list[Tensor]:
+        if self._randomized is None:
+            return []
+        gains = getattr(self.controller, "gains", None)
+        params = [self._effects[i][1] for i in self._randomized.drawn_effects]
+        return params + [getattr(gains, name) for name in self._randomized.drawn_gains]
+
+    def _make_update(self) -> MaskedRows | None:
+        """Return what writes the parameters of the environments of a mask in one launch; None where nothing is drawn."""
+        if self._randomized is None:
+            return None
+
+        def rows(*sources: Tensor) -> tuple[Tensor, ...]:
+            model, followed = self._model_of(*sources)
+            shown = (getattr(model.vehicle, name) for name in own)
+            follows = (rows.to(dtype) for rows, dtype in zip(self._rows(followed), types, strict=True))
+            return (*shown, *follows, *self.backend.parameter_rows(model))
+
+        types = [target.dtype for target in self._targets()]
+        shown = {"mass": self._mass, "inertia": self._inertia, "com": self._com}
+        own = [name for name in shown if not is_shared(getattr(self.model.vehicle, name))]
+        targets = (*(shown[name] for name in own), *self._targets(), *self.backend.parameter_targets())
+        return MaskedRows(rows, self._sources(), targets)
 
     def refresh_model(self) -> None:
         """Take changed parameters of effects (``gtd["effect_..."]``) into the physics."""
@@ -288,17 +365,11 @@ class RobotManager:
     def reset(self, mask: Tensor) -> None:
         """Draw a new initial state, and new parameters where randomised, for the environments in ``mask``, bool (E,)."""
         self._initial.reset(mask)
-        self._randomize(mask.unsqueeze(-1))
+        if self._update is not None:
+            self._draws.draw(mask)
+            self._update(mask)
         self.controller.reset(mask, self._random)
         self.backend.reset(mask)
-
-    def _randomize(self, rows: Tensor) -> None:
-        for index, (name, factor) in enumerate(self._factors.items()):
-            low, high = (end.expand(factor.shape[1:]) for end in self._ranges[name].unbind())
-            draw = self._random.uniform(Purpose.PARAMETERS, low, high, index=index)
-            factor.copy_(torch.where(rows, draw, factor))
-        if self._factors:
-            self.refresh_model()
 
 
 def _hover_speed(vehicle: Vehicle, gravity: float) -> Tensor:

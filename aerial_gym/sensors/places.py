@@ -3,15 +3,21 @@
 Frames: body is x forward, y left, z up. Letters: E environments, S sensors of one kind.
 """
 
+from collections.abc import Mapping
+from dataclasses import replace
+from difflib import get_close_matches
+
 import torch
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.sensor import RangeSensorCfg
+from aerial_gym.errors import ConfigError
 from aerial_gym.interop import on_torch_stream
 from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of, substream
 from aerial_gym.math.random import Purpose, Randomness
-from aerial_gym.sensors.mounts import Pose, nominal_pose
+from aerial_gym.sensors.mounts import Mounted, Pose, nominal_pose
 
 
 @wp.struct
@@ -76,10 +82,13 @@ class Places:
         self.attitude = nominal.attitude.float().to(device).expand(*rows, 4).clone()
         """Sensor to body, xyzw, (E, S, 4)."""
         self._mask, self._kept_alive = torch.zeros(rows[0], dtype=torch.bool, device=device), random
+        place = _range_of(cfg, nominal)
+        self.is_drawn = bool(place.is_drawn)
+        """Whether they differ between episodes."""
         self._command = wp.launch(
             _place_sensors,
             dim=rows,
-            inputs=[wp.from_torch(self._mask), random_arrays(random), number, _range_of(cfg, nominal)],
+            inputs=[wp.from_torch(self._mask), random_arrays(random), number, place],
             outputs=[wp.from_torch(self.position, dtype=wp.vec3), wp.from_torch(self.attitude, dtype=wp.quat)],
             device=wp.device_from_torch(device),
             record_cmd=True,
@@ -108,3 +117,36 @@ def _range_of(cfg: RangeSensorCfg, nominal: Pose) -> PlaceRange:
         setattr(place, f"{name}_high", wp.vec3(*high))
         place.is_drawn = place.is_drawn or drawn
     return place
+
+
+def with_drawn_places(
+    mounted: Mapping[str, Mounted[RangeSensorCfg]], randomize: Randomize
+) -> dict[str, Mounted[RangeSensorCfg]]:
+    """Return range sensors whose places are drawn by ``sensors.NAME.position`` [m] and ``sensors.NAME.euler`` [rad].
+
+    Args:
+        mounted: Sensors by the names of their mounts.
+        randomize: Offsets, uniform, in the frame of the sensor's own file.
+
+    Raises:
+        ConfigError: If there is no such sensor, or another way or distribution is asked for.
+    """
+    found = dict(mounted)
+    known = [f"sensors.{name}.{what}" for name in mounted for what in ("position", "euler")]
+    for name, each in randomize.items():
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            raise ConfigError(f"randomize: no quantity {name!r}.{hint} Known: {', '.join(known) or 'no range sensor'}")
+        if each.how != "offset" or each.distribution != "uniform":
+            raise ConfigError(f"randomize: {name}: places of sensors take uniform offsets (how: offset)")
+        mount, what = name.removeprefix("sensors.").rsplit(".", 1)
+        cfg = found[mount].cfg
+        nominal = getattr(cfg, what)
+        low, high = ([row[end] for row in each.components(3)] for end in (0, 1))
+        ends = {
+            f"{what}_low": tuple(n + x for n, x in zip(nominal, low, strict=True)),
+            f"{what}_high": tuple(n + x for n, x in zip(nominal, high, strict=True)),
+        }
+        found[mount] = replace(found[mount], cfg=replace(cfg, **ends))
+    return found

@@ -121,6 +121,15 @@ class SensorManager:
         for delay in self._delay.values():
             delay.push()
 
+    def draws(self) -> dict[str, Tensor]:
+        """Return where the sensors sit whose places are drawn, position [m] and attitude, body, (E, S, 3) and (E, S, 4)."""
+        found = {}
+        for name, caster in self.casters.items():
+            if caster.places.is_drawn:
+                found[f"sensors.{name}.position"] = caster.places.position
+                found[f"sensors.{name}.attitude"] = caster.places.attitude
+        return found
+
     def reset(self, mask: Tensor) -> None:
         """Place the mounts of masked environments, bool (E,), anew; their images are due at the next capture."""
         check_tensor("mask", mask, (self._num_envs,), device=self._device, dtype=torch.bool)

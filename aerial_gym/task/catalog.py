@@ -72,6 +72,7 @@ class TaskRegistry(Registry[TaskCfg]):
             first_env=first_env,
             first_episode=first_episode,
             backend=backend,
+            randomize=cfg.randomize,
         )
         return Task(cfg, env, capture=capture)
 

@@ -7,6 +7,7 @@ import torch
 
 from aerial_gym import SimBuilder, task_registry
 from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import BatteryCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, EnvManager
@@ -173,3 +174,80 @@ def test_a_captured_step_with_effects_that_remember_is_the_eager_step() -> None:
             replay()
         found.append(env.gtd["robot_linvel"].clone())
     torch.testing.assert_close(found[1], found[0], rtol=1e-4, atol=1e-4)
+
+
+RANDOMIZE = {
+    "body.mass": RandomizeCfg(low=0.8, high=1.2),
+    "body.com": RandomizeCfg(how="offset", low=(-0.01, -0.01, 0.0), high=(0.01, 0.01, 0.0)),
+    "rotor.thrust_map": RandomizeCfg(each_rotor=True, distribution="normal", mean=1.0, std=0.03, low=0.9, high=1.1),
+    "rotor.time_constant": RandomizeCfg(low=0.8, high=1.2, each_rotor=True),
+    "effects.rotor_drag.dx": RandomizeCfg(how="value", distribution="log_uniform", low=0.05, high=0.2),
+    "effects.gusts.std": RandomizeCfg(how="value", low=0.5, high=1.0),
+    "gains.position": RandomizeCfg(low=0.9, high=1.1),
+}
+
+
+def randomised_task(num_envs: int, *, capture: bool, **numbers: int) -> Task:
+    cfg = replace(task_registry.get("position_setpoint_task"), num_envs=num_envs, randomize=RANDOMIZE)
+    env = SimBuilder().build_env(
+        sim_name=cfg.sim,
+        env_name=cfg.env,
+        robot_name=cfg.robot,
+        controller_name=cfg.controller,
+        num_envs=num_envs,
+        device="cuda:0",
+        seed=3,
+        randomize=RANDOMIZE,
+        **numbers,
+    )
+    return Task(cfg, env, capture=capture)
+
+
+def roll_out(task: Task, first: int = 0, steps: int = 12) -> list[dict[str, torch.Tensor]]:
+    """Return what the task gives and what was drawn, step by step; episodes of some environments end on the way."""
+    task.reset(seed=3)
+    number = torch.arange(first, first + task.num_envs, device="cuda:0")
+    actions = torch.sin(number.float().unsqueeze(-1) + torch.arange(4.0, device="cuda:0")).clamp(-0.5, 0.5)
+    found = []
+    for step in range(steps):
+        task.env.gtd["sim_steps"].masked_fill_((number + step) % 3 == 0, task.cfg.episode_len_steps)
+        obs, reward, *_ = task.step(actions)
+        keys = ("robot_position", "robot_linvel", "robot_mass", "drawn_parameters", "episodes", "rotor_speed")
+        row = {"observations": obs["observations"], "reward": reward} | {key: task.env.gtd[key] for key in keys}
+        found.append({key: value.clone() for key, value in row.items()})
+    return found
+
+
+def test_a_captured_step_of_a_randomised_robot_is_the_eager_step() -> None:
+    eager, captured = (roll_out(randomised_task(64, capture=capture)) for capture in (False, True))
+    for a, b in zip(eager, captured, strict=True):
+        assert torch.equal(a["drawn_parameters"], b["drawn_parameters"])
+        assert torch.equal(a["episodes"], b["episodes"])
+        for key in a:
+            torch.testing.assert_close(b[key], a[key], rtol=1e-3, atol=1e-3, msg=key)
+    assert (captured[-1]["drawn_parameters"] != captured[0]["drawn_parameters"]).any()
+
+
+@pytest.mark.parametrize("capture", [False, True])
+def test_an_environment_is_the_same_among_few_many_and_alone_on_a_gpu(capture: bool) -> None:
+    few, many = (roll_out(randomised_task(n, capture=capture)) for n in (4, 8192))
+    alone = roll_out(randomised_task(1, capture=capture, first_env=2), 2)
+    for a, b, c in zip(few, many, alone, strict=True):
+        for key in a:
+            assert torch.equal(a[key], b[key][:4]), key
+            assert torch.equal(c[key], b[key][2:3]), key
+
+
+def test_a_masked_reset_of_a_randomised_robot_waits_for_nothing() -> None:
+    env = randomised_task(64, capture=False).env
+    env.reset()
+    actions, mask = torch.zeros(64, 4, device="cuda:0"), torch.arange(64, device="cuda:0") % 3 == 0
+    env.step(actions)
+    env.reset(mask)
+    torch.cuda.synchronize()
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        env.step(actions)
+        env.reset(mask)
+    finally:
+        torch.cuda.set_sync_debug_mode("default")

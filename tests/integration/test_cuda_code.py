@@ -6,17 +6,19 @@ import pytest
 import torch
 import warp as wp
 
+from aerial_gym import SimBuilder
 from aerial_gym.assets import placement
 from aerial_gym.assets.collision import make_walk
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.images import IMAGES
+from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.interop import start_warp
 from aerial_gym.interop.rows import RowFunction
 from aerial_gym.physics import EFFECTS, Ground, WarpBackend, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LearnedResidual
-from aerial_gym.robots import ROBOTS, derived, initial_state
+from aerial_gym.robots import ROBOTS, derived, initial_state, parameter_draws
 from aerial_gym.sensors import flow, imu, places, view
 from aerial_gym.sensors.cells import make_pool
 from aerial_gym.sensors.pixels import Outputs
@@ -80,6 +82,25 @@ def test_the_physics_kernel_with_contact_compiles(tmp_path: Path) -> None:
     compile_for_gpu(backend.kernel.module, tmp_path)
 
 
+def test_the_kernel_of_a_randomised_robot_compiles(tmp_path: Path) -> None:
+    env = SimBuilder().build_env(
+        sim_name="base_sim",
+        env_name="empty_env",
+        robot_name="base_quadrotor",
+        controller_name="lee_velocity_control",
+        num_envs=2,
+        device="cpu",
+        randomize={
+            "body.mass": RandomizeCfg(low=0.8, high=1.2),
+            "effects.com_offset.x": RandomizeCfg(how="value", low=0.0, high=0.01),
+        },
+    )
+    update = env.robot_manager._update
+    assert update is not None
+    assert update._rows is not None
+    compile_for_gpu(update._rows.kernel.module, tmp_path)
+
+
 def test_row_kernels_compile(tmp_path: Path) -> None:
     rows = RowFunction(lambda a: (torch.asin(a).norm(dim=-1), a > 0.0, torch.remainder(a, 2.0)), (torch.rand(2, 3),))
     compile_for_gpu(rows.kernel.module, tmp_path)
@@ -100,6 +121,8 @@ def test_the_kernel_of_image_cells_compiles(tmp_path: Path) -> None:
     compile_for_gpu(make_pool(shared=True).module, tmp_path)
 
 
-@pytest.mark.parametrize("module", [derived, initial_state, imu, goals, noise, places, placement, view, flow])
+@pytest.mark.parametrize(
+    "module", [derived, initial_state, parameter_draws, imu, goals, noise, places, placement, view, flow]
+)
 def test_kernels_of_modules_compile(module, tmp_path: Path) -> None:
     compile_for_gpu(wp.get_module(module.__name__), tmp_path)

@@ -54,7 +54,7 @@ _MOTOR = "control_allocator_config.motor_model_config"
 _thrust = _middle("motor_thrust_constant", 1.0 / _PER_TURN)
 _rise = _middle("motor_time_constant_increasing")
 _fall = _middle("motor_time_constant_decreasing")
-_RANGE = "the middle of the range; draws are `randomization:` of a robot file"
+_RANGE = "the middle of the range; draws are `randomize:` of a robot file"
 
 
 def _mode(values: Values) -> Changes:

@@ -21,7 +21,13 @@ _kernels: dict[str, wp.Kernel] = {}
 class RowFunction:
     """Does what a torch function does to every row, in one Warp kernel; no gradients flow through it."""
 
-    def __init__(self, function: Callable[..., Tensor | tuple[Tensor, ...]], inputs: Sequence[Tensor]) -> None:
+    def __init__(
+        self,
+        function: Callable[..., Tensor | tuple[Tensor, ...]],
+        inputs: Sequence[Tensor],
+        *,
+        masked: bool = False,
+    ) -> None:
         """Trace the function and write its kernel, which is compiled at the first call.
 
         Args:
@@ -29,13 +35,14 @@ class RowFunction:
                 are those of this moment.
             inputs: What it will be called with, or tensors of the same shapes and types: (E, ...), or of any other first
                 dimension for what all rows share.
+            masked: Whether calls give a mask: other rows are then neither computed nor written.
 
         Raises:
             UntraceableError: If it cannot be done row by row; the text says why.
         """
         start_warp()
         traced = trace(function, inputs)
-        source = write(traced)
+        source = write(traced, masked=masked)
         self.code = source.code
         """The kernel."""
         self._inputs, self._shared = source.inputs, source.shared
@@ -44,12 +51,15 @@ class RowFunction:
         """It as Warp has it."""
         self._known: dict[int, tuple[Tensor, wp.array]] = {}
 
-    def __call__(self, *inputs: Tensor, out: Sequence[Tensor | None] = ()) -> tuple[Tensor, ...]:
+    def __call__(
+        self, *inputs: Tensor, out: Sequence[Tensor | None] = (), mask: Tensor | None = None
+    ) -> tuple[Tensor, ...]:
         """Return the results; launched on torch's current stream, not waited for.
 
         Args:
             inputs: As at construction. Tensors that stay the same objects from call to call cost nothing more.
             out: Receives the results, where given; new tensors are made for the others. An input may be an output.
+            mask: Rows to compute, bool (E,); given exactly if the function is masked, and then with all of ``out``.
         """
         first = next(tensor for tensor in inputs if tensor.ndim)
         rows, device = first.shape[0], first.device
@@ -58,7 +68,8 @@ class RowFunction:
             torch.empty((rows, *shape), dtype=dtype, device=device) if tensor is None else tensor
             for tensor, (shape, dtype) in zip(given, self._outputs, strict=True)
         ]
-        arrays = [self._view(i, inputs[i]) for i in self._inputs]
+        arrays = [] if mask is None else [self._view(len(inputs), mask)]
+        arrays += [self._view(i, inputs[i]) for i in self._inputs]
         arrays += [
             _as_rows(tensor) if new is None else self._view(-1 - i, tensor)
             for i, (tensor, new) in enumerate(zip(results, given, strict=True))

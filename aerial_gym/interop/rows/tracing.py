@@ -144,11 +144,13 @@ class _Watch(TorchDispatchMode):
         if known is not None:
             numbers, given = known, value.dtype
         else:
-            plain = value.detach().cpu() if isinstance(value, Tensor) else torch.tensor(value, dtype=dtype)
-            if plain.numel() > LARGEST_ROW:
-                raise UntraceableError(f"a constant of {plain.numel()} entries")
-            found = [self.into.number("constant", (entry,), plain.dtype) for entry in plain.flatten().tolist()]
-            numbers, given = torch.tensor(found, dtype=torch.int64).view(plain.shape), plain.dtype
+            plain = value.detach() if isinstance(value, Tensor) else torch.tensor(value, dtype=dtype)
+            one = plain[:1] if _same_rows(plain) else plain
+            if one.numel() > LARGEST_ROW:
+                raise UntraceableError(f"a constant of {one.numel()} entries")
+            found = [self.into.number("constant", (entry,), plain.dtype) for entry in one.flatten().tolist()]
+            numbers = torch.tensor(found, dtype=torch.int64).view(one.shape).expand(plain.shape)
+            given = plain.dtype
         if dtype is None or given == dtype:
             return numbers
         return _each(lambda number: self.into.cast(number, dtype), numbers)
@@ -231,6 +233,13 @@ class _Watch(TorchDispatchMode):
             for dim in sorted(dims):
                 made = made.unsqueeze(dim)
         return made
+
+
+def _same_rows(constant: Tensor) -> bool:
+    """Return whether a constant has a row for each one of the trace, all of them the same."""
+    if constant.shape[:1] != (ROWS,):
+        return False
+    return bool(((constant == constant[:1]) | (constant != constant)).all())
 
 
 class _NothingElse(TorchFunctionMode):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from aerial_gym.config import build, dump_yaml, load
-from aerial_gym.config.robot import BodyCfg, InitialStateCfg, MountCfg, RandomizationCfg, RobotCfg, RotorCfg
+from aerial_gym.config.robot import BodyCfg, InitialStateCfg, MountCfg, RobotCfg, RotorCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
@@ -104,8 +104,6 @@ def test_other_impossible_parts_are_refused() -> None:
         MountCfg(position=(0, 0, 0), axis=(0, 0, 0), spin=1)
     with pytest.raises(ConfigError, match="lin_vel_low"):
         InitialStateCfg(lin_vel_low=(1.0, 0.0, 0.0), lin_vel_high=(0.0, 0.0, 0.0))
-    with pytest.raises(ConfigError, match="RandomizationCfg.mass_scale"):
-        RandomizationCfg(mass_scale=(0.0, 1.0))
     with pytest.raises(ConfigError, match="effects.rotor_drag.dx = nan"):
         replace(ROBOTS.get("tinyprop"), effects={"rotor_drag": {"dx": float("nan")}})
 

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from aerial_gym import SimBuilder, task_registry
 from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.robots import ROBOTS
@@ -20,7 +21,18 @@ FEW, MANY = 4, 37
 OBSTACLE_COURSES = ("env_with_obstacles", "dynamic_env", "forest_env", "env_with_lidar_nav_obstacles", "landing_env")
 
 
-def build(env: str, robot: str, num_envs: int, *, backend: str = "warp", seed: int = 5, **numbers: int) -> EnvManager:
+RANDOMIZE = {
+    "body.mass": RandomizeCfg(low=0.8, high=1.2),
+    "rotor.thrust_map": RandomizeCfg(each_rotor=True, distribution="normal", mean=1.0, std=0.05, low=0.8, high=1.2),
+    "effects.gusts.std": RandomizeCfg(how="value", low=0.5, high=2.0),
+    "effects.rotor_drag.dx": RandomizeCfg(how="value", low=0.1, high=0.2),
+    "gains.velocity": RandomizeCfg(low=0.9, high=1.1),
+}
+
+
+def build(
+    env: str, robot: str, num_envs: int, *, backend: str = "warp", seed: int = 5, randomize=None, **numbers: int
+) -> EnvManager:
     return EnvManager(
         sim=replace(SIMS.get("base_sim"), backend=backend),
         env=ENVIRONMENTS.get(env),
@@ -29,6 +41,7 @@ def build(env: str, robot: str, num_envs: int, *, backend: str = "warp", seed: i
         num_envs=num_envs,
         device=torch.device("cpu"),
         seed=seed,
+        randomize=randomize,
         **numbers,
     )
 
@@ -77,6 +90,26 @@ def test_an_environment_is_the_same_among_few_and_many(env: str, robot: str) -> 
         built = build(env, robot, num_envs)
         fly(built)
         found.append(snapshot(built.gtd, slice(FEW)))
+    assert_same(*found)
+
+
+def test_a_randomised_robot_in_gusts_is_the_same_among_few_many_and_alone() -> None:
+    found = []
+    for num_envs, first in ((FEW, 0), (MANY, 0), (1, 3)):
+        built = build("empty_env", "tinyprop", num_envs, randomize=RANDOMIZE, first_env=first)
+        fly(built, first)
+        found.append(snapshot(built.gtd, slice(FEW)))
+    assert_same(found[0], found[1])
+    assert_same(found[2], {key: value[3:] for key, value in found[1].items()})
+
+
+def test_the_torch_backend_flies_batches_of_whole_vectors_the_same() -> None:
+    """On a CPU torch works on 16 numbers at a time; in batches of a multiple of 64 no environment is left over."""
+    found = []
+    for num_envs in (64, 192):
+        built = build("empty_env", "tinyprop", num_envs, backend="torch", randomize=RANDOMIZE)
+        fly(built)
+        found.append(snapshot(built.gtd, slice(64)))
     assert_same(*found)
 
 

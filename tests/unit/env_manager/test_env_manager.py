@@ -175,38 +175,6 @@ def test_effect_parameters_written_to_the_gtd_change_the_flight() -> None:
     assert slow < fast - 0.1
 
 
-def test_randomised_parameters_stay_in_range_and_change_only_in_the_mask() -> None:
-    from dataclasses import replace
-
-    from aerial_gym.config.robot import RandomizationCfg
-    from aerial_gym.control import CONTROLLERS
-    from aerial_gym.env_manager import SIMS
-    from aerial_gym.robots import ROBOTS
-
-    randomization = RandomizationCfg(mass_scale=(0.9, 1.1), thrust_scale=(0.95, 1.05), time_constant_scale=(0.8, 1.2))
-    robot = replace(ROBOTS.get("base_quadrotor"), randomization=randomization)
-    env = EnvManager(
-        sim=SIMS.get("base_sim"),
-        env=ENVIRONMENTS.get("empty_env"),
-        robot=robot,
-        controller=CONTROLLERS.get("lee_position_control"),
-        num_envs=64,
-        device=torch.device("cpu"),
-        seed=0,
-    )
-    env.reset()
-    mass = env.gtd["robot_mass"].clone()
-    assert ((mass > 0.9 * 0.25) & (mass < 1.1 * 0.25)).all()
-    assert mass.std() > 0.005
-    torch.testing.assert_close(env.gtd["robot_inertia"][:, 0, 0] / mass, torch.full((64,), 8.45e-4 / 0.25))
-    mask = torch.arange(64) < 10
-    env.reset(mask)
-    assert torch.equal(env.gtd["robot_mass"][~mask], mass[~mask])
-    assert (env.gtd["robot_mass"][mask] != mass[mask]).all()
-    thrust_scale = env.robot_manager.model.vehicle.thrust_map[..., 2] / env.robot_manager.declared.thrust_map[..., 2]
-    assert ((thrust_scale > 0.95) & (thrust_scale < 1.05)).all()
-
-
 def test_wrong_requests_are_refused_by_name() -> None:
     with pytest.raises(UnknownNameError, match="no sim 'base_simm'. Did you mean 'base_sim'"):
         build(sim_name="base_simm")

@@ -1,0 +1,113 @@
+"""How quantities of a robot, its effects, sensors and gains differ between episodes: ``randomize:`` of robot, environment and
+task files.
+
+```yaml
+randomize:
+  body.mass: {low: 0.9, high: 1.1}                                  # a factor, uniform
+  rotor.thrust_map: {each_rotor: true, distribution: normal, mean: 1.0, std: 0.03, low: 0.9, high: 1.1}
+  effects.rotor_drag.dx: {how: value, low: 0.05, high: 0.2, distribution: log_uniform}
+  body.com: {how: offset, low: [-0.01, -0.01, 0.0], high: [0.01, 0.01, 0.0]}
+```
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf, isfinite
+
+from aerial_gym.errors import ConfigError
+
+HOW = ("scale", "offset", "value")
+"""What is drawn: a factor on what the file says, something added to it, or the quantity itself."""
+
+DISTRIBUTIONS = ("uniform", "log_uniform", "normal")
+"""How it is distributed. A normal one is truncated at ``low`` and ``high``, where they are given."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomizeCfg:
+    """What a reset draws of one quantity, in each environment and episode anew."""
+
+    how: str = "scale"
+    """One of ``HOW``."""
+
+    distribution: str = "uniform"
+    """One of ``DISTRIBUTIONS``."""
+
+    low: float | tuple[float, ...] | None = None
+    """Lowest draw, one number or one for each component; in the unit of the quantity unless it is a factor."""
+
+    high: float | tuple[float, ...] | None = None
+    """Highest draw, likewise."""
+
+    mean: float | tuple[float, ...] | None = None
+    """Of a normal distribution."""
+
+    std: float | tuple[float, ...] | None = None
+    """Of a normal distribution, > 0."""
+
+    each_rotor: bool = False
+    """Whether every rotor has a draw of its own; else all rotors have the same. For ``rotor.`` and ``mounts.*.`` quantities."""
+
+    keep_inertia: bool = False
+    """Whether a drawn ``body.mass`` leaves the inertia; else that grows with the mass."""
+
+    def __post_init__(self) -> None:
+        if self.how not in HOW:
+            raise ConfigError(f"RandomizeCfg.how = {self.how!r}: must be one of {', '.join(HOW)}")
+        if self.distribution not in DISTRIBUTIONS:
+            known = ", ".join(DISTRIBUTIONS)
+            raise ConfigError(f"RandomizeCfg.distribution = {self.distribution!r}: must be one of {known}")
+        normal = self.distribution == "normal"
+        needed, others = (("mean", "std"), ()) if normal else (("low", "high"), ("mean", "std"))
+        for name in needed:
+            if getattr(self, name) is None:
+                raise ConfigError(
+                    f"RandomizeCfg.{name}: a {self.distribution} distribution needs {' and '.join(needed)}"
+                )
+        for name in others:
+            if getattr(self, name) is not None:
+                raise ConfigError(f"RandomizeCfg.{name}: a {self.distribution} distribution has none")
+        for numbers in self.components(max(self.widths())):
+            self._check(*numbers)
+
+    def _check(self, low: float, high: float, mean: float, std: float) -> None:
+        normal = self.distribution == "normal"
+        if not low <= high or (normal and not low < high):
+            raise ConfigError(f"RandomizeCfg: low = {low!r}, high = {high!r}: needs low <= high")
+        if not normal and not (isfinite(low) and isfinite(high)):
+            raise ConfigError(f"RandomizeCfg: low = {low!r}, high = {high!r}: must be finite")
+        if normal and not (isfinite(mean) and 0.0 < std < inf):
+            raise ConfigError(f"RandomizeCfg: mean = {mean!r}, std = {std!r}: need a finite mean and 0 < std < inf")
+        if normal and not low - 4.0 * std < mean < high + 4.0 * std:
+            raise ConfigError(
+                f"RandomizeCfg: mean = {mean!r}, std = {std!r}: hardly anything lies in low = {low!r} to high = {high!r}"
+            )
+        if self.distribution == "log_uniform" and not low > 0.0:
+            raise ConfigError(f"RandomizeCfg.low = {low!r}: a log_uniform distribution needs 0 < low")
+        if self.how == "scale" and not low >= 0.0:
+            raise ConfigError(f"RandomizeCfg.low = {low!r}: a factor needs a lowest value >= 0 (how: scale)")
+
+    def widths(self) -> set[int]:
+        """Return the numbers of components that the fields have; 1 for single numbers."""
+        given = (self.low, self.high, self.mean, self.std)
+        return {len(value) if isinstance(value, tuple) else 1 for value in given if value is not None}
+
+    def components(self, width: int) -> list[tuple[float, float, float, float]]:
+        """Return low, high, mean and standard deviation of each of ``width`` components; 0 where there are none.
+
+        Raises:
+            ConfigError: If a field has another number of components.
+        """
+        found = []
+        for name, missing in (("low", -inf), ("high", inf), ("mean", 0.0), ("std", 0.0)):
+            value = getattr(self, name)
+            value = missing if value is None else value
+            row = value if isinstance(value, tuple) else (value,) * width
+            if len(row) != width:
+                raise ConfigError(f"RandomizeCfg.{name} = {value!r}: needs one number, or {width}")
+            found.append(row)
+        return list(zip(*found, strict=True))
+
+
+Randomize = Mapping[str, RandomizeCfg]
+"""Distributions by the names of quantities."""

@@ -1,0 +1,49 @@
+"""Rows that follow from other rows, written where a mask says so.
+
+Letters: E rows.
+"""
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from aerial_gym.interop.rows.function import RowFunction
+from aerial_gym.interop.rows.tracing import UntraceableError
+
+
+class MaskedRows:
+    """Writes what a function makes of some tensors into others: one launch that touches the rows of the mask alone.
+
+    What cannot be traced runs as plain torch, on all rows, and is written by the mask: as right, but dearer.
+    """
+
+    def __init__(
+        self, function: Callable[..., tuple[Tensor, ...]], sources: Sequence[Tensor], targets: Sequence[Tensor]
+    ) -> None:
+        """Take fixed tensors.
+
+        Args:
+            function: Pure torch on rows.
+            sources: What it takes, (E, ...).
+            targets: Where what it returns is written, (E, ...).
+        """
+        self._function, self._sources, self._targets = function, list(sources), list(targets)
+        self._mask = torch.zeros(targets[0].shape[0], dtype=torch.bool, device=targets[0].device)
+        self._rows: RowFunction | None = None
+        self.why_slow = ""
+        """Why it runs as plain torch; empty where it is one launch."""
+        try:
+            self._rows = RowFunction(function, sources, masked=True)
+        except UntraceableError as error:
+            self.why_slow = str(error)
+
+    def __call__(self, mask: Tensor) -> None:
+        """Write the rows of ``mask``, bool (E,); launched on torch's current stream, not waited for."""
+        if self._rows is not None:
+            self._mask.copy_(mask)
+            self._rows(*self._sources, out=self._targets, mask=self._mask)
+            return
+        with torch.no_grad():
+            for target, rows in zip(self._targets, self._function(*self._sources), strict=True):
+                target.copy_(torch.where(mask.view(-1, *[1] * (target.ndim - 1)), rows, target))

@@ -1,0 +1,152 @@
+"""Quantities of a vehicle by name, and what follows from drawing them: plain torch on rows, one formula for every backend.
+
+Letters: E environments, R rotors.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.randomize import RandomizeCfg
+from aerial_gym.physics import Vehicle
+
+BATTERY = ("nominal_voltage", "full_voltage", "empty_voltage", "internal_resistance", "capacity", "efficiency")
+"""Columns of ``Vehicle.battery``."""
+
+
+def drawn_value(cfg: RandomizeCfg, declared: Tensor, draw: Tensor) -> Tensor:
+    """Return the quantity from what is declared and what was drawn."""
+    if cfg.how == "value":
+        return draw + torch.zeros_like(declared)
+    return declared * draw if cfg.how == "scale" else declared + draw
+
+
+def second_moments_scaled(inertia: Tensor, factor: Tensor) -> Tensor:
+    """Return an inertia (E, 3, 3) with factors (E, 3) on the mass's second moments along the body axes.
+
+    ``S = tr(J)/2 1 - J`` is the integral of ``x x^T dm``; stretched to ``D S D`` with ``D = diag(sqrt(factor))`` it is that of
+    another body, so that the moments of ``J = tr(S) 1 - S`` keep the triangle inequality. The same factor on all axes
+    is a factor on J.
+    """
+    stretch = factor.sqrt()
+    trace = inertia.diagonal(dim1=1, dim2=2).sum(-1)[:, None, None]
+    unit = torch.eye(3, dtype=inertia.dtype, device=inertia.device)
+    moments = stretch.unsqueeze(-1) * (0.5 * trace * unit - inertia) * stretch.unsqueeze(-2)
+    return moments.diagonal(dim1=1, dim2=2).sum(-1)[:, None, None] * unit - moments
+
+
+Width = Literal["one", "vector", "rotor", "rotor_vector"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """A quantity of the vehicle."""
+
+    unit: str
+    """SI unit."""
+
+    width: Width
+    """One number, three components, a number for each rotor, or three components for each rotor."""
+
+    apply: Callable[[Vehicle, RandomizeCfg, Tensor], Vehicle]
+    """From the vehicle and a draw, (E,), (E, 3), (E, R) or (E, R, 3), to the vehicle with it."""
+
+    meaning: str
+    """One line."""
+
+    how: tuple[str, ...] = ("scale", "offset", "value")
+    """What may be drawn of it."""
+
+
+def _mass(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+    mass = drawn_value(cfg, vehicle.mass, draw)
+    if cfg.keep_inertia:
+        return replace(vehicle, mass=mass)
+    return replace(vehicle, mass=mass, inertia=vehicle.inertia * (mass / vehicle.mass)[:, None, None])
+
+
+def _inertia(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+    del cfg
+    return replace(vehicle, inertia=second_moments_scaled(vehicle.inertia, draw))
+
+
+def _field(names: tuple[str, ...], vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+    return replace(vehicle, **{name: drawn_value(cfg, getattr(vehicle, name), draw) for name in names})
+
+
+def _thrust(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+    del cfg
+    return vehicle.with_scaled_maps(thrust=draw, torque=draw)
+
+
+def _torque(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+    del cfg
+    return vehicle.with_scaled_maps(torque=draw)
+
+
+def _axis(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+    axis = drawn_value(cfg, vehicle.rotor_axis, draw)
+    return replace(vehicle, rotor_axis=axis / axis.norm(dim=-1, keepdim=True))
+
+
+def _battery(column: int, vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+    columns = list(vehicle.battery.unbind(-1))
+    columns[column] = drawn_value(cfg, columns[column], draw)
+    return replace(vehicle, battery=torch.stack(columns, dim=-1))
+
+
+def _charge(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+    """Begin on the line from full to empty at a share c of the charge: ``E0' = E1 + c (E0 - E1)``, ``Q' = c Q``."""
+    del cfg
+    nominal, full, empty, resistance, capacity, efficiency = vehicle.battery.unbind(-1)
+    columns = (nominal, empty + draw * (full - empty), empty, resistance, draw * capacity, efficiency)
+    return replace(vehicle, battery=torch.stack(columns, dim=-1))
+
+
+def _plain(unit: str, width: Width, meaning: str, *fields: str) -> Quantity:
+    return Quantity(unit=unit, width=width, apply=partial(_field, fields), meaning=meaning)
+
+
+QUANTITIES: dict[str, Quantity] = {
+    "body.mass": Quantity(
+        unit="kg", width="one", apply=_mass, meaning="mass; the inertia grows with it (keep_inertia)"
+    ),
+    "body.com": _plain("m", "vector", "centre of mass from the body origin, body", "com"),
+    "body.inertia": Quantity(
+        unit="-",
+        width="vector",
+        apply=_inertia,
+        how=("scale",),
+        meaning="factors on the mass's second moments along the body axes: stays that of a body",
+    ),
+    "rotor.thrust_map": Quantity(
+        unit="-", width="rotor", apply=_thrust, how=("scale",), meaning="thrust and drag torque of a speed"
+    ),
+    "rotor.torque_map": Quantity(
+        unit="-", width="rotor", apply=_torque, how=("scale",), meaning="drag torque of a speed alone"
+    ),
+    "rotor.time_constant": _plain("s", "rotor", "lag, rising and falling", "time_constant_up", "time_constant_down"),
+    "rotor.time_constant_up": _plain("s", "rotor", "lag of a speed that grows", "time_constant_up"),
+    "rotor.time_constant_down": _plain("s", "rotor", "lag of a speed that falls", "time_constant_down"),
+    "rotor.slew_rate": _plain("rad/s² or N/s", "rotor", "largest rate of the rotor's state", "slew_rate"),
+    "rotor.dead_band": _plain("rad/s or N", "rotor", "commands that stop the rotor", "dead_band"),
+    "rotor.radius": _plain("m", "rotor", "radius of the propeller", "rotor_radius"),
+    "mounts.*.position": _plain("m", "rotor_vector", "hubs from the body origin, body", "rotor_position"),
+    "mounts.*.axis": Quantity(
+        unit="-", width="rotor_vector", apply=_axis, how=("offset",), meaning="directions of thrust, made unit length"
+    ),
+    **{
+        f"battery.{name}": Quantity(
+            unit="see BatteryCfg", width="one", apply=partial(_battery, column), meaning=f"{name} of the battery"
+        )
+        for column, name in enumerate(BATTERY)
+    },
+    "battery.charge": Quantity(
+        unit="-", width="one", apply=_charge, how=("value",), meaning="share of the charge with which an episode begins"
+    ),
+}
+"""Every quantity of the vehicle itself; those of effects, gains and sensors follow from what a robot has."""

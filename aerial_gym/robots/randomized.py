@@ -1,0 +1,260 @@
+"""What is drawn of a robot: named quantities, where their numbers stand, and the vehicle, parameters and gains that follow.
+
+Letters: E environments, R rotors, K drawn numbers, P parameters of an effect.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from math import inf, prod
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.randomize import Randomize, RandomizeCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics import EFFECTS, Vehicle
+from aerial_gym.physics.effects import Effect
+from aerial_gym.physics.vehicle import share_row
+from aerial_gym.robots.parameter_draws import Drawn
+from aerial_gym.robots.quantities import QUANTITIES, drawn_value
+
+GAINS = ("position", "velocity", "attitude", "rate")
+"""Gains of a controller, each (E, 3)."""
+
+_ONE_MOUNT = re.compile(r"mounts\.(\d+)\.(\w+)")
+
+
+def with_drawn_effects(robot: RobotCfg, cfg: Randomize) -> RobotCfg:
+    """Return the robot with the effects whose parameters are drawn and which it lacks, at their neutral parameters."""
+    effects = dict(robot.effects)
+    for name in cfg:
+        parts = name.split(".")
+        if len(parts) == 3 and parts[0] == "effects" and parts[1] in EFFECTS and parts[1] not in effects:
+            effect = EFFECTS.get(parts[1])
+            neutral = zip((p.name for p in effect.parameters), effect.neutral(robot), strict=True)
+            effects[parts[1]] = dict(neutral)
+    if len(effects) == len(robot.effects):
+        return robot
+    return replace(robot, effects=effects, effects_source=robot.effects_source or "randomize: neutral where not drawn")
+
+
+def known_quantities(robot: RobotCfg, *, gains: bool) -> list[str]:
+    """Return the names of everything that may be drawn of a robot; any effect may, though the robot file lacks it."""
+    names = [name for name in QUANTITIES if robot.battery is not None or not name.startswith("battery.")]
+    names += [f"mounts.{i + 1}.{what}" for i in range(robot.num_rotors) for what in ("position", "axis")]
+    names += [f"effects.{name}.{p.name}" for name in EFFECTS.names() for p in EFFECTS.get(name).parameters]
+    return names + ([f"gains.{name}" for name in GAINS] if gains else [])
+
+
+def check_names(cfg: Randomize, known: Sequence[str]) -> None:
+    """Raise ``ConfigError`` that names the nearest known quantity if one is unknown."""
+    for name in cfg:
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            raise ConfigError(f"randomize: no quantity {name!r}.{hint} docs/randomisation.md lists them")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Followed:
+    """What follows from draws."""
+
+    vehicle: Vehicle
+    """With the drawn quantities, before the effects."""
+
+    params: tuple[Tensor, ...]
+    """Parameters (E, P) of every effect."""
+
+    gains: dict[str, Tensor]
+    """Drawn gains by name, (E, 3)."""
+
+
+class Randomized:
+    """Layout of the draws of one robot; its methods are plain torch on rows."""
+
+    def __init__(
+        self,
+        cfg: Randomize,
+        robot: RobotCfg,
+        declared: Vehicle,
+        effects: Sequence[tuple[Effect, Tensor]],
+        gains: Mapping[str, Tensor],
+    ) -> None:
+        """Give every number a column.
+
+        Args:
+            cfg: What is drawn.
+            robot: With the effects of ``with_drawn_effects``.
+            declared: Its vehicle, shared by all environments.
+            effects: With their declared parameters.
+            gains: Declared gains by name, (E, 3); none where the controller has none.
+
+        Raises:
+            ConfigError: If a quantity is unknown, or a range leaves what is possible; the message says which.
+        """
+        check_names(cfg, known_quantities(robot, gains=bool(gains)))
+        self._num_rotors, self._declared = declared.num_rotors, declared
+        self._vehicle = {name: rows[0].tolist() for name, rows in declared.rows().items()}
+        self._effects = [effect for effect, _ in effects]
+        self._params = {effect.name: params[0].tolist() for effect, params in effects}
+        self._gains = {name: rows[0].tolist() for name, rows in gains.items()}
+        self.drawn: list[Drawn] = []
+        first = 0
+        for name, each in cfg.items():
+            shape = self._shape(name, each)
+            self.drawn.append(Drawn(name=name, cfg=each, shape=shape, columns=slice(first, first + prod(shape))))
+            first += prod(shape)
+            self._check(name, each)
+        self.width = first
+        """K."""
+
+    @property
+    def drawn_effects(self) -> list[int]:
+        """Numbers of the effects of which parameters are drawn."""
+        names = {each.name.split(".")[1] for each in self.drawn if each.name.startswith("effects.")}
+        return [i for i, effect in enumerate(self._effects) if effect.name in names]
+
+    @property
+    def drawn_gains(self) -> list[str]:
+        """Names of the gains that are drawn."""
+        return [each.name.split(".")[1] for each in self.drawn if each.name.startswith("gains.")]
+
+    def views(self, values: Tensor) -> dict[str, Tensor]:
+        """Return the draws by name, (E, ...), as views of the numbers (E, K)."""
+        return {each.name: values[:, each.columns].view(-1, *each.shape) for each in self.drawn}
+
+    def neutral(self, values: Tensor) -> None:
+        """Fill the numbers (E, K) with draws that leave everything as declared."""
+        for each in self.drawn:
+            how = each.cfg.how
+            value = torch.tensor(self._declared_of(each.name, each.cfg), device=values.device)
+            values[:, each.columns] = 1.0 if how == "scale" else 0.0 if how == "offset" else value.flatten()
+
+    def follow(self, values: Tensor, *params: Tensor, vehicle: Vehicle | None = None) -> Followed:
+        """Return what follows from draws (E, K) and the present parameters (E, P) of all effects.
+
+        Args:
+            values: Draws.
+            params: Parameters.
+            vehicle: As declared, with tensors on the device; if not given, it is made of plain numbers.
+        """
+        count = values.shape[0]
+
+        def rows(numbers: list[float]) -> Tensor:
+            return share_row(torch.tensor(numbers, dtype=values.dtype, device=values.device), count)
+
+        if vehicle is None:
+            vehicle = replace(self._declared, **{name: rows(numbers) for name, numbers in self._vehicle.items()})
+        columns = [list(each.unbind(-1)) for each in params]
+        gains: dict[str, Tensor] = {}
+        for each in self.drawn:
+            draw = values[:, each.columns].reshape(-1, *each.shape)
+            family, *rest = each.name.split(".")
+            if family == "effects":
+                at = [effect.name for effect in self._effects].index(rest[0])
+                k = [p.name for p in self._effects[at].parameters].index(rest[1])
+                declared = torch.full_like(columns[at][k], self._params[rest[0]][k])
+                columns[at][k] = drawn_value(each.cfg, declared, draw)
+            elif family == "gains":
+                gains[rest[0]] = drawn_value(each.cfg, rows(self._gains[rest[0]]), draw)
+            else:
+                vehicle = self._applied(vehicle, each, draw)
+        return Followed(vehicle=vehicle, params=tuple(torch.stack(each, dim=-1) for each in columns), gains=gains)
+
+    def _applied(self, vehicle: Vehicle, each: Drawn, draw: Tensor) -> Vehicle:
+        one = _ONE_MOUNT.fullmatch(each.name)
+        if one is None:
+            return QUANTITIES[each.name].apply(vehicle, each.cfg, draw.expand(-1, *self._full_shape(each.name)))
+        field = {"position": "rotor_position", "axis": "rotor_axis"}[one[2]]
+        everywhere = QUANTITIES[f"mounts.*.{one[2]}"].apply(
+            vehicle, each.cfg, draw.unsqueeze(1).expand(-1, self._num_rotors, 3)
+        )
+        chosen = torch.arange(1, self._num_rotors + 1, device=draw.device).view(1, -1, 1) == int(one[1])
+        return replace(vehicle, **{field: torch.where(chosen, getattr(everywhere, field), getattr(vehicle, field))})
+
+    def _full_shape(self, name: str) -> tuple[int, ...]:
+        """Return the shape of a quantity of the vehicle in one environment."""
+        width = QUANTITIES[name].width
+        return {"one": (), "vector": (3,), "rotor": (self._num_rotors,), "rotor_vector": (self._num_rotors, 3)}[width]
+
+    def _shape(self, name: str, cfg: RandomizeCfg) -> tuple[int, ...]:
+        """Return the shape of the draw of a quantity in one environment."""
+        if name not in QUANTITIES:
+            shape = () if name.startswith("effects.") else (3,)
+            if cfg.each_rotor:
+                raise ConfigError(f"randomize: {name}: each_rotor is for quantities of all rotors")
+            return shape
+        full, rotor = self._full_shape(name), QUANTITIES[name].width.startswith("rotor")
+        if cfg.how not in QUANTITIES[name].how:
+            raise ConfigError(f"randomize: {name}: how = {cfg.how!r} must be one of {', '.join(QUANTITIES[name].how)}")
+        if cfg.each_rotor and not rotor:
+            raise ConfigError(f"randomize: {name}: each_rotor is for quantities of all rotors")
+        return (1, *full[1:]) if rotor and not cfg.each_rotor else full
+
+    def _declared_of(self, name: str, cfg: RandomizeCfg) -> list[float] | float:
+        """Return what is declared of a quantity, in the shape of its draw."""
+        family, *rest = name.split(".")
+        if family == "effects":
+            effect = EFFECTS.get(rest[0])
+            return self._params[rest[0]][[p.name for p in effect.parameters].index(rest[1])]
+        if family == "gains":
+            return self._gains[rest[0]]
+        probe = self._probe(name, cfg)
+        return probe.tolist()
+
+    def _probe(self, name: str, cfg: RandomizeCfg) -> Tensor:
+        one = _ONE_MOUNT.fullmatch(name)
+        if one is not None:
+            field = {"position": "rotor_position", "axis": "rotor_axis"}[one[2]]
+            return torch.tensor(self._vehicle[field][int(one[1]) - 1])
+        fields = {
+            "body.mass": "mass", "body.com": "com", "mounts.*.position": "rotor_position", "mounts.*.axis": "rotor_axis",
+            "rotor.time_constant": "time_constant_up", "rotor.time_constant_up": "time_constant_up",
+            "rotor.time_constant_down": "time_constant_down", "rotor.slew_rate": "slew_rate",
+            "rotor.dead_band": "dead_band", "rotor.radius": "rotor_radius",
+        }  # fmt: skip
+        shape = self._shape(name, cfg)
+        if name == "battery.charge" or (name not in fields and not name.startswith("battery.")):
+            return torch.ones(shape)
+        if name.startswith("battery."):
+            from aerial_gym.robots.quantities import BATTERY
+
+            return torch.tensor(self._vehicle["battery"][BATTERY.index(name.split(".")[1])])
+        declared = torch.tensor(self._vehicle[fields[name]])
+        return declared[: shape[0]] if shape else declared
+
+    def _check(self, name: str, cfg: RandomizeCfg) -> None:
+        """Raise ``ConfigError`` if the range of a draw leaves what is possible."""
+        declared = torch.tensor(self._declared_of(name, cfg)).flatten().tolist()
+        try:
+            ends = cfg.components(len(declared))
+        except ConfigError as error:
+            raise ConfigError(f"randomize: {name}: {error}") from None
+        least, most = _limits(name)
+        for value, (low, high, _, _) in zip(declared, ends, strict=True):
+            reached = {"value": (low, high), "offset": (value + low, value + high)}.get(
+                cfg.how, tuple(sorted((value * low, value * high)))
+            )
+            if not (least <= reached[0] and reached[1] <= most):
+                raise ConfigError(
+                    f"randomize: {name} reaches {reached[0]:g} to {reached[1]:g}: must stay within [{least:g}, {most:g}]. "
+                    "Give low and high"
+                )
+
+
+def _limits(name: str) -> tuple[float, float]:
+    """Return the lowest and highest value of a quantity that is possible."""
+    family, *rest = name.split(".")
+    if family == "effects":
+        parameter = next(p for p in EFFECTS.get(rest[0]).parameters if p.name == rest[1])
+        return parameter.low, parameter.high
+    if name == "battery.charge":
+        return 1e-3, 1.0
+    if name in ("body.com",) or family == "mounts":
+        return -inf, inf
+    return (
+        (0.0, inf) if name in ("rotor.dead_band", "battery.internal_resistance") or family == "gains" else (1e-9, inf)
+    )
