@@ -71,11 +71,6 @@ class ShapeTable:
     def __len__(self) -> int:
         return len(self.shapes)
 
-    @property
-    def num_meshes(self) -> int:
-        """Number of distinct meshes on the device."""
-        return len(self._meshes)
-
     def _mesh(self, cfg: ShapeCfg) -> "_Mesh":
         key = (str(cfg.path), cfg.scale)
         if key not in self._meshes:

@@ -14,7 +14,7 @@ class TrainCmd:
     """Train a policy with rl-games or Sample Factory."""
 
     task: str = "position_setpoint_task"
-    """Registered task."""
+    """Registered task, a task file (.yaml), or module:Name of a TaskCfg or a Task of your own."""
 
     trainer: str = "rl_games"
     """rl_games or sample_factory."""
@@ -71,7 +71,7 @@ class TrainCmd:
             cfg = RunFolder(self.out).config()
             self._refuse_changes()
         else:
-            cfg = replace(load_settings(self.config or settings_for(self.trainer, self.task)), task=self.task)
+            cfg = replace(load_settings(self.config or settings_for(self.trainer, self.task)), task=self._task())
         names = ("num_envs", "device", "seed", "robot", "controller", "backend", "max_time_s", "max_env_steps")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         result = train(replace(cfg, **given), self.out, resume=self.resume, watch=self.watch)
@@ -92,6 +92,10 @@ class TrainCmd:
             again = f"train --out {self.out} --resume" if result.interrupted else f"evaluate --policy {self.out}"
             console.print(f"next: aerial-gym {again}")
         return 1 if result.interrupted else 0
+
+    def _task(self) -> str:
+        """Return the task by a name that holds in every folder."""
+        return str(Path(self.task).resolve()) if self.task.endswith((".yaml", ".yml")) else self.task
 
     def _refuse_changes(self) -> None:
         for name in ("config", "num_envs", "seed", "robot", "controller", "backend"):

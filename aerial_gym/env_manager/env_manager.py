@@ -287,11 +287,6 @@ class EnvManager:
         if self.cfg.num_assets:
             self._collision.measure()
 
-    def post_reward_calculation_step(self) -> None:
-        """Reset the crashed and truncated environments, then read the sensors: images belong to the new episodes."""
-        self.reset(self.gtd["crashes"] | self.gtd["truncations"])
-        self.render()
-
     def draws(self) -> dict[str, Tensor]:
         """Return what the present episodes have drawn, by the names of quantities, (E, ...): factors, offsets or values."""
         return self.robot_manager.draws() | self.sensor_manager.draws()

@@ -117,28 +117,3 @@ def quat_yaw(q: Tensor) -> Tensor:
     half = 0.5 * torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     zero = torch.zeros_like(half)
     return torch.stack((zero, zero, torch.sin(half), torch.cos(half)), dim=-1)
-
-
-def quat_from_matrix(matrix: Tensor) -> Tensor:
-    """Return the quaternion of a rotation matrix, (..., 4), with the sign for which w >= 0.
-
-    Of the four ways to divide, the one with the largest divisor is taken. Source: Diebel (2006), eq. 145.
-    """
-    m = matrix
-    trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
-    diagonal = torch.stack((m[..., 0, 0], m[..., 1, 1], m[..., 2, 2], trace), dim=-1)
-    a, b, c = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
-    xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
-    square = 1.0 + 2.0 * diagonal - trace.unsqueeze(-1)  # 4 x^2, 4 y^2, 4 z^2, 4 w^2
-    candidates = torch.stack(
-        (
-            torch.stack((square[..., 0], xy, xz, a), dim=-1),
-            torch.stack((xy, square[..., 1], yz, b), dim=-1),
-            torch.stack((xz, yz, square[..., 2], c), dim=-1),
-            torch.stack((a, b, c, square[..., 3]), dim=-1),
-        ),
-        dim=-2,
-    )
-    best = square.argmax(dim=-1)[..., None, None].expand(*square.shape[:-1], 1, 4)
-    q = quat_normalize(candidates.gather(-2, best).squeeze(-2))
-    return torch.where(q[..., 3:] < 0.0, -q, q)

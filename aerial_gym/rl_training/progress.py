@@ -1,4 +1,4 @@
-"""Progress of a training: one bar on stderr, the learning curve, and the decision to end.
+"""Progress of a training: a bar on stderr, or lines where stderr is no terminal; the learning curve, and the decision to end.
 
 Both trainers call ``Progress.update`` after each of their updates. Time counts from the start of the command.
 """
@@ -20,6 +20,9 @@ from aerial_gym.rl_training.settings import TrainingCfg
 
 CURVE_COLUMNS = ("time_s", "env_steps", "reward_per_step", "episode_return", "episode_length", "env_steps_per_s")
 """Columns of ``curve.csv``: time [s] in all sessions, steps in all sessions, means over the episodes that ended since."""
+
+LINE_INTERVAL_S = 10.0
+"""Least time between two lines on a stderr that is no terminal [s]."""
 
 REPORT_INTERVAL_S = 1.0
 """Least time between two lines of the learning curve [s]."""
@@ -68,11 +71,13 @@ class Progress:
             BarColumn(),
             TextColumn(shown),
             console=Console(file=sys.stderr),
-            disable=not show,
+            disable=not show or not sys.stderr.isatty(),
             redirect_stdout=False,
             redirect_stderr=False,
             refresh_per_second=2,
         )
+        self._lines = sys.stderr if show and not sys.stderr.isatty() else None
+        self._last_shown = -LINE_INTERVAL_S
         self._task = self._bar.add_task("", total=1.0, name=cfg.trainer, reward="-", rate="-", left="-")
 
     def elapsed_s(self) -> float:
@@ -96,14 +101,14 @@ class Progress:
         return share >= 1.0
 
     def _show(self, report: Report, share: float, now: float) -> None:
-        left = self._time_left(report, now)
-        self._bar.update(
-            self._task,
-            completed=min(share, 1.0),
-            reward="-" if report.episode_return is None else f"{report.episode_return:.0f}",
-            rate=f"{self.steps_per_s:,.0f}",
-            left=f"{int(left) // 60}:{int(left) % 60:02d}",
-        )
+        seconds = self._time_left(report, now)
+        reward = "-" if report.episode_return is None else f"{report.episode_return:.0f}"
+        rate, left = f"{self.steps_per_s:,.0f}", f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
+        self._bar.update(self._task, completed=min(share, 1.0), reward=reward, rate=rate, left=left)
+        if self._lines is not None and (now - self._last_shown >= LINE_INTERVAL_S or share >= 1.0):
+            self._last_shown = now
+            done = f"{self._cfg.trainer} {min(share, 1.0):4.0%}  {report.env_steps:,} steps  return {reward}"
+            print(f"{done}  {rate} steps/s  {left} left", file=self._lines, flush=True)
 
     def _time_left(self, report: Report, now: float) -> float:
         times = []

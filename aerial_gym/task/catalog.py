@@ -1,12 +1,15 @@
 """Every task that comes with the package, and the registry that builds them."""
 
+import os
+import sys
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from aerial_gym.config import CONFIG_DIR, load
 from aerial_gym.config.task import CurriculumCfg, TaskCfg
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.registry import Registry
 
 if TYPE_CHECKING:
@@ -27,6 +30,8 @@ class TaskRegistry(Registry[TaskCfg]):
         seed: int = 0,
         robot: str | None = None,
         controller: str | None = None,
+        sim: str | None = None,
+        env: str | None = None,
         level: int | None = None,
         capture: bool | None = None,
         first_env: int = 0,
@@ -36,12 +41,15 @@ class TaskRegistry(Registry[TaskCfg]):
         """Return a task, built and not yet reset.
 
         Args:
-            name: Registered task.
+            name: Registered task, a task file (``.yaml``), or ``module:Name`` of a ``TaskCfg`` or of a ``Task`` class that
+                has one as ``cfg``.
             num_envs: Number of environments; the task's own default if not given.
             device: Torch device; ``auto`` takes the GPU if there is one.
             seed: Seed of every random number of this task.
             robot: Registered robot, or a robot file, in place of the task's own.
             controller: Registered controller in place of the task's own.
+            sim: Registered sim in place of the task's own.
+            env: Registered environment, or an environment file, in place of the task's own.
             level: Level at which the curriculum stays, in place of one that changes; within its limits.
             capture: Whether to hold the step in a CUDA graph; if not given, on CUDA devices.
             first_env: Number of the first environment: with ``num_envs=1`` that one alone, as it is in any larger batch. Where
@@ -57,11 +65,11 @@ class TaskRegistry(Registry[TaskCfg]):
         from aerial_gym.task.task import Task
 
         cfg = self.get(name)
-        changes = {"num_envs": num_envs, "robot": robot, "controller": controller}
+        changes = {"num_envs": num_envs, "robot": robot, "controller": controller, "sim": sim, "env": env}
         cfg = replace(cfg, **{key: value for key, value in changes.items() if value is not None})
         if level is not None:
             cfg = replace(cfg, curriculum=_held(cfg, name, level))
-        env = SimBuilder().build_env(
+        built = SimBuilder().build_env(
             sim_name=cfg.sim,
             env_name=cfg.env,
             robot_name=cfg.robot,
@@ -74,7 +82,42 @@ class TaskRegistry(Registry[TaskCfg]):
             backend=backend,
             randomize=cfg.randomize,
         )
-        return Task(cfg, env, capture=capture)
+        make = imported(name) if ":" in name else None
+        return (make if isinstance(make, type) else Task)(cfg, built, capture=capture)
+
+    def get(self, name: str) -> TaskCfg:
+        """Return the configuration of a task: a registered one, that of a file, or that of ``module:Name``.
+
+        Raises:
+            UnknownNameError: If there is none.
+            ConfigError: If the file or what the module holds is no task.
+        """
+        if name.endswith((".yaml", ".yml")):
+            return load(TaskCfg, name)
+        if ":" not in name:
+            return super().get(name)
+        found = imported(name)
+        cfg = getattr(found, "cfg", None) if isinstance(found, type) else found
+        if not isinstance(cfg, TaskCfg):
+            raise ConfigError(f"task {name!r}: must be a TaskCfg, or a subclass of Task that has one as its cfg")
+        return cfg
+
+
+def imported(name: str) -> object:
+    """Return what ``module:Name`` names; the module may stand in the current folder.
+
+    Raises:
+        UnknownNameError: If there is no such module, or nothing of that name in it.
+    """
+    module, _, attribute = name.partition(":")
+    here = os.getcwd()
+    sys.path.append(here)
+    try:
+        return getattr(import_module(module), attribute)
+    except (ModuleNotFoundError, AttributeError) as error:
+        raise UnknownNameError(f"task {name!r}: {error}. Give it as module:Name") from None
+    finally:
+        sys.path.remove(here)
 
 
 def _held(cfg: TaskCfg, name: str, level: int) -> CurriculumCfg:

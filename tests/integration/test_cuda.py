@@ -37,12 +37,14 @@ def obstacle_env(num_envs: int = 64):
 def test_step_render_and_masked_reset_wait_for_nothing() -> None:
     env, actions = obstacle_env(), torch.zeros(64, 4, device="cuda:0")
     env.step(actions)
-    env.post_reward_calculation_step()
+    env.reset(env.gtd["crashes"] | env.gtd["truncations"])
+    env.render()
     torch.cuda.synchronize()
     torch.cuda.set_sync_debug_mode("error")
     try:
         env.step(actions)
-        env.post_reward_calculation_step()
+        env.reset(env.gtd["crashes"] | env.gtd["truncations"])
+        env.render()
     finally:
         torch.cuda.set_sync_debug_mode("default")
 

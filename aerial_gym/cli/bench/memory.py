@@ -18,7 +18,7 @@ class MemoryBench:
     """Registered environment."""
 
     robot: str = "base_quadrotor_with_camera"
-    """Registered robot, with its sensors."""
+    """Registered robot, or a robot file, with its sensors."""
 
     num_envs: int = 1024
     """Environments side by side."""

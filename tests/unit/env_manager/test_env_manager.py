@@ -142,7 +142,7 @@ def test_flying_into_a_wall_is_a_crash_and_clearance_tells_how_far() -> None:
         env.step(torch.tensor([2.0, 0.0, 0.0, 0.0]).expand(8, 4))
         assert torch.equal(env.gtd["crashes"] | (env.gtd["robot_clearance"] >= 0), torch.ones(8, dtype=torch.bool))
         crashed |= env.gtd["crashes"]
-        env.post_reward_calculation_step()
+        env.reset(env.gtd["crashes"])
     assert crashed.all()
 
 
