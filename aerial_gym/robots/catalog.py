@@ -3,9 +3,10 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from math import pi
 
 from aerial_gym.config import CONFIG_DIR, summary_in
-from aerial_gym.config.robot import RobotCfg, load_robot
+from aerial_gym.config.robot import CapsuleCfg, RobotCfg, load_robot
 from aerial_gym.registry import Registry
 
 ROBOTS: Registry[RobotCfg] = Registry("robot")
@@ -24,6 +25,17 @@ def _variant(summary: str, change: Callable[[RobotCfg], RobotCfg], *, of: str = 
 
 def _carrying(*sensors: str) -> Callable[[RobotCfg], RobotCfg]:
     return partial(replace, sensors=sensors)
+
+
+def _on_skids(robot: RobotCfg) -> RobotCfg:
+    """Two skids under the collision sphere of base_quadrotor, so that it does not roll where it lands."""
+    skids = tuple(
+        CapsuleCfg(center=(0.0, y, -0.19), radius=0.01, height=0.2, euler=(0.0, 0.5 * pi, 0.0)) for y in (0.1, -0.1)
+    )
+    source = "Chosen: two rods of 20 mm, 0.2 m long and apart, whose soles are 16 mm below the sphere"
+    return replace(
+        robot, collision=replace(robot.collision, capsules=skids, source=f"{robot.collision.source}. {source}")
+    )
 
 
 def _as_arpl_declares(robot: RobotCfg) -> RobotCfg:
@@ -83,6 +95,12 @@ for _name, _of, _change, _summary in (
         "base_quadrotor",
         _carrying("base_normal_face_id_camera"),
         "base_quadrotor with a camera of surface normals and face ids",
+    ),
+    (
+        "base_quadrotor_on_skids",
+        "base_quadrotor",
+        _on_skids,
+        "base_quadrotor with two skids, on which it stands where it lands",
     ),
     (
         "crazyflie_2x_arpl",

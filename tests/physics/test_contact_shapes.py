@@ -1,0 +1,189 @@
+"""Boxes and capsules on the ground: they rest, tip, roll and slide as closed forms say, in both backends, and as in MuJoCo."""
+
+from collections.abc import Iterator
+from math import atan2, cos, sin
+
+import pytest
+import torch
+
+from aerial_gym.assets.body_shapes import contact_points
+from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape
+from aerial_gym.interop.threads import one_thread
+from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_rotate
+from aerial_gym.physics import TorchBackend, WarpBackend
+from tests.physics.contact_rig import CPU, GRAVITY, INERTIA, MASS, OnGround, start
+from tests.physics.vehicles import F64
+
+F32 = torch.float32
+BOTH = [(TorchBackend, F64), (WarpBackend, F32)]
+ROUGH = ContactCfg(friction=0.5)
+CRATE = BoxCfg(size=(0.1, 0.3, 0.24))
+LOG = CapsuleCfg(radius=0.04, height=0.3, euler=(0.0, 1.5707963267948966, 0.0))
+"""Its long axis is the body's x."""
+
+
+@pytest.fixture(autouse=True)
+def alone() -> Iterator[None]:
+    """Batches are small: threads would only wait for each other."""
+    with one_thread():
+        yield
+
+
+def points_of(*shapes: CollisionShape) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(row) for row in contact_points(shapes, device=CPU).tolist())
+
+
+@pytest.mark.parametrize(("backend", "dtype"), BOTH)
+def test_a_box_at_rest_keeps_place_and_attitude(backend, dtype: torch.dtype) -> None:
+    """Set down turned by 0.7 rad, it sinks by ``sinking / 4`` on four corners, and neither creeps nor turns in 3 s."""
+    attitude = quat_from_euler(torch.tensor([0.0, 0.0, 0.7], dtype=dtype))
+    rig = OnGround(backend(), ROUGH, start(height=0.12, dtype=dtype, attitude=attitude), spheres=points_of(CRATE))
+    rig.run(0.5, 0.01)
+    before = rig.state.position.clone(), rig.state.attitude.clone()
+    rig.run(3.0, 0.01)
+    assert rig.state.position[0, 2].item() == pytest.approx(0.12 - 0.25e-3, abs=2e-6)
+    torch.testing.assert_close(rig.state.position, before[0], rtol=0.0, atol=1e-6)
+    torch.testing.assert_close(rig.state.attitude, before[1], rtol=0.0, atol=2e-6)
+
+
+@pytest.mark.parametrize(("backend", "dtype"), BOTH)
+def test_a_box_tips_when_its_centre_of_mass_passes_the_edge(backend, dtype: torch.dtype) -> None:
+    """It leans over the edge at half width 0.05 m, 0.12 m below its centre, and falls back up to atan(0.05 / 0.12).
+
+    Two degrees on either side, forward and backward; the edge gives way by a millimetre, which is 0.5 degrees.
+    """
+    edge = atan2(0.05, 0.12)
+    lean = torch.tensor([edge - 0.035, edge + 0.035, -edge + 0.035, -edge - 0.035], dtype=dtype)
+    euler = torch.stack((torch.zeros_like(lean), lean, torch.zeros_like(lean)), dim=-1)
+    attitude = quat_from_euler(euler)
+    corner = torch.tensor([0.05, 0.0, -0.12], dtype=dtype) * torch.stack((lean.sign(), lean * 0 + 1, lean * 0 + 1), -1)
+    height = -quat_rotate(attitude, corner)[:, 2]
+    friction = ContactCfg(friction=5.0)
+    rig = OnGround(
+        backend(), friction, start(4, height=height, dtype=dtype, attitude=attitude), spheres=points_of(CRATE)
+    )
+    rig.run(2.0, 0.002)
+    up = quat_rotate(rig.state.attitude, torch.tensor([0.0, 0.0, 1.0], dtype=dtype).expand(4, 3))
+    assert (up[[0, 2], 2] > 0.999).all()  # upright again
+    assert (up[[1, 3], 2].abs() < 0.05).all()  # on its side
+    assert up[1, 0] > 0.99  # a positive pitch leans to +x
+    assert up[3, 0] < -0.99
+
+
+@pytest.mark.parametrize(("backend", "dtype"), BOTH)
+def test_a_capsule_rolls_about_its_long_axis_and_slides_along_it(backend, dtype: torch.dtype) -> None:
+    """Pushed across, it ends up rolling at ``v / (1 + I / (m r²))``; pushed along, it stops after ``v² / (2 mu g)``."""
+    v, r = 0.8, LOG.radius
+    push = torch.tensor([[0.0, v, 0.0], [v, 0.0, 0.0]], dtype=dtype)
+    rig = OnGround(backend(), ROUGH, start(2, height=r - 0.5e-3, dtype=dtype, lin_vel=push), spheres=points_of(LOG))
+    rig.run(2.0, 0.002)
+    rolling = v / (1.0 + INERTIA[0] / (MASS * r * r))
+    assert rig.state.lin_vel[0, 1].item() == pytest.approx(rolling, rel=5e-3)
+    assert rig.state.ang_vel[0, 0].item() == pytest.approx(-rolling / r, rel=2e-2)  # +y with the ground below: about -x
+    assert rig.state.position[1, 0].item() == pytest.approx(v * v / (2.0 * 0.5 * GRAVITY), rel=2e-2)
+    assert rig.state.lin_vel[1].abs().max() < 1e-4
+    assert rig.state.ang_vel[1].abs().max() < 1e-3
+
+
+def test_a_box_slides_down_to_rest_in_the_stopping_distance() -> None:
+    """A low plate at 1.2 m/s stops after ``v² / (2 mu g)`` with its attitude kept: it neither rolls nor turns."""
+    plate = points_of(BoxCfg(size=(0.4, 0.4, 0.04)))
+    state = start(height=0.02 - 0.25e-3, dtype=F32, lin_vel=(1.2, 0.0, 0.0))
+    rig = OnGround(WarpBackend(), ROUGH, state, spheres=plate)
+    rig.run(2.0, 0.002)
+    assert rig.state.position[0, 0].item() == pytest.approx(1.2**2 / (2.0 * 0.5 * GRAVITY), rel=2e-2)
+    assert rig.state.ang_vel.abs().max() < 1e-4
+    torch.testing.assert_close(euler_from_quat(rig.state.attitude), torch.zeros(1, 3), rtol=0.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.5])
+def test_a_flat_landing_takes_its_friction_of_the_impact(speed: float) -> None:
+    """Falling h it meets the ground at ``v_z = sqrt(2 g h)`` and loses ``mu v_z`` of its speed at once, then slides to rest.
+
+    Without a bounce the path is ``v sqrt(2 h / g) + (v - mu v_z)² / (2 mu g)``; the impact lasts about sqrt(sinking / g) =
+    10 ms with the speed between those before and after it, which displaces the end by at most ``mu v_z`` times that.
+    """
+    h, mu = 0.03, 0.5
+    state = start(height=0.02 + h, dtype=F32, lin_vel=(speed, 0.0, 0.0))
+    rig = OnGround(WarpBackend(), ROUGH, state, spheres=points_of(BoxCfg(size=(0.4, 0.4, 0.04))))
+    rig.run(1.5, 0.001)
+    impact = (2.0 * GRAVITY * h) ** 0.5
+    expected = speed * (2.0 * h / GRAVITY) ** 0.5 + (speed - mu * impact) ** 2 / (2.0 * mu * GRAVITY)
+    assert rig.state.position[0, 0].item() == pytest.approx(expected, abs=0.01 * mu * impact)
+    torch.testing.assert_close(euler_from_quat(rig.state.attitude), torch.zeros(1, 3), rtol=0.0, atol=1e-4)
+
+
+def test_one_step_of_a_box_is_that_of_torch() -> None:
+    """Fused kernel against float64: 64 tilted boxes that land with speed and spin, one step of 10 ms.
+
+    Tolerances are those of ``tests/cross/test_contact.py``: float32 with the penalty, one on the edge of a branch left out.
+    """
+    g = torch.Generator().manual_seed(3)
+    euler = 0.3 * torch.randn(64, 3, dtype=F64, generator=g)
+    v, w = (0.4 * torch.randn(64, 3, dtype=F64, generator=g) for _ in range(2))
+    height = 0.13 + 0.02 * torch.randn(64, dtype=F64, generator=g)
+    found = []
+    for backend, dtype in BOTH:
+        state = start(64, height=height, dtype=dtype, attitude=quat_from_euler(euler), lin_vel=v, ang_vel=w)
+        rig = OnGround(backend(), ROUGH, state, spheres=points_of(CRATE))
+        rig.run(0.01, 0.01)
+        found.append((torch.cat(rig.state.tensors(), -1).double(), rig.impulse.double(), rig.crashes))
+    truth, fused = found
+    assert 16 < truth[2].sum() < 64
+    assert fused[2].tolist() == truth[2].tolist()
+    assert (fused[0] - truth[0]).abs().amax(dim=1).sort().values[:-1].max() < 2e-4
+    assert (fused[1] - truth[1]).abs().amax(dim=1).sort().values[:-1].max() < 1e-4
+
+
+MUJOCO_CASES = {
+    "chest": (
+        BoxCfg(size=(0.3, 0.3, 0.1)), '<geom type="box" size="0.15 0.15 0.05" mass="0"/>', (0.6, 0.25, 0.0), 0.05,
+    ),
+    "log": (LOG, '<geom type="capsule" size="0.04 0.15" euler="0 90 0" mass="0"/>', (0.3, 0.6, 0.0), 0.04),
+    "dropped": (
+        BoxCfg(size=(0.4, 0.4, 0.04)), '<geom type="box" size="0.2 0.2 0.02" mass="0"/>', (1.5, 0.0, 0.0), 0.05,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MUJOCO_CASES)
+def test_sliding_rolling_and_landing_agree_with_mujoco(case: str) -> None:
+    """Where and how a pushed chest, a pushed log and a dropped plate are after 0.6 s; compliances as in tests/cross.
+
+    None of them tips: how far a box rocks on its edge depends on the compliance of either engine (``CRATE``, whose edge is
+    within the friction cone, goes 24 to 30 mm for ``sinking`` of 4 to 0.25 mm here, 33 to 36 mm there).
+    """
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[dev]'")
+    shape, geom, velocity, height = MUJOCO_CASES[case]
+    model = mujoco.MjModel.from_xml_string(f"""
+      <mujoco><compiler angle="degree"/>
+      <option timestep="2e-4" gravity="0 0 {-GRAVITY}" cone="elliptic" impratio="50"/>
+      <default><geom friction="0.5 0 0" condim="3" solref="0.01 1" solimp="0.99 0.99 0.001"/></default>
+      <worldbody><geom type="plane" size="9 9 1"/><body pos="0 0 {height}"><freejoint/>
+        <inertial pos="0 0 0" mass="{MASS}" diaginertia="{" ".join(map(str, INERTIA))}"/>{geom}
+      </body></worldbody></mujoco>""")
+    data = mujoco.MjData(model)
+    data.qvel[:3] = velocity
+    for _ in range(3000):
+        mujoco.mj_step(model, data)
+    state = start(height=height, dtype=F32, lin_vel=velocity)
+    rig = OnGround(WarpBackend(), ROUGH, state, spheres=points_of(shape))
+    rig.run(0.6, 0.002)
+    theirs = torch.tensor(data.qpos[:3])
+    assert (rig.state.position[0].double() - theirs)[:2].norm() < 0.02 * theirs[:2].norm()
+    assert abs(rig.state.position[0, 2].item() - theirs[2].item()) < 2e-3
+    torch.testing.assert_close(rig.state.lin_vel[0].double(), torch.tensor(data.qvel[:3]), rtol=0.0, atol=0.03)
+    torch.testing.assert_close(rig.state.ang_vel[0].double(), torch.tensor(data.qvel[3:]), rtol=0.05, atol=0.05)
+
+
+def test_the_tilted_fall_of_a_plate_begins_as_the_closed_form() -> None:
+    """Touching with its lowest edge, frictionless: the impact gives the plate spin towards lying flat, whatever its yaw."""
+    for yaw in (0.0, 1.0):
+        attitude = quat_from_euler(torch.tensor([0.2, 0.0, yaw]))
+        lowest = 0.2 * sin(0.2) + 0.02 * cos(0.2)
+        state = start(height=lowest + 0.001, dtype=F32, attitude=attitude, lin_vel=(0.0, 0.0, -0.5))
+        rig = OnGround(WarpBackend(), ContactCfg(friction=0.0), state, spheres=points_of(BoxCfg(size=(0.4, 0.4, 0.04))))
+        rig.run(0.02, 0.001)
+        assert rig.state.ang_vel[0, 0] < -0.5
+        assert rig.state.ang_vel[0, 1:].abs().max() < 1e-3
