@@ -27,7 +27,7 @@ from aerial_gym.math.random import Randomness
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.law_memory import LawMemory, LawNeeds, fresh_law_memory
 from aerial_gym.physics.state import BodyState
-from aerial_gym.physics.vehicle import Vehicle, share_row
+from aerial_gym.physics.vehicle import Vehicle, own_rows, share_row
 
 INTEGRAL_SHARE = 0.5
 """Of the torque at hover that the integral may take if nothing else is said: the other half stays for manoeuvres."""
@@ -226,10 +226,10 @@ class CascadeController:
 
     def own_gains(self) -> None:
         """Give each environment rows (E, 3) of its own, to be written in place; call it before ``fused``."""
-        own = {name: getattr(self.gains, name).clone() for name in ("position", "velocity", "attitude", "rate")}
+        own = {name: own_rows(getattr(self.gains, name)) for name in ("position", "velocity", "attitude", "rate")}
         self.gains = replace(self.gains, **own)
         if self.rate_gains is not None:
-            rows = {name: rows.clone() for name, rows in vars(self.rate_gains).items() if isinstance(rows, Tensor)}
+            rows = {name: own_rows(rows) for name, rows in vars(self.rate_gains).items() if isinstance(rows, Tensor)}
             self.rate_gains = replace(self.rate_gains, **rows)
 
     def fused(self) -> FusedLaw | None:

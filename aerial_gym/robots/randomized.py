@@ -17,7 +17,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS, Vehicle
 from aerial_gym.physics.effects import Effect
-from aerial_gym.physics.vehicle import share_row
+from aerial_gym.physics.vehicle import own_rows, share_row
 from aerial_gym.robots.parameter_draws import Drawn
 from aerial_gym.robots.quantities import QUANTITIES, drawn_value
 
@@ -101,6 +101,7 @@ class Randomized:
         self._effects = [effect for effect, _ in effects]
         self._params = {effect.name: params[0].tolist() for effect, params in effects}
         self._gains = {name: rows[0].tolist() for name, rows in gains.items()}
+        self._gain_rows = {name: own_rows(rows[:1])[0] for name, rows in gains.items()}
         self.drawn: list[Drawn] = []
         first = 0
         for name, each in cfg.items():
@@ -146,6 +147,7 @@ class Randomized:
         def rows(numbers: list[float]) -> Tensor:
             return share_row(torch.tensor(numbers, dtype=values.dtype, device=values.device), count)
 
+        bare = vehicle is None
         if vehicle is None:
             vehicle = replace(self._declared, **{name: rows(numbers) for name, numbers in self._vehicle.items()})
         columns = [list(each.unbind(-1)) for each in params]
@@ -159,7 +161,8 @@ class Randomized:
                 declared = torch.full_like(columns[at][k], self._params[rest[0]][k])
                 columns[at][k] = drawn_value(each.cfg, declared, draw)
             elif family == "gains":
-                gains[rest[0]] = drawn_value(each.cfg, rows(self._gains[rest[0]]), draw)
+                declared = rows(self._gains[rest[0]]) if bare else share_row(self._gain_rows[rest[0]], count)
+                gains[rest[0]] = drawn_value(each.cfg, declared, draw)
             else:
                 vehicle = self._applied(vehicle, each, draw)
         return Followed(vehicle=vehicle, params=tuple(torch.stack(each, dim=-1) for each in columns), gains=gains)

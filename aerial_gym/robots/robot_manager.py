@@ -4,6 +4,7 @@ Letters: E environments, R rotors, P parameters of an effect, U entries of an ac
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf
 
 import torch
@@ -17,7 +18,7 @@ from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
-from aerial_gym.control import Controller, LeeController, make_controller
+from aerial_gym.control import Controller, make_controller
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.interop.rows import MaskedRows
 from aerial_gym.math.random import Randomness
@@ -239,8 +240,8 @@ class RobotManager:
         gains = getattr(self.controller, "gains", None)
         declared = {} if gains is None else {name: getattr(gains, name) for name in GAINS}
         randomized = Randomized(cfg, self.cfg, self.declared, self._effects, declared)
-        if randomized.drawn_gains and isinstance(self.controller, LeeController):
-            self.controller.own_gains()
+        if randomized.drawn_gains:
+            self.controller.own_gains()  # pyright: ignore[reportAttributeAccessIssue] - whoever has gains has it
         names = ", ".join(f"{each.name} ({each.cfg.how})" for each in randomized.drawn)
         self._values = self._gtd.declare(TensorSpec(
             key="drawn_parameters", shape=("E", randomized.width), unit="see draws()", frame="-", owner="robot",
@@ -322,8 +323,8 @@ class RobotManager:
         if self._randomized is None:
             return None
 
-        def rows(*sources: Tensor) -> tuple[Tensor, ...]:
-            model, followed = self._model_of(*sources)
+        def rows(*sources: Tensor, declared: Vehicle | None = None) -> tuple[Tensor, ...]:
+            model, followed = self._model_of(*sources, declared=declared)
             shown = (getattr(model.vehicle, name) for name in own)
             follows = (rows.to(dtype) for rows, dtype in zip(self._rows(followed), types, strict=True))
             return (*shown, *follows, *self.backend.parameter_rows(model))
@@ -332,7 +333,7 @@ class RobotManager:
         shown = {"mass": self._mass, "inertia": self._inertia, "com": self._com}
         own = [name for name in shown if not is_shared(getattr(self.model.vehicle, name))]
         targets = (*(shown[name] for name in own), *self._targets(), *self.backend.parameter_targets())
-        return MaskedRows(rows, self._sources(), targets)
+        return MaskedRows(rows, self._sources(), targets, plain=partial(rows, declared=self.declared))
 
     def refresh_model(self) -> None:
         """Take changed parameters of effects (``gtd["effect_..."]``) into the physics."""

@@ -19,7 +19,12 @@ class MaskedRows:
     """
 
     def __init__(
-        self, function: Callable[..., tuple[Tensor, ...]], sources: Sequence[Tensor], targets: Sequence[Tensor]
+        self,
+        function: Callable[..., tuple[Tensor, ...]],
+        sources: Sequence[Tensor],
+        targets: Sequence[Tensor],
+        *,
+        plain: Callable[..., tuple[Tensor, ...]] | None = None,
     ) -> None:
         """Take fixed tensors.
 
@@ -27,8 +32,9 @@ class MaskedRows:
             function: Pure torch on rows.
             sources: What it takes, (E, ...).
             targets: Where what it returns is written, (E, ...).
+            plain: The same function, called where the other cannot be traced; it may read tensors from elsewhere.
         """
-        self._function, self._sources, self._targets = function, list(sources), list(targets)
+        self._function, self._sources, self._targets = plain or function, list(sources), list(targets)
         self._mask = torch.zeros(targets[0].shape[0], dtype=torch.bool, device=targets[0].device)
         self._rows: RowFunction | None = None
         self.why_slow = ""

@@ -1,0 +1,52 @@
+"""A step makes no tensor from Python's numbers: on a GPU that is a copy from the host, which no CUDA graph can hold."""
+
+from dataclasses import replace
+from typing import NoReturn
+
+import pytest
+import torch
+
+from aerial_gym import SimBuilder, task_registry
+from aerial_gym.config.randomize import RandomizeCfg
+from aerial_gym.task import Task
+
+RANDOMIZE = {
+    "body.mass": RandomizeCfg(low=0.8, high=1.2),
+    "body.inertia": RandomizeCfg(low=0.9, high=1.1),
+    "rotor.thrust_map": RandomizeCfg(each_rotor=True, distribution="normal", mean=1.0, std=0.03, low=0.9, high=1.1),
+    "effects.rotor_drag.dx": RandomizeCfg(how="value", low=0.0, high=0.2),
+    "gains.velocity": RandomizeCfg(low=0.9, high=1.1),
+}
+
+
+@pytest.mark.parametrize("randomize", [{}, RANDOMIZE], ids=["equal", "randomised"])
+@pytest.mark.parametrize("name", task_registry.names())
+def test_a_step_makes_no_tensor_of_numbers(name: str, randomize: dict, monkeypatch: pytest.MonkeyPatch) -> None:
+    cfg = replace(task_registry.get(name), num_envs=4)
+    controller = "lee_velocity_control" if randomize else cfg.controller
+    env = SimBuilder().build_env(
+        sim_name=cfg.sim,
+        env_name=cfg.env,
+        robot_name=cfg.robot,
+        controller_name=controller,
+        num_envs=4,
+        device="cpu",
+        randomize=randomize,
+    )
+    task = Task(replace(cfg, controller=controller), env)
+    task.reset()
+    actions = torch.zeros(4, task.action_space.shape[0])
+    task.step(actions)
+
+    def refused(*args: object, **options: object) -> NoReturn:
+        raise AssertionError("a step copies numbers from the host")
+
+    for owner, names in (
+        (torch, ("tensor", "as_tensor", "from_numpy", "asarray")),
+        (torch.Tensor, ("new_tensor", "item")),
+    ):
+        for each in names:
+            monkeypatch.setattr(owner, each, refused)
+    for _ in range(2):
+        task.env.gtd["sim_steps"].fill_(cfg.episode_len_steps)
+        task.step(actions)
