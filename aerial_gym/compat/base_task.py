@@ -3,12 +3,15 @@
 import random
 from typing import Any
 
+import gymnasium
 import numpy as np
 import torch
 
 
-class BaseTask:
+class BaseTask(gymnasium.Env):
     """What a task class of a script is derived from; it builds its simulation in its own constructor.
+
+    A Gymnasium environment by its class only, so that wrappers of scripts take it.
 
     A task has ``reset``, ``reset_idx``, ``step`` and ``render``; ``reset`` and ``step`` return observations, rewards,
     terminations, truncations, infos.
@@ -21,11 +24,6 @@ class BaseTask:
         no seed or a negative one. The simulation has numbers of its own, which begin at that seed as well.
         """
         self.task_config = task_config
-        self.action_space: Any = None
-        self.observation_space: Any = None
-        self.reward_range: Any = None
-        self.metadata: Any = None
-        self.spec: Any = None
         seed = getattr(task_config, "seed", None)
         if seed is not None and seed >= 0:
             self.seed(seed)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+import gymnasium
 import torch
 from torch import Tensor
 
@@ -16,7 +17,7 @@ FiveTuple = tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Tensor]]
 """Observations, rewards, terminations, truncations, infos."""
 
 
-class RegisteredTask:
+class RegisteredTask(gymnasium.Env):
     """A task of ours: ``reset`` and ``step`` return five things, observations hold rewards and flags too.
 
     ``infos`` is ours: ``final_observation``, ``time_outs`` and more, which there are missing.
@@ -61,9 +62,10 @@ class RegisteredTask:
         self.num_envs, self.device = self.task.num_envs, self.task.device
         self.observation_space, self.action_space = self.task.observation_space, self.task.action_space
 
-    def reset(self) -> FiveTuple:
-        """Start every environment anew; rewards and flags are zero."""
-        obs, info = self.task.reset()
+    def reset(self, *, seed: int | None = None, options: object = None) -> FiveTuple:
+        """Start every environment anew, with all random numbers of a seed if one is given; rewards and flags are zero."""
+        del options  # Gymnasium's wrappers pass it
+        obs, info = self.task.reset(seed=seed)
         zero = torch.zeros(self.num_envs, device=self.device)
         return self._five(obs, zero, zero.bool(), zero.bool(), info)
 

@@ -1,7 +1,8 @@
 """Modules that scripts of the Aerial Gym Simulator import and that need not be installed, while such a script runs.
 
 ``isaacgym``: importable, and each use of it says what to do; but ``isaacgym.torch_utils`` has the functions of ``compat.math``.
-``gym``: gymnasium, whose spaces are the same. What is installed is used as it is.
+``gym``: gymnasium, whose spaces are the same, with the older wrapper, which passes on just what it is given. What is installed
+is used as it is.
 """
 
 import sys
@@ -14,7 +15,34 @@ from importlib.util import find_spec, spec_from_loader
 from types import ModuleType
 from typing import Any, NoReturn
 
-_GYM = {"gym": "gymnasium", "gym.spaces": "gymnasium.spaces"}
+import gymnasium
+
+
+class Wrapper(gymnasium.Env):
+    """``gym.Wrapper``: an environment around another one, whose attributes are its own unless it has them itself."""
+
+    def __init__(self, env: Any) -> None:
+        self.env = env
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "env":
+            raise AttributeError(name)
+        return getattr(self.env, name)
+
+    def reset(self, **kwargs: Any) -> Any:
+        """Reset the environment inside, with the arguments given and no others."""
+        return self.env.reset(**kwargs)
+
+    def step(self, action: Any) -> Any:
+        """Step the environment inside."""
+        return self.env.step(action)
+
+
+def _gym() -> dict[str, ModuleType]:
+    """Return what stands for ``gym`` and ``gym.spaces``."""
+    gym = ModuleType("gym")
+    gym.__dict__.update({**vars(gymnasium), "__name__": "gym", "Wrapper": Wrapper})
+    return {"gym": gym, "gym.spaces": gymnasium.spaces}
 
 
 class _Loader(Loader):
@@ -53,7 +81,7 @@ class _Finder(MetaPathFinder):
 def stand_ins() -> Iterator[None]:
     """Let scripts import ``isaacgym`` and ``gym`` where they are not installed; afterwards all is as before."""
     finder = _Finder()
-    lent: dict[str, Any] = {} if find_spec("gym") else {name: import_module(real) for name, real in _GYM.items()}
+    lent: dict[str, Any] = {} if find_spec("gym") else _gym()
     sys.meta_path.append(finder)
     sys.modules.update(lent)
     try:

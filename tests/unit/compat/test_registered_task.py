@@ -1,5 +1,6 @@
 """Tasks of this package with the interface of that simulator's."""
 
+import gymnasium
 import pytest
 import torch
 
@@ -55,6 +56,24 @@ def test_a_configuration_class_changes_it() -> None:
     assert flags == [[False, False], [False, False], [True, True]]
     assert torch.equal(obs["observations"], infos["final_observation"])
     assert task.sim_env.sim_steps.tolist() == [0, 0]
+
+
+def test_wrappers_of_scripts_take_it() -> None:
+    """As in trainings there: the observation alone, and one flag for both ends."""
+
+    class ExtractObs(gymnasium.Wrapper):
+        def reset(self, **kwargs: object) -> torch.Tensor:  # pyright: ignore
+            obs, *_ = super().reset(**kwargs)  # pyright: ignore
+            return obs["observations"]
+
+        def step(self, action: torch.Tensor) -> tuple[torch.Tensor, ...]:  # pyright: ignore
+            obs, rewards, terminated, truncated, _ = super().step(action)
+            return obs["observations"], rewards, terminated | truncated  # pyright: ignore
+
+    env = ExtractObs(make(seed=0))
+    assert env.reset().shape == (3, 13)
+    assert [part.shape for part in env.step(torch.zeros(3, 4))] == [(3, 13), (3,), (3,)]
+    assert env.get_wrapper_attr("task_config").action_space_dim == 4
 
 
 def test_what_it_cannot_says_what_to_do() -> None:

@@ -3,6 +3,7 @@
 import sys
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -29,17 +30,24 @@ def test_modules_of_a_script_may_import_what_is_not_installed(tmp_path: Path) ->
     """They get gymnasium's spaces, the helpers, and a sentence for each use of Isaac Gym; afterwards nothing of it stays."""
     (tmp_path / "my_task_module.py").write_text(
         "import isaacgym\nfrom isaacgym import gymapi, gymtorch\nfrom isaacgym.torch_utils import *\n"
-        "from gym.spaces import Box\nfrom gym import spaces\n"
+        "from gym.spaces import Box\nfrom gym import spaces, Wrapper\n"
         "try:\n    gymapi.Vec3\nexcept AttributeError as error:\n    said = str(error)\n"
     )
     script = tmp_path / "script.py"
-    script.write_text("import my_task_module as m\nsaid, Box, spaces, quat_mul = m.said, m.Box, m.spaces, m.quat_mul\n")
+    script.write_text(
+        "import my_task_module as m\nsaid, Box, spaces, quat_mul, Wrapper = m.said, m.Box, m.spaces, m.quat_mul, m.Wrapper\n"
+    )
+    installed = sys.modules.get("gym")
     names = run_script(script)
     sys.modules.pop("my_task_module")
     assert names["said"].startswith("isaacgym.gymapi.Vec3: there is no Isaac Gym here.")
     assert names["quat_mul"] is quat_multiply
     assert names["Box"] is names["spaces"].Box
+    inner = SimpleNamespace(reset=lambda: ("obs", "info"), step=lambda action: action + 1, task_config=7)
+    wrapped = names["Wrapper"](inner)
+    assert (wrapped.reset(), wrapped.step(1), wrapped.task_config) == (("obs", "info"), 2, 7)
     assert "isaacgym" not in sys.modules
+    assert sys.modules.get("gym") is installed
     with pytest.raises(ModuleNotFoundError, match="No module named 'isaacgym'"):
         import_module("isaacgym")
 
