@@ -10,11 +10,21 @@ from torch import Tensor
 from aerial_gym.compat.config.fields import fresh
 from aerial_gym.compat.config.tasks import TABLE, task_of
 from aerial_gym.compat.sim_builder import SimBuilder
-from aerial_gym.errors import CapabilityError
+from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.task import Task, task_registry
 
 FiveTuple = tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Tensor]]
 """Observations, rewards, terminations, truncations, infos."""
+
+
+HOOKS = (
+    "compute_rewards_and_crashes",
+    "process_obs_for_task",
+    "process_image_observation",
+    "get_return_tuple",
+    "check_and_update_curriculum_level",
+)
+"""Methods by which task classes there say what they reward and observe; nothing here would call them."""
 
 
 class RegisteredTask(gymnasium.Env):
@@ -25,6 +35,16 @@ class RegisteredTask(gymnasium.Env):
 
     task_name = ""
     """Name in ``aerial_gym.task_registry``."""
+
+    def __init_subclass__(cls, **more: Any) -> None:
+        """Refuse a class whose methods would not be called."""
+        super().__init_subclass__(**more)
+        found = [name for name in HOOKS if name in vars(cls)]
+        if found:
+            raise ConfigError(
+                f"class {cls.__name__}: {found[0]} would not be called: rewards and observations of "
+                f"{cls.task_name or 'a task'} are terms of a task file. Derive the class from BaseTask to write them yourself"
+            )
 
     def __init__(
         self,

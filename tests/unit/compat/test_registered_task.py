@@ -58,6 +58,15 @@ def test_a_configuration_class_changes_it() -> None:
     assert task.sim_env.sim_steps.tolist() == [0, 0]
 
 
+def test_a_reward_that_would_not_be_called_is_refused() -> None:
+    with pytest.raises(
+        ConfigError, match="class Mine: compute_rewards_and_crashes would not be called: .*setpoint_task"
+    ):
+
+        class Mine(PositionSetpointTask):  # pyright: ignore
+            def compute_rewards_and_crashes(self) -> None: ...
+
+
 def test_wrappers_of_scripts_take_it() -> None:
     """As in trainings there: the observation alone, and one flag for both ends."""
 
