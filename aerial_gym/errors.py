@@ -46,3 +46,7 @@ class StorageError(AerialGymError, OSError):
 
 class TrainingError(AerialGymError, RuntimeError):
     """A training cannot go on: it diverged, or the library that trains gave up."""
+
+
+class ClosedError(AerialGymError, AttributeError):
+    """A simulation or a task is used after ``close``."""

@@ -118,9 +118,12 @@ def _read_mesh(path: str | Path, *, scale: float) -> list["trimesh.Trimesh"]:
         raise ConfigError(f"mesh {path}: no such file")
     try:
         found = trimesh.load_scene(path, process=False).dump()
+        pieces = [piece for piece in found if isinstance(piece, trimesh.Trimesh)]
+        shapes = {(part.ndim, part.shape[-1]) for piece in pieces for part in (piece.vertices, piece.faces)}
     except Exception as error:  # trimesh's readers raise whatever their format's library raises
-        raise ConfigError(f"mesh {path}: cannot be read ({error})") from None
-    pieces = [piece for piece in found if isinstance(piece, trimesh.Trimesh)]
+        raise ConfigError(f"mesh {path}: cannot be read ({' '.join(str(error).split())})") from None
+    if not shapes <= {(2, 3)}:
+        raise ConfigError(f"mesh {path}: a vertex needs three numbers, and a triangle three vertices")
     if sum(len(piece.faces) for piece in pieces) == 0:
         raise ConfigError(f"mesh {path}: holds no triangle")
     for piece in pieces:

@@ -3,6 +3,7 @@
 Frames: the compound's frame is that of the root link; z up, metres, radians.
 """
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,13 @@ from aerial_gym.errors import ConfigError
 
 if TYPE_CHECKING:
     from yourdfpy import URDF
-    from yourdfpy.urdf import Geometry, Link, Material
+    from yourdfpy.urdf import Geometry, Joint, Link, Material
+
+PACKAGE_LEVELS = 2
+"""Folders above that of a URDF in which packages are looked for: its package, as a rule, and the one that holds packages."""
+
+MAX_LINKS = 10_000
+"""Of a URDF; a tree of links is walked one by one."""
 
 _JOINTS = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 
@@ -48,10 +55,11 @@ def load_urdf(
         if name not in robot.link_map:
             raise ConfigError(f"URDF {path}: there is no link {name!r}. Known: {', '.join(robot.link_map)}")
     parts: list[PartCfg] = []
-    counted = [name for name in robot.link_map if name not in link_ids]
+    poses = _poses(robot)
+    counted = {name: i for i, name in enumerate(name for name in robot.link_map if name not in link_ids)}
     for name, link in robot.link_map.items():
-        own = None if first_link_id is None or name in link_ids else first_link_id + counted.index(name)
-        to_root = robot.get_transform(name)
+        own = None if first_link_id is None or name in link_ids else first_link_id + counted[name]
+        to_root = poses[name]
         try:
             bodies = link.collisions or link.visuals
             colors = _colors(robot, link, count=len(bodies))
@@ -63,6 +71,38 @@ def load_urdf(
     if not parts:
         raise ConfigError(f"URDF {path}: holds no geometry")
     return ShapeCfg(kind="compound", parts=tuple(parts))
+
+
+def _poses(robot: "URDF") -> dict[str, np.ndarray]:
+    """Return where each link is in the frame of the root, (4, 4), with all joints at zero and mimics at their offsets.
+
+    The library's own scene takes a time that grows with the square of the links.
+    """
+    below: dict[str, list[Joint]] = {}
+    for joint in robot.joint_map.values():
+        below.setdefault(joint.parent, []).append(joint)
+    children = {joint.child for joint in robot.joint_map.values()}
+    waiting = [name for name in robot.link_map if name not in children]
+    found = {name: np.eye(4) for name in waiting}
+    while waiting:
+        name = waiting.pop()
+        for joint in below.get(name, []):
+            found[joint.child] = found[name] @ _at_zero(joint)
+            waiting.append(joint.child)
+    return found
+
+
+def _at_zero(joint: "Joint") -> np.ndarray:
+    """Return the child link's frame in that of its parent, (4, 4)."""
+    from trimesh.transformations import rotation_matrix, translation_matrix
+
+    origin = np.eye(4) if joint.origin is None else joint.origin
+    if joint.mimic is None or joint.type not in ("revolute", "continuous", "prismatic"):
+        return origin
+    offset = float(joint.mimic.offset or 0.0)
+    if joint.type == "prismatic":
+        return origin @ translation_matrix(offset * np.asarray(joint.axis))
+    return origin @ rotation_matrix(offset, joint.axis)
 
 
 def _colors(robot: "URDF", link: "Link", *, count: int) -> list[Vec3 | None]:
@@ -116,7 +156,7 @@ def read_urdf(path: str | Path) -> "URDF":
     except ConfigError as error:
         raise ConfigError(f"URDF {path}: {error}") from None
     try:
-        return yourdfpy.URDF.load(str(path), load_meshes=False)
+        return yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=False)
     except Exception as error:  # yourdfpy raises whatever its parser meets
         raise ConfigError(f"URDF {path}: cannot be read ({error})") from None
 
@@ -124,17 +164,19 @@ def read_urdf(path: str | Path) -> "URDF":
 def _check_tree(root: ElementTree.Element) -> None:
     """Raise ``ConfigError`` unless the links are a tree; yourdfpy drops or joins what is not, in silence."""
     links = [link.get("name", "") for link in root.findall("link")]
-    for name in links:
-        if not name or links.count(name) > 1:
+    if len(links) > MAX_LINKS:
+        raise ConfigError(f"{len(links)} links; at most {MAX_LINKS} can be read")
+    for name, count in Counter(links).items():
+        if not name or count > 1:
             raise ConfigError(f"link {name!r}: every link needs a name of its own")
-    parents: dict[str, str] = {}
+    known, parents = set(links), {}
     for joint in root.findall("joint"):
         kind, ends = joint.get("type"), [joint.find(tag) for tag in ("parent", "child")]
         parent, child = ("" if end is None else end.get("link", "") for end in ends)
         if kind not in _JOINTS:
             raise ConfigError(f"joint {joint.get('name')!r}: type {kind!r} must be one of {', '.join(_JOINTS)}")
         for end in (parent, child):
-            if end not in links:
+            if end not in known:
                 raise ConfigError(f"joint {joint.get('name')!r}: there is no link {end!r}. Known: {', '.join(links)}")
         if child in parents:
             raise ConfigError(f"link {child!r} has two parents: {parents[child]!r} and {parent!r}")
@@ -142,12 +184,17 @@ def _check_tree(root: ElementTree.Element) -> None:
     roots = [name for name in links if name not in parents]
     if len(roots) != 1:
         raise ConfigError(f"{len(roots)} links have no parent ({', '.join(roots)}); a tree has one")
-    for name in links:
-        top = name
-        for _ in links:
-            top = parents.get(top, top)
-        if top != roots[0]:
-            raise ConfigError(f"link {name!r} is its own ancestor")
+    below: dict[str, list[str]] = {}
+    for child, parent in parents.items():
+        below.setdefault(parent, []).append(child)
+    reached, waiting = set(), [roots[0]]
+    while waiting:
+        name = waiting.pop()
+        reached.add(name)
+        waiting += below.get(name, [])
+    if reached != known:
+        first = next(name for name in links if name not in reached)
+        raise ConfigError(f"link {first!r} is its own ancestor")
 
 
 def _part(geometry: "Geometry", pose: np.ndarray, semantic_id: int | None, color: Vec3 | None, folder: Path) -> PartCfg:
@@ -171,7 +218,12 @@ def _shape(geometry: "Geometry", folder: Path) -> ShapeCfg:
         return ShapeCfg(kind="cylinder", radius=float(geometry.cylinder.radius), height=float(geometry.cylinder.length))
     if geometry.mesh is None:
         raise ConfigError("a geometry is neither box, sphere, cylinder nor mesh")
-    scale = np.ones(3) * (1.0 if geometry.mesh.scale is None else geometry.mesh.scale)
+    if not geometry.mesh.filename:
+        raise ConfigError("a mesh has no filename")
+    given = np.asarray(1.0 if geometry.mesh.scale is None else geometry.mesh.scale, dtype=float).reshape(-1)
+    if given.size not in (1, 3):
+        raise ConfigError(f"mesh {geometry.mesh.filename}: scale {given.tolist()} must be one number, or three")
+    scale = np.ones(3) * given
     if np.ptp(scale) != 0.0:
         raise ConfigError(
             f"mesh {geometry.mesh.filename}: scale {scale.tolist()} differs by axis; scale the file instead"
@@ -181,14 +233,21 @@ def _shape(geometry: "Geometry", folder: Path) -> ShapeCfg:
 
 
 def _mesh_file(name: str, folder: Path) -> Path:
-    """Return where a mesh is: beside the URDF, or, for ``package://NAME/rest``, ``rest`` below a folder above it."""
-    plain = name.removeprefix("file://")
-    tails = [plain]
-    if name.startswith("package://"):
-        whole = name.removeprefix("package://")
-        tails = [whole, whole.partition("/")[2]]
-    tried = [base / tail for base in (folder, *folder.parents) for tail in tails]
-    found = [file for file in tried[: len(tried) if name.startswith("package://") else 1] if file.is_file()]
+    """Return where a mesh is: beside the URDF, or, for ``package://NAME/rest``, in the asset folder.
+
+    That is the folder of the URDF and ``PACKAGE_LEVELS`` above it: there ``NAME/rest``, or ``rest``, is looked for. A name that
+    leads out of the folder in which it was found, by ``..`` or by a link, is refused.
+    """
+    package = name.startswith("package://")
+    whole = name.removeprefix("package://").removeprefix("file://")
+    tails = [whole, whole.partition("/")[2]] if package else [whole]
+    bases = (
+        [base for base in (folder, *folder.parents[:PACKAGE_LEVELS]) if base.parent != base] if package else [folder]
+    )
+    found = [(base, base / tail) for base in bases for tail in tails if tail and (base / tail).is_file()]
     if not found:
         raise ConfigError(f"mesh {name}: no such file")
-    return found[0]
+    base, file = found[0]
+    if package and not file.resolve().is_relative_to(base):
+        raise ConfigError(f"mesh {name}: leads out of the folder {base}. Copy the file beside the URDF")
+    return file

@@ -5,6 +5,12 @@ from math import inf, isfinite
 
 from aerial_gym.errors import ConfigError
 
+MAX_COUNT = 2**31 - 1
+"""Kernels count with 32 bits."""
+
+MAX_MADE = 10**6
+"""Things that are made one by one, such as shapes and rows of obstacles of one environment."""
+
 Vec3 = tuple[float, float, float]
 
 
@@ -22,6 +28,14 @@ def require_finite(config: object, *names: str) -> None:
         value = getattr(config, name)
         if not all(map(isfinite, _numbers(value))):
             raise ConfigError(f"{type(config).__name__}.{name} = {value!r}: must be finite")
+
+
+def require_count(config: object, *names: str, most: int = MAX_COUNT) -> None:
+    """Raise ``ConfigError`` unless the named whole numbers are from 1 to ``most``."""
+    for name in names:
+        value = getattr(config, name)
+        if not 1 <= value <= most:
+            raise ConfigError(f"{type(config).__name__}.{name} = {value!r}: must be >= 1 and at most {most:,}")
 
 
 def require_ordered(config: object, low: str, high: str) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from math import inf, pi
 from pathlib import Path
 
+from aerial_gym.config.checks import MAX_MADE, require_count
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.lamp import LampCfg
 from aerial_gym.config.loader import load
@@ -92,8 +93,8 @@ class AssetCfg:
             raise ConfigError(f"AssetCfg {self.name!r}: shapes needs at least one entry, or name a family")
         if self.shapes and self.family is not None:
             raise ConfigError(f"AssetCfg {self.name!r}: has shapes and a family; give one of them")
-        if self.count < 1:
-            raise ConfigError(f"AssetCfg {self.name!r}: count = {self.count!r} must be >= 1")
+        if not 1 <= self.count <= MAX_MADE:
+            raise ConfigError(f"AssetCfg {self.name!r}: count = {self.count!r} must be >= 1 and at most {MAX_MADE:,}")
         if not -1 <= self.semantic_id < FIRST_INSTANCE_ID:
             raise ConfigError(
                 f"AssetCfg {self.name!r}: semantic_id = {self.semantic_id!r} must be 0 to {FIRST_INSTANCE_ID - 1}, "
@@ -190,10 +191,7 @@ class EnvironmentCfg:
             )
         if not 0.0 <= self.clearance < inf:
             raise ConfigError(f"EnvironmentCfg.clearance = {self.clearance!r}: must be >= 0 and finite")
-        if self.physics_steps_per_env_step < 1:
-            raise ConfigError(
-                f"EnvironmentCfg.physics_steps_per_env_step = {self.physics_steps_per_env_step!r}: must be >= 1"
-            )
+        require_count(self, "physics_steps_per_env_step", most=MAX_MADE)
         for name in ("bounds_lower", "bounds_upper"):
             require_finite(self, f"{name}_low", f"{name}_high")
             require_ordered(self, f"{name}_low", f"{name}_high")

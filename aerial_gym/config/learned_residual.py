@@ -71,8 +71,8 @@ class LearnedResidualCfg:
     """Flights that it was trained on."""
 
     def __post_init__(self) -> None:
-        require_finite(self, "low", "high", "centre", "scale", "whitening", "limit")
         self._check_shapes()
+        require_finite(self, "low", "high", "centre", "scale", "whitening", "limit")
         require_ordered(self, "low", "high")
         if min(self.scale) <= 0.0:
             raise ConfigError(f"LearnedResidualCfg.scale = {self.scale!r}: must be > 0")

@@ -13,6 +13,9 @@ from aerial_gym.errors import ConfigError
 
 T = TypeVar("T")
 
+LONGEST_SHOWN = 200
+"""Characters of a value in a message."""
+
 CONFIG_DIR = Path(__file__).parent
 """Folder of the configurations that come with the package."""
 
@@ -32,6 +35,10 @@ def read_yaml(path: str | Path) -> dict[str, object]:
         raise ConfigError(f"{path}: cannot be read ({error})") from None
     except yaml.YAMLError as error:
         raise ConfigError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from None
+    except RecursionError:
+        raise ConfigError(f"{path}: not valid YAML (nested too deeply)") from None
+    except (ValueError, ArithmeticError, TypeError) as error:  # what looks like a date or a number, and is none
+        raise ConfigError(f"{path}: holds a value that YAML cannot read ({error})") from None
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: must hold a mapping of fields, found {type(data).__name__}")
     return data
@@ -59,7 +66,7 @@ def build(cls: type[T], data: Mapping[str, object], *, where: str) -> T:
         ConfigError: If a key is unknown or missing, a type does not fit, or the dataclass refuses a value.
     """
     if not isinstance(data, Mapping):
-        raise ConfigError(f"{where}: must be a mapping of the fields of {cls.__name__}, found {data!r}")
+        raise ConfigError(f"{where}: must be a mapping of the fields of {cls.__name__}, found {shown(data)}")
     hints = get_type_hints(cls)
     known = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
     for key in data:
@@ -76,6 +83,8 @@ def build(cls: type[T], data: Mapping[str, object], *, where: str) -> T:
         return cls(**values)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
+    except (ArithmeticError, ValueError) as error:  # numbers so far apart that a check cannot be computed
+        raise ConfigError(f"{where}: impossible numbers ({error})") from None
 
 
 def to_mapping(config: object) -> dict[str, Any]:
@@ -118,7 +127,7 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
         return _convert_tuple(args, value, where)
     if origin in (dict, Mapping) or (isinstance(origin, type) and issubclass(origin, Mapping)):
         if not isinstance(value, Mapping):
-            raise ConfigError(f"{where} = {value!r}: must be a mapping")
+            raise ConfigError(f"{where} = {shown(value)}: must be a mapping")
         return {_convert(args[0], k, where): _convert(args[1], v, f"{where}.{k}") for k, v in value.items()}
     return _convert_scalar(hint, value, where)
 
@@ -139,11 +148,11 @@ def _convert_optional(args: tuple[Any, ...], value: Any, where: str) -> Any:
 
 def _convert_tuple(args: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
     if not isinstance(value, (list, tuple)):
-        raise ConfigError(f"{where} = {value!r}: must be a list")
+        raise ConfigError(f"{where} = {shown(value)}: must be a list")
     if len(args) == 2 and args[1] is Ellipsis:
         return tuple(_convert(args[0], item, f"{where}[{i}]") for i, item in enumerate(value))
     if len(value) != len(args):
-        raise ConfigError(f"{where} = {value!r}: must have {len(args)} entries")
+        raise ConfigError(f"{where} = {shown(value)}: must have {len(args)} entries")
     return tuple(_convert(arg, item, f"{where}[{i}]") for i, (arg, item) in enumerate(zip(args, value, strict=True)))
 
 
@@ -151,12 +160,26 @@ def _convert_scalar(hint: Any, value: Any, where: str) -> Any:
     if hint is float and isinstance(value, str):
         value = _number_in_text(value)
     if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:
+            raise ConfigError(f"{where} = {shown(value)}: must be a finite number") from None
     if hint is int and isinstance(value, int) and not isinstance(value, bool):
+        if not -(2**63) <= value < 2**63:
+            raise ConfigError(f"{where} = {shown(value)}: must fit into 64 bits")
         return value
     if hint in (str, bool) and isinstance(value, hint):
         return value
-    raise ConfigError(f"{where} = {value!r}: must be {getattr(hint, '__name__', hint)}")
+    raise ConfigError(f"{where} = {shown(value)}: must be {getattr(hint, '__name__', hint)}")
+
+
+def shown(value: object) -> str:
+    """Return how a message shows a value: as Python writes it, cut off where that is long or cannot be written at all."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits, brackets in brackets
+        return f"a {type(value).__name__} that is too long to show"
+    return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 3]}..."
 
 
 def _number_in_text(value: str) -> float | str:

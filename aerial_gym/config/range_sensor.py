@@ -8,7 +8,7 @@ Letters: E environments, S sensors of one kind, H x W pixels (row 0 on top, colu
 from dataclasses import dataclass
 from math import inf, isfinite, pi
 
-from aerial_gym.config.checks import Vec3, require_finite, require_ordered
+from aerial_gym.config.checks import MAX_MADE, Vec3, require_count, require_finite, require_ordered
 from aerial_gym.config.images import FRAMES, ImagesCfg, LightCfg
 from aerial_gym.errors import ConfigError
 
@@ -174,6 +174,7 @@ def _check_image(cfg: RangeSensorCfg) -> None:
     for name in ("width", "height"):
         if not _is_count(getattr(cfg, name)):
             raise ConfigError(f"{_of(cfg, name)}: must be at least 1 pixel, and whole")
+    require_count(cfg, "width", "height", most=MAX_MADE)
     if not 0.0 <= cfg.min_range < cfg.max_range < inf:
         raise ConfigError(
             f"{type(cfg).__name__}: min_range = {cfg.min_range!r}, max_range = {cfg.max_range!r}: "
@@ -197,6 +198,7 @@ def _check_outputs(cfg: RangeSensorCfg) -> None:
         )
     if not _is_count(cfg.count):
         raise ConfigError(f"{_of(cfg, 'count')}: must be at least 1 sensor, and whole")
+    require_count(cfg, "count", most=MAX_MADE)
 
 
 def _check_noise(cfg: RangeSensorCfg) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from math import inf, pi
 from pathlib import Path
 
-from aerial_gym.config.checks import Vec3, require_finite
+from aerial_gym.config.checks import MAX_MADE, Vec3, require_finite
 from aerial_gym.errors import ConfigError
 
 FIRST_INSTANCE_ID = 100
@@ -179,8 +179,10 @@ class FamilyCfg:
     """Lowest and highest value of numbers that shall differ from the family's own."""
 
     def __post_init__(self) -> None:
-        if self.variants < 1:
-            raise ConfigError(f"FamilyCfg {self.name!r}: variants = {self.variants!r} must be >= 1")
+        if not 1 <= self.variants <= MAX_MADE:
+            raise ConfigError(
+                f"FamilyCfg {self.name!r}: variants = {self.variants!r} must be >= 1 and at most {MAX_MADE:,}"
+            )
         if self.seed < 0:
             raise ConfigError(f"FamilyCfg {self.name!r}: seed = {self.seed!r} must be >= 0")
         for name, (low, high) in self.ranges.items():

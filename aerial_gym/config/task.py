@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf
 
+from aerial_gym.config.checks import require_count
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import Vec3, require_finite
 from aerial_gym.errors import ConfigError
@@ -156,9 +157,9 @@ class TaskCfg:
             raise ConfigError(f"TaskCfg.success_radius = {self.success_radius!r}: must be > 0 and finite")
         if self.curriculum is not None and self.success_radius is None:
             raise ConfigError("TaskCfg.curriculum: needs success_radius, which says what a success is")
-        for name in ("num_envs", "episode_len_steps", "max_distance"):
-            if getattr(self, name) <= 0:
-                raise ConfigError(f"TaskCfg.{name} = {getattr(self, name)!r}: must be > 0")
+        require_count(self, "num_envs", "episode_len_steps")
+        if self.max_distance <= 0:
+            raise ConfigError(f"TaskCfg.max_distance = {self.max_distance!r}: must be > 0")
         if not self.observations:
             raise ConfigError("TaskCfg.observations: needs at least one term")
 

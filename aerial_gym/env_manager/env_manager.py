@@ -5,20 +5,21 @@
 with the collision test, which follows all K substeps. Letters: E environments, A obstacles, K substeps.
 """
 
-from typing import Any
+from typing import Any, NoReturn
 
 import torch
 from torch import Tensor
 
 from aerial_gym.assets import AssetManager, Bounds, CollisionTest
 from aerial_gym.assets.body_shapes import body_reach
+from aerial_gym.config.checks import MAX_COUNT
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import ClosedError, ConfigError
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import Trajectory
 from aerial_gym.physics.effects import ImuEffect
@@ -68,8 +69,8 @@ class EnvManager:
         Raises:
             ConfigError: If ``num_envs`` is not positive, or a differentiable simulation is asked for what has no gradient.
         """
-        if num_envs < 1:
-            raise ConfigError(f"num_envs = {num_envs!r}: must be at least 1")
+        if not 1 <= num_envs <= MAX_COUNT:
+            raise ConfigError(f"num_envs = {num_envs!r}: must be at least 1, and at most {MAX_COUNT:,}")
         _check_gradients(env, differentiable=differentiable, dtype=dtype)
         self.cfg, self.sim_cfg, self.num_envs, self.device, self.seed = env, sim, num_envs, device, seed
         self.random = Randomness(num_envs, device=device, seed=seed, first_env=first_env, first_episode=first_episode)
@@ -296,5 +297,12 @@ class EnvManager:
         self.sensor_manager.capture()
 
     def close(self) -> None:
-        """Drop what holds device memory."""
-        del self.asset_manager, self.robot_manager, self.sensor_manager, self._collision
+        """Drop what holds device memory; a second call does nothing, any other raises ``ClosedError``."""
+        for name in ("asset_manager", "robot_manager", "sensor_manager", "_collision"):
+            vars(self).pop(name, None)
+
+    def __getattr__(self, name: str) -> NoReturn:
+        """Say of what ``close`` dropped that it is gone."""
+        if name in ("asset_manager", "robot_manager", "sensor_manager", "_collision") and "gtd" in vars(self):
+            raise ClosedError("this simulation is closed. Build a new one")
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")

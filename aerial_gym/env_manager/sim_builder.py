@@ -1,5 +1,7 @@
 """From registered names, or files, to a running simulation."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,9 +16,12 @@ from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager.catalog import SIMS
 from aerial_gym.env_manager.env_manager import EnvManager
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import AerialGymError, CapabilityError, ConfigError
 from aerial_gym.interop import resolve_device
 from aerial_gym.robots import ROBOTS
+
+OUT_OF_MEMORY = ("allocate memory", "out of memory", "not enough memory", "overflow", "Failed to allocate", "too large")
+"""What of torch's and Warp's messages says that something does not fit."""
 
 
 def robot_by_name(name: str | Path | RobotCfg) -> RobotCfg:
@@ -42,6 +47,32 @@ def _device(name: str | torch.device) -> torch.device:
         return resolve_device(name)
     except ValueError as error:
         raise ConfigError(str(error)) from None
+
+
+@contextmanager
+def told_memory(num_envs: int, device: torch.device) -> Iterator[None]:
+    """Turn what torch and NumPy raise of sizes that no memory holds into one sentence.
+
+    Raises:
+        CapabilityError: In place of it.
+        ConfigError: If numbers are so far apart that a matrix has no inverse.
+    """
+    try:
+        yield
+    except torch.linalg.LinAlgError:  # pyright: ignore[reportPrivateImportUsage]
+        raise ConfigError("the robot's numbers are too far apart to be computed with in float32") from None
+    except (MemoryError, OverflowError):
+        reason = "it is larger than can be counted"
+    except RuntimeError as error:
+        text = str(error)
+        if isinstance(error, AerialGymError) or not any(sign in text for sign in OUT_OF_MEMORY):
+            raise
+        reason = " ".join(text.split())[:160]
+    else:
+        return
+    raise CapabilityError(
+        f"{num_envs:,} environments do not fit into the memory of {device} ({reason}). Take fewer, or smaller images"
+    )
 
 
 class SimBuilder:
@@ -87,22 +118,25 @@ class SimBuilder:
         Raises:
             UnknownNameError: If a name is not registered; the message lists what is.
             ConfigError: If a number is impossible.
-            CapabilityError: If the backend cannot do what is asked; the message names one that can.
+            CapabilityError: If the backend cannot do what is asked, with the name of one that can, or it does not
+                fit into memory.
         """
         sim = sim_name if isinstance(sim_name, SimCfg) else SIMS.get(sim_name)
-        return EnvManager(
-            sim=sim if backend is None else replace(sim, backend=backend),
-            env=environment_by_name(env_name),
-            robot=robot_by_name(robot_name),
-            controller=controller_name
-            if isinstance(controller_name, ControllerCfg)
-            else CONTROLLERS.get(controller_name),
-            num_envs=num_envs,
-            device=_device(device),
-            seed=seed,
-            first_env=first_env,
-            first_episode=first_episode,
-            differentiable=differentiable,
-            dtype=dtype,
-            randomize=randomize,
-        )
+        where = _device(device)
+        with told_memory(num_envs, where):
+            return EnvManager(
+                sim=sim if backend is None else replace(sim, backend=backend),
+                env=environment_by_name(env_name),
+                robot=robot_by_name(robot_name),
+                controller=controller_name
+                if isinstance(controller_name, ControllerCfg)
+                else CONTROLLERS.get(controller_name),
+                num_envs=num_envs,
+                device=where,
+                seed=seed,
+                first_env=first_env,
+                first_episode=first_episode,
+                differentiable=differentiable,
+                dtype=dtype,
+                randomize=randomize,
+            )

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError
 
 
 def share_row(row: Tensor, num_envs: int) -> Tensor:
@@ -152,7 +153,7 @@ def vehicle_from_config(
         battery = [*voltages, cell.internal_resistance, cell.capacity, cell.efficiency]
     rotors, layout = robot.rotor_types, robot.mounts.layout
     axis = torch.tensor([mount.axis for mount in layout], dtype=dtype, device=device)
-    return Vehicle(
+    vehicle = Vehicle(
         mass=rows(robot.body.mass),
         inertia=rows(robot.body.inertia),
         com=rows(robot.body.com),
@@ -174,3 +175,21 @@ def vehicle_from_config(
         speed_high=rows([rotor.speed_at(rotor.thrust_range[1]) for rotor in rotors]),
         traits=robot.rotor_traits,
     )
+    _check_numbers(vehicle)
+    return vehicle
+
+
+def _check_numbers(vehicle: Vehicle) -> None:
+    """Raise ``ConfigError`` where a number of the robot file is too large or too small for the float32 of the kernels."""
+    first = {name: rows[:1].float() for name, rows in vehicle.rows().items()}
+    for name, row in first.items():
+        may_lack = name.startswith("slew_rate") or name in ("rotor_radius", "battery")
+        if not may_lack and not bool(row.isfinite().all()):
+            raise ConfigError(
+                f"robot: {name} = {row[0].tolist()}: is beyond float32. Check the units of the robot file"
+            )
+    for name in ("mass", "time_constant_up", "time_constant_down"):
+        if not bool((first[name] > 0.0).all()):
+            raise ConfigError(f"robot: {name} is zero in float32. Check the units of the robot file")
+    if not bool(torch.linalg.inv_ex(first["inertia"]).inverse.isfinite().all()):
+        raise ConfigError("robot: inertia has no inverse in float32. Check the units of the robot file")

@@ -8,7 +8,7 @@ from math import inf
 from pathlib import Path
 
 from aerial_gym.config import CONFIG_DIR, load
-from aerial_gym.config.robot import require_positive
+from aerial_gym.config.checks import MAX_MADE, require_count, require_positive
 from aerial_gym.errors import ConfigError, UnknownNameError
 
 TRAINERS = ("rl_games", "sample_factory")
@@ -110,9 +110,7 @@ class PpoCfg:
             "max_grad_norm",
             "reward_scale",
         )
-        for name in ("horizon", "num_minibatches", "num_epochs"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"PpoCfg.{name} = {getattr(self, name)!r}: must be >= 1")
+        require_count(self, "horizon", "num_minibatches", "num_epochs")
         for name in ("entropy_coef", "bound_coef"):
             if not 0.0 <= getattr(self, name) < inf:
                 raise ConfigError(f"PpoCfg.{name} = {getattr(self, name)!r}: must be >= 0 and finite")
@@ -122,8 +120,10 @@ class PpoCfg:
             raise ConfigError(f"PpoCfg.gae_lambda = {self.gae_lambda!r}: must be from 0 to 1")
         if self.activation not in ("elu", "relu", "tanh"):
             raise ConfigError(f"PpoCfg.activation = {self.activation!r}: must be elu, relu or tanh")
-        if not self.hidden_layers or min(self.hidden_layers) < 1:
-            raise ConfigError(f"PpoCfg.hidden_layers = {self.hidden_layers!r}: needs widths >= 1")
+        if not self.hidden_layers or not all(1 <= width <= MAX_MADE for width in self.hidden_layers):
+            raise ConfigError(
+                f"PpoCfg.hidden_layers = {self.hidden_layers!r}: needs widths >= 1 and at most {MAX_MADE:,}"
+            )
 
     def max_learning_rate_at(self, share: float) -> float:
         """Return the largest learning rate after a share, 0 to 1, of the training."""
@@ -189,8 +189,9 @@ class TrainingCfg:
                 raise ConfigError(f"TrainingCfg.{name} = {value!r}: must be > 0 and finite")
         if self.max_time_s is None and self.max_env_steps is None:
             raise ConfigError("TrainingCfg: give max_time_s, max_env_steps or both, or the training never ends")
-        if self.num_envs < 1 or self.seed < 0:
-            raise ConfigError(f"TrainingCfg: num_envs = {self.num_envs!r} must be >= 1 and seed = {self.seed!r} >= 0")
+        require_count(self, "num_envs")
+        if not 0 <= self.seed < 2**32:  # NumPy takes no larger one
+            raise ConfigError(f"TrainingCfg.seed = {self.seed!r}: must be >= 0 and less than 2**32")
         samples, parts = self.num_envs * self.ppo.horizon, self.ppo.num_minibatches
         if samples % parts:
             raise ConfigError(

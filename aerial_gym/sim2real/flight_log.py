@@ -216,7 +216,7 @@ def _integrate_attitude(values: dict[str, Array], time: Array, layout: LogMappin
 def _companion(path: Path, layout: LogMapping, time: Array, notes: list[str]) -> Array | None:
     """Return the position of the vehicle whose file has a name that the layout derives from this one, (T, 3)."""
     for text, other in layout.companion.items():
-        partner = path.with_name(path.name.replace(text, other))
+        partner = path.parent / path.name.replace(text, other)
         if text not in path.name or partner == path or not partner.exists() or layout.position is None:
             continue
         log = read_flight_log(partner, mapping=replace(layout, companion={}))
@@ -271,14 +271,19 @@ def _read_table(path: Path, layout: LogMapping) -> pd.DataFrame:
     twice = sorted(name for name in wanted if names.count(name) > 1)
     if twice:
         raise DataError(f"{path}: column {twice[0]!r} appears twice in the header; rename or remove one of them")
-    table = pd.read_csv(
-        path,
-        encoding="utf-8-sig",
-        keep_default_na=False,
-        na_values=[""],
-        skipinitialspace=True,
-        float_precision="round_trip",
-    )
+    try:
+        table = pd.read_csv(
+            path,
+            encoding="utf-8-sig",
+            keep_default_na=False,
+            na_values=[""],
+            skipinitialspace=True,
+            float_precision="round_trip",
+        )
+    except (ValueError, OverflowError) as error:  # an unbalanced quote, a field that is no text
+        raise DataError(f"{path}: cannot be read as CSV ({' '.join(str(error).split())})") from None
+    if len(table.columns) != len(names):
+        raise DataError(f"{path}: the header has {len(names)} fields, pandas finds {len(table.columns)}; remove quotes")
     table.columns = names
     return table
 

@@ -179,6 +179,12 @@ class LogMapping:
             if quantity is not None and len(quantity.columns) != count:
                 raise ConfigError(f"LogMapping.{name}.columns = {quantity.columns!r}: must name {count} columns")
 
+        for text, other in self.companion.items():
+            if not text or not set(other).isdisjoint("/\\\0"):
+                raise ConfigError(
+                    f"LogMapping.companion = {{{text!r}: {other!r}}}: needs text of the file's name, and what "
+                    "stands in its place, without folders"
+                )
         if self.hover_above_m is not None and not isfinite(self.hover_above_m):
             raise ConfigError(f"LogMapping.hover_above_m = {self.hover_above_m!r}: must be finite")
         if not 0.0 <= self.lift_off_m < inf:

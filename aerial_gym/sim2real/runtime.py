@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from aerial_gym.config.storage import told_storage
 from aerial_gym.errors import DataError
 
 RECORD = "run.json"
@@ -17,27 +18,57 @@ RECORD = "run.json"
 
 
 def check_out_dir(out_dir: Path) -> None:
-    """Raise ``DataError`` if a folder holds something that a run did not write: it would be replaced."""
+    """Raise ``DataError`` if a folder holds files and none of them is the record of a run."""
     if out_dir.exists() and not out_dir.is_dir():
         raise DataError(f"{out_dir}: is a file; give a folder for the results")
     if out_dir.is_dir() and any(out_dir.iterdir()) and not (out_dir / RECORD).exists():
-        raise DataError(f"{out_dir}: holds other files and would be replaced; give a new or empty folder")
+        raise DataError(f"{out_dir}: holds other files; give a new or empty folder")
 
 
 @contextmanager
 def whole_folder(out_dir: Path) -> Iterator[Path]:
-    """Give a folder to write into; it takes the place of ``out_dir`` at the end, or vanishes if anything fails."""
+    """Give a folder to write into; its files go to ``out_dir`` at the end, or vanish if anything fails.
+
+    In ``out_dir`` they take the place of what an earlier run wrote, which its record lists; all other files stay.
+
+    Raises:
+        DataError: If the folder holds files and no record of a run.
+        StorageError: If the disk is full; ``out_dir`` is then as it was.
+    """
     check_out_dir(out_dir)
-    out_dir.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=f".{out_dir.name}.", dir=out_dir.parent))
+    with told_storage(out_dir):
+        out_dir.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{out_dir.name}.", dir=out_dir.parent))
     try:
-        yield partial
-        partial.chmod(0o755)
-        if out_dir.exists():
-            shutil.rmtree(out_dir)
-        partial.rename(out_dir)
+        with told_storage(out_dir, only_full=True):
+            yield partial
+            new = sorted(path.name for path in partial.iterdir())
+            _list_files(partial / RECORD, new)
+            old = _listed_files(out_dir / RECORD)
+            out_dir.mkdir(exist_ok=True)
+            for name in new:
+                (partial / name).replace(out_dir / name)
+            for name in old - set(new):
+                (out_dir / name).unlink(missing_ok=True)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def _list_files(record: Path, names: list[str]) -> None:
+    """Add the names of the files of a run to its record."""
+    content = json.loads(record.read_text(encoding="utf-8")) if record.exists() else {}
+    record.write_text(json.dumps(content | {"files": sorted({*names, RECORD})}, indent=1) + "\n", encoding="utf-8")
+
+
+def _listed_files(record: Path) -> set[str]:
+    """Return the names of files beside a record that its run wrote; none where it does not say."""
+    try:
+        names = json.loads(record.read_text(encoding="utf-8"))["files"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
+    if not isinstance(names, list):
+        return set()
+    return {name for name in names if isinstance(name, str) and name == Path(name).name and name not in ("", ".", "..")}
 
 
 def write_record(folder: Path, config: dict[str, object], inputs: Sequence[str | Path]) -> None:

@@ -28,6 +28,7 @@ from aerial_gym.task.draws.goals import Goals
 from aerial_gym.task.draws.noise import ObservationNoise
 from aerial_gym.task.observations import IMAGE_CELLS, OBSERVATIONS, ObservationTerm, TaskState
 from aerial_gym.task.rewards import REWARDS, Reward
+from aerial_gym.task.shapes import check_shapes
 from aerial_gym.task.step_graph import StepGraph, check_terms
 
 Observation = dict[str, Tensor]
@@ -109,6 +110,7 @@ class Task:
         self._crash_reward = self._params.get("crash", 0.0)
         self._watch = Watch(env.gtd, num_actions=num_actions, dt=env.dt, keep=False)
         self._widths, self._apart = widths, ()
+        check_shapes(cfg, self.state(), widths, lambda at: self._reward.value(at, self._params, at.crashed))
         self._apart = terms_apart([(e.term, OBSERVATIONS[e.term]) for e in cfg.observations], self.state())
         self._observe = ByRow(self._finite_observation, "the observation")
         self._judge = ByRow(self._judgement, f"the judgement of a step, with reward {cfg.reward!r},")
@@ -328,8 +330,9 @@ class Task:
         return final, reward, terminated, truncated, distance, episode_return + reward, bits
 
     def close(self) -> None:
-        """Name what was not finite and not yet named, and release the simulation."""
+        """Name what was not finite and not yet named, and release the simulation; a later call raises ``ClosedError``."""
         self._watch.look(wait=True)
+        self._graph, self._capture_at_reset = None, False
         self.env.close()
 
     def __enter__(self) -> "Task":

@@ -1,5 +1,6 @@
 """Families of shapes and URDF files: what they make, from what, and what is refused with which words."""
 
+import time
 from dataclasses import replace
 from math import pi, sqrt
 from pathlib import Path
@@ -9,6 +10,7 @@ import torch
 import trimesh
 
 from aerial_gym.assets import FAMILIES, AssetManager, CollisionTest, Scene, family_shapes, load_urdf
+from aerial_gym.assets.shapes import load_mesh
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, FamilyCfg, PartCfg, ShapeCfg, load_environment
 from aerial_gym.config.robot import SphereCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
@@ -295,6 +297,14 @@ def test_an_environment_file_can_hold_a_urdf(lamp: Path) -> None:
         ('robot name="lamp"', 'model name="lamp"', r"lamp.urdf: (not valid XML|must hold a <robot>)"),
         ("shade.stl", "none.stl", r"lamp.urdf: link 'shade': mesh none.stl: no such file"),
         ('scale="0.5 0.5 0.5"', 'scale="0.5 0.5 1"', r"link 'shade': mesh shade.stl: scale .* differs by axis"),
+        (
+            'scale="0.5 0.5 0.5"',
+            'scale="1 1 1 1"',
+            r"link 'shade': mesh shade.stl: scale .* must be one number, or three",
+        ),
+        ('filename="shade.stl"', "", r"lamp.urdf: (link 'shade': a mesh has no filename|cannot be read)"),
+        ("shade.stl", "package://lamp/../../../etc/passwd", r"(leads out of the folder|no such file)"),
+        ("shade.stl", "package://etc/passwd", r"mesh package://etc/passwd: no such file"),
         ('radius="0.02"', 'radius="-1"', r"lamp.urdf: link 'pole': ShapeCfg.radius = -1.0: must be > 0"),
         ('xyz="0.1 0 0"', 'xyz="nan 0 0"', r"lamp.urdf: link 'shade': an origin is not finite"),
         ('xyz="0.1 0 0"', 'xyz="a 0 0"', r"lamp.urdf: cannot be read"),
@@ -332,3 +342,51 @@ def test_a_urdf_without_yourdfpy_names_the_extra(lamp: Path, monkeypatch: pytest
     monkeypatch.setitem(sys.modules, "yourdfpy", None)
     with pytest.raises(ConfigError, match=r"needs yourdfpy; install aerial-gym\[urdf\]"):
         load_urdf(lamp)
+
+
+def test_a_mesh_of_a_package_stays_in_the_asset_folder(lamp: Path) -> None:
+    """Beside the URDF and in its package it is found; through ``..`` or a link that leads out it is refused."""
+    pytest.importorskip("yourdfpy")
+    text, mesh = lamp.read_text(), lamp.parent / "shade.stl"
+    package = lamp.parent / "lamps" / "urdf"
+    (package.parent / "meshes").mkdir(parents=True)
+    package.mkdir()
+    (package.parent / "meshes" / "shade.stl").write_bytes(mesh.read_bytes())
+    for name in ("package://lamps/meshes/shade.stl", "package://other/meshes/shade.stl"):
+        (package / "lamp.urdf").write_text(text.replace("shade.stl", name))
+        assert load_urdf(package / "lamp.urdf").parts
+    (package.parent / "link.stl").symlink_to(mesh)
+    for name in ("package://lamps/../../shade.stl", "package://lamps/link.stl"):
+        (package / "lamp.urdf").write_text(text.replace("shade.stl", name))
+        if name.endswith("link.stl"):
+            mesh.rename(lamp.parent.parent / "away.stl")
+            (package.parent / "link.stl").unlink()
+            (package.parent / "link.stl").symlink_to(lamp.parent.parent / "away.stl")
+        with pytest.raises(ConfigError, match="leads out of the folder|no such file"):
+            load_urdf(package / "lamp.urdf")
+
+
+def test_a_long_chain_of_links_takes_a_time_in_proportion(tmp_path: Path) -> None:
+    """3,000 links took 40 s: the time grew with the square of their number. Each stands 0.001 m beyond the one before."""
+    pytest.importorskip("yourdfpy")
+    count = 3000
+    links = "".join(
+        f"<link name='l{i}'><visual><geometry><sphere radius='1'/></geometry></visual></link>" for i in range(count)
+    )
+    joints = "".join(
+        f"<joint name='j{i}' type='fixed'><origin xyz='0.001 0 0'/><parent link='l{i}'/><child link='l{i + 1}'/></joint>"
+        for i in range(count - 1)
+    )
+    (tmp_path / "chain.urdf").write_text(f"<robot name='chain'>{links}{joints}</robot>")
+    started = time.perf_counter()
+    parts = load_urdf(tmp_path / "chain.urdf").parts
+    assert time.perf_counter() - started < 15.0
+    assert len(parts) == count
+    assert parts[-1].position == pytest.approx((0.001 * (count - 1), 0.0, 0.0))
+
+
+@pytest.mark.parametrize("text", ["v 1\nv 2\nv 3\nf 1 2 3\n", "v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "v a b c\nf 1 2 3\n"])
+def test_meshes_of_too_few_numbers_are_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "bad.obj").write_text(text)
+    with pytest.raises(ConfigError, match="bad.obj: "):
+        load_mesh(tmp_path / "bad.obj", scale=1.0)

@@ -145,7 +145,7 @@ def test_a_writer_of_summaries_outlives_a_full_disk_and_says_so() -> None:
 
 def test_a_training_that_diverged_ends_and_keeps_what_was_good(tmp_path: Path) -> None:
     cfg, folder = load_settings(settings_for("rl_games", "position_setpoint_task")), RunFolder(tmp_path)
-    env = SimpleNamespace(generator=torch.Generator())
+    env = SimpleNamespace(random=SimpleNamespace(state_tensors=dict))
     keeper = Keeper(cfg, folder, SimpleNamespace(curriculum=None, env=env), resumed=None)  # type: ignore[arg-type]
     good = keeper.save({"model": {"weight": torch.ones(3)}}, env_steps=5)
     with pytest.raises(

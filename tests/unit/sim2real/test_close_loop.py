@@ -1,6 +1,7 @@
 """The whole loop on exact flights with noise: a smoke test, no proof; ``tests/integration/test_undeclared.py`` has an
 independent plant, ``tests/measured/test_idsia.py`` real flights."""
 
+import errno
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.cli.main import main
 from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.errors import ConfigError, DataError, StorageError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real import close_loop, replay
@@ -173,7 +174,7 @@ def test_the_command_prints_and_refuses(folder: Path, capsys: pytest.CaptureFixt
     wrong = write(bad, folder / "bad.csv")
     for arguments, message in (
         ([*call[:-1], str(wrong), "--out", str(folder / "new")], "bad.csv, line 102: omega_y is empty (NaN)"),
-        ([*call, "--out", str(folder)], "holds other files and would be replaced; give a new or empty folder"),
+        ([*call, "--out", str(folder)], "holds other files; give a new or empty folder"),
         ([*call[:-1], train[0], "--out", str(folder / "new")], "is given twice"),
         ([*call, "--out", str(folder / "new"), "--bandwidth-hz", "0"], "bandwidth_hz = 0.0: must lie in [0.5, 100] Hz"),
         ([*call, "--out", str(folder / "new"), "--mapping", "px4"], "no log mapping 'px4'"),
@@ -205,7 +206,8 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
 
     def run(text: str, *, fail: bool) -> None:
         with whole_folder(out) as partial:
-            (partial / "run.json").write_text(text)
+            (partial / "run.json").write_text(json.dumps({"run": text}))
+            (partial / f"{text}.txt").write_text(text)
             if fail:
                 raise OSError("disk full")
 
@@ -216,9 +218,33 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="disk full"):
         run("third", fail=True)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
-    assert (out / "run.json").read_text() == "second"
-    run("fourth", fail=False)  # our own folder may be replaced
-    assert (out / "run.json").read_text() == "fourth"
+    assert json.loads((out / "run.json").read_text())["run"] == "second"
+    (out / "notes.txt").write_text("of a person")
+    run("fourth", fail=False)  # what an earlier run wrote is replaced, and nothing else
+    assert json.loads((out / "run.json").read_text())["run"] == "fourth"
+    assert sorted(path.name for path in out.iterdir()) == ["fourth.txt", "notes.txt", "run.json"]
+    assert (out / "notes.txt").read_text() == "of a person"
+
+
+@pytest.mark.parametrize("files", [["../kept.txt", "/etc/hostname", ".", ""], "kept.txt", None, [3]])
+def test_a_record_that_was_changed_deletes_nothing_else(files: object, tmp_path: Path) -> None:
+    (tmp_path / "kept.txt").write_text("")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "run.json").write_text(json.dumps({"files": files}))
+    with whole_folder(tmp_path / "out") as partial:
+        (partial / "run.json").write_text("{}")
+    assert (tmp_path / "kept.txt").exists()
+
+
+def test_a_full_disk_ends_a_run_with_a_sentence_and_leaves_what_was(tmp_path: Path) -> None:
+    def run() -> None:
+        with whole_folder(tmp_path / "out") as partial:
+            (partial / "run.json").write_text("{}")
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(StorageError, match="out: cannot be written, the disk is full"):
+        run()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_training_and_testing_need_a_flight_each(folder: Path, tmp_path: Path) -> None:

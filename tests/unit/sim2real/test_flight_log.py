@@ -214,3 +214,12 @@ def test_battery_and_another_vehicle_are_read_if_they_are_there(table: pd.DataFr
     assert log.other_position is not None
     np.testing.assert_allclose(log.battery, more["vbat"])
     np.testing.assert_allclose(log.other_position[-1], (1.0, 2.0, 3.0))
+
+
+@pytest.mark.parametrize("broken", ['"1', '1"2"', '"', '"a\n'])
+def test_unbalanced_quotes_are_refused_with_the_file(broken: str, tmp_path: Path) -> None:
+    lines = ["t,q_x,q_y,q_z,q_w,omega_x,omega_y,omega_z,rotor_1"]
+    lines += [f"{0.01 * i},0,0,0,1,0,0,0,{broken if i == 5 else 900}" for i in range(10)]
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(DataError, match="log.csv"):
+        read_flight_log(tmp_path / "log.csv")

@@ -165,7 +165,7 @@ def test_wrong_tasks_are_refused_by_name() -> None:
         Task(replace(cfg, reward_params={"crash": -1.0}), env)
     with pytest.raises(UnknownNameError, match="no reward 'hover'"):
         Task(replace(cfg, reward="hover"), env)
-    with pytest.raises(ConfigError, match="TaskCfg.episode_len_steps = 0: must be > 0"):
+    with pytest.raises(ConfigError, match="TaskCfg.episode_len_steps = 0: must be >= 1"):
         replace(cfg, episode_len_steps=0)
 
 

@@ -1,0 +1,67 @@
+"""Tasks that cannot work, and tasks that are closed, say so in one sentence."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from aerial_gym import task_registry
+from aerial_gym.env_manager import SimBuilder
+from aerial_gym.errors import CapabilityError, ClosedError, ConfigError
+from aerial_gym.rl_training import GymnasiumVectorEnv
+from aerial_gym.task import Task
+from aerial_gym.task.observations import OBSERVATIONS
+from aerial_gym.task.rewards import REWARDS
+
+NAMES = {"sim_name": "base_sim", "env_name": "empty_env", "robot_name": "base_quadrotor"}
+NAMES |= {"controller_name": "lee_position_control"}
+
+
+def test_terms_that_return_another_shape_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reward (E, 1) would be spread to (E, E), a wider term would shift every entry after it."""
+    reward, term = REWARDS["position_setpoint"], OBSERVATIONS["position_error_world"]
+    column = replace(reward, value=lambda state, params, crashed: reward.value(state, params, crashed)[:, None])
+    whole = replace(reward, value=lambda state, _, crashed: crashed.int())
+    number = replace(reward, value=lambda state, _, crashed: 1.0)
+    wide = replace(term, value=lambda state: torch.cat((state.position, state.position), dim=-1))
+    for registry, name, entry, message in (
+        (REWARDS, "position_setpoint", column, r"reward 'position_setpoint': returns \(4, 1\) .*needs \(E,\) = \(4,\)"),
+        (REWARDS, "position_setpoint", whole, r"returns \(4,\) torch.int32, needs .* floating point"),
+        (REWARDS, "position_setpoint", number, "returns a float, needs a tensor"),
+        (OBSERVATIONS, "position_error_world", wide, r"observation term .*returns \(4, 6\) .*\(E, width\) = \(4, 3\)"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setitem(registry, name, entry)
+            with pytest.raises(ConfigError, match=message):
+                task_registry.make_task("position_setpoint_task", num_envs=4, device="cpu")
+
+
+@pytest.mark.parametrize(
+    ("num_envs", "message"),
+    [(10**10, "must be at least 1, and at most"), (2**31 - 1, "do not fit into the memory of cpu")],
+)
+def test_counts_that_nothing_holds_are_refused(num_envs: int, message: str) -> None:
+    with pytest.raises((ConfigError, CapabilityError), match=message):
+        SimBuilder().build_env(**NAMES, num_envs=num_envs, device="cpu")
+
+
+def test_whatever_is_used_after_close_says_so() -> None:
+    task = task_registry.make_task("position_setpoint_task", num_envs=4, device="cpu")
+    adapter, actions = GymnasiumVectorEnv(task), torch.zeros(4, 4)
+    task.reset()
+    adapter.close()
+    task.close()  # a second time does nothing
+    env = task.env
+    for use in (
+        lambda: task.step(actions),
+        task.reset,
+        lambda: task.reset(seed=1),
+        lambda: env.step(actions),
+        env.reset,
+        env.render,
+        lambda: adapter.step(actions),
+        adapter.reset,
+    ):
+        with pytest.raises(ClosedError, match="this simulation is closed. Build a new one"):
+            use()
+    assert isinstance(task, Task)
