@@ -29,13 +29,16 @@ class ByRow(Generic[Result]):
         self.reason: str | None = None
         """Why it runs as torch operations, or None."""
 
-    def __call__(self, *tensors: Tensor) -> Result:
-        """Return what the function returns."""
+    def __call__(self, *tensors: Tensor, out: Sequence[Tensor] = ()) -> Result:
+        """Return what the function returns; ``out`` receives the first results, also where they are inputs."""
         if self._rows is None and self.reason is None:
             self._trace(tensors)
         if self._rows is None:
-            return on_whole_vectors(self._function, tensors[0].shape[0], tensors[0].device)(*tensors)
-        results = self._rows(*tensors)
+            whole = on_whole_vectors(self._function, tensors[0].shape[0], tensors[0].device)(*tensors)
+            for target, result in zip(out, whole if out else (), strict=False):
+                target.copy_(result)
+            return whole
+        results = self._rows(*tensors, out=out)
         return cast("Result", results[0] if self._single else results)
 
     def _trace(self, tensors: Sequence[Tensor]) -> None:

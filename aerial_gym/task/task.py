@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -37,6 +38,45 @@ Observation = dict[str, Tensor]
 
 StepResult = tuple[Observation, Tensor, Tensor, Tensor, dict[str, Tensor]]
 """Observation, reward, terminated, truncated, info."""
+
+
+class Judgement(NamedTuple):
+    """What one kernel finds of a step of every environment, (E, ...); the first four go on into the next one."""
+
+    non_finite: Tensor
+    """Bits of ``NonFinite``, for ``gtd["non_finite"]``."""
+
+    crashes: Tensor
+    """For ``gtd["crashes"]``."""
+
+    truncations: Tensor
+    """For ``gtd["truncations"]``."""
+
+    episode_return: Tensor
+    """Return with which the next step goes on."""
+
+    final: Tensor
+    """Observation before the reset."""
+
+    reward: Tensor
+    terminated: Tensor
+    truncated: Tensor
+    ended: Tensor
+    """Terminated or truncated."""
+
+    distance: Tensor
+    """To the target [m]."""
+
+    total: Tensor
+    """Return of the episode so far."""
+
+    length: Tensor
+    """Steps of the episode so far."""
+
+    success: Tensor
+    timeout: Tensor
+    bad: Tensor
+    """Whether something was not finite."""
 
 
 class Task:
@@ -113,6 +153,8 @@ class Task:
         check_shapes(cfg, self.state(), widths, lambda at: self._reward.value(at, self._params, at.crashed))
         self._apart = terms_apart([(e.term, OBSERVATIONS[e.term]) for e in cfg.observations], self.state())
         self._observe = ByRow(self._finite_observation, "the observation")
+        keys = ("non_finite", "crashes", "truncations")
+        self._written = (*(env.gtd[key] for key in keys), self.episode_return)
         self._judge = ByRow(self._judgement, f"the judgement of a step, with reward {cfg.reward!r},")
         self._command = ByRow(
             lambda actions: self._action.value(actions, self._action_params), f"action {cfg.action!r}"
@@ -176,7 +218,7 @@ class Task:
     def _check_untraced(self) -> None:
         """Refuse what waits for the GPU; a kernel cannot, so only what runs as torch operations is asked."""
         state = self.state()
-        self._judge(self._gtd["sim_steps"], self.episode_return, self._gtd["non_finite"], *vars(state).values())
+        self._judge(*self._judged())
         names = {self.cfg.observations[i].term for i in self._apart}
         terms = {f"observation term {name!r}": partial(OBSERVATIONS[name].value, state) for name in names}
         if self._judge.reason is not None:
@@ -214,34 +256,29 @@ class Task:
         return result
 
     def _step(self, actions: Tensor) -> StepResult:
-        gtd = self._gtd
         self.env.step(actions if self._action.value is direct else self._command(actions))
-        final, reward, terminated, truncated, distance, total, bits = self._judge(
-            gtd["sim_steps"], self.episode_return, gtd["non_finite"], *vars(self.state()).values()
-        )
-        gtd["non_finite"].copy_(bits)
-        info = {
-            "final_observation": self._noise.add(final, final=True),
-            "time_outs": truncated,
-            "episode_return": total,
-            "episode_length": gtd["sim_steps"].clone(),
-            "distance": distance,
-            "non_finite": bits != 0,
-        }
-        gtd["crashes"].copy_(terminated)
-        gtd["truncations"].copy_(truncated)
-        ended = terminated | truncated
-        self.episode_return.copy_(total).masked_fill_(ended, 0.0)
+        judged = Judgement(*self._judge(*self._judged(), out=self._written))
+        ended, info = judged.ended, {
+            "final_observation": self._noise.add(judged.final, final=True),
+            "time_outs": judged.truncated,
+            "episode_return": judged.total,
+            "episode_length": judged.length,
+            "distance": judged.distance,
+            "non_finite": judged.bad,
+        }  # fmt: skip
         if self.cfg.success_radius is not None:
-            success = truncated & (distance < self.cfg.success_radius)
-            info |= {"successes": success, "crashes": terminated, "timeouts": truncated & ~success}
+            info |= {"successes": judged.success, "crashes": judged.terminated, "timeouts": judged.timeout}
             if self.curriculum is not None:
-                self.curriculum.count(ended, success)
+                self.curriculum.count(ended, judged.success)
         self._watch.notice(actions, ended)
         self._begin(ended)
         self._look()
         after = self._noise.add(self._observe(*vars(self.state()).values()))
-        return {"observations": after}, reward, terminated, truncated, info
+        return {"observations": after}, judged.reward, judged.terminated, judged.truncated, info
+
+    def _judged(self) -> tuple[Tensor, ...]:
+        """Return what ``_judgement`` looks at."""
+        return (self._gtd["sim_steps"], self.episode_return, self._gtd["non_finite"], *vars(self.state()).values())
 
     def _begin(self, mask: Tensor) -> None:
         """Start episodes in the environments of ``mask``: robot, obstacles, goal and the room around it."""
@@ -311,7 +348,7 @@ class Task:
     def _judgement(
         self, steps: Tensor, episode_return: Tensor, non_finite: Tensor, *state: Tensor
     ) -> tuple[Tensor, ...]:
-        """Return last observation, reward, terminated, truncated, distance [m], return, bits of ``NonFinite``."""
+        """Return a ``Judgement``."""
         at = TaskState.of(state)
         distance = (at.target - at.position).norm(dim=-1)
         terminated = at.crashed | (distance > self.cfg.max_distance)
@@ -324,10 +361,28 @@ class Task:
         bad = bits != 0
         terminated = terminated | bad
         truncated = (steps >= self.cfg.episode_len_steps) & ~terminated
+        ended = terminated | truncated
         reward = torch.where(bad, self._crash_reward, reward)
         distance = torch.where(distance.isfinite(), distance, self.cfg.max_distance)
-        final = observation.nan_to_num(0.0, 0.0, 0.0)
-        return final, reward, terminated, truncated, distance, episode_return + reward, bits
+        total = episode_return + reward
+        success = truncated & (distance < (self.cfg.success_radius or 0.0))
+        return Judgement(
+            non_finite=bits,
+            crashes=terminated,
+            truncations=truncated,
+            episode_return=total.masked_fill(ended, 0.0),
+            final=observation.nan_to_num(0.0, 0.0, 0.0),
+            reward=reward,
+            terminated=terminated.clone(),
+            truncated=truncated.clone(),
+            ended=ended,
+            distance=distance,
+            total=total,
+            length=steps.clone(),
+            success=success,
+            timeout=truncated & ~success,
+            bad=bad,
+        )
 
     def close(self) -> None:
         """Name what was not finite and not yet named, and release the simulation; a later call raises ``ClosedError``."""

@@ -28,11 +28,10 @@ def flown(request: pytest.FixtureRequest) -> Task:
 def test_kernels_of_the_shipped_tasks_compute_what_torch_does(flown: Task) -> None:
     """Same types and truth values; numbers within round-off of a few operations on numbers of order one to ten."""
     state = tuple(vars(flown.state()).values())
-    steps, total, bits = flown.env.gtd["sim_steps"], flown.episode_return, flown.env.gtd["non_finite"]
     actions = torch.rand(5, 4)
     pairs = [
         ((flown._observe(*state),), (flown._finite_observation(*state),)),
-        (flown._judge(steps, total, bits, *state), flown._judgement(steps, total, bits, *state)),
+        (flown._judge(*flown._judged()), flown._judgement(*flown._judged())),
         ((flown._command(actions),), (flown._action.value(actions, flown._action_params),)),
     ]
     for found, expected in pairs:
