@@ -150,7 +150,7 @@ TABLE = Table(
         refused("damping.angular_quadratic_damping_coefficient", [0.0] * 3,
                 "there is no such effect here yet; 0 is what all robots have"),
         carried("robot_asset.asset_folder", "body, collision", lambda _: bodies.FOLDER, bodies.body,
-                "a URDF: all links as one body about their common centre of mass, collision shapes as spheres around them"),
+                "a URDF: all links as one body about their centre of mass; its spheres and boxes, boxes around the rest"),
         carried("robot_asset.file", "body, collision", _urdf, bodies.body),
         refused("robot_asset.fix_base_link", False, "robots fly here"),
         kept("robot_asset.disable_gravity", "gravity: 0 of the sim", lambda _: False, "only robots feel gravity, there too"),

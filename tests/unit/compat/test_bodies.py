@@ -19,7 +19,9 @@ pytest.importorskip("yourdfpy")
 
 URDF = """<robot name="hexa"><link name="base">
 <inertial><mass value="1.2"/><inertia ixx="0.012" iyy="0.013" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
-<collision><geometry><box size="0.3 0.4 0.0"/></geometry></collision></link></robot>""".replace('0.0"', '0.12"')
+<collision><geometry><box size="0.3 0.4 0.12"/></geometry></collision>
+<collision><origin xyz="0 0 0.1"/><geometry><cylinder radius="0.01" length="0.1"/></geometry></collision>
+<collision><origin xyz="0.2 0 0"/><geometry><sphere radius="0.03"/></geometry></collision></link></robot>"""
 
 
 def hexarotor(folder: Path, **changes: Any) -> type:
@@ -62,7 +64,9 @@ def test_a_robot_of_one_s_own_flies(tmp_path: Path) -> None:
     assert cfg.body.mass == pytest.approx(1.2)
     np.testing.assert_allclose(cfg.body.inertia, np.diag([0.012, 0.013, 0.02]))
     assert same(allocation_matrix(cfg), cls.control_allocator_config.allocation_matrix)  # pyright: ignore
-    assert cfg.collision.spheres[0].radius == pytest.approx(0.5 * (0.3**2 + 0.4**2 + 0.12**2) ** 0.5)
+    assert [box.size for box in cfg.collision.boxes] == [(0.3, 0.4, 0.12), (0.02, 0.02, 0.1)]
+    assert cfg.collision.boxes[1].center == (0.0, 0.0, 0.1)
+    assert [(ball.center, ball.radius) for ball in cfg.collision.spheres] == [((0.2, 0.0, 0.0), 0.03)]
     robot_registry.register("hexa", BaseMultirotor, cls)
     env = SimBuilder().build_env("base_sim", "empty_env", "hexa", "lee_position_control", "cpu", num_envs=2, seed=0)
     env.reset()
