@@ -91,10 +91,14 @@ class AssetManager:
 
     def restart(self) -> None:
         """Draw anew which obstacles each environment has, after another seed was given; all are parked until the next reset."""
+        self.draw_kinds()
+        self._park_all()
+
+    def draw_kinds(self) -> None:
+        """Give every instance the asset and shape that follow from the seed."""
         self.scene.relabel(*self._draw_kinds())
         if self._clearance is not None:
             self._clearance.restart()
-        self._park_all()
 
     def set_num_obstacles(self, count: int) -> None:
         """Make ``count`` of the assets that are not kept present from the next reset on; the rest will be parked.

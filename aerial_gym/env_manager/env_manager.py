@@ -5,6 +5,7 @@
 with the collision test, which follows all K substeps. Letters: E environments, A obstacles, K substeps.
 """
 
+from collections.abc import Mapping
 from typing import Any, NoReturn
 
 import torch
@@ -24,6 +25,7 @@ from aerial_gym.math.random import Randomness
 from aerial_gym.physics import Trajectory
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
+from aerial_gym.registry.state import below, check_state, identity, restore, saved
 from aerial_gym.robots import ROBOTS, RobotManager, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend, states_by_key
 from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors, with_drawn_places
@@ -164,6 +166,9 @@ class EnvManager:
                 crashes_out=self.gtd["crashes"],
             )
         self._collision.measure()
+        self._identity = identity(
+            sim=sim, environment=env, robot=robot, controller=controller, randomize=dict(randomize or {})
+        )
         self._all = torch.ones(num_envs, dtype=torch.bool, device=device)
 
     def _declare(self, num_assets: int) -> None:
@@ -291,6 +296,43 @@ class EnvManager:
     def draws(self) -> dict[str, Tensor]:
         """Return what the present episodes have drawn, by the names of quantities, (E, ...): factors, offsets or values."""
         return self.robot_manager.draws() | self.sensor_manager.draws()
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return everything on which the future depends, by name: tensors that keep their places, and digests."""
+        parts = {
+            "random": self.random.state_tensors(),
+            "gtd": self.gtd.state_tensors(),
+            "robot": self.robot_manager.state_tensors(),
+            "sensors": self.sensor_manager.state_tensors(),
+            "imus": self.imus.state_tensors(),
+        }
+        return self._identity | {name: t for prefix, part in parts.items() for name, t in below(prefix, part).items()}
+
+    def save_state(self) -> dict[str, Tensor]:
+        """Return a copy of everything on which the future depends: after ``load_state`` the flight is the same, bit for bit.
+
+        ``torch.save`` writes it; ``torch.load(path, weights_only=True)`` reads it.
+        """
+        return saved(self.state_tensors())
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        """Go on from a state that this or an equal simulation has saved. Waits for the device.
+
+        Raises:
+            ConfigError: If it is the state of another simulation; the message says what differs.
+        """
+        check_state(state, self.state_tensors())
+        self.restore(state)
+
+    def restore(self, state: Mapping[str, Tensor]) -> None:
+        """Take a state that was checked; it may hold more than is of this simulation."""
+        for name, tensor in self.random.state_tensors().items():
+            tensor.copy_(state[f"random.{name}"])
+        self.seed = int(self.random.seed)
+        self.asset_manager.draw_kinds()
+        restore(state, self.state_tensors())
+        self.robot_manager.refresh_model()
+        restore(state, self.state_tensors())  # once more what was built anew
 
     def render(self) -> None:
         """Read every sensor at the states of this instant."""

@@ -102,6 +102,10 @@ class PhysicsBackend(Protocol):
         """Make everything that depends on the length of a substep [s]."""
         ...
 
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return what must be kept to go on, by name, once prepared: parameters and what effects and control law remember."""
+        ...
+
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
         """Return what it keeps of a model for each environment, (E, ...): plain torch on rows of the model, nothing else."""
         ...

@@ -172,8 +172,17 @@ class TorchBackend:
         self._own = [name for name, kept in rows.items() if not is_shared(kept)]
 
     def prepare(self, dt: float) -> None:
-        """Make the memory of the effects."""
+        """Make the memory of effects and control law."""
         self._memory_for(dt)
+        self._law_memory_for(self._model.vehicle.mass, dt)
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return what must be kept to go on, by name."""
+        found = {f"parameter.{i}": rows for i, rows in enumerate(self.parameter_targets())}
+        for name, memory in (("memory", self._memory), ("law", self.law_memory)):
+            if memory is not None:
+                found |= {f"{name}.{key}": tensor for key, tensor in memory.tensors().items()}
+        return found
 
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
         """Return the parameters of the vehicle that environments do not share, and the inverse inertia."""
@@ -200,20 +209,20 @@ class TorchBackend:
     def _free_substep(self, state: BodyState, command: Tensor, dt: float) -> tuple[MassState, MassState]:
         """Return the motion before and after a substep without contact."""
         memory = self._memory_for(dt)
-        rotor_command, law_memory = law_command(self._control, state, command, self._law_memory_for(state, dt))
+        rotor_command, law_memory = law_command(self._control, state, command, self._law_memory_for(state.position, dt))
         before, after, memory = _substep(self._model, self._stepper, state, rotor_command, dt, memory)
         self._memory = _kept(self._memory, memory)
         self.law_memory = _kept(self.law_memory, law_memory)
         return before, after
 
-    def _law_memory_for(self, state: BodyState, dt: float) -> LawMemory | None:
+    def _law_memory_for(self, like: Tensor, dt: float) -> LawMemory | None:
         """Return the memory of the control law, made at its first step."""
         needs = needs_of(self._control)
         if needs is None:
             return None
         check_law_step(needs, dt)
         if self.law_memory is None:
-            self.law_memory = fresh_law_memory(needs, state.num_envs, state.position)
+            self.law_memory = fresh_law_memory(needs, like.shape[0], like)
         return self.law_memory
 
     def _memory_for(self, dt: float) -> Memory | None:

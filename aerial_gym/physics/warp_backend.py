@@ -226,6 +226,14 @@ class WarpBackend:
         if dt != self._dt:
             self._prepare(dt)
 
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return what must be kept to go on, by name."""
+        found = {"packed": self._packed}
+        for name, memory in (("memory", self._memory), ("law", self.law_memory)):
+            if memory is not None:
+                found |= {f"{name}.{key}": tensor for key, tensor in memory.tensors().items()}
+        return found
+
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
         """Return the packed numbers of the vehicle, (E, n), and the parameters of the effects, (E, m)."""
         numbers = numbers_of(model, self._law, STAGES[self._integrator] * self._dt)

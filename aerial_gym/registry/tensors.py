@@ -85,6 +85,19 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
         self[key]
         return self._specs[key]
 
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return every tensor but those that only show parts of another one."""
+        whole = {}
+        for key, tensor in self._tensors.items():
+            storage = tensor.untyped_storage()
+            if tensor.numel() and storage.nbytes() == tensor.numel() * tensor.element_size():
+                whole.setdefault(storage.data_ptr(), key)
+        return {
+            key: tensor
+            for key, tensor in self._tensors.items()
+            if tensor.numel() and whole.get(tensor.untyped_storage().data_ptr(), key) == key
+        }
+
     def __getitem__(self, key: str) -> Tensor:
         try:
             return self._tensors[key]

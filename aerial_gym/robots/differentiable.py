@@ -68,6 +68,11 @@ class DifferentiableBackend:
         """Make the memory of the effects."""
         self._inner.prepare(dt)
 
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return what must be kept to go on, by name; gradients end here."""
+        self.detach()
+        return self._inner.state_tensors() | {f"graph.{name}": rows for name, rows in vars(self.state).items()}
+
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
         """Return what the inner backend keeps for each environment, in its float type."""
         return tuple(rows.to(self._dtype) for rows in self._inner.parameter_rows(model))

@@ -36,6 +36,7 @@ from aerial_gym.physics.model import Model, check_effects, robot_effects
 from aerial_gym.physics.rotors import state_for_thrust
 from aerial_gym.physics.vehicle import is_shared, own_rows
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+from aerial_gym.registry.state import below
 from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.initial_state import InitialState
 from aerial_gym.robots.parameter_draws import ParameterDraws
@@ -337,7 +338,24 @@ class RobotManager:
 
     def refresh_model(self) -> None:
         """Take changed parameters of effects (``gtd["effect_..."]``) into the physics."""
+        before = self.backend.parameter_targets()
         self.backend.set_model(self._build_model())
+        self.backend.prepare(self._sim.dt)
+        after = self.backend.parameter_targets()
+        if self._update is not None and [t.data_ptr() for t in before] != [t.data_ptr() for t in after]:
+            self._update = self._make_update()
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return what must be kept to go on beside the GTD, by name."""
+        gains = getattr(self.controller, "gains", None)
+        drawn = [] if self._randomized is None else self._randomized.drawn_gains
+        kept = {name: getattr(gains, name) for name in GAINS if name in drawn or self._draws_gains}
+        return {"com": self._com} | below("gains", kept) | below("backend", self.backend.state_tensors())
+
+    @property
+    def _draws_gains(self) -> bool:
+        """Whether the controller's own configuration draws its gains."""
+        return bool(getattr(self.controller, "_ranges", None))
 
     def act(self, actions: Tensor) -> None:
         """Begin a step: store its action, (E, U), and keep the one before."""

@@ -38,6 +38,11 @@ class DelayLine:
             kept[0].copy_(fresh)
         self._started.fill_(True)
 
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return what must be kept to go on, by name."""
+        kept = {f"{i}.{age}": image for i, (_, _, ages) in enumerate(self._pairs) for age, image in enumerate(ages)}
+        return {"started": self._started, **kept}
+
     def reset(self, mask: Tensor) -> None:
         """Forget the images of the environments in ``mask``, bool (E,)."""
         self._started.logical_and_(~mask)

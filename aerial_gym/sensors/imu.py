@@ -314,6 +314,21 @@ class Imu:
         out.measurement = wp.from_torch(self.measurement.view(-1, 2, 3), dtype=wp.vec3)
         return out
 
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return what must be kept to go on, by name."""
+        return {
+            "bias": self.bias,
+            "mount_attitude": self.mount_attitude,
+            "point_vel": self._point_vel,
+            "sample": self._sample,
+            "clock": self._clock,
+            "force_sum": self._force_sum,
+            "steps": self._steps,
+            "place": self._place,
+            "fresh": self._fresh,
+            "line": self._line,
+        }
+
     def measure(self) -> None:
         """Take the step that has just ended into the measurement; call it once per ``dt``.
 

@@ -11,6 +11,7 @@ from aerial_gym.config.imu import ImuCfg
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+from aerial_gym.registry.state import below
 from aerial_gym.sensors.imu import Imu
 from aerial_gym.sensors.mounts import Mounted
 
@@ -67,6 +68,10 @@ class ImuSet:
                 number=len(self.imus),
                 errors=errors,
             )
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return what must be kept to go on, by name."""
+        return {name: t for key, imu in self.imus.items() for name, t in below(key, imu.state_tensors()).items()}
 
     def measure(self) -> None:
         """Write the samples of the step that has just ended; launched on torch's current stream, not waited for."""

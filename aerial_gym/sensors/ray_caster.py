@@ -211,6 +211,11 @@ class RayCaster:
                 launch.launch()
             launch_side_by_side(self._launches)
 
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return what must be kept to go on, by name."""
+        places = {"position": self.places.position, "attitude": self.places.attitude}
+        return {"due": self.due, "image_number": self._image_number, **places} | dict(self.images.items())
+
     def reset(self, mask: Tensor) -> None:
         """Place the mounts of masked environments, bool (E,), anew, nominal or drawn, and count images from 0."""
         self.places.reset(mask)

@@ -14,6 +14,7 @@ from aerial_gym.config.sensor import RangeSensorCfg
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
+from aerial_gym.registry.state import below
 from aerial_gym.sensors.delay import CLOCK_MARGIN, DelayLine, like, steps_of
 from aerial_gym.sensors.images import declare_images
 from aerial_gym.sensors.mounts import Pose
@@ -120,6 +121,13 @@ class SensorManager:
             caster.cast()
         for delay in self._delay.values():
             delay.push()
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return what must be kept to go on, by name."""
+        parts: list[tuple[str, Mapping[str, Tensor]]] = [("clock", self._clock)]
+        parts += [(f"caster.{name}", caster.state_tensors()) for name, caster in self.casters.items()]
+        parts += [(f"delay.{name}", delay.state_tensors()) for name, delay in self._delay.items()]
+        return {name: tensor for prefix, part in parts for name, tensor in below(prefix, part).items()}
 
     def draws(self) -> dict[str, Tensor]:
         """Return where the sensors sit whose places are drawn, position [m] and attitude, body, (E, S, 3) and (E, S, 4)."""

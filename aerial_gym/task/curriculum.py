@@ -85,6 +85,10 @@ class Curriculum:
             "succeeded": int(self._succeeded),
         }
 
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return what must be kept to go on beside the level, by name."""
+        return {"finished": self._finished, "succeeded": self._succeeded, "difficulty": self.difficulty}
+
     def load(self, state: dict[str, int]) -> None:
         """Continue from a state.
 

@@ -19,6 +19,7 @@ from aerial_gym.config.task import TaskCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
 from aerial_gym.math.random import Purpose, counted_uniform
+from aerial_gym.registry.state import below, check_state, identity, restore, saved
 from aerial_gym.robots.finite import NonFinite
 from aerial_gym.robots.watch import Watch
 from aerial_gym.sensors.cells import NearestInCells
@@ -383,6 +384,36 @@ class Task:
             timeout=truncated & ~success,
             bad=bad,
         )
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return everything on which the future depends, by name: tensors that keep their places, and digests."""
+        own = {
+            "target_position": self.target_position,
+            "episode_return": self.episode_return,
+            "prev_distance": self._prev_distance,
+        }
+        if self._cells is not None:
+            own["cells"] = self._cells.nearest
+        curriculum = {} if self.curriculum is None else self.curriculum.state_tensors()
+        found = identity(task=self.cfg) | self.env.state_tensors()
+        return found | below("task", own) | below("curriculum", curriculum)
+
+    def save_state(self) -> dict[str, Tensor]:
+        """Return a copy of everything on which the future depends, the simulation included (``EnvManager.save_state``).
+
+        What a policy remembers is its own.
+        """
+        return saved(self.state_tensors())
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        """Go on from a state that this or an equal task has saved; call ``reset`` once before. Waits for the device.
+
+        Raises:
+            ConfigError: If it is the state of another task or simulation; the message says what differs.
+        """
+        check_state(state, self.state_tensors())
+        self.env.restore(state)
+        restore(state, self.state_tensors())
 
     def close(self) -> None:
         """Name what was not finite and not yet named, and release the simulation; a later call raises ``ClosedError``."""

@@ -1,0 +1,66 @@
+"""The state of a simulation as a flat dictionary of tensors: everything on which its future depends.
+
+Whoever keeps such tensors lists them by name, ``state_tensors() -> dict[str, Tensor]``; they keep their places, so that
+loading is copying. ``torch.save`` writes the dictionary, ``torch.load(..., weights_only=True)`` reads it.
+"""
+
+import hashlib
+import re
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config import CONFIG_DIR
+from aerial_gym.errors import ConfigError
+
+IDENTITY = "identity."
+"""In front of the names of digests, which say of which simulation a state is."""
+
+
+def digest(config: object) -> Tensor:
+    """Return a configuration as a number, int64, (1,), the same in every process and place of the package."""
+    text = re.sub(r" at 0x[0-9a-f]+", "", repr(config).replace(str(CONFIG_DIR), ""))
+    return torch.tensor([int.from_bytes(hashlib.sha256(text.encode()).digest()[:7], "big")])
+
+
+def identity(**configs: object) -> dict[str, Tensor]:
+    """Return the digests of what a simulation was built from, by name."""
+    return {f"{IDENTITY}{name}": digest(config) for name, config in configs.items()}
+
+
+def below(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return tensors with ``prefix.`` in front of their names."""
+    return {f"{prefix}.{name}": tensor for name, tensor in tensors.items()}
+
+
+def saved(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return copies that nothing changes any more."""
+    return {name: tensor.detach().clone() for name, tensor in tensors.items()}
+
+
+def check_state(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) -> None:
+    """Raise ``ConfigError`` if a state is not one of the simulation with these tensors; the message says why."""
+    for name, tensor in own.items():
+        if name.startswith(IDENTITY) and name in state and not torch.equal(state[name].cpu(), tensor.cpu()):
+            raise ConfigError(
+                f"state: is of another {name.removeprefix(IDENTITY)}. Build the simulation with what it was saved from"
+            )
+    unknown, missing = sorted(state.keys() - own.keys()), sorted(own.keys() - state.keys())
+    if unknown or missing:
+        what = f"has {unknown[0]!r}, which is not here" if unknown else f"lacks {missing[0]!r}"
+        raise ConfigError(f"state: {what}; it is of another simulation, or of another version")
+    for name, tensor in own.items():
+        given = state[name]
+        if given.shape != tensor.shape or given.dtype != tensor.dtype:
+            raise ConfigError(
+                f"state: {name} is {tuple(given.shape)} {given.dtype}, here {tuple(tensor.shape)} {tensor.dtype}. "
+                "The number of environments must be the same"
+            )
+
+
+def restore(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) -> None:
+    """Copy a state into the tensors of a simulation."""
+    for name, tensor in own.items():
+        if not name.startswith(IDENTITY):
+            tensor.copy_(state[name])

@@ -1,0 +1,144 @@
+"""A saved state goes on as if nothing had been: bit for bit, in the same simulation and in a new one, through a file."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym import task_registry
+from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config.randomize import RandomizeCfg
+from aerial_gym.config.robot import BatteryCfg
+from aerial_gym.config.sensor_mount import SensorMountCfg
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics import EFFECTS
+from aerial_gym.robots import ROBOTS
+from aerial_gym.task import Task
+
+E = 3
+BATTERY = BatteryCfg(
+    nominal_voltage=11.1, full_voltage=12.6, empty_voltage=10.5, internal_resistance=0.05, capacity=36.0, source="test"
+)
+RANDOMIZE = {
+    "body.mass": RandomizeCfg(low=0.8, high=1.2),
+    "effects.gusts.std": RandomizeCfg(how="value", low=0.5, high=2.0),
+    "gains.velocity": RandomizeCfg(low=0.9, high=1.1),
+}
+
+
+def rich(backend: str = "warp", *, env: str = "dynamic_env", seed: int = 1, num_envs: int = E, **changes) -> EnvManager:
+    """Return a simulation with moving obstacles, sensors with clocks and latencies, every effect with memory, and draws."""
+    robot, effects = ROBOTS.get("tinyprop"), {"rotor_drag": {"dx": 0.3, "dy": 0.3, "dz": 0.3}}
+    for name in (name for name in EFFECTS.names() if EFFECTS.get(name).remembers):
+        effect = EFFECTS.get(name)
+        row = [a + 0.5 * p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
+        effects[name] = dict(zip([p.name for p in effect.parameters], row, strict=True))
+    sensors = (
+        SensorMountCfg(sensor="st_vl53l5cx", name="eye", rate_hz=6.0, latency_s=0.1),
+        SensorMountCfg(sensor="bmi088", name="inner", rate_hz=5.0, latency_s=0.1),
+    )
+    built = EnvManager(
+        sim=replace(SIMS.get("base_sim"), backend=backend),
+        env=ENVIRONMENTS.get(env),
+        robot=replace(robot, effects=effects, effects_source="test", battery=BATTERY, sensors=sensors),
+        controller=CONTROLLERS.get("lee_velocity_control"),
+        num_envs=num_envs,
+        device=torch.device("cpu"),
+        seed=seed,
+        randomize=RANDOMIZE | changes,
+    )
+    built.reset()
+    return built
+
+
+def fly(env: EnvManager, steps: int) -> list[dict[str, Tensor]]:
+    """Fly with a reset on the way; return everything after every step."""
+    found, actions = [], torch.linspace(-0.5, 0.5, 4 * env.num_envs).view(-1, 4)
+    for step in range(steps):
+        env.step(actions)
+        if step == 3:
+            env.reset(torch.arange(env.num_envs) == 1)
+        env.render()
+        found.append({key: value.clone() for key, value in env.gtd.items()})
+    return found
+
+
+def assert_same(found: list[dict[str, Tensor]], expected: list[dict[str, Tensor]]) -> None:
+    for a, b in zip(found, expected, strict=True):
+        assert not [key for key in a if not torch.equal(a[key].nan_to_num(7.0), b[key].nan_to_num(7.0))]
+
+
+@pytest.mark.parametrize(("backend", "env"), [("warp", "dynamic_env"), ("torch", "empty_env")])
+def test_a_loaded_state_flies_on_the_same(backend: str, env: str, tmp_path: Path) -> None:
+    flown = rich(backend, env=env)
+    fly(flown, 7)
+    torch.save(flown.save_state(), tmp_path / "state.pt")
+    expected = fly(flown, 7)
+    state = torch.load(tmp_path / "state.pt", weights_only=True)
+    assert all(isinstance(tensor, Tensor) for tensor in state.values())
+    flown.load_state(state)
+    assert_same(fly(flown, 7), expected)
+    new = rich(backend, env=env, seed=5)
+    fly(new, 2)
+    new.load_state(state)
+    assert_same(fly(new, 7), expected)
+    assert new.seed == 1
+
+
+def test_saving_changes_nothing() -> None:
+    plain, saved = rich(env="empty_env"), rich(env="empty_env")
+    fly(plain, 3)
+    fly(saved, 3)
+    state = saved.save_state()
+    assert_same(fly(saved, 4), fly(plain, 4))
+    assert any(not torch.equal(tensor, saved.state_tensors()[name]) for name, tensor in state.items())
+
+
+def task_of(seed: int, controller: str | None = None) -> Task:
+    cfg = task_registry.get("navigation_task")
+    assert cfg.curriculum is not None
+    task = task_registry.make_task("navigation_task", num_envs=E, device="cpu", seed=seed, controller=controller)
+    assert task.curriculum is not None
+    task.reset()
+    return task
+
+
+def roll_out(task: Task, steps: int) -> list[dict[str, Tensor]]:
+    found = []
+    for step in range(steps):
+        task.env.gtd["sim_steps"].masked_fill_(torch.arange(E) == step % E, task.cfg.episode_len_steps)
+        observation, reward, terminated, _, info = task.step(torch.full((E, 4), 0.3))
+        row = {"observation": observation["observations"], "reward": reward, "terminated": terminated} | info
+        found.append({key: value.clone() for key, value in row.items()})
+    return found
+
+
+def test_a_task_goes_on_with_its_curriculum_and_returns() -> None:
+    task = task_of(1)
+    roll_out(task, 4)
+    state = task.save_state()
+    expected = roll_out(task, 5)
+    level = int(task.env.gtd["curriculum_level"])
+    other = task_of(2)
+    other.load_state(state)
+    assert_same(roll_out(other, 5), expected)
+    assert int(other.env.gtd["curriculum_level"]) == level
+
+
+def test_a_state_of_another_simulation_is_refused() -> None:
+    env = rich(env="empty_env")
+    state = env.save_state()
+    with pytest.raises(ConfigError, match="state: is of another environment"):
+        rich(env="landing_env").load_state(state)
+    with pytest.raises(ConfigError, match="state: is of another randomize"):
+        rich(env="empty_env", **{"body.com": RandomizeCfg(how="offset", low=0.0, high=0.0)}).load_state(state)
+    with pytest.raises(ConfigError, match=r"here \(2,.*The number of environments must be the same"):
+        rich(env="empty_env", num_envs=2).load_state(state)
+    with pytest.raises(ConfigError, match="state: lacks"):
+        env.load_state({name: tensor for name, tensor in state.items() if name != "gtd.robot_position"})
+    with pytest.raises(ConfigError, match="state: has 'more'"):
+        env.load_state(state | {"more": torch.zeros(1)})
