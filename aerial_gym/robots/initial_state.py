@@ -13,6 +13,7 @@ from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, rando
 from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.physics import BodyState
 from aerial_gym.robots.derived import DerivedArrays, DerivedStates, write_derived
+from aerial_gym.robots.noticed import Noticed, take_place
 
 
 @wp.struct
@@ -38,6 +39,8 @@ def _reset(
     bounds_min: wp.array[wp.vec3],  # (E,) world [m]
     bounds_max: wp.array[wp.vec3],  # (E,) world [m]
     rest_speed: wp.array[float],  # (R,) [rad/s]
+    non_finite: wp.array[wp.int32],  # (E,) bits of NonFinite, of the step that ends
+    episode_step: wp.array[wp.int32],  # (E,) that it was
     # out
     position_out: wp.array[wp.vec3],
     attitude_out: wp.array[wp.quat],
@@ -47,11 +50,23 @@ def _reset(
     actions_out: wp.array2d[float],  # (E, U)
     prev_actions_out: wp.array2d[float],  # (E, U)
     derived_out: DerivedArrays,
+    count_out: wp.array[wp.int32],  # (1,) rows that were not finite
+    rows_out: wp.array2d[wp.int32],  # (K, 4) environment, episode, step and bits of the first ones
 ):
-    """Write a new state and what follows from it where the mask says so; leave every other row alone."""
+    """Write a new state and what follows from it where the mask says so; leave every other row alone.
+
+    Rows that end because they were not finite are counted, and the first ones written down.
+    """
     e = wp.tid()
     if not mask[e]:
         return
+    if non_finite[e] != 0:
+        place = take_place(count_out)
+        if place < rows_out.shape[0]:
+            rows_out[place, 0] = e
+            rows_out[place, 1] = random.episode[e] - 1  # the new one has begun
+            rows_out[place, 2] = episode_step[e]
+            rows_out[place, 3] = non_finite[e]
     stream = stream_of(random, e, wp.static(int(Purpose.START)))
     share = draw_vec3(stream, 0, ranges.position_ratio_low, ranges.position_ratio_high)
     position = bounds_min[e] + wp.cw_mul(bounds_max[e] - bounds_min[e], share)
@@ -84,6 +99,7 @@ class InitialState:
         actions: Tensor,
         prev_actions: Tensor,
         random: Randomness,
+        noticed: Noticed | None = None,
     ) -> None:
         """Take what is written and what the draws depend on.
 
@@ -96,10 +112,12 @@ class InitialState:
             actions: Set to zero, (E, U).
             prev_actions: Likewise.
             random: Of the draws.
+            noticed: What becomes of rows that were not finite.
         """
         device = state.position.device
         self._mask = torch.zeros(state.num_envs, dtype=torch.bool, device=device)
-        self._kept_alive = random
+        noticed = noticed or Noticed.nothing(state)
+        self._kept_alive = random, noticed
         ranges = Ranges()
         for name, value in vars(cfg).items():
             setattr(ranges, name, wp.vec3(*value))
@@ -108,7 +126,7 @@ class InitialState:
         self._command = wp.launch(
             _reset,
             dim=state.num_envs,
-            inputs=[*inputs, wp.from_torch(rest_speed)],
+            inputs=[*inputs, *(wp.from_torch(tensor) for tensor in (rest_speed, noticed.bits, noticed.episode_step))],
             outputs=[
                 wp.from_torch(state.position, dtype=wp.vec3),
                 wp.from_torch(state.attitude, dtype=wp.quat),
@@ -118,6 +136,8 @@ class InitialState:
                 wp.from_torch(actions),
                 wp.from_torch(prev_actions),
                 derived.arrays,
+                wp.from_torch(noticed.count),
+                wp.from_torch(noticed.rows),
             ],
             device=wp.device_from_torch(device),
             record_cmd=True,

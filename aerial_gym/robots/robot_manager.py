@@ -39,6 +39,7 @@ from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import below
 from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.initial_state import InitialState
+from aerial_gym.robots.noticed import Noticed
 from aerial_gym.robots.parameter_draws import ParameterDraws
 from aerial_gym.robots.randomized import GAINS, Followed, Randomized, with_drawn_effects
 from aerial_gym.robots.scene_contact import PushedRobot, SceneContact
@@ -149,6 +150,8 @@ class RobotManager:
         self._update = self._make_update()
         rest_speed = _hover_speed(self.declared, sim.gravity)
         self.tensors.state.rotor_speed.copy_(rest_speed)
+        self.noticed = Noticed.of(gtd)
+        """Rows that were not finite."""
         self._initial = InitialState(
             robot.initial_state,
             self.tensors.state,
@@ -158,6 +161,7 @@ class RobotManager:
             actions=self.tensors.actions,
             prev_actions=self.tensors.prev_actions,
             random=random,
+            noticed=self.noticed,
         )
 
     def _declare_model(self) -> None:

@@ -1,6 +1,6 @@
-"""The watch over rows that are not finite: counts and names them, and keeps their last steps if it was asked to.
+"""The watch over rows that are not finite: names the first, and keeps the last steps of some if it was asked to.
 
-All in one launch at the end of a step, before the rows are reset; the host looks when it may without waiting.
+The host looks at what a reset noticed when it may without waiting; keeping is one launch at the end of a step.
 Letters: E environments, N numbers kept of a step, K rows kept.
 """
 
@@ -18,12 +18,10 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.interop import on_torch_stream, start_warp
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.robots.finite import NonFinite
+from aerial_gym.robots.noticed import KEPT_ROWS, Noticed, take_place
 
 KEPT_STEPS = 64
 """Last steps of a row that are kept."""
-
-KEPT_ROWS = 8
-"""Rows of which they are kept: the first ones."""
 
 LOOK_EVERY = 64
 """Steps between two looks of the host at a GPU."""
@@ -41,34 +39,6 @@ STATE_COLUMNS = {
 HEAD_COLUMNS = ("t", "env", "episode_step", "not_finite")
 """First columns of a dump: time until the row ended [s] (0: the step in which it did), environment, step of the episode, and
 what was not finite in the end."""
-
-
-@wp.func
-def take_place(count_out: wp.array[wp.int32]) -> int:
-    """Count a row and return how many were before it; the count stays at 2**30, far from wrapping round."""
-    if count_out[0] >= 1073741824:
-        return 1073741824
-    return wp.atomic_add(count_out, 0, 1)
-
-
-@wp.kernel(enable_backward=False)
-def _notice(
-    non_finite: wp.array[wp.int32],  # (E,) bits of NonFinite
-    episode_step: wp.array[wp.int32],  # (E,)
-    # out
-    count_out: wp.array[wp.int32],  # (1,) rows so far
-    rows_out: wp.array2d[wp.int32],  # (K, 4) environment, step of the episode, bits, steps kept
-):
-    """Count the rows with a bit, and write down the first K."""
-    e = wp.tid()
-    if non_finite[e] == 0:
-        return
-    place = take_place(count_out)
-    if place < rows_out.shape[0]:
-        rows_out[place, 0] = e
-        rows_out[place, 1] = episode_step[e]
-        rows_out[place, 2] = non_finite[e]
-        rows_out[place, 3] = 0
 
 
 @wp.kernel(enable_backward=False)
@@ -128,21 +98,28 @@ def _remember(
 
 
 class Watch:
-    """Notices rows that are not finite in every step; with ``keep`` it also keeps their last steps."""
+    """Names the first row that was not finite; with ``keep`` it also keeps the last steps of the first K rows."""
 
-    def __init__(self, gtd: GlobalTensorDictionary, *, num_actions: int, dt: float, keep: bool) -> None:
-        """Make the memory and the launch: with ``keep`` E times 64 steps of all numbers of a row.
+    def __init__(
+        self, gtd: GlobalTensorDictionary, noticed: Noticed, *, num_actions: int, dt: float, keep: bool
+    ) -> None:
+        """Make memory and launch: with ``keep`` E times 64 steps of all numbers of a row, else next to nothing.
 
         Args:
             gtd: Holds state, command, ``non_finite`` and ``sim_steps``.
+            noticed: What the reset of such rows writes.
             num_actions: Width V of the policy's action.
             dt: Length of a step [s].
             keep: Whether to keep the last steps of rows.
         """
         start_warp()
-        self._dt, self.keeps = dt, keep
+        self._dt, self.keeps, self._found = dt, keep, noticed.found
         self._device = gtd["non_finite"].device
         num_envs, self._told, self._looks = gtd["non_finite"].shape[0], False, 0
+        self._host = self._found if self._device.type == "cpu" else self._found.cpu().pin_memory()
+        self._seen = self._host.numpy()
+        if not keep:
+            return
         self._columns = [name for names in STATE_COLUMNS.values() for name in names]
         for prefix, width in (
             ("rotor", gtd["rotor_speed"].shape[1]),
@@ -150,23 +127,18 @@ class Watch:
             ("action", num_actions),
         ):
             self._columns += [f"{prefix}_{i + 1}" for i in range(width)]
-        self._state = torch.zeros(1 + 4 * KEPT_ROWS, dtype=torch.int32, device=self._device)
-        """Count and rows, side by side, so that one copy brings them to the host."""
-        self._host = self._state if self._device.type == "cpu" else self._state.cpu().pin_memory()
-        self._seen = self._host.numpy()
-        rows = self._state[1:].view(KEPT_ROWS, 4)
-        inputs, outputs = [gtd["non_finite"], gtd["sim_steps"]], [self._state[:1], rows]
-        if keep:
-            self._ring = torch.zeros(KEPT_STEPS, len(self._columns), num_envs, device=self._device)
-            self._kept = torch.zeros(KEPT_ROWS, KEPT_STEPS, len(self._columns), device=self._device)
-            self._steps = torch.zeros(num_envs, dtype=torch.int32, device=self._device)
-            self._ended = torch.zeros(num_envs, dtype=torch.bool, device=self._device)
-            self._action = torch.zeros(num_envs, num_actions, device=self._device)
-            state = [gtd[key] for key in (*STATE_COLUMNS, "rotor_speed", "robot_actions")]
-            inputs += [self._ended, *state, self._action]
-            outputs = [self._steps, self._ring, *outputs, self._kept]
+        self._count = torch.zeros(1, dtype=torch.int32, device=self._device)
+        self._rows = torch.zeros(KEPT_ROWS, 4, dtype=torch.int32, device=self._device)
+        self._ring = torch.zeros(KEPT_STEPS, len(self._columns), num_envs, device=self._device)
+        self._kept = torch.zeros(KEPT_ROWS, KEPT_STEPS, len(self._columns), device=self._device)
+        self._steps = torch.zeros(num_envs, dtype=torch.int32, device=self._device)
+        self._ended = torch.zeros(num_envs, dtype=torch.bool, device=self._device)
+        self._action = torch.zeros(num_envs, num_actions, device=self._device)
+        state = [gtd[key] for key in (*STATE_COLUMNS, "rotor_speed", "robot_actions")]
+        inputs = [gtd["non_finite"], gtd["sim_steps"], self._ended, *state, self._action]
+        outputs = [self._steps, self._ring, self._count, self._rows, self._kept]
         self._command = wp.launch(
-            _remember if keep else _notice,
+            _remember,
             dim=num_envs,
             inputs=[wp.from_torch(tensor) for tensor in inputs],
             outputs=[wp.from_torch(tensor) for tensor in outputs],
@@ -174,12 +146,13 @@ class Watch:
             record_cmd=True,
         )
 
-    def notice(self, actions: Tensor, ended: Tensor) -> None:
-        """Look at the rows of this step, before those in ``ended``, bool (E,), are reset; ``actions``: (E, V)."""
-        if self.keeps:
-            self._action.copy_(actions)
-            self._ended.copy_(ended)
-        with on_torch_stream(self._state):
+    def keep(self, actions: Tensor, ended: Tensor) -> None:
+        """Keep this step, before the rows in ``ended``, bool (E,), are reset, if it was asked to; ``actions``: (E, V)."""
+        if not self.keeps:
+            return
+        self._action.copy_(actions)
+        self._ended.copy_(ended)
+        with on_torch_stream(self._action):
             self._command.launch()
 
     def forget(self) -> None:
@@ -195,17 +168,18 @@ class Watch:
         if self._device.type != "cpu":
             self._looks += 1
             if wait:
-                self._host.copy_(self._state)
+                self._host.copy_(self._found)
             elif self._looks % LOOK_EVERY == 0:
-                self._host.copy_(self._state, non_blocking=True)
+                self._host.copy_(self._found, non_blocking=True)
         count = int(self._seen[0])
         if count and not self._told:
             self._told = True
-            env, step, bits, _ = (int(number) for number in self._seen[1:5])
+            env, episode, step, bits = (int(number) for number in self._seen[1:5])
             _log.warning(
-                "environment %d, step %d of its episode: %s not finite (NaN or infinite). Such rows end as crashes and are "
+                "environment %d, episode %d, step %d: %s not finite (NaN or infinite). Such rows end as crashes and are "
                 "counted in info['non_finite']; %s",
                 env,
+                episode,
                 step,
                 NonFinite(bits).names(),
                 "their last steps are kept" if self.keeps else "watch them to keep their last steps (--watch)",
@@ -221,13 +195,13 @@ class Watch:
         """
         if not self.keeps:
             raise ConfigError("dump: no steps are kept. Call task.watch() before the first reset")
-        count = min(self.look(wait=True), KEPT_ROWS)
-        kept = self._kept.cpu()
+        rows, kept = self._rows.tolist(), self._kept.cpu()
+        count = min(int(self._count), KEPT_ROWS)
         with told_storage(path), Path(path).open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)
             writer.writerow([*HEAD_COLUMNS, *self._columns])
             for place in range(count):
-                writer.writerows(self._table(self._seen[1 + 4 * place : 5 + 4 * place].tolist(), kept[place]))
+                writer.writerows(self._table(rows[place], kept[place]))
         return count
 
     def _table(self, row: Sequence[int], kept: Tensor) -> list[list[object]]:

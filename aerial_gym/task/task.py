@@ -149,7 +149,7 @@ class Task:
             torch.zeros((), device=self.device) if self.curriculum is None else self.curriculum.difficulty
         )
         self._crash_reward = self._params.get("crash", 0.0)
-        self._watch = Watch(env.gtd, num_actions=num_actions, dt=env.dt, keep=False)
+        self._watch = Watch(env.gtd, env.robot_manager.noticed, num_actions=num_actions, dt=env.dt, keep=False)
         self._widths, self._apart = widths, ()
         check_shapes(cfg, self.state(), widths, lambda at: self._reward.value(at, self._params, at.crashed))
         self._apart = terms_apart([(e.term, OBSERVATIONS[e.term]) for e in cfg.observations], self.state())
@@ -200,7 +200,9 @@ class Task:
         if self.captured:
             raise CapabilityError("watch: the step is recorded already. Call it before the first reset")
         assert self.action_space.shape is not None
-        self._watch = Watch(self._gtd, num_actions=self.action_space.shape[0], dt=self.env.dt, keep=True)
+        self._watch = Watch(
+            self._gtd, self.env.robot_manager.noticed, num_actions=self.action_space.shape[0], dt=self.env.dt, keep=True
+        )
 
     @property
     def num_non_finite(self) -> int:
@@ -271,7 +273,7 @@ class Task:
             info |= {"successes": judged.success, "crashes": judged.terminated, "timeouts": judged.timeout}
             if self.curriculum is not None:
                 self.curriculum.count(ended, judged.success)
-        self._watch.notice(actions, ended)
+        self._watch.keep(actions, ended)
         self._begin(ended)
         self._look()
         after = self._noise.add(self._observe(*vars(self.state()).values()))

@@ -80,7 +80,7 @@ def test_a_bad_action_or_state_ends_its_row_alone(backend: str, value: float, ca
             check(task, actions, twin)
         named = [r.getMessage() for r in caplog.records if "not finite" in r.getMessage()]
         assert len(named) == 1
-        assert named[0].startswith("environment 2, step 1 of its episode: ")
+        assert named[0].startswith("environment 2, episode 0, step 1: ")
         assert str(what.name).lower() in named[0]
         caplog.clear()
 

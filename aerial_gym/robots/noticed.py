@@ -1,0 +1,64 @@
+"""Which rows were not finite: a count and the first ones, written where such rows are reset, in the launch that resets them.
+
+Letters: E environments, K rows written down.
+"""
+
+from dataclasses import dataclass
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.physics import BodyState
+from aerial_gym.registry import GlobalTensorDictionary
+
+KEPT_ROWS = 8
+"""Rows K that are written down: the first ones."""
+
+
+@wp.func
+def take_place(count_out: wp.array[wp.int32]) -> int:
+    """Count a row and return how many were before it; the count stays at 2**30, far from wrapping round."""
+    if count_out[0] >= 1073741824:
+        return 1073741824
+    return wp.atomic_add(count_out, 0, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noticed:
+    """What the reset looks at and writes."""
+
+    bits: Tensor
+    """Bits of ``NonFinite`` of the step that ends, int32 (E,)."""
+
+    episode_step: Tensor
+    """Which step of the episode that is, int32 (E,)."""
+
+    found: Tensor
+    """Count, and environment, episode, step and bits of the first K rows, side by side: one copy brings them to the host,
+    int32 (1 + 4 K,)."""
+
+    @property
+    def count(self) -> Tensor:
+        """Rows so far, (1,)."""
+        return self.found[:1]
+
+    @property
+    def rows(self) -> Tensor:
+        """The first ones, (K, 4)."""
+        return self.found[1:].view(KEPT_ROWS, 4)
+
+    @classmethod
+    def of(cls, gtd: GlobalTensorDictionary) -> "Noticed":
+        """Return what belongs to the rows of a simulation."""
+        found = torch.zeros(1 + 4 * KEPT_ROWS, dtype=torch.int32, device=gtd.device)
+        return cls(bits=gtd["non_finite"], episode_step=gtd["sim_steps"], found=found)
+
+    @classmethod
+    def nothing(cls, state: BodyState) -> "Noticed":
+        """Return tensors that say that everything is finite."""
+        device = state.position.device
+        zeros = torch.zeros(state.num_envs, dtype=torch.int32, device=device)
+        return cls(
+            bits=zeros, episode_step=zeros, found=torch.zeros(1 + 4 * KEPT_ROWS, dtype=torch.int32, device=device)
+        )
