@@ -13,7 +13,14 @@ ROBOTS: Registry[RobotCfg] = Registry("robot")
 
 _FOLDER = CONFIG_DIR / "robots"
 
-for _name in ("base_quadrotor", "tinyprop", "crazyflie_21_brushless", "crazyflie_21", "neural_fly_quad"):
+for _name in (
+    "base_quadrotor",
+    "tinyprop",
+    "crazyflie_21_brushless",
+    "crazyflie_21",
+    "neural_fly_quad",
+    "omnidirectional_octarotor",
+):
     _path = _FOLDER / f"{_name}.yaml"
     ROBOTS.register_later(_name, partial(load_robot, _path), summary=partial(summary_in, _path))
 

@@ -25,6 +25,7 @@ from aerial_gym.sensors.pixels import Outputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
 from aerial_gym.task.draws import goals, noise
 from tests.physics.contact_rig import InScene, obstacle, start
+from tests.physics.mixed_rotors import mixed_robot
 from tests.physics.vehicles import random_network
 
 ARCHITECTURE = 90
@@ -64,6 +65,15 @@ def test_physics_kernels_compile(controller: str, integrator: str, tmp_path: Pat
     backend = WarpBackend()
     law = make_controller(CONTROLLERS.get(controller), vehicle, 9.81, dt=0.01)
     backend.allocate(build_model(vehicle, effects, ceiling_height=3.0), law, integrator=integrator)
+    compile_for_gpu(backend.kernel.module, tmp_path)
+
+
+@pytest.mark.parametrize("integrator", ["euler", "rk4"])
+def test_the_physics_kernel_of_mixed_rotors_compiles(integrator: str, tmp_path: Path) -> None:
+    vehicle = vehicle_from_config(mixed_robot(), num_envs=2)
+    backend = WarpBackend()
+    law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81)
+    backend.allocate(build_model(vehicle), law, integrator=integrator)
     compile_for_gpu(backend.kernel.module, tmp_path)
 
 

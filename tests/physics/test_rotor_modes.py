@@ -10,14 +10,16 @@ from scipy.integrate import solve_ivp
 
 from aerial_gym.config.loader import dump_yaml
 from aerial_gym.config.robot import load_robot
-from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.allocation import Allocation, allocation_matrix
 from aerial_gym.control.controllers import ThrustController
 from aerial_gym.errors import ConfigError
+from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, accelerations, advance, build_model, vehicle_from_config
 from aerial_gym.physics.effects import EffectParams
 from aerial_gym.physics.model import check_effects
 from aerial_gym.physics.rotor_lag import limited_lag, stop_in_dead_band
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, state_for_thrust
+from aerial_gym.robots import ROBOTS
 from tests.physics.mixed_rotors import FORCE, PLAIN, REVERSIBLE, mixed_robot, with_rotor
 from tests.physics.test_rigid_body import SpeedControl
 from tests.physics.vehicles import F64, lopsided_robot, random_state
@@ -213,3 +215,28 @@ def test_a_robot_file_names_a_rotor_type_for_each_mount(tmp_path) -> None:
     assert vehicle.traits == {"reversible", "force", "slew", "dead_band"}
     assert not vehicle.plain
     assert vehicle_from_config(lopsided_robot(), num_envs=1).plain
+
+
+def test_the_octarotor_pushes_and_turns_alike_in_every_direction() -> None:
+    """A A^T is 8/3 of the unit matrix for forces, and a multiple of it for torques, as Brescianini and D'Andrea designed it."""
+    vehicle = vehicle_from_config(ROBOTS.get("omnidirectional_octarotor"), num_envs=1, dtype=F64)
+    both = allocation_matrix(vehicle, 9.81)[0]
+    product = both @ both.T
+    torch.testing.assert_close(product[:3, :3], 8.0 / 3.0 * torch.eye(3, dtype=F64), atol=1e-5, rtol=0.0)
+    torch.testing.assert_close(product[3:, 3:], product[3, 3] * torch.eye(3, dtype=F64), atol=1e-6, rtol=0.0)
+
+
+@pytest.mark.parametrize("axis", ["x", "z"])
+def test_the_octarotor_hovers_in_any_attitude(axis: str) -> None:
+    """On its side or upside down it carries its weight: half of its rotors push backwards."""
+    turn = {"x": [1.0, 0.0, 0.0, 1.0], "z": [1.0, 0.0, 0.0, 0.0]}[axis]
+    attitude = torch.tensor([turn], dtype=F64)
+    attitude = attitude / attitude.norm()
+    vehicle = vehicle_from_config(ROBOTS.get("omnidirectional_octarotor"), num_envs=1, dtype=F64)
+    allocation, zero = Allocation(vehicle, 9.81), torch.zeros(1, 3, dtype=F64)
+    force = quat_rotate_inverse(attitude, torch.tensor([[0.0, 0.0, 1.1 * 9.81]], dtype=F64))
+    thrust = allocation.speed(allocation.thrust(torch.cat((force, zero), dim=-1)))
+    assert (thrust < 0.0).sum() == 4
+    start = BodyState(position=zero, attitude=attitude, lin_vel=zero, ang_vel=zero, rotor_speed=thrust)
+    end = advance(build_model(vehicle), INTEGRATORS["rk4"], SpeedControl(), start, thrust, 0.01, 50)
+    torch.testing.assert_close(end.position, zero, atol=1e-4, rtol=0.0)  # axes are given to six digits

@@ -292,18 +292,19 @@ def test_windows_without_measured_speeds_begin_as_the_commands_have_led_the_roto
     np.testing.assert_allclose(run.measured(0).rotor_speed, np.tile(expected[:, None], 4), rtol=1e-12)
 
 
-def test_a_slew_rate_limits_the_replayed_speeds(tmp_path: Path) -> None:
-    """At 1000 rad/s² a step of 200 rad/s is a line until 50 (up) or 30 rad/s (down) are left, and then the exponential."""
+def test_slew_rates_limit_the_replayed_speeds(tmp_path: Path) -> None:
+    """A step of 200 rad/s: up at 1000 rad/s² until 50 are left, then exponentially; down at 500 rad/s² to the end."""
     driven = step_flight(tmp_path, rate=100.0, seconds=2.0)
-    rotor = replace(ROBOT.rotor, time_constant_up=TAU_UP, time_constant_down=TAU_DOWN, slew_rate=1000.0)
+    lag = {"time_constant_up": TAU_UP, "time_constant_down": TAU_DOWN}
+    rotor = replace(ROBOT.rotor, **lag, slew_rate=1000.0, slew_rate_down=500.0)
     model = build_model(vehicle_from_config(replace(ROBOT, rotor=rotor), num_envs=1, dtype=F64))
     speed = replayed(driven, model)[:, 2]
     assert speed[60] == pytest.approx(1000.0, rel=1e-12)
     assert speed[65] == pytest.approx(1050.0, rel=1e-12)
     assert speed[90] == pytest.approx(1100.0 - 50.0 * np.exp(-0.25 / TAU_UP), rel=1e-12)
-    assert speed[110] == pytest.approx(speed[100] - 100.0, rel=1e-9)
-    assert speed[130] == pytest.approx(
-        900.0 + 30.0 * np.exp(-(0.3 - (speed[100] - 930.0) / 1000.0) / TAU_DOWN), rel=1e-9
+    assert speed[110] == pytest.approx(speed[100] - 50.0, rel=1e-12)
+    assert speed[150] == pytest.approx(
+        900.0 + 15.0 * np.exp(-(0.5 - (speed[100] - 915.0) / 500.0) / TAU_DOWN), rel=1e-12
     )
     assert "slew_rate" in lacks("actuation_delay", replace(ROBOT, rotor=rotor), [driven])
 
