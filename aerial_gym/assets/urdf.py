@@ -55,7 +55,7 @@ def load_urdf(
         if name not in robot.link_map:
             raise ConfigError(f"URDF {path}: there is no link {name!r}. Known: {', '.join(robot.link_map)}")
     parts: list[PartCfg] = []
-    poses = _poses(robot)
+    poses = link_poses(robot)
     counted = {name: i for i, name in enumerate(name for name in robot.link_map if name not in link_ids)}
     for name, link in robot.link_map.items():
         own = None if first_link_id is None or name in link_ids else first_link_id + counted[name]
@@ -73,7 +73,7 @@ def load_urdf(
     return ShapeCfg(kind="compound", parts=tuple(parts))
 
 
-def _poses(robot: "URDF") -> dict[str, np.ndarray]:
+def link_poses(robot: "URDF") -> dict[str, np.ndarray]:
     """Return where each link is in the frame of the root, (4, 4), with all joints at zero and mimics at their offsets.
 
     The library's own scene takes a time that grows with the square of the links.

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aerial_gym.assets.urdf import read_urdf
+from aerial_gym.assets.urdf import link_poses, read_urdf
 from aerial_gym.errors import ConfigError
 
 
@@ -36,9 +36,8 @@ def urdf_body(path: str | Path) -> RigidBody:
         Derived: ``J = sum R_i J_i R_i^T + m_i (|r_i|² 1 - r_i r_i^T)`` with r_i from the common centre of mass.
     """
     robot = read_urdf(path)
-    links = [
-        (link.inertial, robot.get_transform(name)) for name, link in robot.link_map.items() if link.inertial is not None
-    ]
+    at = link_poses(robot)
+    links = [(link.inertial, at[name]) for name, link in robot.link_map.items() if link.inertial is not None]
     poses = [pose if inertial.origin is None else pose @ inertial.origin for inertial, pose in links]
     masses = np.array([inertial.mass or 0.0 for inertial, _ in links])
     if not masses.sum() > 0.0:
