@@ -47,6 +47,10 @@ class CloseLoopCmd:
     """Add a small network for what no named effect explains, if it predicts flights left out better. It fades to zero
     outside its training data, has no name, and changes nothing in the verdict."""
 
+    ranges: bool = False
+    """Let robot.yaml draw what was found from its intervals at every reset (``randomize:``), so that a policy trains on what is
+    uncertain."""
+
     json: bool = False
     """Print verdict.json on stdout instead of tables."""
 
@@ -68,6 +72,7 @@ class CloseLoopCmd:
                 seed=self.seed,
                 tolerances=tolerances,
                 learn_residual=self.learn_residual,
+                ranges=self.ranges,
                 progress=progress,
             )
         if self.json:

@@ -33,6 +33,7 @@ from aerial_gym.sim2real.noise import noise_floor
 from aerial_gym.sim2real.output_error import refit_on_rollouts
 from aerial_gym.sim2real.prediction import Channel, Point, Predictor, declared_point, find_channels
 from aerial_gym.sim2real.random_wind import NAME, declared_wind, with_random
+from aerial_gym.sim2real.ranges import with_found_ranges
 from aerial_gym.sim2real.remains import find_remains, judges_forces
 from aerial_gym.sim2real.runtime import check_out_dir, whole_folder, write_record
 from aerial_gym.sim2real.scoring import Criteria
@@ -86,6 +87,7 @@ def close_loop(
     criteria: Criteria | None = None,
     tolerances: Tolerances | None = None,
     learn_residual: bool = False,
+    ranges: bool = False,
     progress: Progress = silent,
 ) -> Verdict:
     """Find what the declared robot lacks, and write verdict.json, robot.yaml, report.html, report.md, residuals.csv.
@@ -101,6 +103,7 @@ def close_loop(
         criteria: When an effect is accepted.
         tolerances: How well the robot is declared.
         learn_residual: Whether a small network may be added for what no named effect explains. The verdict stays as it is.
+        ranges: Whether robot.yaml also draws what was found from its intervals at every reset (``randomize:``).
         progress: Told what is being done.
 
     Raises:
@@ -124,6 +127,9 @@ def close_loop(
             learn_residual=learn_residual,
             progress=progress,
         )
+        corrected = analysis.corrected
+        if ranges:
+            corrected = with_found_ranges(corrected, analysis.verdict.effects)
         progress("writing the report", 0.97)
         config = {
             "command": "close-loop",
@@ -134,13 +140,14 @@ def close_loop(
             "bandwidth_hz": bandwidth,
             "seed": seed,
             "learn_residual": learn_residual,
+            "ranges": ranges,
             "criteria": vars(analysis.selection.criteria),
             "tolerances": vars(analysis.train_predictor.tolerances),
         }
         with whole_folder(out_dir) as folder:
             text = json.dumps(analysis.verdict.as_mapping(), indent=1, ensure_ascii=False, allow_nan=False)
             (folder / "verdict.json").write_text(text + "\n", encoding="utf-8")
-            (folder / "robot.yaml").write_text(dump_yaml(analysis.corrected), encoding="utf-8")
+            (folder / "robot.yaml").write_text(dump_yaml(corrected), encoding="utf-8")
             write_report(folder, analysis)
             write_record(folder, config, [*train, *test])
     progress("done", 1.0)

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from aerial_gym import SimBuilder
 from aerial_gym.cli.main import main
 from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.robot import RobotCfg
@@ -43,7 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def result(folder: Path) -> Path:
     out = folder / "result"
-    close_loop(folder / "robot.yaml", [folder / f"f{n}.csv" for n in range(3)], [folder / "f3.csv"], out)
+    close_loop(folder / "robot.yaml", [folder / f"f{n}.csv" for n in range(3)], [folder / "f3.csv"], out, ranges=True)
     return out
 
 
@@ -126,12 +127,36 @@ def test_the_corrected_robot_loads_and_leaves_nothing_to_find(result: Path, fold
     corrected = load(RobotCfg, result / "robot.yaml")
     assert corrected.effects["rotor_drag"]["dx"] == pytest.approx(DRAG, rel=0.05)
     assert "f0, f1, f2" in corrected.effects_source
-    assert replace(corrected, effects={}, effects_source="") == ROBOT
+    assert replace(corrected, effects={}, effects_source="", randomize={}) == ROBOT
     second = close_loop(
         result / "robot.yaml", [folder / f"f{n}.csv" for n in range(3)], [folder / "f3.csv"], folder / "second"
     )
     assert second.verdict == "none"
     assert second.effects == ()
+
+
+def test_a_robot_draws_what_was_found_from_its_intervals(result: Path) -> None:
+    """Over 4,000 environments: mean and deviation of each drawn drag are those of the verdict, within 5 standard errors."""
+    (effect,) = json.loads((result / "verdict.json").read_text())["effects"]
+    env = SimBuilder().build_env(
+        sim_name="base_sim",
+        env_name="empty_env",
+        robot_name=result / "robot.yaml",
+        controller_name="lee_velocity_control",
+        num_envs=4000,
+        device="cpu",
+    )
+    env.reset()
+    draws = env.draws()
+    assert set(draws) == {f"effects.rotor_drag.{axis}" for axis in effect["std"]}
+    assert {"effects.rotor_drag.dx", "effects.rotor_drag.dy"} <= set(draws)
+    for axis, std in effect["std"].items():
+        drawn = draws[f"effects.rotor_drag.{axis}"]
+        column = ["dx", "dy", "dz"].index(axis)
+        assert (env.gtd["effect_rotor_drag"][:, column] == drawn).all()
+        if effect["params"][axis] > 4.0 * std:  # else the bound at 0 cuts it
+            assert abs(drawn.mean().item() - effect["params"][axis]) < 5.0 * std / 4000**0.5
+            assert abs(drawn.std().item() / std - 1.0) < 5.0 / (2.0 * 4000) ** 0.5
 
 
 def test_the_reports_stand_alone(result: Path) -> None:
