@@ -150,3 +150,24 @@ QUANTITIES: dict[str, Quantity] = {
     ),
 }
 """Every quantity of the vehicle itself; those of effects, gains and sensors follow from what a robot has."""
+
+
+def table() -> str:
+    """Return all names that ``randomize:`` knows as a table in Markdown; those of effects by effect."""
+    from aerial_gym.physics import EFFECTS
+
+    widths = {"one": "1", "vector": "3", "rotor": "1 or R", "rotor_vector": "3 or R x 3"}
+    rows = ["| name | unit | numbers | how | what is drawn |", "| --- | --- | --- | --- | --- |"]
+    for name, each in QUANTITIES.items():
+        rows.append(f"| `{name}` | {each.unit} | {widths[each.width]} | {', '.join(each.how)} | {each.meaning} |")
+    for name in EFFECTS.names():
+        for each in EFFECTS.get(name).parameters:
+            if each.kind == "number":
+                rows.append(
+                    f"| `effects.{name}.{each.name}` | {each.unit} | 1 | scale, offset, value | {each.meaning} |"
+                )
+    return "\n".join(rows)
+
+
+if __name__ == "__main__":
+    print(table())
