@@ -7,12 +7,15 @@ loading is copying. ``torch.save`` writes the dictionary, ``torch.load(..., weig
 import hashlib
 import re
 from collections.abc import Mapping
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from aerial_gym.config import CONFIG_DIR
 from aerial_gym.errors import ConfigError
+
+PACKAGE = Path(__file__).resolve().parents[1]
+"""Where the package is: files of its own are the same in every place."""
 
 IDENTITY = "identity."
 """In front of the names of digests, which say of which simulation a state is."""
@@ -20,7 +23,7 @@ IDENTITY = "identity."
 
 def digest(config: object) -> Tensor:
     """Return a configuration as a number, int64, (1,), the same in every process and place of the package."""
-    text = re.sub(r" at 0x[0-9a-f]+", "", repr(config).replace(str(CONFIG_DIR), ""))
+    text = re.sub(r" at 0x[0-9a-f]+", "", repr(config).replace(str(PACKAGE), ""))
     return torch.tensor([int.from_bytes(hashlib.sha256(text.encode()).digest()[:7], "big")])
 
 
