@@ -30,7 +30,6 @@ ABSENT: dict[str, dict[str, str]] = {
     "robot": dict.fromkeys(
         (
             "base_quad_root_link_control",
-            "base_octarotor",
             "base_random",
             "lmf1",
             "lmf2",
@@ -41,7 +40,11 @@ ABSENT: dict[str, dict[str, str]] = {
         _BODY,
     )
     | dict.fromkeys(("morphy", "morphy_fixed_base", "morphy_stiff", "snakey", "snakey5", "snakey6"), _JOINTS)
-    | {"base_rov": "there it is an octarotor without gravity; " + _BODY},
+    | {
+        "base_octarotor": "omnidirectional_octarotor has its body and its rotors in force mode, with other axes; or "
+        + _BODY,
+        "base_rov": "there it is an octarotor without gravity; " + _BODY,
+    },
     "controller": {
         f"{robot}_{kind}_control": _GAINS
         for robot in ("lmf2", "magpie", "octarotor")
