@@ -132,7 +132,9 @@ QUANTITIES: dict[str, Quantity] = {
     "rotor.time_constant": _plain("s", "rotor", "lag, rising and falling", "time_constant_up", "time_constant_down"),
     "rotor.time_constant_up": _plain("s", "rotor", "lag of a speed that grows", "time_constant_up"),
     "rotor.time_constant_down": _plain("s", "rotor", "lag of a speed that falls", "time_constant_down"),
-    "rotor.slew_rate": _plain("rad/s² or N/s", "rotor", "largest rate of the rotor's state", "slew_rate"),
+    "rotor.slew_rate": _plain(
+        "rad/s² or N/s", "rotor", "largest rates of the rotor's state", "slew_rate", "slew_rate_down"
+    ),
     "rotor.dead_band": _plain("rad/s or N", "rotor", "commands that stop the rotor", "dead_band"),
     "rotor.radius": _plain("m", "rotor", "radius of the propeller", "rotor_radius"),
     "mounts.*.position": _plain("m", "rotor_vector", "hubs from the body origin, body", "rotor_position"),

@@ -230,7 +230,10 @@ class Randomized:
         return declared[: shape[0]] if shape else declared
 
     def _check(self, name: str, cfg: RandomizeCfg) -> None:
-        """Raise ``ConfigError`` if the range of a draw leaves what is possible."""
+        """Raise ``ConfigError`` if the range of a draw leaves what is possible, or the robot has nothing of the kind."""
+        trait = {"rotor.slew_rate": "slew", "rotor.dead_band": "dead_band"}.get(name)
+        if trait is not None and trait not in self._declared.traits:
+            raise ConfigError(f"randomize: {name}: the rotors of this robot have none. Declare one in its file")
         declared = torch.tensor(self._declared_of(name, cfg)).flatten().tolist()
         try:
             ends = cfg.components(len(declared))

@@ -391,6 +391,8 @@ class RobotManager:
         if self._update is not None:
             self._draws.draw(mask)
             self._update(mask)
+            if self.differentiable is not None:
+                self.differentiable.mark_written()
         self.controller.reset(mask, self._random)
         self.backend.reset(mask)
 

@@ -1,13 +1,17 @@
 """Gradients through whole simulations: from actions, over several steps, to the states."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 import torch
 from torch import Tensor
 
 from aerial_gym import EnvManager, SimBuilder
+from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.errors import CapabilityError, ConfigError
+from aerial_gym.robots import ROBOTS
+from tests.physics.mixed_rotors import mixed_robot
 
 F64 = torch.float64
 STEPS, NUM_ENVS = 3, 2
@@ -15,10 +19,9 @@ STEPS, NUM_ENVS = 3, 2
 
 def build(controller: str = "lee_attitude_control", **options) -> EnvManager:
     """Return a simulation with gradients in float64, reset."""
-    chosen = {"env_name": "empty_env", "dtype": F64, "differentiable": True, **options}
+    chosen = {"env_name": "empty_env", "robot_name": "base_quadrotor", "dtype": F64, "differentiable": True, **options}
     env = SimBuilder().build_env(
         sim_name="base_sim",
-        robot_name="base_quadrotor",
         controller_name=controller,
         num_envs=NUM_ENVS,
         device="cpu",
@@ -104,3 +107,40 @@ def test_what_has_no_gradient_is_refused_by_name() -> None:
         build(differentiable=False)
     with pytest.raises(ConfigError, match="build it with differentiable=True"):
         _ = build(differentiable=False, dtype=torch.float32).traced
+
+
+def test_drawn_parameters_are_flown_and_never_overwrite_a_graph_in_silence() -> None:
+    """Mass and thrust map differ between environments; once a reset draws new ones, no gradient goes back over the old."""
+    drawn = {
+        "body.mass": RandomizeCfg(low=0.8, high=1.2),
+        "rotor.thrust_map": RandomizeCfg(low=0.9, high=1.1, each_rotor=True),
+    }
+    env = build(robot_name=replace(ROBOTS.get("base_quadrotor"), randomize=drawn))
+    action = torch.full((NUM_ENVS, 4), 0.1, dtype=F64, requires_grad=True)
+    env.step(action)
+    loss = env.traced["robot_linvel"].sum()
+    loss.backward(retain_graph=True)
+    assert action.grad is not None
+    assert action.grad[0, 0] != action.grad[1, 0]
+    env.reset(torch.tensor([True, False]))
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        loss.backward()
+
+
+def test_a_plain_robot_has_no_slew_rate_to_draw() -> None:
+    drawn = {"rotor.slew_rate": RandomizeCfg(low=0.8, high=1.2)}
+    with pytest.raises(ConfigError, match=r"randomize: rotor.slew_rate: the rotors of this robot have none"):
+        build(robot_name=replace(ROBOTS.get("base_quadrotor"), randomize=drawn))
+
+
+def test_slew_rates_of_mixed_rotors_are_drawn_both_ways() -> None:
+    """On the fused backend: thrust of the rotor in force mode climbs 60 N/s times the draw, and falls 90 N/s times it."""
+    robot = replace(mixed_robot(), randomize={"rotor.slew_rate": RandomizeCfg(low=0.5, high=0.9, each_rotor=True)})
+    env = build("no_control", robot_name=robot, differentiable=False, dtype=torch.float32)
+    factor, thrust = env.robot_manager.draws()["rotor.slew_rate"][:, 2], env.gtd["rotor_speed"]
+    before = thrust[:, 2].clone()
+    env.step(torch.full((NUM_ENVS, 4), 6.0))
+    torch.testing.assert_close(thrust[:, 2] - before, 60.0 * env.dt * factor)
+    before = thrust[:, 2].clone()
+    env.step(torch.zeros(NUM_ENVS, 4))
+    torch.testing.assert_close(before - thrust[:, 2], 90.0 * env.dt * factor)
