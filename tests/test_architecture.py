@@ -18,7 +18,7 @@ GROUPS = (
     ("robots",),
     ("env_manager",),
     ("task",),
-    ("rl_training", "sim2real", "viewer"),
+    ("rl_training", "sim2real", "viewer", "benchmarks"),
     ("compat",),
     ("cli",),
 )

@@ -28,7 +28,7 @@ COMMANDS: dict[str, Home] = {
     "replay": Home("aerial_gym.cli.replay:ReplayCmd"),
     "close-loop": Home("aerial_gym.cli.close_loop:CloseLoopCmd"),
     "identify": Home("aerial_gym.cli.identify:IdentifyCmd"),
-    "bench": Home("aerial_gym.cli.bench.command:BenchCmd"),
+    "bench": Home("aerial_gym.cli.bench:BenchCmd"),
     "render-gallery": Home("aerial_gym.cli.render_gallery:RenderGalleryCmd"),
     "demo": Home("aerial_gym.cli.demo.command:DemoCmd"),
 }

@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from aerial_gym.cli.bench.output import device_by_name, device_name, provenance, readable
+from aerial_gym.benchmarks.output import device_by_name, device_name, provenance, readable
 from aerial_gym.errors import AerialGymError, ConfigError
 from benchmarks.peers.catalog import CASES, PEERS, interpreters
 from benchmarks.peers.runs import Conditions, RunFailedError, ours, peers, schedule, why_skipped

@@ -2,21 +2,16 @@
 
 import json
 import os
-import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from aerial_gym.benchmarks.peers.process import RunFailedError, run
 from benchmarks.peers.catalog import CASES, PEERS
 from benchmarks.peers.table import Measurement
 
 ROOT = Path(__file__).parents[2]
-TIMEOUT_S = 600.0
-"""Longest time of one measurement, compilation of a peer included [s]."""
-
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,39 +34,10 @@ class Conditions:
         return [f"--{name.replace('_', '-')}={value}" for name, value in vars(self).items()]
 
 
-class RunFailedError(Exception):
-    """A process ended without a figure; the text is its last words."""
-
-
-def run(python: str, arguments: list[str], *, threads: int | None = None) -> str:
-    """Return the last line that a process writes to stdout; with ``threads`` it is pinned to so many cores.
-
-    Raises:
-        RunFailedError: If it fails, takes too long or cannot be started.
-    """
-    cores = sorted(os.sched_getaffinity(0))[:threads]
-    limits = {} if threads is None else dict.fromkeys(THREAD_VARIABLES, str(threads))
+def _run(python: str, arguments: list[str], *, threads: int | None = None) -> str:
+    """Run a process that finds this folder."""
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
-    try:
-        done = subprocess.run(
-            [python, *arguments],
-            cwd=tempfile.gettempdir(),  # some peers leave logs where they run
-            env={**os.environ, "PYTHONPATH": path, **limits},
-            capture_output=True,
-            text=True,
-            timeout=TIMEOUT_S,
-            preexec_fn=lambda: os.sched_setaffinity(0, cores),
-        )
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise RunFailedError(str(error)) from None
-    if done.returncode != 0:
-        raise RunFailedError(_last_line(done.stderr) or f"exit status {done.returncode}")
-    return _last_line(done.stdout)
-
-
-def _last_line(text: str) -> str:
-    lines = [line for line in text.splitlines() if line.strip()]
-    return lines[-1].strip() if lines else ""
+    return run(python, arguments, threads=threads, variables={"PYTHONPATH": path})
 
 
 def why_skipped(name: str, python: str, device: str) -> str | None:
@@ -80,7 +46,7 @@ def why_skipped(name: str, python: str, device: str) -> str | None:
     if device not in peer.devices:
         return f"{name} is skipped: it runs on {', '.join(peer.devices)} only."
     try:
-        run(python, ["-c", f"import {peer.needs}"])
+        _run(python, ["-c", f"import {peer.needs}"])
     except RunFailedError as error:
         return f"{name} is skipped: {python} cannot import it ({error})."
     return None
@@ -90,7 +56,7 @@ def ours(case: str, substeps: int, conditions: Conditions) -> Measurement:
     """Measure our physics in a process of its own."""
     command = ["-m", "aerial_gym.cli.main", "bench", "physics", "--json", f"--substeps={substeps}"]
     arguments = [*command, *conditions.flags(), *CASES[case]]
-    figures = json.loads(run(sys.executable, arguments, threads=conditions.pinned))
+    figures = json.loads(_run(sys.executable, arguments, threads=conditions.pinned))
     version = f"{figures['versions']['aerial_gym']}, {figures['commit']}, warp {figures['versions']['warp']}"
     return Measurement(
         name="aerial_gym",
@@ -106,7 +72,7 @@ def ours(case: str, substeps: int, conditions: Conditions) -> Measurement:
 def peers(name: str, python: str, case: str, conditions: Conditions) -> Measurement:
     """Measure a peer in a process of its own."""
     arguments = ["-m", PEERS.get(name).script, f"--case={case}", *conditions.flags()]
-    figures = json.loads(run(python, arguments, threads=conditions.pinned))
+    figures = json.loads(_run(python, arguments, threads=conditions.pinned))
     return Measurement(
         name=name,
         case=case,

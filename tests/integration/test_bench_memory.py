@@ -6,7 +6,7 @@ import pytest
 import torch
 import warp as wp
 
-from aerial_gym.cli.bench.memory import arrays_of
+from aerial_gym.benchmarks.memory import arrays_of
 from aerial_gym.cli.main import main
 
 CPU = torch.device("cpu")

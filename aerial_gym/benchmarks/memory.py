@@ -34,7 +34,7 @@ class MemoryBench:
 
     def run(self) -> int:
         """Build, reset, step once, add up and print; return the exit status."""
-        from aerial_gym.cli.bench.output import print_figures
+        from aerial_gym.benchmarks.output import print_figures
 
         total, *arrays = self.measure()
         print_figures(total, as_json=self.json)
@@ -53,8 +53,8 @@ class MemoryBench:
         """
         import torch
 
-        from aerial_gym.cli.bench.measure import require_at_least
-        from aerial_gym.cli.bench.output import device_by_name, device_name, provenance
+        from aerial_gym.benchmarks.measure import require_at_least
+        from aerial_gym.benchmarks.output import device_by_name, device_name, provenance
         from aerial_gym.env_manager import SimBuilder
 
         require_at_least(1, num_envs=self.num_envs)

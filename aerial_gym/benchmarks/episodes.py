@@ -6,7 +6,7 @@ Letters: E environments, U entries of an action.
 import torch
 from torch import Tensor
 
-from aerial_gym.cli.bench.measure import WorkloadError
+from aerial_gym.benchmarks.measure import WorkloadError
 from aerial_gym.task import Task
 
 STEPS_PER_BATCH = 10

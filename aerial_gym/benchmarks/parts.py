@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import torch
 
-from aerial_gym.cli.bench.measure import batch_of
+from aerial_gym.benchmarks.measure import batch_of
 from aerial_gym.task import Task
 
 SPAN_S = 0.02

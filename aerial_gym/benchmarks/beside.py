@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from aerial_gym.cli.bench.measure import spread
-from aerial_gym.cli.bench.merged import DISTINCT, MergedMeshes
-from aerial_gym.cli.bench.output import readable
-from aerial_gym.cli.bench.peers.catalog import RENDER_PEERS, interpreters
-from aerial_gym.cli.bench.peers.runs import (
+from aerial_gym.benchmarks.measure import spread
+from aerial_gym.benchmarks.merged import DISTINCT, MergedMeshes
+from aerial_gym.benchmarks.output import readable
+from aerial_gym.benchmarks.peers.catalog import RENDER_PEERS, interpreters
+from aerial_gym.benchmarks.peers.runs import (
     MOST_THAT_DIFFER,
     run_peer,
     scene_arrays,
@@ -20,7 +20,7 @@ from aerial_gym.cli.bench.peers.runs import (
     vertical_field_deg,
     why_missing,
 )
-from aerial_gym.cli.bench.scenes import RenderScene
+from aerial_gym.benchmarks.scenes import RenderScene
 from aerial_gym.config.sensor import CameraCfg, RangeSensorCfg
 from aerial_gym.errors import UnknownNameError
 from aerial_gym.sensors import SensorImages

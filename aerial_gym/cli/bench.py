@@ -5,10 +5,10 @@ from typing import Annotated
 
 import tyro
 
-from aerial_gym.cli.bench.memory import MemoryBench
-from aerial_gym.cli.bench.physics import PhysicsBench
-from aerial_gym.cli.bench.render import RenderBench
-from aerial_gym.cli.bench.task import TaskBench
+from aerial_gym.benchmarks.memory import MemoryBench
+from aerial_gym.benchmarks.physics import PhysicsBench
+from aerial_gym.benchmarks.render import RenderBench
+from aerial_gym.benchmarks.task import TaskBench
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from aerial_gym.cli.bench.measure import WorkloadError, batch_of
+from aerial_gym.benchmarks.measure import WorkloadError, batch_of
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control import CONTROLLERS, make_controller

@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import subprocess
 import tempfile
 from dataclasses import dataclass
@@ -12,16 +11,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from aerial_gym.cli.bench.measure import WorkloadError
-from aerial_gym.cli.bench.peers.catalog import RENDER_PEERS
-from aerial_gym.cli.bench.scenes import RenderScene
+from aerial_gym.benchmarks.measure import WorkloadError
+from aerial_gym.benchmarks.peers.catalog import RENDER_PEERS
+from aerial_gym.benchmarks.peers.process import RunFailedError, run
+from aerial_gym.benchmarks.scenes import RenderScene
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate
 
 WORKER = Path(__file__).with_name("worker.py")
-
-TIMEOUT_S = 900.0
-"""Longest time of one peer, compilation included [s]."""
 
 DEPTH_TOLERANCE = 1e-3
 """Largest difference of depths that show the same [m]; at 40 m a float32 has steps of 4e-6 m, and kernels with fast
@@ -82,26 +79,21 @@ def run_peer(
         WorkloadError: If the process fails; the text is its last line.
     """
     numbers = [f"--device={device}", f"--repeats={repeats}", f"--repeat-time-s={repeat_time_s}"]
-    cores = sorted(os.sched_getaffinity(0))[: threads if device == "cpu" else None]
     with tempfile.TemporaryDirectory() as folder:
         given, taken = Path(folder, "scene.npz"), Path(folder, "images.npz")
         np.savez(given, **scene)  # pyright: ignore[reportArgumentType]
         try:
-            done = subprocess.run(
-                [python, str(WORKER), name, str(given), str(taken), *numbers],
-                cwd=folder,
-                capture_output=True,
-                text=True,
-                timeout=TIMEOUT_S,
-                preexec_fn=lambda: os.sched_setaffinity(0, cores),
+            said = run(
+                python,
+                [str(WORKER), name, str(given), str(taken), *numbers],
+                threads=threads if device == "cpu" else None,
+                folder=folder,
             )
-        except (OSError, subprocess.TimeoutExpired) as error:
+        except RunFailedError as error:
             raise WorkloadError(f"{name} failed: {error}") from None
-        if done.returncode != 0:
-            raise WorkloadError(f"{name} failed: {(done.stderr.strip() or 'no message').splitlines()[-1]}")
         with np.load(taken) as images:
             depth, identity = images["depth"], images.get("identity")
-    return PeerTimes(depth=depth, identity=identity, **json.loads(done.stdout.splitlines()[-1]))
+    return PeerTimes(depth=depth, identity=identity, **json.loads(said))
 
 
 def share_that_differs(

@@ -15,7 +15,7 @@ import torch
 import trimesh
 import warp as wp
 
-from aerial_gym.cli.bench.scenes import RenderScene
+from aerial_gym.benchmarks.scenes import RenderScene
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.interop import on_torch_stream
 from aerial_gym.math.quaternion import quat_from_euler, quat_to_matrix

@@ -1,0 +1,60 @@
+"""A measurement in a process of its own: the one runner of all that is measured beside ours, and of ours beside it."""
+
+import os
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+TIMEOUT_S = 900.0
+"""Longest time of one measurement, compilation included [s]."""
+
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+class RunFailedError(Exception):
+    """A process ended without a figure; the text is its last words."""
+
+
+def run(
+    python: str,
+    arguments: Sequence[str],
+    *,
+    threads: int | None = None,
+    folder: str | Path | None = None,
+    variables: Mapping[str, str] | None = None,
+) -> str:
+    """Return the last line that a process writes to stdout.
+
+    Args:
+        python: Interpreter.
+        arguments: What it runs.
+        threads: Cores to which it is pinned, and threads of its libraries; None leaves both alone.
+        folder: Where it runs; the temporary folder if not given, as some peers leave logs where they run.
+        variables: Added to its environment.
+
+    Raises:
+        RunFailedError: If it fails, takes too long or cannot be started.
+    """
+    cores = sorted(os.sched_getaffinity(0))[:threads]
+    limits = {} if threads is None else dict.fromkeys(THREAD_VARIABLES, str(threads))
+    try:
+        done = subprocess.run(
+            [python, *arguments],
+            cwd=folder or tempfile.gettempdir(),
+            env={**os.environ, **(variables or {}), **limits},
+            capture_output=True,
+            text=True,
+            timeout=TIMEOUT_S,
+            preexec_fn=lambda: os.sched_setaffinity(0, cores),
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise RunFailedError(str(error)) from None
+    if done.returncode != 0:
+        raise RunFailedError(_last_line(done.stderr) or f"exit status {done.returncode}")
+    return _last_line(done.stdout)
+
+
+def _last_line(text: str) -> str:
+    lines = [line for line in text.splitlines() if line.strip()]
+    return lines[-1].strip() if lines else ""
