@@ -18,7 +18,7 @@ from aerial_gym.assets.scene import PARKED_Z, Scene
 from aerial_gym.assets.views import check_tensor
 from aerial_gym.config.environment import FIRST_INSTANCE_ID, EnvironmentCfg, PartCfg
 from aerial_gym.errors import ConfigError, ShapeError
-from aerial_gym.math.random import Randomness
+from aerial_gym.math.random import Randomness, take_mask
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 
 _OWNER = "AssetManager"
@@ -71,7 +71,6 @@ class AssetManager:
         self.random = random
         self._asset = torch.zeros(num_envs, self.num_assets, dtype=torch.int32, device=self._device)
         self.scene = self._build_scene(robot_parts, robot_state)
-        self._mask = torch.zeros(num_envs, dtype=torch.bool, device=self._device)
         obstacles = view_obstacles(
             self._state,
             self._waypoints,
@@ -80,12 +79,14 @@ class AssetManager:
             bounds=(bounds_min, bounds_max),
             random=random,
         )
-        self._placement = Placement(obstacles, mask=self._mask, num_kept=cfg.num_kept, num_others=self._num_obstacles)
+        self._placement = Placement(obstacles, mask=random.mask, num_kept=cfg.num_kept, num_others=self._num_obstacles)
         self.moving = obstacles if cfg.moves else None
         """The obstacles as kernels see them, where an asset moves."""
         self._motion = Motion(obstacles, twists=self._env_actions) if cfg.moves else None
         wanted = cfg.clearance > 0.0 and self.num_assets > 0
-        self._clearance = Clearance(self.scene, obstacles, room=cfg.clearance + robot_radius) if wanted else None
+        self._clearance = (
+            Clearance(self.scene, obstacles, mask=random.mask, room=cfg.clearance + robot_radius) if wanted else None
+        )
         self.set_num_obstacles(self.num_assets - cfg.num_kept)
         self._park_all()
 
@@ -126,7 +127,7 @@ class AssetManager:
         if not self.num_assets:
             return
         check_tensor("mask", mask, (self._num_envs,), device=self._device, dtype=torch.bool)
-        self._mask.copy_(mask)
+        take_mask(self.random.mask, mask)
         self._placement.draw()
         if self._motion is not None:
             self._env_actions.masked_fill_(mask[:, None, None], 0.0)

@@ -15,6 +15,7 @@ from aerial_gym.assets.obstacles import Obstacles, draw_instance
 from aerial_gym.assets.scene import PARKED_Z, Scene
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW, SceneArrays, part_attitude, part_position
 from aerial_gym.interop import on_torch_stream
+from aerial_gym.math.random import take_mask
 
 NUM_ATTEMPTS = 16
 """How often an instance is drawn again. If half of its range is blocked, 1 in 65,000 is parked."""
@@ -29,15 +30,17 @@ def _gap(
     env: int,
     first: int,
     end: int,
-    point: wp.array2d[wp.vec3],
-    last: wp.array[wp.int32],
+    start: wp.vec3,
+    goal: wp.vec3,
+    which: int,
     room: float,
 ) -> float:
-    """Return the least distance of parts ``first`` to ``end`` to the points that count, or ``room`` if that is smaller."""
+    """Return the least distance of parts ``first`` to ``end`` to the points up to ``which``, or ``room`` if that is smaller."""
     nearest = float(room)
-    for k in range(last[env] + 1):
+    for k in range(which + 1):
+        point = wp.where(k == 0, start, goal)
         for part in range(first, end):
-            offset = point[env, k] - part_position(scene, env, part)
+            offset = point - part_position(scene, env, part)
             if wp.length(offset) - scene.radius[env, part] < nearest:
                 local = wp.quat_rotate_inv(part_attitude(scene, env, part), offset)
                 nearest = wp.min(nearest, signed_distance(scene.shapes[scene.part_shape[env, part]], local))
@@ -52,29 +55,38 @@ def _clear(
     first_part: wp.array2d[wp.int32],  # (E, A)
     end_part: wp.array2d[wp.int32],  # (E, A)
     # params
-    point: wp.array2d[wp.vec3],  # (E, K) world [m]
-    last: wp.array[wp.int32],  # (E,) the last of the points that counts
+    point: wp.array[wp.vec3],  # (E,) the last of the points that count, world [m]
+    which: int,  # START or GOAL
     room: float,  # [m]
     num_attempts: int,
     parked_z: float,  # [m]
     # out
+    start_out: wp.array[wp.vec3],  # (E,) world [m]; written with START, read with GOAL
     obstacles_out: Obstacles,
 ):
     """Draw again, or park, the instances that stand too close; leave the others and other environments alone."""
     env, a = wp.tid()
-    if not mask[env] or obstacles_out.table[obstacles_out.asset[env, a]].is_drawn == 0:
+    if not mask[env]:
+        return
+    goal = point[env]
+    start = goal
+    if which > 0:
+        start = start_out[env]
+    elif a == 0:
+        start_out[env] = start
+    if obstacles_out.table[obstacles_out.asset[env, a]].is_drawn == 0:
         return
     if obstacles_out.position[env, a][2] < ABSENT_BELOW:
         return
     first = first_part[env, a]
     end = end_part[env, a]
-    gap = _gap(scene, env, first, end, point, last, room)
-    attempt = num_attempts * last[env]  # start and goal have draws of their own
+    gap = _gap(scene, env, first, end, start, goal, which, room)
+    attempt = num_attempts * which  # start and goal have draws of their own
     last_attempt = attempt + num_attempts
     while gap < room and attempt < last_attempt:
         attempt += 1
         draw_instance(obstacles_out, env, a, attempt)
-        gap = _gap(scene, env, first, end, point, last, room)
+        gap = _gap(scene, env, first, end, start, goal, which, room)
     if gap < room:
         place = obstacles_out.position[env, a]
         obstacles_out.position[env, a] = wp.vec3(place[0], place[1], parked_z)
@@ -85,33 +97,37 @@ def _clear(
 class Clearance:
     """Keeps start and goal of one robot per environment clear, with all views made at construction."""
 
-    def __init__(self, scene: Scene, obstacles: Obstacles, *, room: float) -> None:
+    def __init__(self, scene: Scene, obstacles: Obstacles, *, mask: Tensor, room: float) -> None:
         """Take what may be moved.
 
         Args:
             scene: What stands where.
             obstacles: The same instances, and how they are drawn.
+            mask: Of the environments whose obstacles may be moved, bool, (E,); kept.
             room: Least distance between a point and the surface of an instance [m].
         """
         envs, device = scene.num_envs, scene.device
-        self._mask = torch.zeros(envs, dtype=torch.bool, device=device)
-        self._point = torch.zeros(envs, 2, 3, device=device)
-        self._last = torch.zeros(envs, dtype=torch.int32, device=device)
+        self._mask = mask
+        self._point, self._start = torch.zeros(envs, 3, device=device), torch.zeros(envs, 3, device=device)
         self._scene = scene
         self._first_part, self._end_part = (torch.zeros_like(scene.shape_index) for _ in range(2))
         self.restart()
         parts = [wp.from_torch(rows) for rows in (self._first_part, self._end_part)]
         inputs = [wp.from_torch(self._mask), scene.arrays, *parts]
-        inputs += [wp.from_torch(self._point, dtype=wp.vec3), wp.from_torch(self._last)]
-        self._kept_alive = (inputs, obstacles)
-        self._command = wp.launch(
-            _clear,
-            dim=obstacles.asset.shape,
-            inputs=[*inputs, room, NUM_ATTEMPTS, PARKED_Z],
-            outputs=[obstacles],
-            device=wp.device_from_torch(device),
-            record_cmd=True,
-        )
+        inputs += [wp.from_torch(self._point, dtype=wp.vec3)]
+        start = wp.from_torch(self._start, dtype=wp.vec3)
+        self._kept_alive = (inputs, start, obstacles)
+        self._commands = [
+            wp.launch(
+                _clear,
+                dim=obstacles.asset.shape,
+                inputs=[*inputs, which, room, NUM_ATTEMPTS, PARKED_Z],
+                outputs=[start, obstacles],
+                device=wp.device_from_torch(device),
+                record_cmd=True,
+            )
+            for which in (START, GOAL)
+        ]
 
     def restart(self) -> None:
         """Take the shapes that the instances of the scene now have."""
@@ -127,8 +143,7 @@ class Clearance:
             point: What is kept clear [m], world, (E, 3).
             which: ``START``, which forgets the goal of the episode before, or ``GOAL``.
         """
-        self._mask.copy_(mask)
-        self._point[:, which].copy_(torch.where(mask[:, None], point, self._point[:, which]))
-        self._last.masked_fill_(mask, which)
+        take_mask(self._mask, mask)
+        self._point.copy_(point)
         with on_torch_stream(self._mask):
-            self._command.launch()
+            self._commands[which].launch()

@@ -12,7 +12,7 @@ from aerial_gym.assets.scene import PARKED_Z
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg
 from aerial_gym.interop import on_torch_stream, start_warp
 from aerial_gym.math.draws import RandomArrays, draw_vec3, random_arrays, stream_of
-from aerial_gym.math.random import Purpose, Randomness, counted_state, counted_uniform
+from aerial_gym.math.random import Purpose, Randomness, counted_state, counted_uniform, take_mask
 
 
 @wp.kernel(enable_backward=False)
@@ -56,7 +56,7 @@ class Bounds:
         upper.copy_(torch.tensor(limits[2], device=device))
         self.vary = limits[0] != limits[1] or limits[2] != limits[3]
         """Whether they differ between episodes."""
-        self._mask, self._kept_alive = torch.zeros(envs, dtype=torch.bool, device=device), (lower, upper, random)
+        self._mask, self._kept_alive = random.mask, (lower, upper, random)
         self._command = wp.launch(
             _draw_bounds,
             dim=envs,
@@ -69,7 +69,7 @@ class Bounds:
     def draw(self, mask: Tensor) -> None:
         """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
         if self.vary:
-            self._mask.copy_(mask)
+            take_mask(self._mask, mask)
             with on_torch_stream(self._mask):
                 self._command.launch()
 

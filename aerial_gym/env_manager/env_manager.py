@@ -187,23 +187,25 @@ class EnvManager:
             key="episodes", shape=("E",), dtype=torch.int32, unit="-", frame="-", owner="env",
             meaning="number of the present episode, from 0 on; -1 before the first reset",
         ), view=self.random.episode)  # fmt: skip
-        for key, dtype, meaning in (
+        self._flags = torch.zeros(2, self.num_envs, dtype=torch.bool, device=self.device)
+        self._counts = torch.zeros(2, self.num_envs, dtype=torch.int32, device=self.device)
+        for key, view, meaning in (
             (
                 "crashes",
-                torch.bool,
+                self._flags[0],
                 "the robot touched something in this step (see contact), or the task calls it crashed",
             ),
-            ("truncations", torch.bool, "the task ends the episode without a crash"),
-            ("sim_steps", torch.int32, "environment steps since the last reset"),
+            ("truncations", self._flags[1], "the task ends the episode without a crash"),
+            ("sim_steps", self._counts[0], "environment steps since the last reset"),
             (
                 "non_finite",
-                torch.int32,
+                self._counts[1],
                 "what was NaN or infinite in this step: 1 action, 2 state, 4 reward, 8 observation; such a row is a crash",
             ),
         ):
             declare(TensorSpec(
-                key=key, shape=("E",), dtype=dtype, unit="-", frame="-", owner="env, task", meaning=meaning
-            ))  # fmt: skip
+                key=key, shape=("E",), dtype=view.dtype, unit="-", frame="-", owner="env, task", meaning=meaning
+            ), view=view)  # fmt: skip
 
     @property
     def traced(self) -> dict[str, Tensor]:
@@ -237,8 +239,7 @@ class EnvManager:
                 world, (E, A, 6). Without them obstacles keep the twists they have.
         """
         gtd = self.gtd
-        gtd["crashes"].zero_()
-        gtd["truncations"].zero_()
+        self._flags.zero_()
         self.robot_manager.act(actions)
         if env_actions is not None:
             self.asset_manager.take_actions(env_actions)
@@ -271,21 +272,22 @@ class EnvManager:
 
     def reset(self, mask: Tensor | None = None) -> None:
         """Start the environments in ``mask``, bool (E,), anew; all of them without a mask. Others stay bit for bit."""
-        mask = self._all if mask is None else mask
-        self.random.begin(mask)
+        all_rows = mask is None
+        self.random.begin(self._all if mask is None else mask)
+        mask = self.random.mask
         self._bounds.draw(mask)
         if self.cfg.num_assets:
             self.asset_manager.reset(mask)
         self.robot_manager.reset(mask)
-        if mask is self._all and self.robot_manager.differentiable is not None:
+        if all_rows and self.robot_manager.differentiable is not None:
             self.detach()  # no row goes on
         self.asset_manager.clear_start(mask, self.gtd["robot_position"])
         self.sensor_manager.reset(mask)
         self.imus.reset(mask)
         if self._collision.has_solids:
             self._collision.measure()
-        for key in ("crashes", "truncations", "sim_steps", "non_finite"):
-            self.gtd[key].masked_fill_(mask, 0)
+        self._flags.masked_fill_(mask, 0)
+        self._counts.masked_fill_(mask, 0)
 
     def clear_goal(self, mask: Tensor, position: Tensor) -> None:
         """Make room for a robot at a goal (E, 3) [m], world, of the environments in ``mask``, bool (E,), after a reset."""

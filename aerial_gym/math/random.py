@@ -87,6 +87,12 @@ def counted_normal(state: Tensor, index: int, width: int, *, dtype: torch.dtype)
     return torch.stack(draws, dim=-1)
 
 
+def take_mask(kept: Tensor, mask: Tensor) -> None:
+    """Write ``mask`` into the one that recorded launches read, both bool (E,), unless it is that very tensor."""
+    if mask is not kept:
+        kept.copy_(mask)
+
+
 class Randomness:
     """The three numbers from which everything random in a batch follows; they stand on the device and keep their place.
 
@@ -118,6 +124,8 @@ class Randomness:
         """Number of each environment, (E,)."""
         self.episode = torch.zeros(num_envs, dtype=torch.int32, device=device)
         """Number of each environment's present episode, (E,); one before the first until that begins."""
+        self.mask = torch.zeros(num_envs, dtype=torch.bool, device=device)
+        """The environments of the last ``begin``, (E,): what draws by a mask reads it here (``take_mask``)."""
         self.restart(seed)
 
     @property
@@ -136,7 +144,8 @@ class Randomness:
 
     def begin(self, mask: Tensor) -> None:
         """Count a new episode in the environments of ``mask``, bool (E,)."""
-        self.episode.add_(mask)
+        take_mask(self.mask, mask)
+        self.episode.add_(self.mask)
 
     def stream(self, purpose: Purpose) -> Tensor:
         """Return the random state of a purpose in every environment, int64, (E,): ``draws.stream_of`` in a kernel."""

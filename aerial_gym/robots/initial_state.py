@@ -3,14 +3,13 @@
 Letters: E environments, R rotors, U entries of an action.
 """
 
-import torch
 import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.interop import on_torch_stream
 from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of
-from aerial_gym.math.random import Purpose, Randomness
+from aerial_gym.math.random import Purpose, Randomness, take_mask
 from aerial_gym.physics import BodyState
 from aerial_gym.robots.derived import DerivedArrays, DerivedStates, write_derived
 from aerial_gym.robots.noticed import Noticed, take_place
@@ -115,7 +114,7 @@ class InitialState:
             noticed: What becomes of rows that were not finite.
         """
         device = state.position.device
-        self._mask = torch.zeros(state.num_envs, dtype=torch.bool, device=device)
+        self._mask = random.mask
         noticed = noticed or Noticed.nothing(state)
         self._kept_alive = random, noticed
         ranges = Ranges()
@@ -145,6 +144,6 @@ class InitialState:
 
     def reset(self, mask: Tensor) -> None:
         """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
-        self._mask.copy_(mask)
+        take_mask(self._mask, mask)
         with on_torch_stream(self._mask):
             self._command.launch()

@@ -31,7 +31,7 @@ from aerial_gym.config.imu import ImuCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import on_torch_stream, start_warp
 from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
-from aerial_gym.math.random import Purpose, Randomness
+from aerial_gym.math.random import Purpose, Randomness, take_mask
 from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn
 from aerial_gym.sensors.delay import CLOCK_MARGIN, steps_of
@@ -288,8 +288,8 @@ class Imu:
         self._steps, self._place = torch.zeros_like(self._sample), torch.zeros_like(self._sample)
         self._fresh = torch.zeros_like(measurement_out)
         self._line = torch.zeros(latency, envs, 6, device=device)
-        self._mask = torch.zeros(envs, dtype=torch.bool, device=device)
         self._random = random or Randomness(envs, device=device)
+        self._mask = self._random.mask
         motion = Motion()
         motion.attitude = vector_view("attitude", attitude, (envs, 4), device=device)
         motion.lin_vel = vector_view("lin_vel", lin_vel, (envs, 3), device=device)
@@ -343,7 +343,7 @@ class Imu:
         Draws bias and misalignment, and writes a first sample: that of a vehicle without acceleration in its present attitude,
         as no step has shown one yet, with its present angular velocity. Launched on torch's current stream, not waited for.
         """
-        self._mask.copy_(mask)
+        take_mask(self._mask, mask)
         with on_torch_stream(self._mask):
             self._reset_command.launch()
 

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from difflib import get_close_matches
 
-import torch
 import warp as wp
 from torch import Tensor
 
@@ -16,7 +15,7 @@ from aerial_gym.config.sensor import RangeSensorCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import on_torch_stream
 from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of, substream
-from aerial_gym.math.random import Purpose, Randomness
+from aerial_gym.math.random import Purpose, Randomness, take_mask
 from aerial_gym.sensors.mounts import Mounted, Pose, nominal_pose
 
 
@@ -81,7 +80,7 @@ class Places:
         """From the body origin [m], body, (E, S, 3)."""
         self.attitude = nominal.attitude.float().to(device).expand(*rows, 4).clone()
         """Sensor to body, xyzw, (E, S, 4)."""
-        self._mask, self._kept_alive = torch.zeros(rows[0], dtype=torch.bool, device=device), random
+        self._mask, self._kept_alive = random.mask, random
         place = _range_of(cfg, nominal)
         self.is_drawn = bool(place.is_drawn)
         """Whether they differ between episodes."""
@@ -99,7 +98,7 @@ class Places:
 
         Launched on torch's current stream, not waited for.
         """
-        self._mask.copy_(mask)
+        take_mask(self._mask, mask)
         with on_torch_stream(self._mask):
             self._command.launch()
 

@@ -35,7 +35,7 @@ class ByRow(Generic[Result]):
             self._trace(tensors)
         if self._rows is None:
             whole = on_whole_vectors(self._function, tensors[0].shape[0], tensors[0].device)(*tensors)
-            for target, result in zip(out, whole if out else (), strict=False):
+            for target, result in zip(out, (whole,) if isinstance(whole, Tensor) else whole, strict=False):
                 target.copy_(result)
             return whole
         results = self._rows(*tensors, out=out)

@@ -11,6 +11,7 @@ from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.task import CurriculumCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+from aerial_gym.task.by_row import ByRow
 
 
 def next_level(level: Tensor, finished: Tensor, succeeded: Tensor, cfg: CurriculumCfg) -> tuple[Tensor, Tensor, Tensor]:
@@ -26,7 +27,7 @@ def next_level(level: Tensor, finished: Tensor, succeeded: Tensor, cfg: Curricul
         The three after it: where ``check_after`` episodes have ended, the level may be another and the counts are 0.
     """
     due = finished >= cfg.check_after
-    share = succeeded / finished.clamp_min(1)
+    share = succeeded / torch.maximum(finished, torch.ones_like(finished))
     change = cfg.raise_by * (share > cfg.raise_above).to(level.dtype) - cfg.lower_by * (share < cfg.lower_below).to(
         level.dtype
     )
@@ -61,6 +62,7 @@ class Curriculum:
         ))  # fmt: skip
         self._finished, self._succeeded = torch.zeros_like(self.level), torch.zeros_like(self.level)
         self.difficulty = torch.zeros((), device=self.level.device)
+        self._decide = ByRow(self._decision, "the curriculum")
         self.restart()
 
     def restart(self) -> None:
@@ -71,11 +73,9 @@ class Curriculum:
         """Count the episodes that ended in this step and those of them that succeeded, each bool (E,), and decide."""
         self._finished.add_(ended.sum())
         self._succeeded.add_(success.sum())
-        level, finished, succeeded = next_level(self.level, self._finished, self._succeeded, self.cfg)
-        self.level.copy_(level)
-        self._finished.copy_(finished)
-        self._succeeded.copy_(succeeded)
-        self._apply()
+        kept = (self.level, self._finished, self._succeeded)
+        *_, count = self._decide(*kept, out=(*kept, self.difficulty.view(1)))
+        self._assets.take_num_obstacles(count)
 
     def state(self) -> dict[str, int]:
         """Return what must be kept to continue: level and counts. Waits for the device."""
@@ -102,9 +102,16 @@ class Curriculum:
         self.level.fill_(state["level"])
         self._finished.fill_(state["finished"])
         self._succeeded.fill_(state["succeeded"])
-        self._apply()
+        difficulty, count = self._following(self.level)
+        self.difficulty.copy_(difficulty.squeeze(0))
+        self._assets.take_num_obstacles(count)
 
-    def _apply(self) -> None:
-        self._assets.take_num_obstacles(self.level - self._num_kept)
+    def _decision(self, level: Tensor, finished: Tensor, succeeded: Tensor) -> tuple[Tensor, ...]:
+        """Return level and counts after a look at them, the difficulty and the number of obstacles, each (1,)."""
+        level, finished, succeeded = next_level(level, finished, succeeded, self.cfg)
+        return level, finished, succeeded, *self._following(level)
+
+    def _following(self, level: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the difficulty and the number of obstacles, each (1,)."""
         span = self.cfg.max_level - self.cfg.min_level
-        self.difficulty.copy_(((self.level - self.cfg.min_level) / span).squeeze(0))
+        return (level - self.cfg.min_level) / span, level - self._num_kept

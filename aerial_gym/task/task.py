@@ -42,7 +42,7 @@ StepResult = tuple[Observation, Tensor, Tensor, Tensor, dict[str, Tensor]]
 
 
 class Judgement(NamedTuple):
-    """What one kernel finds of a step of every environment, (E, ...); the first four go on into the next one."""
+    """What one kernel finds of a step of every environment, (E, ...); the first five go on into the next one."""
 
     non_finite: Tensor
     """Bits of ``NonFinite``, for ``gtd["non_finite"]``."""
@@ -56,14 +56,15 @@ class Judgement(NamedTuple):
     episode_return: Tensor
     """Return with which the next step goes on."""
 
+    ended: Tensor
+    """Terminated or truncated; for ``Randomness.mask``, where a reset takes it from."""
+
     final: Tensor
     """Observation before the reset."""
 
     reward: Tensor
     terminated: Tensor
     truncated: Tensor
-    ended: Tensor
-    """Terminated or truncated."""
 
     distance: Tensor
     """To the target [m]."""
@@ -155,7 +156,7 @@ class Task:
         self._apart = terms_apart([(e.term, OBSERVATIONS[e.term]) for e in cfg.observations], self.state())
         self._observe = ByRow(self._finite_observation, "the observation")
         keys = ("non_finite", "crashes", "truncations")
-        self._written = (*(env.gtd[key] for key in keys), self.episode_return)
+        self._written = (*(env.gtd[key] for key in keys), self.episode_return, env.random.mask)
         self._judge = ByRow(self._judgement, f"the judgement of a step, with reward {cfg.reward!r},")
         self._command = ByRow(
             lambda actions: self._action.value(actions, self._action_params), f"action {cfg.action!r}"
@@ -290,7 +291,7 @@ class Task:
             self._goals.draw(mask)
             self.env.clear_goal(mask, self.target_position)
         if self._reward.needs_progress:
-            self._prev_distance.copy_(self._measure(self.target_position, self._gtd["robot_position"]))
+            self._measure(self.target_position, self._gtd["robot_position"], out=(self._prev_distance,))
 
     def _look(self) -> None:
         """Read the sensors, and the image's cells where a term asks for them."""

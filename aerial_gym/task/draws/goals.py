@@ -3,14 +3,13 @@
 Frames: world of each environment, z up. Letters: E environments.
 """
 
-import torch
 import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import Vec3
 from aerial_gym.interop import on_torch_stream
 from aerial_gym.math.draws import RandomArrays, draw_vec3, random_arrays, stream_of
-from aerial_gym.math.random import Purpose, Randomness
+from aerial_gym.math.random import Purpose, Randomness, take_mask
 
 
 @wp.kernel(enable_backward=False)
@@ -48,7 +47,7 @@ class Goals:
             random: Of the draws.
         """
         envs, device = goal.shape[0], goal.device
-        self._mask = torch.zeros(envs, dtype=torch.bool, device=device)
+        self._mask = random.mask
         self._kept_alive = (goal, bounds, random)
         inputs = [wp.from_torch(self._mask), random_arrays(random), *(wp.vec3(*ratio) for ratio in ratios)]
         self._command = wp.launch(
@@ -62,6 +61,6 @@ class Goals:
 
     def draw(self, mask: Tensor) -> None:
         """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
-        self._mask.copy_(mask)
+        take_mask(self._mask, mask)
         with on_torch_stream(self._mask):
             self._command.launch()

@@ -1,0 +1,60 @@
+"""How many kernels a step launches: on a GPU each costs a microsecond or two, whatever it does."""
+
+from collections import Counter
+
+import pytest
+import torch
+import warp as wp
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+from warp._src.context import Launch
+
+from aerial_gym.interop.rows import RowFunction
+from aerial_gym.task import task_registry
+
+VIEWS = (
+    "alias", "as_strided", "detach", "empty", "expand", "permute", "select", "slice", "split", "squeeze", "t", "transpose",
+    "unbind", "unsqueeze", "view", "_reshape_alias", "_unsafe_view",
+)  # fmt: skip
+"""Operations of torch that launch nothing."""
+
+
+class Counting(TorchDispatchMode):
+    """Counts operations of torch that launch a kernel on a GPU, most of them one."""
+
+    def __init__(self) -> None:
+        """Begin at none."""
+        super().__init__()
+        self.found: Counter[str] = Counter()
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        """Count one, and do it."""
+        name = func._schema.name.removeprefix("aten::").split(".")[0]
+        if name not in VIEWS and not name.startswith("empty"):
+            self.found[name] += 1
+        return func(*args, **(kwargs or {}))
+
+
+@pytest.mark.parametrize(("name", "most"), [("position_setpoint_task", 12), ("navigation_task", 39)])
+def test_a_step_launches_few_kernels(name: str, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """``most`` is what it takes today: more of them are a choice, to be made here."""
+    task = task_registry.make_task(name, num_envs=2, device="cpu", seed=0)
+    assert task.action_space.shape is not None
+    actions = torch.zeros(2, *task.action_space.shape)
+    task.reset()
+    task.step(actions)
+    counting, launch, by_row = Counting(), Launch.launch, RowFunction.__call__
+
+    def launched(self: wp.Launch, *args: object) -> None:
+        counting.found[self.kernel.key] += 1
+        launch(self, *args)
+
+    def rows(self: RowFunction, *args: Tensor, **kwargs: object) -> tuple[Tensor, ...]:
+        counting.found["rows"] += 1
+        return by_row(self, *args, **kwargs)
+
+    monkeypatch.setattr(Launch, "launch", launched)
+    monkeypatch.setattr(RowFunction, "__call__", rows)
+    with counting:
+        task.step(actions)
+    assert sum(counting.found.values()) <= most, dict(counting.found)
