@@ -33,7 +33,7 @@ class CeilingEffect(RotorEffect):
     def check(self, robot: RobotCfg) -> None:
         """Raise ``ConfigError`` unless the radius of the rotors is known."""
         if any(rotor.radius is None for rotor in robot.rotor_types):
-            raise ConfigError("effect ceiling_effect: the robot file must give the radius [m] of each rotor type")
+            raise ConfigError("effect ceiling_effect: the robot file must give rotor.radius [m], of every rotor type")
 
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
         """Return ``T (1 / (1 - k (R / 4 h)²) - 1)``."""
