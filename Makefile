@@ -2,7 +2,7 @@
 PYTHON ?= python3.11
 BIN := .venv/bin
 
-.PHONY: setup demo test test-slow kill-test undeclared lint format clean
+.PHONY: setup demo test test-slow kill-test fuzz undeclared lint format clean
 setup: .venv/ready
 
 .venv/ready: pyproject.toml constraints.txt
@@ -23,6 +23,12 @@ test-slow: setup
 KILLS ?= 50
 kill-test: setup
 	$(BIN)/python -m benchmarks.robustness.kill_runs --count $(KILLS)
+
+# Minutes: mutated robots, environments, tasks, logs, meshes, checkpoints; each must work or be refused in one sentence.
+FUZZ ?= 5000
+SEED ?= 0
+fuzz: setup
+	$(BIN)/python -m benchmarks.robustness.fuzz --count $(FUZZ) --seed $(SEED)
 
 # Hours: every effect, size and seed that the truth plant can hide. Interrupt and start again at will; SEEDS, JOBS and ARGS
 # (such as --nuisance or --write docs/results/undeclared.md) may be given.

@@ -1,8 +1,16 @@
 """Exceptions that users see. Every message names the thing, its value, the rule and the way out."""
 
+LONGEST_SENTENCE = 1200
+"""Characters of a message; a value of thousands of characters that it names is cut out of its middle."""
+
 
 class AerialGymError(Exception):
     """Base of every error that this package raises on purpose."""
+
+    def __str__(self) -> str:
+        text = str(self.args[0]) if self.args else ""
+        half = LONGEST_SENTENCE // 2
+        return text if len(text) <= LONGEST_SENTENCE else f"{text[:half]} ... {text[-half:]}"
 
 
 class ConfigError(AerialGymError, ValueError):
@@ -11,9 +19,6 @@ class ConfigError(AerialGymError, ValueError):
 
 class UnknownNameError(AerialGymError, KeyError):
     """A name that no registry holds."""
-
-    def __str__(self) -> str:
-        return str(self.args[0]) if self.args else ""
 
 
 class DuplicateNameError(AerialGymError, ValueError):

@@ -10,7 +10,7 @@ from pathlib import Path
 from aerial_gym.config.camera import CameraCfg, FisheyeCfg, StereoCfg
 from aerial_gym.config.imu import ImuCfg
 from aerial_gym.config.lidar import LidarCfg, RayTableCfg
-from aerial_gym.config.loader import build, read_yaml
+from aerial_gym.config.loader import build, read_yaml, shown
 from aerial_gym.config.range_sensor import FRAMES, KINDS, LightCfg, NoiseCfg, RangeSensorCfg
 from aerial_gym.errors import ConfigError
 
@@ -59,10 +59,10 @@ def load_any_sensor(path: str | Path) -> SensorCfg:
     model = data.get("model")
     if model == "imu" or ("model" not in data and any(str(key).startswith(("accel_", "gyro_")) for key in data)):
         return build(ImuCfg, data, where=str(path))
-    if model not in MODELS:
+    if not isinstance(model, str) or model not in MODELS:
         near = get_close_matches(str(model), MODELS, n=1)
         hint = f" Did you mean {near[0]!r}?" if near else ""
-        raise ConfigError(f"{path}: model = {model!r}: must be one of {', '.join(MODELS)}, imu.{hint}")
+        raise ConfigError(f"{path}: model = {shown(model)}: must be one of {', '.join(MODELS)}, imu.{hint}")
     cfg = build(MODELS[str(model)], data, where=str(path))
     if isinstance(cfg, RayTableCfg) and cfg.path is not None:
         return replace(cfg, path=str(Path(path).resolve().parent / cfg.path))

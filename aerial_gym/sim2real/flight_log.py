@@ -25,6 +25,9 @@ HEADER_LINES = 1
 FEW_DIGITS = 20
 """If time stands still in more than one row of so many, it was written with too few digits."""
 
+LARGEST = 1e9
+"""Size in SI units beyond which no measurement of a flight is one."""
+
 COMPANION_GAP_S = 0.1
 """Longest gap [s] in another vehicle's log across which its position is interpolated."""
 
@@ -142,6 +145,11 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
             gaps, held = name == "other_position", name == "rotor_command"
             raw = _fields(table, columns, quantity, time, str(path), notes, gaps=gaps, held=held)
             values[name] = _converted(raw, table, quantity, time, str(path)) * UNITS[quantity.unit]
+            if np.nanmax(np.abs(values[name]), initial=0.0) > LARGEST:
+                raise DataError(
+                    f"{path}: {columns[0]} to {columns[-1]} reach {np.nanmax(np.abs(values[name])):.3g} in SI units, at most "
+                    f"{LARGEST:.0g} is of this world; check the unit"
+                )
     if layout.lacks:
         notes.append(layout.lacks)
     integrated = "attitude" not in values and layout.attitude is None and not hover

@@ -65,6 +65,11 @@ def _check_unit(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> No
         return float(np.percentile(thrusts(robot, speeds).sum(axis=1), 90.0))
 
     thrust = lift(values)
+    if thrust == 0.0:
+        raise DataError(
+            f"{log.path}: {name}_1..{values.shape[1]} (largest {values.max():.4g}) give the declared robot no thrust in nine "
+            "of ten rows; leave the columns empty if the rotors were not measured"
+        )
     ratio = thrust / (robot.body.mass * STANDARD_GRAVITY)
     if 1.0 / 3.0 < ratio < 3.0:
         return

@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import ConfigError, DataError, UnknownNameError
 from aerial_gym.sim2real.flight_log import read_flight_log
+from aerial_gym.sim2real.flights import load_flights
 from aerial_gym.sim2real.mapping import ColumnsCfg, LogMapping, find_mapping, mapping_names
-from tests.unit.sim2real.flat_flights import flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 
 @pytest.fixture(scope="module")
@@ -223,3 +224,14 @@ def test_unbalanced_quotes_are_refused_with_the_file(broken: str, tmp_path: Path
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
     with pytest.raises(DataError, match="log.csv"):
         read_flight_log(tmp_path / "log.csv")
+
+
+def test_rotors_at_rest_and_numbers_of_no_flight_are_refused(tmp_path: Path) -> None:
+    resting = flight(0, seconds=3.0, rate=100.0)
+    resting[[name for name in resting.columns if name.startswith("rotor")]] = 0.0
+    with pytest.raises(DataError, match="rotor_1..4 .* give the declared robot no thrust"):
+        load_flights([write(resting, tmp_path / "rest.csv")], ROBOT, mapping=None, bandwidth=10.0)
+    far = flight(0, seconds=3.0, rate=100.0)
+    far.loc[7, "acc_x"] = 1e300
+    with pytest.raises(DataError, match="acc_x to acc_z reach 1e.300 in SI units"):
+        read_flight_log(write(far, tmp_path / "far.csv"))

@@ -1,0 +1,1 @@
+"""Inputs of every kind, mutated: each must work or be refused with one sentence."""

@@ -1,0 +1,142 @@
+"""``python -m benchmarks.robustness.fuzz --count 3000 --seed 0``: mutated inputs, each of which must work or be refused.
+
+An exception that is not the package's own, a refusal that is no sentence, and an input that takes longer than ``limit_s`` are
+findings; their inputs are kept in ``out``. Exit status 1 if there is any. Input i of a seed is the same in every run.
+"""
+
+import logging
+import random
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+import tyro
+
+from aerial_gym.errors import AerialGymError
+from benchmarks.robustness.fuzz.mutations import mutate
+from benchmarks.robustness.fuzz.targets import Target, targets
+
+LONGEST_SENTENCE = 1500
+TELL_EVERY_S = 10.0
+
+
+class TooLongError(BaseException):
+    """An input took longer than the limit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fuzz:
+    """What to feed, and how much of it."""
+
+    count: int = 3000
+    """Mutated inputs."""
+
+    seed: int = 0
+    """Of the mutations."""
+
+    only: tuple[str, ...] = ()
+    """Targets by name; all if none is given."""
+
+    limit_s: float = 20.0
+    """Longest time of one input [s]."""
+
+    out: Path = Path("out/fuzz")
+    """Receives the inputs of findings."""
+
+    def run(self) -> int:
+        """Print progress and a summary; return the exit status."""
+        kinds: Counter[str] = Counter()
+        found: Counter[str] = Counter()
+        with tempfile.TemporaryDirectory() as name, _quiet():
+            self._feed(Path(name), kinds, found)
+        for kind, number in sorted(kinds.items()):
+            print(f"{number:6d}  {kind}")
+        for finding, number in found.most_common():
+            print(f"FINDING {number:4d}  {finding}")
+        print(f"{self.count} inputs with seed {self.seed}: {found.total()} findings of {len(found)} kinds")
+        return 1 if found else 0
+
+    def _feed(self, folder: Path, kinds: "Counter[str]", found: "Counter[str]") -> None:
+        told = time.monotonic()
+        chosen = [target for target in targets(folder) if not self.only or target.name in self.only]
+        for index in range(self.count):
+            target = chosen[index % len(chosen)]
+            outcome, finding = self._attempt(target, folder, index)
+            kinds[f"{target.name}: {outcome}"] += 1
+            if finding is not None:
+                found[finding] += 1
+            if time.monotonic() - told > TELL_EVERY_S:
+                told = time.monotonic()
+                print(f"{index + 1}/{self.count}, {found.total()} findings", file=sys.stderr, flush=True)
+
+    def _attempt(self, target: Target, folder: Path, index: int) -> tuple[str, str | None]:
+        draw = random.Random(f"{self.seed}:{target.name}:{index}")
+        data = mutate(draw.choice(target.inputs), target.ways, draw)
+        file = folder / f"input{target.suffix}"
+        file.write_bytes(data)
+        signal.setitimer(signal.ITIMER_REAL, self.limit_s)
+        try:
+            target.use(file)
+        except AerialGymError as error:
+            bad = _bad_sentence(str(error))
+            outcome, finding = "refused", None if bad is None else f"{target.name}: {bad}: {str(error)[:150]!r}"
+        except TooLongError:
+            outcome, finding = "finding", f"{target.name}: takes longer than {self.limit_s} s"
+        except Exception as error:
+            outcome, finding = "finding", f"{target.name}: {type(error).__name__} {_place(error)}: {str(error)[:120]!r}"
+        else:
+            outcome, finding = "works", None
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        if finding is not None:
+            self.out.mkdir(parents=True, exist_ok=True)
+            (self.out / f"{target.name}_{self.seed}_{index}{target.suffix}").write_bytes(data)
+        return outcome, finding
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Let warnings and logs of bad inputs be silent, and the alarm raise; put all back afterwards."""
+    kept = signal.signal(signal.SIGALRM, _too_long)
+    logging.disable(logging.WARNING)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logging.disable(logging.NOTSET)
+        signal.signal(signal.SIGALRM, kept)
+
+
+def _too_long(number: int, frame: FrameType | None) -> None:
+    del number, frame
+    raise TooLongError
+
+
+def _bad_sentence(text: str) -> str | None:
+    """Return what is wrong with a message, if anything."""
+    if "\n" in text.strip():
+        return "several lines"
+    if len(text) > LONGEST_SENTENCE:
+        return "too long a sentence"
+    return "advice of torch" if "weights_only" in text else None
+
+
+def _place(error: BaseException) -> str:
+    """Return the last line of the package on the way to an error."""
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "aerial_gym/" in frame.filename]
+    last = frames[-1] if frames else traceback.extract_tb(error.__traceback__)[-1]
+    return f"at {last.filename.rpartition('aerial_gym/')[2]}:{last.lineno}"
+
+
+if __name__ == "__main__":
+    sys.exit(tyro.cli(Fuzz, description=__doc__).run())

@@ -1,0 +1,169 @@
+"""What is fed with mutated inputs: valid ones, ways to spoil them, and a use that goes as far as a user would."""
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import torch
+
+from aerial_gym.assets.shapes import load_mesh
+from aerial_gym.assets.urdf import load_urdf
+from aerial_gym.config import CONFIG_DIR, dump_yaml, load
+from aerial_gym.config.environment import load_environment
+from aerial_gym.config.robot import load_robot
+from aerial_gym.config.sensor import load_any_sensor
+from aerial_gym.config.task import TaskCfg
+from aerial_gym.env_manager import EnvManager, SimBuilder
+from aerial_gym.env_manager.catalog import SIMS
+from aerial_gym.rl_training import load_policy, load_settings, settings_for
+from aerial_gym.rl_training.run_folder import RunFolder
+from aerial_gym.sim2real.flights import load_flights
+from aerial_gym.sim2real.mapping import MAPPING_DIR, find_mapping
+from aerial_gym.task import Task
+from benchmarks.robustness.fuzz.mutations import PLAIN, TEXT, TREE, Mutation
+from tests.unit.sim2real import flat_flights
+
+NUM_ENVS = 2
+BANDWIDTH = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """One kind of input."""
+
+    name: str
+    """How a finding is named."""
+
+    suffix: str
+    """Of the files."""
+
+    inputs: tuple[bytes, ...]
+    """Valid ones."""
+
+    ways: tuple[Mutation, ...]
+    """To spoil them."""
+
+    use: Callable[[Path], object]
+    """What is done with a file."""
+
+
+def _sim():
+    return replace(SIMS.get("base_sim"), backend="torch")  # composes no kernel for every robot
+
+
+def _build(**changes: object) -> EnvManager:
+    names = {"env_name": "empty_env", "robot_name": "base_quadrotor", "controller_name": "lee_position_control"}
+    return SimBuilder().build_env(sim_name=_sim(), **(names | changes), num_envs=NUM_ENVS, device="cpu")
+
+
+def _fly(env: EnvManager) -> None:
+    env.reset()
+    env.step(torch.zeros(NUM_ENVS, 4))
+    env.render()
+    env.close()
+
+
+def _robot(path: Path) -> None:
+    _fly(_build(robot_name=load_robot(path)))
+
+
+def _environment(path: Path) -> None:
+    _fly(_build(env_name=load_environment(path)))
+
+
+@cache
+def _flown() -> EnvManager:
+    return _build()
+
+
+def _task(path: Path) -> None:
+    cfg = load(TaskCfg, path)
+    names = {"env_name": cfg.env, "robot_name": cfg.robot, "controller_name": cfg.controller}
+    with Task(cfg, _build(**names)) as task:
+        task.reset()
+        assert task.action_space.shape is not None
+        task.step(torch.zeros(NUM_ENVS, task.action_space.shape[0]))
+
+
+def _log(path: Path) -> None:
+    load_flights([path], flat_flights.ROBOT, mapping=None, bandwidth=BANDWIDTH)
+
+
+@cache
+def _valid_log() -> Path:
+    path = Path("/tmp") / "aerial_gym_fuzz_log.csv"
+    path.write_bytes(_flight_text())
+    return path
+
+
+def _mapping(path: Path) -> None:
+    layout = find_mapping(path)
+    load_flights([_valid_log()], flat_flights.ROBOT, mapping=layout, bandwidth=BANDWIDTH)
+
+
+@cache
+def _flight_text() -> bytes:
+    text = io.StringIO()
+    flat_flights.flight(0, seconds=3.0, rate=100.0).to_csv(text, index=False)
+    return text.getvalue().encode()
+
+
+def _policy(path: Path) -> None:
+    load_policy(path)
+
+
+def _checkpoint_bytes(folder: Path) -> bytes:
+    """Return a small checkpoint; the folder then holds the settings that it belongs to."""
+    cfg = load_settings(settings_for("rl_games", "position_setpoint_task"))
+    run = RunFolder(folder)
+    if not run.config_file.exists():
+        run.create(replace(cfg, ppo=replace(cfg.ppo, hidden_layers=(8,))))
+    model = {"a2c_network.actor_mlp.0.weight": torch.zeros(8, 13), "a2c_network.actor_mlp.0.bias": torch.zeros(8)}
+    model |= {"a2c_network.mu.weight": torch.zeros(4, 8), "a2c_network.mu.bias": torch.zeros(4)}
+    return run.keep_checkpoint(1, {"model": model, "run": {"trainer": "rl_games", "env_steps": 1}}).read_bytes()
+
+
+URDF = b"""<robot name="lamp"><material name="red"><color rgba="1 0 0 1"/></material>
+<link name="base"><visual><origin xyz="0 0 1" rpy="0 0 0"/><geometry><box size="1 2 3"/></geometry>
+<material name="red"/></visual></link>
+<link name="arm"><collision><geometry><cylinder radius="0.1" length="1"/></geometry></collision></link>
+<link name="bulb"><visual><geometry><mesh filename="package://x/bulb.obj" scale="1 1 1"/></geometry></visual></link>
+<joint name="a" type="revolute"><origin xyz="0 0 1"/><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+<joint name="b" type="fixed"><origin xyz="0 0 1"/><parent link="arm"/><child link="bulb"/></joint></robot>
+"""
+OBJ = b"# tetrahedron\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvn 0 0 1\nvt 0 0\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+STL = b"solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid s\n"
+
+
+def targets(folder: Path) -> tuple[Target, ...]:
+    """Return all targets; ``folder`` receives what belongs to the inputs."""
+    (folder / "bulb.obj").write_bytes(OBJ)
+
+    def files(kind: str) -> tuple[bytes, ...]:
+        return tuple(path.read_bytes() for path in sorted((CONFIG_DIR / kind).glob("*.yaml")))
+
+    own = (MAPPING_DIR / "aerial_gym.yaml").read_bytes()
+    paired = own + b"companion: {log: other}\nwind: {log: [1.0, 0.0, 0.0]}\nlift_off_m: 0.1\nhover_above_m: 0.5\n"
+    others = tuple(path.read_bytes() for path in sorted(MAPPING_DIR.glob("*.yaml")))
+    mappings = (*(own, paired) * 4, *others)
+    robots = (*files("robots"), dump_yaml(flat_flights.ROBOT).encode())
+
+    def yaml(name: str, inputs: tuple[bytes, ...], use: Callable[[Path], object]) -> Target:
+        return Target(name=name, suffix=".yaml", inputs=inputs, ways=TREE, use=use)
+
+    return (
+        yaml("robot", robots, _robot),
+        yaml("environment", files("environments"), _environment),
+        yaml("task", files("tasks"), _task),
+        yaml("settings", files("training"), load_settings),
+        yaml("sensor", files("sensors"), load_any_sensor),
+        yaml("mapping", mappings, _mapping),
+        Target(name="log", suffix=".csv", inputs=(_flight_text(),), ways=TEXT, use=_log),
+        Target(name="urdf", suffix=".urdf", inputs=(URDF,), ways=TEXT, use=lambda path: load_urdf(path)),
+        Target(name="obj", suffix=".obj", inputs=(OBJ,), ways=TEXT, use=lambda path: load_mesh(path, scale=1.0)),
+        Target(name="stl", suffix=".stl", inputs=(STL,), ways=TEXT, use=lambda path: load_mesh(path, scale=1.0)),
+        Target(name="checkpoint", suffix=".pth", inputs=(_checkpoint_bytes(folder),), ways=PLAIN, use=_policy),
+    )
