@@ -18,6 +18,11 @@ INLINING = (
 """Compiler flags for the CPU that Warp 1.19 has by itself."""
 
 
+BLOCK_DIM = 64
+"""Threads of a block on a GPU in kernels of one thread per environment: Warp's 256 leave most multiprocessors of a large GPU
+without work at some thousand environments."""
+
+
 def start_warp() -> None:
     """Initialise Warp without its banner; what it compiles is told by ``KernelLog``. A log level or a logger that the user
     chose stays.

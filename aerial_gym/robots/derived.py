@@ -10,6 +10,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.interop import on_torch_stream, start_warp
+from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.physics import BodyState
 from aerial_gym.robots.finite import NonFinite
 
@@ -154,6 +155,7 @@ class DerivedStates:
                 wp.from_torch(checked.crashes),
             ],
             device=wp.device_from_torch(self._like.device),
+            block_dim=BLOCK_DIM,
             record_cmd=True,
         )
 

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.interop import on_torch_stream
+from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of
 from aerial_gym.math.random import Purpose, Randomness, take_mask
 from aerial_gym.physics import BodyState
@@ -139,6 +140,7 @@ class InitialState:
                 wp.from_torch(noticed.rows),
             ],
             device=wp.device_from_torch(device),
+            block_dim=BLOCK_DIM,
             record_cmd=True,
         )
 

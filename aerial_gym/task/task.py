@@ -5,14 +5,13 @@ Letters: E environments, U entries of an action, O entries of an observation.
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
-from gymnasium import spaces
 from torch import Tensor
 
 from aerial_gym.config.task import TaskCfg
@@ -32,6 +31,9 @@ from aerial_gym.task.observations import IMAGE_CELLS, OBSERVATIONS, ObservationT
 from aerial_gym.task.rewards import REWARDS, Reward
 from aerial_gym.task.shapes import check_shapes
 from aerial_gym.task.step_graph import StepGraph, check_terms
+
+if TYPE_CHECKING:
+    from gymnasium import spaces
 
 Observation = dict[str, Tensor]
 """``observations``: (E, O) float32."""
@@ -123,10 +125,8 @@ class Task:
         self._action, self._action_params = _resolve_action(cfg, command)
         num_actions = num_commands if self._action.width is None else self._action.width
         widths = [num_commands if term.width is None else term.width for term, _ in self._terms]
-        bound = np.full(sum(widths), np.inf, dtype=np.float32)
-        self.observation_space = spaces.Dict({"observations": spaces.Box(-bound, bound, dtype=np.float32)})
-        one = np.ones(num_actions, dtype=np.float32)
-        self.action_space = spaces.Box(-one, one, dtype=np.float32)
+        self.num_actions, self.num_observations = num_actions, sum(widths)
+        """Entries of an action and of an observation, U and O."""
         self.target_position = torch.tensor(cfg.target, device=self.device).expand(self.num_envs, 3).clone()
         self.episode_return = torch.zeros(self.num_envs, device=self.device)
         stds = [std for (_, std), width in zip(self._terms, widths, strict=True) for _ in range(width)]
@@ -167,6 +167,22 @@ class Task:
             raise CapabilityError(f"capture needs a CUDA device; this task runs on {self.device}")
         self._capture_at_reset = self.device.type == "cuda" if capture is None else capture
 
+    @cached_property
+    def observation_space(self) -> "spaces.Dict":
+        """Space of an observation of one environment, unbounded; Gymnasium is imported when it is asked for."""
+        from gymnasium import spaces
+
+        bound = np.full(self.num_observations, np.inf, dtype=np.float32)
+        return spaces.Dict({"observations": spaces.Box(-bound, bound, dtype=np.float32)})
+
+    @cached_property
+    def action_space(self) -> "spaces.Box":
+        """Space of an action of one environment, each entry -1 to 1."""
+        from gymnasium import spaces
+
+        one = np.ones(self.num_actions, dtype=np.float32)
+        return spaces.Box(-one, one, dtype=np.float32)
+
     @property
     def captured(self) -> bool:
         """Whether a step is the replay of a CUDA graph."""
@@ -184,8 +200,7 @@ class Task:
         level = None if self.curriculum is None else self.curriculum.state()
         self._begin(self._all)
         self._check_untraced()
-        assert self.action_space.shape is not None
-        self._graph = StepGraph(self._step, (self.num_envs, *self.action_space.shape), self.device)
+        self._graph = StepGraph(self._step, (self.num_envs, self.num_actions), self.device)
         self.env.restart(self.env.seed)
         if self.curriculum is not None and level is not None:
             self.curriculum.load(level)
@@ -200,9 +215,8 @@ class Task:
         """
         if self.captured:
             raise CapabilityError("watch: the step is recorded already. Call it before the first reset")
-        assert self.action_space.shape is not None
         self._watch = Watch(
-            self._gtd, self.env.robot_manager.noticed, num_actions=self.action_space.shape[0], dt=self.env.dt, keep=True
+            self._gtd, self.env.robot_manager.noticed, num_actions=self.num_actions, dt=self.env.dt, keep=True
         )
 
     @property

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from aerial_gym.interop.rows.source import WARP_TYPES, write
 from aerial_gym.interop.rows.tracing import trace
-from aerial_gym.interop.streams import on_torch_stream, start_warp
+from aerial_gym.interop.streams import BLOCK_DIM, on_torch_stream, start_warp
 
 _kernels: dict[str, wp.Kernel] = {}
 """By source: two functions that do the same share a kernel."""
@@ -75,7 +75,7 @@ class RowFunction:
             for i, (tensor, new) in enumerate(zip(results, given, strict=True))
         ]
         with on_torch_stream(first):
-            wp.launch(self.kernel, dim=rows, inputs=arrays, device=wp.device_from_torch(device))
+            wp.launch(self.kernel, dim=rows, inputs=arrays, device=wp.device_from_torch(device), block_dim=BLOCK_DIM)
         return tuple(results)
 
     def _view(self, key: int, tensor: Tensor) -> wp.array:
