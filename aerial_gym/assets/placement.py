@@ -11,6 +11,7 @@ from aerial_gym.assets.obstacles import Obstacles, draw_instance
 from aerial_gym.assets.scene import PARKED_Z
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg
 from aerial_gym.interop import on_torch_stream, start_warp
+from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, random_arrays, stream_of
 from aerial_gym.math.random import Purpose, Randomness, counted_state, counted_uniform, take_mask
 
@@ -64,6 +65,7 @@ class Bounds:
             outputs=[wp.from_torch(corner, dtype=wp.vec3) for corner in (lower, upper)],
             device=wp.device_from_torch(device),
             record_cmd=True,
+            block_dim=BLOCK_DIM,
         )
 
     def draw(self, mask: Tensor) -> None:
@@ -141,6 +143,7 @@ class Placement:
             outputs=[obstacles],
             device=asked.device,
             record_cmd=True,
+            block_dim=BLOCK_DIM,
         )
 
     def draw(self) -> None:

@@ -9,12 +9,12 @@ from math import inf, log
 from zlib import crc32
 
 import numpy as np
-import torch
 import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.randomize import DISTRIBUTIONS, RandomizeCfg
-from aerial_gym.interop import on_torch_stream, start_warp
+from aerial_gym.interop import start_warp
+from aerial_gym.interop.rows import Before
 from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
 from aerial_gym.math.random import Purpose, Randomness
 
@@ -54,22 +54,21 @@ class Draw:
     most: wp.float32
 
 
-@wp.kernel(enable_backward=False)
-def _draw(
-    mask: wp.array[wp.bool],  # (E,)
-    # params
-    random: RandomArrays,
-    draws: wp.array[Draw],  # (K,)
-    # out
-    value_out: wp.array2d[float],  # (E, K)
-):
-    """Write new numbers where the mask says so; leave every other row alone."""
-    env = wp.tid()
-    if not mask[env]:
-        return
-    episode = stream_of(random, env, wp.static(int(Purpose.PARAMETERS)))
-    for k in range(draws.shape[0]):
-        draw = draws[k]
+@wp.struct
+class DrawnRows:
+    """Everything that a draw reads and writes."""
+
+    random: RandomArrays
+    draws: wp.array[Draw]  # (K,)
+    value: wp.array2d[float]  # (E, K), written
+
+
+@wp.func
+def draw_row(env: int, given: DrawnRows):
+    """Write the numbers of one environment anew."""
+    episode = stream_of(given.random, env, wp.static(int(Purpose.PARAMETERS)))
+    for k in range(given.draws.shape[0]):
+        draw = given.draws[k]
         state = substream(substream(episode, draw.stream), draw.element)
         share = draw.low + (draw.high - draw.low) * wp.randf(state)
         value = share
@@ -77,37 +76,21 @@ def _draw(
             value = wp.exp(share)
         if draw.kind == NORMAL:  # the inverse of the cumulative distribution
             value = draw.mean + draw.std * wp.sqrt(2.0) * wp.erfinv(wp.clamp(2.0 * share - 1.0, -0.9999999, 0.9999999))
-        value_out[env, k] = wp.clamp(value, draw.least, draw.most)
+        given.value[env, k] = wp.clamp(value, draw.least, draw.most)
 
 
-class ParameterDraws:
-    """Draws the numbers of randomised quantities, with all views made at construction."""
-
-    def __init__(self, drawn: Sequence[Drawn], value: Tensor, random: Randomness) -> None:
-        """Take what is drawn, where it is written, (E, K), and the random numbers."""
-        start_warp()
-        envs, device = value.shape[0], value.device
-        rows = np.zeros(value.shape[1], dtype=Draw.numpy_dtype())  # type: ignore[call-overload]
-        for each in drawn:
-            width = each.columns.stop - each.columns.start
-            for i, numbers in enumerate(each.cfg.components(width)):
-                _fill(rows[each.columns.start + i], each, i, *numbers)
-        table = wp.array(rows, dtype=Draw, device=wp.device_from_torch(device))
-        self._mask, self._kept_alive = torch.zeros(envs, dtype=torch.bool, device=device), (value, random, table)
-        self._command = wp.launch(
-            _draw,
-            dim=envs,
-            inputs=[wp.from_torch(self._mask), random_arrays(random), table],
-            outputs=[wp.from_torch(value)],
-            device=wp.device_from_torch(device),
-            record_cmd=True,
-        )
-
-    def draw(self, mask: Tensor) -> None:
-        """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
-        self._mask.copy_(mask)
-        with on_torch_stream(self._mask):
-            self._command.launch()
+def drawing(drawn: Sequence[Drawn], value: Tensor, random: Randomness) -> Before:
+    """Return the draw of a row for a kernel; ``value`` (E, K) receives the numbers and must be kept alive."""
+    start_warp()
+    rows = np.zeros(value.shape[1], dtype=Draw.numpy_dtype())  # type: ignore[call-overload]
+    for each in drawn:
+        width = each.columns.stop - each.columns.start
+        for i, numbers in enumerate(each.cfg.components(width)):
+            _fill(rows[each.columns.start + i], each, i, *numbers)
+    given = DrawnRows()
+    given.random, given.value = random_arrays(random), wp.from_torch(value)
+    given.draws = wp.array(rows, dtype=Draw, device=wp.device_from_torch(value.device))
+    return Before(function=draw_row, given_type=DrawnRows, given=given)
 
 
 def _fill(row: np.void, drawn: Drawn, element: int, low: float, high: float, mean: float, std: float) -> None:

@@ -40,7 +40,7 @@ from aerial_gym.registry.state import below
 from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.initial_state import InitialState
 from aerial_gym.robots.noticed import Noticed
-from aerial_gym.robots.parameter_draws import ParameterDraws
+from aerial_gym.robots.parameter_draws import drawing
 from aerial_gym.robots.randomized import GAINS, Followed, Randomized, with_drawn_effects
 from aerial_gym.robots.scene_contact import PushedRobot, SceneContact
 from aerial_gym.robots.state_keys import RobotTensors, declare_robot_tensors
@@ -253,7 +253,6 @@ class RobotManager:
             meaning=f"what the episode has drawn: {names}",
         ))  # fmt: skip
         randomized.neutral(self._values)
-        self._draws = ParameterDraws(randomized.drawn, self._values, self._random)
         return randomized
 
     def draws(self) -> dict[str, Tensor]:
@@ -338,7 +337,14 @@ class RobotManager:
         shown = {"mass": self._mass, "inertia": self._inertia, "com": self._com}
         own = [name for name in shown if not is_shared(getattr(self.model.vehicle, name))]
         targets = (*(shown[name] for name in own), *self._targets(), *self.backend.parameter_targets())
-        return MaskedRows(rows, self._sources(), targets, plain=partial(rows, declared=self.declared))
+        return MaskedRows(
+            rows,
+            self._sources(),
+            targets,
+            mask=self._random.mask,
+            before=drawing(self._randomized.drawn, self._values, self._random),
+            plain=partial(rows, declared=self.declared),
+        )
 
     def refresh_model(self) -> None:
         """Take changed parameters of effects (``gtd["effect_..."]``) into the physics."""
@@ -389,8 +395,7 @@ class RobotManager:
         """Draw a new initial state, and new parameters where randomised, for the environments in ``mask``, bool (E,)."""
         self._initial.reset(mask)
         if self._update is not None:
-            self._draws.draw(mask)
-            self._update(mask)
+            self._update()
             if self.differentiable is not None:
                 self.differentiable.mark_written()
         self.controller.reset(mask, self._random)

@@ -14,7 +14,15 @@ from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.sensor import RangeSensorCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import on_torch_stream
-from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of, substream
+from aerial_gym.interop.streams import BLOCK_DIM
+from aerial_gym.math.draws import (
+    RandomArrays,
+    draw_vec3,
+    quat_of_angles,
+    random_arrays,
+    stream_of,
+    substream,
+)
 from aerial_gym.math.random import Purpose, Randomness, take_mask
 from aerial_gym.sensors.mounts import Mounted, Pose, nominal_pose
 
@@ -91,6 +99,7 @@ class Places:
             outputs=[wp.from_torch(self.position, dtype=wp.vec3), wp.from_torch(self.attitude, dtype=wp.quat)],
             device=wp.device_from_torch(device),
             record_cmd=True,
+            block_dim=BLOCK_DIM,
         )
 
     def reset(self, mask: Tensor) -> None:

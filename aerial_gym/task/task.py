@@ -301,6 +301,7 @@ class Task:
     def _begin(self, mask: Tensor) -> None:
         """Start episodes in the environments of ``mask``: robot, obstacles, goal and the room around it."""
         self.env.reset(mask)
+        mask = self.env.random.mask
         if self._goals is not None:
             self._goals.draw(mask)
             self.env.clear_goal(mask, self.target_position)

@@ -18,7 +18,7 @@ from aerial_gym.interop import start_warp
 from aerial_gym.interop.rows import RowFunction
 from aerial_gym.physics import EFFECTS, Ground, WarpBackend, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LearnedResidual
-from aerial_gym.robots import ROBOTS, derived, initial_state, parameter_draws
+from aerial_gym.robots import ROBOTS, derived, initial_state
 from aerial_gym.sensors import flow, imu, places, view
 from aerial_gym.sensors.cells import make_pool
 from aerial_gym.sensors.pixels import Outputs
@@ -131,8 +131,6 @@ def test_the_kernel_of_image_cells_compiles(tmp_path: Path) -> None:
     compile_for_gpu(make_pool(shared=True).module, tmp_path)
 
 
-@pytest.mark.parametrize(
-    "module", [derived, initial_state, parameter_draws, imu, goals, noise, places, placement, view, flow]
-)
+@pytest.mark.parametrize("module", [derived, initial_state, imu, goals, noise, places, placement, view, flow])
 def test_kernels_of_modules_compile(module, tmp_path: Path) -> None:
     compile_for_gpu(wp.get_module(module.__name__), tmp_path)

@@ -5,6 +5,8 @@ Letters: E rows.
 
 import hashlib
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 import warp as wp
@@ -18,6 +20,20 @@ _kernels: dict[str, wp.Kernel] = {}
 """By source: two functions that do the same share a kernel."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Before:
+    """What a kernel does in each of its rows before the traced function: it may write inputs of that row."""
+
+    function: wp.Function
+    """``wp.func`` (row: int, given: the struct)."""
+
+    given_type: Any
+    """The ``wp.struct``."""
+
+    given: Any
+    """Its value; what it points to must be kept alive."""
+
+
 class RowFunction:
     """Does what a torch function does to every row, in one Warp kernel; no gradients flow through it."""
 
@@ -27,6 +43,7 @@ class RowFunction:
         inputs: Sequence[Tensor],
         *,
         masked: bool = False,
+        before: Before | None = None,
     ) -> None:
         """Trace the function and write its kernel, which is compiled at the first call.
 
@@ -36,18 +53,20 @@ class RowFunction:
             inputs: What it will be called with, or tensors of the same shapes and types: (E, ...), or of any other first
                 dimension for what all rows share.
             masked: Whether calls give a mask: other rows are then neither computed nor written.
+            before: What the kernel does in a row before all.
 
         Raises:
             UntraceableError: If it cannot be done row by row; the text says why.
         """
         start_warp()
         traced = trace(function, inputs)
-        source = write(traced, masked=masked)
+        source = write(traced, masked=masked, prepared=before is not None)
+        self._before = [] if before is None else [before.given]
         self.code = source.code
         """The kernel."""
         self._inputs, self._shared = source.inputs, source.shared
         self._outputs = [(shape, dtype) for _, shape, dtype in traced.outputs]
-        self.kernel = _kernel(source.code)
+        self.kernel = _kernel(source.code, before)
         """It as Warp has it."""
         self._known: dict[int, tuple[Tensor, wp.array]] = {}
 
@@ -69,7 +88,7 @@ class RowFunction:
             for tensor, (shape, dtype) in zip(given, self._outputs, strict=True)
         ]
         arrays = [] if mask is None else [self._view(len(inputs), mask)]
-        arrays += [self._view(i, inputs[i]) for i in self._inputs]
+        arrays += [*self._before, *(self._view(i, inputs[i]) for i in self._inputs)]
         arrays += [
             _as_rows(tensor, passing=True) if new is None else self._view(-1 - i, tensor)
             for i, (tensor, new) in enumerate(zip(results, given, strict=True))
@@ -95,13 +114,16 @@ def _as_rows(tensor: Tensor, *, shared: bool = False, passing: bool = False) -> 
     return wp.from_torch(view, dtype=kind, requires_grad=False, return_ctype=passing)
 
 
-def _kernel(code: str) -> wp.Kernel:
+def _kernel(code: str, before: Before | None) -> wp.Kernel:
     """Return the kernel of a source; the same in every process, so that Warp finds it in its cache."""
-    if code not in _kernels:
+    given = "" if before is None else f"# before: {before.function.key}\n"
+    if given + code not in _kernels:
         namespace: dict[str, object] = {"wp": wp}
+        if before is not None:
+            namespace |= {"before": before.function, "given_type": before.given_type}
         exec(code, namespace)
-        name = f"aerial_gym_rows_{hashlib.sha256(code.encode()).hexdigest()[:12]}"
+        name = f"aerial_gym_rows_{hashlib.sha256((given + code).encode()).hexdigest()[:12]}"
         module = wp.get_module(name)
         module.options["enable_backward"] = False
-        _kernels[code] = wp.Kernel(namespace["rows"], key="rows", source=code, module=module)
-    return _kernels[code]
+        _kernels[given + code] = wp.Kernel(namespace["rows"], key="rows", source=code, module=module)
+    return _kernels[given + code]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from aerial_gym.interop.rows.function import RowFunction
+from aerial_gym.interop.rows.function import Before, RowFunction
 from aerial_gym.interop.rows.tracing import UntraceableError
 
 
@@ -24,6 +24,8 @@ class MaskedRows:
         sources: Sequence[Tensor],
         targets: Sequence[Tensor],
         *,
+        mask: Tensor,
+        before: Before,
         plain: Callable[..., tuple[Tensor, ...]] | None = None,
     ) -> None:
         """Take fixed tensors.
@@ -32,24 +34,27 @@ class MaskedRows:
             function: Pure torch on rows.
             sources: What it takes, (E, ...).
             targets: Where what it returns is written, (E, ...).
+            mask: Rows to write, bool, (E,); read at every call.
+            before: What is done in such a row before all; it may write sources.
             plain: The same function, called where the other cannot be traced; it may read tensors from elsewhere.
         """
         self._function, self._sources, self._targets = plain or function, list(sources), list(targets)
-        self._mask = torch.zeros(targets[0].shape[0], dtype=torch.bool, device=targets[0].device)
+        self._mask = mask
         self._rows: RowFunction | None = None
         self.why_slow = ""
         """Why it runs as plain torch; empty where it is one launch."""
         try:
-            self._rows = RowFunction(function, sources, masked=True)
+            self._rows = RowFunction(function, sources, masked=True, before=before)
         except UntraceableError as error:
             self.why_slow = str(error)
+            self._alone = RowFunction(lambda source: source, sources[:1], masked=True, before=before)
 
-    def __call__(self, mask: Tensor) -> None:
-        """Write the rows of ``mask``, bool (E,); launched on torch's current stream, not waited for."""
+    def __call__(self) -> None:
+        """Write the rows of the mask; launched on torch's current stream, not waited for."""
         if self._rows is not None:
-            self._mask.copy_(mask)
             self._rows(*self._sources, out=self._targets, mask=self._mask)
             return
+        self._alone(self._sources[0], out=self._sources[:1], mask=self._mask)
         with torch.no_grad():
             for target, rows in zip(self._targets, self._function(*self._sources), strict=True):
-                target.copy_(torch.where(mask.view(-1, *[1] * (target.ndim - 1)), rows, target))
+                target.copy_(torch.where(self._mask.view(-1, *[1] * (target.ndim - 1)), rows, target))

@@ -30,8 +30,14 @@ class KernelSource:
     """Positions of the inputs that are read; each is an argument, rows as (E, n) and shared ones as (n,). Outputs follow."""
 
 
-def write(trace: Trace, *, masked: bool = False) -> KernelSource:
-    """Return the kernel that does what was traced; a masked one takes a mask first and does nothing in other rows."""
+def write(trace: Trace, *, masked: bool = False, prepared: bool = False) -> KernelSource:
+    """Return the kernel that does what was traced.
+
+    Args:
+        trace: What is done.
+        masked: Whether it takes a mask first and does nothing in other rows.
+        prepared: Whether it then takes a struct of type ``given_type`` and calls ``before(row, given)`` in front of all.
+    """
     needed = _needed(trace)
     kinds = {int(scalar.args[0]): scalar for n in needed if (scalar := trace.scalars[n]).kind in ("input", "shared")}
     shared = frozenset(i for i, scalar in kinds.items() if scalar.kind == "shared")
@@ -40,10 +46,13 @@ def write(trace: Trace, *, masked: bool = False) -> KernelSource:
     lines = [f"    v{n} = {_code(trace.scalars[n])}" for n in needed]
     for i, (numbers, _, _) in enumerate(trace.outputs):
         lines += [f"    out_{i}[row, {entry}] = v{n}" for entry, n in enumerate(numbers)]
+    arguments = [*(["given: given_type"] if prepared else []), *arguments]
     arguments = [*(["mask: wp.array2d[wp.bool]"] if masked else []), *arguments]
     head = f"def rows({', '.join(arguments)}):\n    row = wp.tid()\n"
     if masked:
         head += "    if not mask[row, 0]:\n        return\n"
+    if prepared:
+        head += "    before(row, given)\n"
     return KernelSource(code=head + "\n".join(lines) + "\n", inputs=tuple(sorted(kinds)), shared=shared)
 
 

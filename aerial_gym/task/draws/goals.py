@@ -8,6 +8,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import Vec3
 from aerial_gym.interop import on_torch_stream
+from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, random_arrays, stream_of
 from aerial_gym.math.random import Purpose, Randomness, take_mask
 
@@ -57,6 +58,7 @@ class Goals:
             outputs=[wp.from_torch(goal, dtype=wp.vec3)],
             device=wp.device_from_torch(device),
             record_cmd=True,
+            block_dim=BLOCK_DIM,
         )
 
     def draw(self, mask: Tensor) -> None:
