@@ -45,6 +45,9 @@ from aerial_gym.physics.vehicle import is_shared
 BLOCK_DIM = 128
 """Threads of a block; measured in docs/results/performance.md."""
 
+ROW_GAP = 32
+"""Numbers between packed rows: those of a power of two of environments else share one line of a CPU's cache."""
+
 MIN_STEPS_PER_THREAD = 4096
 """Substeps of environments below which another CPU thread costs more than it saves (a hand-over takes some 50 µs)."""
 
@@ -150,7 +153,8 @@ class WarpBackend:
         self._num_envs, self._num_rotors = model.vehicle.num_envs, model.vehicle.num_rotors
         self._dt, self._memory, self.law_memory = 0.0, None, None
         self._packing: Packing = arrange(self._numbers(1.0), all_packed=self._differentiable)
-        self._packed = torch.zeros(max(self._packing.total, 1), self._num_envs, device=self._device)
+        rows = torch.zeros(max(self._packing.total, 1), self._num_envs + ROW_GAP, device=self._device)
+        self._packed = rows[:, : self._num_envs]
         self._ground = self._ground_arrays(ground)
         fused_hook = None if hook is None else hook.fused()
         self._hook_data = NoHook() if fused_hook is None else fused_hook.data
