@@ -210,7 +210,13 @@ class RobotManager:
         return SceneContact(
             scene,
             contact,
-            PushedRobot(mass=self._mass, inertia=self._inertia, com=self._com, spheres=spheres),
+            PushedRobot(
+                mass=self._mass,
+                inertia=self._inertia,
+                com=self._com,
+                spheres=spheres,
+                shapes=self.cfg.collision.shapes,
+            ),
             self.tensors.state,
             integrator=self._sim.integrator,
             dt=self._sim.dt,

@@ -2,6 +2,10 @@
 
 After a substep and its contact with the ground plane the obstacles move, then push. It is a ``SubstepHook``: the fused kernel
 holds it, and the torch backend calls it. Formula and sources: ``physics.contact``.
+
+Spheres, corners of boxes and ends of capsules push as spheres do. Of boxes and capsules the deepest pair pushes as well where
+it is none of these (an edge across an edge, a pole against a face), and so do the corners of box obstacles that are in a box.
+Robots of spheres alone have a shorter kernel.
 Frames: world of each environment, z up; spheres in the body frame. Letters: E environments, A instances, C spheres.
 """
 
@@ -13,12 +17,22 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets import Scene
-from aerial_gym.assets.geometry import outward_normal, signed_distance
+from aerial_gym.assets.body_shapes import (
+    BodyShape,
+    Core,
+    Nearest,
+    as_box,
+    body_shapes,
+    has_cores,
+    nearest_of_core,
+)
+from aerial_gym.assets.geometry import BOX, Shape, outward_normal, signed_distance
 from aerial_gym.assets.motion import move_instance
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import SceneArrays, part_attitude, part_is_present, part_position
 from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.robot import CollisionShape
 from aerial_gym.errors import ShapeError
 from aerial_gym.interop import on_torch_stream
 from aerial_gym.physics import BodyState
@@ -71,6 +85,102 @@ def _shallowest(pairs: TouchingPairs) -> int:
     return found
 
 
+CORNER = wp.constant(1.0e-3)
+"""Share of half an edge within which a point is taken for the corner, which pushes anyway."""
+
+
+@wp.func
+def _is_corner(core: Core, point: wp.vec3) -> wp.bool:
+    own = wp.quat_rotate_inv(core.turn, point - core.center)
+    is_corner = wp.bool(True)
+    for i in range(3):
+        is_corner = is_corner and wp.abs(own[i]) >= (1.0 - CORNER) * core.half[i]
+    return is_corner
+
+
+@wp.func
+def _nth_of_core(shape: Shape, core: Core, radius: float, number: int) -> Nearest:
+    """Return corner 0 to 7 of a box obstacle in a box, or as number 8 the deepest pair of all; without any the distance is 0.
+
+    The distance is that of the surfaces [m]; of a capsule the point is on its surface.
+    """
+    found = Nearest()
+    found.distance = radius
+    if number < 8:
+        if shape.kind != BOX or wp.min(core.half) <= 0.0:
+            found.distance = 0.0
+            return found
+        corner = wp.cw_mul(
+            wp.vec3(
+                wp.where((number & 1) == 0, 1.0, -1.0),
+                wp.where((number & 2) == 0, 1.0, -1.0),
+                wp.where((number & 4) == 0, 1.0, -1.0),
+            ),
+            shape.size,
+        )
+        box = as_box(core)
+        own = wp.quat_rotate_inv(core.turn, corner - core.center)
+        found.distance = wp.min(signed_distance(box, own), 0.0)
+        found.point = corner
+        found.normal = -wp.quat_rotate(core.turn, outward_normal(box, own))
+        return found
+    found = nearest_of_core(shape, core, radius)
+    is_known = found.distance >= radius or _is_corner(core, found.point)
+    if shape.kind == BOX and wp.min(core.half) > 0.0:
+        other = Core()
+        other.turn = wp.quat_identity()
+        other.half = shape.size
+        is_known = is_known or _is_corner(other, found.point)
+    found.distance = wp.where(is_known, 0.0, found.distance - radius)
+    found.point = found.point - radius * found.normal
+    return found
+
+
+@wp.func
+def _add_cores(
+    pairs: TouchingPairs,
+    scene: SceneArrays,
+    motion: SceneMotion,
+    body: wp.array[BodyShape],
+    com: wp.vec3,
+    env: int,
+    center_of_mass: wp.vec3,
+    attitude: wp.quat,
+) -> TouchingPairs:
+    """Return the pairs with those of boxes and capsules that are not between contact points and obstacles."""
+    part = wp.int32(0)
+    while part < scene.num_solid:
+        a = scene.part_instance[env, part]
+        if a >= 0 and part_is_present(scene, env, part):
+            shape = scene.shapes[scene.part_shape[env, part]]
+            turn = part_attitude(scene, env, part)
+            origin = part_position(scene, env, part)
+            c = wp.int32(0)
+            while c < body.shape[0]:
+                own = body[c]
+                away = center_of_mass + rotate(attitude, own.center - com) - origin
+                if own.reach > own.radius and wp.length(away) - scene.radius[env, part] < own.reach:
+                    core = Core()
+                    core.center = wp.quat_rotate_inv(turn, away)
+                    core.turn = wp.quat_inverse(turn) * attitude * own.attitude
+                    core.half = own.half
+                    number = wp.int32(0)
+                    while number < 9:
+                        found = _nth_of_core(shape, core, own.radius, number)
+                        i = _shallowest(pairs)
+                        if found.distance < pairs.gaps[i]:
+                            place = origin + wp.quat_rotate(turn, found.point)
+                            arm = place - scene.position[env, a]
+                            pairs.gaps[i] = found.distance
+                            pairs.levers[i] = place - center_of_mass
+                            pairs.normals[i] = wp.quat_rotate(turn, found.normal)
+                            pairs.surface_vels[i] = motion.lin_vel[env, a] + wp.cross(motion.ang_vel[env, a], arm)
+                        number += 1
+                c += 1
+        part += 1
+    return pairs
+
+
 @wp.func
 def _find_pairs(
     scene: SceneArrays,
@@ -114,7 +224,8 @@ class SceneSurroundings:
 
     scene: SceneArrays
     motion: SceneMotion
-    sphere: wp.array[wp.vec4]  # (C,) centre in the body frame, radius [m]
+    sphere: wp.array[wp.vec4]  # (C,) contact points: centre in the body frame, radius [m]
+    body: wp.array[BodyShape]  # boxes and capsules, none for robots of spheres
     law: ContactParameters
     crashes: wp.array[wp.bool]  # (E,) set where a touch is a crash
     impulse: wp.array[wp.vec3]  # (E,) world [N s], added to
@@ -128,70 +239,90 @@ class MovingSurroundings:
     obstacles: Obstacles
 
 
-@wp.func
-def _meet(
-    around: SceneSurroundings,
-    env: int,
-    k: int,  # noqa: ARG001 (all hooks have the same arguments)
-    dt: float,
-    mass: float,
-    inertia: wp.mat33,
-    com: wp.vec3,
-    v0: wp.vec3,
-    w0: wp.vec3,
-    x: wp.vec3,
-    q: wp.quat,
-    v: wp.vec3,
-    w: wp.vec3,
-):
-    """Return the motion of a robot after the push of what it overlaps; as it came, bit for bit, where that is nothing.
+@cache
+def _make_meet(cores: bool) -> wp.Function:
+    """Return the hook among obstacles at rest, for robots with boxes and capsules or without."""
 
-    Arguments as in ``FusedHook.function``.
-    """
-    pairs = _find_pairs(around.scene, around.motion, around.sphere, com, env, x, q)
-    if wp.min(pairs.gaps) >= 0.0:
-        return x, q, v, w
-    turn = rotate(q, w0)
-    for i in range(MAX_CONTACTS):
-        approach = wp.dot(pairs.normals[i], pairs.surface_vels[i] - point_velocity(v0, turn, pairs.levers[i]))
-        if pairs.gaps[i] < 0.0 and approach >= around.law.least_approach:
-            around.crashes[env] = True
-    delta, delta_turn = _velocity_change(
-        around.law, dt, mass, inertia, q, v, rotate(q, w),
-        pairs.gaps, pairs.levers, pairs.normals, pairs.surface_vels,
-    )  # fmt: skip
-    around.impulse[env] = around.impulse[env] + mass * delta
-    pushed_x, pushed_q, pushed_v, pushed_w = displaced(around.law, dt, x, q, v, w, delta, delta_turn)
-    return pushed_x, pushed_q, pushed_v, pushed_w
+    @wp.func
+    def meet(
+        around: SceneSurroundings,
+        env: int,
+        k: int,  # noqa: ARG001 (all hooks have the same arguments)
+        dt: float,
+        mass: float,
+        inertia: wp.mat33,
+        com: wp.vec3,
+        v0: wp.vec3,
+        w0: wp.vec3,
+        x: wp.vec3,
+        q: wp.quat,
+        v: wp.vec3,
+        w: wp.vec3,
+    ):
+        """Return the motion of a robot after the push of what it overlaps; as it came, bit for bit, where that is nothing.
 
+        Arguments as in ``FusedHook.function``.
+        """
+        pairs = _find_pairs(around.scene, around.motion, around.sphere, com, env, x, q)
+        if wp.static(cores):
+            pairs = _add_cores(pairs, around.scene, around.motion, around.body, com, env, x, q)
+        if wp.min(pairs.gaps) >= 0.0:
+            return x, q, v, w
+        turn = rotate(q, w0)
+        for i in range(MAX_CONTACTS):
+            approach = wp.dot(pairs.normals[i], pairs.surface_vels[i] - point_velocity(v0, turn, pairs.levers[i]))
+            if pairs.gaps[i] < 0.0 and approach >= around.law.least_approach:
+                around.crashes[env] = True
+        delta, delta_turn = _velocity_change(
+            around.law, dt, mass, inertia, q, v, rotate(q, w),
+            pairs.gaps, pairs.levers, pairs.normals, pairs.surface_vels,
+        )  # fmt: skip
+        around.impulse[env] = around.impulse[env] + mass * delta
+        pushed_x, pushed_q, pushed_v, pushed_w = displaced(around.law, dt, x, q, v, w, delta, delta_turn)
+        return pushed_x, pushed_q, pushed_v, pushed_w
 
-@wp.func
-def _move_and_meet(
-    data: MovingSurroundings,
-    env: int,
-    k: int,
-    dt: float,
-    mass: float,
-    inertia: wp.mat33,
-    com: wp.vec3,
-    v0: wp.vec3,
-    w0: wp.vec3,
-    x: wp.vec3,
-    q: wp.quat,
-    v: wp.vec3,
-    w: wp.vec3,
-):
-    """Do the same when the obstacles of the environment have moved by a substep."""
-    for a in range(data.obstacles.asset.shape[1]):
-        move_instance(data.obstacles, env, a, dt, 1)
-    next_x, next_q, next_v, next_w = _meet(data.around, env, k, dt, mass, inertia, com, v0, w0, x, q, v, w)
-    return next_x, next_q, next_v, next_w
+    return meet
 
 
 @cache
-def _make_push(moves: bool) -> wp.Kernel:
+def _make_move_and_meet(cores: bool) -> wp.Function:
+    """Return the hook among obstacles that move."""
+    meet = _make_meet(cores)
+
+    @wp.func
+    def move_and_meet(
+        data: MovingSurroundings,
+        env: int,
+        k: int,
+        dt: float,
+        mass: float,
+        inertia: wp.mat33,
+        com: wp.vec3,
+        v0: wp.vec3,
+        w0: wp.vec3,
+        x: wp.vec3,
+        q: wp.quat,
+        v: wp.vec3,
+        w: wp.vec3,
+    ):
+        """Do the same when the obstacles of the environment have moved by a substep."""
+        for a in range(data.obstacles.asset.shape[1]):
+            move_instance(data.obstacles, env, a, dt, 1)
+        next_x, next_q, next_v, next_w = meet(data.around, env, k, dt, mass, inertia, com, v0, w0, x, q, v, w)
+        return next_x, next_q, next_v, next_w
+
+    return move_and_meet
+
+
+def _hook_of(*, moves: bool, cores: bool) -> tuple[type, wp.Function]:
+    """Return the struct and the function of a hook."""
+    return (MovingSurroundings, _make_move_and_meet(cores)) if moves else (SceneSurroundings, _make_meet(cores))
+
+
+@cache
+def _make_push(*, moves: bool, cores: bool) -> wp.Kernel:
     """Return the kernel of one substep, for backends that are no kernel themselves."""
-    data_type, meet = (MovingSurroundings, _move_and_meet) if moves else (SceneSurroundings, _meet)
+    data_type, meet = _hook_of(moves=moves, cores=cores)
 
     @wp.kernel(module="unique", enable_backward=False)
     def push(
@@ -244,7 +375,10 @@ class PushedRobot:
     """Centre of mass from the body origin [m], body, (E, 3)."""
 
     spheres: Tensor
-    """Centres in the body frame and radii [m], (C, 4)."""
+    """Contact points: centres in the body frame and radii [m], (C, 4)."""
+
+    shapes: tuple[CollisionShape, ...] = ()
+    """The shapes whose contact points these are; without any there are spheres alone."""
 
 
 class SceneContact:
@@ -291,6 +425,8 @@ class SceneContact:
         around.motion.lin_vel = vector_view("lin_vel", scene.asset_state[..., 7:10], size, device=device)
         around.motion.ang_vel = vector_view("ang_vel", scene.asset_state[..., 10:13], size, device=device)
         around.sphere = wp.from_torch(robot.spheres, dtype=wp.vec4)
+        self._cores = has_cores(robot.shapes)
+        around.body = body_shapes(robot.shapes if self._cores else (), device=device)
         around.crashes = wp.from_torch(crashes_out)
         around.impulse = vector_view("impulse_out", impulse_out, (*envs, 3), device=device)
         self._data = around
@@ -302,7 +438,7 @@ class SceneContact:
 
     def fused(self) -> FusedHook:
         """Return the same as Warp code."""
-        struct, function = (MovingSurroundings, _move_and_meet) if self._moves else (SceneSurroundings, _meet)
+        struct, function = _hook_of(moves=self._moves, cores=self._cores)
         return FusedHook(struct, self._data, function)
 
     def after_substep(self, k: int, before: MassState, state: BodyState) -> None:
@@ -332,7 +468,7 @@ class SceneContact:
         moved = [view(name, getattr(self._state, name)) for name in ("position", "attitude", "lin_vel", "ang_vel")]
         self._views = (inputs, moved)
         return wp.launch(
-            _make_push(self._moves),
+            _make_push(moves=self._moves, cores=self._cores),
             dim=scene.num_envs,
             inputs=[*inputs, self._dt],
             outputs=moved,

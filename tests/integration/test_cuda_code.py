@@ -122,9 +122,9 @@ def test_the_physics_kernel_with_obstacles_that_push_compiles(tmp_path: Path) ->
     compile_for_gpu(rig.backend.kernel.module, tmp_path)
 
 
-@pytest.mark.parametrize("moves", [False, True])
-def test_the_collision_kernel_compiles(moves: bool, tmp_path: Path) -> None:
-    compile_for_gpu(make_walk(moves=moves, shared=True, cores=moves).module, tmp_path)
+@pytest.mark.parametrize(("moves", "cores"), [(True, False), (False, True)])
+def test_the_collision_kernel_compiles(moves: bool, cores: bool, tmp_path: Path) -> None:
+    compile_for_gpu(make_walk(moves=moves, shared=True, cores=cores).module, tmp_path)
 
 
 def test_the_kernel_of_image_cells_compiles(tmp_path: Path) -> None:

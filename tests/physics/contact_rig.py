@@ -8,10 +8,11 @@ from torch import Tensor
 
 from aerial_gym.assets import Scene
 from aerial_gym.assets.asset_table import asset_table
+from aerial_gym.assets.body_shapes import contact_points
 from aerial_gym.assets.obstacles import Obstacles, view_obstacles
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.environment import AssetCfg, MotionCfg
-from aerial_gym.config.robot import BodyCfg
+from aerial_gym.config.robot import BodyCfg, CollisionShape
 from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.math.random import Randomness
@@ -85,13 +86,17 @@ class InScene:
         state: BodyState,
         *,
         spheres=BALL,
+        body: Sequence[CollisionShape] = (),
         robot=None,
         integrator: str = "euler",
         dt: float = 0.01,
         gravity: float = GRAVITY,
         backend: TorchBackend | WarpBackend | None = None,
     ) -> None:
-        """Take poses and velocities of the obstacles, (E, A, 13), and the state that is advanced in place."""
+        """Take poses and velocities of the obstacles, (E, A, 13), and the state that is advanced in place.
+
+        The robot has spheres, or the shapes of ``body``.
+        """
         num_envs, rows = state.num_envs, torch.arange(len(shapes))
         vehicle = vehicle_from_config(robot or robot_with(), num_envs=num_envs)
         self.state, self.dt, self.asset_state = state, dt, asset_state
@@ -102,7 +107,8 @@ class InScene:
             mass=vehicle.mass.clone(),
             inertia=vehicle.inertia.clone(),
             com=vehicle.com.clone(),
-            spheres=torch.tensor(spheres),
+            spheres=contact_points(body, device=CPU) if body else torch.tensor(spheres),
+            shapes=tuple(body),
         )
         contact = SceneContact(
             Scene(list(shapes), shape_index=rows, semantic_id=rows, asset_state=asset_state),

@@ -73,7 +73,7 @@ def nearest_pair(shape, obstacle: ShapeCfg, pose: np.ndarray) -> tuple[float, fl
     ],
 )
 def test_the_distance_is_that_of_the_nearest_pair(shape: CollisionShape, obstacle: ShapeCfg) -> None:
-    """300 poses: exact to float32 and 2^-14 of an edge where the cores are apart, never too large where they touch."""
+    """300 poses: exact to float32 and 2^-15 of an edge where the cores are apart, never too large where they touch."""
     poses = random_poses(300, 1, 0.25)
     found = clearance((shape,), [obstacle], poses[:, None])
     pairs = np.array([nearest_pair(shape, obstacle, pose) for pose in poses])

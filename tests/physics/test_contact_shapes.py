@@ -1,7 +1,7 @@
 """Boxes and capsules on the ground: they rest, tip, roll and slide as closed forms say, in both backends, and as in MuJoCo."""
 
 from collections.abc import Iterator
-from math import atan2, cos, sin
+from math import atan2, cos, exp, sin
 
 import pytest
 import torch
@@ -9,10 +9,11 @@ import torch
 from aerial_gym.assets.body_shapes import contact_points
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape
+from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.interop.threads import one_thread
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_rotate
 from aerial_gym.physics import TorchBackend, WarpBackend
-from tests.physics.contact_rig import CPU, GRAVITY, INERTIA, MASS, OnGround, start
+from tests.physics.contact_rig import CPU, GRAVITY, INERTIA, MASS, InScene, OnGround, obstacle, start
 from tests.physics.vehicles import F64
 
 F32 = torch.float32
@@ -187,3 +188,68 @@ def test_the_tilted_fall_of_a_plate_begins_as_the_closed_form() -> None:
         rig.run(0.02, 0.001)
         assert rig.state.ang_vel[0, 0] < -0.5
         assert rig.state.ang_vel[0, 1:].abs().max() < 1e-3
+
+
+PLATE = BoxCfg(size=(0.4, 0.4, 0.04))
+
+
+def test_a_plate_rests_on_a_block_that_no_corner_of_it_touches() -> None:
+    """Four corners of the block carry it: depth ``sinking / 4``, level, in both backends' ways to contact."""
+    for backend in (WarpBackend(), TorchBackend()):
+        state = start(height=0.1 + 0.02 + 0.005, dtype=F32, attitude=quat_from_euler(torch.tensor([0.0, 0.0, 0.3])))
+        block = ShapeCfg(kind="box", size=(0.2, 0.2, 0.2))
+        rig = InScene([block], obstacle(1), ROUGH, state, body=(PLATE,), backend=backend)
+        rig.run(2.0)
+        assert state.position[0, 2].item() == pytest.approx(0.12 - 0.25e-3, abs=5e-6)
+        torch.testing.assert_close(euler_from_quat(state.attitude)[:, :2], torch.zeros(1, 2), rtol=0.0, atol=1e-5)
+        assert state.lin_vel.abs().max() < 1e-4
+
+
+def test_a_pole_stops_the_middle_of_an_edge() -> None:
+    """A plate flies at a thin pole far from its corners, without gravity, and does not turn.
+
+    With the critical damping of one contact ``x = v t exp(-w t)``, and the push ``w² x + 2 w x'`` ends at ``w t = 2``: it
+    leaves with ``-v exp(-2)``, to which the speeds of two step sizes extrapolate (order 1). A ball that reaches as far leaves
+    like it at each of them. The middle of the edge is found to 2^-15 of its length, a lever by which the impulse may turn it.
+    """
+    pole, v, speeds = ShapeCfg(kind="cylinder", radius=0.01, height=2.0), 0.5, []
+    for dt in (2e-4, 1e-4):
+        for shape in ({"body": (PLATE,)}, {"spheres": ((0.0, 0.0, 0.0, 0.2),)}):
+            state = start(height=0.0, dtype=F32, lin_vel=(v, 0.0, 0.0))
+            rig = InScene([pole], obstacle(1, position=(0.25, 0.0, 0.0)), ROUGH, state, gravity=0.0, dt=dt, **shape)
+            rig.run(0.2)
+            speeds.append(state.lin_vel[0, 0].item())
+            turn = MASS * v * (1.0 + exp(-2.0)) * 0.4 * 2.0**-15 / INERTIA[2]
+            assert state.ang_vel.abs().max() < turn
+            assert state.lin_vel[0, 1:].abs().max() < 0.2 * turn
+            assert rig.impulse[0, 0].item() == pytest.approx(MASS * (speeds[-1] - v), rel=1e-4)
+    assert speeds[0] == pytest.approx(speeds[1], rel=5e-3)
+    assert speeds[2] == pytest.approx(speeds[3], rel=5e-3)
+    assert 2.0 * speeds[2] - speeds[0] == pytest.approx(-v * exp(-2.0), rel=0.01)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_pole_beside_the_middle_turns_a_plate_the_right_way(side: float) -> None:
+    """Hit at y = 0.1 m ahead the plate is held back on its left and turns left; hit on its right it turns right."""
+    pole = ShapeCfg(kind="cylinder", radius=0.01, height=2.0)
+    state = start(height=0.0, dtype=F32, lin_vel=(0.5, 0.0, 0.0))
+    rig = InScene(
+        [pole], obstacle(1, position=(0.25, 0.1 * side, 0.0)), ContactCfg(friction=0.0), state, body=(PLATE,),
+        gravity=0.0, dt=0.002,
+    )  # fmt: skip
+    rig.run(0.15)
+    assert side * state.ang_vel[0, 2] > 0.5
+    assert state.lin_vel[0, 0] < 0.45
+
+
+def test_two_crossed_rods_hold_each_other() -> None:
+    """A capsule falls across another one, middle on middle, and stays there: neither has an end near."""
+    rod = CapsuleCfg(radius=0.02, height=0.6, euler=(1.5707963267948966, 0.0, 0.0))  # along y
+    lying = ShapeCfg(kind="capsule", radius=0.05, height=2.0)
+    place = obstacle(1, attitude=quat_from_euler(torch.tensor([0.0, 1.5707963267948966, 0.0])))  # along x
+    state = start(height=0.08, dtype=F32)
+    rig = InScene([lying], place, ContactCfg(friction=0.5), state, body=(rod,), dt=0.005)
+    rig.run(0.5)
+    assert state.position[0, 2].item() == pytest.approx(0.07 - 1e-3, abs=1e-4)  # one contact: the whole sinking
+    assert state.lin_vel.abs().max() < 1e-2
+    assert rig.impulse[0, 2] > 0.0
