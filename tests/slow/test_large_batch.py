@@ -1,0 +1,19 @@
+"""Environment i of 4 is environment i of 8,192, bit for bit."""
+
+import pytest
+
+from tests.unit.env_manager.test_batch_independence import FEW, RANDOMIZE, assert_same, build, fly, snapshot
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    ("env", "robot"), [("env_with_obstacles", "base_quadrotor_with_imu"), ("empty_env", "tinyprop")]
+)
+def test_an_environment_is_the_same_among_few_and_8192(env: str, robot: str) -> None:
+    found = []
+    for num_envs in (FEW, 8192):
+        built = build(env, robot, num_envs, randomize=RANDOMIZE)
+        fly(built)
+        found.append(snapshot(built.gtd, slice(FEW)))
+    assert_same(*found)
