@@ -198,6 +198,11 @@ class Allocation:
         given = (self._matrix[3:] * inverse[:, 3:].T).sum(-1)  # 1 where the axis can be turned, else 0
         return torch.where(limit.isfinite(), limit * given, 0.0)
 
+    @property
+    def idle(self) -> bool:
+        """Whether any rotor has no part in the force along body z."""
+        return bool((self.inverse[:, :, 2] == 0.0).any())
+
     def largest_thrust(self) -> float:
         """Return the largest thrust along body z without torque [N], of the first environment."""
         lift, high = self.inverse[0, :, 2].detach(), self.high[0]

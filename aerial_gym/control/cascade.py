@@ -246,6 +246,8 @@ class CascadeController:
             reverse_thrust_map=allocation.vehicle.reverse_thrust_map,
             allocation=allocation.inverse,
             saturation=allocation.saturation,
+            lateral=False,
+            idle=allocation.idle,
             needs=self.needs,
             remembering=cascade_fused.maker(self._law.fused, self.timing, self._layout, has_loop=has_loop),
             gains_type=cascade_fused.CascadeGains if has_loop else lee_fused.Gains,

@@ -11,7 +11,8 @@ import warp as wp
 from aerial_gym.control.lee_fused import Gains, read_vec3
 from aerial_gym.control.lee_fused import load_gains as load_lee_gains
 from aerial_gym.control.timing import Timing
-from aerial_gym.physics.fused.command import make_prioritised_thrust, make_speed_of
+from aerial_gym.physics.fused.allocation import make_prioritised_thrust
+from aerial_gym.physics.fused.command import make_speed_of
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types, vector_of
@@ -201,7 +202,10 @@ def make_late_action(num_actions: int, timing: Timing, layout: "Layout") -> wp.F
 def make_allot(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
     """Return ``Allocation.allot``: thrusts and the shares of the wanted torque that they give."""
     types, prioritised = rotor_types(num_rotors, general), law.saturation == "prioritised"
-    command_type, thrust_for = types.command, make_prioritised_thrust(num_rotors, general)
+    command_type, thrust_for = (
+        types.command,
+        make_prioritised_thrust(num_rotors, general, idle=law.idle, lateral=law.lateral),
+    )
 
     @wp.func
     def clamped(params: command_type, wanted: wp.spatial_vector):

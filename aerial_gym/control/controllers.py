@@ -124,6 +124,8 @@ class LeeController:
             self._allocation,
             len(self.action_names),
             saturation=self._allocation.saturation,
+            lateral=False,
+            idle=self._allocation.idle,
             wrench=self._law.fused,
             gains_type=lee_fused.Gains,
             load_gains=lee_fused.load_gains,

@@ -83,7 +83,10 @@ def make_kernel(
     memories_type = memory_type(effects=remembers, law=law_remembers)
     remembered_command = law.remembering(law, num_rotors, general) if law.remembering is not None else None
     vehicle_type, command_type, gains_type = types.vehicle, types.command, law.gains_type or NoGains
-    step, command_of = make_stepper(model, integrator), make_command(law, num_rotors, general)
+    step, command_of = (
+        make_stepper(model, integrator),
+        make_command(law, num_rotors, general, differentiable=differentiable),
+    )
     read_vehicle = make_vehicle_reader(types, packing.vehicle)
     read_command = make_command_reader(types, packing.command)
     read_gains = make_gains_reader(law, packing.gains)

@@ -52,6 +52,12 @@ class FusedLaw:
     saturation: Literal["prioritised", "clamp"] = "clamp"
     """What gives way where the thrusts of a wrench are beyond the limits (``control.allocation``)."""
 
+    lateral: bool = True
+    """Whether the wrench has a force beside body z; without, nothing is spent on it."""
+
+    idle: bool = True
+    """Whether any rotor has no part in the force along body z."""
+
     wrench: wp.Function | None = None
     """``wp.func`` (position, attitude, lin_vel, ang_vel, action, gains) -> (force, torque), body, ``wp.spatial_vector``."""
 

@@ -16,7 +16,7 @@ from aerial_gym.control.allocation import Allocation, allocation_matrix, priorit
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import start_warp
 from aerial_gym.physics import vehicle_from_config
-from aerial_gym.physics.fused.command import make_prioritised_thrust
+from aerial_gym.physics.fused.allocation import make_prioritised_thrust
 from aerial_gym.physics.fused.types import rotor_types
 from aerial_gym.robots import ROBOTS
 
@@ -174,7 +174,10 @@ def test_gradients_flow_through_limits_and_are_those_of_differences() -> None:
 def test_the_fused_twin_gives_the_same_thrusts(name: str) -> None:
     robot = VEHICLES[name]
     start_warp()
-    types, twin = rotor_types(robot.num_rotors), make_prioritised_thrust(robot.num_rotors)
+    types, twin = (
+        rotor_types(robot.num_rotors),
+        make_prioritised_thrust(robot.num_rotors, idle=name == "pusher", lateral=True),
+    )
     command_type, vector = types.command, types.vector
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -208,3 +211,33 @@ def test_a_vehicle_without_weight_has_an_allocation_but_no_geometric_law() -> No
     make_controller(CONTROLLERS.get("no_control"), vehicle, 0.0)
     with pytest.raises(ConfigError, match="gravity = 0.0: the law 'velocity' holds a vehicle against its weight"):
         make_controller(CONTROLLERS.get("lee_velocity_control"), vehicle, 0.0, dt=0.01)
+
+
+def test_gradients_of_the_fused_twin_are_those_of_torch() -> None:
+    """Of a weighted sum of thrusts by the wrench, on a hexarotor, at limits of every kind."""
+    robot = VEHICLES["hexarotor"]
+    start_warp()
+    types, twin = rotor_types(6), make_prioritised_thrust(6, idle=False, lateral=True, differentiable=True)
+    command_type, vector = types.command, types.vector
+
+    @wp.kernel(module="unique", enable_backward=True)
+    def weigh(params: command_type, wanted: wp.array[wp.spatial_vector], weight: vector, sum_out: wp.array[float]):
+        env = wp.tid()
+        thrust, _turn, _rest = twin(params, wanted[env])
+        sum_out[env] = wp.dot(weight, thrust)
+
+    exact, wanted = allocation_of(robot, 60), wrenches(robot, 60, 1.0).requires_grad_()
+    weight = torch.linspace(-1.0, 2.0, 6, dtype=F64)
+    thrust = prioritised_thrust(exact.inverse, wanted, exact.low, exact.high)
+    (expected,) = torch.autograd.grad((thrust @ weight).sum(), wanted)
+    params = command_type()
+    for field, rows in (("low", exact.low), ("high", exact.high), ("allocation", exact.inverse)):
+        setattr(params, field, type(getattr(params, field))(*rows[0].flatten().tolist()))
+    single = wp.from_torch(wanted.detach().float(), dtype=wp.spatial_vector, requires_grad=True)
+    total = wp.zeros(60, dtype=wp.float32, device="cpu", requires_grad=True)
+    with wp.Tape() as tape:
+        wp.launch(weigh, dim=60, inputs=[params, single, vector(*weight.tolist())], outputs=[total], device="cpu")
+    tape.backward(grads={total: wp.full(60, 1.0, dtype=wp.float32, device="cpu")})
+    found = wp.to_torch(tape.gradients[single]).view(60, 6).double()
+    assert (~inside(exact, wanted.detach())).sum() > 20
+    torch.testing.assert_close(found, expected, atol=1e-3 * float(expected.abs().max()), rtol=0)
