@@ -105,9 +105,11 @@ def _make_rolled(num_rotors: int, general: bool, idle: bool, lateral: bool) -> w
                         top = i
                     if table[i, FLOOR] - change > table[bottom, FLOOR] - share * table[bottom, SLOPE + stage]:
                         bottom = i
-                need = table[top, SLOPE + stage] - table[bottom, SLOPE + stage]
+                upper = table[top, SLOPE + stage]
+                lower = table[bottom, SLOPE + stage]
+                need = upper - lower
                 room = table[top, CEILING] - table[bottom, FLOOR]
-                if share * need > room and need > 0.0:
+                if share * need > room and need > NEGLIGIBLE * (wp.abs(upper) + wp.abs(lower)):  # else of one kind
                     share = wp.max(room / need, 0.0)
                     above = top
                     below = bottom
