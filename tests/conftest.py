@@ -1,6 +1,7 @@
-"""Settings of all tests: as many threads as there are cores for each worker, reproducible draws."""
+"""Settings of all tests: as many threads as there are cores for each worker; what a module's tests register goes with them."""
 
 import os
+from collections.abc import Iterator
 
 _CORES = len(os.sched_getaffinity(0))
 _THREADS = max(1, min(2, _CORES // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))))
@@ -8,6 +9,26 @@ _THREADS = max(1, min(2, _CORES // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT
 # Workers that have more threads than cores wait for each other; processes that tests start inherit the number.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(_THREADS)))
 
+import pytest  # noqa: E402
 import torch  # noqa: E402
 
+from aerial_gym.assets import ENVIRONMENTS  # noqa: E402
+from aerial_gym.control import CONTROLLERS  # noqa: E402
+from aerial_gym.env_manager import SIMS  # noqa: E402
+from aerial_gym.robots import ROBOTS  # noqa: E402
+from aerial_gym.sensors import IMUS, SENSORS  # noqa: E402
+from aerial_gym.task import task_registry  # noqa: E402
+
 torch.set_num_threads(_THREADS)
+
+REGISTRIES = (SIMS, ENVIRONMENTS, ROBOTS, CONTROLLERS, SENSORS, IMUS, task_registry)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def own_names() -> Iterator[None]:
+    """Drop the names that the tests of a module, or their fixtures, have registered."""
+    before = [set(registry.names()) for registry in REGISTRIES]
+    yield
+    for registry, names in zip(REGISTRIES, before, strict=True):
+        for name in set(registry.names()) - names:
+            del registry._entries[name]
