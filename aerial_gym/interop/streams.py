@@ -27,8 +27,8 @@ def start_warp() -> None:
     """Initialise Warp without its banner; what it compiles is told by ``KernelLog``. A log level or a logger that the user
     chose stays.
 
-    On a CPU kernels are compiled without Warp's eager inlining, which takes as long again and made rays, collision and
-    resets no faster; the fused physics kernel asks for it (``INLINING``).
+    On a CPU kernels are compiled without Warp's eager inlining, which takes as long again and makes collision and resets no
+    faster; the fused physics and the rays, which it does make faster, ask for it (``INLINING``).
 
     Without a GPU, Warp's native library writes a warning about a missing driver, past Python, that nobody can act on: the
     process's stderr is closed to it meanwhile.
