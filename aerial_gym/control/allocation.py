@@ -10,15 +10,9 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from aerial_gym.physics.fused.allocation import NEGLIGIBLE, UNLIMITED
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, state_for_thrust
 from aerial_gym.physics.vehicle import Vehicle, is_shared, share_row
-
-NEGLIGIBLE = 1e-6
-"""Entries of the pseudo-inverse that, times the largest entry of the matrix for that force or torque, are below this are
-round-off, and taken as zero; a rotor that has a part in it is near 1. Likewise differences of two numbers, to their sum."""
-
-UNLIMITED = 1e9
-"""Thrust along body z [N] to which a rotor that does not carry sets no limit; finite, so that gradients are."""
 
 Saturation = Literal["prioritised", "clamp"]
 

@@ -8,10 +8,11 @@ import warp as wp
 from aerial_gym.physics.fused.types import rotor_types
 
 NEGLIGIBLE = wp.constant(1.0e-6)
-"""A difference below this share of the sum is round-off."""
+"""A difference below this share of the sum is round-off; so is an entry of the pseudo-inverse that, times the largest entry of
+the matrix for that force or torque, is below it: a rotor that has a part in it is near 1."""
 
 UNLIMITED = wp.constant(1.0e9)
-"""Thrust along body z [N] to which a rotor that does not carry sets no limit."""
+"""Thrust along body z [N] to which a rotor that does not carry sets no limit; finite, so that gradients are."""
 
 
 def make_prioritised_thrust(
