@@ -5,6 +5,7 @@ that grows with the flight (a clamped rotor amplifies it), so the bound is taken
 ``FACTOR`` times as far from float64 as float32 torch is, plus a few units in the last place.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -35,17 +36,20 @@ DT, SUBSTEPS, STEPS = 0.004, 5, 50
 """1 s of flight."""
 
 
-def build(robot, controller: ControllerCfg, num_envs: int, dtype: torch.dtype, effects=(), adjust=None):
-    """Return model and controller of a robot with effects at a moderate size."""
+def build(robot, controller: ControllerCfg, num_envs: int, dtype: torch.dtype, effects=(), adjust=None, copies=1):
+    """Return model and controller of a robot with effects at a moderate size, for a batch and its copies below it."""
     vehicle: Vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=dtype)
-    declared = vehicle
+    declared = vehicle_from_config(robot, num_envs=copies * num_envs, dtype=dtype)
     if adjust is not None:
-        vehicle = adjust(vehicle)
+        rows = adjust(vehicle).rows().items()
+        vehicle = replace(declared, **{name: tensor.repeat(copies, *[1] * (tensor.dim() - 1)) for name, tensor in rows})
+    else:
+        vehicle = declared
     rows = []
     for name in effects:
         effect = EFFECTS.get(name)
         row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
-        rows.append((effect, torch.tensor(row, dtype=dtype).expand(num_envs, -1).clone()))
+        rows.append((effect, torch.tensor(row, dtype=dtype).expand(copies * num_envs, -1).clone()))
     return build_model(vehicle, rows, ceiling_height=CEILING), make_controller(controller, declared, 9.81, dt=DT)
 
 
@@ -83,42 +87,49 @@ def fly(
     num_envs=16,
     follow=None,
     size=1.0,
-    nudge=0,
+    nudges=(0,),
 ) -> list[BodyState]:
     """Return the state after every step; with ``follow`` each step starts from the state before it there.
 
-    ``nudge`` above 0 moves the start, and what is followed, by a unit in the last place at most, each number another way.
+    The batch flies once for each of ``nudges``, one below the other: a nudge above 0 moves the start, and what is followed, by
+    a unit in the last place at most, each number another way.
     """
-    model, law = build(robot, controller, num_envs, dtype, effects, adjust)
-    backend.allocate(model, law, integrator=integrator)
-    actions = size * actions_for(law, model, num_envs).to(dtype)
-    state, found = nudged(as_type(start_of(model, num_envs), dtype), nudge), []
+    copies = len(nudges)
+    model, law = build(robot, controller, num_envs, dtype, effects, adjust, copies)
+    random = Randomness(copies * num_envs)
+    random.environment.copy_(torch.arange(num_envs, dtype=torch.int32).repeat(copies))
+    backend.allocate(model, law, integrator=integrator, random=random)
+    actions = (size * actions_for(law, model, num_envs).to(dtype)).repeat(copies, 1)
+    state, found = nudged(as_type(start_of(model, num_envs), dtype), nudges), []
     for step in range(STEPS):
         if follow is not None and step > 0:
-            state.copy_(nudged(as_type(follow[step - 1], dtype), nudge))
+            state.copy_(nudged(as_type(follow[step - 1], dtype), nudges))
         backend.step(state, actions, DT, SUBSTEPS)
         found.append(as_type(state, dtype))
     return found
 
 
-def nudged(state: BodyState, nudge: int) -> BodyState:
-    if nudge == 0:
-        return state
-    g = torch.Generator().manual_seed(nudge)
-    unit = torch.finfo(torch.float32).eps
-    return BodyState(
-        **{k: v * (1.0 + unit * torch.randint(-1, 2, v.shape, generator=g).to(v.dtype)) for k, v in vars(state).items()}
-    )
+def nudged(state: BodyState, nudges: Sequence[int]) -> BodyState:
+    """Return the states moved by each nudge, one below the other."""
+    parts: dict[str, list[Tensor]] = {name: [] for name in vars(state)}
+    for nudge in nudges:
+        g = torch.Generator().manual_seed(nudge)
+        unit = torch.finfo(torch.float32).eps if nudge else 0.0
+        for name, tensor in vars(state).items():
+            away = torch.randint(-1, 2, tensor.shape, generator=g).to(tensor.dtype)
+            parts[name].append(tensor * (1.0 + unit * away))
+    return BodyState(**{name: torch.cat(copies) for name, copies in parts.items()})
 
 
 def as_type(state: BodyState, dtype: torch.dtype) -> BodyState:
     return BodyState(**{name: tensor.to(dtype, copy=True) for name, tensor in vars(state).items()})
 
 
-def assert_near(exact: BodyState, singles: list[BodyState], fused: BodyState) -> None:
+def assert_near(exact: BodyState, singles: BodyState, fused: BodyState) -> None:
+    """Compare with flights in float32, which stand one below the other."""
     for name, truth in vars(exact).items():
         size = 1.0 + truth.abs().max()
-        away = torch.stack([(getattr(single, name) - truth).abs().max() for single in singles]).max()
+        away = (getattr(singles, name).view(-1, *truth.shape) - truth).abs().max()
         allowed = FACTOR * away / size + ROUND_OFF
         error = (getattr(fused, name) - truth).abs().max() / size
         assert error <= allowed, f"{name}: {error:.2e} from float64, allowed {allowed:.2e}"
@@ -129,13 +140,11 @@ def assert_same_flight(robot, controller, integrator, *, steps_alone: bool = Fal
     """Compare at the end of a second, or, where a flight is chaotic, each step of it from the same state."""
     exact = fly(TorchBackend(), robot, controller, integrator, torch.float64, **options)
     follow = exact if steps_alone else None
-    singles = [
-        fly(TorchBackend(), robot, controller, integrator, torch.float32, follow=follow, nudge=nudge, **options)
-        for nudge in range(NUDGES)
-    ]
-    fused = fly(WarpBackend(), robot, controller, integrator, torch.float32, follow=follow, **options)
+    options = {"follow": follow, **options}
+    singles = fly(TorchBackend(), robot, controller, integrator, torch.float32, nudges=range(NUDGES), **options)
+    fused = fly(WarpBackend(), robot, controller, integrator, torch.float32, **options)
     for step in range(STEPS) if steps_alone else (-1,):
-        assert_near(exact[step], [single[step] for single in singles], fused[step])
+        assert_near(exact[step], singles[step], fused[step])
 
 
 @pytest.mark.parametrize("integrator", list(INTEGRATORS))

@@ -71,7 +71,7 @@ def test_mixed_rotors_fly_like_torch(integrator: str, vary: bool) -> None:
     exact, single, fused = flights(mixed_robot(), "no_control", integrator, vary=vary)
     assert min(state.rotor_speed.min() for state in exact) < -3.0
     for step in range(STEPS):
-        assert_near(exact[step], [single[step]], fused[step])
+        assert_near(exact[step], single[step], fused[step])
 
 
 def test_effects_on_reversible_rotors_fly_like_torch() -> None:
@@ -86,7 +86,7 @@ def test_effects_on_reversible_rotors_fly_like_torch() -> None:
     names = tuple(n for n in names if n != "gusts")
     exact, single, fused = flights(robot, "no_control", "euler", effects=names)
     for step in range(STEPS):
-        assert_near(exact[step], [single[step]], fused[step])
+        assert_near(exact[step], single[step], fused[step])
 
 
 def test_gradients_of_mixed_rotors_are_those_of_torch() -> None:
