@@ -80,7 +80,8 @@ def score(job: Job) -> dict[str, object]:
     """Return what the loop made of one case; what it raised stands under ``error``."""
     from aerial_gym.env_manager.sim_builder import robot_by_name
     from aerial_gym.interop import one_thread
-    from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test, silent
+    from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test
+    from aerial_gym.sim2real.progress import silent
 
     row: dict[str, object] = {**asdict(job), "hidden": "+".join(job.hidden) or "nothing", "effects": list(job.hidden)}
     with tempfile.TemporaryDirectory() as name:

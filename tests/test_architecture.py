@@ -25,16 +25,29 @@ GROUPS = (
 RANK = {name: rank for rank, group in enumerate(GROUPS) for name in group}
 
 
-def imports_of(path: Path) -> set[str]:
-    """Return the first-level packages of aerial_gym that a file imports."""
+ROOMS = (
+    ("progress", "statistics"),
+    ("logs",),
+    ("predict",),
+    ("identify",),
+    ("judge",),
+    ("report",),
+    ("close_loop", "replay", "teststand"),
+)
+"""Of ``sim2real``: flights come in on the left, pages go out on the right; the test stand stands apart."""
+ROOM_RANK = {name: rank for rank, group in enumerate(ROOMS) for name in group}
+
+
+def imports_of(path: Path, package: str = "aerial_gym") -> set[str]:
+    """Return the first-level packages and modules of a package that a file imports."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
         if isinstance(node, ast.ImportFrom) and node.module:
             names = [node.module]
-            if node.module == "aerial_gym":
-                names = [f"aerial_gym.{alias.name}" for alias in node.names]
-        found |= {name.split(".")[1] for name in names if name.startswith("aerial_gym.")}
+            if node.module == package:
+                names = [f"{package}.{alias.name}" for alias in node.names]
+        found |= {name.removeprefix(f"{package}.").split(".")[0] for name in names if name.startswith(f"{package}.")}
     return found
 
 
@@ -46,6 +59,18 @@ def test_imports_point_left(path: Path) -> None:
     for other in imports_of(path) - {package}:
         if other in RANK:
             assert RANK[other] < RANK[package], f"{package} must not import {other}"
+
+
+SIM2REAL = ROOT / "sim2real"
+
+
+@pytest.mark.parametrize("path", sorted(SIM2REAL.rglob("*.py")), ids=lambda p: str(p.relative_to(SIM2REAL)))
+def test_rooms_of_sim2real_import_left(path: Path) -> None:
+    room = path.relative_to(SIM2REAL).parts[0].removesuffix(".py")
+    if room == "__init__":
+        return
+    for other in imports_of(path, "aerial_gym.sim2real") - {room}:
+        assert ROOM_RANK[other] < ROOM_RANK[room], f"{room} must not import {other}"
 
 
 UNIT = ROOT.parent / "tests" / "unit"

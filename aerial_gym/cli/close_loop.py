@@ -58,7 +58,7 @@ class CloseLoopCmd:
         """Run the loop and print the verdict; return the exit status."""
         from aerial_gym.config import load
         from aerial_gym.sim2real import close_loop
-        from aerial_gym.sim2real.tolerances import Tolerances
+        from aerial_gym.sim2real.predict.tolerances import Tolerances
 
         tolerances = None if self.tolerances is None else load(Tolerances, self.tolerances)
         with progress_bar() as progress:
@@ -83,7 +83,7 @@ class CloseLoopCmd:
 
 
 def _print_verdict(verdict: "Verdict", out: Path) -> None:
-    from aerial_gym.sim2real.report_tables import channel_rows, rollout_rows
+    from aerial_gym.sim2real.report.tables import channel_rows, rollout_rows
 
     console = Console(markup=False)
     console.print(f"{verdict.verdict}: {verdict.reason}")

@@ -14,8 +14,8 @@ from aerial_gym.errors import ConfigError
 
 if TYPE_CHECKING:
     from aerial_gym.config.robot import RobotCfg
-    from aerial_gym.sim2real.bench.report import Study
-    from aerial_gym.sim2real.bench.tables import Bench
+    from aerial_gym.sim2real.teststand.report import Study
+    from aerial_gym.sim2real.teststand.tables import Bench
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class MotorCmd:
 
     def run(self) -> int:
         """Identify and print; return the exit status."""
-        from aerial_gym.sim2real.bench.studies import study_motor
+        from aerial_gym.sim2real.teststand.studies import study_motor
 
         if self.num_motors < 1:
             raise ConfigError(f"num_motors = {self.num_motors}: must be at least 1")
@@ -81,7 +81,7 @@ class JointCmd:
 
     def run(self) -> int:
         """Identify and print; return the exit status."""
-        from aerial_gym.sim2real.bench.studies import study_joint
+        from aerial_gym.sim2real.teststand.studies import study_joint
 
         with progress_bar() as progress:
             (bench,) = _read((self.file,), self.columns, self.units)
@@ -133,8 +133,8 @@ class HoverCmd:
 
     def run(self) -> int:
         """Identify and print; return the exit status."""
-        from aerial_gym.sim2real.bench.studies import study_hover
-        from aerial_gym.sim2real.mapping import find_mapping
+        from aerial_gym.sim2real.logs.mapping import find_mapping
+        from aerial_gym.sim2real.teststand.studies import study_hover
 
         if self.baseline:
             return self._balance()
@@ -152,8 +152,8 @@ class HoverCmd:
         return _show(study, self.out, as_json=self.json)
 
     def _balance(self) -> int:
-        from aerial_gym.sim2real.bench.studies import study_balance
-        from aerial_gym.sim2real.mapping import find_mapping
+        from aerial_gym.sim2real.logs.mapping import find_mapping
+        from aerial_gym.sim2real.teststand.studies import study_balance
 
         robot = _robot(self.robot)
         if robot is None:
@@ -196,7 +196,7 @@ class IdentifyCmd:
 
 
 def _read(files: tuple[Path, ...], columns: dict[str, str], units: dict[str, str]) -> "list[Bench]":
-    from aerial_gym.sim2real.bench.tables import KNOWN, read_columns
+    from aerial_gym.sim2real.teststand.tables import KNOWN, read_columns
 
     for quantity in (*columns, *units):
         if quantity not in KNOWN:
@@ -213,7 +213,7 @@ def _robot(name: str | None) -> "RobotCfg | None":
 
 
 def _write(out: Path | None, study: "Study", options: dict[str, object], inputs: tuple[Path, ...]) -> None:
-    from aerial_gym.sim2real.bench.report import write_study
+    from aerial_gym.sim2real.teststand.report import write_study
 
     if out is not None:
         write_study(out, study, {"command": f"identify {study.title}", **options}, inputs)

@@ -40,8 +40,8 @@ class ReplayCmd:
     def run(self) -> int:
         """Replay the flights and print the figures; return the exit status."""
         from aerial_gym.sim2real import replay
-        from aerial_gym.sim2real.report_tables import channel_rows, interval
-        from aerial_gym.sim2real.rollout import QUANTITIES
+        from aerial_gym.sim2real.predict.rollout import QUANTITIES
+        from aerial_gym.sim2real.report.tables import channel_rows, interval
 
         with progress_bar() as progress:
             result = replay(

@@ -1,10 +1,10 @@
 """Flight logs against the simulator: residuals, the effect that explains them, and the corrected robot."""
 
 from aerial_gym.sim2real.close_loop import close_loop, judge_flights
-from aerial_gym.sim2real.flight_log import FlightLog, read_flight_log
-from aerial_gym.sim2real.mapping import LogMapping, find_mapping
+from aerial_gym.sim2real.judge.verdict import Verdict
+from aerial_gym.sim2real.logs.flight_log import FlightLog, read_flight_log
+from aerial_gym.sim2real.logs.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.replay import replay
-from aerial_gym.sim2real.verdict import Verdict
 
 __all__ = [
     "FlightLog",

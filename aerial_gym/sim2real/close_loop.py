@@ -5,7 +5,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,61 +18,37 @@ from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.model import check_effects
-from aerial_gym.sim2real.battery import with_battery
-from aerial_gym.sim2real.breakdown import by_flight, where_it_acts
-from aerial_gym.sim2real.contribution import contributions
-from aerial_gym.sim2real.declared_rotors import check_speed_mode
-from aerial_gym.sim2real.evaluation import evaluate
-from aerial_gym.sim2real.fit import params_of, with_params
-from aerial_gym.sim2real.flights import Flight, load_flights
-from aerial_gym.sim2real.inclusion import inclusion
-from aerial_gym.sim2real.learned import Learned, judge_on_test, train_residual
-from aerial_gym.sim2real.manoeuvre import Advice, Catalogue, showable, what_shows, what_tells
-from aerial_gym.sim2real.mapping import find_mapping
-from aerial_gym.sim2real.noise import noise_floor
-from aerial_gym.sim2real.output_error import refit_on_rollouts
-from aerial_gym.sim2real.prediction import Channel, Point, Predictor, declared_point, find_channels
-from aerial_gym.sim2real.random_wind import NAME, declared_wind, with_random
-from aerial_gym.sim2real.ranges import with_found_ranges
-from aerial_gym.sim2real.remains import find_remains, judges_forces
-from aerial_gym.sim2real.runtime import check_out_dir, whole_folder, write_record
-from aerial_gym.sim2real.scoring import Criteria
-from aerial_gym.sim2real.selection import Progress, Selection, select_effects
-from aerial_gym.sim2real.spectrum import whiteness
-from aerial_gym.sim2real.surroundings import check_around
-from aerial_gym.sim2real.tolerances import Tolerances
-from aerial_gym.sim2real.verdict import Verdict, decide, immaterial, named_effects, tied_rivals
+from aerial_gym.sim2real.identify.battery import with_battery
+from aerial_gym.sim2real.identify.learned import Learned, judge_on_test, train_residual
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import params_of, with_params
+from aerial_gym.sim2real.identify.output_error import refit_on_rollouts
+from aerial_gym.sim2real.identify.selection.inclusion import inclusion
+from aerial_gym.sim2real.identify.selection.scoring import Criteria
+from aerial_gym.sim2real.identify.selection.select import Selection, select_effects
+from aerial_gym.sim2real.judge.ablation import contributions
+from aerial_gym.sim2real.judge.analysis import Analysis
+from aerial_gym.sim2real.judge.breakdown import by_flight, where_it_acts
+from aerial_gym.sim2real.judge.evaluation import evaluate
+from aerial_gym.sim2real.judge.experiments.design import Advice, Catalogue, showable, what_shows, what_tells
+from aerial_gym.sim2real.judge.noise_floor import noise_floor
+from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, with_random
+from aerial_gym.sim2real.judge.unexplained import find_remains, judges_forces
+from aerial_gym.sim2real.judge.verdict import Verdict, decide, immaterial, named_effects, tied_rivals
+from aerial_gym.sim2real.judge.whiteness import whiteness
+from aerial_gym.sim2real.logs.declared_rotors import check_speed_mode
+from aerial_gym.sim2real.logs.flights import Flight, load_flights
+from aerial_gym.sim2real.logs.mapping import find_mapping
+from aerial_gym.sim2real.predict.predictor import Point, Predictor, comparison_band, declared_point, find_channels
+from aerial_gym.sim2real.predict.scene import check_around
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+from aerial_gym.sim2real.progress import Progress, silent
+from aerial_gym.sim2real.report.ranges import with_found_ranges
+from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
 
 Array = NDArray[np.float64]
 
-HIGHEST_BAND = 0.2
-"""The comparison reaches at most to this share of the slowest log's rate."""
-
 SIGNIFICANT_DIGITS = 6
 """Of parameters in the corrected robot file."""
-
-
-def silent(stage: str, share: float) -> None:
-    """Report no progress."""
-    del stage, share
-
-
-@dataclass(frozen=True, kw_only=True)
-class Analysis:
-    """Everything that a report shows."""
-
-    robot: RobotCfg
-    corrected: RobotCfg
-    train: tuple[Flight, ...]
-    test: tuple[Flight, ...]
-    channels: tuple[Channel, ...]
-    bandwidth: float
-    selection: Selection
-    declared: Point
-    final: Point
-    train_predictor: Predictor
-    test_predictor: Predictor
-    verdict: Verdict
 
 
 def close_loop(
@@ -110,7 +86,7 @@ def close_loop(
         DataError: If a log cannot be used.
         ConfigError, UnknownNameError: If robot or mapping cannot.
     """
-    from aerial_gym.sim2real.report import write_report  # matplotlib is slow to import
+    from aerial_gym.sim2real.report.report import write_report  # matplotlib is slow to import
 
     out_dir = Path(out_dir)
     check_out_dir(out_dir)
@@ -191,7 +167,7 @@ def judge_flights(
     stated, robot = robot, with_battery(robot, train)
     tolerances = tolerances or Tolerances()
     flights = [*train, *test]
-    band = min(bandwidth, HIGHEST_BAND * min(flight.rate for flight in flights))
+    band = comparison_band(flights, bandwidth)
     channels = find_channels(flights)
     train_predictor, test_predictor = (
         Predictor(robot, part, bandwidth=band, channels=channels, tolerances=tolerances) for part in (train, test)

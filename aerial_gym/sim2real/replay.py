@@ -10,17 +10,16 @@ from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics.model import check_effects
-from aerial_gym.sim2real.close_loop import HIGHEST_BAND, silent
-from aerial_gym.sim2real.declared_rotors import check_speed_mode
-from aerial_gym.sim2real.evaluation import Evaluation, evaluate
-from aerial_gym.sim2real.flights import Flight, load_flights
-from aerial_gym.sim2real.mapping import find_mapping
-from aerial_gym.sim2real.noise import noise_floor
-from aerial_gym.sim2real.prediction import Point, Predictor, declared_point, find_channels
-from aerial_gym.sim2real.runtime import check_out_dir, whole_folder, write_record
-from aerial_gym.sim2real.selection import Progress
-from aerial_gym.sim2real.surroundings import check_around
-from aerial_gym.sim2real.tolerances import Tolerances
+from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate
+from aerial_gym.sim2real.judge.noise_floor import noise_floor
+from aerial_gym.sim2real.logs.declared_rotors import check_speed_mode
+from aerial_gym.sim2real.logs.flights import Flight, load_flights
+from aerial_gym.sim2real.logs.mapping import find_mapping
+from aerial_gym.sim2real.predict.predictor import Point, Predictor, comparison_band, declared_point, find_channels
+from aerial_gym.sim2real.predict.scene import check_around
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+from aerial_gym.sim2real.progress import Progress, silent
+from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +97,7 @@ def replay(
 
 def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: float, seed: int = 0) -> Replay:
     """Return the replay of flights in memory."""
-    band = min(bandwidth, HIGHEST_BAND * min(flight.rate for flight in flights))
+    band = comparison_band(flights, bandwidth)
     channels = find_channels(flights)
     predictor = Predictor(robot, flights, bandwidth=band, channels=channels, tolerances=Tolerances())
     point = declared_point(robot)
@@ -115,10 +114,10 @@ def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: flo
 
 
 def _write(folder: Path, result: Replay) -> None:
-    from aerial_gym.sim2real import plots  # matplotlib is slow to import
-    from aerial_gym.sim2real.report import VARIANTS, render, write_residuals
-    from aerial_gym.sim2real.report_tables import channel_rows, interval
-    from aerial_gym.sim2real.rollout import QUANTITIES
+    from aerial_gym.sim2real.predict.rollout import QUANTITIES
+    from aerial_gym.sim2real.report import plots  # matplotlib is slow to import
+    from aerial_gym.sim2real.report.report import VARIANTS, render, write_residuals
+    from aerial_gym.sim2real.report.tables import channel_rows, interval
 
     text = json.dumps(result.as_mapping(), indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "replay.json").write_text(text + "\n", encoding="utf-8")

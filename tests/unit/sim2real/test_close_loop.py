@@ -19,11 +19,12 @@ from aerial_gym.errors import ConfigError, DataError, StorageError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real import close_loop, replay
-from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test, silent
-from aerial_gym.sim2real.prediction import Channel
-from aerial_gym.sim2real.remains import material_remains
-from aerial_gym.sim2real.runtime import whole_folder
-from aerial_gym.sim2real.structure import find_structure
+from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test
+from aerial_gym.sim2real.identify.selection.structure import find_structure
+from aerial_gym.sim2real.judge.unexplained import material_remains
+from aerial_gym.sim2real.predict.predictor import Channel
+from aerial_gym.sim2real.progress import silent
+from aerial_gym.sim2real.report.run_folder import whole_folder
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 DRAG = 0.25
@@ -284,7 +285,7 @@ def test_training_and_testing_need_a_flight_each(folder: Path, tmp_path: Path) -
 
 @pytest.mark.parametrize("kind", ["position", "time", "periodic", "heading", "velocity", "none"])
 def test_the_kind_of_a_remaining_structure(kind: str, folder: Path) -> None:
-    from aerial_gym.sim2real.flights import load_flights
+    from aerial_gym.sim2real.logs.flights import load_flights
 
     rng = np.random.default_rng(0)
     flights = load_flights([folder / f"f{n}.csv" for n in range(4)], ROBOT, mapping=None, bandwidth=10.0)

@@ -1,0 +1,1 @@
+"""What fits to flights: effects, tolerances, the battery, a learned remainder."""

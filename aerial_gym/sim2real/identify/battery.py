@@ -1,0 +1,142 @@
+"""The battery of a robot whose file gives none, as far as flights show it: enough to find and to simulate its sag.
+
+Letters: F flights, B blocks of time of all flights.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.optimize import lsq_linear
+
+from aerial_gym.config.robot import BatteryCfg, RobotCfg
+from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
+from aerial_gym.sim2real.logs.declared_rotors import drag_torques
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.replay.rotor_commands import missing_in_logs, too_steady
+from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
+
+Array = NDArray[np.float64]
+
+BLOCK_S = 0.5
+"""Span of one mean [s]."""
+
+SURE = 1e-3
+"""Largest probability that a slope of speed over voltage is chance."""
+
+SIGNIFICANT_DIGITS = 6
+
+PASSES = 3
+"""Speeds are replayed with the sag found before: it is a mean over the lag that is compared with a mean of the voltage."""
+
+FARTHEST = 1.2
+"""A nominal voltage is not sought further from the voltages seen than by this factor."""
+
+
+def with_battery(robot: RobotCfg, flights: Sequence[Flight]) -> RobotCfg:
+    """Return the robot with a battery estimated from flights, or as it is where its file gives one or flights show none.
+
+    Three things are fitted. Charge and load: ``V = E_f - k q - r I`` with a voltage E of its own for each flight, the current
+    ``I = P / V`` of the rotors' mechanical power P (efficiency 1: r and capacity are those that this current sees) and the
+    charge q drawn since the flight began. Full is the highest E, empty the lowest open voltage that a flight comes to. Nominal
+    is the voltage at which a straight line through measured over replayed rotor speeds reaches 1; where no line stands out,
+    or speeds are not measured, the highest voltage seen.
+    """
+    sag = EFFECTS.get("battery_sag")
+    if robot.battery is not None or missing_in_logs(sag, flights) or too_steady(sag, flights):
+        return robot
+    if any(flight.rotor_command is None for flight in flights):
+        return robot
+    nominal, how = _nominal_voltage(robot, flights)
+    numbers = {"nominal_voltage": nominal, **_discharge(robot, flights)}
+    source = f"estimated by aerial-gym close-loop from the flights {', '.join(flight.name for flight in flights)}"
+    rounded = {name: float(f"{value:.{SIGNIFICANT_DIGITS}g}") for name, value in numbers.items()}
+    return replace(robot, battery=BatteryCfg(**rounded, source=f"{source}; nominal voltage: {how}"))
+
+
+def _flying(flight: Flight) -> NDArray[np.bool_]:
+    """Return the blocks in which the vehicle never stands, (blocks,)."""
+    stood = np.zeros(flight.num_rows) if flight.standing is None else flight.standing.astype(np.float64)
+    return _block_means(stood, flight.rate)[:, 0] == 0.0
+
+
+def _block_means(values: Array, rate: float) -> Array:
+    """Return the means of whole blocks of time, (blocks, any)."""
+    length = max(1, round(BLOCK_S * rate))
+    count = len(values) // length
+    return values[: count * length].reshape(count, length, -1).mean(axis=1)
+
+
+def _voltage(flight: Flight) -> Array:
+    assert flight.battery is not None
+    return flight.battery
+
+
+def _discharge(robot: RobotCfg, flights: Sequence[Flight]) -> dict[str, float]:
+    """Return full and empty voltage, resistance and capacity that charge and load show."""
+    tables = []
+    for number, flight in enumerate(flights):
+        current = _power(robot, flight) / _voltage(flight)
+        charge = np.cumsum(current) / flight.rate
+        mean = _block_means(np.stack((_voltage(flight), charge, current), axis=1), flight.rate)
+        tables.append((mean, np.full(len(mean), number)))
+    mean, owner = (np.concatenate(part) for part in zip(*tables, strict=True))
+    count = len(flights)
+    columns = np.hstack((np.eye(count)[owner], -mean[:, 1:]))
+    found = lsq_linear(columns, mean[:, 0], bounds=(np.zeros(count + 2), np.full(count + 2, np.inf))).x
+    start, slope, resistance = found[:count], float(found[count]), float(found[count + 1])
+    drawn = np.array([mean[owner == number, 1].max() for number in range(count)])
+    full, empty = float(start.max()), float((start - slope * drawn).min())
+    return {
+        "full_voltage": full,
+        "empty_voltage": empty,
+        "internal_resistance": resistance,
+        "capacity": (full - empty) / slope if slope > 0.0 else float(drawn.max()),
+    }
+
+
+def _power(robot: RobotCfg, flight: Flight) -> Array:
+    """Return the mechanical power of the rotors [W], (T,), at measured or else at commanded speeds."""
+    rotor = flight.rotor_command if flight.rotor_speed is None else flight.rotor_speed
+    assert rotor is not None
+    return (drag_torques(robot, rotor) * rotor).sum(axis=1)
+
+
+def _nominal_voltage(robot: RobotCfg, flights: Sequence[Flight]) -> tuple[float, str]:
+    """Return the voltage at which rotors reach the commanded speeds [V], and how it was found."""
+    highest = max(float(_block_means(_voltage(flight), flight.rate).max()) for flight in flights)
+    guess = highest, "the highest voltage seen"
+    if any(flight.rotor_speed is None for flight in flights):
+        return guess
+    gain, nominal = 0.0, highest
+    for _ in range(PASSES):
+        voltage, ratio = _speed_ratios(robot, flights, gain, nominal)
+        line = stats.linregress(voltage, ratio * (1.0 - gain * (1.0 - voltage / nominal)))
+        slope, intercept, _, probability, _ = np.array(line).tolist()
+        if not (slope > 0.0 and probability < SURE):
+            return guess
+        nominal = (1.0 - intercept) / slope
+        gain = slope * nominal
+        if not voltage.min() / FARTHEST < nominal < FARTHEST * voltage.max():
+            return guess
+    return nominal, "where rotors reach the commanded speeds"
+
+
+def _speed_ratios(robot: RobotCfg, flights: Sequence[Flight], gain: float, nominal: float) -> tuple[Array, Array]:
+    """Return voltage [V] and measured over replayed rotor speed with a sag in the replay, means over blocks, each (B,)."""
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+    vehicle = replace(vehicle, battery=torch.full_like(vehicle.battery, nominal))  # a sag needs no other number
+    model = build_model(vehicle, [(EFFECTS.get("battery_sag"), torch.tensor([[gain]], dtype=torch.float64))])
+    means = []
+    for flight, speed in zip(flights, RotorReplay(flights).speeds(model, 0.0), strict=True):
+        assert flight.rotor_speed is not None
+        assert speed is not None
+        sums = np.stack((_voltage(flight), flight.rotor_speed.sum(axis=1), speed.sum(axis=1)), axis=1)
+        means.append(
+            _block_means(sums, flight.rate)[_flying(flight)][1:]
+        )  # from the first measured speed on, noise and all
+    voltage, measured, replayed = np.concatenate(means).T
+    return voltage, measured / replayed

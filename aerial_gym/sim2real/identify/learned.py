@@ -1,0 +1,312 @@
+"""What no named effect explains, learned by a small network: fitted last, judged by flights left out like every effect.
+
+It learns specific force and angular acceleration that remain, times mass and inertia, from what the body feels. Errors of the
+inertial sensors that turn their axes are left out of this: second order.
+Letters: T rows of all flights, B blocks of time, C channels, D inputs, O outputs that the flights show, H hidden units.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from aerial_gym.config.learned_residual import LayerCfg, LearnedResidualCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics import build_model, vehicle_from_config
+from aerial_gym.physics.effects import LearnedResidual
+from aerial_gym.sim2real.identify.selection.scoring import Gain, LeftOut
+from aerial_gym.sim2real.predict.predictor import Point, Predictor, effects_at
+
+Array = NDArray[np.float64]
+
+OUTPUTS = tuple(f"{kind}.{axis}" for kind in ("specific_force", "angular_acceleration") for axis in "xyz")
+"""Channels in the order of the network's outputs."""
+
+HIDDEN = 16
+"""Units H of the one hidden layer."""
+
+DECAYS = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
+"""Weight decays that are tried: per squared weight, beside a mean square of order one."""
+
+STEPS = 200
+"""Most iterations of L-BFGS."""
+
+LEAST_SHARE = 0.1
+"""Outputs of which it does not take this share of the mean square, on flights left out, stay zero: noise spoils the rest."""
+
+TAIL = 0.01
+"""Share of the training rows beyond each end of an input's range, and beyond the distance of full trust."""
+
+RIDGE = 1e-2
+"""Added to the covariance of standardised inputs: what hardly varied may vary by a tenth of the rest."""
+
+DIGITS = 6
+"""Significant digits of the numbers in the robot file: float32 has seven."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Learned:
+    """What became of the wish for a learned residual."""
+
+    cfg: LearnedResidualCfg | None
+    """For the robot file; None if it is not added."""
+
+    objections: tuple[str, ...]
+    """Why not; empty if it is added."""
+
+    gain: Gain | None = None
+    """Over the named effects on training flights left out."""
+
+    decay: float = 0.0
+    """Weight decay that predicts flights left out best."""
+
+    gaps: dict[str, float | None] = field(default_factory=dict)
+    """Share of each channel's mean square above the noise floor that it takes on the test flights; None: there is none."""
+
+    rows: int = 0
+    """Compared rows of the test flights."""
+
+    rows_outside: int = 0
+    """Those of them that lie outside its training data."""
+
+    @property
+    def effect(self) -> LearnedResidual | None:
+        """Return it as the simulator uses it."""
+        return None if self.cfg is None else LearnedResidual(self.cfg)
+
+    @property
+    def sentence(self) -> str:
+        """Return what happened, for people."""
+        if self.cfg is None:
+            return f"learned_residual was asked for and not added: {'; '.join(self.objections)}"
+        taken = ", ".join(f"{name} {share:.0%}" for name, share in self.gaps.items() if share is not None)
+        return (
+            f"learned_residual was added on request; it has no name and explains nothing. Of what the named effects leave "
+            f"above the noise floor on the test flights it takes: {taken or 'nothing is left above it'}. "
+            f"{self.rows_outside} of {self.rows} test rows lie outside its training data, where it fades"
+        )
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON, as an effect without parameters."""
+        return {
+            "name": LearnedResidual.name,
+            "params": {},
+            "std": {},
+            "interval": {},
+            "noise_std": {},
+            "frozen": [],
+            "confidence": 0.0 if self.gain is None else 1.0 - self.gain.chance,
+            "material": True,
+            "share_of_gap": self.gaps,
+            "rows": self.rows,
+            "rows_outside": self.rows_outside,
+        }
+
+
+def train_residual(predictor: Predictor, point: Point, left_out: LeftOut, *, seed: int = 0) -> Learned:
+    """Return a network for what a model leaves of the training flights, unless it does not predict flights left out better.
+
+    Args:
+        predictor: Of the training flights.
+        point: The model with its named effects.
+        left_out: Of the same flights: what is left out together, and what counts as better.
+        seed: Of the first weights.
+
+    Raises:
+        ConfigError: If the robot file already has a learned residual.
+    """
+    if point.learned is not None:
+        raise ConfigError(
+            "the robot file already has a learned_residual, and named effects come first. Take it out to learn it anew"
+        )
+    if any(flight.lin_vel is None for flight in predictor.flights):
+        return Learned(cfg=None, objections=("the flights have no velocity",))
+    if not {channel.name for channel in predictor.channels} & set(OUTPUTS):
+        return Learned(cfg=None, objections=("the flights show neither force nor angular acceleration",))
+    trainer = _Trainer(predictor, point, left_out, seed)
+    decay, errors = trainer.best_decay()
+    if not (errors < 1.0 - LEAST_SHARE).all():
+        trainer.keep(errors < 1.0 - LEAST_SHARE)
+        if not trainer.outputs:
+            most = max(0.0, 1.0 - float(errors.min()))
+            return Learned(cfg=None, objections=(f"takes at most {most:.1%} of any mean square of flights left out",))
+        decay, _ = trainer.best_decay()
+    gain = trainer.gain(decay)
+    if objections := left_out.objections(gain):
+        return Learned(cfg=None, objections=tuple(objections), gain=gain, decay=decay)
+    return Learned(cfg=trainer.cfg_of(trainer.train(decay)), objections=(), gain=gain, decay=decay)
+
+
+def judge_on_test(learned: Learned, predictor: Predictor, point: Point, floor: Array | None) -> Learned:
+    """Return what a learned residual takes of the gap that a model without it leaves on the test flights."""
+    if learned.effect is None:
+        return learned
+    less, more = (
+        np.mean(np.square(np.concatenate(predictor.residuals(model))), axis=0)
+        for model in (point, replace(point, learned=learned.effect))
+    )
+    gap = less - (0.0 if floor is None else np.square(floor))
+    gaps = {
+        channel.name: float((less[c] - more[c]) / gap[c]) if gap[c] > 0.0 else None
+        for c, channel in enumerate(predictor.channels)
+        if channel.name in OUTPUTS
+    }
+    felt = torch.from_numpy(np.concatenate(predictor.felt(point)))
+    outside = int((learned.effect.distance(felt) > 1.0).sum())
+    return replace(learned, gaps=gaps, rows=felt.shape[0], rows_outside=outside)
+
+
+@dataclass(frozen=True)
+class _Layers:
+    """A network from standardised inputs to standardised outputs."""
+
+    weights: Array
+    """(H, D)."""
+
+    bias: Array
+    """(H,)."""
+
+    output: Array
+    """(O, H)."""
+
+    offset: Array
+    """(O,)."""
+
+    def __call__(self, inputs: Array) -> Array:
+        """Return the outputs (T, O) for inputs (T, D)."""
+        return np.tanh(inputs @ self.weights.T + self.bias) @ self.output.T + self.offset
+
+    def loss(self, inputs: Array, targets: Array, decay: float) -> tuple[float, "_Layers"]:
+        """Return the mean square error with weight decay, and its gradient."""
+        units = np.tanh(inputs @ self.weights.T + self.bias)
+        error = units @ self.output.T + self.offset - targets
+        squares = float(np.sum(self.weights**2) + np.sum(self.output**2))
+        slope = 2.0 / error.size * error
+        before = (slope @ self.output) * (1.0 - units**2)
+        share = decay / targets.shape[1]
+        return float(np.mean(error**2)) + share * squares, _Layers(
+            before.T @ inputs + 2.0 * share * self.weights,
+            before.sum(axis=0),
+            slope.T @ units + 2.0 * share * self.output,
+            slope.sum(axis=0),
+        )
+
+    def flat(self) -> Array:
+        """Return all numbers in a row."""
+        return np.concatenate([part.ravel() for part in vars(self).values()])
+
+    def from_flat(self, numbers: Array) -> "_Layers":
+        """Return layers of the same shapes with other numbers."""
+        shapes = [part.shape for part in vars(self).values()]
+        parts = np.split(numbers, np.cumsum([np.prod(shape, dtype=int) for shape in shapes])[:-1])
+        return _Layers(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
+
+
+class _Trainer:
+    """The rows of the training flights, standardised."""
+
+    def __init__(self, predictor: Predictor, point: Point, left_out: LeftOut, seed: int) -> None:
+        self._predictor, self._point, self._left_out, self._seed = predictor, point, left_out, seed
+        self._felt = np.concatenate(predictor.felt(point))
+        self._residual = np.concatenate(predictor.residuals(point))
+        names = [channel.name for channel in predictor.channels]
+        self.outputs = [k for k, name in enumerate(OUTPUTS) if name in names]
+        target = self._residual[:, [names.index(OUTPUTS[k]) for k in self.outputs]]
+        self._size = np.maximum(np.sqrt(np.mean(target**2, axis=0)), 1e-12)
+        self._low, self._high = np.quantile(self._felt, (TAIL, 1.0 - TAIL), axis=0)
+        self._centre, self._scale = self._felt.mean(axis=0), np.maximum(self._felt.std(axis=0), 1e-6)
+        self._inputs = (np.clip(self._felt, self._low, self._high) - self._centre) / self._scale
+        self._targets = target / self._size
+        self._count = left_out.moments.count.astype(int)
+        self._fold = np.repeat(left_out.fold, self._count)
+
+    def keep(self, chosen: NDArray[np.bool_]) -> None:
+        """Leave all other outputs at zero."""
+        self.outputs = [k for k, kept in zip(self.outputs, chosen, strict=True) if kept]
+        self._size, self._targets = self._size[chosen], self._targets[:, chosen]
+
+    def train(self, decay: float, leave: int | None = None) -> _Layers:
+        """Return the layers that fit all rows, or all but those of one fold, best."""
+        kept = self._fold != leave
+        inputs, targets = self._inputs[kept], self._targets[kept]
+        width, outputs = inputs.shape[1], targets.shape[1]
+        rng = np.random.default_rng(self._seed)
+        start = _Layers(
+            rng.normal(size=(HIDDEN, width)) / width**0.5,
+            np.zeros(HIDDEN),
+            rng.normal(size=(outputs, HIDDEN)) / HIDDEN,
+            np.zeros(outputs),
+        )
+
+        def loss(numbers: Array) -> tuple[float, Array]:
+            value, gradient = start.from_flat(numbers).loss(inputs, targets, decay)
+            return value, gradient.flat()
+
+        return start.from_flat(minimize(loss, start.flat(), jac=True, method="L-BFGS-B", options={"maxiter": STEPS}).x)
+
+    def best_decay(self) -> tuple[float, Array]:
+        """Return the decay that predicts flights left out best, and what share of each mean square is then left, (O,)."""
+        errors = {decay: self._left_out_errors(decay) for decay in DECAYS}
+        best = min(DECAYS, key=lambda decay: np.minimum(errors[decay], 1.0).sum())
+        return best, errors[best]
+
+    def _left_out_errors(self, decay: float) -> Array:
+        squares = np.zeros(len(self.outputs))
+        for leave in np.unique(self._fold):
+            rows = self._fold == leave
+            found = self.train(decay, int(leave))(self._inputs[rows])
+            squares += ((found - self._targets[rows]) ** 2).sum(axis=0)
+        return squares / (self._targets**2).sum(axis=0)
+
+    def gain(self, decay: float) -> Gain:
+        """Return what networks gain on folds that they have not seen, in the simulator's own prediction of them."""
+        found = self._residual.copy()
+        for leave in np.unique(self._fold):
+            effect = LearnedResidual(self.cfg_of(self.train(decay, int(leave))))
+            with_it = np.concatenate(self._predictor.residuals(replace(self._point, learned=effect)))
+            found[self._fold == leave] = with_it[self._fold == leave]
+        return self._left_out.gain(self._squares(self._residual), self._squares(found))
+
+    def _squares(self, residual: Array) -> Array:
+        """Return the sum of squares of each block, (B, C)."""
+        return np.add.reduceat(residual**2, np.concatenate(([0], np.cumsum(self._count)[:-1])), axis=0)
+
+    def cfg_of(self, layers: _Layers) -> LearnedResidualCfg:
+        """Return layers that give standardised accelerations as a network for force and torque, with its bounds."""
+        model = build_model(
+            vehicle_from_config(self._predictor.robot, num_envs=1, dtype=torch.float64), effects_at(self._point, 1)
+        )
+        to_wrench = np.zeros((6, 6))
+        to_wrench[:3, :3] = model.vehicle.mass.item() * np.eye(3)
+        to_wrench[3:, 3:] = model.vehicle.inertia[0].numpy()
+        to_wrench = to_wrench[:, self.outputs] * self._size
+        physical = replace(layers, output=to_wrench @ layers.output, offset=to_wrench @ layers.offset)
+        return LearnedResidualCfg(
+            low=_rounded(self._low),
+            high=_rounded(self._high),
+            centre=_rounded(self._centre),
+            scale=_rounded(self._scale),
+            whitening=_rounded_rows(self._whitening()),
+            hidden=(LayerCfg(weights=_rounded_rows(layers.weights), bias=_rounded(layers.bias)),),
+            output=LayerCfg(weights=_rounded_rows(physical.output), bias=_rounded(physical.offset)),
+            limit=_rounded(np.abs(physical(self._inputs)).max(axis=0)),
+            source=f"aerial-gym close-loop on the flights {', '.join(flight.name for flight in self._predictor.flights)}",
+        )
+
+    def _whitening(self) -> Array:
+        """Return the matrix (D, D) that makes 1 of the distance beyond which a share ``TAIL`` of the rows lies."""
+        standard = (self._felt - self._centre) / self._scale
+        covariance = standard.T @ standard / len(standard) + RIDGE * np.eye(standard.shape[1])
+        white = np.linalg.inv(np.linalg.cholesky(covariance))
+        return white / np.quantile(np.linalg.norm(standard @ white.T, axis=1), 1.0 - TAIL)
+
+
+def _rounded(values: Array | Sequence[float]) -> tuple[float, ...]:
+    return tuple(float(f"{value:.{DIGITS}g}") for value in values)
+
+
+def _rounded_rows(rows: Array) -> tuple[tuple[float, ...], ...]:
+    return tuple(_rounded(row) for row in rows)

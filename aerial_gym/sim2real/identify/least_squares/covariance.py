@@ -1,0 +1,125 @@
+"""How well fitted parameters are known: coloured residuals, few flights, and a vehicle that is declared within tolerances.
+
+Letters: B blocks, F flights, C channels, K parameters, P free parameters, N tolerances.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, best_step, normal_equations, prior_precision
+
+Array = NDArray[np.float64]
+
+NORMAL_95 = float(stats.norm.ppf(0.975))
+
+DOUBTFUL = 0.2
+"""Flights count as scattering more than their blocks explain if that were chance in no more than this share of cases."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Uncertainty:
+    """Spread of the P fitted parameters, in units of their scale or tolerance."""
+
+    columns: NDArray[np.int64]
+    """Which of the K parameters they are, (P,)."""
+
+    step: Array
+    """From where the fit is linearised to its best point, (K,)."""
+
+    plain: Array
+    """Covariance if residuals were as weighted, with the tolerances: shows what the flights cannot tell at all, (P, P)."""
+
+    blocks: Array
+    """Covariance from the scatter of blocks of time, (P, P)."""
+
+    flights: Array | None
+    """Covariance from the scatter of whole flights, (P, P); None with fewer than three."""
+
+    tolerance: Array
+    """Covariance from what the flights do not tell about deviations within the tolerances, (P, P)."""
+
+    num_blocks: int
+    """B."""
+
+    num_flights: int
+    """F."""
+
+    def part(self, places: list[int]) -> "Uncertainty":
+        """Return the spread of some of the P parameters."""
+        both = np.ix_(places, places)
+        return replace(
+            self,
+            columns=self.columns[places],
+            plain=self.plain[both],
+            blocks=self.blocks[both],
+            flights=None if self.flights is None else self.flights[both],
+            tolerance=self.tolerance[both],
+        )
+
+    @property
+    def half_width(self) -> Array:
+        """Return half the 95 % interval, (P,): scatter with its t quantile, plus the tolerances.
+
+        The scatter is that of blocks, unless whole flights scatter more than blocks explain.
+        """
+        count, blocks = max(self.num_blocks - 1, 1), np.diag(self.blocks)
+        scatter = stats.t.ppf(0.975, count) ** 2 * blocks
+        if self.flights is not None:
+            between, wide = self.num_flights - 1, np.diag(self.flights)
+            limit = stats.f.ppf(1.0 - DOUBTFUL, between, count)
+            scatter = np.where(wide > limit * blocks, stats.t.ppf(0.975, between) ** 2 * wide, scatter)
+        return np.sqrt(scatter + NORMAL_95**2 * np.diag(self.tolerance))
+
+    @property
+    def std(self) -> Array:
+        """Return half the 95 % interval over 1.96, (P,): twice this covers 95 %, small samples included."""
+        return self.half_width / NORMAL_95
+
+
+def uncertainty(fit: Fit, weight: Array) -> Uncertainty:
+    """Return the spread of the fitted effects, with deviations within the tolerances fitted beside them.
+
+    ``A = sum w J J^T + P`` over effects and deviations, P the inverse prior variance; scores ``s = sum w J r`` of a block or
+    a flight. Then ``A^-1 (sum s s^T) A^-1`` (sandwich) is what noise does, and ``A^-1 P A^-1`` what remains unknown of the
+    vehicle.
+
+    Source:
+        Liang, Zeger (1986), Longitudinal data analysis using generalized linear models, section 2 (sandwich over
+        clusters); Hoerl, Kennard (1970), Ridge regression, section 4: variance and squared bias, the latter in the mean over
+        the prior.
+    """
+    free, own = fit.free_all, fit.free_effects.size
+    product, _ = normal_equations(fit, weight)
+    precision = prior_precision(fit)[free]
+    bread = np.linalg.inv(product[np.ix_(free, free)] + np.diag(precision))
+    step = best_step(fit, weight, free)
+    change = np.einsum("bckl,l->bck", fit.moments.product, step)
+    scores = np.einsum("c,bck->bk", weight, fit.moments.gradient - change)[:, free] @ bread[:, :own]
+    by_flight = np.stack([scores[fit.moments.flight == f].sum(axis=0) for f in np.unique(fit.moments.flight)])
+    count, flights = scores.shape[0], len(by_flight)
+    return Uncertainty(
+        columns=fit.free_effects,
+        step=step,
+        plain=bread[:own, :own],
+        blocks=scores.T @ scores * (count / max(count - 1, 1)),
+        flights=None if flights < 3 else by_flight.T @ by_flight * (flights / (flights - 1)),
+        tolerance=(bread[:own] * precision) @ bread[:, :own],
+        num_blocks=count,
+        num_flights=flights,
+    )
+
+
+def wald_probability(distance: Array, spread: Uncertainty) -> float:
+    """Return the probability of parameters at least this far from neutral if the truth were neutral.
+
+    ``d^T V^-1 d / P`` against F(P, B - P); V is the scatter of blocks plus the tolerances.
+    Source: Cameron, Miller (2015), A practitioner's guide to cluster-robust inference, section VI.
+    """
+    if distance.size == 0:
+        return 1.0
+    variance = spread.blocks + spread.tolerance + np.diag(1e-9 * np.diag(spread.plain))  # the last keeps it regular
+    value = float(distance @ np.linalg.solve(variance, distance)) / distance.size
+    return float(stats.f.sf(value, distance.size, max(spread.num_blocks - distance.size, 1)))

@@ -1,0 +1,356 @@
+"""Least squares through the physics of the simulator: effects and tolerances jointly, from sums over blocks of time.
+
+The residual of a model is linearised in its parameters by differences of whole predictions. Everything after that
+(fits without a flight, scores, standard errors) needs only sums over blocks: squares, gradients and products.
+Letters: B blocks, C channels, K parameters (those of effects in units of their scale, then N tolerances in deviations).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting, block_moments, weights_from
+from aerial_gym.sim2real.predict.predictor import Point, Predictor
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Frozen = frozenset[tuple[str, int]]
+"""Parameters that stay as they are: effect, and place among its parameters."""
+
+STEP = 1e-3
+"""Difference step in units of a parameter's scale or of a tolerance."""
+
+WEAK_PRIOR = 100.0
+"""Standard deviation of the effects' parameters in units of their scale: keeps a fit solvable where data are silent."""
+
+FARTHEST_DEVIATION = 5.0
+"""No tolerance is taken to be off by more standard deviations than this."""
+
+MOST_STEPS = 8
+SHARES = (1.0, 0.5, 0.25, 0.125)
+"""Of a step, tried until one fits no worse than before."""
+
+ROUNDING = 1e-6
+"""Relative rise of the squares that is none."""
+
+CONVERGED = 0.02
+"""A step is the last one if the linear model misses by less than this share of the residual."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """A fitted model with its linearisation."""
+
+    effects: tuple[str, ...]
+    """Names, in the order of the parameters."""
+
+    point: Point
+    """Where it is linearised: the best fit, with no deviation."""
+
+    moments: Moments
+    """At that point."""
+
+    low: Array
+    """Lowest possible step of each parameter, (K,)."""
+
+    high: Array
+    """Highest, (K,)."""
+
+    num_effect_params: int
+    """The first so many of the K parameters belong to effects."""
+
+    frozen: Frozen = frozenset()
+    """Parameters that the flights do not show; they stay where they are."""
+
+    @property
+    def owners(self) -> list[tuple[str, int]]:
+        """Return effect and place of each parameter of effects."""
+        return [(name, place) for name in self.effects for place in range(len(EFFECTS.get(name).parameters))]
+
+    @property
+    def free_effects(self) -> Indices:
+        """Return the parameters of effects that are fitted."""
+        return np.array(
+            [k for k, owner in enumerate(self.owners) if owner not in self.frozen and is_number(*owner)], dtype=int
+        )
+
+    @property
+    def free_all(self) -> Indices:
+        """Return these and the tolerances."""
+        return np.concatenate((self.free_effects, np.arange(self.num_effect_params, self.low.size)))
+
+    def columns_of(self, effect: str) -> Indices:
+        """Return the places of an effect's parameters."""
+        return np.array([k for k, (name, _) in enumerate(self.owners) if name == effect], dtype=int)
+
+
+def is_number(effect: str, place: int) -> bool:
+    """Return whether a parameter is one that a fit may change: not the number of a rotor, nor a convention."""
+    return EFFECTS.get(effect).parameters[place].kind == "number"
+
+
+def scales(effects: Sequence[str]) -> Array:
+    """Return the scale of each parameter of some effects."""
+    return np.array([parameter.scale for name in effects for parameter in EFFECTS.get(name).parameters])
+
+
+def params_of(point: Point, effects: Sequence[str]) -> Array:
+    """Return the parameters of some effects in a row."""
+    return np.concatenate([point.effects[name] for name in effects]) if effects else np.zeros(0)
+
+
+def bounds_of(robot: RobotCfg, effects: Sequence[str]) -> tuple[Array, Array]:
+    """Return the lowest and highest possible values of the parameters of some effects in a row."""
+    pairs = [pair for name in effects for pair in EFFECTS.get(name).bounds(robot)]
+    return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
+
+
+def with_params(robot: RobotCfg, point: Point, effects: Sequence[str], values: Array) -> Point:
+    """Return the point with other parameters, held within their bounds."""
+    held, start = np.clip(values, *bounds_of(robot, effects)), 0
+    for name in effects:
+        width = len(EFFECTS.get(name).parameters)
+        point = point.with_effect(name, held[start : start + width])
+        start += width
+    return point
+
+
+def effect_jacobian(
+    predictor: Predictor, point: Point, effects: Sequence[str], base: list[Array], *, beside: list[Array] | None = None
+) -> list[Array]:
+    """Return the derivative of the prediction by the effects' parameters, per scale, each (rows, C, P).
+
+    Those in ``beside`` (rows, C, N) come behind them.
+    """
+    here, scale = params_of(point, effects), scales(effects)
+    highest = bounds_of(predictor.robot, effects)[1]
+    owners = [(name, place) for name in effects for place in range(len(EFFECTS.get(name).parameters))]
+    width, behind = len(owners), [np.empty((*b.shape, 0)) for b in base] if beside is None else beside
+    found = [np.zeros((*b.shape, width + more.shape[2])) for b, more in zip(base, behind, strict=True)]
+    for columns, more in zip(found, behind, strict=True):
+        columns[:, :, width:] = more
+    for k, owner in enumerate(owners):
+        if not is_number(*owner):
+            continue
+        step = STEP * scale[k] if here[k] + STEP * scale[k] <= highest[k] else -STEP * scale[k]
+        there = here.copy()
+        there[k] += step
+        moved = predictor.predict(with_params(predictor.robot, point, effects, there))
+        for column, m, b in zip(found, moved, base, strict=True):
+            column[:, :, k] = (m - b) * (scale[k] / step)
+    return found
+
+
+def tolerance_jacobian(predictor: Predictor, point: Point, base: list[Array]) -> list[Array]:
+    """Return the derivative of the prediction by the deviations, each (rows, C, N)."""
+    found = [np.empty((*b.shape, predictor.num_tolerances)) for b in base]
+    for k in range(predictor.num_tolerances):
+        deviation = np.zeros(predictor.num_tolerances)
+        deviation[k] = STEP
+        moved = predictor.predict(replace(point, deviation=deviation))
+        for column, m, b in zip(found, moved, base, strict=True):
+            column[:, :, k] = (m - b) / STEP
+    return found
+
+
+def prior_precision(fit: Fit) -> Array:
+    """Return the inverse prior variance of each parameter, (K,): one for tolerances, almost none for effects."""
+    precision = np.ones(fit.low.size)
+    precision[: fit.num_effect_params] = WEAK_PRIOR**-2
+    return precision
+
+
+def normal_equations(fit: Fit, weight: Array, blocks: Indices | None = None) -> tuple[Array, Array]:
+    """Return ``sum w J J^T`` (K, K) and ``sum w J r`` (K,) over some blocks."""
+    chosen = slice(None) if blocks is None else blocks
+    product = np.einsum("c,bckl->kl", weight, fit.moments.product[chosen])
+    return product, np.einsum("c,bck->k", weight, fit.moments.gradient[chosen])
+
+
+def best_step(fit: Fit, weight: Array, free: Indices, blocks: Indices | None = None) -> Array:
+    """Return the step (K,) that minimises the weighted squares plus the prior, within the bounds; 0 where not free."""
+    return _solve(fit, *normal_equations(fit, weight, blocks), free)
+
+
+def steps_without(fit: Fit, weight: Array, free: Indices, label: Indices) -> Array:
+    """Return for each block the best step under the blocks of all other labels, (B, K); ``label`` is (B,)."""
+    labels, place = np.unique(label, return_inverse=True)
+    parts = [normal_equations(fit, weight, np.flatnonzero(place == k)) for k in range(labels.size)]
+    product, gradient = (np.sum(sums, axis=0) for sums in zip(*parts, strict=True))
+    return np.stack([_solve(fit, product - own, gradient - pull, free) for own, pull in parts])[place]
+
+
+def steps_beside(fit: Fit, weight: Array, label: Indices, deviation: Array) -> Array:
+    """Return for each block the best step of the effects under the blocks of all other labels, beside given deviations.
+
+    Args:
+        fit: The model.
+        weight: Of one row of each channel, (C,).
+        label: What is left out together, (B,).
+        deviation: Of each block, (B, N); the same for all blocks of a label.
+    """
+    _, first, place = np.unique(label, return_index=True, return_inverse=True)
+    own, steps = fit.num_effect_params, []
+    for k, block in enumerate(first):
+        product, gradient = normal_equations(fit, weight, np.flatnonzero(place != k))
+        step = _solve(fit, product, gradient - product[:, own:] @ deviation[block], fit.free_effects)
+        step[own:] = deviation[block]
+        steps.append(step)
+    return np.stack(steps)[place]
+
+
+def _solve(fit: Fit, product: Array, gradient: Array, free: Indices) -> Array:
+    """Return the step (K,) that normal equations and the prior ask for, within the bounds; 0 where not free."""
+    step = np.zeros(fit.low.size)
+    if free.size == 0:
+        return step
+    a = product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free])
+    b = gradient[free]
+    found = np.linalg.solve(a, b)
+    low, high = fit.low[free], fit.high[free]
+    if np.any(found < low) or np.any(found > high):
+        root = np.linalg.cholesky(a).T
+        open_low, open_high = np.minimum(low, -1e-12), np.maximum(high, 1e-12)
+        found = lsq_linear(
+            root, np.linalg.solve(root.T, b), bounds=(open_low, open_high), method="bvls", max_iter=10 * b.size
+        ).x
+    step[free] = found
+    return step
+
+
+def best_within_tolerances(robot: RobotCfg, fit: Fit, weight: Array) -> Point:
+    """Return a fitted model with the deviations within the tolerances that fit its flights best."""
+    step = best_step(fit, weight, fit.free_all)
+    values = params_of(fit.point, fit.effects) + scales(fit.effects) * step[: fit.num_effect_params]
+    return replace(with_params(robot, fit.point, fit.effects, values), deviation=step[fit.num_effect_params :])
+
+
+def linearise(
+    predictor: Predictor,
+    effects: tuple[str, ...],
+    point: Point,
+    tolerance: list[Array],
+    *,
+    base: list[Array] | None = None,
+    length: float | None = None,
+) -> tuple[Fit, list[Array], list[Array]]:
+    """Return the model at a point, the residuals there, and their derivatives (rows, C, K); ``length`` is of a block [s]."""
+    predicted = predictor.predict(point) if base is None else base
+    residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
+    jacobians = effect_jacobian(predictor, point, effects, predicted, beside=tolerance)
+    return fit_at(predictor, effects, point, residuals, jacobians, length=length), residuals, jacobians
+
+
+def fit_at(
+    predictor: Predictor,
+    effects: tuple[str, ...],
+    point: Point,
+    residuals: list[Array],
+    jacobians: list[Array],
+    *,
+    frozen: Frozen = frozenset(),
+    length: float | None = None,
+) -> Fit:
+    """Return the model at a point from its residuals there and their derivatives (rows, C, K); ``length`` is of a block [s]."""
+    here, scale = params_of(point, effects), scales(effects)
+    lowest, highest = bounds_of(predictor.robot, effects)
+    farthest = np.full(jacobians[0].shape[2] - here.size, FARTHEST_DEVIATION)
+    return Fit(
+        effects=effects,
+        point=point,
+        moments=block_moments(predictor.times, residuals, jacobians, length=length),
+        low=np.concatenate(((lowest - here) / scale, -farthest)),
+        high=np.concatenate(((highest - here) / scale, farthest)),
+        num_effect_params=here.size,
+        frozen=frozen,
+    )
+
+
+def fit_effects(
+    predictor: Predictor,
+    effects: tuple[str, ...],
+    start: Point,
+    tolerance: list[Array],
+    weight: Array,
+    *,
+    frozen: Frozen = frozenset(),
+) -> Fit:
+    """Return the model with some effects fitted by Gauss-Newton steps, until it is as good as linear.
+
+    A step that overshoots is halved.
+
+    Deviations within the tolerances take their share while the effects are fitted; they are not part of the model.
+
+    Args:
+        predictor: Training flights.
+        effects: Effects whose parameters are free; all must be in ``start``.
+        start: First guess.
+        tolerance: Derivatives by the deviations (``tolerance_jacobian``), taken as constant.
+        weight: Of one row of each channel, (C,).
+        frozen: Parameters that stay as they are.
+    """
+    fit, residuals, jacobians = linearise(predictor, effects, start, tolerance)
+    cost = misfit(predictor, residuals, tolerance, weight)
+    for _ in range(MOST_STEPS):
+        fit = replace(fit, frozen=frozen)
+        step = best_step(fit, weight, fit.free_all)
+        whole, here = step[: fit.num_effect_params], params_of(fit.point, effects)
+        if not np.any(whole):
+            return fit
+        for share in SHARES:
+            own = share * whole
+            point = with_params(predictor.robot, fit.point, effects, here + scales(effects) * own)
+            predicted = predictor.predict(point)
+            moved = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
+            new_cost = misfit(predictor, moved, tolerance, weight)
+            if new_cost <= cost * (1.0 + ROUNDING):
+                break
+        else:
+            return fit
+        linear = [r - j[:, :, : own.size] @ own for r, j in zip(residuals, jacobians, strict=True)]
+        miss = sum(float((weight * (m - expected) ** 2).sum()) for m, expected in zip(moved, linear, strict=True))
+        size = sum(float((weight * m**2).sum()) for m in moved)
+        if share == 1.0 and miss <= CONVERGED**2 * size:
+            return fit_at(predictor, effects, point, moved, jacobians, frozen=frozen)
+        cost = new_cost
+        fit, residuals, jacobians = linearise(predictor, effects, point, tolerance, base=predicted)
+    return replace(fit, frozen=frozen)
+
+
+def misfit(predictor: Predictor, residuals: list[Array], tolerance: list[Array], weight: Array) -> float:
+    """Return the weighted squares plus the prior, with the deviations that fit best."""
+    fit = fit_at(predictor, (), Point(effects={}), residuals, tolerance, length=np.inf)
+    step = best_step(fit, weight, fit.free_all)
+    left = fit.moments.squares_after(np.broadcast_to(step, (fit.moments.count.size, step.size)))
+    return float(left.sum(axis=0) @ weight + step @ step)
+
+
+def weighting(predictor: Predictor, start: Point, effects: tuple[str, ...], tolerance: list[Array]) -> Weighting:
+    """Return the weights of the channels from what no candidate effect explains.
+
+    All effects and tolerances are fitted together, three times, each time weighted by what the fit before left over.
+    """
+    point = start
+    for name in effects:
+        if name not in point.effects:
+            point = point.with_effect(name, np.array(EFFECTS.get(name).neutral(predictor.robot)))
+    found = weights_from(predictor.residuals(start))
+    for _ in range(3):
+        found, point = _weigh_again(predictor, found, point, effects, tolerance)
+    return found
+
+
+def _weigh_again(
+    predictor: Predictor, weights: Weighting, point: Point, effects: tuple[str, ...], tolerance: list[Array]
+) -> tuple[Weighting, Point]:
+    """Return the weights from what one more step of a fit leaves over, and the model after it."""
+    fit, residuals, jacobians = linearise(predictor, effects, point, tolerance, length=np.inf)
+    step = best_step(fit, weights.weight, fit.free_all)
+    left = [r - j @ step for r, j in zip(residuals, jacobians, strict=True)]
+    values = params_of(point, effects) + scales(effects) * step[: fit.num_effect_params]
+    return weights_from(left), with_params(predictor.robot, point, effects, values)

@@ -1,0 +1,1 @@
+"""Which effects the flights ask for, and how surely."""

@@ -1,0 +1,168 @@
+"""Every testable candidate around a fitted model, as sums over blocks of time: all that a linear selection needs.
+
+Letters: B blocks, C channels, K columns (parameters of the candidates in units of their scale, then the tolerances).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    WEAK_PRIOR,
+    bounds_of,
+    effect_jacobian,
+    is_number,
+    params_of,
+    scales,
+    tolerance_jacobian,
+)
+from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments
+from aerial_gym.sim2real.identify.selection.select import Selection
+from aerial_gym.sim2real.predict.predictor import Point, Predictor
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """One effect, or one effect on one rotor."""
+
+    name: str
+
+    named: bool
+    """Whether the selection accepted it."""
+
+    columns: Indices
+    """Its free parameters among the K columns."""
+
+    low: Array
+    """Lowest steps from neutral, in units of the scale."""
+
+    high: Array
+    """Highest."""
+
+    contained: int = 0
+    """Of how many effects it is a wider case."""
+
+    @property
+    def complexity(self) -> int:
+        """Return by what effects are ordered that flights do not tell apart, as ``Trial.complexity``."""
+        return self.columns.size + self.contained
+
+
+@dataclass(frozen=True, kw_only=True)
+class Library:
+    """Candidates about the final model; the residual is that of the declared one, all candidates at neutral."""
+
+    candidates: tuple[Candidate, ...]
+    moments: Moments
+    """Of the residual with every candidate at neutral."""
+
+    tolerances: Indices
+    """Places of the tolerances among the K columns."""
+
+
+def build_library(predictor: Predictor, declared: Point, selection: Selection) -> Library:
+    """Return the candidates that the flights can show, each with the parameters that they show.
+
+    The derivatives of an accepted effect are those at its fitted values, and exact back to neutral; of any other one those at
+    neutral.
+    """
+    final, frozen = selection.final.fit.point, selection.final.fit.frozen
+    base = predictor.predict(final)
+    residuals = [m - p for m, p in zip(predictor.measured, base, strict=True)]
+    candidates, parts, width = [], [], 0
+    for name, point in origins(declared, selection, predictor.robot):
+        named, neutral, scale = point is final, neutral_of(name, declared, predictor.robot), scales((name,))
+        columns = effect_jacobian(predictor, point, (name,), base if named else predictor.predict(point))
+        step = (params_of(point, (name,)) - neutral) / scale
+        if named:  # back to neutral
+            change = [b - n for b, n in zip(base, predictor.predict(point.with_effect(name, neutral)), strict=True)]
+            columns = exact_along(columns, step, change)
+            residuals = [r + c @ step for r, c in zip(residuals, columns, strict=True)]
+        free = [k for k in range(scale.size) if is_number(name, k) and not (named and (name, k) in frozen)]
+        low, high = (((bound - neutral) / scale)[free] for bound in bounds_of(predictor.robot, (name,)))
+        places = np.array(free, dtype=int) + width
+        wider = len(EFFECTS.get(name).contains)
+        candidates.append(Candidate(name=name, named=named, columns=places, low=low, high=high, contained=wider))
+        parts.append(columns)
+        width += scale.size
+    parts.append(tolerance_jacobian(predictor, final, base))
+    jacobians = [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)]
+    library = Library(
+        candidates=tuple(candidates),
+        moments=block_moments(predictor.times, residuals, jacobians),
+        tolerances=np.arange(width, jacobians[0].shape[2]),
+    )
+    return replace(library, candidates=seen_candidates(library, selection.weights.weight))
+
+
+def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) -> list[Array]:
+    """Return derivatives (rows, C, k), changed as little as gives exactly the ``change`` (rows, C) over a ``step`` (k).
+
+    A lag of 0 and one of 0.06 s differ by much more or less than what the derivative at 0.06 s says.
+
+    Source:
+        Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
+    """
+    if not np.any(step):
+        return list(columns)
+    along = step / (step @ step)
+    return [c + (d - c @ step)[..., None] * along for c, d in zip(columns, change, strict=True)]
+
+
+def origins(declared: Point, selection: Selection, robot: RobotCfg) -> list[tuple[str, Point]]:
+    """Return each candidate with the model about which it is linear: the final one for an accepted effect."""
+    final, found = selection.final.fit.point, []
+    for name in (name for name in EFFECTS if not EFFECTS.get(name).random):
+        accepted = name in selection.accepted
+        if accepted:
+            found.append((name, final))
+        if name in selection.not_testable and not accepted:
+            continue
+        for point in starts(name, final, declared, robot):
+            if not accepted or (has_rotor(name) and point.effects[name][0] != final.effects[name][0]):
+                found.append((name, point))
+    return found
+
+
+def starts(name: str, point: Point, declared: Point, robot: RobotCfg) -> list[Point]:
+    """Return the model with an effect where its fits start: at neutral, once for each rotor that it may act on."""
+    if name in declared.effects:
+        return [point.with_effect(name, declared.effects[name])]
+    return [point.with_effect(name, np.array(start)) for start in EFFECTS.get(name).starts(robot)]
+
+
+def has_rotor(name: str) -> bool:
+    """Return whether an effect acts on one rotor."""
+    return any(parameter.kind == "rotor" for parameter in EFFECTS.get(name).parameters)
+
+
+def neutral_of(name: str, declared: Point, robot: RobotCfg) -> Array:
+    """Return the parameters with which an effect changes nothing: declared ones, else its neutral ones."""
+    if name in declared.effects:
+        return declared.effects[name]
+    return np.array(EFFECTS.get(name).neutral(robot), dtype=float)
+
+
+def seen_candidates(library: Library, weight: Array) -> tuple[Candidate, ...]:
+    """Return the candidates without parameters that the flights leave unknown by more than their scale, accepted ones whole."""
+    product = np.einsum("c,bckl->kl", weight, library.moments.product)
+    found = []
+    for candidate in library.candidates:
+        if candidate.named or not candidate.columns.size:
+            found.append(candidate)
+            continue
+        # Without the accepted effects: beside one that it could replace it would not show.
+        columns = np.concatenate((candidate.columns, library.tolerances))
+        precision = np.repeat((WEAK_PRIOR**-2, 1.0), (candidate.columns.size, library.tolerances.size))
+        bread = np.linalg.inv(product[np.ix_(columns, columns)] + np.diag(precision))
+        kept = np.diag(bread)[: candidate.columns.size] <= 1.0
+        columns, low, high = candidate.columns[kept], candidate.low[kept], candidate.high[kept]
+        found.append(replace(candidate, columns=columns, low=low, high=high))
+    return tuple(candidate for candidate in found if candidate.columns.size)

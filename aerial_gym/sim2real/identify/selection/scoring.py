@@ -1,0 +1,267 @@
+"""How much better one model predicts flights that its fit has not seen, and when that counts.
+
+Letters: B blocks of time, C channels, K parameters.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, steps_beside, steps_without
+from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting
+from aerial_gym.sim2real.predict.predictor import Channel
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+QUARTERS = 4
+"""A single flight is left out in so many parts."""
+
+
+LEAST_SCORE = 3.0
+"""Two models are told apart only by a log likelihood that differs so much: one is 20 times likelier.
+
+Source: Kass, Raftery (1995), Bayes factors, section 3.2: strong evidence.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Criteria:
+    """When an effect is accepted."""
+
+    significance: float = 0.001
+    """Largest probability that noise and tolerances alone show such parameters."""
+
+    left_out_significance: float = 0.01
+    """Largest probability that the gain on flights left out is chance."""
+
+    relief_significance: float = 0.0001
+    """Largest probability that chance makes the deviations smaller by as much as an effect does; some 30 effects are tried."""
+
+    flights_better: float = 0.75
+    """Least share of flights left out that it must predict better, and that it must not harm in any channel."""
+
+    material: float = 0.05
+    """Least relative fall of the left-out residual (rms) in its best channel."""
+
+    visible: float = 0.5
+    """What it takes off that channel must be this share of what the tolerances of the vehicle may add there."""
+
+    harmless: float = 0.02
+    """Largest relative rise of the left-out residual (rms) of a channel that is no harm."""
+
+    forgiven: float = 0.1
+    """Share of its whole gain in log likelihood that an effect may lose in a channel, and it is no harm."""
+
+    rival_significance: float = 0.01
+    """Rivals whose left-out gain differs from the accepted effect's with less certainty cannot be told apart."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scored:
+    """A fitted model and how it predicts flights that it has not seen."""
+
+    fit: Fit
+    spread: Uncertainty
+    left_out: Array
+    """Sums of squares of each block, predicted by the fit without its flight, (B, C)."""
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Return the fitted effects."""
+        return self.fit.effects
+
+    @property
+    def summed(self) -> "Scored":
+        """Return the model with the sums over all blocks alone: it can be shown and compared, no flight can be left out."""
+        moments = self.fit.moments
+        return replace(self, fit=replace(self.fit, moments=moments.joined(np.zeros_like(moments.flight))))
+
+    @property
+    def penalty(self) -> float:
+        """Return what the deviations within the tolerances that fit best cost in log likelihood: half their squared sum."""
+        deviations = self.spread.step[self.fit.num_effect_params :]
+        return 0.5 * float(deviations @ deviations)
+
+    def rms(self) -> Array:
+        """Return the left-out residual of each channel, (C,)."""
+        return np.sqrt(self.left_out.sum(axis=0) / self.fit.moments.count.sum())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gain:
+    """What one model gains over another on flights left out."""
+
+    score: float
+    """In log likelihood."""
+
+    chance: float
+    """Probability that it is chance."""
+
+    flights_better: float
+    """Share of the flights that are predicted better, among those in which anything changes."""
+
+    falls: tuple[float, ...]
+    """Relative fall of the residual (rms) of each channel, over all flights."""
+
+    harmed: tuple[float, ...]
+    """Share of the flights in which the residual of each channel rises."""
+
+    worse: tuple[bool, ...]
+    """Whether the residual of each channel rises over all flights."""
+
+    visible: tuple[bool, ...]
+    """Whether what falls in each channel is more than the tolerances of the vehicle may hide."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeftOut:
+    """Leaves out one flight after the other and compares models by it."""
+
+    moments: Moments
+    """Of any model: rows and flights of the blocks are those of all."""
+
+    weights: Weighting
+    criteria: Criteria
+    channels: tuple[Channel, ...]
+    tolerated: Array
+    """Residual (rms) that the tolerances of the vehicle cause in each channel, (C,)."""
+
+    @property
+    def fold(self) -> Indices:
+        """Return what is left out together: the flight of each block, or the quarter of a single flight, (B,)."""
+        flight = self.moments.flight
+        if flight.max() > 0:
+            return flight
+        parts = min(QUARTERS, flight.size)
+        return np.arange(flight.size) * parts // flight.size
+
+    def squares(self, fit: Fit) -> Array:
+        """Return the squares (B, C) of each fold under the fit of the others, of effects and of what tolerances allow."""
+        return fit.moments.squares_after(steps_without(fit, self.weights.weight, fit.free_all, self.fold))
+
+    def gain(self, less: Array, more: Array) -> Gain:
+        """Return what one set of left-out squares (B, C) gains over another.
+
+        Score: ``sum n_c / 2 log(MS_less / MS_more)`` over channels with n independent samples; its chance from the same
+        sum of each block and the scatter between blocks.
+        """
+        count, effective = self.moments.count, self.weights.effective
+        folds = [self.fold == part for part in np.unique(self.fold)]
+        blocks = (0.5 * count[:, None] * effective * _log_ratio(less, more)).sum(axis=1)
+        spread = blocks.std(ddof=1) / np.sqrt(blocks.size) if blocks.size > 1 else np.inf
+        concerned = [part for part in folds if self._changes(less[part], more[part])]
+        judged = concerned if len(concerned) > 1 else folds
+        totals = [self._score(less[part], more[part], count[part]) for part in judged]
+        rises = [self._rises(less[part], more[part], count[part]) for part in folds]
+        fallen = (less - more).sum(axis=0) / count.sum()
+        return Gain(
+            score=self._score(less, more, count),
+            chance=float(stats.t.sf(blocks.mean() / max(spread, 1e-300), max(blocks.size - 1, 1))),
+            flights_better=float(np.mean([total > 0.0 for total in totals])),
+            falls=tuple((1.0 - np.exp(-0.5 * _log_ratio(less.sum(axis=0), more.sum(axis=0)))).tolist()),
+            harmed=tuple(np.mean(rises, axis=0).tolist()),
+            worse=tuple(self._rises(less, more, count).tolist()),
+            visible=tuple((fallen > (self.criteria.visible * self.tolerated) ** 2).tolist()),
+        )
+
+    def gain_beyond_tolerances(self, less: Scored, more: Scored) -> Gain:
+        """Return what one model gains over another, with equal deviations in both if it needs clearly smaller ones.
+
+        A thrust that is 2 % off looks like five tolerances that are 3 standard deviations off each: flights left out are
+        predicted as well, but the prior makes it unlikely. Then both models take the deviations that ``more`` asks for.
+        What is visible is always told with these. The score is that of both models with their own deviations, their prior
+        included.
+        """
+        own, equal = (
+            self.gain(left, more.left_out) for left in (less.left_out, self.squares_beside(less.fit, more.fit))
+        )
+        relief, added = less.penalty - more.penalty, more.fit.free_effects.size - less.fit.free_effects.size
+        gain = equal if is_relief(relief, added, self.criteria) else replace(own, visible=equal.visible)
+        return replace(gain, score=own.score + relief)
+
+    def squares_beside(self, less: Fit, more: Fit) -> Array:
+        """Return the squares (B, C) of each fold under the fit of the others, with the deviations that ``more`` asks for."""
+        weight = self.weights.weight
+        deviation = steps_without(more, weight, more.free_all, self.fold)[:, more.num_effect_params :]
+        return less.moments.squares_after(steps_beside(less, weight, self.fold, deviation))
+
+    def objections(self, gain: Gain) -> list[str]:
+        """Return why a gain on flights left out does not count."""
+        rules, found = self.criteria, []
+        if gain.chance > rules.left_out_significance:
+            found.append(f"gain on flights left out may be chance (p = {gain.chance:.2g})")
+        if gain.flights_better < rules.flights_better:
+            found.append(f"predicts only {gain.flights_better:.0%} of the flights left out better")
+        if max(fall * seen for fall, seen in zip(gain.falls, gain.visible, strict=True)) < rules.material:
+            found.append(f"takes at most {max(*gain.falls, 0.0):.1%} off a residual, or less than the tolerances hide")
+        return [*found, *self.harms(gain)]
+
+    def harms(self, gain: Gain) -> list[str]:
+        """Return in which channel a model is worse than the one before."""
+        if any(gain.worse):
+            place = int(np.argmin(np.where(gain.worse, gain.falls, np.inf)))
+            return [f"makes {self.channels[place].name} worse by {-gain.falls[place]:.1%}"]
+        if max(gain.harmed) > 1.0 - self.criteria.flights_better:
+            place = int(np.argmax(gain.harmed))
+            return [f"makes {self.channels[place].name} worse in {gain.harmed[place]:.0%} of the flights left out"]
+        return []
+
+    def _score(self, less: Array, more: Array, count: Array) -> float:
+        samples = count.sum() * self.weights.effective
+        return float((0.5 * samples * _log_ratio(less.sum(axis=0), more.sum(axis=0))).sum())
+
+    def _changes(self, less: Array, more: Array) -> bool:
+        """Return whether squares (B, C) differ in any channel by more than is harmless: still air shows no drag."""
+        return bool(
+            np.any(np.abs(_log_ratio(less.sum(axis=0), more.sum(axis=0))) > 2.0 * np.log1p(self.criteria.harmless))
+        )
+
+    def _rises(self, less: Array, more: Array, count: Array) -> NDArray[np.bool_]:
+        """Return in which channels squares (B, C) rise by more than is harmless, than tolerances cause, than is forgiven."""
+        return rises(
+            less.sum(axis=0), more.sum(axis=0), count.sum(), self.weights.effective, self.tolerated, self.criteria
+        )
+
+
+def rises(
+    less: Array, more: Array, rows: ArrayLike, effective: Array, tolerated: Array, criteria: Criteria
+) -> NDArray[np.bool_]:
+    """Return in which channels one sum of squares is harmfully larger than another, (..., C).
+
+    Harmful is what is more than a small share of the residual, more than what the tolerances of the vehicle cause, and not
+    paid for many times by what other channels gain: no effect that is there makes a channel worse in the long run, but the
+    fit of a large one may spoil a small channel by what the model still lacks.
+
+    Args:
+        less: Squares of the model without the effect, (..., C).
+        more: With it, (..., C).
+        rows: Over which they are summed, (...).
+        effective: Independent samples of a row of each channel, (C,).
+        tolerated: Residual (rms) that the tolerances cause in each channel, (C,).
+        criteria: The limits.
+    """
+    rows = np.asarray(rows)[..., None]
+    gains = 0.5 * rows * effective * _log_ratio(less, more)
+    forgiven = criteria.forgiven * np.maximum(gains.sum(axis=-1, keepdims=True), 0.0)
+    return (
+        (more > (1.0 + criteria.harmless) ** 2 * less)
+        & (more - less > np.maximum(rows, 1.0) * tolerated**2)
+        & (-gains > forgiven)
+    )
+
+
+def is_relief(relief: ArrayLike, added: int, criteria: Criteria) -> NDArray[np.bool_]:
+    """Return whether ``added`` parameters lower half the squared sum of the deviations by more than chance does.
+
+    Twice what they lower it by is chi-square distributed if the tolerances are what they are said to be.
+    Source: Wilks (1938), The large-sample distribution of the likelihood ratio.
+    """
+    return stats.chi2.sf(2.0 * np.asarray(relief), max(added, 1)) <= criteria.relief_significance
+
+
+def _log_ratio(less: Array, more: Array) -> Array:
+    return np.log(np.maximum(less, 1e-300) / np.maximum(more, 1e-300))

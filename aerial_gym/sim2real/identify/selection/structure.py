@@ -1,0 +1,235 @@
+"""What kind of structure a remaining residual has: what does it follow, or does it have a frequency of its own?
+
+Each explanation is fitted on all flights but one and judged on that one, so that only what repeats counts.
+Letters: T rows, C channels.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+from scipy.interpolate import BSpline
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.predictor import Channel
+
+Array = NDArray[np.float64]
+
+LEAST_SHARE = 0.3
+"""A kind is named if it explains this share of the residual's variance on flights left out."""
+
+SEGMENT_S = 8.0
+OWN_MOTION = 0.5
+"""A line is no structure of its own if the motion of the flights has this share of it."""
+
+LINE_WIDTH = 2
+"""A spectral line spreads over this many neighbours on each side."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Structure:
+    """Kind of what remains."""
+
+    kind: str = "none"
+    """position, heading, velocity, voltage, time, periodic or none."""
+
+    freq_hz: float | None = None
+    """Of a periodic residual [Hz]."""
+
+    channel: str | None = None
+    """Where it is strongest; forces in world axes for position and heading."""
+
+    share: float = 0.0
+    """Share of the variance there that it explains on flights left out."""
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return {"kind": self.kind, "freq_hz": self.freq_hz, "channel": self.channel, "share": round(self.share, 3)}
+
+
+IN_WORLD = ("position", "heading")
+"""Kinds whose forces are looked at in world axes."""
+
+
+def find_structure(
+    flights: Sequence[Flight],
+    times: Sequence[Array],
+    residuals: Sequence[Array],
+    channels: Sequence[Channel],
+    chosen: Sequence[int],
+) -> Structure:
+    """Return the strongest kind of structure in the chosen channels; ``none`` unless two flights agree on it."""
+    if len(flights) < 2 or not chosen:
+        return Structure()
+    found = [Structure()]
+    for kind, columns in _features(flights, times).items():
+        left, total = _left_out_squares(columns, _seen(kind, flights, times, residuals, channels))
+        shares = 1.0 - left / np.maximum(total, 1e-300)
+        best = max(chosen, key=lambda index: shares[index])
+        found.append(Structure(kind=kind, channel=channels[best].name, share=float(shares[best])))
+    motion = [_motion(f, t) for f, t in zip(flights, times, strict=True)]
+    for index in chosen:
+        line = _common_line(times, [r[:, index] for r in residuals], motion)
+        if line is not None:
+            found.append(Structure(kind="periodic", channel=channels[index].name, freq_hz=line[0], share=line[1]))
+    best = max(found, key=lambda structure: structure.share)
+    return best if best.share >= LEAST_SHARE else Structure()
+
+
+def squares_beside(
+    structure: Structure,
+    flights: Sequence[Flight],
+    times: Sequence[Array],
+    residuals: Sequence[Array],
+    channels: Sequence[Channel],
+) -> Array:
+    """Return what is left of the squares of each channel when a structure is fitted, (C,), on flights left out.
+
+    The phase of a line is each flight's own, so that it is fitted in every flight.
+    """
+    seen = _seen(structure.kind, flights, times, residuals, channels)
+    if structure.kind != "periodic":
+        return _left_out_squares(_features(flights, times)[structure.kind], seen)[0]
+    assert structure.freq_hz is not None
+    left = np.zeros(len(channels))
+    for time, values in zip(times, seen, strict=True):
+        turn = 2.0 * np.pi * structure.freq_hz * time
+        columns = np.stack((np.ones_like(time), np.cos(turn), np.sin(turn)), axis=1)
+        left += ((values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]) ** 2).sum(axis=0)
+    return left
+
+
+def structure_values(
+    structure: Structure,
+    flights: Sequence[Flight],
+    times: Sequence[Array],
+    residuals: Sequence[Array],
+    channels: Sequence[Channel],
+) -> list[Array]:
+    """Return the part of the residual that a structure other than a line makes in its channel, (T,) of each flight."""
+    place = [channel.name for channel in channels].index(structure.channel or "")
+    seen = [part[:, place] for part in _seen(structure.kind, flights, times, residuals, channels)]
+    features = _features(flights, times)[structure.kind]
+    x = np.concatenate(features)
+    columns = np.column_stack((np.ones(len(x)), (x - x.mean(axis=0)) / np.maximum(x.std(axis=0), 1e-12)))
+    fitted = columns @ np.linalg.lstsq(columns, np.concatenate(seen), rcond=1e-6)[0]
+    return np.split(fitted, np.cumsum([len(part) for part in features])[:-1])
+
+
+def _seen(
+    kind: str,
+    flights: Sequence[Flight],
+    times: Sequence[Array],
+    residuals: Sequence[Array],
+    channels: Sequence[Channel],
+) -> list[Array]:
+    """Return the residuals in the axes in which a kind is looked for, (T, C) each."""
+    if kind not in IN_WORLD:
+        return list(residuals)
+    return [world_forces(f, t, r, channels) for f, t, r in zip(flights, times, residuals, strict=True)]
+
+
+def world_forces(flight: Flight, time: Array, residual: Array, channels: Sequence[Channel]) -> Array:
+    """Return the residual with its forces turned into world axes, (T, C)."""
+    force = [place for place, channel in enumerate(channels) if channel.kind == "specific_force"]
+    if len(force) != 3:
+        return residual
+    turned = residual.copy()
+    turned[:, force] = Rotation.from_quat(flight.attitude[_rows(flight, time)]).apply(residual[:, force])
+    return turned
+
+
+def _rows(flight: Flight, time: Array) -> NDArray[np.int64]:
+    return np.round(time * flight.rate).astype(int)
+
+
+def _features(flights: Sequence[Flight], times: Sequence[Array]) -> dict[str, list[Array]]:
+    """Return functions of what a residual may follow, (T, any) of each flight, for the kinds that all flights have."""
+    pairs = [(flight, _rows(flight, time)) for flight, time in zip(flights, times, strict=True)]
+    found = {"time": [np.stack((time, time**2), axis=1) for time in times]}
+    if all(flight.position is not None for flight in flights):
+        found["position"] = _spread([flight.position[rows] for flight, rows in pairs if flight.position is not None])
+    turns = [Rotation.from_quat(flight.attitude[rows]) for flight, rows in pairs]
+    if not any(flight.attitude_integrated for flight in flights):  # the integral of a gyro is no heading
+        ahead = [np.arctan2(*turn.apply([1.0, 0.0, 0.0])[:, 1::-1].T) for turn in turns]
+        found["heading"] = [np.stack([f(n * yaw) for n in (1, 2) for f in (np.cos, np.sin)], axis=1) for yaw in ahead]
+    if all(flight.lin_vel is not None for flight in flights):
+        speeds = [
+            turn.apply(flight.lin_vel[rows], inverse=True)
+            for turn, (flight, rows) in zip(turns, pairs, strict=True)
+            if flight.lin_vel is not None
+        ]
+        found["velocity"] = [np.concatenate((v, v * np.abs(v), v**2), axis=1) for v in speeds]
+    if all(flight.battery is not None for flight in flights):
+        volts = [flight.battery[rows, None] for flight, rows in pairs if flight.battery is not None]
+        found["voltage"] = [np.concatenate((v, v**2), axis=1) for v in volts]
+    return found
+
+
+def _spread(places: Sequence[Array]) -> list[Array]:
+    """Return functions of place: a smooth one of height, and a paraboloid over the ground."""
+    height = np.concatenate([p[:, 2] for p in places])
+    knots = np.unique(np.quantile(height, np.linspace(0.0, 1.0, 5)))
+    if knots.size < 3 or np.ptp(height) < 1e-6:
+        return [np.column_stack((p[:, :2], p[:, :2] ** 2)) for p in places]
+    full = np.concatenate(([knots[0]] * 2, knots, [knots[-1]] * 2))
+    parts = []
+    for p in places:
+        z = np.clip(p[:, 2], knots[0], knots[-1])
+        spline = BSpline.design_matrix(z, full, 2).toarray()[:, 1:]
+        parts.append(np.column_stack((spline, p[:, :2], p[:, :2] ** 2, p[:, 0] * p[:, 1])))
+    return parts
+
+
+def _left_out_squares(features: Sequence[Array], values: Sequence[Array]) -> tuple[Array, Array]:
+    """Return the squares of each column that features leave on flights left out, and those about the others' mean, (C,)."""
+    left = total = np.zeros(values[0].shape[1])
+    for out in range(len(values)):
+        kept = [i for i in range(len(values)) if i != out]
+        x, y = np.concatenate([features[i] for i in kept]), np.concatenate([values[i] for i in kept])
+        centre, size = x.mean(axis=0), np.maximum(x.std(axis=0), 1e-12)
+        columns = np.column_stack((np.ones(len(x)), (x - centre) / size))
+        gram = columns.T @ columns + 1e-3 * len(x) * np.diag([0.0, *np.ones(x.shape[1])])
+        gains = np.linalg.solve(gram, columns.T @ y)
+        test = np.column_stack((np.ones(len(values[out])), np.clip((features[out] - centre) / size, -3.0, 3.0)))
+        left = left + np.sum((values[out] - test @ gains) ** 2, axis=0)
+        total = total + np.sum((values[out] - y.mean(axis=0)) ** 2, axis=0)
+    return left, total
+
+
+def _motion(flight: Flight, time: Array) -> Array:
+    """Return how the vehicle moves, (T, 3 or 6): a line that is in here is the flight's own."""
+    rows = _rows(flight, time)
+    parts = [part[rows] for part in (flight.ang_vel, flight.lin_vel) if part is not None]
+    return np.concatenate(parts, axis=1)
+
+
+def _common_line(
+    times: Sequence[Array], values: Sequence[Array], motion: Sequence[Array]
+) -> tuple[float, float] | None:
+    """Return frequency [Hz] and share of the variance of a line that every flight has and none flies; None without one."""
+    rate = 1.0 / float(np.median(np.diff(times[0])))
+    length = min(round(SEGMENT_S * rate), min(v.size for v in values))
+    frequency = np.fft.rfftfreq(length, 1.0 / rate)
+    spectra = [_relative_spectrum(v[:, None], rate, length)[:, 0] for v in values]
+    inner = slice(2 * LINE_WIDTH, frequency.size - LINE_WIDTH)
+    peak = int(np.argmax(np.mean(spectra, axis=0)[inner])) + 2 * LINE_WIDTH
+    share = min(_line_share(spectrum, peak) for spectrum in spectra)
+    flown = [[_line_share(line, peak) for line in _relative_spectrum(m, rate, length).T] for m in motion]
+    own = float(np.mean(flown, axis=0).max())
+    return (float(frequency[peak]), share) if share > 0.0 and own < OWN_MOTION * share else None
+
+
+def _relative_spectrum(values: Array, rate: float, length: int) -> Array:
+    """Return the share of the variance at each frequency, (lines, columns)."""
+    _, density = signal.welch(values, rate, nperseg=length, detrend="linear", axis=0)
+    return density / np.maximum(density.sum(axis=0), 1e-300)
+
+
+def _line_share(spectrum: Array, peak: int) -> float:
+    """Return what a line and its neighbours hold above the level around it."""
+    near = spectrum[max(peak - 6 * LINE_WIDTH, 0) : peak + 6 * LINE_WIDTH + 1]
+    return float((spectrum[peak - LINE_WIDTH : peak + LINE_WIDTH + 1] - np.median(near)).sum())

@@ -1,0 +1,1 @@
+"""What test flights say of a model, and the verdict."""

@@ -1,0 +1,127 @@
+"""How well a model predicts flights: residuals of each channel and open-loop rollouts, each with a 95 % interval."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.sim2real.identify.least_squares.moments import block_length
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.predictor import Channel, Point, Predictor
+from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out
+from aerial_gym.sim2real.statistics import Rms, rms_with_interval
+
+Array = NDArray[np.float64]
+
+LEAST_GAP = 1.21
+"""There is something to close where the mean square is this many times the floor's: 10 % in rms."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """One model on the test flights."""
+
+    channels: tuple[Channel, ...]
+    residual: tuple[Rms, ...]
+    """Of each channel, in the band."""
+
+    floor: tuple[float, ...] | None
+    """Noise floor (rms) of each channel; None where the logs are too slow to tell."""
+
+    rollouts: dict[str, RolloutErrors]
+    """By variant: free, given_attitude."""
+
+    rollout: dict[str, dict[str, dict[float, Rms]]]
+    """Rms by variant, quantity and horizon [s]."""
+
+    def gaps_closed(self, before: "Evaluation") -> list[float | None]:
+        """Return the share of what lay above the noise floor in each channel that this model takes away from another one's."""
+        floor = self.floor or (None,) * len(self.channels)
+        pairs = zip(before.residual, self.residual, floor, strict=True)
+        return [gap_closed(first.value, second.value, level) for first, second, level in pairs]
+
+    def as_mapping(self, *, before: "Evaluation | None" = None) -> dict[str, object]:
+        """Return it for JSON, with the share of the gap closed since ``before``."""
+        result: dict[str, object] = {}
+        closed = None if before is None else self.gaps_closed(before)
+        for place, (channel, rms) in enumerate(zip(self.channels, self.residual, strict=True)):
+            entry: dict[str, object] = {**rms.as_mapping()}
+            if self.floor is not None:
+                entry["noise_floor"] = self.floor[place]
+            if closed is not None:
+                entry["gap_closed"] = closed[place]
+            kind = result.setdefault(channel.kind, {"unit": channel.unit})
+            assert isinstance(kind, dict)
+            kind[channel.axis] = entry
+        for variant, quantities in self.rollout.items():
+            horizons: dict[str, dict[str, object]] = {}
+            for quantity, values in quantities.items():
+                for horizon, rms in values.items():
+                    entry = {"unit": QUANTITIES[quantity], **rms.as_mapping()}
+                    horizons.setdefault(f"{horizon:g}", {})[quantity] = entry
+            name = "rollout" if variant == "free" else f"rollout_{variant}"
+            result[name] = {"driven_by": self.rollouts[variant].driven_by, **horizons}
+        return result
+
+
+def evaluate(
+    robot: RobotCfg,
+    flights: Sequence[Flight],
+    predictor: Predictor,
+    point: Point,
+    *,
+    floor: Array | None,
+    seed: int,
+) -> Evaluation:
+    """Return residuals and rollouts of a model on flights that were not used for its fit."""
+    residuals = predictor.residuals(point)
+    group = time_groups(predictor.times)
+    rollouts: dict[str, RolloutErrors] = {}
+    if any(flight.lin_vel is not None for flight in flights):
+        links = predictor.links(point)
+        rollouts = {
+            "free": roll_out(robot, flights, point, links=links),
+            "given_attitude": roll_out(robot, flights, point, links=links, given_attitude=True),
+        }
+    return Evaluation(
+        channels=predictor.channels,
+        residual=tuple(rms_with_interval(np.concatenate(residuals), group, seed=seed)),
+        floor=None if floor is None else tuple(floor.tolist()),
+        rollouts=rollouts,
+        rollout={name: _rollout_rms(errors, seed) for name, errors in rollouts.items()},
+    )
+
+
+def gap_closed(before: float, after: float, floor: float | None) -> float | None:
+    """Return the share of the closable gap that is closed, ``(b² - a²) / (b² - f²)``; None where there is none to close.
+
+    Args:
+        before: Residual (rms) of the declared model.
+        after: Of the corrected one.
+        floor: Noise floor (rms), or None where it is not known.
+    """
+    if floor is None or before**2 < LEAST_GAP * floor**2:
+        return None
+    return (before**2 - after**2) / (before**2 - floor**2)
+
+
+def time_groups(times: Sequence[Array]) -> NDArray[np.int64]:
+    """Return a number per row that is the same within a block of a flight, all flights in a row."""
+    parts, start, length = [], 0, block_length(times)
+    for time in times:
+        part = ((time - time[0]) / length).astype(int) + start
+        parts.append(part)
+        start = int(part[-1]) + 1
+    return np.concatenate(parts)
+
+
+def _rollout_rms(errors: RolloutErrors, seed: int) -> dict[str, dict[float, Rms]]:
+    result = {}
+    for quantity in QUANTITIES:
+        values = getattr(errors, quantity)
+        if values is not None:
+            found = rms_with_interval(values, errors.windows.cluster, seed=seed)
+            result[quantity] = dict(zip(errors.horizons, found, strict=True))
+    return result

@@ -1,0 +1,1 @@
+"""What to fly next: manoeuvres and what they would show."""

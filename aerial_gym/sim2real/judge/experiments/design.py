@@ -1,0 +1,166 @@
+"""What to fly next: the manoeuvre that tells effects apart, or shows one that no flight has shown.
+
+Every manoeuvre of the catalogue is flown by the declared vehicle, with the noise that the flights at hand have. If one model
+is true and another one is fitted to the manoeuvre, together with what the vehicle may be off within its tolerances, the
+log likelihood that the fit falls short of the truth is the expected score: half the weighted squares that remain. It is what
+the Fisher information says, with the first model's prediction taken whole and the second one's about its fit.
+Letters: M manoeuvres, K parameters.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    Fit,
+    best_step,
+    effect_jacobian,
+    fit_at,
+    is_number,
+    normal_equations,
+    prior_precision,
+    tolerance_jacobian,
+)
+from aerial_gym.sim2real.identify.selection.library import starts
+from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
+from aerial_gym.sim2real.identify.selection.select import Selection, lacks
+from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, SPAN_S, fly
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.predictor import ROWS_PER_BAND, Point, Predictor
+
+Array = NDArray[np.float64]
+
+
+SLOWEST_HZ = 100.0
+"""Rows per second of a manoeuvre, at least."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Advice:
+    """A manoeuvre and what it would tell."""
+
+    fly: str | None
+    """Words for it; None if nothing in the catalogue tells."""
+
+    tells: tuple[str, ...]
+    """Effects that it tells apart, or the one that it shows."""
+
+    score: float
+    """Expected gain in log likelihood per 10 s of flight; of the best manoeuvre, also where that is too little."""
+
+    hover: float
+    """The same in hover, to compare."""
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return {"fly": self.fly, "tells": list(self.tells), "expected_score_per_10s": self.score}
+
+    @property
+    def text(self) -> str:
+        """Return the advice in words."""
+        names = " from ".join(self.tells) if len(self.tells) < 3 else ", ".join(self.tells)
+        if self.fly is None:
+            return (
+                f"no manoeuvre of the catalogue is expected to {'tell' if len(self.tells) > 1 else 'show'} {names} with the "
+                "sensors of these logs: weigh or measure on a bench what they act on, or log more"
+            )
+        return f"{self.fly}: expected to {'tell' if len(self.tells) > 1 else 'show'} {names}"
+
+
+class Catalogue:
+    """The manoeuvres that a vehicle can fly, with the sensors and the noise of the flights at hand."""
+
+    def __init__(self, train: Predictor, selection: Selection) -> None:
+        """Take the predictor of the training flights, whose log says what is measured."""
+        rate = max(SLOWEST_HZ, ROWS_PER_BAND * train.bandwidth)
+        flights = [fly(name, train.robot, train.flights[0], rate=rate) for name in MANOEUVRES]
+        self.flights = [flight for flight in flights if flight is not None]
+        self.predictor = Predictor(
+            train.robot, self.flights, bandwidth=train.bandwidth, channels=train.channels, tolerances=train.tolerances
+        )
+        self.weight = selection.weights.weight
+        final = selection.final.fit.point
+        self._tolerance = tolerance_jacobian(self.predictor, final, self.predictor.predict(final))
+        self._spans = np.array([SPAN_S / float(time[-1] - time[0]) for time in self.predictor.times])
+
+    def tell(self, one: tuple[Point, Sequence[str]], other: tuple[Point, Sequence[str]]) -> Array:
+        """Return the expected score per 10 s of each manoeuvre, (M,): the lesser of either model true and the other fitted.
+
+        Each model is given by its parameters and the names of the effects that may be fitted.
+        """
+        return np.minimum(self.falls_short(one[0], *other), self.falls_short(other[0], *one))
+
+    def falls_short(self, truth: Point, fitted: Point, effects: Sequence[str]) -> Array:
+        """Return by how much a model of some fitted effects falls short of the truth in each manoeuvre, per 10 s, (M,)."""
+        fit = self._fit(self.predictor.predict(truth), fitted, tuple(effects))
+        scores = []
+        for index in range(len(self.flights)):
+            blocks = np.flatnonzero(fit.moments.flight == index)
+            step = best_step(fit, self.weight, fit.free_all, blocks)
+            squares = fit.moments.squares_after(np.tile(step, (fit.moments.flight.size, 1)))[blocks].sum(axis=0)
+            scores.append(0.5 * float(self.weight @ squares + prior_precision(fit) @ step**2))
+        return np.multiply(np.maximum(scores, 0.0), self._spans)
+
+    def show(self, name: str, final: Point, effects: Sequence[str], declared: Point) -> Array:
+        """Return the expected score per 10 s of each manoeuvre, (M,), of an effect of moderate size over none.
+
+        Moderate is the scale of its best-seen parameter; the other effects and the tolerances are fitted beside it.
+        """
+        point = starts(name, final, declared, self.predictor.robot)[0]
+        fit = self._fit(self.predictor.predict(point), point, (*effects, name))
+        own = [k for k in fit.columns_of(name) if is_number(*fit.owners[k])]
+        scores = []
+        for index in range(len(self.flights)):
+            product, _ = normal_equations(fit, self.weight, np.flatnonzero(fit.moments.flight == index))
+            free = fit.free_all
+            spread = np.linalg.inv(product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free]))
+            best = min(spread[place, place] for place, k in enumerate(free) if k in own)
+            scores.append(0.5 / best)
+        return np.multiply(scores, self._spans)
+
+    def _fit(self, truth: list[Array], point: Point, effects: tuple[str, ...]) -> Fit:
+        base = self.predictor.predict(point)
+        own = effect_jacobian(self.predictor, point, effects, base)
+        jacobians = [np.concatenate(pair, axis=2) for pair in zip(own, self._tolerance, strict=True)]
+        residuals = [t - b for t, b in zip(truth, base, strict=True)]
+        return fit_at(self.predictor, effects, point, residuals, jacobians)
+
+    def advise(self, scores: Array, tells: tuple[str, ...]) -> Advice:
+        """Return the manoeuvre with the best score."""
+        best = int(np.argmax(scores))
+        name = self.flights[best].name if scores[best] >= LEAST_SCORE else None
+        still = next((place for place, flight in enumerate(self.flights) if flight.name == "hover"), best)
+        return Advice(fly=name, tells=tells, score=float(scores[best]), hover=float(scores[still]))
+
+
+def what_tells(catalogue: Catalogue, selection: Selection, tied: dict[str, list[str]]) -> Advice | None:
+    """Return the manoeuvre that tells all tied effects apart best; None if there are none.
+
+    ``tied`` has the effects that cannot be told from each accepted one.
+    """
+    final, scores, names = selection.final, [], []
+    for name, rivals in tied.items():
+        trials = {trial.effect: trial for trial in selection.rivals[name]}
+        for rival in rivals:
+            scored = trials[rival].scored
+            assert scored is not None
+            scores.append(catalogue.tell((final.fit.point, final.effects), (scored.fit.point, scored.effects)))
+            names += [name, rival]
+    return catalogue.advise(np.min(scores, axis=0), tuple(dict.fromkeys(names))) if scores else None
+
+
+def showable(selection: Selection, robot: RobotCfg, flights: Sequence[Flight]) -> list[str]:
+    """Return the effects that the flights do not show and that others of this vehicle could."""
+    return [
+        name for name in selection.not_testable if name not in selection.accepted and not lacks(name, robot, flights)
+    ]
+
+
+def what_shows(catalogue: Catalogue, selection: Selection, declared: Point, hidden: Sequence[str]) -> dict[str, Advice]:
+    """Return the manoeuvre that shows each of some effects which the flights do not show."""
+    final = selection.final
+    scores = {name: catalogue.show(name, final.fit.point, final.effects, declared) for name in hidden}
+    return {name: catalogue.advise(score, (name,)) for name, score in scores.items()}

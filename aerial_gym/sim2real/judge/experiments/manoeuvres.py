@@ -1,0 +1,166 @@
+"""Manoeuvres in closed form, and the flights that the declared vehicle would make of them.
+
+A multirotor is flat in position and heading: attitude and thrust follow from the acceleration, torques from the turn, rotor
+speeds from both by the inverse allocation. Drag is left out: what a manoeuvre shows hangs on where it goes, hardly on the
+few per cent of thrust that drag takes. Source of flatness: Mellinger, Kumar (2011), Minimum snap trajectory generation and
+control for quadrotors, section III. Letters: T rows, R rotors.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.control.allocation import allocation_matrix
+from aerial_gym.physics import vehicle_from_config
+from aerial_gym.physics.rotors import state_for_thrust
+from aerial_gym.sim2real.logs.checks.conventions import body_rate_of
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.signals import continuous_quaternion, lowpass
+
+Array = NDArray[np.float64]
+Path = Callable[[Array], tuple[Array, Array]]
+"""Position [m], world, (T, 3), and heading [rad], (T,), at times [s] (T,)."""
+
+SPAN_S = 10.0
+"""Length of a manoeuvre [s]."""
+
+LEAD_S = 1.0
+"""Flown before and after, and cut off, so that derivatives have no ends."""
+
+BAND_HZ = 30.0
+"""Derivatives are taken below it [Hz]: far above what the paths hold."""
+
+HEIGHT = 5.0
+"""Above the ground where height does not matter [m]."""
+
+
+def _wave(time: Array, size: float | Array, period: float) -> Array:
+    return size * np.sin(2.0 * np.pi * time / period)
+
+
+def _still(time: Array) -> Array:
+    return np.zeros_like(time)
+
+
+def _at(x: Array, y: Array, z: Array, heading: Array | None = None) -> tuple[Array, Array]:
+    return np.stack((x, y, z), axis=1), np.zeros_like(x) if heading is None else heading
+
+
+def _steps(time: Array, size: float, every: float) -> Array:
+    """Return a staircase with a step of ``size`` in the middle of every interval, each taking about a second."""
+    middles = (np.arange(int(SPAN_S / every)) + 0.5) * every
+    return size * (0.5 + 0.5 * np.tanh((time[:, None] - middles) / 0.3)).sum(axis=1)
+
+
+def _circle(time: Array, turns: float) -> tuple[Array, Array]:
+    angle = 1.5 * time
+    return _at(2.0 * np.cos(angle), 2.0 * np.sin(angle), _still(time) + HEIGHT, turns * angle)
+
+
+MANOEUVRES: dict[str, Path] = {
+    "hover": lambda t: _at(_still(t), _still(t), _still(t) + HEIGHT),
+    "climb and descend, up to 2 m/s": lambda t: _at(_still(t), _still(t), HEIGHT + _wave(t, 1.6, 5.0)),
+    "jump up and down by a few centimetres, thrust up and down by a third": lambda t: _at(
+        _still(t), _still(t), HEIGHT + _wave(t, 0.08, 1.0)
+    ),
+    "sweep forwards and back, up to 3 m/s": lambda t: _at(_wave(t, 2.4, 5.0), _still(t), _still(t) + HEIGHT),
+    "sweep from side to side, up to 3 m/s": lambda t: _at(_still(t), _wave(t, 2.4, 5.0), _still(t) + HEIGHT),
+    "sweep along both axes, slow and then fast, up to 5 m/s": lambda t: _at(
+        _wave(t, 0.4 * t, 5.0), _wave(t + 1.0, 0.4 * t, 5.0), _still(t) + HEIGHT
+    ),
+    "circle at 3 m/s, heading held": lambda t: _circle(t, 0.0),
+    "circle at 3 m/s, nose first": lambda t: _circle(t, 1.0),
+    "hover and turn the heading in steps of 90 degrees, a second each": lambda t: _at(
+        _still(t), _still(t), _still(t) + HEIGHT, _steps(t, 0.5 * np.pi, 2.0)
+    ),
+    "rock quickly in roll and pitch (doublets of 15 to 20 degrees)": lambda t: _at(
+        _wave(t, 0.08, 1.0), _wave(t, 0.07, 0.9), _still(t) + HEIGHT
+    ),
+    "sweep forwards and back, the same path at four headings": lambda t: _at(
+        _wave(t, 1.0, 2.5), _still(t), _still(t) + HEIGHT, _steps(t, 0.5 * np.pi, 2.5)
+    ),
+    "come down to 0.15 m above the ground and up again": lambda t: _at(
+        _still(t), _still(t), 0.75 - 0.6 * np.cos(2.0 * np.pi * t / 5.0)
+    ),
+    "climb from 1 m to 9 m and descend": lambda t: _at(_still(t), _still(t), HEIGHT - 4.0 * np.cos(0.2 * np.pi * t)),
+    "hover until the battery is empty": lambda t: _at(_still(t), _still(t), _still(t) + HEIGHT),
+}
+"""What a pilot or a script can fly, by the words that a report uses."""
+
+
+def fly(name: str, robot: RobotCfg, like: Flight, *, rate: float) -> Flight | None:
+    """Return the flight that the declared vehicle makes of a manoeuvre; None if its rotors cannot.
+
+    Args:
+        name: One of ``MANOEUVRES``.
+        robot: Declared robot.
+        like: A flight whose log tells which quantities are measured.
+        rate: Rows per second [Hz], at least 100.
+    """
+    time = np.arange(-LEAD_S, SPAN_S + LEAD_S, 1.0 / rate)
+    position, heading = MANOEUVRES[name](time)
+    velocity = _derivative(position, rate)
+    force = _derivative(velocity, rate) + np.array([0.0, 0.0, STANDARD_GRAVITY])
+    attitude = continuous_quaternion(_attitude(force, heading).as_quat())
+    ang_vel = body_rate_of(attitude, rate, BAND_HZ)
+    thrust = _thrusts(robot, np.linalg.norm(force, axis=1), ang_vel, rate)
+    kept = (time >= 0.0) & (time < SPAN_S - 0.5 / rate)
+    low, high = np.array([rotor.thrust_range for rotor in robot.rotor_types]).T  # each (R,)
+    if (thrust[kept] < low).any() or (thrust[kept] > high).any():
+        return None
+    vehicle = vehicle_from_config(robot, num_envs=time.size, dtype=torch.float64)
+    speed = state_for_thrust(vehicle, torch.from_numpy(thrust)).numpy()
+    change = _derivative(speed, rate)
+    lag = np.where(change * speed > 0.0, vehicle.time_constant_up.numpy(), vehicle.time_constant_down.numpy())
+    cell = robot.battery
+    emptying = cell is not None and "battery" in name
+    voltage = None if cell is None else np.full(kept.sum(), cell.nominal_voltage)
+    if cell is not None and emptying:
+        voltage = np.linspace(cell.full_voltage, cell.empty_voltage, kept.sum())
+    return replace(
+        like,
+        name=name,
+        path="",
+        rate=rate,
+        time=time[kept],
+        position=None if like.position is None else position[kept],
+        attitude=attitude[kept],
+        lin_vel=None if like.lin_vel is None else velocity[kept],
+        ang_vel=ang_vel[kept],
+        specific_force=None
+        if like.specific_force is None
+        else _attitude(force, heading).apply(force, inverse=True)[kept],
+        rotor_speed=None if like.rotor_speed is None else speed[kept],
+        rotor_command=None if like.rotor_command is None else (speed + lag * change)[kept],
+        battery=None if like.battery is None else voltage,
+        other_position=None,
+        notes=(),
+    )
+
+
+def _derivative(values: Array, rate: float) -> Array:
+    return lowpass(values, rate, BAND_HZ, derivative=True)
+
+
+def _attitude(force: Array, heading: Array) -> Rotation:
+    """Return the attitude with body z along the specific force (T, 3), world, and the nose towards the heading (T,)."""
+    up = force / np.linalg.norm(force, axis=1, keepdims=True)
+    ahead = np.stack((np.cos(heading), np.sin(heading), np.zeros_like(heading)), axis=1)
+    left = np.cross(up, ahead)
+    left /= np.linalg.norm(left, axis=1, keepdims=True)
+    return Rotation.from_matrix(np.stack((np.cross(left, up), left, up), axis=2))
+
+
+def _thrusts(robot: RobotCfg, lift: Array, ang_vel: Array, rate: float) -> Array:
+    """Return the rotors' thrusts [N], (T, R), for a specific force along body z (T,) and a turn (T, 3)."""
+    inertia = np.array(robot.body.inertia)
+    torque = _derivative(ang_vel, rate) @ inertia + np.cross(ang_vel, ang_vel @ inertia)
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+    inverse = np.linalg.pinv(allocation_matrix(vehicle, STANDARD_GRAVITY)[0].numpy()[2:])  # along z, and three torques
+    return np.column_stack((robot.body.mass * lift, torque)) @ inverse.T

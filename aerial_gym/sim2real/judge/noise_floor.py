@@ -1,0 +1,132 @@
+"""The noise floor: how small a residual could be if the model were perfect.
+
+Sensor noise is white, so its level shows where the vehicle hardly moves: above the band of the comparison. There the
+spectrum of the residual is fitted by a level, and a part that grows with the square of the frequency (a differentiated
+signal); both are carried down through the low-pass. Vibration above the band makes the floor too high, never too low, and so
+does a log that is too slow to tell the level from the growth.
+Neither falls: where the spectrum does, a filter of the sensor has taken the noise away, and lines from there on do not count.
+Letters: C channels.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage, signal
+from scipy.optimize import nnls
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.signals import lowpass_gain
+from aerial_gym.sim2real.predict.predictor import Channel, Point, Predictor
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+
+Array = NDArray[np.float64]
+
+WIDE_BAND = 0.4
+"""The residual is taken up to this share of the rate,"""
+
+FIT_FROM = 1.5
+"""and fitted from this multiple of the bandwidth"""
+
+FIT_TO = 0.32
+"""to this share of the rate,"""
+
+FIT_FROM_AT_LATEST = 0.7
+"""but at least from this share of that, for a log may be slow for its band,"""
+
+CLEAR_OF_BAND = 1.1
+"""and never from below this multiple of the bandwidth."""
+
+NARROW = 2.0
+"""Lines whose highest frequency is less than this multiple of the lowest do not tell a level from growth: all is level."""
+
+NARROW_READING = 3.0
+"""The same for what a sensor reads itself, whose noise does not grow."""
+
+FALLEN = 0.25
+"""A spectrum below this share of where the fit begins has been filtered."""
+
+BAND_RATIO = 1.6
+"""Width of the bands in which it is averaged to tell."""
+
+SEGMENT_S = 2.0
+"""Length of a segment of Welch's spectrum [s]."""
+
+FEWEST_LINES = 4
+"""Fewer spectral lines than this give no floor."""
+
+
+def noise_floor(
+    robot: RobotCfg, flights: Sequence[Flight], point: Point, channels: Sequence[Channel], *, bandwidth: float
+) -> Array | None:
+    """Return the floor (rms) of each channel below ``bandwidth`` [Hz], (C,); None where a log is too slow to tell."""
+    found = [_floor_of(robot, flight, point, channels, bandwidth) for flight in flights]
+    known = [floor for floor in found if floor is not None]
+    return np.sqrt(np.mean(np.square(known), axis=0)) if known else None
+
+
+def _floor_of(
+    robot: RobotCfg, flight: Flight, point: Point, channels: Sequence[Channel], bandwidth: float
+) -> Array | None:
+    wide = WIDE_BAND * flight.rate
+    predictor = Predictor(robot, [flight], bandwidth=wide, channels=channels, tolerances=Tolerances(), every_row=True)
+    residual = predictor.residuals(point)[0][longest_flight(flight, predictor.times[0], bandwidth)]
+    length = min(residual.shape[0], round(SEGMENT_S * flight.rate))
+    if length < 2:
+        return None
+    frequency, density = signal.welch(residual, flight.rate, nperseg=length, detrend="linear", axis=0)
+    low = max(min(FIT_FROM * bandwidth, FIT_FROM_AT_LATEST * FIT_TO * flight.rate), CLEAR_OF_BAND * bandwidth)
+    chosen = (frequency >= low) & (frequency <= FIT_TO * flight.rate)
+    if chosen.sum() < FEWEST_LINES:
+        return None
+    flat = density[chosen] / lowpass_gain(frequency[chosen], wide)[:, None] ** 2
+    square = (2.0 * np.pi * frequency) ** 2
+    below = lowpass_gain(frequency, bandwidth) ** 2
+    spacing = frequency[1] - frequency[0]
+    floors = []
+    for channel, line in zip(channels, flat.T, strict=True):
+        own = slice(_unfiltered(frequency[chosen], line))
+        lines = frequency[chosen][own]
+        narrow = lines[-1] < (NARROW_READING if is_reading(channel, flight) else NARROW) * lines[0]
+        level, growth = (line[own].mean(), 0.0) if narrow else _level_and_growth(line[own], square[chosen][own])
+        floors.append(np.sqrt((below * (level + growth * square)).sum() * spacing))
+    return np.array(floors)
+
+
+def is_reading(channel: Channel, flight: Flight) -> bool:
+    """Return whether a sensor reads what a channel compares, and not its integral."""
+    return channel.kind == "rotor_speed" or (channel.kind == "specific_force" and flight.accelerometer)
+
+
+def longest_flight(flight: Flight, time: Array, bandwidth: float) -> slice:
+    """Return the rows at these times [s] of the longest span between touches of the ground; all if the vehicle never stands."""
+    if flight.standing is None:
+        return slice(None)
+    near = 2 * round(flight.rate / bandwidth) + 1
+    stood = ndimage.maximum_filter1d(flight.standing, near)[np.round(time * flight.rate).astype(int)]
+    edges = np.flatnonzero(np.diff(np.concatenate(([True], stood, [True]))))
+    if edges.size == 0:
+        return slice(0, 0)
+    longest = int(np.argmax(edges[1::2] - edges[::2]))
+    return slice(int(edges[2 * longest]), int(edges[2 * longest + 1]))
+
+
+def _unfiltered(frequency: Array, density: Array) -> int:
+    """Return how many lines of a spectrum lie below where it has fallen, at least ``FEWEST_LINES``."""
+    band = np.floor(np.log(frequency / frequency[0]) / np.log(BAND_RATIO)).astype(int)
+    mean = np.bincount(band, weights=density) / np.maximum(np.bincount(band), 1)
+    fallen = np.flatnonzero((mean < FALLEN * mean[0]) & (np.bincount(band) > 0))
+    return max(int(np.sum(band < fallen[0])), FEWEST_LINES) if fallen.size else frequency.size
+
+
+def _level_and_growth(density: Array, square: Array) -> tuple[float, float]:
+    """Return a and b >= 0 of ``a + b (2 pi f)²``, fitted with the relative scatter that spectral lines have."""
+    weight = 1.0 / np.maximum(density, 1e-300)
+    for _ in range(5):
+        columns = np.stack((np.ones_like(square), square), axis=1) * weight[:, None]
+        size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        (level, growth), _ = nnls(columns / size, density * weight)
+        level, growth = level / size[0], growth / size[1]
+        weight = 1.0 / np.maximum(level + growth * square, 1e-300)
+    return float(level), float(growth)

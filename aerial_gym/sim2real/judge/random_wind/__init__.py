@@ -1,0 +1,1 @@
+"""Random wind: is what remains a wind that wanders as ``gusts`` do."""

@@ -1,0 +1,217 @@
+"""Random wind: whether what no other effect explains is wind that wanders as ``gusts`` do, and how strongly.
+
+A random wind predicts no row and lowers no residual. It shows in what the residual looks like: through the drag of the model
+the specific force that is left over becomes the wind which would make it, along world axes; if that is an
+Ornstein-Uhlenbeck process and nothing else (``wind_process``), it is called gusts. Letters: T rows, C channels, P features.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.selection.scoring import Criteria
+from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
+    CORR_TIMES,
+    Series,
+    chance_of_noise,
+    chances_of_rivals,
+    fit_process,
+    log_spread,
+    process_covariance,
+)
+from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.predictor import Point, Predictor
+
+Array = NDArray[np.float64]
+
+NAME = "gusts"
+
+WIND_STEP = 0.01
+"""Difference step of the wind [m/s]."""
+
+LEAST_RESPONSE = 0.02
+"""Least acceleration per wind along every axis [1/s]: with less, noise of 0.02 m/s² looks like a wind of 1 m/s."""
+
+LEAST_CHANCE = 0.001
+"""Gusts are refused if what they must not show has a smaller probability than this by chance."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomWind:
+    """What the residual says about gusts."""
+
+    std: float = 0.0
+    """Standard deviation of each axis [m/s]."""
+
+    corr_time: float = 1.0
+    """Correlation time [s]."""
+
+    spread: tuple[float, float] = (0.0, 0.0)
+    """Standard deviation of the logarithm of both."""
+
+    chance: float = 1.0
+    """Probability that noise alone looks like this."""
+
+    objections: tuple[str, ...] = ()
+    """Why it is not called gusts."""
+
+    untestable: str = ""
+    """Why it cannot be looked for; empty if it can."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the flights show gusts."""
+        return self.std > 0.0 and not self.objections and not self.untestable
+
+    def params(self) -> dict[str, float]:
+        """Return the parameters as in robot files."""
+        return {"std": float(f"{self.std:.6g}"), "corr_time": float(f"{self.corr_time:.6g}")}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader must know of it."""
+        if self.accepted:
+            return (
+                "gusts are random: they predict no row and lower no residual; the noise floor after the correction includes "
+                "what they add",
+            )
+        return (f"what remains is not called gusts: {'; '.join(self.objections)}",) if self.objections else ()
+
+    def decision(self, made: tuple[str, str, tuple[str, ...]]) -> tuple[str, str, tuple[str, ...]]:
+        """Return verdict, reason and candidates with the gusts in them."""
+        kind, reason, candidates = made
+        if not self.accepted:
+            return made
+        if kind == "none":
+            return "explained", "the flights show gusts; what remains is near the noise floor with them", (NAME,)
+        return kind, f"{reason}; beside it the flights show gusts", (*candidates, NAME)
+
+    def named(self) -> NamedEffect:
+        """Return it as an effect of the verdict."""
+        std = {key: value * s for (key, value), s in zip(self.params().items(), self.spread, strict=True)}
+        confidence = min(1.0 - self.chance, MOST_CONFIDENT)
+        return NamedEffect(
+            name=NAME, params=self.params(), std=std, noise_std=std, frozen=(), confidence=float(confidence)
+        )
+
+    def adds(self, predictor: Predictor, point: Point) -> Array:
+        """Return what such a wind adds to the residual (rms) of each channel of some flights, (C,)."""
+        response = np.concatenate(wind_response(predictor, point))
+        inside = float(process_covariance(self.corr_time, predictor.bandwidth, np.zeros(1))[0])
+        return self.std * np.sqrt(inside * np.mean((response**2).sum(axis=2), axis=0))
+
+
+def declared_wind(robot: RobotCfg) -> RandomWind:
+    """Return the gusts that a robot file declares; none, with a std of 0, if it does not."""
+    if NAME not in robot.effects:
+        return RandomWind()
+    return RandomWind(std=robot.effects[NAME]["std"], corr_time=robot.effects[NAME]["corr_time"])
+
+
+def with_random(point: Point, wind: RandomWind) -> Point:
+    """Return a model as it stands in a robot file: with the random wind, if there is one."""
+    return point.with_effect(NAME, np.array(list(wind.params().values()))) if wind.accepted else point
+
+
+def find_random_wind(
+    predictor: Predictor,
+    point: Point,
+    criteria: Criteria,
+    *,
+    floor: Array | None,
+    tolerated: Array,
+    remaining: NDArray[np.bool_],
+) -> RandomWind:
+    """Return what the residual of some flights says about gusts.
+
+    Args:
+        predictor: Training flights.
+        point: Model with everything that was found, and deviations within the tolerances.
+        criteria: When an effect is accepted.
+        floor: Noise floor (rms) of each channel, (C,); None where the logs are too slow to tell.
+        tolerated: Residual (rms) that the tolerances of the vehicle cause, (C,).
+        remaining: Whether more than noise and tolerances remains in a channel, (C,).
+    """
+    places = [place for place, channel in enumerate(predictor.channels) if channel.kind == "specific_force"]
+    if floor is None:
+        return RandomWind(untestable="the logs are too slow to show a noise floor, above which gusts would stand")
+    if len(places) != 3 or any(flight.lin_vel is None for flight in predictor.flights):
+        return RandomWind(untestable="needs specific force and velocity in the logs")
+    response = [part[:, places] for part in wind_response(predictor, point)]
+    if np.linalg.svd(np.concatenate(response), compute_uv=False)[:, -1].min() < LEAST_RESPONSE:
+        return RandomWind(untestable=f"needed: {EFFECTS.get(NAME).excitation}; this model has no drag along some axis")
+    if not remaining[places].any():
+        return RandomWind()
+    series = wind_series(predictor, point, response, places)
+    fit = fit_process(series)
+    found = RandomWind(
+        std=fit.std, corr_time=fit.corr_time, spread=log_spread(series, fit), chance=chance_of_noise(series, fit)
+    )
+    added = found.adds(predictor, point)
+    share = 1.0 - floor / np.sqrt(floor**2 + added**2)
+    seen = added > criteria.visible * tolerated
+    objections = []
+    if found.chance > criteria.significance:
+        objections.append(f"may be noise (p = {found.chance:.2g})")
+    if max((share * seen)[places]) < criteria.material:
+        objections.append("adds too little to the noise of any channel, or less than the tolerances hide")
+    if not CORR_TIMES[0] * 1.5 < found.corr_time < 2.0 * max(flight.time[-1] for flight in predictor.flights):
+        objections.append(f"a correlation time of {found.corr_time:.2g} s is not one that these flights show")
+    chances = chances_of_rivals(series, fit)
+    objections += [f"{what} (p = {p:.1g})" for what, p in chances.items() if p < LEAST_CHANCE]
+    return replace(found, objections=tuple(objections))
+
+
+def wind_response(predictor: Predictor, point: Point) -> list[Array]:
+    """Return the derivative of the predicted channels of each flight by a wind along world axes, (T, C, 3)."""
+    still = point.effects.get("constant_wind", np.zeros(3))
+    base, columns = predictor.predict(point.with_effect("constant_wind", still)), []
+    for axis in range(3):
+        moved = predictor.predict(point.with_effect("constant_wind", still + WIND_STEP * np.eye(3)[axis]))
+        columns.append([(m - b) / WIND_STEP for m, b in zip(moved, base, strict=True)])
+    return [np.stack([column[flight] for column in columns], axis=2) for flight in range(len(base))]
+
+
+def wind_series(predictor: Predictor, point: Point, response: Sequence[Array], places: Sequence[int]) -> Series:
+    """Return the wind behind the residual of the specific force (channels ``places``)."""
+    stride = max(1, round(1.0 / (predictor.bandwidth * float(np.median(np.diff(predictor.times[0]))))))
+    rows = [np.arange(0, time.size, stride) for time in predictor.times]
+    residuals = predictor.residuals(point)
+    wind = [
+        np.linalg.solve(gain[kept], left[kept][:, places, None])[:, :, 0]
+        for gain, left, kept in zip(response, residuals, rows, strict=True)
+    ]
+    times = [time[kept] for time, kept in zip(predictor.times, rows, strict=True)]
+    parts = [features_of(flight, time) for flight, time in zip(predictor.flights, times, strict=True)]
+    return Series(
+        wind=wind,
+        features={name: [part[name] for part in parts] for name in parts[0] if all(name in part for part in parts)},
+        step=float(np.median(np.diff(times[0]))),
+        bandwidth=predictor.bandwidth,
+    )
+
+
+def features_of(flight: Flight, time: Array) -> dict[str, Array]:
+    """Return what a force other than that of gusts may follow, (T, P) by name."""
+    rows = np.minimum(np.round(time * flight.rate).astype(int), flight.num_rows - 1)
+    turn = Rotation.from_quat(flight.attitude[rows])
+    ahead = turn.apply([1.0, 0.0, 0.0])
+    yaw = np.arctan2(ahead[:, 1], ahead[:, 0])
+    found = {
+        "heading": np.stack([wave(k * yaw) for k in (1, 2, 3) for wave in (np.cos, np.sin)], axis=1),
+        "time in flight": np.stack((time, time**2, time**3), axis=1),
+        "attitude": turn.apply([0.0, 0.0, 1.0]),
+    }
+    if flight.lin_vel is not None:
+        velocity = flight.lin_vel[rows]
+        found["velocity"] = np.concatenate((velocity, velocity * np.linalg.norm(velocity, axis=1)[:, None]), axis=1)
+    if flight.position is not None:
+        x, y, z = flight.position[rows].T
+        found["position"] = np.stack((x, y, z, x * x, y * y, z * z, x * y, y * z, x * z), axis=1)
+    return found

@@ -1,0 +1,113 @@
+"""What remains beside the named effects: more than noise and tolerances, random wind, or a structure that no effect has.
+
+Letters: C channels, N tolerances, T rows.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import best_within_tolerances
+from aerial_gym.sim2real.identify.selection.select import Selection
+from aerial_gym.sim2real.identify.selection.structure import Structure, find_structure
+from aerial_gym.sim2real.judge.evaluation import Evaluation
+from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, declared_wind, find_random_wind
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.predictor import KINEMATIC, Point, Predictor
+
+Array = NDArray[np.float64]
+
+NEAR_FLOOR = 2.0
+"""A mean square of less than this many times the floor's is near the noise floor."""
+
+TOLERATED = 0.5
+"""What remains above the floor is immaterial below this share of what the vehicle's tolerances may cause."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remains:
+    """What the named effects leave of the test flights."""
+
+    within: Point
+    """The final model with the deviations within the tolerances that fit best."""
+
+    left: list[Array]
+    """Residuals of each test flight with them, (T, C)."""
+
+    channels: tuple[str, ...]
+    """In which more than noise and tolerances remains."""
+
+    floor: Array | None
+    """Noise floor of each channel, random wind included, (C,); None where the logs show none."""
+
+    wind: RandomWind
+    structure: Structure
+
+    @property
+    def deviation(self) -> Array:
+        """Return these deviations, in standard deviations, (N,)."""
+        assert self.within.deviation is not None
+        return self.within.deviation
+
+
+def find_remains(
+    train: Predictor, test: Predictor, selection: Selection, after: Evaluation, floor: Array | None
+) -> Remains:
+    """Return what the final model leaves of the test flights.
+
+    Args:
+        train: Training flights.
+        test: Test flights.
+        selection: The selection.
+        after: What the corrected model leaves of the test flights, without deviations.
+        floor: Noise floor of each channel, (C,).
+    """
+    flights = [*train.flights, *test.flights]
+    within = best_within_tolerances(train.robot, selection.final.fit, selection.weights.weight)
+    left, tolerated = test.residuals(within), selection.left_out.tolerated
+    rms = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
+    rms = np.minimum(rms, [channel.value for channel in after.residual])  # tolerances only ever explain
+    judged = np.array([channel.kind not in not_judged(flights) for channel in test.channels])
+    remaining = judged & material_remains(rms, floor, tolerated)
+    wind = declared_wind(train.robot)
+    if not wind.accepted:
+        wind = find_random_wind(
+            train, within, selection.criteria, floor=floor, tolerated=tolerated, remaining=remaining
+        )
+        if wind.accepted and floor is not None:
+            floor = np.hypot(floor, wind.adds(test, selection.final.fit.point))
+            remaining = judged & material_remains(rms, floor, tolerated)
+    structure = Structure()
+    if remaining.any():
+        seen, places = train.residuals(within), np.flatnonzero(remaining).tolist()
+        structure = find_structure(flights, [*train.times, *test.times], [*seen, *left], test.channels, places)
+        if structure.kind == "none":  # test flights may be elsewhere, where what the others agree on does not reach
+            structure = find_structure(train.flights, train.times, seen, test.channels, places)
+    names = tuple(channel.name for channel, some in zip(test.channels, remaining, strict=True) if some)
+    return Remains(within=within, left=left, channels=names, floor=floor, wind=wind, structure=structure)
+
+
+def material_remains(rms: Array, floor: Array | None, tolerated: Array) -> NDArray[np.bool_]:
+    """Return in which channels more remains than noise and tolerances, (C,); all False where no floor is known.
+
+    Args:
+        rms: Residual with effects and with the deviations that fit best within the tolerances, (C,).
+        floor: Noise floor, (C,).
+        tolerated: Residual that the tolerances of the vehicle cause, (C,).
+    """
+    if floor is None:
+        return np.zeros(rms.size, dtype=bool)
+    excess = np.sqrt(np.maximum(rms**2 - floor**2, 0.0))
+    return (rms**2 > NEAR_FLOOR * floor**2) & (excess > TOLERATED * tolerated)
+
+
+def judges_forces(flights: Sequence[Flight]) -> bool:
+    """Return whether the airspeed is known, without which what remains of a force says nothing."""
+    return all(flight.lin_vel is not None for flight in flights)
+
+
+def not_judged(flights: Sequence[Flight]) -> tuple[str, ...]:
+    """Return the kinds of channel in which what remains says nothing: kinematic ones, and forces at an unknown airspeed."""
+    return KINEMATIC if judges_forces(flights) else (*KINEMATIC, "specific_force")

@@ -1,0 +1,263 @@
+"""The verdict: which effects the flights name, with what certainty, and what remains.
+
+The mapping for ``verdict.json`` is a contract (DESIGN.md, section 4).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.learned import Learned
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import is_number, params_of, scales
+from aerial_gym.sim2real.identify.output_error import Refit
+from aerial_gym.sim2real.identify.selection.inclusion import LEAST_SHOWN, Inclusion
+from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
+from aerial_gym.sim2real.identify.selection.select import Selection, Trial
+from aerial_gym.sim2real.identify.selection.structure import Structure
+from aerial_gym.sim2real.judge.ablation import Contribution, told_apart
+from aerial_gym.sim2real.judge.breakdown import Part, Regime
+from aerial_gym.sim2real.judge.evaluation import Evaluation
+from aerial_gym.sim2real.judge.experiments.design import Advice
+from aerial_gym.sim2real.judge.whiteness import Whiteness
+
+MOST_CONFIDENT = 0.9999
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedEffect:
+    """An effect that the flights ask for."""
+
+    name: str
+    params: dict[str, float]
+    """Fitted totals, as in robot files."""
+
+    std: dict[str, float]
+    """Standard deviations: 1.96 of them make the 95 % interval, with few flights and the tolerances in them."""
+
+    noise_std: dict[str, float]
+    """The part of ``std`` that more flights would make smaller."""
+
+    frozen: tuple[str, ...]
+    """Parameters that these flights do not show; they keep their neutral value."""
+
+    confidence: float
+    """Probability that it is this effect: one minus the larger chance of no effect and of the best rival."""
+
+    inclusion: float | None = None
+    """Share of resampled flights in which it is chosen; None for a random effect, which is not selected among others."""
+
+    contribution: Contribution | None = None
+    """What becomes worse without it, and its rivals; None likewise."""
+
+    regime: Regime | None = None
+    """Before and after where it acts; None likewise."""
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        interval = {
+            key: [value - 1.96 * self.std[key], value + 1.96 * self.std[key]]
+            for key, value in self.params.items()
+            if key in self.std
+        }
+        worth, regime = self.contribution, self.regime
+        return {
+            "name": self.name,
+            "params": self.params,
+            "std": self.std,
+            "interval": interval,
+            "noise_std": self.noise_std,
+            "frozen": list(self.frozen),
+            "confidence": self.confidence,
+            "inclusion": self.inclusion,
+            "material": worth is None or worth.material,
+            "without_it": worth and worth.as_mapping(),
+            "where_it_acts": regime and regime.as_mapping(),
+            "rival": worth.rivals[0].as_mapping() if worth and worth.rivals else None,
+        }
+
+
+MEANINGS = {
+    "explained": "The corrected vehicle makes the flights within noise and tolerances.",
+    "none": "The declared vehicle makes the flights within noise and tolerances; nothing is to be corrected.",
+    "unexplained": (
+        "What was found is real and its correction helps, but the flights hold more than the corrected vehicle makes, of a "
+        "kind that no registered effect has: do not trust the simulator in the channels named here."
+    ),
+    "ambiguous": "Several effects would do equally well on these flights; fly what tells them apart.",
+}
+"""What each verdict tells its reader."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What the flights say about the declared model."""
+
+    verdict: str
+    """explained, none, unexplained or ambiguous."""
+
+    reason: str
+    """One sentence."""
+
+    effects: tuple[NamedEffect, ...]
+    """In the order in which they were named."""
+
+    candidates: tuple[str, ...]
+    """These and what cannot be told from them."""
+
+    not_testable: dict[str, str]
+    """Effects that the flights cannot show, and why."""
+
+    manoeuvre: Advice | None
+    """What tells tied candidates apart; None if there are none."""
+
+    fly_next: dict[str, Advice]
+    """What shows effects that flights of this vehicle can show and these do not."""
+
+    inclusion: Inclusion
+    """Of every effect, on flights drawn again."""
+
+    output_error: Refit
+    """The effects fitted again on whole rollouts."""
+
+    structure: Structure
+    before: Evaluation
+    after: Evaluation
+    flights: dict[str, list[Part]]
+    """Before and after on each test flight."""
+
+    remains: tuple[str, ...]
+    """Channels with material structure after the correction."""
+
+    whiteness: dict[str, Whiteness] = field(default_factory=dict)
+    """Of the residual of each channel on the test flights, deviations within the tolerances taken off."""
+
+    learned: Learned | None = None
+    """What became of a learned residual, where one was asked for."""
+
+    notes: tuple[str, ...] = field(default=())
+    """What was done to the logs, and other things to know."""
+
+    @property
+    def corrects(self) -> bool:
+        """Whether the corrected robot is another one than the declared."""
+        return bool(self.effects) or (self.learned is not None and self.learned.cfg is not None)
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return the contract for JSON."""
+        learned = [self.learned.as_mapping()] if self.learned is not None and self.learned.cfg is not None else []
+        return {
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "meaning": MEANINGS[self.verdict],
+            "effects": [*(effect.as_mapping() for effect in self.effects), *learned],
+            "candidates": list(self.candidates),
+            "not_testable": list(self.not_testable),
+            "not_testable_because": self.not_testable,
+            "manoeuvre": None if self.manoeuvre is None else self.manoeuvre.as_mapping(),
+            "fly_next": {name: advice.as_mapping() for name, advice in self.fly_next.items()},
+            "inclusion": {name: share for name, share in self.inclusion.effects.items() if share >= LEAST_SHOWN},
+            "output_error": self.output_error.as_mapping(),
+            "structure": self.structure.as_mapping(),
+            "whiteness": {
+                name: {"probability": found.probability, "white": found.white, "octaves": list(found.octaves)}
+                for name, found in self.whiteness.items()
+            },
+            "remains": list(self.remains),
+            "learned_residual": None if self.learned is None else self.learned.sentence,
+            "before": self.before.as_mapping(),
+            "after": self.after.as_mapping(before=self.before),
+            "flights": {
+                name: {part.quantity: {"before": part.before.value, "after": part.after.value} for part in parts}
+                for name, parts in self.flights.items()
+            },
+            "notes": list(self.notes),
+        }
+
+
+def named_effects(
+    selection: Selection, included: Inclusion, contributions: dict[str, Contribution], regimes: dict[str, Regime]
+) -> tuple[NamedEffect, ...]:
+    """Return the accepted effects with parameters, spread and confidence, and with what was found out about them after."""
+    fit, spread = selection.final.fit, selection.final.spread
+    values, scale = params_of(fit.point, fit.effects), scales(fit.effects)
+    std = dict(zip(fit.free_effects.tolist(), spread.std, strict=True))
+    noise = dict(zip(fit.free_effects.tolist(), np.sqrt(np.diag(spread.blocks)), strict=True))
+    found = []
+    for name in fit.effects:
+        own = dict(zip((p.name for p in EFFECTS.get(name).parameters), fit.columns_of(name).tolist(), strict=True))
+        found.append(
+            NamedEffect(
+                name=name,
+                params={key: float(values[k]) for key, k in own.items()},
+                std={key: float(std[k] * scale[k]) for key, k in own.items() if k in std},
+                noise_std={key: float(noise[k] * scale[k]) for key, k in own.items() if k in noise},
+                frozen=tuple(key for key, k in own.items() if k not in std and is_number(*fit.owners[k])),
+                confidence=_confidence(name, selection),
+                inclusion=included.effects.get(name, 0.0),
+                contribution=contributions[name],
+                regime=regimes[name],
+            )
+        )
+    return tuple(found)
+
+
+def immaterial(effects: Sequence[NamedEffect]) -> list[str]:
+    """Return a note for each effect whose absence is hardly seen on the test flights."""
+    found = [(effect.name, effect.contribution) for effect in effects if effect.contribution is not None]
+    return [
+        f"{name} is real but immaterial: without it no residual and no rollout error of the test flights rises by "
+        f"{worth.least:.0%}; it may be left out of the robot file"
+        for name, worth in found
+        if not worth.material
+    ]
+
+
+def serious_rivals(name: str, selection: Selection) -> list[Trial]:
+    """Return the effects that could be meant in the place of an accepted one without any objection."""
+    rivals = selection.rivals[name]
+    return [trial for trial in rivals if not trial.objections and trial.effect not in selection.doubted]
+
+
+def _confidence(name: str, selection: Selection) -> float:
+    own = selection.acceptance[name]
+    doubts = [own.probability, own.gain.chance if own.gain else 1.0]
+    for trial in serious_rivals(name, selection):
+        if trial.gain and trial.complexity <= own.complexity:
+            doubts.append(trial.gain.chance if trial.gain.score < -LEAST_SCORE else max(trial.gain.chance, 0.5))
+    return float(min(1.0 - max(doubts), MOST_CONFIDENT))
+
+
+def tied_rivals(name: str, selection: Selection) -> list[str]:
+    """Return the registered effects that cannot be told from an accepted one, and are as simple."""
+    most = selection.acceptance[name].complexity
+    rivals = [trial for trial in serious_rivals(name, selection) if trial.gain and trial.complexity <= most]
+    return [trial.effect for trial in rivals if not told_apart(trial, selection)]
+
+
+def decide(selection: Selection, remains: tuple[str, ...], floor_known: bool) -> tuple[str, str, tuple[str, ...]]:
+    """Return verdict, reason and candidates."""
+    tied = {name: tied_rivals(name, selection) for name in selection.accepted}
+    candidates = list(selection.accepted)
+    for name in selection.accepted:
+        candidates += tied[name]
+    names = ", ".join(selection.accepted)
+    unique = tuple(dict.fromkeys(candidates))
+    if any(tied.values()):
+        rivals = ", ".join(rival for rivals in tied.values() for rival in rivals)
+        return "ambiguous", f"{names} cannot be told from {rivals} on flights left out", unique
+    if remains:
+        start = f"{names} found, but" if names else "no registered effect explains it:"
+        return "unexplained", f"{start} more than noise and tolerances remains in {', '.join(remains)}", unique
+    if not selection.accepted and not floor_known:
+        start = "no registered effect explains more of the flights than the declared model, but the logs are too slow or short"
+        return "none", f"{start} to show a noise floor: whether more than noise remains cannot be told", unique
+    if not selection.accepted:
+        return "none", "the declared model explains the flights within noise and tolerances", unique
+    rest = (
+        "what remains is near the noise floor"
+        if floor_known
+        else "the logs are too slow or short to show a noise floor"
+    )
+    return "explained", f"the flights show {names}; {rest}", unique

@@ -1,0 +1,128 @@
+"""What lies in which octave below the band of a comparison, and whether a residual is as even there as noise.
+
+Letters: T rows, C channels, O octaves, L spectral lines.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal, stats
+from scipy.integrate import cumulative_trapezoid
+
+from aerial_gym.sim2real.logs.signals import lowpass_gain
+from aerial_gym.sim2real.predict.predictor import Channel
+
+Array = NDArray[np.float64]
+
+EDGES = (0.0, 0.125, 0.25, 0.5, 1.0)
+"""Of the octaves, the lowest one down to zero, in units of the band."""
+
+FEWEST_ROWS = 64
+"""Shorter spans without a gap are left out."""
+
+DIFFERENTIATED = ("angular_acceleration", "kinematic_force")
+"""Kinds that are derivatives of what a sensor reads: even noise of the sensor grows with the square of the frequency."""
+
+WHITE = 0.01
+"""Residuals less probable than this are no noise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Whiteness:
+    """How a residual is spread over the band."""
+
+    probability: float
+    """That noise is spread as unevenly."""
+
+    octaves: tuple[float, ...]
+    """Power in each octave over that of noise of the same power, (O,)."""
+
+    @property
+    def white(self) -> bool:
+        """Return whether it may be noise."""
+        return self.probability >= WHITE
+
+
+def lines(
+    times: Sequence[Array], values: Sequence[Array], bandwidth: float, *, tapered: bool = False
+) -> tuple[Array, Array]:
+    """Return frequencies (L,) [Hz] and powers (L, C) below the band, of all spans without a gap, as before the low-pass.
+
+    Args:
+        times: Of the rows of each flight [s], (T,), at equal steps but for gaps.
+        values: Of each flight, (T, C), low-passed at ``bandwidth``.
+        bandwidth: [Hz].
+        tapered: By a Hann window, against leakage of what is strong and slow; neighbouring lines then depend on each other.
+    """
+    frequencies, powers = [np.zeros(0)], [np.zeros((0, values[0].shape[1]))]
+    for time, rows in zip(times, values, strict=True):
+        step = float(np.median(np.diff(time)))
+        for part in np.split(rows, np.flatnonzero(np.diff(time) > 1.5 * step) + 1):
+            if part.shape[0] < FEWEST_ROWS:
+                continue
+            frequency = np.fft.rfftfreq(part.shape[0], step)
+            window = np.sqrt(8.0 / 3.0) * np.hanning(part.shape[0])[:, None] if tapered else 1.0
+            power = np.abs(np.fft.rfft(window * part, axis=0)) ** 2 / part.shape[0]
+            inside = (frequency > 0.0) & (frequency <= bandwidth)
+            frequencies.append(frequency[inside])
+            powers.append(power[inside] / lowpass_gain(frequency[inside], bandwidth)[:, None] ** 2)
+    return np.concatenate(frequencies), np.concatenate(powers)
+
+
+def integrated(times: Sequence[Array], values: Sequence[Array]) -> list[Array]:
+    """Return the integrals of values (T, C) by the trapezoidal rule, its gain ``(h/2) cot(w h/2) w`` undone line by line."""
+    found = []
+    for time, rows in zip(times, values, strict=True):
+        step = float(np.median(np.diff(time)))
+        total = signal.detrend(cumulative_trapezoid(rows, dx=step, axis=0, initial=0.0), axis=0)
+        angle = np.pi * np.fft.rfftfreq(len(rows), 1.0)  # w h / 2
+        gain = np.ones_like(angle)
+        gain[1:] = np.maximum(angle[1:] / np.tan(np.maximum(angle[1:], 1e-12)), 0.1)  # beyond the band nothing is left
+        found.append(np.fft.irfft(np.fft.rfft(total, axis=0) / gain[:, None], n=len(rows), axis=0))
+    return found
+
+
+def in_octaves(frequency: Array, power: Array, bandwidth: float) -> Array:
+    """Return the power in each octave, (O, C)."""
+    place = np.clip(np.digitize(frequency / bandwidth, EDGES[1:], right=True), 0, len(EDGES) - 2)
+    return np.stack([power[place == octave].sum(axis=0) for octave in range(len(EDGES) - 1)])
+
+
+def octave_names(bandwidth: float) -> list[str]:
+    """Return the octaves in words."""
+    return [f"{low * bandwidth:.3g} to {high * bandwidth:.3g} Hz" for low, high in pairwise(EDGES)]
+
+
+def whiteness(
+    times: Sequence[Array], residuals: Sequence[Array], channels: Sequence[Channel], bandwidth: float
+) -> list[Whiteness]:
+    """Return how each channel of residuals (T, C) is spread; derivatives are looked at as what the sensor reads.
+
+    The cumulative periodogram of noise departs from a straight line as far as Kolmogorov's and Smirnov's statistic says.
+    Source: Durbin (1969), Tests for serial correlation in regression analysis based on the periodogram of least-squares
+    residuals, Biometrika 56; finite samples: Stephens (1970), JRSS B 32.
+    """
+    frequency, power = lines(times, residuals, bandwidth)
+    read = lines(times, integrated(times, residuals), bandwidth)[1]
+    order, count = np.argsort(frequency), frequency.size
+    found = []
+    for place, channel in enumerate(channels):
+        if count < 2 * len(EDGES):
+            found.append(Whiteness(probability=1.0, octaves=(1.0,) * (len(EDGES) - 1)))
+            continue
+        even = (read if channel.kind in DIFFERENTIATED else power)[:, place]
+        total = np.cumsum(even[order]) / even.sum()
+        distance = float(np.abs(total - np.arange(1, count + 1) / count).max())
+        root = np.sqrt(count)
+        share = in_octaves(frequency, even[:, None], bandwidth)[:, 0] / even.sum()
+        number = in_octaves(frequency, np.ones((count, 1)), bandwidth)[:, 0] / count
+        found.append(
+            Whiteness(
+                probability=float(stats.kstwobign.sf(distance * (root + 0.12 + 0.11 / root))),
+                octaves=tuple((share / np.maximum(number, 1e-300)).tolist()),
+            )
+        )
+    return found

@@ -1,0 +1,296 @@
+"""Is this log what it claims to be: units, frames, order of the quaternion, sign of gravity.
+
+Each check compares two things that were measured independently, and refuses only what no real vehicle could do.
+Letters: T rows.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.checks.kinematics import kinematic_agreement
+from aerial_gym.sim2real.logs.checks.rotors import check_rotors
+from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.logs.mapping import UNITS
+from aerial_gym.sim2real.logs.signals import lowpass
+
+Array = NDArray[np.float64]
+
+SHORTEST_S = 2.0
+LOWEST_RATE_HZ = 20.0
+CHECK_BANDWIDTH_HZ = 4.0
+"""Comparisons are made below this: slow enough for every log, fast enough for every flight."""
+
+WORST_AGREEMENT = 0.7
+"""Two sensors that differ by more than this share of their signal do not measure the same thing."""
+
+QUIET_RATE = 0.1
+"""Below this rms angular velocity [rad/s] a comparison with the attitude says nothing."""
+
+QUIET_SPEED = 0.3
+"""Likewise for velocity [m/s]."""
+
+QUIET_FORCE = 0.5
+"""Likewise for acceleration [m/s²]."""
+
+LEAST_ACROSS = 1.0
+"""Rms of the specific force across z [m/s²] in world axes from which tilt stands out from drag."""
+
+
+def check_log(log: FlightLog, robot: RobotCfg) -> list[str]:
+    """Raise ``DataError`` for a log that is not what it claims to be; return notes about lesser defects."""
+    check_rotors(log, robot)
+    _check_constant_columns(log)
+    attitude = Rotation.from_quat(log.attitude)
+    _check_attitude_against_rate(log, attitude)
+    _check_gravity(log, attitude)
+    _check_velocity(log, attitude)
+    _check_force_frame(log, attitude)
+    return [text for agreement in kinematic_agreement(log) for text in agreement.sentences()]
+
+
+def rate_of(log: FlightLog) -> float:
+    """Return the rows per second [Hz]."""
+    return (log.time.size - 1) / float(log.time[-1] - log.time[0])
+
+
+def check_time(log: FlightLog) -> None:
+    """Raise ``DataError`` for a log that is too short or too slow; first of all, for a wrong unit of t looks like much else."""
+    span = float(log.time[-1] - log.time[0]) if log.time.size > 1 else 0.0
+    if span < SHORTEST_S:
+        raise DataError(f"{log.path}: lasts {span:.3g} s, needs at least {SHORTEST_S:g} s; is t in seconds?")
+    if rate_of(log) < LOWEST_RATE_HZ:
+        raise DataError(
+            f"{log.path}: has {rate_of(log):.3g} rows per second, needs at least {LOWEST_RATE_HZ:g}; "
+            "log faster, and check that t is in seconds"
+        )
+
+
+def check_quaternion_norm(log: FlightLog) -> None:
+    """Raise ``DataError`` for quaternions that are none; before anything makes them unit."""
+    norm = np.linalg.norm(log.attitude, axis=1)
+    off = np.flatnonzero(np.abs(norm - 1.0) > 0.05)
+    if off.size:
+        row = int(off[0])
+        raise DataError(
+            f"{log.where(row)}: the attitude quaternion {np.round(log.attitude[row], 4).tolist()} has norm "
+            f"{norm[row]:.4g}, must be 1; check that q_x, q_y, q_z, q_w hold a quaternion"
+        )
+
+
+def _check_constant_columns(log: FlightLog) -> None:
+    for name in ("ang_vel", "specific_force", "rotor_speed", "rotor_command"):
+        values = getattr(log, name)
+        if values is None:
+            continue
+        still = np.flatnonzero(np.ptp(values, axis=0) == 0.0)
+        if still.size:
+            raise DataError(
+                f"{log.path}: {name} {still[0] + 1} is {values[0, still[0]]:.6g} in every row; "
+                "leave a sensor that did not work empty in all its columns"
+            )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(np.square(values), axis=-1))))
+
+
+def _inner(values: Array, log: FlightLog) -> Array:
+    edge = round(0.5 * rate_of(log))
+    return values[edge:-edge]
+
+
+def _slow(values: Array, log: FlightLog, *, derivative: bool = False) -> Array:
+    return lowpass(values, rate_of(log), CHECK_BANDWIDTH_HZ, derivative=derivative)
+
+
+def body_rate_of(attitude: Array, rate: float, bandwidth: float) -> Array:
+    """Return the angular velocity [rad/s], body, (T, 3), of quaternions (T, 4): ``2 q* q'`` (Sola 2017, eq. 198)."""
+    smooth = lowpass(attitude, rate, bandwidth)
+    x, y, z, w = smooth.T
+    dx, dy, dz, dw = lowpass(attitude, rate, bandwidth, derivative=True).T
+    rows = (
+        w * dx - x * dw - y * dz + z * dy,
+        w * dy - y * dw - z * dx + x * dz,
+        w * dz - z * dw - x * dy + y * dx,
+    )
+    return 2.0 * np.stack(rows, axis=1) / (smooth * smooth).sum(axis=1, keepdims=True)
+
+
+READINGS: dict[str, Callable[[Array], Array]] = {
+    "the quaternion is stored w first": lambda q: q[:, [1, 2, 3, 0]],
+    "the quaternion turns world into body": lambda q: q * (-1.0, -1.0, -1.0, 1.0),
+    "the quaternion is stored w first and turns world into body": lambda q: (
+        q[:, [1, 2, 3, 0]] * (-1.0, -1.0, -1.0, 1.0)
+    ),
+}
+"""Other readings of four columns that users mix up."""
+
+
+def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
+    """Compare the derivative of the attitude with the gyro."""
+    if log.ang_vel is None:
+        return
+    measured = _inner(_slow(log.ang_vel, log), log)
+    size = _rms(measured)
+    if size < QUIET_RATE:
+        return
+
+    def differs(quaternion: Array) -> tuple[float, Array]:
+        rate = _inner(body_rate_of(quaternion, rate_of(log), CHECK_BANDWIDTH_HZ), log)
+        return _rms(rate - measured) / max(size, _rms(rate)), rate
+
+    miss, rate = differs(log.attitude)
+    if miss < WORST_AGREEMENT:
+        return
+    others = {text: differs(read(log.attitude))[0] for text, read in READINGS.items()}
+    slope = float((rate * measured).sum() / (measured * measured).sum())
+    degrees = UNITS["deg/s"]
+    if _rms(rate - degrees * measured) < 0.5 * _rms(rate) and abs(slope / degrees - 1.0) < 0.5:
+        others["omega is in degrees per second"] = 0.0
+    others["omega is in world axes"] = _rms(_inner(attitude.apply(_full(rate, log)), log) - measured) / size
+    others["omega is in axes x forward, y right, z down"] = _rms(rate * (1.0, -1.0, -1.0) - measured) / size
+    best = min(others, key=lambda text: others[text])
+    guess = f"it looks as if {best}" if others[best] < 0.6 * miss else "check order, direction, axes and units of both"
+    raise DataError(
+        f"{log.path}: attitude (q_x, q_y, q_z, q_w) and omega contradict each other by {miss:.0%} of their size; "
+        f"{guess}; correct the columns or say so in a mapping file"
+    )
+
+
+def _full(inner: Array, log: FlightLog) -> Array:
+    """Return ``inner`` with zeros for the rows that ``_inner`` removed."""
+    edge = round(0.5 * rate_of(log))
+    return np.pad(inner, ((edge, edge), (0, 0)))
+
+
+def _check_gravity(log: FlightLog, attitude: Rotation) -> None:
+    """The mean specific force of a flight in world axes is +g on z, up to the gain of velocity over the flight."""
+    if log.specific_force is None:
+        return
+    mean = attitude.apply(log.specific_force).mean(axis=0)
+    norm = float(np.linalg.norm(log.specific_force, axis=1).mean())
+    body_z = float(log.specific_force[:, 2].mean())
+    if 0.5 * STANDARD_GRAVITY < mean[2] < 2.0 * STANDARD_GRAVITY:
+        if body_z > 0.0:
+            return
+        raise DataError(
+            f"{log.path}: acc_z is {body_z:.2f} m/s² on average, though acc and attitude agree on what is up; it looks as if "
+            "body axes are x forward, y right, z down: give body_frame: frd in a mapping file"
+        )
+    start = f"{log.path}: mean specific force (acc_x, acc_y, acc_z) in world axes is {np.round(mean, 2).tolist()} m/s²"
+    rule = "a flight has about [0, 0, +9.81]"
+    for text, read in READINGS.items():
+        other = Rotation.from_quat(read(log.attitude)).apply(log.specific_force).mean(axis=0)
+        if body_z > 0.0 and 0.8 * STANDARD_GRAVITY < other[2] < 1.2 * STANDARD_GRAVITY:
+            raise DataError(f"{start}, {rule}; it looks as if {text}; reorder the columns q_x, q_y, q_z, q_w")
+    if 0.8 < norm < 1.5:
+        guess = "it looks like multiples of g: multiply by 9.81, or give unit: g in a mapping file"
+    elif np.linalg.norm(mean) < 0.25 * STANDARD_GRAVITY:
+        guess = "gravity was taken out: log the accelerometer itself, which reads +9.81 on z at hover"
+    elif mean[2] < 0.0 and body_z > 0.0:
+        guess = "it looks as if world axes are north, east, down: give world_frame: ned in a mapping file"
+    elif mean[2] < 0.0:
+        rule_of_sign = "gravity has the wrong sign: an accelerometer reads +9.81 on z at hover with z up"
+        guess = f"{rule_of_sign}; {_upside_down(log, attitude)}"
+    else:
+        guess = "check unit and axes of acc and the order of the quaternion"
+    raise DataError(f"{start}, {rule}; {guess}")
+
+
+def _upside_down(log: FlightLog, attitude: Rotation) -> str:
+    """Return the way out where gravity is negative in body and world axes: with both z down, velocity rises with acc."""
+    both = "give body_frame: frd and world_frame: ned in a mapping file"
+    if log.lin_vel is None:
+        return f"if its signs are turned, turn them; if body and world axes have z down, {both}"
+    assert log.specific_force is not None
+    motion = _inner(_slow(log.lin_vel, log, derivative=True), log)
+    felt = _inner(_slow(attitude.apply(log.specific_force), log), log) + np.array([0.0, 0.0, STANDARD_GRAVITY])
+    return f"body and world axes have z down: {both}" if np.sum(felt * motion) > 0.0 else "turn the signs of acc"
+
+
+def _check_velocity(log: FlightLog, attitude: Rotation) -> None:
+    """Compare velocity with the derivative of position."""
+    if log.lin_vel is None or log.position is None:
+        return
+    velocity = _inner(_slow(log.lin_vel, log), log)
+    derived = _inner(_slow(log.position, log, derivative=True), log)
+    size = max(_rms(velocity), _rms(derived))
+    if size < QUIET_SPEED or (miss := _rms(velocity - derived) / size) < WORST_AGREEMENT:
+        return
+    turned = _inner(_slow(attitude.apply(log.lin_vel), log), log)
+    guess = "check units and axes of both"
+    if _rms(turned - derived) < 0.5 * miss * size:
+        guess = "it looks as if v is in body axes: turn it into world axes"
+    raise DataError(
+        f"{log.path}: velocity (v_x, v_y, v_z) and the derivative of position (p_x, p_y, p_z) differ by {miss:.0%} of "
+        f"their size; {guess}"
+    )
+
+
+def _check_force_frame(log: FlightLog, attitude: Rotation) -> None:
+    """Tell an accelerometer in world axes from one in body axes, and velocities in other axes than those of the attitude.
+
+    Without velocity the rotors tell: they push along body z, so that little is left across it.
+    """
+    if log.specific_force is None:
+        return
+    as_body = _inner(_slow(attitude.apply(log.specific_force), log), log)
+    as_world = _inner(_slow(log.specific_force, log), log)
+    if log.lin_vel is None and log.position is None:
+        across = _inner(_slow(attitude.inv().apply(log.specific_force), log), log)
+        turned = _rms(as_world[:, :2]) > LEAST_ACROSS and _rms(across[:, :2]) < 0.3 * _rms(as_world[:, :2])
+        motion = "thrust"
+    else:
+        world = _motion(log) + np.array([0.0, 0.0, STANDARD_GRAVITY])
+        turned = _rms(as_body - as_world) > 0.5 and _rms(as_world - world) < 0.4 * _rms(as_body - world)
+        motion = "the motion"
+    if turned:
+        raise DataError(
+            f"{log.path}: specific force (acc_x, acc_y, acc_z) agrees with {motion} in world axes, not in body axes; "
+            "turn it into body axes with the inverse of the attitude"
+        )
+    if log.lin_vel is not None or log.position is not None:
+        _check_motion_frame(log, attitude, as_body - np.array([0.0, 0.0, STANDARD_GRAVITY]))
+
+
+def _motion(log: FlightLog, velocity: Array | None = None) -> Array:
+    """Return the acceleration [m/s²] of the logged velocity, of the position where there is none, or of a velocity given."""
+    if velocity is None:
+        velocity = log.lin_vel
+    if velocity is None:
+        assert log.position is not None
+        velocity = _slow(log.position, log, derivative=True)
+    return _inner(_slow(velocity, log, derivative=True), log)
+
+
+def _check_motion_frame(log: FlightLog, attitude: Rotation, felt: Array) -> None:
+    """Compare the acceleration that the accelerometer feels in the world with that of velocity or position, (T, 3) each."""
+    motion = _motion(log)
+    size = max(_rms(motion), _rms(felt))
+    miss = _rms(motion - felt) / max(size, QUIET_FORCE)
+    if miss < WORST_AGREEMENT:
+        return
+    others = {
+        "world axes there are north, east, down": motion[:, [1, 0, 2]] * (1.0, 1.0, -1.0),
+        "z is down there": motion * (1.0, 1.0, -1.0),
+    }
+    if log.lin_vel is not None:
+        others["v is in body axes"] = _motion(log, attitude.apply(log.lin_vel))
+    across = motion[:, 0] * felt[:, 1] - motion[:, 1] * felt[:, 0]
+    angle = float(np.arctan2(across.sum(), (motion[:, :2] * felt[:, :2]).sum()))
+    way = f"x and y there must be turned by {np.degrees(angle):.0f} deg about z to be those of the attitude"
+    others[way] = Rotation.from_euler("z", angle).apply(motion)
+    misses = {text: _rms(other - felt) / size for text, other in others.items()}
+    best = min(misses, key=lambda text: misses[text])
+    if misses[best] < 0.5 * miss:
+        name = "position (p_x, p_y, p_z)" if log.lin_vel is None else "velocity (v_x, v_y, v_z)"
+        raise DataError(
+            f"{log.path}: {name} contradicts acc and attitude by {miss:.0%} of the acceleration; it looks as if {best}; "
+            "correct the columns or say so in a mapping file"
+        )

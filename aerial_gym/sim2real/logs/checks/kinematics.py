@@ -1,0 +1,141 @@
+"""Do attitude, velocity, gyro and accelerometer agree by kinematics alone: biases, misalignments and clocks of the IMU.
+
+No mass, thrust or drag enters: what is found here is a matter of the sensors, not of the model. Letters: T rows.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
+
+Array = NDArray[np.float64]
+
+BANDWIDTH_HZ = 4.0
+"""Comparisons are made below this: slow enough for every log, fast enough for every flight."""
+
+BLOCK_S = 0.5
+"""Residuals further apart than this [s] are taken as independent."""
+
+FEWEST_BLOCKS = 8
+
+QUIET = {"gyro": 0.1, "accelerometer": 0.3}
+"""Below this rms of the motion [rad/s], [m/s²] nothing but a bias can be told."""
+
+MATERIAL = {"gyro": 0.01, "accelerometer": 0.1, "misalignment": np.radians(1.0), "clock": 0.002}
+"""Smaller biases [rad/s], [m/s²], angles [rad] and clock offsets [s] are not worth a sentence."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Agreement:
+    """One sensor against the motion: ``measured(t) = (I - [angle]x) motion(t - delay) + bias``."""
+
+    sensor: str
+    """gyro or accelerometer."""
+
+    bias: Array
+    """[rad/s] or [m/s²], body axes, (3,)."""
+
+    angle: Array
+    """Rotation of the sensor's axes against the body's [rad], (3,)."""
+
+    delay: float
+    """By how much the sensor's clock lags that of the attitude or velocity [s]."""
+
+    reach: Array
+    """Half widths of the 95 % intervals of bias, angle and delay, (7,); infinite: the flight does not show it."""
+
+    def sentences(self) -> list[str]:
+        """Return what is certain and material, one sentence each."""
+        unit, found = {"gyro": "rad/s", "accelerometer": "m/s²"}[self.sensor], []
+        values = np.concatenate((self.bias, self.angle, [self.delay]))
+        sure = np.abs(values) > self.reach
+
+        def text(part: slice, digits: int, scale: float = 1.0) -> str:
+            pairs = zip(values[part] * scale, self.reach[part] * scale, strict=True)
+            return ", ".join(
+                f"{value:.{digits}f} ± {reach:.{digits}f}" if np.isfinite(reach) else "not shown"
+                for value, reach in pairs
+            )
+
+        if np.any(sure[:3] & (np.abs(self.bias) > MATERIAL[self.sensor])):
+            found.append(f"{self.sensor} bias {text(slice(0, 3), 3)} {unit} by kinematics; left as logged")
+        if np.any(sure[3:6] & (np.abs(self.angle) > MATERIAL["misalignment"])):
+            angles = text(slice(3, 6), 2, float(np.degrees(1.0)))
+            found.append(
+                f"{self.sensor} turned against the body by {angles} deg (x, y, z) by kinematics; left as logged"
+            )
+        if sure[6] and abs(self.delay) > MATERIAL["clock"]:
+            other = "attitude" if self.sensor == "gyro" else "velocity"
+            way = "late" if self.delay > 0.0 else "early"
+            amount = f"{1e3 * abs(self.delay):.1f} ± {1e3 * self.reach[6]:.1f} ms"
+            found.append(f"{self.sensor} {amount} {way} against {other} by kinematics; left as logged")
+        return found
+
+
+def kinematic_agreement(log: FlightLog) -> list[Agreement]:
+    """Return how gyro and accelerometer agree with attitude and velocity, for what the log has.
+
+    The log has equal time steps. The gyro is compared with the derivative of the attitude, the accelerometer with that of the
+    velocity plus gravity, turned into body axes.
+    """
+    rate = (log.time.size - 1) / float(log.time[-1] - log.time[0])
+    found = []
+    if log.ang_vel is not None:
+        found.append(_agree("gyro", log.ang_vel, attitude_rate(log.attitude, rate), np.zeros(3), rate))
+    if log.specific_force is not None and log.lin_vel is not None:
+        change = lowpass(log.lin_vel, rate, 2.0 * BANDWIDTH_HZ, derivative=True) + np.array(
+            [0.0, 0.0, STANDARD_GRAVITY]
+        )
+        motion = Rotation.from_quat(log.attitude).apply(change, inverse=True)
+        level = np.array([0.0, 0.0, STANDARD_GRAVITY])
+        found.append(_agree("accelerometer", log.specific_force, motion, level, rate))
+    return [agreement for agreement in found if agreement is not None]
+
+
+def attitude_rate(attitude: Array, rate: float) -> Array:
+    """Return the angular velocity [rad/s], body, (T, 3), from the turn between the rows before and after each."""
+    turn = Rotation.from_quat(attitude)
+    inner = (turn[:-2].inv() * turn[2:]).as_rotvec() * (0.5 * rate)
+    return np.concatenate((inner[:1], inner, inner[-1:]))
+
+
+def _agree(sensor: str, measured: Array, motion: Array, level: Array, rate: float) -> Agreement | None:
+    """Return the agreement; None if the log is too short. ``level``: part of the motion that a hover has as well."""
+    band = min(BANDWIDTH_HZ, 0.2 * rate)
+    slow, rise = lowpass(motion, rate, band), lowpass(motion, rate, band, derivative=True)
+    edge = edge_rows(rate, band)
+    inner = slice(edge, -edge)
+    left = (lowpass(measured, rate, band) - slow)[inner]
+    slow, rise = slow[inner], rise[inner]
+    blocks = np.arange(len(left)) // max(1, round(BLOCK_S * rate))
+    if len(left) < 1 or blocks[-1] + 1 < FEWEST_BLOCKS:
+        return None
+    # -[angle]x m = m x angle, so that row i of the regressor is d(m x angle)_i / d angle.
+    x, y, z = slow.T
+    zero = np.zeros_like(x)
+    turned = np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=1).reshape(-1, 3, 3)
+    shifted = -rise[:, :, None]
+    still = np.broadcast_to(np.eye(3), (len(left), 3, 3))
+    causes = np.concatenate((still, turned, shifted), axis=2)
+    # What the vehicle does not do shows nothing: an angle needs motion across its axis, a delay motion that changes.
+    across = np.sqrt(np.mean(np.sum(turned**2, axis=1), axis=0))
+    moving = float(np.sqrt(np.mean(np.sum((slow - level) ** 2, axis=1)))) > QUIET[sensor]
+    shown = np.flatnonzero(np.concatenate((np.ones(3), (across > QUIET[sensor]) & moving, [moving])))
+    causes = causes[:, :, shown]
+    product = np.einsum("tik,til->kl", causes, causes)
+    bread = np.linalg.pinv(product)
+    gains = bread @ np.einsum("tik,ti->k", causes, left)
+    scores = np.einsum("tik,ti->tk", causes, left - causes @ gains)
+    sums = np.stack([np.bincount(blocks, weights=column) for column in scores.T], axis=1)
+    count = len(sums)
+    spread = np.sqrt(np.diag(bread @ (sums.T @ sums) @ bread) * count / max(count - gains.size, 1))
+    values, reach = np.zeros(7), np.full(7, np.inf)
+    values[shown] = gains
+    reach[shown] = stats.t.ppf(0.975, max(count - gains.size, 1)) * spread
+    return Agreement(sensor=sensor, bias=values[:3], angle=values[3:6], delay=float(values[6]), reach=reach)

@@ -1,0 +1,75 @@
+"""Do the columns of the rotors stand in the order of the robot file: does each turn the vehicle as declared.
+
+Letters: T rows, R rotors, N orders.
+"""
+
+from collections.abc import Callable
+from itertools import permutations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import DataError
+from aerial_gym.physics import vehicle_from_config
+from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
+from aerial_gym.sim2real.logs.checks.conventions import CHECK_BANDWIDTH_HZ, WORST_AGREEMENT, rate_of
+from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
+
+Array = NDArray[np.float64]
+
+MOST_ROTORS = 6
+"""Of more rotors there are too many orders to try."""
+
+BETTER = 0.4
+"""Another order is believed if it leaves less than this share of what the declared one leaves."""
+
+
+def check_order(log: FlightLog, robot: RobotCfg) -> None:
+    """Raise ``DataError`` if the vehicle turns as another order of the rotor columns makes it turn, not as the declared one."""
+    if log.ang_vel is None or log.collective or not log.torques or not 2 <= robot.num_rotors <= MOST_ROTORS:
+        return
+    rate = rate_of(log)
+    edge, stride = edge_rows(rate, CHECK_BANDWIDTH_HZ), max(1, round(rate / (5.0 * CHECK_BANDWIDTH_HZ)))
+
+    def slow(values: Array, *, derivative: bool = False) -> Array:
+        found = lowpass(values, rate, CHECK_BANDWIDTH_HZ, derivative=derivative)[edge:-edge:stride]
+        return found - found.mean(axis=0)
+
+    inertia = np.array(robot.body.inertia)
+    turning = slow(log.ang_vel, derivative=True)
+    turning = turning + slow(np.cross(log.ang_vel, log.ang_vel @ inertia)) @ np.linalg.inv(inertia)
+    for name, values in (("rotor", log.rotor_speed), ("cmd", log.rotor_command)):
+        if values is None:
+            continue
+        orders = np.array(list(permutations(range(robot.num_rotors))))  # the first one is the declared
+        misses = _misses(robot, turning, slow, values, orders, inertia)
+        best = int(np.argmin(misses))
+        if misses[0] > WORST_AGREEMENT and misses[best] < BETTER * misses[0]:
+            columns = ", ".join(f"{name}_{column + 1}" for column in orders[best])
+            raise DataError(
+                f"{log.path}: {name}_1..{robot.num_rotors} turn the vehicle otherwise than the robot file declares (they miss "
+                f"the angular acceleration by {misses[0]:.0%}); it looks as if its rotors in their order are {columns}: "
+                "reorder the columns, or the mounts of the robot file"
+            )
+
+
+def _misses(
+    robot: RobotCfg,
+    turning: Array,
+    slow: Callable[[Array], Array],
+    values: Array,
+    orders: NDArray[np.int64],
+    inertia: Array,
+) -> Array:
+    """Return the share of the angular acceleration that each order leaves, mean over the axes, (N,)."""
+    one, count = vehicle_from_config(robot, num_envs=1, dtype=torch.float64), robot.num_rotors
+    single, none = torch.eye(count, dtype=torch.float64), torch.zeros(count, count, dtype=torch.float64)
+    lever, reaction = (rotor_wrench(one, *pair)[1].numpy() for pair in ((single, none), (none, single)))
+    speed = torch.from_numpy(values)
+    thrust, drag = (slow(values(one, speed).numpy()) for values in (rotor_thrust, rotor_torque))
+    torque = np.einsum("tnr,rk->ntk", thrust[:, orders], lever) + np.einsum("tnr,rk->ntk", drag[:, orders], reaction)
+    left = np.mean((turning - torque @ np.linalg.inv(inertia)) ** 2, axis=1)
+    return np.sqrt(np.mean(left / np.maximum(np.mean(turning**2, axis=0), 1e-300), axis=1))

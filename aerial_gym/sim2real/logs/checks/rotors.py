@@ -1,0 +1,86 @@
+"""Are the columns of rotors, commands and voltage what they claim to be: speeds of this robot's rotors in rad/s, volts.
+
+Letters: T rows, R rotors.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.declared_rotors import thrusts
+from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.logs.mapping import UNITS
+
+Array = NDArray[np.float64]
+
+
+def check_rotors(log: FlightLog, robot: RobotCfg) -> None:
+    """Raise ``DataError`` for rotor columns of another robot, unit or sign, and for voltages that are none."""
+    if log.num_rotors != robot.num_rotors:
+        raise DataError(
+            f"{log.path}: has {log.num_rotors} rotor columns, the robot has {robot.num_rotors} rotors; "
+            "give the robot that flew, or correct the columns"
+        )
+    for name, values in (("rotor", log.rotor_speed), ("cmd", log.rotor_command)):
+        if values is not None:
+            _check_sign(log, name, values, robot)
+            _check_unit(log, name, values, robot)
+    if log.battery is not None and np.any(log.battery <= 0.0):
+        row = int(np.argmax(log.battery <= 0.0))
+        raise DataError(
+            f"{log.where(row)}: the battery voltage is {log.battery[row]:g} V, must be > 0; leave the whole column empty if "
+            "it was not measured"
+        )
+
+
+def without_copied_commands(log: FlightLog) -> FlightLog:
+    """Return the log without commands that are the measured speeds: no rotor follows at once and to the last digit."""
+    speed, command = log.rotor_speed, log.rotor_command
+    if speed is None or command is None or not np.array_equal(speed, command):
+        return log
+    note = "commands equal the measured rotor speeds in every row: a copy, which says nothing about lag; left out"
+    return replace(log, rotor_command=None, notes=(*log.notes, note))
+
+
+def _check_sign(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> None:
+    """A sensor at rest may read a little below zero; a rotor that flies does not, unless it is reversible."""
+    one_way = np.array([not rotor.reversible for rotor in robot.rotor_types])
+    backwards = np.flatnonzero((np.median(values, axis=0) < 0.0) & one_way)
+    if backwards.size:
+        raise DataError(
+            f"{log.path}: {name}_{backwards[0] + 1} is negative (median {np.median(values[:, backwards[0]]):.4g}); log speeds "
+            "without sign: in which direction a rotor turns is declared in the robot file (spin); a reversible rotor has a "
+            "thrust_range that begins below 0"
+        )
+
+
+def _check_unit(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> None:
+    """The declared thrust at high logged speeds must carry the vehicle, give or take a factor of three."""
+
+    def lift(speeds: Array) -> float:
+        return float(np.percentile(thrusts(robot, speeds).sum(axis=1), 90.0))
+
+    thrust = lift(values)
+    if thrust == 0.0:
+        raise DataError(
+            f"{log.path}: {name}_1..{values.shape[1]} (largest {values.max():.4g}) give the declared robot no thrust in nine "
+            "of ten rows; leave the columns empty if the rotors were not measured"
+        )
+    ratio = thrust / (robot.body.mass * STANDARD_GRAVITY)
+    if 1.0 / 3.0 < ratio < 3.0:
+        return
+    speed = float(np.median(values))
+    guess = "check the unit (rad/s) and the robot"
+    for unit in ("rpm", "rev/s"):
+        if 0.5 < lift(UNITS[unit] * values) * ratio / thrust < 2.0:
+            guess = f"it looks like {unit}: convert to rad/s, or give unit: {unit} in a mapping file"
+    if np.all((values >= 0.0) & (values <= 1.0)):
+        guess = "it looks like a fraction of full throttle: leave these columns out, or convert them to rad/s"
+    raise DataError(
+        f"{log.path}: {name}_1..{values.shape[1]} (median {speed:.4g}) would give {ratio:.3g} times the weight of the "
+        f"declared robot; {guess}"
+    )

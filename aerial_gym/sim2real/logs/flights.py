@@ -1,0 +1,299 @@
+"""A checked flight with a complete state in every row: what is missing in the log is derived where that is sound.
+
+Letters: T rows, R rotors.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.errors import DataError
+from aerial_gym.physics import vehicle_from_config
+from aerial_gym.physics.effects.one_rotor import declared_lag
+from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
+from aerial_gym.sim2real.logs.checks.conventions import (
+    body_rate_of,
+    check_log,
+    check_quaternion_norm,
+    check_time,
+    rate_of,
+)
+from aerial_gym.sim2real.logs.checks.rotor_order import check_order
+from aerial_gym.sim2real.logs.checks.rotors import without_copied_commands
+from aerial_gym.sim2real.logs.clock_offset import (
+    Agreement,
+    Lead,
+    agreement,
+    commands_lead_too,
+    common_leads,
+    shift_rotor_log,
+)
+from aerial_gym.sim2real.logs.flight_log import FlightLog, read_flight_log
+from aerial_gym.sim2real.logs.mapping import LogMapping
+from aerial_gym.sim2real.logs.on_ground import standing_rows
+from aerial_gym.sim2real.logs.repeated_samples import mend_holds
+from aerial_gym.sim2real.logs.signals import lowpass, uniform_log, without_gaps
+
+Array = NDArray[np.float64]
+
+DERIVED_BAND = 0.2
+"""Derivatives that stand in for a missing sensor are low-passed at this share of the rate."""
+
+
+FEWEST_HIGH = 10
+"""At least one row of so many must lie where commands are scaled to the measured thrust."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flight:
+    """One flight at equal time steps; world ENU, body FLU, SI."""
+
+    name: str
+    """Short name, unique among the flights of one run."""
+
+    path: str
+    """File."""
+
+    rate: float
+    """Rows per second [Hz]."""
+
+    time: Array
+    """[s], (T,)."""
+
+    position: Array | None
+    """[m], (T, 3)."""
+
+    attitude: Array
+    """Body to world, unit, xyzw, no jumps of sign, (T, 4)."""
+
+    lin_vel: Array | None
+    """[m/s], world, (T, 3)."""
+
+    ang_vel: Array
+    """[rad/s], body, (T, 3)."""
+
+    attitude_integrated: bool
+    """Whether ``attitude`` is that which the gyro implies."""
+
+    gyro: bool
+    """Whether ``ang_vel`` was measured and the rotors' torques are known; if not, its derivative is no channel."""
+
+    specific_force: Array | None
+    """[m/s²], body, (T, 3)."""
+
+    accelerometer: bool
+    """Whether ``specific_force`` was measured; if not, it was derived from the velocity."""
+
+    rotor_speed: Array | None
+    """Measured [rad/s], (T, R)."""
+
+    rotor_command: Array | None
+    """[rad/s], (T, R)."""
+
+    notes: tuple[str, ...]
+    """What was done to the log."""
+
+    battery: Array | None = None
+    """Voltage [V], (T,)."""
+
+    other_position: Array | None = None
+    """Body origin of another vehicle flown at the same time [m], world, (T, 3); NaN where it is not known."""
+
+    ground_height: float = 0.0
+    """World z of the ground [m]."""
+
+    ceiling_height: float | None = None
+    """World z of the ceiling [m]; None if the log does not say."""
+
+    standing: NDArray[np.bool_] | None = None
+    """Rows in which the vehicle stands on the ground, which are not compared, (T,); None: it never stands."""
+
+    wind: tuple[float, float, float] | None = None
+    """Steady wind that was known to whoever flew [m/s], world; None: still air as far as is known."""
+
+    @property
+    def num_rows(self) -> int:
+        """Number of rows T."""
+        return self.time.size
+
+    @property
+    def num_rotors(self) -> int:
+        """Number of rotors R."""
+        rotors = self.rotor_speed if self.rotor_speed is not None else self.rotor_command
+        assert rotors is not None
+        return rotors.shape[1]
+
+
+def load_flights(
+    paths: Sequence[str | Path],
+    robot: RobotCfg,
+    *,
+    mapping: LogMapping | None,
+    bandwidth: float,
+    learning: int | None = None,
+) -> list[Flight]:
+    """Return the flights of the files, with names that differ.
+
+    The first ``learning`` of them decide on the clock of all rotor logs, None: all do; nothing else of a flight depends on
+    another one.
+
+    Raises:
+        DataError: If a file cannot be used, or is given twice.
+    """
+    seen: dict[Path, str] = {}
+    read: list[tuple[FlightLog, list[str]]] = []
+    for path in paths:
+        real = Path(path).resolve()
+        if real in seen:
+            raise DataError(f"{path}: is given twice (also as {seen[real]}); a flight is for training or for testing")
+        seen[real] = str(path)
+        log = mended_log(path, mapping)
+        read.append((with_velocity(log), check_log(log, robot)))
+    leads = leads_of([log for log, _ in read], robot, bandwidth, len(read) if learning is None else learning)
+    flights: list[Flight] = []
+    for (log, notes), lead, real in zip(read, leads, seen, strict=True):
+        log = match_hover_thrust(with_rotor_clock(log, lead, robot), robot)
+        check_order(log, robot)
+        flight = complete_flight(log, notes, standing=standing_rows(log, robot))
+        taken = {other.name for other in flights}
+        name = flight.name if flight.name not in taken else f"{real.parent.name}/{flight.name}"
+        flights.append(replace(flight, name=name))
+    return flights
+
+
+def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None, bandwidth: float) -> Flight:
+    """Return one flight, as ``load_flights`` does."""
+    return load_flights([path], robot, mapping=mapping, bandwidth=bandwidth)[0]
+
+
+def mended_log(path: str | Path, mapping: LogMapping | None) -> FlightLog:
+    """Return a log at equal time steps, repeated values mended."""
+    log = read_flight_log(path, mapping=mapping)
+    check_time(log)
+    check_quaternion_norm(log)
+    return uniform_log(mend_holds(without_gaps(without_copied_commands(log))))
+
+
+def with_velocity(log: FlightLog) -> FlightLog:
+    """Return the log with the velocity derived from the position if it has none of its own."""
+    if log.lin_vel is not None or log.position is None:
+        return log
+    rate = rate_of(log)
+    velocity = lowpass(log.position, rate, DERIVED_BAND * rate, derivative=True)
+    return replace(log, lin_vel=velocity, notes=(*log.notes, "velocity derived from position"))
+
+
+def leads_of(logs: Sequence[FlightLog], robot: RobotCfg, bandwidth: float, learning: int) -> list[Lead]:
+    """Return by how much each rotor log is ahead of the accelerometer, where the thrust of the first ``learning`` shows it.
+
+    Without velocity, drag along z would look like an offset, so that the clock is believed.
+    """
+    able = [log.rotor_speed is not None and log.specific_force is not None and log.lin_vel is not None for log in logs]
+    agreements = [agreement_of(log, robot, bandwidth) for log, one in zip(logs, able, strict=True) if one]
+    found = iter(common_leads(agreements, sum(able[:learning])))
+    return [next(found) if one else Lead() for one in able]
+
+
+def agreement_of(log: FlightLog, robot: RobotCfg, bandwidth: float) -> Agreement:
+    """Return how well the logged rotor speeds agree with the accelerometer under each lead."""
+    assert log.rotor_speed is not None
+    assert log.specific_force is not None
+    assert log.lin_vel is not None
+    rows = vehicle_from_config(robot, num_envs=log.time.size, dtype=torch.float64)
+    speed = torch.from_numpy(log.rotor_speed)
+    force, _ = rotor_wrench(rows, rotor_thrust(rows, speed), rotor_torque(rows, speed))
+    rate = rate_of(log)
+    others = [Rotation.from_quat(log.attitude).apply(log.lin_vel, inverse=True)[:, 2:]]
+    if log.ang_vel is not None:
+        others.append(lowpass(log.ang_vel, rate, DERIVED_BAND * rate, derivative=True)[:, :2])
+    thrust = (force[:, 2] / rows.mass).numpy()
+    band = min(bandwidth, DERIVED_BAND * rate)
+    return agreement(log.specific_force[:, 2], thrust, np.concatenate(others, axis=1), rate, band)
+
+
+def with_rotor_clock(log: FlightLog, lead: Lead, robot: RobotCfg) -> FlightLog:
+    """Return the log with rotor speeds, and commands if they share it, on the clock of the other sensors."""
+    lag = 0.5 * sum(declared_lag(robot))
+    return shift_rotor_log(log, lead, commands=commands_lead_too(log, lead, lag))
+
+
+def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
+    """Return the log with commanded speeds scaled to the mean thrust measured away from the ground, if its mapping asks for it.
+
+    ``mean sum_r T(s w_r) = m mean f_z`` is solved for s, for rotors along body z.
+
+    Raises:
+        DataError: If the log lacks what this needs.
+    """
+    if log.hover_above is None or log.rotor_command is None:
+        return log
+    if log.position is None or log.specific_force is None:
+        raise DataError(f"{log.path}: to scale commands above {log.hover_above:g} m it needs position and acc")
+    high = log.position[:, 2] > log.hover_above
+    speed = log.rotor_command[high]
+    c0, c1, c2 = np.array([rotor.thrust_coefficients for rotor in robot.rotor_types]).T  # each (R,)
+    if len(speed) * FEWEST_HIGH < log.time.size or not np.any(speed):
+        raise DataError(f"{log.path}: hardly flies above {log.hover_above:g} m, where its commands are to be scaled")
+    weight = robot.body.mass * float(log.specific_force[high, 2].mean()) - c0.sum()
+    linear, square = (speed @ c1).mean(), (speed**2 @ c2).mean()
+    scale = float((-linear + np.sqrt(max(linear**2 + 4.0 * square * weight, 0.0))) / (2.0 * square))
+    note = f"commanded speeds scaled by {scale:.4f} to the thrust measured above {log.hover_above:g} m"
+    return replace(log, rotor_command=scale * log.rotor_command, notes=(*log.notes, note))
+
+
+def complete_flight(log: FlightLog, notes: Sequence[str] = (), *, standing: NDArray[np.bool_] | None = None) -> Flight:
+    """Return the flight with specific force and angular velocity derived where the log lacks them.
+
+    ``standing``: rows in which the vehicle stands, (T,); those that the mapping tells by the height come to them.
+    """
+    rate, said = rate_of(log), [*log.notes, *notes]
+    band = DERIVED_BAND * rate
+    specific_force, ang_vel = log.specific_force, log.ang_vel
+    if log.lin_vel is None:
+        said.append("neither velocity nor position: drag is predicted as if the vehicle stood still")
+    elif specific_force is None:
+        acceleration = lowpass(log.lin_vel, rate, band, derivative=True) + np.array([0.0, 0.0, STANDARD_GRAVITY])
+        specific_force = Rotation.from_quat(log.attitude).apply(acceleration, inverse=True)
+        said.append("specific force derived from velocity")
+    if ang_vel is None:
+        ang_vel = body_rate_of(log.attitude, rate, band)
+        said.append("angular velocity derived from attitude; angular acceleration is not compared")
+    if log.collective:
+        said.append("one command for all rotors: angular acceleration is not compared")
+    if not log.torques:
+        said.append("the mapping says that these logs do not show torques: angular acceleration is not compared")
+    if log.lift_off > 0.0 and log.position is not None:
+        low = log.position[:, 2] <= log.position[:, 2].min() + log.lift_off
+        standing = low if standing is None else low | standing
+    if standing is not None:
+        said.append(f"stands on the ground in {standing.mean():.0%} of the rows; they are not compared")
+    return Flight(
+        name=log.name,
+        path=log.path,
+        rate=rate,
+        time=log.time - log.time[0],
+        position=log.position,
+        attitude=log.attitude,
+        lin_vel=log.lin_vel,
+        ang_vel=ang_vel,
+        attitude_integrated=log.attitude_integrated,
+        gyro=log.ang_vel is not None and log.torques and not log.collective,
+        specific_force=specific_force,
+        accelerometer=log.specific_force is not None,
+        rotor_speed=log.rotor_speed,
+        rotor_command=log.rotor_command,
+        battery=log.battery,
+        other_position=log.other_position,
+        ground_height=log.ground_height,
+        ceiling_height=log.ceiling_height,
+        standing=standing,
+        wind=log.wind,
+        notes=tuple(said),
+    )

@@ -1,0 +1,75 @@
+"""When a vehicle is carried by something else than its rotors: it stands before take-off and after landing.
+
+Letters: T rows, R rotors.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.checks.conventions import rate_of
+from aerial_gym.sim2real.logs.declared_rotors import thrusts
+from aerial_gym.sim2real.logs.flight_log import FlightLog
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.bool_]
+
+SMOOTH_S = 0.05
+"""Signals are smoothed by a bell of this width [s], which does not ring at a touch: noise is no motion."""
+
+IDLE = 0.5
+"""Rotors that give less than this share of what they give in flight do not carry the vehicle."""
+
+LIFTING = 0.9
+"""A vehicle that stands goes on to stand until its rotors give this share."""
+
+CARRIED = 0.8
+"""A specific force of this many g and more: the vehicle does not fall."""
+
+STILL = {"lin_vel": 0.15, "ang_vel": 0.15}
+"""Slower than this [m/s], [rad/s] the vehicle is at rest."""
+
+MOST = 0.8
+"""A vehicle that stands in more of the rows than this did not fly."""
+
+
+def standing_rows(log: FlightLog, robot: RobotCfg) -> Rows | None:
+    """Return in which rows the vehicle stands, (T,); None if in none, or if no accelerometer tells.
+
+    It stands where it is at rest and feels gravity while its rotors give less than half the thrust of the flight, and in the
+    rows beside, as long as it is at rest and the rotors give less than nine tenths.
+
+    Raises:
+        DataError: If it stands nearly all the time.
+    """
+    rotors = log.rotor_speed if log.rotor_speed is not None else log.rotor_command
+    if log.specific_force is None or rotors is None:
+        return None
+    width = SMOOTH_S * rate_of(log)
+    thrust = ndimage.gaussian_filter1d(thrusts(robot, rotors).sum(axis=1), width)
+    thrust = thrust / min(float(np.percentile(thrust, 90.0)), robot.body.mass * STANDARD_GRAVITY)
+    rest = _size(log.specific_force, width) > CARRIED * STANDARD_GRAVITY
+    for name, limit in STILL.items():
+        values = getattr(log, name)
+        if values is not None:
+            rest &= _size(values, width) < limit
+    certain = rest & (thrust < IDLE)
+    if not certain.any():
+        return None
+    likely = rest & (thrust < LIFTING)
+    piece = np.cumsum(np.diff(likely, prepend=False))
+    standing = likely & np.isin(piece, piece[certain])
+    if standing.mean() > MOST:
+        raise DataError(
+            f"{log.path}: the vehicle stands on the ground in {standing.mean():.0%} of the rows: at rest, while its rotors "
+            "give less than half its weight; cut the log to the flight"
+        )
+    return standing
+
+
+def _size(values: Array, width: float) -> Array:
+    """Return the length of smoothed vectors, (T,)."""
+    return np.linalg.norm(ndimage.gaussian_filter1d(values, width, axis=0), axis=1)

@@ -1,0 +1,138 @@
+"""Samples that a log repeats: a sensor slower than the log, packets that came late, a sensor that froze.
+
+While a vehicle moves, no sensor reads exactly the same twice. A repeated value was therefore not measured at its row: it is
+replaced by a straight line between the measured ones around it, and the log says so. Letters: T rows.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.flight_log import FlightLog
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+SENSORS = ("position", "attitude", "lin_vel", "ang_vel", "specific_force")
+"""What never stands still in flight. Rotor speeds and voltages may: they are measured in coarse steps."""
+
+LONGEST_FROZEN_S = 0.25
+"""A sensor that repeats its value for longer than this, while the vehicle moves, is frozen."""
+
+LEAST_WAY = 0.05
+"""A pose, measured in steps, is frozen only if the vehicle goes or turns further than this meanwhile [m], [rad]."""
+
+LEAST_MOTION = 0.1
+"""Above this speed [m/s] or angular velocity [rad/s] the vehicle moves."""
+
+LEAST_SHARE = 0.005
+"""A smaller share of repeated values is not worth a sentence; it is mended all the same."""
+
+MOST_ROWS = 0.5
+"""If whole rows repeat in more than this share, the log was written faster than anything was measured."""
+
+REGULAR = 0.8
+"""A sensor is slower than the log if this share of its values is held for the same number of rows, or one more or less."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Holds:
+    """Which rows of a sensor were measured."""
+
+    fresh: Rows
+    """Rows with a new value, the first one included."""
+
+    num_rows: int
+    """T."""
+
+    @property
+    def share(self) -> float:
+        """Return the share of rows that repeat the one before."""
+        return 1.0 - self.fresh.size / self.num_rows
+
+    @property
+    def usual(self) -> float:
+        """Return how many rows a value is usually held: 1, or more if the sensor is slower than the log."""
+        spans = np.diff(self.fresh)
+        middle = float(np.median(spans)) if spans.size else 1.0
+        return float(spans.mean()) if middle > 1.0 and np.mean(np.abs(spans - middle) <= 1.0) >= REGULAR else 1.0
+
+
+def find_holds(values: Array, moving: NDArray[np.bool_]) -> Holds:
+    """Return the rows (T, any) that are new; what does not move may repeat."""
+    same = np.all(values[1:] == values[:-1], axis=1) & moving[1:]
+    return Holds(fresh=np.flatnonzero(np.concatenate(([True], ~same))), num_rows=len(values))
+
+
+def mend_holds(log: FlightLog) -> FlightLog:
+    """Return the log with straight lines in place of repeated values, and a note for each sensor that has many.
+
+    Raises:
+        DataError: If a sensor was frozen for long, or most of the rows repeat the one before.
+    """
+    moving = _moving(log)
+    whole = find_holds(np.concatenate([_values(log, name) for name in SENSORS], axis=1), moving)
+    if whole.share > MOST_ROWS:
+        raise DataError(
+            f"{log.path}: {whole.share:.0%} of the rows repeat the one before; write each sample once, at its own t"
+        )
+    changes: dict[str, object] = {}
+    notes = []
+    for name in SENSORS:
+        values = _values(log, name)
+        if values.shape[1] == 0:
+            continue
+        holds = find_holds(values, moving)
+        _refuse_frozen(log, name, holds)
+        if holds.share > 0.0:
+            changes[name] = np.stack([np.interp(log.time, log.time[holds.fresh], v[holds.fresh]) for v in values.T], 1)
+        if holds.share > LEAST_SHARE:
+            notes.append(_sentence(log, name, holds))
+    return replace(log, **changes, notes=(*log.notes, *notes))
+
+
+def _moving(log: FlightLog) -> NDArray[np.bool_]:
+    """Return in which rows the vehicle moves, (T,)."""
+    moving = np.zeros(log.time.size, dtype=bool)
+    for values in (log.lin_vel, log.ang_vel):
+        if values is not None:
+            moving |= np.linalg.norm(values, axis=1) > LEAST_MOTION
+    return moving
+
+
+def _values(log: FlightLog, name: str) -> Array:
+    """Return a sensor's rows, (T, any); no columns if the log lacks it. Quaternions without jumps of sign."""
+    values = getattr(log, name)
+    if values is None:
+        return np.empty((log.time.size, 0))
+    if name != "attitude":
+        return values
+    turned = np.cumprod(np.where((values[1:] * values[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
+    return values * np.concatenate(([1.0], turned))[:, None]
+
+
+def _refuse_frozen(log: FlightLog, name: str, holds: Holds) -> None:
+    ends = np.append(holds.fresh[1:], holds.num_rows - 1)
+    held = log.time[ends] - log.time[holds.fresh]
+    changes = {"position": log.lin_vel, "attitude": log.ang_vel}.get(name)
+    if changes is not None:
+        way = np.append(0.0, np.cumsum(np.linalg.norm(changes[:-1], axis=1) * np.diff(log.time)))
+        held = np.where(way[ends] - way[holds.fresh] > LEAST_WAY, held, 0.0)
+    worst = int(np.argmax(held))
+    if held[worst] > LONGEST_FROZEN_S:
+        raise DataError(
+            f"{log.where(int(holds.fresh[worst]) + 1)}: {name} repeats one value for {held[worst]:.3g} s while the vehicle "
+            "moves; the sensor was frozen, cut the log there, or leave that sensor out"
+        )
+
+
+def _sentence(log: FlightLog, name: str, holds: Holds) -> str:
+    if holds.usual > 1.0:
+        rate = (log.time.size - 1) / float(log.time[-1] - log.time[0])
+        said = f"comes only {rate / holds.usual:.3g} times per second (the log has {rate:.4g} rows)"
+    else:
+        longest = int(np.diff(holds.fresh).max()) - 1
+        said = f"repeats its value in {holds.share:.1%} of the rows, at most {longest} in a row: late packets"
+    return f"{name} {said}; straight lines between measured values"

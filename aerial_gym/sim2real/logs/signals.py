@@ -1,0 +1,156 @@
+"""Zero-phase low-pass, derivatives and uniform time.
+
+Everything here uses future samples: it is for logs, not for flight. Letters: T rows.
+"""
+
+from dataclasses import fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.flight_log import FlightLog
+
+Array = NDArray[np.float64]
+
+FILTER_ORDER = 4
+"""Order of the Butterworth low-pass that is run forwards and backwards."""
+
+LONGEST_GAP_ROWS = 5
+"""A gap of more rows than this, and of more than LONGEST_GAP_S, ends a flight."""
+
+LONGEST_GAP_S = 0.1
+"""[s]."""
+
+LOOSE_END = 0.05
+"""Rows beyond a gap are cut off if they are no more than this share of a log."""
+
+
+def lowpass_gain(frequency: Array, bandwidth: float) -> Array:
+    """Return the gain ``1 / (1 + (f / b)^8)`` of a Butterworth low-pass of order 4 run forwards and backwards.
+
+    Source: Oppenheim, Schafer (2010), Discrete-Time Signal Processing, B.1: the squared magnitude of a Butterworth filter.
+    """
+    return 1.0 / (1.0 + (frequency / bandwidth) ** (2 * FILTER_ORDER))
+
+
+def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = False) -> Array:
+    """Return ``values`` low-passed without phase, or their time derivative in the same band.
+
+    The ends are continued by point reflection about the line through the last half period, so that a level or a slope does
+    not ring and noise in the last row does not bend the end; rows within ``edge_rows`` should not be used all the same.
+
+    Args:
+        values: Samples at equal steps, (T, ...).
+        rate: Samples per second [Hz].
+        bandwidth: Frequency of half gain [Hz].
+        derivative: Whether to multiply by ``2 pi i f``.
+    """
+    rows = values.shape[0]
+    pad = min(rows - 1, 3 * edge_rows(rate, bandwidth))
+    span = min(rows, max(2, round(0.5 * rate / bandwidth)))
+    head = 2.0 * _end_value(values[:span]) - values[pad:0:-1]
+    tail = 2.0 * _end_value(values[: -span - 1 : -1]) - values[-2 : -pad - 2 : -1]
+    longer = np.concatenate((head, values, tail))
+    size = int(fft.next_fast_len(longer.shape[0] + pad, real=True) or 0)
+    # The remaining gap of the circle is closed by a straight line, so that it adds no jump.
+    blend = np.linspace(0.0, 1.0, size - longer.shape[0] + 2)[1:-1].reshape(-1, *(1,) * (values.ndim - 1))
+    circle = np.concatenate((longer, longer[-1:] * (1.0 - blend) + longer[:1] * blend))
+    frequency = fft.rfftfreq(size, 1.0 / rate)
+    gain = lowpass_gain(frequency, bandwidth).astype(complex)
+    if derivative:
+        gain *= 2j * np.pi * frequency
+    spectrum = np.asarray(fft.rfft(circle, axis=0)) * gain.reshape(-1, *(1,) * (values.ndim - 1))
+    return np.asarray(fft.irfft(spectrum, n=size, axis=0))[pad : pad + rows]
+
+
+def _end_value(values: Array) -> Array:
+    """Return the value at the first row of the line fitted through some rows, (1, ...)."""
+    place = np.arange(values.shape[0]) - 0.5 * (values.shape[0] - 1)
+    slope = np.tensordot(place, values, axes=(0, 0)) / (place @ place)
+    return (values.mean(axis=0) + place[0] * slope)[None]
+
+
+def edge_rows(rate: float, bandwidth: float) -> int:
+    """Return the number of rows at each end that the low-pass may spoil: two periods of its bandwidth."""
+    return round(2.0 * rate / bandwidth) + 1
+
+
+def continuous_quaternion(attitude: Array) -> Array:
+    """Return unit quaternions (T, 4) of the same attitudes without jumps of sign from row to row."""
+    unit = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
+    flips = np.cumprod(np.where((unit[1:] * unit[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
+    return unit * np.concatenate(([1.0], flips))[:, None]
+
+
+def without_gaps(log: FlightLog) -> FlightLog:
+    """Return the log without a short piece at either end that a gap in time cuts off.
+
+    Raises:
+        DataError: If rows are missing for longer than can be bridged.
+    """
+    log = _without_loose_ends(log)
+    steps = np.diff(log.time)
+    step = float(np.median(steps))
+    gap = int(np.argmax(steps))
+    if steps[gap] > max(LONGEST_GAP_ROWS * step, LONGEST_GAP_S):
+        raise DataError(
+            f"{log.where(gap + 1)}: {steps[gap]:.3g} s after the row before, where {step:.3g} s are usual; "
+            "cut the log there and give both parts as flights"
+        )
+    return log
+
+
+def uniform_log(log: FlightLog) -> FlightLog:
+    """Return the log with equal time steps and unit quaternions without jumps of sign; commands stay held.
+
+    Raises:
+        DataError: If rows are missing for longer than can be bridged.
+    """
+    log = without_gaps(log)
+    steps = np.diff(log.time)
+    step = float(np.median(steps))
+    attitude = continuous_quaternion(log.attitude)
+    if np.abs(steps - step).max() <= 0.1 * step:
+        return replace(log, attitude=attitude)
+    count = int((log.time[-1] - log.time[0]) / step) + 1
+    time = log.time[0] + step * np.arange(count)
+
+    def line(values: Array | None) -> Array | None:
+        if values is None:
+            return None
+        return np.stack([np.interp(time, log.time, column) for column in values.T], axis=1)
+
+    before = np.clip(np.searchsorted(log.time, time, side="right") - 1, 0, None)
+    moved = line(attitude)
+    assert moved is not None
+    return replace(
+        log,
+        time=time,
+        attitude=continuous_quaternion(moved),
+        position=line(log.position),
+        lin_vel=line(log.lin_vel),
+        ang_vel=line(log.ang_vel),
+        specific_force=line(log.specific_force),
+        rotor_speed=line(log.rotor_speed),
+        rotor_command=None if log.rotor_command is None else log.rotor_command[before],
+        battery=None if log.battery is None else np.interp(time, log.time, log.battery),
+        other_position=line(log.other_position),
+        notes=(*log.notes, f"unequal time steps ({steps.min():.3g} to {steps.max():.3g} s) resampled to {step:.3g} s"),
+    )
+
+
+def _without_loose_ends(log: FlightLog) -> FlightLog:
+    """Return the log without a short piece at either end that a gap cuts off, and say so."""
+    steps = np.diff(log.time)
+    limit = max(LONGEST_GAP_ROWS * float(np.median(steps)), LONGEST_GAP_S)
+    edges = [0, *(np.flatnonzero(steps > limit) + 1).tolist(), log.time.size]
+    sizes = np.diff(edges)
+    longest = int(np.argmax(sizes))
+    if len(sizes) == 1 or sizes[longest] < (1.0 - LOOSE_END) * log.time.size:
+        return log
+    part = slice(edges[longest], edges[longest + 1])
+    arrays = {f.name: value[part] for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
+    note = f"{log.time.size - sizes[longest]} rows beyond a gap of {steps.max():.3g} s at the end or start were cut off"
+    return replace(log, **arrays, notes=(*log.notes, note))

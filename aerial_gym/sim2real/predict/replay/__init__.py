@@ -1,0 +1,1 @@
+"""What has a memory of its own, run along flights: rotors, loads, joints."""

@@ -1,0 +1,167 @@
+"""How a load that hangs on the vehicle swings along flights: driven by the measured motion of the body origin.
+
+The swing is integrated from the start of each flight, where logs do not tell it: two angles and two rates. They are those
+that leave the least of the specific force of the first 16 s unexplained, beside a weak prior that the link hangs still along
+the apparent gravity; without a measured specific force it does. They are found anew for each model, in flights that are left
+out as well: four numbers of each flight are given to every model with a load, as its beginning, not as a prediction.
+Letters: N steps, K steps from which the start is found, F flights.
+"""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+from torch import Tensor
+
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.physics.effects import LoadEffect
+from aerial_gym.physics.model import Model
+from aerial_gym.sim2real.logs.flights import DERIVED_BAND, Flight
+from aerial_gym.sim2real.logs.signals import lowpass
+from aerial_gym.sim2real.predict.replay.load_swing import swing
+
+Array = NDArray[np.float64]
+
+STEP_S = 0.02
+"""Step of the integrator [s]; Runge-Kutta of order 4 follows a turn of 10 rad/s to 3e-6 of an angle each step."""
+
+SETTLED_S = 0.5
+"""The load hangs still along the mean apparent gravity of this span [s]."""
+
+BAND = 5.0
+"""The measured acceleration is taken below it [Hz]; links longer than 0.1 m swing below 2 Hz."""
+
+FOUND_S = (2.0, 4.0, 8.0, 16.0, 16.0)
+"""Spans from which the start is found, one Gauss-Newton step each [s]: a long one tells more, but begun far off it misleads.
+
+Their number is always the same, so that predictions are smooth in the parameters."""
+
+FORCE_STD = 0.1
+"""Specific force that a step of these spans leaves unexplained [m/s²], where the prior of the start is weighed against it."""
+
+START_STD = (0.3, 0.3, 1.0, 1.0)
+"""Prior of the start: angles [rad] and rates [rad/s] of a moderate swing of a link of about a metre."""
+
+NUDGE = 1e-6
+"""Difference step of the start [rad], [rad/s]."""
+
+REMEMBERED = 64
+"""Results kept."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Link:
+    """The link of a load along one flight."""
+
+    time: Array
+    """[s], (T,)."""
+
+    load: Array
+    """Direction n and rate n' [1/s], world, (T, 6)."""
+
+    def at(self, times: Array) -> Array:
+        """Return direction and rate at other times, (W, 6), in straight lines between the rows, with ``|n| = 1``."""
+        load = np.stack([np.interp(times, self.time, column) for column in self.load.T], axis=1)
+        direction = load[:, :3] / np.linalg.norm(load[:, :3], axis=1, keepdims=True)
+        along = (load[:, 3:] * direction).sum(axis=1, keepdims=True)
+        return np.concatenate((direction, load[:, 3:] - along * direction), axis=1)
+
+
+class LoadReplay:
+    """Directions and rates of the link in all flights, for any parameters of the load."""
+
+    def __init__(self, flights: Sequence[Flight]) -> None:
+        self._spans = [float(flight.time[-1]) for flight in flights]
+        self._known = all(flight.lin_vel is not None for flight in flights)
+        self._results: OrderedDict[tuple[object, ...], list[CubicHermiteSpline]] = OrderedDict()
+        if self._known:
+            count = int(np.ceil(max(self._spans) / STEP_S)) + 1
+            self._time = 0.5 * STEP_S * np.arange(2 * count + 1)
+            self._acceleration = torch.from_numpy(np.stack([self._motion(flight) for flight in flights], axis=1))
+            self._start = torch.stack([self._hanging(place, flight) for place, flight in enumerate(flights)])
+            hanging = self._start[:, :3]
+            self._axes = torch.linalg.svd(hanging.unsqueeze(1)).Vh.roll(-1, dims=1)  # (F, 3, 3), the link last
+            self._axes[:, 2] = hanging
+            self._num_found = [min(count, round(span / STEP_S)) for span in FOUND_S]
+            grid = self._time[::2][: max(self._num_found) + 1, None]
+            self._inside = torch.from_numpy((grid <= np.array(self._spans)).astype(float))
+
+    def loads(self, model: Model, times: Sequence[Array], missed: Sequence[Array] | None = None) -> Tensor:
+        """Return direction n and rate n' of the link, world, (E, 6), at times of each flight, one after the other.
+
+        Args:
+            model: With the load, which has the same parameters in every row, of which the first is taken.
+            times: Of each flight, (rows,); E is their sum.
+            missed: Specific force that the model without the load leaves unexplained at these times [m/s²], world,
+                (rows, 3) of each flight. None: the link hangs still at the start.
+        """
+        effect, params = model.effects[LoadEffect][0]
+        felt = None if missed is None else self._at_steps(times, missed)
+        key = (effect.name, model.gravity, *params[0].tolist(), None if felt is None else felt.numpy().tobytes())
+        if key not in self._results:
+            start = self._start if felt is None else self._find_start(model, felt)
+            swings = swing(effect, params[0], start, self._acceleration, step=STEP_S, gravity=model.gravity)[0].numpy()
+            self._results[key] = [
+                CubicHermiteSpline(self._time[::2], s[:, :3], s[:, 3:]) for s in swings.swapaxes(0, 1)
+            ]
+            if len(self._results) > REMEMBERED:
+                self._results.popitem(last=False)
+        self._results.move_to_end(key)
+        parts = [np.concatenate((c(t), c(t, 1)), axis=1) for c, t in zip(self._results[key], times, strict=True)]
+        load = torch.from_numpy(np.concatenate(parts))
+        direction = torch.nn.functional.normalize(load[:, :3], dim=-1)
+        rate = load[:, 3:] - (load[:, 3:] * direction).sum(-1, keepdim=True) * direction
+        return torch.cat((direction, rate), dim=-1)
+
+    def _motion(self, flight: Flight) -> Array:
+        """Return the acceleration of the origin every half step [m/s²], world, (2 N + 1, 3)."""
+        assert flight.lin_vel is not None
+        slow = lowpass(flight.lin_vel, flight.rate, min(BAND, DERIVED_BAND * flight.rate), derivative=True)
+        return np.stack([np.interp(self._time, flight.time, column) for column in slow.T], axis=1)
+
+    def _hanging(self, place: int, flight: Flight) -> Tensor:
+        """Return the still link along the apparent gravity at the start of a flight, (6,)."""
+        rows = self._time <= min(SETTLED_S, flight.time[-1])
+        apparent = -self._acceleration[torch.from_numpy(rows), place].mean(dim=0)
+        apparent[2] -= STANDARD_GRAVITY
+        return torch.cat((torch.nn.functional.normalize(apparent, dim=0), torch.zeros(3, dtype=apparent.dtype)))
+
+    def _at_steps(self, times: Sequence[Array], values: Sequence[Array]) -> Tensor:
+        """Return values (rows, 3) of each flight at the steps of the first seconds, (K + 1, F, 3); zero after its end."""
+        grid = self._time[::2][: max(self._num_found) + 1]
+        columns = [
+            np.stack([np.interp(grid, t, column, right=0.0) for column in rows.T], axis=1)
+            for t, rows in zip(times, values, strict=True)
+        ]
+        return torch.from_numpy(np.stack(columns, axis=1))
+
+    def _find_start(self, model: Model, missed: Tensor) -> Tensor:
+        """Return the links at the start, (F, 6), whose swing pulls as ``missed`` (K + 1, F, 3) [m/s²] says."""
+        effect, params = model.effects[LoadEffect][0]
+        num_flights, moved = len(self._spans), torch.zeros(5, len(self._spans), 4, dtype=torch.float64)
+        moved[1:] += NUDGE * torch.eye(4, dtype=torch.float64).unsqueeze(1)
+        weight = self._inside.unsqueeze(-1) / FORCE_STD  # (K + 1, F, 1)
+        prior = torch.tensor(START_STD, dtype=torch.float64).pow(-2)
+        for count in self._num_found:
+            start = torch.cat([self._started(numbers) for numbers in moved])
+            acceleration = self._acceleration[: 2 * count + 1].repeat(1, 5, 1)
+            force = swing(effect, params[0], start, acceleration, step=STEP_S, gravity=model.gravity)[1]
+            pulled = force.unflatten(1, (5, num_flights)) / model.vehicle.mass[0]  # (K + 1, 5, F, 3)
+            left = (missed[: count + 1] - pulled[:, 0]) * weight[: count + 1]
+            slope = (pulled[:, 1:] - pulled[:, :1]) / NUDGE * weight[: count + 1].unsqueeze(1)
+            normal = torch.einsum("kafi,kbfi->fab", slope, slope) + torch.diag(prior)
+            pull = torch.einsum("kafi,kfi->fa", slope, left) - prior * moved[0]
+            moved = moved + torch.linalg.solve(normal, pull)
+        return self._started(moved[0])
+
+    def _started(self, numbers: Tensor) -> Tensor:
+        """Return links (F, 6) that two angles and two rates (F, 4) move away from hanging still."""
+        first, second, hanging = self._axes.unbind(1)
+        moved = hanging + numbers[:, :1] * first + numbers[:, 1:2] * second
+        direction = torch.nn.functional.normalize(moved, dim=-1)
+        rate = numbers[:, 2:3] * first + numbers[:, 3:] * second
+        return torch.cat((direction, rate - (rate * direction).sum(-1, keepdim=True) * direction), dim=-1)

@@ -1,0 +1,88 @@
+"""What the rotors of a flight follow: the logged commands, late by a dead time, under the measured voltage of the battery.
+
+The voltage is taken as it is logged. Its noise goes through the same lag as the commands, which is filter enough: of the
+variance of white noise, ``a / (2 - a)`` with ``a = 1 - exp(-dt / tau)`` is left. 20 mV on 16 V at 400 rows per second come to
+2e-4 of the speeds, and make a gain too small by 3e-4 where the voltage varies by 0.2 V (rms); a low-pass would take away the
+sag under load.
+Letters: T rows, R rotors.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from aerial_gym.errors import DataError
+from aerial_gym.physics import Model
+from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect
+from aerial_gym.physics.rotor_lag import stop_in_dead_band
+from aerial_gym.sim2real.logs.flights import Flight
+
+Array = NDArray[np.float64]
+
+LEAST_VARIATION = 0.01
+"""A voltage that varies by less than this share acts like a constant factor on the commands."""
+
+
+def arriving_commands(flight: Flight, model: Model, *, shift: float = 0.0) -> tuple[Tensor, Tensor, float]:
+    """Return the speeds to which commands lead at the beginning and in the rest of each row [rad/s], (T, R), and the part
+    of a row for which the first ones hold.
+
+    A command holds from its row to the next. Before the first one has come through, it counts as given all along.
+
+    Args:
+        flight: With commands.
+        model: Gives delay, battery and what it does, one environment.
+        shift: Each command lies this share of a row towards the next one.
+
+    Raises:
+        DataError: If the log lacks what an effect needs.
+    """
+    command = flight.rotor_command
+    assert command is not None
+    moved = torch.from_numpy(command + shift * np.diff(command, axis=0, append=command[-1:]))
+    late = flight.rate * sum(float(effect.delay(params)) for effect, params in model.effects[DelayEffect])
+    whole = int(late)
+    place = torch.arange(flight.num_rows) - whole
+    earlier, later = (_led_to(flight, model, moved[(place - more).clamp_min(0)]) for more in (1, 0))
+    return earlier, later, late - whole
+
+
+def mean_commands(flight: Flight, model: Model) -> Array:
+    """Return the mean over each row of the speeds to which commands lead [rad/s], (T, R)."""
+    earlier, later, share = arriving_commands(flight, model)
+    return (share * earlier + (1.0 - share) * later).numpy()
+
+
+def _led_to(flight: Flight, model: Model, command: Tensor) -> Tensor:
+    """Return the speeds to which commands (T, R) lead under the voltage of their rows."""
+    command = stop_in_dead_band(model.vehicle, command)
+    for effect, params in model.effects[CommandEffect]:
+        if lacking := missing_in_logs(effect, [flight]):
+            raise DataError(f"effect {effect.name}: {lacking}, or leave the effect out of the robot file")
+        voltage = torch.full(command.shape[:1], torch.nan) if flight.battery is None else torch.tensor(flight.battery)
+        memory = effect.measured(voltage)
+        command = effect.command(command, model.vehicle, torch.cat((params.expand(len(memory), -1), memory), dim=-1))
+    return command
+
+
+def missing_in_logs(effect: Effect, flights: Sequence[Flight]) -> str:
+    """Return what the logs of flights lack for a replay of an effect, and the way out; empty if nothing."""
+    without = [flight.name for flight in flights if flight.battery is None]
+    if "battery" in effect.logged and without:
+        return f"no battery voltage in {', '.join(without)}; log it in volts (column vbat)"
+    return ""
+
+
+def too_steady(effect: Effect, flights: Sequence[Flight]) -> str:
+    """Return which logged quantity varies too little in all flights together to show an effect; empty if none."""
+    if "battery" not in effect.logged:
+        return ""
+    low, middle, high = np.percentile(
+        np.concatenate([f.battery for f in flights if f.battery is not None]), (2, 50, 98)
+    )
+    if high - low >= LEAST_VARIATION * middle:
+        return ""
+    return f"the battery voltage varies by {(high - low) / middle:.1%} in these flights; needed: {effect.excitation}"

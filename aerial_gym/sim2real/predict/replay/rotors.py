@@ -1,0 +1,97 @@
+"""Rotor speeds that follow from the logged commands, for all flights side by side.
+
+Letters: F flights, T rows of a flight, N rows of all flights, R rotors.
+"""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from aerial_gym.physics import Model
+from aerial_gym.physics.effects import CommandEffect, DelayEffect, RotorSensorEffect
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.replay.rotor_commands import arriving_commands
+from aerial_gym.sim2real.predict.replay.rotor_lag import follow_commands
+
+Array = NDArray[np.float64]
+
+REMEMBERED = 8
+"""Results kept; a fit asks for few different lags again and again."""
+
+
+class RotorReplay:
+    """Runs lag, dead time and battery of a model through the commands, from the first measured speed on, uncorrected."""
+
+    def __init__(self, flights: Sequence[Flight]) -> None:
+        self._flights = flights
+        self._members = [index for index, flight in enumerate(flights) if flight.rotor_command is not None]
+        rows = [flights[index].num_rows for index in self._members]
+        self._ends = torch.from_numpy(np.cumsum([0, *rows], dtype=np.int32))
+        self._step = torch.tensor([1.0 / flights[index].rate for index in self._members], dtype=torch.float64)
+        self._results: OrderedDict[tuple[object, ...], list[Array | None]] = OrderedDict()
+
+    def speeds(
+        self, model: Model, shift: float, sensors: Sequence[tuple[RotorSensorEffect, Tensor]] = ()
+    ) -> list[Array | None]:
+        """Return speeds [rad/s] of each flight as they are measured, (T, R); None for a flight without commands.
+
+        Args:
+            model: Gives lag, dead time and what the battery does, one environment.
+            shift: The command of a step lies this share of it towards the next row.
+            sensors: Errors of the sensors of rotor speed, with parameters (1, P).
+
+        Raises:
+            DataError: If a log lacks what an effect of the model needs.
+        """
+        vehicle, effects = model.vehicle, (*model.effects[DelayEffect], *model.effects[CommandEffect], *sensors)
+        numbers = [vehicle.time_constant_up, vehicle.time_constant_down, vehicle.battery]
+        numbers += [params for _, params in effects]
+        key = (tuple(effect.name for effect, _ in effects), shift, *torch.cat(numbers, dim=1)[0].tolist())
+        if key not in self._results:
+            self._results[key] = self._run(model, shift, sensors)
+            while len(self._results) > REMEMBERED:
+                self._results.popitem(last=False)
+        self._results.move_to_end(key)
+        return self._results[key]
+
+    def _run(
+        self, model: Model, shift: float, sensors: Sequence[tuple[RotorSensorEffect, Tensor]]
+    ) -> list[Array | None]:
+        result: list[Array | None] = [None] * len(self._flights)
+        if not self._members:
+            return result
+        arriving = [arriving_commands(self._flights[index], model, shift=shift) for index in self._members]
+        earlier, later, shares = zip(*arriving, strict=True)
+        table = follow_commands(
+            torch.stack([self._first(index, sensors) for index in self._members]),
+            torch.cat(earlier),
+            torch.cat(later),
+            torch.tensor(shares, dtype=torch.float64),
+            ends=self._ends,
+            step=self._step,
+            tau_up=model.vehicle.time_constant_up[0],
+            tau_down=model.vehicle.time_constant_down[0],
+            slew_rates=(model.vehicle.slew_rate[0], model.vehicle.slew_rate_down[0])
+            if model.vehicle.traits & {"slew", "reversible"}
+            else None,
+        )
+        for effect, params in sensors:
+            table = effect.measure(table, params)
+        for place, index in enumerate(self._members):
+            result[index] = table[self._ends[place] : self._ends[place + 1]].numpy()
+        return result
+
+    def _first(self, index: int, sensors: Sequence[tuple[RotorSensorEffect, Tensor]]) -> Tensor:
+        """Return the true speeds at the start, (R,): measured ones without the errors of the sensors, else the commands."""
+        flight = self._flights[index]
+        if flight.rotor_speed is None:
+            assert flight.rotor_command is not None
+            return torch.from_numpy(flight.rotor_command[0].copy())
+        speed = torch.from_numpy(flight.rotor_speed[:1].copy())
+        for effect, params in reversed(sensors):
+            speed = effect.true_speed(speed, params)
+        return speed[0]

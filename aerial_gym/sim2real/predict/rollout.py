@@ -1,0 +1,405 @@
+"""Open-loop rollouts: every window of the flights is one environment of the simulator, released at a measured state.
+
+The rotors follow the logged commands through dead time, battery and lag of the model; without commands they turn as
+measured. A second variant is given the measured attitude, so that it shows forces alone.
+Letters: W windows (environments), R rotors.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.math.quaternion import quat_conjugate, quat_log, quat_multiply
+from aerial_gym.physics import (
+    EFFECTS,
+    INTEGRATORS,
+    BodyState,
+    Vehicle,
+    advance_remembering,
+    build_model,
+    vehicle_from_config,
+)
+from aerial_gym.physics.effects import CommandEffect, DelayEffect, LoadEffect, RotorSensorEffect, WrenchEffect
+from aerial_gym.physics.effects.actuation_delay import LONGEST as LONGEST_DELAY
+from aerial_gym.physics.effects.arm_joint import ArmJoint
+from aerial_gym.physics.memory import Memory, make_memory, place_memory
+from aerial_gym.physics.model import EffectParams
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.predictor import Point, one_row, with_known_wind
+from aerial_gym.sim2real.predict.replay.joint import joint_angles
+from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
+from aerial_gym.sim2real.predict.replay.rotor_commands import mean_commands
+from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
+from aerial_gym.sim2real.predict.scene import heights, other_at
+
+Array = NDArray[np.float64]
+
+HORIZONS_S = (0.1, 0.5, 1.0, 2.0)
+"""When a rollout is compared with the flight [s]."""
+
+STEP_S = 0.005
+"""Longest step of the integrator [s]; Runge-Kutta of order 4 is exact to 1e-6 there."""
+
+WINDOW_EVERY_S = 0.5
+"""Between the starts of two windows [s]."""
+
+FIRST_WINDOW_S = LONGEST_DELAY
+"""Start of the first window [s]: no command is longer on its way, so that all that arrive are in the log."""
+
+MOST_WINDOWS = 600
+"""Windows are spread over all flights if there were more."""
+
+CLUSTER_S = 4.0
+"""Windows that start within such a span of a flight count as one draw in the intervals [s]."""
+
+QUANTITIES: dict[str, str] = {"position": "m", "velocity": "m/s", "attitude": "rad"}
+"""Compared quantities and their units."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Windows:
+    """Where rollouts start."""
+
+    flight: NDArray[np.int64]
+    """Index of the flight, (W,)."""
+
+    row: NDArray[np.int64]
+    """Row of the log, (W,)."""
+
+    cluster: NDArray[np.int64]
+    """Windows of one cluster overlap or follow each other, (W,)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RolloutErrors:
+    """Distance between rollout and flight at each horizon: one row per window."""
+
+    windows: Windows
+    horizons: tuple[float, ...]
+    """[s]."""
+
+    position: Array | None
+    """[m], (W, horizons); None if the log has no position."""
+
+    velocity: Array | None
+    """[m/s], (W, horizons)."""
+
+    attitude: Array | None
+    """Angle of the turn between them [rad], (W, horizons); None where the attitude was given."""
+
+    driven_by: str
+    """commands or measured rotor speeds."""
+
+
+class _Straight:
+    """The control law of a replay: the action is the rotor speed command."""
+
+    def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
+        """Return the action."""
+        del state
+        return action
+
+    def fused(self) -> None:
+        """There is no Warp code: rollouts run in float64 torch."""
+
+
+def find_windows(
+    flights: Sequence[Flight], horizon: float, *, every: float = WINDOW_EVERY_S, most: int = MOST_WINDOWS
+) -> Windows:
+    """Return the starts of windows of ``horizon`` [s], in every flight that is long enough; one ``every`` so many seconds.
+
+    No window holds a row in which the vehicle stands.
+    """
+    spans = [max(0.0, float(f.time[-1]) - horizon - STEP_S) for f in flights]
+    every = max(every, sum(spans) / most)
+    parts, cluster = [], 0
+    for index, (flight, span) in enumerate(zip(flights, spans, strict=True)):
+        starts = np.arange(FIRST_WINDOW_S, span, every)
+        rows = np.round(starts * flight.rate).astype(int)
+        if flight.standing is not None:
+            stood = np.concatenate(([0], np.cumsum(flight.standing)))
+            last = np.minimum(rows + round((horizon + STEP_S) * flight.rate) + 1, flight.num_rows)
+            clear = stood[last] == stood[rows]
+            starts, rows = starts[clear], rows[clear]
+        groups = (starts / CLUSTER_S).astype(int)
+        parts.append((np.full(rows.size, index), rows, groups + cluster))
+        cluster += int(groups[-1]) + 1 if rows.size else 0
+    flight_index, row, clusters = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return Windows(flight=flight_index, row=row, cluster=clusters)
+
+
+def roll_out(
+    robot: RobotCfg,
+    flights: Sequence[Flight],
+    point: Point,
+    *,
+    links: Sequence[Link] | None = None,
+    horizons: Sequence[float] = HORIZONS_S,
+    given_attitude: bool = False,
+) -> RolloutErrors:
+    """Return the open-loop errors of a model.
+
+    Args:
+        robot: Declared robot.
+        flights: Flights with velocity.
+        point: Effects of the model.
+        links: How its load swings along each flight; None: as if it hung still when the log begins.
+        horizons: When to compare [s]; those that no flight is long enough for are left out.
+        given_attitude: Whether attitude and angular velocity are set to the measured ones after every step.
+    """
+    longest = max(float(flight.time[-1]) for flight in flights)
+    kept = tuple(h for h in horizons if FIRST_WINDOW_S + h + 2.0 * STEP_S < longest)
+    windows = find_windows(flights, max(kept))
+    commanded = is_commanded(flights)
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+    if commanded:
+        flights = with_arriving_commands(vehicle, flights, point)
+    shape = (windows.row.size, len(kept))
+    errors = {name: np.full(shape, np.nan) for name in QUANTITIES}
+    load = None if links is None else load_at(links, flights, windows)
+    for members in same_rate(flights, windows):
+        one = np.zeros(members.size, dtype=np.int64)
+        starts = windows.flight[members], windows.row[members]
+        begun = None if load is None else load[members]
+        run = Batch([vehicle], [point], one, flights, *starts, load=begun)
+        at = {run.steps(horizon): place for place, horizon in enumerate(kept)}
+        for step, state, truth in run.fly(run.measured(0), at, given_attitude=given_attitude):
+            for name, values in _distances(state, truth).items():
+                errors[name][members, at[step]] = values
+    return RolloutErrors(
+        windows=windows,
+        horizons=kept,
+        position=errors["position"] if all(f.position is not None for f in flights) else None,
+        velocity=errors["velocity"] if all(f.lin_vel is not None for f in flights) else None,
+        attitude=None if given_attitude else errors["attitude"],
+        driven_by="commands" if commanded else "measured rotor speeds",
+    )
+
+
+def is_commanded(flights: Sequence[Flight]) -> bool:
+    """Return whether rotors can follow commands in all flights; else they turn as measured."""
+    return all(flight.rotor_command is not None for flight in flights)
+
+
+def same_rate(flights: Sequence[Flight], windows: Windows) -> list[NDArray[np.int64]]:
+    """Return the windows whose flights have the same rate, for each rate."""
+    rate = np.array([flights[index].rate for index in windows.flight])
+    return [np.flatnonzero(rate == one) for one in np.unique(rate)]
+
+
+def with_arriving_commands(vehicle: Vehicle, flights: Sequence[Flight], point: Point) -> list[Flight]:
+    """Return the flights with what arrives at the rotors as commands: so no window begins without those on their way."""
+    acting = [(EFFECTS.get(name), params) for name, params in point.effects.items() if acts_on_commands(name)]
+    model = build_model(vehicle, [(effect, torch.tensor(params).reshape(1, -1)) for effect, params in acting])
+    return [replace(flight, rotor_command=mean_commands(flight, model)) for flight in flights]
+
+
+def load_at(links: Sequence[Link], flights: Sequence[Flight], windows: Windows) -> Array:
+    """Return direction and rate of the link at the start of each window, (W, 6)."""
+    load = np.empty((windows.row.size, 6))
+    for index, (link, flight) in enumerate(zip(links, flights, strict=True)):
+        own = windows.flight == index
+        load[own] = link.at(windows.row[own] / flight.rate)
+    return load
+
+
+def acts_on_commands(name: str) -> bool:
+    """Return whether an effect changes what commands lead to."""
+    return EFFECTS.get(name).kind in (CommandEffect, DelayEffect)
+
+
+class Batch:
+    """Windows of flights with one rate, side by side, each under one of several models."""
+
+    def __init__(
+        self,
+        vehicles: Sequence[Vehicle],
+        points: Sequence[Point],
+        of: NDArray[np.int64],
+        flights: Sequence[Flight],
+        flight: NDArray[np.int64],
+        row: NDArray[np.int64],
+        *,
+        load: Array | None = None,
+        longest_step: float = STEP_S,
+    ) -> None:
+        """Take the windows.
+
+        Args:
+            vehicles: Of each model, one environment.
+            points: Effects of each model: the same ones with the same learned residual.
+            of: Which model each window has, (W,).
+            flights: With the commands that arrive.
+            flight: Flight of each window, (W,).
+            row: Where it starts, (W,).
+            load: Direction and rate of the link of the load there, (W, 6); None: as if it hung still when the log begins.
+            longest_step: Of the integrator [s].
+        """
+        self._flights, self._flight, self._row, self._load, self._of = flights, flight, row, load, of
+        self._along: dict[
+            int, list[Array | None]
+        ] = {}  # rotor speeds of each model along all flights, from the commands
+        self._rate, self._commanded = flights[flight[0]].rate, is_commanded(flights)
+        self._stride = max(1, int(longest_step * self._rate + 1e-9))
+        self._substeps = max(1, round(self._stride / (longest_step * self._rate)))
+        model_of = torch.from_numpy(of)
+        tables = [vehicle.rows() for vehicle in vehicles]
+        vehicle = replace(vehicles[0], **{n: torch.cat([rows[n] for rows in tables])[model_of] for n in tables[0]})
+        self._rotors = vehicle.num_rotors
+        if not self._commanded:  # the speeds are what they were: the rotors follow at once
+            zero = torch.zeros_like(vehicle.time_constant_up)
+            direct = vehicle.traits - {"slew", "dead_band"}
+            vehicle = replace(vehicle, time_constant_up=zero, time_constant_down=zero, traits=direct)
+            unlimited = torch.full_like(zero, torch.inf)
+            vehicle = replace(vehicle, slew_rate=unlimited, slew_rate_down=unlimited)
+        names = [n for n in points[0].effects if self._commanded or EFFECTS.get(n).acts_on != "actuation"]
+        effects: list[EffectParams] = [
+            (EFFECTS.get(n), torch.from_numpy(np.stack([p.effects[n] for p in points]))[model_of]) for n in names
+        ]
+        if (learned := points[0].learned) is not None:
+            effects.append((learned, torch.ones(row.size, 1, dtype=torch.float64)))
+        around = heights([flights[index] for index in flight], [1] * row.size)
+        model = build_model(vehicle, effects, **around)
+        flown = replace(model, effects=model.effects.without(DelayEffect, CommandEffect))  # they have acted
+        self._model = with_known_wind(flown, flights, flight)
+
+    def steps(self, seconds: float) -> int:
+        """Return how many steps a span is."""
+        return round(seconds * self._rate / self._stride)
+
+    def fly(
+        self, state: BodyState, at: Collection[int], *, given_attitude: bool = False
+    ) -> Iterator[tuple[int, BodyState, BodyState]]:
+        """Yield the step, the state, and the state that was measured, at some numbers of steps after the start."""
+        span = self._stride / self._rate
+        memory, stepper, law = self._memory(span / self._substeps), INTEGRATORS["rk4"], _Straight()
+        for step in range(max(at)):
+            action = self._action(step)
+            model = replace(self._model, other_position=self._other(step))
+            state, memory = advance_remembering(
+                model, stepper, law, state, action, span / self._substeps, self._substeps, memory
+            )
+            if given_attitude or step + 1 in at:
+                truth = self.measured(step + 1)
+                if step + 1 in at:
+                    yield step + 1, state, truth
+                if given_attitude:
+                    state = replace(state, attitude=truth.attitude, ang_vel=truth.ang_vel)
+
+    def measured(self, step: int) -> BodyState:
+        """Return the state that was measured ``step`` steps after each start."""
+        rows = self._row + step * self._stride
+        return BodyState(
+            position=self._gather("position", rows),
+            attitude=self._gather("attitude", rows),
+            lin_vel=self._gather("lin_vel", rows),
+            ang_vel=self._gather("ang_vel", rows),
+            rotor_speed=self._speed_at(rows),
+        )
+
+    def _speed_at(self, rows: NDArray[np.int64]) -> Tensor:
+        """Return true rotor speeds at a row of each window's flight [rad/s], (W, R): as measured, else as commands lead to."""
+        if any(self._flights[index].rotor_speed is not None for index in np.unique(self._flight)):
+            return self._true_speed(self._gather("rotor_speed", rows))
+        speed = torch.empty(rows.size, self._rotors, dtype=torch.float64)
+        for model, index in np.unique(np.stack((self._of, self._flight)), axis=1).T:
+            chosen = np.flatnonzero((self._of == model) & (self._flight == index))
+            along = self._speed_along(int(model), int(index))
+            speed[chosen] = along[np.minimum(rows[chosen], len(along) - 1)]
+        return speed
+
+    def _memory(self, dt: float) -> Memory | None:
+        """Return what effects remember at the starts."""
+        if not self._model.effects.remembering:
+            return None
+        memory = place_memory(self._model, make_memory(self._model, dt), self._angles())
+        if not self._model.effects[LoadEffect]:
+            return memory
+        name = self._model.effects[LoadEffect][0][0].name
+        if self._load is not None:
+            return place_memory(self._model, memory, {name: torch.from_numpy(self._load)})
+        flown = np.unique(self._flight)
+        times = [self._row[self._flight == index] / self._rate for index in flown]
+        load = torch.empty(self._row.size, 6, dtype=torch.float64)
+        order = torch.from_numpy(np.argsort(self._flight, kind="stable"))
+        load[order] = LoadReplay([self._flights[index] for index in flown]).loads(self._model, times)
+        return place_memory(self._model, memory, {name: load})
+
+    def _angles(self) -> dict[str, Tensor]:
+        """Return the angles of soft arms at the starts [rad], (W, R), by effect, as the rotors have turned until then."""
+        found: dict[str, Tensor] = {}
+        for effect, params in self._model.effects[WrenchEffect]:
+            if isinstance(effect, ArmJoint):
+                angles = torch.zeros(self._row.size, self._rotors, dtype=torch.float64)
+                for model, index in np.unique(np.stack((self._of, self._flight)), axis=1).T:
+                    chosen = np.flatnonzero((self._of == model) & (self._flight == index))
+                    vehicle, one = one_row(self._model.vehicle, chosen[0]), params[chosen[:1]]
+                    speed = self._speed_along(int(model), int(index))
+                    along = joint_angles(effect, vehicle, one, self._flights[index], speed, 1.0 / self._rate)
+                    angles[chosen] = along[self._row[chosen]]
+                found[effect.name] = angles
+        return found
+
+    def _speed_along(self, model: int, index: int) -> Tensor:
+        """Return true rotor speeds along a flight under a model [rad/s], (T, R): as measured, else as commands lead to."""
+        window, speed = int(np.argmax(self._of == model)), self._flights[index].rotor_speed
+        if speed is None:
+            if model not in self._along:
+                lagging = replace(self._model, vehicle=one_row(self._model.vehicle, window))
+                self._along[model] = RotorReplay(self._flights).speeds(lagging, 0.0)
+            led = self._along[model][index]
+            assert led is not None
+            return torch.from_numpy(led)
+        true = torch.from_numpy(speed)
+        for effect, params in reversed(self._model.effects[RotorSensorEffect]):
+            true = effect.true_speed(true, params[window : window + 1])
+        return true
+
+    def _other(self, step: int) -> Tensor:
+        """Return where the other vehicle is in the middle of a step [m], (W, 3)."""
+        rows, place = self._row + step * self._stride + self._stride // 2, torch.empty(self._row.size, 3).double()
+        for index in np.unique(self._flight):
+            chosen = self._flight == index
+            place[torch.from_numpy(chosen)] = other_at(self._flights[index], rows[chosen])
+        return place
+
+    def _action(self, step: int) -> Tensor:
+        """Return the mean command over a step, or the mean measured speed."""
+        first = self._row + step * self._stride
+        name = "rotor_command" if self._commanded else "rotor_speed"
+        values = [self._gather(name, first + k) for k in range(self._stride)]
+        if not self._commanded:  # between rows a speed runs in a straight line
+            values += [0.5 * (self._gather(name, first + self._stride) - values[0])]
+            return self._true_speed(sum(values[:-1], values[-1]) / self._stride)
+        return sum(values[1:], values[0]) / self._stride
+
+    def _true_speed(self, measured: Tensor) -> Tensor:
+        """Return measured rotor speeds without the errors of their sensors."""
+        for effect, params in reversed(self._model.effects[RotorSensorEffect]):
+            measured = effect.true_speed(measured, params)
+        return measured
+
+    def _gather(self, name: str, rows: NDArray[np.int64]) -> Tensor:
+        """Return a quantity at a row of each window's flight, (W, any); zeros where the log lacks it."""
+        width = {"attitude": 4, "rotor_speed": self._rotors, "rotor_command": self._rotors}.get(name, 3)
+        result = np.zeros((rows.size, width))
+        for index in np.unique(self._flight):
+            values = getattr(self._flights[index], name)
+            if values is not None:
+                chosen = self._flight == index
+                result[chosen] = values[np.minimum(rows[chosen], values.shape[0] - 1)]
+        return torch.from_numpy(result)
+
+
+def _distances(state: BodyState, truth: BodyState) -> dict[str, Array]:
+    turn = quat_log(quat_multiply(quat_conjugate(truth.attitude), state.attitude))
+    return {
+        "position": (state.position - truth.position).norm(dim=1).numpy(),
+        "velocity": (state.lin_vel - truth.lin_vel).norm(dim=1).numpy(),
+        "attitude": turn.norm(dim=1).numpy(),
+    }

@@ -1,0 +1,73 @@
+"""What stands around the vehicle in a flight: ground, ceiling, another vehicle.
+
+An effect that needs one of them can be tested only where every flight has it. Letters: E rows.
+"""
+
+from collections.abc import Sequence
+from math import inf, nan
+from typing import TypedDict
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from aerial_gym.errors import DataError
+from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.effects import LoadEffect
+from aerial_gym.sim2real.logs.flights import Flight
+
+NEEDED = {
+    "position": "a position (columns p_x, p_y, p_z)",
+    "lin_vel": "velocity or position (a load swings as its vehicle moves)",
+    "ceiling_height": "the height of the ceiling (column ceiling_z; a high one where there is none)",
+    "other_position": "the position of the other vehicle (columns other_p_x, other_p_y, other_p_z, or its own log)",
+}
+"""What an effect may need of a flight, and how it gets there."""
+
+
+class Heights(TypedDict):
+    """As ``build_model`` takes them [m], world, (E, 1)."""
+
+    ground_height: Tensor
+    ceiling_height: Tensor | None
+
+
+def lacks_around(name: str, flights: Sequence[Flight]) -> str:
+    """Return what of its surroundings the flights lack for an effect; empty if nothing."""
+    effect = EFFECTS.get(name)
+    for need in (*effect.needs, *(("lin_vel",) if effect.kind is LoadEffect else ())):
+        without = [flight.name for flight in flights if getattr(flight, need) is None]
+        if without:
+            return f"{', '.join(without)}: without {NEEDED[need]}"
+    return ""
+
+
+def check_around(names: Sequence[str], flights: Sequence[Flight]) -> None:
+    """Raise ``DataError`` if the flights lack something that a declared effect needs."""
+    for name in names:
+        if reason := lacks_around(name, flights):
+            raise DataError(f"the robot file declares {name}, but the flights do not tell it: {reason}")
+
+
+def heights(flights: Sequence[Flight], rows: Sequence[int]) -> Heights:
+    """Return the heights of ground and ceiling [m], (E, 1), for so many rows of each flight; None: no ceiling known."""
+
+    def column(values: list[float]) -> Tensor:
+        return torch.from_numpy(np.repeat(values, rows)).unsqueeze(-1)
+
+    ceilings = [flight.ceiling_height for flight in flights]
+    known = any(ceiling is not None for ceiling in ceilings)
+    return {
+        "ground_height": column([flight.ground_height for flight in flights]),
+        "ceiling_height": column([nan if c is None else c for c in ceilings]) if known else None,
+    }
+
+
+def other_at(flight: Flight, rows: NDArray[np.int64]) -> Tensor:
+    """Return the place of the other vehicle in some rows [m], world, (E, 3); far below where it is not known: no wake."""
+    below = np.array([0.0, 0.0, -inf])
+    if flight.other_position is None:
+        return torch.from_numpy(np.tile(below, (rows.size, 1)))
+    place = flight.other_position[np.minimum(rows, flight.num_rows - 1)]
+    return torch.from_numpy(np.where(np.isnan(place).any(axis=1, keepdims=True), below, place))

@@ -1,0 +1,187 @@
+"""The report of a closed loop: one self-contained page, the same in Markdown, and the residuals as a table."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.selection.select import Selection
+from aerial_gym.sim2real.identify.selection.structure import world_forces
+from aerial_gym.sim2real.judge.analysis import Analysis
+from aerial_gym.sim2real.judge.evaluation import Evaluation
+from aerial_gym.sim2real.judge.verdict import MEANINGS
+from aerial_gym.sim2real.judge.whiteness import octave_names
+from aerial_gym.sim2real.predict.predictor import KINEMATIC, Channel, Point, Predictor
+from aerial_gym.sim2real.report import plots
+from aerial_gym.sim2real.report.tables import (
+    channel_rows,
+    flight_rows,
+    number,
+    parameter_rows,
+    regime_rows,
+    rival_rows,
+    rollout_rows,
+    trial_rows,
+    worth_rows,
+)
+
+SHOWN_RIVALS = 3
+"""The others are folded away."""
+
+MOST_MODELS = 5
+"""Sets of effects that are told of those chosen on flights drawn again."""
+
+MOST_REMAINING = 3
+"""Channels of which the rest is drawn."""
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+VARIANTS = {
+    "free": "Everything simulated from the measured state at the start of a window",
+    "given_attitude": "Attitude and angular velocity given by the log, position and velocity simulated",
+}
+
+
+def write_report(folder: Path, analysis: Analysis) -> None:
+    """Write report.html, report.md and residuals.csv."""
+    context = report_context(analysis)
+    for name in ("report.html", "report.md"):
+        (folder / name).write_text(render(name, context), encoding="utf-8")
+    after = analysis.final if analysis.verdict.corrects else None
+    write_residuals(
+        folder / "residuals.csv",
+        {"train": analysis.train_predictor, "test": analysis.test_predictor},
+        analysis.declared,
+        after,
+    )
+
+
+def render(name: str, context: dict[str, object]) -> str:
+    """Return a template of this package, filled."""
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=name.endswith(".html"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters["num"] = number
+    return environment.get_template(f"{name}.j2").render(context)
+
+
+def report_context(analysis: Analysis) -> dict[str, object]:
+    """Return everything that the templates show."""
+    verdict, selection = analysis.verdict, analysis.selection
+    after = verdict.after if verdict.corrects else None
+    shown = selection.accepted or tuple(trial.effect for trial in selection.rounds[0] if trial.scored)[:2]
+    return {
+        "verdict": verdict,
+        "meaning": MEANINGS[verdict.verdict],
+        "robot": analysis.robot,
+        "bandwidth": analysis.bandwidth,
+        "train": [flight.name for flight in analysis.train],
+        "test": [flight.name for flight in analysis.test],
+        "effects": parameter_rows(analysis),
+        "channels": channel_rows(verdict.before, after),
+        "worth": worth_rows(verdict),
+        "octaves": octave_names(analysis.bandwidth),
+        "regimes": regime_rows(verdict),
+        "flights": flight_rows(verdict) if after else [],
+        "models": list(verdict.inclusion.models.items())[:MOST_MODELS],
+        "resamples": verdict.inclusion.resamples,
+        "least": selection.criteria.material,
+        "shown_rivals": SHOWN_RIVALS,
+        "rollouts": [
+            {"title": text, "driven_by": verdict.before.rollouts[name].driven_by, "rows": rollout_rows(verdict, name)}
+            for name, text in VARIANTS.items()
+            if name in verdict.before.rollout
+        ],
+        "rounds": [trial_rows(trials, analysis.channels) for trials in selection.rounds],
+        "rivals": rival_rows(verdict),
+        "criteria": vars(selection.criteria),
+        "tolerances": vars(analysis.train_predictor.tolerances),
+        "figures": figures(analysis, after, shown),
+    }
+
+
+def figures(analysis: Analysis, after: Evaluation | None, shown: Sequence[str]) -> dict[str, list[dict[str, str]]]:
+    """Return the figures of the page, by its sections."""
+    before, final = analysis.verdict.before, analysis.final if after is not None else None
+    evidence = []
+    for effect in shown:
+        point, neutral = evidence_point(analysis.selection, effect, analysis)
+        image = plots.evidence(analysis.train_predictor, point, effect, neutral)
+        evidence.append({"title": f"Evidence for {effect}", "image": image})
+    bars = [{"title": "Residuals before and after", "image": plots.residual_bars(before, after)}]
+    bars += [
+        {"title": title, "image": plots.rollout_bars(before, after, variant)}
+        for variant, title in VARIANTS.items()
+        if variant in before.rollout
+    ]
+    rest = [
+        {"title": f"What remains of the {channel.name.replace('_', ' ')}", "image": plots.what_remains(parts, channel)}
+        for channel, parts in remaining(analysis)
+    ]
+    kinds = dict.fromkeys(channel.kind for channel in analysis.channels)
+    over_time = [
+        {
+            "title": f"Residual of the {kind.replace('_', ' ')} over time",
+            "image": plots.residuals_over_time(analysis.test_predictor, analysis.declared, final, kind),
+        }
+        for kind in kinds
+    ]
+    return {"evidence": evidence, "bars": bars, "rest": rest, "over_time": over_time}
+
+
+def remaining(analysis: Analysis) -> list[tuple[Channel, list[plots.Rest]]]:
+    """Return what the corrected model leaves of the channels that matter: those named, else the farthest above its floor."""
+    channels, after, found = analysis.channels, analysis.verdict.after, []
+    dynamic = [place for place, channel in enumerate(channels) if channel.kind not in KINEMATIC]
+    named = [place for place in dynamic if channels[place].name in analysis.verdict.remains]
+    floor = after.floor or (1.0,) * len(channels)
+    above = {place: after.residual[place].value / max(floor[place], 1e-300) for place in named or dynamic}
+    order = sorted(above, key=lambda place: -above[place])
+    left = [
+        (predictor, predictor.residuals(analysis.final))
+        for predictor in (analysis.train_predictor, analysis.test_predictor)
+    ]
+    for place in order[: MOST_REMAINING if named else 1]:
+        parts = []
+        for predictor, residuals in left:
+            for flight, time, residual in zip(predictor.flights, predictor.times, residuals, strict=True):
+                turned = world_forces(flight, time, residual, channels)
+                parts.append(plots.Rest(flight=flight, time=time, values=residual[:, place], world=turned[:, place]))
+        found.append((channels[place], parts))
+    return found
+
+
+def evidence_point(selection: Selection, effect: str, analysis: Analysis) -> tuple[Point, np.ndarray]:
+    """Return the model that has the effect, and the effect's neutral parameters."""
+    if effect in analysis.declared.effects:
+        neutral = analysis.declared.effects[effect]
+    else:
+        neutral = np.array(EFFECTS.get(effect).neutral(analysis.robot))
+    if effect in selection.accepted:
+        return analysis.final, neutral
+    trial = next(trial for trial in selection.rounds[0] if trial.effect == effect)
+    assert trial.scored is not None
+    return trial.scored.fit.point, neutral
+
+
+def write_residuals(path: Path, predictors: dict[str, Predictor], before: Point, after: Point | None) -> None:
+    """Write measured minus predicted of every kept row: flight, set, t, and each channel before and after."""
+    tables = []
+    for name, predictor in predictors.items():
+        points = {"before": before} if after is None else {"before": before, "after": after}
+        residuals = {label: predictor.residuals(point) for label, point in points.items()}
+        for index, flight in enumerate(predictor.flights):
+            columns: dict[str, object] = {"flight": flight.name, "set": name, "t": predictor.times[index]}
+            for place, channel in enumerate(predictor.channels):
+                for label, values in residuals.items():
+                    columns[f"{channel.kind}_{channel.axis}_{label}"] = values[index][:, place]
+            tables.append(pd.DataFrame(columns))
+    pd.concat(tables).to_csv(path, index=False, float_format="%.6g")

@@ -1,0 +1,196 @@
+"""The tables of a report, as text for its templates."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.selection.select import Trial
+from aerial_gym.sim2real.judge.ablation import explained
+from aerial_gym.sim2real.judge.analysis import Analysis
+from aerial_gym.sim2real.judge.evaluation import Evaluation
+from aerial_gym.sim2real.judge.verdict import Verdict
+from aerial_gym.sim2real.predict.predictor import Channel
+from aerial_gym.sim2real.predict.rollout import QUANTITIES
+from aerial_gym.sim2real.statistics import Rise, Rms
+
+MOST_PERCENT = 3.0
+"""Rises beyond it are told as factors."""
+
+
+def parameter_rows(analysis: Analysis) -> list[dict[str, object]]:
+    """Return one row per parameter of the accepted effects."""
+    rows = []
+    for effect in analysis.verdict.effects:
+        declared = analysis.robot.effects.get(effect.name, {})
+        neutral = EFFECTS.get(effect.name).neutral(analysis.robot)
+        for place, parameter in enumerate(EFFECTS.get(effect.name).parameters):
+            value, std = effect.params[parameter.name], effect.std.get(parameter.name)
+            rows.append(
+                {
+                    "effect": effect.name,
+                    "parameter": parameter.name,
+                    "unit": parameter.unit,
+                    "declared": declared.get(parameter.name, neutral[place]),
+                    "value": value,
+                    "low": None if std is None else value - 1.96 * std,
+                    "high": None if std is None else value + 1.96 * std,
+                    "unknown": "not shown by these flights" if parameter.kind == "number" else "",
+                    "confidence": effect.confidence,
+                    "inclusion": effect.inclusion,
+                    "first": place == 0,
+                    "count": len(EFFECTS.get(effect.name).parameters),
+                }
+            )
+    return rows
+
+
+def channel_rows(before: Evaluation, after: Evaluation | None) -> list[dict[str, object]]:
+    """Return one row per channel."""
+    rows = []
+    closed = [None] * len(before.channels) if after is None else after.gaps_closed(before)
+    for place, channel in enumerate(before.channels):
+        first = before.residual[place]
+        second = None if after is None else after.residual[place]
+        rows.append(
+            {
+                "name": f"{channel.kind.replace('_', ' ')} {channel.axis} [{channel.unit}]",
+                "before": interval(first),
+                "after": "–" if second is None else interval(second),
+                "change": "–" if second is None else f"{100.0 * (second.value / first.value - 1.0):+.0f} %",
+                "closed": "–" if (share := closed[place]) is None else f"{share:.1%}",
+                "floor": "–" if before.floor is None else number(before.floor[place]),
+            }
+        )
+    return rows
+
+
+def rollout_rows(verdict: Verdict, variant: str) -> list[dict[str, str]]:
+    """Return one row per quantity and horizon."""
+    before, after = verdict.before.rollout[variant], verdict.after.rollout[variant]
+    return [
+        {
+            "quantity": f"{quantity} [{QUANTITIES[quantity]}]",
+            "horizon": f"{horizon:g}",
+            "before": interval(rms),
+            "after": interval(after[quantity][horizon]),
+        }
+        for quantity, horizons in before.items()
+        for horizon, rms in horizons.items()
+    ]
+
+
+def trial_rows(trials: Sequence[Trial], channels: Sequence[Channel]) -> list[dict[str, str]]:
+    """Return one row per trial: what it explained of which residual, and why it was or was not accepted."""
+    rows = []
+    passed = next((trial.effect for trial in trials if not trial.objections), None)
+    for trial in trials:
+        gain = trial.gain
+        outcome = "; ".join(trial.objections) or ("best" if trial.effect == passed else "passes, but scores less")
+        best = None if gain is None else int(np.argmax(gain.falls))
+        rows.append(
+            {
+                "effect": trial.effect,
+                "score": "–" if gain is None else f"{gain.score:.0f}",
+                "share": "–" if gain is None or best is None else f"{explained(gain.falls[best]):.0%}",
+                "channel": "–" if best is None else channels[best].name,
+                "flights": "–" if gain is None else f"{gain.flights_better:.0%}",
+                "probability": "–" if gain is None else f"{trial.probability:.1e}",
+                "objections": outcome,
+            }
+        )
+    return rows
+
+
+def worth_rows(verdict: Verdict) -> list[dict[str, object]]:
+    """Return one row per selected effect: what rises without it."""
+    rows = []
+    for effect in verdict.effects:
+        if (found := effect.contribution) is None:
+            continue
+        channel, rise = found.most
+        rows.append(
+            {
+                "effect": effect.name,
+                "channel": channel,
+                "residual": risen(rise),
+                "rollouts": {
+                    f"{horizon:g} s": {quantity: risen(rise) for quantity, rise in quantities.items()}
+                    for horizon, quantities in found.rollout.items()
+                },
+                "material": "yes" if found.material else "no",
+                "octaves": [f"{taken:.0%}" for taken in found.octaves],
+                "solid_below": found.solid_below_hz,
+            }
+        )
+    return rows
+
+
+def risen(rise: Rise) -> str:
+    """Return a rise with its interval, in per cent, and as a factor where it is large."""
+    if rise.value > MOST_PERCENT:
+        return f"× {number(1.0 + rise.value)} [{number(1.0 + rise.low)}, {number(1.0 + rise.high)}]"
+    return f"{rise.value:+.1%} [{rise.low:+.1%}, {rise.high:+.1%}]"
+
+
+def rival_rows(verdict: Verdict) -> dict[str, list[dict[str, str]]]:
+    """Return one row per rival of each accepted effect, best first."""
+    return {
+        effect.name: [
+            {
+                "effect": rival.label,
+                "explains": f"{rival.explains:.1%}",
+                "instead_of": f"{rival.instead_of:.1%}",
+                "channel": rival.channel,
+                "score": f"{rival.score:.0f}",
+                "because": rival.because,
+            }
+            for rival in effect.contribution.rivals
+        ]
+        for effect in verdict.effects
+        if effect.contribution is not None
+    }
+
+
+def regime_rows(verdict: Verdict) -> list[dict[str, object]]:
+    """Return one row per selected effect: before and after where it acts."""
+    found = [(effect.name, effect.regime) for effect in verdict.effects if effect.regime is not None]
+    return [
+        {
+            "effect": name,
+            "channel": regime.channel,
+            "before": f"{interval(regime.before)} {regime.unit}",
+            "after": f"{interval(regime.after)} {regime.unit}",
+            "closed": "–" if regime.gap_closed is None else f"{regime.gap_closed:.1%}",
+            "looks": "; ".join(
+                f"{title} {number(here, 2)}, elsewhere {number(there, 2)}"
+                for title, (here, there) in regime.looks.items()
+            ),
+        }
+        for name, regime in found
+    ]
+
+
+def flight_rows(verdict: Verdict) -> list[dict[str, str]]:
+    """Return one row per test flight and quantity."""
+    return [
+        {
+            "flight": name,
+            "quantity": f"{part.quantity} [{part.unit}]",
+            "before": interval(part.before),
+            "after": interval(part.after),
+            "change": f"{100.0 * (part.after.value / max(part.before.value, 1e-300) - 1.0):+.0f} %",
+        }
+        for name, parts in verdict.flights.items()
+        for part in parts
+    ]
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Return a number for people: three significant digits."""
+    return "–" if not np.isfinite(value) else f"{value:.{digits}g}"
+
+
+def interval(rms: Rms) -> str:
+    """Return a value with its 95 % interval."""
+    return f"{number(rms.value)} [{number(rms.low)}, {number(rms.high)}]"

@@ -1,0 +1,391 @@
+"""Which cause the changed balance at hover tells of, against hovers of the same airframe as it is declared.
+
+``effort`` is the squared speed of a rotor (or of the voltage that drives it); thrust is taken as proportional to it, with a
+factor for each rotor that the baseline gives.
+Letters: R rotors (four), L logs.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import exp, inf
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.teststand.causes import ROTORS, Cause, causes
+from aerial_gym.sim2real.teststand.hover import FEWEST_WINDOWS, hovering_rows
+from aerial_gym.sim2real.teststand.scatter import Scatter, ScatterFit, fit_scatter, pooled_scatter
+from aerial_gym.sim2real.teststand.statistics import Estimate, rms
+
+Array = NDArray[np.float64]
+
+SIGNIFICANCE = 0.01
+"""A candidate is refused where scatter alone would leave as much in fewer cases than this."""
+
+SAME_HEIGHT = 0.15
+"""Windows further than this [m] from the median height are take-off, landing and moves."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HoverEffort:
+    """One hover."""
+
+    name: str
+    effort: Array
+    """Mean squared speed of each rotor, in the unit of the log, (R,)."""
+
+    windows: int
+    voltage: float | None
+    """Mean battery voltage [V]."""
+
+
+def hover_effort(log: FlightLog) -> HoverEffort:
+    """Return the mean effort of each rotor while a flight hovers at one height.
+
+    Raises:
+        DataError: If it has not four rotors, or does not hover long enough.
+    """
+    speed = log.rotor_speed if log.rotor_speed is not None else log.rotor_command
+    if speed is None or speed.shape[1] != ROTORS:
+        raise DataError(
+            f"{log.path}: has {log.num_rotors} rotors; the balance at hover gives the thrust of exactly {ROTORS}"
+        )
+    rows = hovering_rows(log, speed)
+    if log.position is not None:
+        height = np.array([log.position[row, 2].mean() for row in rows])
+        near = np.abs(height - np.median(height)) < SAME_HEIGHT
+        rows = [row for row, kept in zip(rows, near, strict=True) if kept]
+    if len(rows) < FEWEST_WINDOWS:
+        raise DataError(f"{log.path}: hovers for {len(rows)} windows at one height, needs {FEWEST_WINDOWS}")
+    return HoverEffort(
+        name=log.name,
+        effort=np.mean([(speed[row] ** 2).mean(axis=0) for row in rows], axis=0),
+        windows=len(rows),
+        voltage=None if log.battery is None else float(np.mean([log.battery[row].mean() for row in rows])),
+    )
+
+
+def repeats_of(hovers: Sequence[HoverEffort]) -> dict[str, list[HoverEffort]]:
+    """Return hovers by condition: names that differ only in the number at the end."""
+    found: dict[str, list[HoverEffort]] = {}
+    for hover in hovers:
+        found.setdefault(re.sub(r"\d+$", "", hover.name), []).append(hover)
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class CauseFit:
+    """A candidate fitted to the flights."""
+
+    cause: Cause
+    fit: ScatterFit
+    params: dict[str, Estimate]
+    place: tuple[Estimate, Estimate] | None = None
+    """Of a payload with a place, x and y from the declared centre of mass [m]; None where its mass may be 0."""
+
+    judged: float | None = None
+    """Probability that scatter alone parts the logs left out from their prediction as much, or more; None: none left out."""
+
+    held_out: float | None = None
+    """Rms over rotors of measured over predicted effort less 1, in the logs left out."""
+
+    @property
+    def fits(self) -> bool:
+        """Whether scatter explains what is left, and would not explain what was gained."""
+        return self.fit.misfit >= SIGNIFICANCE and (self.cause.name == "none" or self.fit.gain < SIGNIFICANCE)
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return {
+            "name": self.cause.name,
+            "motor": self.cause.motor,
+            "params": {name: value.as_mapping() for name, value in self.params.items()},
+            "place": None if self.place is None else [axis.as_mapping() for axis in self.place],
+            "misfit_p": self.fit.misfit,
+            "gain_p": self.fit.gain,
+            "fits": self.fits,
+            "judged_p": self.judged,
+            "held_out_rms": self.held_out,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """A quantity before and after, with 95 % intervals from the scatter between logs."""
+
+    baseline: Estimate
+    flights: Estimate
+    change: Estimate
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return {
+            "baseline": self.baseline.as_mapping(),
+            "flights": self.flights.as_mapping(),
+            "change": self.change.as_mapping(),
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Balance:
+    """What changed at hover, and what may be behind it."""
+
+    verdict: str
+    """explained, none, ambiguous or unexplained."""
+
+    candidates: tuple[str, ...]
+    """What remains possible."""
+
+    tell_apart: tuple[str, ...]
+    """What would tell the candidates apart."""
+
+    fits: tuple[CauseFit, ...]
+    """Empty where the scatter between logs is not known well enough for a test."""
+
+    baseline: tuple[HoverEffort, ...]
+    flights: tuple[HoverEffort, ...]
+    test: tuple[HoverEffort, ...]
+    shares: tuple[Change, ...]
+    """Share of each rotor of the sum."""
+
+    total: Change
+    """The sum of effort, in the unit of the logs; its change is relative."""
+
+    freedom: int
+    """Repeats that the scatter is known from."""
+
+    scatter: Array
+    """Standard deviation of the effort of each rotor between logs of one condition, relative, (R,)."""
+
+    notes: tuple[str, ...] = ()
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return {
+            "verdict": self.verdict,
+            "candidates": list(self.candidates),
+            "fits": [fit.as_mapping() for fit in self.fits],
+            "tell_apart": list(self.tell_apart),
+            "shares": [share.as_mapping() for share in self.shares],
+            "sum": self.total.as_mapping(),
+            "scatter": {"freedom": self.freedom, "relative_std": self.scatter.tolist()},
+            "logs": {
+                w: [{"name": h.name, "windows": h.windows, "voltage": h.voltage} for h in hovers]
+                for w, hovers in (("baseline", self.baseline), ("flights", self.flights), ("test", self.test))
+            },
+            "notes": list(self.notes),
+        }
+
+
+def judge_balance(
+    baseline: Sequence[HoverEffort],
+    flights: Sequence[HoverEffort],
+    *,
+    robot: RobotCfg,
+    test: Sequence[HoverEffort] = (),
+    repeats: Sequence[HoverEffort] = (),
+    added_mass: float | None = None,
+) -> Balance:
+    """Return what the shares of the rotors say about the cause of a change.
+
+    Args:
+        baseline: Hovers of the airframe as it is declared.
+        flights: Hovers of the same airframe in the condition to be explained.
+        robot: Declared vehicle: places and spin of its four rotors, mass, centre of mass.
+        test: Further hovers in that condition, which no fit sees; without them each of two or more flights is left out in turn.
+        repeats: Hovers under any other condition, which show how much logs of one condition (names that differ only in the
+            number at the end) scatter.
+        added_mass: Mass of the flights less that of the baseline [kg], where it was weighed: candidates are then compared at
+            that mass, and none of them is a payload.
+
+    Raises:
+        DataError: If no condition has two logs, or they are copies: their scatter is then unknown.
+        ConfigError: If the robot cannot be balanced by four rotors, or the mass is impossible.
+    """
+    possible = causes(robot)
+    if added_mass is not None:
+        if not -robot.body.mass < added_mass < inf:
+            raise ConfigError(
+                f"added_mass = {added_mass!r} kg: must be finite and more than minus the mass of the robot"
+            )
+        possible = [cause for cause in possible if "payload_mass" not in cause.name]
+    filled = [group for group in (list(baseline), list(flights), *repeats_of(repeats).values()) if group]
+    if not baseline or not flights or all(len(group) < 2 for group in filled):
+        raise DataError(
+            "needs a baseline, a flight, and two logs of at least one condition, whose difference is the scatter between logs; "
+            "give more logs in --baseline or in --repeats"
+        )
+    logs = [np.log([hover.effort for hover in group]) for group in filled]
+    scatter = pooled_scatter(logs)
+    if np.linalg.matrix_rank(scatter.squares) < (ROTORS if scatter.freedom >= ROTORS else 1):
+        raise DataError("logs of one condition do not differ: are some of them copies? Give each log once")
+    share = 1.0 / len(baseline) + 1.0 / len(flights)
+    usual = np.exp(logs[0].mean(axis=0)) * (1.0 + (added_mass or 0.0) / robot.body.mass)
+    fits: tuple[CauseFit, ...] = ()
+    if scatter.freedom >= ROTORS:
+        fits = tuple(_fit(cause, logs[1], usual, scatter, len(baseline)) for cause in possible)
+        fits = tuple(_judged(fit, flights, test, usual, scatter, len(baseline)) for fit in fits)
+    verdict, candidates = _decide(fits, possible)
+    (total,) = _change([np.log([[hover.effort.sum()] for hover in group]) for group in filled], share)
+    return Balance(
+        verdict=verdict,
+        candidates=candidates,
+        tell_apart=tuple(tell_apart(candidates)),
+        fits=fits,
+        baseline=tuple(baseline),
+        flights=tuple(flights),
+        test=tuple(test),
+        shares=tuple(_change([np.array([h.effort / h.effort.sum() for h in group]) for group in filled], share)),
+        total=Change(
+            baseline=_exponential(total.baseline),
+            flights=_exponential(total.flights),
+            change=_exponential(total.change, 1.0),
+        ),
+        freedom=scatter.freedom,
+        scatter=scatter.std,
+        notes=(
+            *_notes(baseline, flights, test, scatter, added_mass),
+            *(NOT_REPEATED for fit in fits[:1] if fit.fits and verdict == "unexplained"),
+        ),
+    )
+
+
+NOT_REPEATED = (
+    "the flights differ from the baseline by no more than scatter, and the logs that they are judged on by more"
+)
+
+
+def _fit(cause: Cause, efforts: Array, usual: Array, scatter: Scatter, count: int) -> CauseFit:
+    """Return a candidate fitted to the logarithm of efforts (L, R); residuals are relative, as the scatter is."""
+    ratio = np.exp(efforts.mean(axis=0)) / usual
+    fit = fit_scatter(1.0 - 1.0 / ratio, cause.columns / ratio[:, None], scatter, 1.0 / len(efforts) + 1.0 / count)
+    place = (fit.ratio(1, 0), fit.ratio(2, 0)) if cause.name == "payload_mass + com_offset" else (None, None)
+    known = None if place[0] is None or place[1] is None else (place[0], place[1])
+    return CauseFit(cause=cause, fit=fit, params=_physical(cause, fit), place=known)
+
+
+def _physical(cause: Cause, fit: ScatterFit) -> dict[str, Estimate]:
+    """Return parameters with 95 % intervals to first order."""
+    values = cause.physical(fit.params)
+    steps = 1e-6 * np.eye(fit.params.size)
+    slopes = [[v - values[name] for name, v in cause.physical(fit.params + step).items()] for step in steps]
+    slope = np.array(slopes).reshape(fit.params.size, len(values)) / 1e-6
+    spread = np.sqrt(np.diag(slope.T @ fit.covariance @ slope)) * stats.t.ppf(0.975, fit.freedom)
+    return {
+        n: Estimate(value=v, low=v - s, high=v + s) for (n, v), s in zip(values.items(), spread.tolist(), strict=True)
+    }
+
+
+def _judged(
+    found: CauseFit,
+    flights: Sequence[HoverEffort],
+    test: Sequence[HoverEffort],
+    usual: Array,
+    scatter: Scatter,
+    count: int,
+) -> CauseFit:
+    """Return the candidate with what its prediction misses in the logs that no fit has seen."""
+    if not test and len(flights) < 2:
+        return found
+    parts = (
+        [(flights, test)] if test else [([*flights[:n], *flights[n + 1 :]], [flights[n]]) for n in range(len(flights))]
+    )
+    chances, errors = [], []
+    for seen, left_out in parts:
+        fit = _fit(found.cause, np.log([hover.effort for hover in seen]), usual, scatter, count).fit
+        predicted = 1.0 + found.cause.columns @ fit.params
+        each = [hover.effort / (usual * predicted) - 1.0 for hover in left_out]
+        mean = np.mean(each, axis=0)
+        one = scatter.squares / scatter.freedom
+        covariance = one * (1.0 / len(left_out) + 1.0 / count) + fit.spread * (1.0 / len(seen) - 1.0 / count)
+        chances.append(scatter.chance(mean, covariance))
+        errors += each
+    # Bonferroni: the smallest of as many chances as there are parts.
+    chance = min(1.0, len(parts) * min(chances))
+    return replace(found, judged=chance, held_out=rms(np.array(errors)))
+
+
+def _decide(fits: Sequence[CauseFit], possible: Sequence[Cause]) -> tuple[str, tuple[str, ...]]:
+    """Return the verdict and what remains possible: the simplest of nested candidates that fit and hold."""
+    if not fits:
+        return "ambiguous", tuple(cause.name for cause in possible)
+    fitting = {fit.cause.name: fit for fit in fits if fit.fits}
+    simplest = {
+        n: fit for n, fit in fitting.items() if "none" not in fitting and not set(fit.cause.within) & set(fitting)
+    }
+    if "none" in fitting:
+        simplest = {"none": fitting["none"]}
+    held = tuple(n for n, fit in simplest.items() if fit.judged is None or fit.judged >= SIGNIFICANCE)
+    if not held:
+        return "unexplained", ()
+    if held == ("none",):
+        return "none", ()
+    return ("explained" if len(held) == 1 else "ambiguous"), held
+
+
+def _change(values: Sequence[Array], share: float) -> list[Change]:
+    """Return the change of each column between the means of the first two groups (L, columns); all groups give the scatter."""
+    scatter = pooled_scatter(values)
+    before, after = values[0].mean(axis=0), values[1].mean(axis=0)
+
+    def around(value: Array, part: float) -> list[Estimate]:
+        ends = zip(value.tolist(), scatter.reach(part).tolist(), strict=True)
+        return [Estimate(value=v, low=v - r, high=v + r) for v, r in ends]
+
+    parts = around(before, 1.0 / len(values[0])), around(after, 1.0 / len(values[1])), around(after - before, share)
+    return [Change(baseline=b, flights=f, change=c) for b, f, c in zip(*parts, strict=True)]
+
+
+def _exponential(found: Estimate, less: float = 0.0) -> Estimate:
+    return Estimate(value=exp(found.value) - less, low=exp(found.low) - less, high=exp(found.high) - less)
+
+
+def tell_apart(candidates: Sequence[str]) -> list[str]:
+    """Return what would tell candidates apart, one sentence each."""
+    if len(candidates) < 2:
+        return []
+    weak = [name for name in candidates if name.startswith("weak_motor")]
+    payload = [name for name in candidates if name.startswith("payload_mass")]
+    found = []
+    if payload and len(payload) < len(candidates):
+        found.append("the mass: weigh the vehicle and give --added-mass-kg, for only a payload adds any")
+        found.append("the total thrust at a known voltage, on a bench: a weak propeller loses some, a payload none")
+    if weak and len(weak) < len(candidates):
+        found.append("rotations with a gyro: a weight adds to the inertia, a weak propeller turns its arm more slowly")
+    if weak:
+        found.append("another propeller on that motor: what a weak propeller does goes with it")
+    return found
+
+
+def _notes(
+    baseline: Sequence[HoverEffort],
+    flights: Sequence[HoverEffort],
+    test: Sequence[HoverEffort],
+    scatter: Scatter,
+    added_mass: float | None,
+) -> list[str]:
+    found = [
+        "thrust is taken as proportional to squared speed (or voltage), and the baseline as balanced about the declared centre "
+        "of mass: its uneven shares are put down to uneven motors",
+    ]
+    if added_mass is not None:
+        found.append(f"all candidates carry {added_mass:g} kg more than the baseline")
+    if scatter.freedom < ROTORS:
+        found.append(
+            f"the scatter between logs is known from {scatter.freedom} repeats, a test of {ROTORS} rotors needs at least "
+            f"{ROTORS}: nothing is excluded; give more logs in --baseline or --repeats"
+        )
+    if not test and len(flights) < 2:
+        found.append("one flight and no --test: nothing is judged on a log that the fit has not seen")
+    volts = [[h.voltage for h in hovers if h.voltage is not None] for hovers in (baseline, [*flights, *test])]
+    if volts[0] and volts[1]:
+        (low, high), (least, most) = ((min(v), max(v)) for v in volts)
+        found.append(
+            f"battery: baseline {low:.2f} to {high:.2f} V, flights {least:.2f} to {most:.2f} V; the sum depends on it"
+        )
+    return found

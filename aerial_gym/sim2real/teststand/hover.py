@@ -1,0 +1,260 @@
+"""Thrust coefficient from hover: the rotors carry the weight, ``c_t = m f / sum(w²)``.
+
+Letters: T rows, W windows, R rotors.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.statistics import Rms
+from aerial_gym.sim2real.teststand.statistics import Estimate, correlated_covariance, held_out_error, rms
+
+Array = NDArray[np.float64]
+
+WINDOW_S = 0.5
+"""Means are taken over windows of this length [s]."""
+
+FOLDS = 5
+"""Parts of a single flight that are left out in turn."""
+
+SLOWEST = 0.4
+"""A vehicle below this speed [m/s] hovers: linear drag of 0.5 m/s² per m/s is then below 2 % of the weight."""
+
+LARGEST_TILT = 0.15
+"""[rad]: the thrust is then within 1.2 % of the weight over its cosine, which is corrected."""
+
+FASTEST_TURN = 1.0
+"""[rad/s]."""
+
+FEWEST_WINDOWS = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class HoverModel:
+    """One candidate for the thrust."""
+
+    name: str
+    thrust_map: tuple[float, float, float]
+    """c0, c1, c2 [N], [N s/rad], [N s²/rad²]."""
+
+    held_out: Array = field(repr=False)
+    """Measured minus predicted thrust over mass [m/s²], fitted without that flight, (W,)."""
+
+    error: Rms
+    """Of the held-out windows, with its interval over flights or folds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HoverFit:
+    """Thrust coefficient and what it changes."""
+
+    mass: float
+    thrust_coefficient: Estimate
+    """[N s²/rad²]."""
+
+    scale: Estimate | None
+    """Factor on the declared thrust map; None without a declared one."""
+
+    by_flight: dict[str, float]
+    """Thrust coefficient of each flight."""
+
+    models: dict[str, HoverModel]
+    chosen: str
+    square_sum: Array = field(repr=False)
+    """Sum of squared speeds [rad²/s²], (W,)."""
+
+    force: Array = field(repr=False)
+    """Thrust over mass [m/s²], (W,)."""
+
+    notes: tuple[str, ...] = ()
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        found: dict[str, object] = {
+            "mass": self.mass,
+            "windows": self.force.size,
+            "c_t": self.thrust_coefficient.as_mapping(),
+            "c_t_by_flight": self.by_flight,
+            "chosen": self.chosen,
+            "unit": "m/s²",
+            "candidates": {name: model.error.as_mapping() for name, model in self.models.items()},
+            "notes": list(self.notes),
+        }
+        if self.scale is not None:
+            found["scale"] = self.scale.as_mapping()
+            found["before"] = {"model": "declared", "held_out": self.models["declared"].error.as_mapping()}
+            found["after"] = {"model": self.chosen, "held_out": self.models[self.chosen].error.as_mapping()}
+        return found
+
+
+def hovering_rows(log: FlightLog, speed: Array) -> list[NDArray[np.bool_]]:
+    """Return the rows (T,) of each window in which a flight hovers.
+
+    Args:
+        log: The flight.
+        speed: Of the rotors, measured or commanded, in any unit, (T, R).
+
+    Raises:
+        DataError: If it does not hover long enough.
+    """
+    up = Rotation.from_quat(log.attitude).as_matrix()[:, 2, 2]
+    still = up > np.cos(LARGEST_TILT)
+    still &= speed.min(axis=1) > 0.2 * np.median(speed)  # on the ground they stand still
+    if log.lin_vel is not None:
+        still &= np.linalg.norm(log.lin_vel, axis=1) < SLOWEST
+    if log.ang_vel is not None:
+        still &= np.linalg.norm(log.ang_vel, axis=1) < FASTEST_TURN
+    label = np.floor((log.time - log.time[0]) / WINDOW_S).astype(int)
+    usual = WINDOW_S / float(np.median(np.diff(log.time)))
+    full = np.bincount(label, weights=still, minlength=label[-1] + 1) >= 0.9 * usual
+    chosen = np.flatnonzero(full)
+    if chosen.size < FEWEST_WINDOWS:
+        raise DataError(
+            f"{log.path}: hovers for {chosen.size} windows of {WINDOW_S:g} s (below {SLOWEST:g} m/s, {LARGEST_TILT:g} rad "
+            f"and {FASTEST_TURN:g} rad/s), needs {FEWEST_WINDOWS}; give a flight that hovers"
+        )
+    return [still & (label == window) for window in chosen]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Windows:
+    """Means over windows of hover in one flight."""
+
+    name: str
+    moments: Array
+    """Row sums over rotors of 1, w, w², averaged over the window, (W, 3)."""
+
+    force: Array
+    """Thrust over mass [m/s²], (W,)."""
+
+    from_gravity: bool
+    """Whether the thrust is g over the cosine of the tilt, for want of an accelerometer."""
+
+
+def hover_windows(log: FlightLog) -> Windows:
+    """Return the windows in which a flight hovers.
+
+    Raises:
+        DataError: If rotor speeds are missing, or the flight does not hover long enough.
+    """
+    if log.rotor_speed is None:
+        raise DataError(f"{log.path}: needs measured rotor speeds; commands or duty cycles give no thrust coefficient")
+    rows = hovering_rows(log, log.rotor_speed)
+    up = Rotation.from_quat(log.attitude).as_matrix()[:, 2, 2]
+    force = STANDARD_GRAVITY / np.maximum(up, 0.1) if log.specific_force is None else log.specific_force[:, 2]
+    powers = np.stack([(log.rotor_speed**p).sum(axis=1) for p in range(3)], axis=1)
+    return Windows(
+        name=log.name,
+        moments=np.array([powers[r].mean(axis=0) for r in rows]),
+        force=np.array([force[r].mean() for r in rows]),
+        from_gravity=log.specific_force is None,
+    )
+
+
+def fit_hover(
+    logs: Sequence[FlightLog],
+    *,
+    mass: float,
+    mass_std: float = 0.0,
+    declared: tuple[float, float, float] | None = None,
+) -> HoverFit:
+    """Return the thrust coefficient from hover.
+
+    Args:
+        logs: Flights with measured rotor speeds.
+        mass: Mass of the vehicle [kg].
+        mass_std: Its standard deviation [kg]; mass and thrust coefficient cannot be told apart, so it widens the interval.
+        declared: Thrust map to compare with and to scale.
+
+    Raises:
+        DataError: If no flight hovers.
+        ConfigError: If the mass is impossible.
+    """
+    if not 0.0 < mass < 1e3 or not 0.0 <= mass_std < mass:
+        raise ConfigError(f"mass = {mass!r} ± {mass_std!r} kg: must be > 0, and its deviation in [0, mass)")
+    parts, missed = [], []
+    for log in logs:
+        try:
+            parts.append(hover_windows(log))
+        except DataError as error:
+            missed.append(f"left out: {error}")
+    if not parts:
+        raise DataError(missed[0].removeprefix("left out: ") if missed else "needs at least one flight that hovers")
+    group = np.repeat(np.arange(len(parts)), [part.force.size for part in parts])
+    if len(parts) == 1:
+        group = np.arange(group.size) * FOLDS // group.size
+    moments, force = np.concatenate([p.moments for p in parts]), np.concatenate([p.force for p in parts])
+    square, target = moments[:, 2], mass * force
+    coefficient = _ratio(square, target, [p.force.size for p in parts], mass_std / mass)
+    models = {"c_t w²": _model("c_t w²", (0.0, 0.0, 1.0), moments, force, mass, group)}
+    scale = None
+    if declared is not None:
+        carried = (moments * declared).sum(axis=1)
+        scale = _ratio(carried, target, [p.force.size for p in parts], mass_std / mass)
+        left = force - carried / mass
+        models = {
+            "declared": HoverModel(
+                name="declared", thrust_map=declared, held_out=left, error=held_out_error(left, group)
+            ),
+            "declared, scaled": _model("declared, scaled", declared, moments, force, mass, group),
+            **models,
+        }
+    notes = [*missed]
+    notes += [
+        f"{p.name}: no accelerometer, thrust taken as m g over the cosine of the tilt" for p in parts if p.from_gravity
+    ]
+    if mass_std == 0.0:
+        notes.append("the mass is taken as exact: its relative error is that of c_t; give --mass-std-kg")
+    return HoverFit(
+        mass=mass,
+        thrust_coefficient=coefficient,
+        scale=scale,
+        by_flight={p.name: _slope(p.moments[:, 2], mass * p.force) for p in parts},
+        models=models,
+        chosen=min((n for n in models if n != "declared"), key=lambda name: models[name].error.value),
+        square_sum=square,
+        force=force,
+        notes=tuple(notes),
+    )
+
+
+def _slope(cause: Array, effect: Array) -> float:
+    return float(cause @ effect / (cause @ cause))
+
+
+def _ratio(cause: Array, effect: Array, sizes: Sequence[int], mass_error: float) -> Estimate:
+    """Return the slope through the origin; its interval is the wider of windows' and flights' scatter, plus the mass."""
+    slope = _slope(cause, effect)
+    unit = cause / rms(cause)
+    residual = effect - slope * cause
+    spread = (
+        stats.t.ppf(0.975, cause.size - 1) * np.sqrt(correlated_covariance(unit[:, None], residual)[0, 0]) / rms(cause)
+    )
+    if len(sizes) >= 3:
+        ends = np.cumsum(sizes)[:-1]
+        each = [_slope(c, e) for c, e in zip(np.split(cause, ends), np.split(effect, ends), strict=True)]
+        spread = max(spread, stats.t.ppf(0.975, len(each) - 1) * np.std(each, ddof=1) / np.sqrt(len(each)))
+    reach = float(np.hypot(spread, 1.96 * mass_error * slope))
+    return Estimate(value=slope, low=slope - reach, high=slope + reach)
+
+
+def _model(
+    name: str, shape: tuple[float, float, float], moments: Array, force: Array, mass: float, group: NDArray[np.int64]
+) -> HoverModel:
+    """Return a thrust map of a given shape whose size is fitted without each group in turn."""
+    carried, target = moments @ np.array(shape), mass * force
+    held_out = np.empty(force.size)
+    for label in np.unique(group):
+        out = group == label
+        held_out[out] = force[out] - _slope(carried[~out], target[~out]) * carried[out] / mass
+    size = _slope(carried, target)
+    c0, c1, c2 = (size * c for c in shape)
+    return HoverModel(name=name, thrust_map=(c0, c1, c2), held_out=held_out, error=held_out_error(held_out, group))

@@ -1,0 +1,263 @@
+"""The compliant joint of a folding arm after its load is let go: springs, and creep of a visco-elastic material.
+
+Everything is per unit of the joint's inertia. Letters: T rows, N creep elements, K parameters.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import odeint
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.statistics import Rms
+from aerial_gym.sim2real.teststand.statistics import CurveFit, Estimate, fit_curve, held_out_error, rms
+from aerial_gym.sim2real.teststand.tables import Bench
+
+Array = NDArray[np.float64]
+
+PUBLISHED = {"stiffness": 5834.85, "damping": 229.24, "rest": 0.12566}
+"""Quadratic spring of the Aerial Gym Simulator 2.0.1 for Morphy [1/(rad s²)], [1/s], [rad]: robots/morphy.py."""
+
+BLOCK_EDGES_S = (0.0, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)
+"""Blocks that are left out in turn begin here after the release [s]: early ones are short, so that the first moments count."""
+
+PARSIMONY = 0.02
+"""A law with fewer parameters is taken if its held-out error is at most this share larger."""
+
+BOUNDS: dict[str, tuple[float, float, float]] = {
+    "release": (0.003, -0.005, 0.01),
+    "stiffness": (9000.0, 1e2, 1e6),
+    "quadratic_stiffness": (2400.0, 1e2, 1e6),
+    "damping": (90.0, 1.0, 2e3),
+    "rest": (0.125, -1.6, 1.6),
+    "stiffness_1": (3500.0, 1.0, 1e6),
+    "time_1": (0.05, 1e-3, 1e2),
+    "stiffness_2": (1500.0, 1.0, 1e6),
+    "time_2": (0.4, 1e-3, 1e2),
+    "stiffness_3": (700.0, 1.0, 1e6),
+    "time_3": (4.0, 1e-3, 1e2),
+}
+"""First guess, lower and upper bound. Release and times [s], stiffness [1/s²] (quadratic: [1/(rad s²)]), damping [1/s], rest
+[rad]."""
+
+LAWS: dict[str, tuple[str, ...]] = {
+    "quadratic spring": ("quadratic_stiffness", "damping", "rest"),
+    "linear spring": ("stiffness", "damping", "rest"),
+    "linear spring, 1 creep element": ("stiffness", "damping", "rest", "stiffness_1", "time_1"),
+    "linear spring, 2 creep elements": (
+        *("stiffness", "damping", "rest"),
+        *("stiffness_1", "time_1", "stiffness_2", "time_2"),
+    ),
+    "linear spring, 3 creep elements": (
+        *("stiffness", "damping", "rest"),
+        *("stiffness_1", "time_1", "stiffness_2", "time_2", "stiffness_3", "time_3"),
+    ),
+}
+"""Parameters of each candidate; the moment of release is fitted with every one."""
+
+SHOWN_SPANS_S = ((0.0, 1.0), (1.0, np.inf))
+"""Errors are told for the first second and for the rest."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Release:
+    """One record: the arm rests under a load, which is let go at time 0."""
+
+    path: str
+    time: Array
+    """From the release on [s], (T,)."""
+
+    angle: Array
+    """[rad], (T,)."""
+
+    start: float
+    """Angle before the release [rad]."""
+
+    @property
+    def block(self) -> NDArray[np.int64]:
+        """Number of the block of each row, (T,)."""
+        return np.searchsorted(np.array(BLOCK_EDGES_S), self.time, side="right")
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointFit:
+    """One candidate."""
+
+    name: str
+    params: dict[str, Estimate]
+    residual: Array = field(repr=False)
+    """Measured minus fitted [rad], (T,)."""
+
+    held_out: Array = field(repr=False)
+    """Measured minus predicted by a fit without that block of time [rad], (T,)."""
+
+    block_rms: tuple[float, ...]
+    """Held-out error of each block [rad]."""
+
+    @property
+    def score(self) -> float:
+        """Root of the mean over blocks of the held-out mean square [rad]: the first moments count as the rest."""
+        return rms(np.array(self.block_rms))
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointStudy:
+    """The published law, all candidates, and the one that predicts best what it has not seen."""
+
+    record: Release
+    published: Array = field(repr=False)
+    """Measured minus the published law, released at 0 [rad], (T,)."""
+
+    laws: dict[str, JointFit]
+    chosen: str
+
+    forecast: dict[str, Rms]
+    """Error on the second half of the record of fits to the first half [rad], by law."""
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        best = self.laws[self.chosen]
+        return {
+            "unit": "rad",
+            "rows": self.record.time.size,
+            "chosen": self.chosen,
+            "before": {"model": "published quadratic spring", **spans(self.record.time, self.published)},
+            "after": {"model": self.chosen, **spans(self.record.time, best.held_out)},
+            "candidates": [
+                {
+                    "name": law.name,
+                    "fit": spans(self.record.time, law.residual),
+                    "held_out": spans(self.record.time, law.held_out),
+                    "held_out_by_block": list(law.block_rms),
+                    "forecast": self.forecast[law.name].as_mapping(),
+                    "params": {name: value.as_mapping() for name, value in law.params.items()},
+                }
+                for law in self.laws.values()
+            ],
+        }
+
+
+def spans(time: Array, error: Array) -> dict[str, float]:
+    """Return rms and largest error [rad] of a record, and rms in its first second."""
+    early = time < SHOWN_SPANS_S[0][1]
+    found = {"rms": rms(error), "rms_first_second": rms(error[early]), "largest": float(np.abs(error).max())}
+    return found | {"rms_after_first_second": rms(error[~early])}
+
+
+def release_record(bench: Bench, *, release: float = 0.0) -> Release:
+    """Return the rows of a file from the release [s] on.
+
+    Raises:
+        DataError: If the record does not show the angle before the release and for a while after it.
+    """
+    time, angle = bench.values("time") - release, bench.values("angle")
+    if np.any(np.diff(time) <= 0.0):
+        raise DataError(f"{bench.path}: time does not increase; sort the rows, remove repeated ones")
+    before = time < 0.0
+    if before.sum() < 5 or (~before).sum() < 50:
+        raise DataError(
+            f"{bench.path}: {before.sum()} rows before and {(~before).sum()} after the release at {release:g} s; needs 5 and "
+            "50: give the moment of release with --release-s"
+        )
+    if np.abs(angle).max() > np.pi:
+        raise DataError(
+            f"{bench.path}: angles up to {np.abs(angle).max():.3g} rad; if they are degrees: --units angle deg"
+        )
+    start = float(angle[before].mean())
+    if np.abs(angle[before] - start).max() > 0.2 * np.ptp(angle[~before]):
+        raise DataError(
+            f"{bench.path}: the arm moves before {release:g} s; give the moment of release with --release-s"
+        )
+    return Release(path=bench.path, time=time[~before], angle=angle[~before], start=start)
+
+
+def joint_angle(record: Release, params: dict[str, float]) -> Array:
+    """Return the angle [rad] that a law predicts, (T,).
+
+    ``th'' = -k e - kq |e| e - c th' - sum k_i (e - z_i)``, ``z_i' = (e - z_i) / T_i`` with ``e = th - rest``, from rest at the
+    loaded angle, at which every creep element has relaxed (``z_i = e``).
+
+    Source:
+        Quadratic spring: parity with the Aerial Gym Simulator 2.0.1. Creep: the generalised Maxwell model, Tschoegl (1989),
+        The Phenomenological Theory of Linear Viscoelastic Behavior, section 3.4.
+    """
+    since = np.maximum(record.time - params.get("release", 0.0), 0.0)
+    if "quadratic_stiffness" in params:
+        return _quadratic(record.start, params, since)
+    number = sum(name.startswith("time_") for name in params)
+    stiffness = np.array([params[f"stiffness_{i + 1}"] for i in range(number)])
+    times = np.array([params[f"time_{i + 1}"] for i in range(number)])
+    motion = np.zeros((2 + number, 2 + number))
+    motion[0, 1] = 1.0
+    motion[1, :2] = -params["stiffness"] - stiffness.sum(), -params["damping"]
+    motion[1, 2:], motion[2:, 0] = stiffness, 1.0 / times
+    motion[2:, 2:] = -np.diag(1.0 / times)
+    begin = np.full(2 + number, record.start - params["rest"])
+    begin[1] = 0.0
+    rates, modes = np.linalg.eig(motion)
+    amounts = modes[0] * np.linalg.solve(modes, begin.astype(complex))
+    return params["rest"] + (np.exp(since[:, None] * rates) * amounts).sum(axis=1).real
+
+
+def _quadratic(start: float, params: dict[str, float], since: Array) -> Array:
+    stiffness, damping, rest = params["quadratic_stiffness"], params["damping"], params["rest"]
+
+    def motion(state: Array, _: float) -> tuple[float, float]:
+        away = state[0] - rest
+        return state[1], -stiffness * abs(away) * away - damping * state[1]
+
+    grid, place = np.unique(np.append(since, 0.0), return_inverse=True)
+    course = odeint(motion, (start, 0.0), grid, rtol=1e-8, atol=1e-10)[:, 0]
+    return course[place[:-1]]
+
+
+def fit_joint(record: Release) -> JointStudy:
+    """Return every candidate fitted to the record, judged on blocks of time left out, and the choice."""
+    laws = {name: _fit_law(name, record) for name in LAWS}
+    least = min(law.score for law in laws.values())
+    chosen = min(
+        (name for name, law in laws.items() if law.score <= (1.0 + PARSIMONY) * least), key=lambda n: len(LAWS[n])
+    )
+    law = {"quadratic_stiffness": PUBLISHED["stiffness"], "damping": PUBLISHED["damping"], "rest": PUBLISHED["rest"]}
+    late = record.time > 0.5 * record.time[-1]
+    forecast = {}
+    for name in laws:
+        error = _fit(name, record, ~late).residual[late]
+        forecast[name] = held_out_error(error, np.arange(error.size) // max(1, error.size // 20))
+    return JointStudy(
+        record=record,
+        published=record.angle - joint_angle(record, law),
+        laws=laws,
+        chosen=chosen,
+        forecast=forecast,
+    )
+
+
+def _fit(name: str, record: Release, kept: NDArray[np.bool_] | None = None, near: Array | None = None) -> CurveFit:
+    """Return a law fitted to the rows ``kept``, searched from the parameters ``near``."""
+    labels = ("release", *LAWS[name])
+    start, low, high = (np.array(column) for column in zip(*(BOUNDS[label] for label in labels), strict=True))
+    if near is not None:
+        start = np.clip(near, low + 1e-3 * (high - low) * (low < 0.0), high - 1e-3 * (high - low))
+
+    def predict(values: Array) -> Array:
+        return joint_angle(record, dict(zip(labels, values, strict=True)))
+
+    return fit_curve(predict, record.angle, start, low, high, kept)
+
+
+def _fit_law(name: str, record: Release) -> JointFit:
+    whole, held_out = _fit(name, record), np.empty(record.time.size)
+    blocks = np.unique(record.block)
+    for block in blocks:
+        out = record.block == block
+        held_out[out] = _fit(name, record, ~out, whole.params).residual[out]
+    params = dict(zip(("release", *LAWS[name]), whole.estimates(), strict=True))
+    return JointFit(
+        name=name,
+        params=params,
+        residual=whole.residual,
+        held_out=held_out,
+        block_rms=tuple(rms(held_out[record.block == block]) for block in blocks),
+    )

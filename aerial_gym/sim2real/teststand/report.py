@@ -1,0 +1,79 @@
+"""What an identification leaves behind: tables for people, figures, JSON, and a robot file with the new numbers."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from aerial_gym.config import dump_yaml
+from aerial_gym.config.robot import RobotCfg, RotorCfg
+from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """Rows of text under one title."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """A finished identification."""
+
+    title: str
+    intro: str
+    mapping: dict[str, object]
+    """For JSON."""
+
+    tables: tuple[Table, ...]
+    figures: "dict[str, Figure]" = field(default_factory=dict)
+    """By file name without ending."""
+
+    notes: tuple[str, ...] = ()
+    files: dict[str, str] = field(default_factory=dict)
+    """Further files: text by name."""
+
+    def markdown(self) -> str:
+        """Return the report."""
+        lines = [f"# {self.title}", "", self.intro, ""]
+        for table in self.tables:
+            lines += [f"## {table.title}", "", "| " + " | ".join(table.head) + " |", "| --- " * len(table.head) + "|"]
+            lines += ["| " + " | ".join(row) + " |" for row in table.rows] + [""]
+        for name in self.figures:
+            lines += [f"![{name.replace('_', ' ')}]({name}.png)", ""]
+        lines += ["## Notes", "", *(f"- {note}" for note in self.notes or ("none",)), ""]
+        return "\n".join(lines)
+
+
+def write_study(out_dir: Path, study: Study, config: dict[str, object], inputs: Sequence[str | Path]) -> None:
+    """Write report.md, its figures, result.json and the robot or rotor file; the folder appears when all is done."""
+    check_out_dir(out_dir)
+    with whole_folder(out_dir) as folder:
+        for name, figure in study.figures.items():
+            figure.savefig(folder / f"{name}.png", dpi=90, bbox_inches="tight")
+        (folder / "report.md").write_text(study.markdown(), encoding="utf-8")
+        text = json.dumps(study.mapping, indent=1, ensure_ascii=False, allow_nan=False)
+        (folder / "result.json").write_text(text + "\n", encoding="utf-8")
+        for name, text in study.files.items():
+            (folder / name).write_text(text, encoding="utf-8")
+        write_record(folder, config, inputs)
+
+
+def rotor_files(robot: RobotCfg | None, changes: dict[str, object], source: str) -> dict[str, str]:
+    """Return robot.yaml with new rotor numbers, or rotor.yaml with these alone where no robot is given."""
+    if robot is None:
+        lines = [
+            f"  {name}: {list(v) if isinstance(v, tuple) else v!r}" for name, v in changes.items() if v is not None
+        ]
+        return {"rotor.yaml": "\n".join(["rotor:", *lines, f"  source: {source!r}", ""])}
+    declared = robot.the_rotor("writing the numbers of a bench into a robot file")
+    rotor: RotorCfg = replace(declared, **changes, source=f"{source} Other numbers: {declared.source}")  # type: ignore[arg-type]
+    kinds = {"rotor": rotor} if robot.rotor is not None else {"rotors": dict.fromkeys(robot.rotors, rotor)}
+    return {"robot.yaml": dump_yaml(replace(robot, **kinds))}

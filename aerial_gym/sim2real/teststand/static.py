@@ -1,0 +1,288 @@
+"""Thrust and torque of a rotor at steady speed: polynomials whose order is chosen by held-out error.
+
+Letters: T rows, K terms.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.statistics import Rms
+from aerial_gym.sim2real.teststand.statistics import (
+    Estimate,
+    estimates,
+    held_out_error,
+    independent_covariance,
+    leverage,
+    rms,
+)
+from aerial_gym.sim2real.teststand.tables import Bench, check_rotor_numbers
+
+Array = NDArray[np.float64]
+
+FEWEST_ROWS = 6
+
+MAPS: dict[str, tuple[int, ...]] = {
+    "w²": (2,),
+    "w² and constant": (2, 0),
+    "w² and w": (2, 1),
+    "w², w and constant": (2, 1, 0),
+}
+"""Powers of the speed in each candidate that a robot file can hold."""
+
+BEYOND = {"w³, w² and w": (3, 2, 1)}
+"""A candidate that no robot file holds: if it predicts much better, the polynomial of second order is not the whole truth."""
+
+PARSIMONY = 0.02
+"""A map with fewer terms is taken if its held-out error is at most this share larger."""
+
+STALLED = 0.02
+"""A speed of 0 at more than this share of the highest thrust is a speed sensor that does not read."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapFit:
+    """One candidate."""
+
+    name: str
+    coefficients: dict[str, Estimate]
+    """By power: c2 [.. s²/rad²], c1, c0, c3; or ratio [m]."""
+
+    fit_rms: float
+    """On the rows of the fit."""
+
+    held_out: Array
+    """Measured minus predicted by a fit without that row, (T,)."""
+
+    @property
+    def held_out_rms(self) -> float:
+        """Root mean square of the held-out errors."""
+        return rms(self.held_out)
+
+    def polynomial(self) -> tuple[float, float, float]:
+        """Return c0, c1, c2."""
+        c0, c1, c2 = (self.coefficients[f"c{p}"].value if f"c{p}" in self.coefficients else 0.0 for p in range(3))
+        return c0, c1, c2
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        numbers = {name: value.as_mapping() for name, value in self.coefficients.items()}
+        return {"name": self.name, "fit_rms": self.fit_rms, "held_out_rms": self.held_out_rms, "coefficients": numbers}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """Candidates for one quantity, and the one that predicts rows best that it has not seen."""
+
+    unit: str
+    candidates: dict[str, MapFit]
+    chosen: str
+
+    nested: Array
+    """Held-out errors of the whole procedure: the map was chosen again without that row, (T,)."""
+
+    @property
+    def best(self) -> MapFit:
+        """The chosen candidate."""
+        return self.candidates[self.chosen]
+
+    @property
+    def before(self) -> Rms:
+        """Held-out error of the map with w² alone."""
+        return held_out_error(self.candidates["w²"].held_out)
+
+    @property
+    def after(self) -> Rms:
+        """Held-out error of the procedure that chose the map."""
+        return held_out_error(self.nested)
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return {
+            "unit": self.unit,
+            "chosen": self.chosen,
+            "before": {"model": "w²", "held_out": self.before.as_mapping()},
+            "after": {"model": self.chosen, "held_out": self.after.as_mapping()},
+            "candidates": [fit.as_mapping() for fit in self.candidates.values()],
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class StaticFit:
+    """Rotor maps from one static test."""
+
+    name: str
+    speed: Array
+    """[rad/s], (T,)."""
+
+    thrust: Array
+    """[N], (T,)."""
+
+    torque: Array | None
+    """[N m], (T,)."""
+
+    thrust_map: Choice
+    torque_map: Choice | None
+
+    torque_ratio: Estimate | None
+    """Torque per thrust [m]."""
+
+    notes: tuple[str, ...]
+
+    reverse: "StaticFit | None" = None
+    """Of the rows in which the rotor turns backwards, with speed, thrust and torque of the other sign."""
+
+    @property
+    def thrust_coefficient(self) -> Estimate:
+        """Thrust per squared speed [N s²/rad²], of the fit with this term alone."""
+        return self.thrust_map.candidates["w²"].coefficients["c2"]
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        found: dict[str, object] = {
+            "name": self.name,
+            "rows": self.speed.size,
+            "c_t": self.thrust_coefficient.as_mapping(),
+            "thrust": self.thrust_map.as_mapping(),
+        }
+        if self.torque_map is not None and self.torque_ratio is not None:
+            found |= {"c_t2t": self.torque_ratio.as_mapping(), "torque": self.torque_map.as_mapping()}
+        if self.reverse is not None:
+            found["reverse"] = self.reverse.as_mapping()
+        return found | {"notes": list(self.notes)}
+
+
+def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], list[str]]:
+    """Return the maps of one file, and why some of its tests have none; a column ``test`` splits it into several tests.
+
+    Negative speeds are those of a reversible rotor that turns backwards, with thrust and torque of the other sign: they have
+    maps of their own, and all pass through 0 with the speed.
+
+    Args:
+        bench: Speed, thrust and, where there is one, torque.
+        num_motors: Motors whose thrust and torque were measured together.
+
+    Raises:
+        DataError: If columns are missing, or no test can be used.
+    """
+    column = bench.column("thrust") or ""
+    if "total" in column.lower() and num_motors == 1:
+        raise DataError(f"{bench.path}: {column!r} is the thrust of several motors; say how many with --num-motors")
+    speed, thrust = bench.values("speed"), bench.values("thrust") / num_motors
+    torque = None if bench.column("torque") is None else bench.values("torque") / num_motors
+    if "test" not in bench.table.columns:
+        return [_fit_both_ways(bench.path, speed, thrust, torque)], []
+    tests = np.asarray(bench.table["test"].astype(str))
+    fits, left_out = [], []
+    for test in dict.fromkeys(tests):
+        rows = tests == test
+        part = None if torque is None else torque[rows]
+        try:
+            fits.append(_fit_both_ways(f"{bench.path}, test {test}", speed[rows], thrust[rows], part))
+        except DataError as error:
+            left_out.append(str(error))
+    if not fits:
+        raise DataError(left_out[0])
+    return fits, left_out
+
+
+def _fit_both_ways(name: str, speed: Array, thrust: Array, torque: Array | None) -> StaticFit:
+    back = speed < 0.0
+    if not back.any():
+        return _fit_test(name, speed, thrust, torque)
+    parts = [None if torque is None else torque[~back], None if torque is None else -torque[back]]
+    forwards = _fit_test(name, speed[~back], thrust[~back], parts[0], through_zero=True)
+    backwards = _fit_test(f"{name}, backwards", -speed[back], -thrust[back], parts[1], through_zero=True)
+    return replace(forwards, reverse=backwards)
+
+
+def _fit_test(name: str, speed: Array, thrust: Array, torque: Array | None, *, through_zero: bool = False) -> StaticFit:
+    check_rotor_numbers(name, speed, thrust, torque)
+    dead = (speed == 0.0) & (thrust > STALLED * thrust.max())
+    notes = (f"{dead.sum()} rows with thrust at speed 0 left out: the speed sensor did not read",) if dead.any() else ()
+    speed, thrust = speed[~dead], thrust[~dead]
+    torque = None if torque is None else torque[~dead]
+    if np.unique(speed).size < FEWEST_ROWS:
+        raise DataError(f"{name}: has {np.unique(speed).size} different speeds, needs at least {FEWEST_ROWS}")
+    thrust_map = choose_map(speed, thrust, unit="N", through_zero=through_zero)
+    ratio = None
+    if torque is not None:
+        ratio = _fit_regressors("ratio", thrust[:, None], torque, ("ratio",)).coefficients["ratio"]
+    return StaticFit(
+        name=name,
+        speed=speed,
+        thrust=thrust,
+        torque=torque,
+        thrust_map=thrust_map,
+        torque_map=None
+        if torque is None
+        else choose_map(speed, torque, unit="N m", thrust=thrust_map.best, through_zero=through_zero),
+        torque_ratio=ratio,
+        notes=notes,
+    )
+
+
+def choose_map(
+    speed: Array, values: Array, *, unit: str, thrust: MapFit | None = None, through_zero: bool = False
+) -> Choice:
+    """Return the candidates for ``values`` (T,) at speeds (T,) and the choice among them.
+
+    ``thrust``: the chosen thrust map, which adds the candidate of a constant torque ratio. A map whose term in w² is not
+    positive is no candidate: no robot file holds it; nor, for a reversible rotor (``through_zero``), one with a constant or a
+    negative term in w.
+    """
+    maps = {name: powers for name, powers in MAPS.items() if not (through_zero and 0 in powers)}
+    candidates = {name: _fit_powers(name, powers, speed, values) for name, powers in (maps | BEYOND).items()}
+    columns = {name: speed[:, None] ** np.array(powers) for name, powers in maps.items()}
+    if thrust is not None:
+        carried = np.polyval(thrust.polynomial()[::-1], speed)[:, None]
+        columns = {"torque ratio": carried, **columns}
+        candidates = {"torque ratio": _fit_regressors("torque ratio", carried, values, ("ratio",)), **candidates}
+    nested = np.empty(speed.size)
+    for row in range(speed.size):
+        others = np.arange(speed.size) != row
+        errors = {name: rms(_leave_one_out(c[others], values[others])) for name, c in columns.items()}
+        best = _parsimonious(errors, columns)
+        gains = np.linalg.lstsq(columns[best][others], values[others], rcond=None)[0]
+        nested[row] = values[row] - columns[best][row] @ gains
+    rising = [name for name in columns if name == "torque ratio" or candidates[name].polynomial()[2] > 0.0]
+    if through_zero:
+        rising = [name for name in rising if name == "torque ratio" or candidates[name].polynomial()[1] >= 0.0]
+    chosen = _parsimonious({name: candidates[name].held_out_rms for name in rising}, columns)
+    return Choice(unit=unit, candidates=candidates, chosen=chosen, nested=nested)
+
+
+def _parsimonious(errors: dict[str, float], columns: dict[str, Array]) -> str:
+    """Return the candidate with the fewest terms among those whose error is close to the least."""
+    least = min(errors.values())
+    close = [name for name, error in errors.items() if error <= (1.0 + PARSIMONY) * least]
+    return min(close, key=lambda name: (columns[name].shape[1], errors[name]))
+
+
+def _leave_one_out(regressors: Array, values: Array) -> Array:
+    """Return what each row misses the fit of the others by: residual over one minus leverage."""
+    scale = np.abs(regressors).max(axis=0)
+    scaled = regressors / np.where(scale > 0.0, scale, 1.0)
+    residual = values - scaled @ np.linalg.lstsq(scaled, values, rcond=None)[0]
+    return residual / np.maximum(1.0 - leverage(scaled), 1e-9)
+
+
+def _fit_powers(name: str, powers: tuple[int, ...], speed: Array, values: Array) -> MapFit:
+    return _fit_regressors(name, speed[:, None] ** np.array(powers), values, tuple(f"c{p}" for p in powers))
+
+
+def _fit_regressors(name: str, regressors: Array, values: Array, labels: tuple[str, ...]) -> MapFit:
+    scale = np.abs(regressors).max(axis=0)
+    scaled = regressors / scale
+    gains = np.linalg.lstsq(scaled, values, rcond=None)[0]
+    residual = values - scaled @ gains
+    covariance = independent_covariance(scaled, residual) / np.outer(scale, scale)
+    found = estimates(gains / scale, covariance, values.size - gains.size)
+    return MapFit(
+        name=name,
+        coefficients=dict(zip(labels, found, strict=True)),
+        fit_rms=rms(residual),
+        held_out=_leave_one_out(regressors, values),
+    )

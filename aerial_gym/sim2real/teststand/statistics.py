@@ -1,0 +1,156 @@
+"""Least squares whose intervals respect unequal and correlated residuals.
+
+Letters: N rows, K parameters.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, stats
+
+from aerial_gym.sim2real.statistics import Rms, rms_with_interval
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """A number with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def as_mapping(self) -> dict[str, float | list[float]]:
+        """Return it for JSON."""
+        return {"value": self.value, "interval": [self.low, self.high]}
+
+
+def estimates(values: Array, covariance: Array, freedom: int) -> list[Estimate]:
+    """Return each value with ``value ± t std``, t the 97.5 % quantile of Student's distribution."""
+    reach = stats.t.ppf(0.975, max(freedom, 1)) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return [Estimate(value=float(v), low=float(v - r), high=float(v + r)) for v, r in zip(values, reach, strict=True)]
+
+
+def rms(values: Array) -> float:
+    """Return the root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def held_out_error(values: Array, group: NDArray[np.int64] | None = None) -> Rms:
+    """Return the rms of held-out errors (N,) with a 95 % interval over groups of rows; None: rows are independent."""
+    labels = np.arange(values.size) if group is None else group
+    return rms_with_interval(values[:, None], labels, seed=0)[0]
+
+
+def leverage(regressors: Array) -> Array:
+    """Return the diagonal of the hat matrix, (N,): how much each row pulls its own fit."""
+    q, _ = np.linalg.qr(regressors / np.maximum(np.abs(regressors).max(axis=0), 1e-300))
+    return (q * q).sum(axis=1)
+
+
+LONGEST_MEMORY = 0.97
+"""Largest correlation from row to row that scores are whitened by (Andrews, Monahan 1992, section 3)."""
+
+
+def independent_covariance(regressors: Array, residual: Array) -> Array:
+    """Return the covariance of least squares for independent residuals of unequal size, (K, K).
+
+    Source: MacKinnon, White (1985), Some heteroskedasticity-consistent covariance matrix estimators, HC3.
+    """
+    bread = np.linalg.inv(regressors.T @ regressors)
+    weighted = regressors * (residual / np.maximum(1.0 - leverage(regressors), 1e-6))[:, None]
+    return bread @ (weighted.T @ weighted) @ bread
+
+
+def correlation_rows(residual: Array) -> int:
+    """Return how many rows residuals stay correlated for: the bandwidth of the Bartlett window for an AR(1) process.
+
+    Source: Andrews (1991), Heteroskedasticity and autocorrelation consistent covariance matrix estimation, eq. 6.2, 6.4.
+    """
+    scale = float(residual[:-1] @ residual[:-1])
+    rho = float(np.clip(residual[1:] @ residual[:-1] / scale, 0.0, 0.99)) if scale > 0.0 else 0.0
+    alpha = 4.0 * rho**2 / ((1.0 - rho) ** 2 * (1.0 + rho) ** 2)
+    return int(np.ceil(1.1447 * (alpha * residual.size) ** (1.0 / 3.0)))
+
+
+def correlated_covariance(regressors: Array, residual: Array) -> Array:
+    """Return the covariance of least squares for residuals that are correlated from row to row, (K, K).
+
+    Scores are whitened by an AR(1) process each, summed with a Bartlett window, and coloured again.
+
+    Source:
+        Andrews, Monahan (1992), An improved heteroskedasticity and autocorrelation consistent covariance matrix estimator;
+        Newey, West (1987) for the window; residuals over one minus leverage as in HC3, since a few rows at a step carry most
+        of what is known.
+    """
+    scores = regressors * (residual / np.maximum(1.0 - leverage(regressors), 1e-6))[:, None]
+    before, after = scores[:-1], scores[1:]
+    power = np.maximum((before * before).sum(axis=0), 1e-300)
+    memory = np.clip((after * before).sum(axis=0) / power, -LONGEST_MEMORY, LONGEST_MEMORY)
+    white = np.concatenate((scores[:1], after - before * memory))
+    meat = white.T @ white
+    reach = min(correlation_rows(white @ _unit(white)), residual.size - 1)
+    for lag in range(1, reach + 1):
+        product = white[lag:].T @ white[:-lag]
+        meat += (1.0 - lag / (reach + 1.0)) * (product + product.T)
+    meat = meat / np.outer(1.0 - memory, 1.0 - memory)
+    bread = np.linalg.pinv(regressors.T @ regressors)
+    return bread @ meat @ bread
+
+
+def _unit(white: Array) -> Array:
+    """Return weights that make all scores count the same, (K,)."""
+    return 1.0 / np.maximum(white.std(axis=0), 1e-300)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurveFit:
+    """A curve fitted to rows in order of time."""
+
+    params: Array
+    """(K,)."""
+
+    residual: Array
+    """Measured minus fitted, (N,)."""
+
+    covariance: Array
+    """(K, K)."""
+
+    def estimates(self) -> list[Estimate]:
+        """Return the parameters with 95 % intervals."""
+        return estimates(self.params, self.covariance, self.residual.size - self.params.size)
+
+
+def fit_curve(
+    predict: Callable[[Array], Array],
+    measured: Array,
+    start: Array,
+    low: Array,
+    high: Array,
+    kept: NDArray[np.bool_] | None = None,
+) -> CurveFit:
+    """Return the parameters that minimise the squared residual of ``predict``.
+
+    Args:
+        predict: Curve (N,) of parameters (K,).
+        measured: Curve (N,).
+        start: First guess (K,), inside the bounds.
+        low: Lower bounds (K,).
+        high: Upper bounds (K,).
+        kept: Rows to fit, (N,); None takes all. ``residual`` holds all rows.
+    """
+    rows = np.ones(measured.size, dtype=bool) if kept is None else kept
+    scale = np.maximum(np.abs(start), 1e-3 * (high - low))
+    found = optimize.least_squares(
+        lambda z: (predict(z * scale) - measured)[rows],
+        start / scale,
+        bounds=(low / scale, high / scale),
+        x_scale="jac",
+    )
+    params = found.x * scale
+    residual = measured - predict(params)
+    covariance = correlated_covariance(np.asarray(found.jac) / scale, residual[rows])
+    return CurveFit(params=params, residual=residual, covariance=covariance)

@@ -1,0 +1,277 @@
+"""Step responses of a rotor: time constants up and down, slew limits and delay, chosen by steps left out of the fit.
+
+Letters: T rows, K parameters.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.statistics import Rms
+from aerial_gym.sim2real.teststand.statistics import CurveFit, Estimate, fit_curve, held_out_error, rms
+from aerial_gym.sim2real.teststand.tables import Bench
+
+Array = NDArray[np.float64]
+
+SHORTEST_STEP = 5
+"""Rows per step; fewer do not show a time constant."""
+
+NO_LIMIT = 1e9
+"""Stands for a slew limit that is never reached [rad/s²]."""
+
+PARSIMONY = 0.02
+"""A law with fewer parameters is taken if its held-out error is at most this share larger."""
+
+BOUNDS: dict[str, tuple[float, float, float]] = {
+    "tau": (0.03, 1e-3, 2.0),
+    "tau_up": (0.03, 1e-3, 2.0),
+    "tau_down": (0.04, 1e-3, 2.0),
+    "delay": (0.005, 0.0, 0.2),
+    "slew_up": (6e4, 1e2, 1e7),
+    "slew_down": (3e4, 1e2, 1e7),
+}
+"""First guess, lower and upper bound: tau and delay [s], slew [rad/s²]."""
+
+LAWS: dict[str, tuple[str, ...]] = {
+    "one time constant": ("tau",),
+    "up and down": ("tau_up", "tau_down"),
+    "up and down, delay": ("tau_up", "tau_down", "delay"),
+    "one time constant, slew limit down": ("tau", "slew_down"),
+    "up and down, slew limit down": ("tau_up", "tau_down", "slew_down"),
+    "one time constant, slew limits": ("tau", "slew_up", "slew_down"),
+    "up and down, slew limits": ("tau_up", "tau_down", "slew_up", "slew_down"),
+    "up and down, slew limits, delay": ("tau_up", "tau_down", "slew_up", "slew_down", "delay"),
+}
+"""Parameters of each candidate."""
+
+ROBOT_LAWS = tuple(name for name, params in LAWS.items() if "delay" not in params)
+"""Candidates that the rotor of a robot file can hold; a delay is the effect ``actuation_delay``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepRecord:
+    """One record of held commands."""
+
+    path: str
+    time: Array
+    """[s], (T,)."""
+
+    command: Array
+    """[rad/s], (T,)."""
+
+    measured: Array
+    """[rad/s], (T,)."""
+
+    starts: NDArray[np.int64]
+    """First row of each step, and T at the end."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawFit:
+    """One candidate."""
+
+    name: str
+    params: dict[str, Estimate]
+    fit_rms: float
+    held_out: Array
+    """Measured minus predicted by a fit without that step, (T of all records,)."""
+
+    step: NDArray[np.int64] = field(repr=False)
+    """Number of the step of each row, (T of all records,)."""
+
+    residual: Array = field(repr=False)
+    """Of the fit to all steps, (T of all records,)."""
+
+    @property
+    def error(self) -> Rms:
+        """Root mean square of the held-out errors [rad/s], with its interval over steps."""
+        return held_out_error(self.held_out, self.step)
+
+    @property
+    def held_out_rms(self) -> float:
+        """Root mean square of the held-out errors [rad/s]."""
+        return rms(self.held_out)
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        numbers = {name: value.as_mapping() for name, value in self.params.items()}
+        held_out = self.error.as_mapping()
+        return {"name": self.name, "fit_rms": self.fit_rms, "held_out": held_out, "params": numbers}
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepFit:
+    """Candidates and the one that predicts steps best that it has not seen."""
+
+    records: tuple[StepRecord, ...]
+    laws: dict[str, LawFit]
+    chosen: str
+    in_robot: str
+    """The best candidate that a robot file can hold."""
+
+    notes: tuple[str, ...]
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        first, best = self.laws["one time constant"], self.laws[self.chosen]
+        return {
+            "unit": "rad/s",
+            "chosen": self.chosen,
+            "in_robot": self.in_robot,
+            "before": {"model": first.name, "fit_rms": first.fit_rms, "held_out": first.error.as_mapping()},
+            "after": {"model": self.chosen, "fit_rms": best.fit_rms, "held_out": best.error.as_mapping()},
+            "candidates": [law.as_mapping() for law in self.laws.values()],
+            "notes": list(self.notes),
+        }
+
+
+def step_record(bench: Bench) -> StepRecord:
+    """Return the steps of a file.
+
+    Raises:
+        DataError: If time does not increase or the command does not change in steps.
+    """
+    time, command, measured = (bench.values(name) for name in ("time", "command", "measured"))
+    back = np.flatnonzero(np.diff(time) <= 0.0)
+    if back.size:
+        raise DataError(
+            f"{bench.path}, line {back[0] + 3}: time does not increase; sort the rows, remove repeated ones"
+        )
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(command)) + 1, [time.size]))
+    held = np.diff(starts)
+    if held.size < 2 or np.median(held) < SHORTEST_STEP:
+        raise DataError(
+            f"{bench.path}: the command is held for {np.median(held):g} rows in {held.size} steps; needs at least two steps "
+            f"of {SHORTEST_STEP} rows: step the command and wait until the speed has settled"
+        )
+    # A command given before the record, at which the rotor already turns, is no step.
+    if abs(measured[0] - command[0]) <= 0.02 * np.ptp(command):
+        starts = starts[1:] if held.size > 2 else starts
+    return StepRecord(path=bench.path, time=time, command=command, measured=measured, starts=starts)
+
+
+def lag_error(error: float, tau: float, slew: float, since: Array) -> Array:
+    """Return what is left of ``error`` [rad/s] some time [s] after a step, (T,): a ramp, then an exponential.
+
+    ``e' = -min(|e| / tau, slew) sign(e)``; before the step it is whole.
+
+    Source:
+        Derived: the ramp ends where ``|e| = slew tau``; from there it is a first-order lag.
+    """
+    size = abs(error)
+    ramp = max(size / slew - tau, 0.0)
+    decay = min(size, slew * tau) * np.exp(-np.maximum(since - ramp, 0.0) / tau)
+    return np.sign(error) * np.where(since < 0.0, size, np.where(since < ramp, size - slew * since, decay))
+
+
+def simulate(record: StepRecord, params: dict[str, float]) -> Array:
+    """Return the speed [rad/s] that a law predicts from the commands and the first measured speed, (T,)."""
+    shared = params.get("tau", 0.0)
+    delay, speed = params.get("delay", 0.0), record.measured.copy()
+    level, edges = float(record.measured[record.starts[0]]), record.starts
+    for start, stop in pairwise(edges):
+        goal = float(record.command[start])
+        way = "up" if goal > level else "down"
+        tau, slew = params.get(f"tau_{way}", shared), params.get(f"slew_{way}", NO_LIMIT)
+        end = record.time[min(stop, record.time.size - 1)]
+        since = np.append(record.time[start:stop], end) - record.time[start] - delay
+        course = goal - lag_error(goal - level, tau, slew, since)
+        speed[start:stop], level = course[:-1], float(course[-1])
+    return speed
+
+
+def fit_steps(records: Sequence[StepRecord]) -> StepFit:
+    """Return the candidates fitted to all steps, each judged on steps left out."""
+    ways = [way for record in records for way in _ways(record)]
+    notes = []
+    names = list(LAWS)
+    if min(ways.count("up"), ways.count("down")) < 2:
+        names = ["one time constant"]
+        notes.append(
+            f"{ways.count('up')} rising and {ways.count('down')} falling steps: two of each are needed to tell the time "
+            "constants apart and to test them"
+        )
+    laws = {name: _fit_law(name, records) for name in names}
+    tau = min(p.value for law in laws.values() for n, p in law.params.items() if n.startswith("tau"))
+    sample = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
+    if tau < 1.5 * sample:
+        notes.append(f"rows are {sample:.3g} s apart: time constants near that are uncertain beyond their intervals")
+    return StepFit(
+        records=tuple(records),
+        laws=laws,
+        chosen=_parsimonious(laws, names),
+        in_robot=_parsimonious(laws, [name for name in ROBOT_LAWS if name in laws]),
+        notes=tuple(notes),
+    )
+
+
+def _parsimonious(laws: dict[str, LawFit], names: Sequence[str]) -> str:
+    least = min(laws[name].held_out_rms for name in names)
+    close = [name for name in names if laws[name].held_out_rms <= (1.0 + PARSIMONY) * least]
+    return min(close, key=lambda name: (len(LAWS[name]), laws[name].held_out_rms))
+
+
+def _ways(record: StepRecord) -> list[str]:
+    levels = [float(record.measured[record.starts[0]]), *record.command[record.starts[:-1]]]
+    return ["up" if after > before else "down" for before, after in pairwise(levels)]
+
+
+def _fit_law(name: str, records: Sequence[StepRecord]) -> LawFit:
+    labels = LAWS[name]
+    start, low, high = (np.array(column) for column in zip(*(BOUNDS[label] for label in labels), strict=True))
+    measured = np.concatenate([record.measured[record.starts[0] :] for record in records])
+    for place, label in enumerate(
+        labels
+    ):  # a limit that no step reaches has no slope: begin where the largest one does
+        if label.startswith("slew"):
+            asked = max(largest_step(record, label.removeprefix("slew_")) for record in records) / BOUNDS["tau"][0]
+            start[place] = np.clip(0.5 * asked, 2.0 * low[place], 0.5 * high[place])
+
+    def predict(values: Array) -> Array:
+        params = dict(zip(labels, values, strict=True))
+        return np.concatenate([simulate(record, params)[record.starts[0] :] for record in records])
+
+    whole: CurveFit = fit_curve(predict, measured, start, low, high)
+    inside = np.clip(whole.params, low + 1e-6 * (high - low), high - 1e-6 * (high - low))
+    held_out, offset = np.empty(measured.size), 0
+    for record in records:
+        for first, last in zip(
+            record.starts[:-1] - record.starts[0], record.starts[1:] - record.starts[0], strict=True
+        ):
+            kept = np.ones(measured.size, dtype=bool)
+            kept[offset + first : offset + last] = False
+            part = fit_curve(predict, measured, inside, low, high, kept)
+            held_out[~kept] = part.residual[~kept]
+        offset += record.time.size - record.starts[0]
+    params = _unreached(dict(zip(labels, whole.estimates(), strict=True)), records)
+    step = np.concatenate([np.isin(np.arange(r.starts[0], r.time.size), r.starts) for r in records]).cumsum(
+        dtype=np.int64
+    )
+    return LawFit(
+        name=name, params=params, fit_rms=rms(whole.residual), held_out=held_out, step=step, residual=whole.residual
+    )
+
+
+def _unreached(params: dict[str, Estimate], records: Sequence[StepRecord]) -> dict[str, Estimate]:
+    """Return the parameters; a slew limit that no step reaches is only known to lie above what the steps asked for."""
+    found = dict(params)
+    for way in ("up", "down"):
+        if f"slew_{way}" not in params:
+            continue
+        tau = params.get(f"tau_{way}") or params["tau"]
+        asked = max(largest_step(record, way) for record in records) / tau.value
+        slew = params[f"slew_{way}"]
+        if slew.high >= asked or slew.value >= asked:
+            low = asked if slew.value >= asked else slew.low
+            found[f"slew_{way}"] = Estimate(value=slew.value, low=low, high=BOUNDS[f"slew_{way}"][2])
+    return found
+
+
+def largest_step(record: StepRecord, way: str) -> float:
+    """Return the largest step up or down in a record [rad/s]; 0 if there is none."""
+    levels = np.array([record.measured[record.starts[0]], *record.command[record.starts[:-1]]])
+    return float(np.max(np.diff(levels) * (1.0 if way == "up" else -1.0), initial=0.0))

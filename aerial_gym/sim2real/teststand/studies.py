@@ -1,0 +1,350 @@
+"""The identifications of ``aerial-gym identify``, from files to a study with tables, figures and notes."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.sim2real.logs.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.mapping import LogMapping
+from aerial_gym.sim2real.statistics import Rms
+from aerial_gym.sim2real.teststand import figures
+from aerial_gym.sim2real.teststand.balance import Balance, Change, HoverEffort, hover_effort, judge_balance
+from aerial_gym.sim2real.teststand.hover import fit_hover
+from aerial_gym.sim2real.teststand.joint import PUBLISHED, fit_joint, release_record, spans
+from aerial_gym.sim2real.teststand.report import Study, Table, rotor_files
+from aerial_gym.sim2real.teststand.static import Choice, StaticFit, fit_static
+from aerial_gym.sim2real.teststand.statistics import Estimate, rms
+from aerial_gym.sim2real.teststand.step import BOUNDS, StepFit, fit_steps, step_record
+from aerial_gym.sim2real.teststand.tables import Bench
+
+MOST_TESTS_SHOWN = 3
+
+
+def interval(found: Estimate | Rms) -> str:
+    """Return a number with its 95 % interval as text."""
+    return f"{found.value:.4g} [{found.low:.4g}, {found.high:.4g}]"
+
+
+def change(before: float, after: float) -> str:
+    """Return a relative change as text."""
+    return f"{100.0 * (after / before - 1.0):+.0f} %"
+
+
+def study_motor(benches: Sequence[Bench], *, num_motors: int = 1, robot: RobotCfg | None = None) -> Study:
+    """Return rotor maps and lags from static tables and step records, told apart by their columns.
+
+    Raises:
+        DataError: If a file is neither, or cannot be used.
+    """
+    static: list[StaticFit] = []
+    steps, left_out = [], []
+    for bench in benches:
+        if bench.column("command") is not None and bench.column("time") is not None:
+            steps.append(step_record(bench))
+        elif bench.column("thrust") is not None:
+            fits, missed = fit_static(bench, num_motors=num_motors)
+            static += fits
+            left_out += missed
+        else:
+            raise DataError(
+                f"{bench.path}: is neither a static test (speed, thrust) nor a step record (time, command, measured); it has "
+                f"the columns {', '.join(bench.table.columns)}. Name them with --columns and --units"
+            )
+    lag = fit_steps(steps) if steps else None
+    tables = [*static_tables(static), *([] if lag is None else step_tables(lag))]
+    notes = [*left_out, *(f"{fit.name}: {note}" for fit in static for note in fit.notes)]
+    notes += [] if lag is None else lag.notes
+    notes += [note for fit in static[:MOST_TESTS_SHOWN] for note in curvature_notes(fit)]
+    mapping: dict[str, object] = {"static": [fit.as_mapping() for fit in static], "left_out": left_out}
+    if lag is not None:
+        mapping["steps"] = lag.as_mapping()
+    if len(static) > 1:
+        mapping["all_tests"] = all_tests(static)
+    shown = {} if not static else figures.static_figures(static[0])
+    changes = rotor_changes(static, lag)
+    return Study(
+        title="Motor identification",
+        intro="Every interval is a 95 % interval; held-out errors are on rows or steps that the fit has not seen.",
+        mapping=mapping,
+        tables=tuple(tables),
+        figures=shown | ({} if lag is None else figures.step_figures(lag)),
+        notes=tuple(notes),
+        files={} if not changes else rotor_files(robot, changes, f"aerial-gym identify motor: {names(benches)}."),
+    )
+
+
+def names(benches: Sequence[Bench]) -> str:
+    """Return the file names."""
+    return ", ".join(Path(bench.path).name for bench in benches)
+
+
+def rotor_changes(static: Sequence[StaticFit], lag: StepFit | None) -> dict[str, object]:
+    """Return the fields of a rotor that one static test and the steps give; nothing for several tests."""
+    found: dict[str, object] = {}
+    if len(static) == 1:
+        fit = static[0]
+        found["thrust_map"] = fit.thrust_map.best.polynomial()
+        if fit.torque_map is not None and fit.torque_ratio is not None:
+            constant = fit.torque_map.chosen == "torque ratio"
+            found["torque_ratio"] = fit.torque_map.best.coefficients["ratio"].value if constant else None
+            found["torque_map"] = None if constant else fit.torque_map.best.polynomial()
+        if fit.reverse is not None:
+            found |= _reverse_changes(fit, fit.reverse)
+    if lag is not None:
+        params = lag.laws[lag.in_robot].params
+        for way in ("up", "down"):
+            found[f"time_constant_{way}"] = params.get(f"tau_{way}", params.get("tau")).value  # type: ignore[union-attr]
+        found |= slew_rates(params)
+    return found
+
+
+def _reverse_changes(fit: StaticFit, reverse: StaticFit) -> dict[str, object]:
+    """Return the fields of a reversible rotor: maps backwards, and the range of thrusts that were measured."""
+    thrust_map = reverse.thrust_map.best.polynomial()
+    found: dict[str, object] = {"reverse_thrust_map": thrust_map}
+    found["thrust_range"] = -float(reverse.thrust.max()), float(fit.thrust.max())
+    if reverse.torque_map is not None and reverse.torque_ratio is not None:
+        best = reverse.torque_map.best
+        constant = reverse.torque_map.chosen == "torque ratio"
+        ratio = best.coefficients["ratio"].value if constant else 0.0
+        c0, c1, c2 = thrust_map
+        found["reverse_torque_map"] = (ratio * c0, ratio * c1, ratio * c2) if constant else best.polynomial()
+    return found
+
+
+def slew_rates(params: Mapping[str, Estimate]) -> dict[str, object]:
+    """Return the slew rates of a rotor from those of a law; one that no step reaches is none."""
+    rates = {way: params.get(f"slew_{way}") for way in ("up", "down")}
+    reached = {way: rate for way, rate in rates.items() if rate is not None and rate.high < BOUNDS[f"slew_{way}"][2]}
+    up, down = (reached[way].value if way in reached else None for way in ("up", "down"))
+    if up is not None and down is None:  # without a number of its own falling has that of growing
+        down = BOUNDS["slew_down"][2]
+    return {"slew_rate": up, "slew_rate_down": down}
+
+
+def all_tests(static: Sequence[StaticFit]) -> dict[str, object]:
+    """Return how the choice does over many tests, each error relative to its highest thrust."""
+    before = np.array([fit.thrust_map.before.value / fit.thrust.max() for fit in static])
+    after = np.array([fit.thrust_map.after.value / fit.thrust.max() for fit in static])
+    chosen = [fit.thrust_map.chosen for fit in static]
+    return {
+        "tests": len(static),
+        "chosen": {name: chosen.count(name) for name in dict.fromkeys(chosen)},
+        "median_relative_error_before": float(np.median(before)),
+        "median_relative_error_after": float(np.median(after)),
+        "share_of_tests_better": float((after < before).mean()),
+    }
+
+
+def static_tables(static: Sequence[StaticFit]) -> list[Table]:
+    """Return the tables of static tests: all candidates of a few, a summary of many."""
+    tables = []
+    parts = [part for fit in static for part in (fit, fit.reverse) if part is not None]
+    for fit in parts if len(static) <= MOST_TESTS_SHOWN else []:
+        rows = [("c_t (w² alone) [N s²/rad²]", interval(fit.thrust_coefficient))]
+        if fit.torque_ratio is not None:
+            rows.append(("c_t2t, torque per thrust [m]", interval(fit.torque_ratio)))
+        tables.append(Table(title=f"Coefficients, {Path(fit.name).name}", head=("quantity", "value"), rows=tuple(rows)))
+        tables.append(_choice_table("Thrust", fit.thrust_map))
+        if fit.torque_map is not None:
+            tables.append(_choice_table("Torque", fit.torque_map))
+    if len(static) > MOST_TESTS_SHOWN:
+        found = all_tests(static)
+        rows = [(name.replace("_", " "), str(value)) for name, value in found.items()]
+        tables.append(Table(title="All tests", head=("quantity", "value"), rows=tuple(rows)))
+    return tables
+
+
+def _choice_table(quantity: str, choice: Choice) -> Table:
+    rows = []
+    for fit in choice.candidates.values():
+        numbers = "; ".join(f"{name} {interval(value)}" for name, value in fit.coefficients.items())
+        mark = " (chosen)" if fit.name == choice.chosen else ""
+        rows.append((fit.name + mark, f"{fit.fit_rms:.3g}", f"{fit.held_out_rms:.3g}", numbers))
+    before, after = choice.before, choice.after
+    rows.append(("before: w²", "", interval(before), ""))
+    rows.append(("after: chosen anew without each row", "", interval(after), change(before.value, after.value)))
+    head = ("map", f"fit rms [{choice.unit}]", f"held-out rms [{choice.unit}]", "coefficients, 95 %")
+    return Table(title=f"{quantity} map", head=head, rows=tuple(rows))
+
+
+def curvature_notes(fit: StaticFit) -> list[str]:
+    """Return what the residual says beyond the map of a robot file."""
+    found = []
+    for quantity, choice in (("thrust", fit.thrust_map), ("torque", fit.torque_map)):
+        if choice is None:
+            continue
+        cubic, best = choice.candidates["w³, w² and w"], choice.best
+        if cubic.held_out_rms < 0.8 * best.held_out_rms:
+            found.append(
+                f"{Path(fit.name).name}: the {quantity} residual keeps a curvature that a cubic takes away (held-out "
+                f"{cubic.held_out_rms:.3g} against {best.held_out_rms:.3g} {choice.unit}); a robot file holds no cubic"
+            )
+    return found
+
+
+def step_tables(lag: StepFit) -> list[Table]:
+    """Return the table of lags."""
+    rows = []
+    for law in lag.laws.values():
+        mark = " (chosen)" * (law.name == lag.chosen) + " (in robot file)" * (law.name == lag.in_robot)
+        numbers = "; ".join(f"{name} {interval(value)}" for name, value in law.params.items())
+        rows.append((law.name + mark, f"{law.fit_rms:.3g}", interval(law.error), numbers))
+    before, after = lag.laws["one time constant"], lag.laws[lag.chosen]
+    rows.append(("change against one time constant", "", change(before.held_out_rms, after.held_out_rms), ""))
+    head = ("law", "fit rms [rad/s]", "held-out rms [rad/s], steps left out", "tau, delay [s]; slew [rad/s²]")
+    return [Table(title="Step responses", head=head, rows=tuple(rows))]
+
+
+def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
+    """Return the law of a compliant joint from the record of a release."""
+    study = fit_joint(release_record(bench, release=release))
+    record, best = study.record, study.laws[study.chosen]
+    rows = []
+    published = spans(record.time, study.published)
+    rows.append(("published quadratic spring, nothing fitted", "", *_angles(published), ""))
+    for law in study.laws.values():
+        mark = " (chosen)" * (law.name == study.chosen)
+        fit, held_out = spans(record.time, law.residual), spans(record.time, law.held_out)
+        shown = (
+            f"{np.degrees(fit['rms']):.3g}",
+            *_angles(held_out),
+            f"{np.degrees(study.forecast[law.name].value):.3g}",
+        )
+        rows.append((law.name + mark, *shown))
+    head = (
+        "law",
+        "fit rms [deg]",
+        "held-out rms [deg]",
+        "first second [deg]",
+        "largest [deg]",
+        "second half forecast [deg]",
+    )
+    params = [(name, interval(value)) for name, value in best.params.items()]
+    units = "release, time [s]; stiffness [1/s²], damping [1/s] per inertia of the joint; rest [rad]"
+    law_text = "\n".join([f"# {study.chosen}: {units}", "joint:", f"  law: {study.chosen!r}"])
+    law_text += "".join(f"\n  {name}: {value.value!r}" for name, value in best.params.items() if name != "release")
+    change_text = change(published["rms"], rms(best.held_out))
+    early = change(published["rms_first_second"], spans(record.time, best.held_out)["rms_first_second"])
+    return Study(
+        title="Compliant joint",
+        intro=f"Held-out error against the published law: {change_text}; in the first second: {early}. "
+        "Blocks of time are left out in turn, the first 30 ms included.",
+        mapping=study.as_mapping(),
+        tables=(
+            Table(title="Laws", head=head, rows=tuple(rows)),
+            Table(title=f"Parameters of the {study.chosen} ({units})", head=("parameter", "95 %"), rows=tuple(params)),
+        ),
+        figures=figures.joint_figures(study),
+        notes=(
+            f"published: {PUBLISHED}, released at 0",
+            "one record of one joint: the intervals are those of this record, not of other joints or loads",
+        ),
+        files={"joint.yaml": f"{law_text}\n  source: 'aerial-gym identify joint: {Path(bench.path).name}'\n"},
+    )
+
+
+def _angles(found: dict[str, float]) -> tuple[str, str, str]:
+    return tuple(f"{np.degrees(found[name]):.3g}" for name in ("rms", "rms_first_second", "largest"))  # type: ignore[return-value]
+
+
+def study_hover(
+    paths: Sequence[Path],
+    *,
+    layout: LogMapping | None,
+    mass: float,
+    mass_std: float = 0.0,
+    robot: RobotCfg | None = None,
+) -> Study:
+    """Return the thrust coefficient from hover in flight logs."""
+    logs = [read_flight_log(path, mapping=layout) for path in paths]
+    declared = None if robot is None else robot.the_rotor("identify hover").thrust_map
+    fit = fit_hover(
+        logs,
+        mass=mass,
+        mass_std=mass_std,
+        declared=declared,
+    )
+    rows = [("c_t [N s²/rad²]", interval(fit.thrust_coefficient))]
+    if fit.scale is not None:
+        rows.append(("factor on the declared thrust map", interval(fit.scale)))
+    rows += [(f"c_t of {name}", f"{value:.4g}") for name, value in fit.by_flight.items()]
+    models = tuple(
+        (name + " (chosen)" * (name == fit.chosen), interval(model.error)) for name, model in fit.models.items()
+    )
+    head = ("map", "measured minus predicted thrust over mass [m/s²]")
+    best = fit.models[fit.chosen].thrust_map
+    return Study(
+        title="Thrust coefficient from hover",
+        intro=f"{fit.force.size} windows of hover, mass {fit.mass:g} kg. Errors are on flights (or parts of the only one) "
+        "left out of the fit.",
+        mapping=fit.as_mapping(),
+        tables=(
+            Table(title="Coefficients", head=("quantity", "value"), rows=tuple(rows)),
+            Table(title="Held-out errors", head=head, rows=models),
+        ),
+        figures=figures.hover_figures(fit),
+        notes=fit.notes,
+        files={} if robot is None else rotor_files(robot, {"thrust_map": best}, "aerial-gym identify hover."),
+    )
+
+
+def study_balance(
+    baseline: Sequence[Path],
+    flights: Sequence[Path],
+    *,
+    layout: LogMapping | None,
+    robot: RobotCfg,
+    test: Sequence[Path] = (),
+    repeats: Sequence[Path] = (),
+    added_mass: float | None = None,
+) -> Study:
+    """Return what the shares of the rotors at hover say about the cause of a change against a baseline."""
+    named = [path.resolve() for path in (*baseline, *flights, *test)]
+    if len(set(named)) < len(named):
+        raise ConfigError("a log is named twice among flights, --baseline and --test; each has one part to play")
+    others = [path for whole, path in {path.resolve(): path for path in repeats}.items() if whole not in named]
+
+    def read(paths: Sequence[Path]) -> list[HoverEffort]:
+        return [hover_effort(read_flight_log(path, mapping=layout, hover=True)) for path in paths]
+
+    found = judge_balance(
+        read(baseline), read(flights), robot=robot, test=read(test), repeats=read(others), added_mass=added_mass
+    )
+    return Study(
+        title="Balance at hover",
+        intro=f"Verdict: {found.verdict}. Candidates: {', '.join(found.candidates) or 'none'}. Intervals of 95 % come from the "
+        f"scatter between logs of one condition, known from {found.freedom} repeats.",
+        mapping=found.as_mapping(),
+        tables=tuple(_balance_tables(found)),
+        notes=(*found.notes, *(f"to tell the candidates apart: {text}" for text in found.tell_apart)),
+    )
+
+
+def _balance_tables(found: Balance) -> list[Table]:
+    def row(name: str, change: Change) -> tuple[str, ...]:
+        return name, interval(change.baseline), interval(change.flights), interval(change.change)
+
+    rows = [row(f"share of rotor {number}", share) for number, share in enumerate(found.shares, start=1)]
+    rows.append(row("sum of squared speeds; relative change", found.total))
+    tables = [Table(title="Effort at hover", head=("quantity", "baseline", "flights", "change"), rows=tuple(rows))]
+    rows = []
+    for fit in found.fits:
+        numbers = "; ".join(f"{name} {interval(value)}" for name, value in fit.params.items())
+        if fit.place is not None:
+            numbers += "; weight at " + ", ".join(interval(axis) for axis in fit.place)
+        mark = " (possible)" * (fit.cause.name in found.candidates)
+        judged = ("", "") if fit.judged is None else (f"{fit.judged:.2g}", f"{fit.held_out:.3g}")
+        rows.append((fit.cause.name + mark, numbers, f"{fit.fit.misfit:.2g}", f"{fit.fit.gain:.2g}", *judged))
+    head = (
+        "candidate",
+        "dm [kg]; x, y [m] of the centre of mass; place of the weight [m]; scale, torque_ratio of the rotor",
+        "chance of what it leaves",
+        "chance of what it gains",
+        "chance of its error on logs left out",
+        "that error, relative",
+    )
+    return [*tables, *([Table(title="Candidates", head=head, rows=tuple(rows))] if rows else [])]

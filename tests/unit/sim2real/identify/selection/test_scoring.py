@@ -1,0 +1,76 @@
+"""Gains on flights left out, from squares that are written down."""
+
+import numpy as np
+import pytest
+
+from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting
+from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut
+from aerial_gym.sim2real.predict.predictor import Channel
+
+BLOCKS, FLIGHTS = 8, 4
+
+
+def left_out() -> LeftOut:
+    """Return four flights of eight blocks of 60 rows, two channels, nothing tolerated."""
+    blocks = BLOCKS * FLIGHTS
+    empty = np.zeros((blocks, 2, 0))
+    moments = Moments(
+        count=np.full(blocks, 60.0),
+        square=np.ones((blocks, 2)),
+        gradient=empty,
+        product=np.zeros((blocks, 2, 0, 0)),
+        flight=np.repeat(np.arange(FLIGHTS), BLOCKS),
+    )
+    channels = tuple(Channel(kind="specific_force", axis=axis) for axis in "xy")
+    weights = Weighting(variance=np.ones(2), effective=np.full(2, 0.5))
+    return LeftOut(moments=moments, weights=weights, criteria=Criteria(), channels=channels, tolerated=np.zeros(2))
+
+
+def squares(*factors: float) -> np.ndarray:
+    """Return squares that are ``factors`` of one in each flight, in the first channel."""
+    found = np.ones((BLOCKS * FLIGHTS, 2))
+    found[:, 0] = np.repeat(factors, BLOCKS)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("factors", "share"),
+    [
+        ((0.2, 0.2, 0.2, 0.2), 1.0),
+        ((0.2, 0.2, 1.01, 1.01), 1.0),  # still air shows no drag: a change of 1 % says nothing
+        ((0.2, 0.2, 1.2, 1.2), 0.5),
+        ((0.2, 1.01, 1.01, 1.01), 0.25),  # one flight alone is no evidence
+    ],
+)
+def test_a_flight_that_does_not_show_an_effect_does_not_speak_against_it(
+    factors: tuple[float, ...], share: float
+) -> None:
+    assert left_out().gain(squares(1.0, 1.0, 1.0, 1.0), squares(*factors)).flights_better == share
+
+
+def test_the_fall_of_a_channel_is_that_of_its_rms() -> None:
+    gain = left_out().gain(squares(1.0, 1.0, 1.0, 1.0), squares(0.25, 0.25, 0.25, 0.25))
+    assert gain.falls == pytest.approx((0.5, 0.0))
+    assert gain.score == pytest.approx(0.5 * 60 * BLOCKS * FLIGHTS * 0.5 * np.log(4.0))
+
+
+@pytest.mark.parametrize(
+    ("gained", "lost", "harmful"),
+    [
+        (0.25, 1.02, False),  # 1 % of the rms is no harm
+        (0.25, 1.12, False),  # 4 log 2 are gained for each log 1.12 that is lost
+        (0.25, 1.2, True),  # more than a tenth of the gain
+        (0.9, 1.12, True),
+        (1.0, 1.12, True),
+    ],
+)
+def test_what_a_channel_loses_is_harm_unless_others_gain_ten_times_as_much(
+    gained: float, lost: float, harmful: bool
+) -> None:
+    more = squares(*[gained] * FLIGHTS)
+    more[:, 1] = lost
+    judge = left_out()
+    found = judge.gain(squares(*[1.0] * FLIGHTS), more)
+    assert found.worse == (False, harmful)
+    assert found.harmed == (0.0, float(harmful))
+    assert bool(judge.harms(found)) is harmful

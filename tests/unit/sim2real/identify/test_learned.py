@@ -1,0 +1,168 @@
+"""A learned residual in the loop: a drag that no effect has is learned and holds on another flight; noise is not learned."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aerial_gym.config import dump_yaml
+from aerial_gym.config.robot import load_robot
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.effects import Effect
+from aerial_gym.registry import Registry
+from aerial_gym.sim2real import close_loop
+from aerial_gym.sim2real.close_loop import load_train_and_test
+from aerial_gym.sim2real.identify.learned import OUTPUTS, Learned, _Trainer, judge_on_test, train_residual
+from aerial_gym.sim2real.identify.least_squares.moments import block_moments, weights_from
+from aerial_gym.sim2real.identify.selection import library, select
+from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.predictor import Predictor, declared_point, find_channels
+from aerial_gym.sim2real.predict.rollout import roll_out
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+from aerial_gym.sim2real.progress import silent
+from tests.physics.vehicles import random_network
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+
+CUBIC = 0.08
+FORCES, TURNS = OUTPUTS[:3], OUTPUTS[3:]
+
+
+def flown(folder: Path, cubic: float) -> tuple[list[Path], Path]:
+    """Return three training flights and a test flight."""
+    paths = [
+        write(flight(20 + n, noise=1.0, seconds=8.0, rate=100.0, cubic=cubic), folder / f"f{n}.csv") for n in range(4)
+    ]
+    return paths[:3], paths[3]
+
+
+def predictor_of(flights: list[Flight]) -> Predictor:
+    return Predictor(
+        ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances()
+    )  # fmt: skip
+
+
+def left_out_of(predictor: Predictor) -> LeftOut:
+    """Return the judge of a loop without effects."""
+    residuals = predictor.residuals(declared_point(ROBOT))
+    return LeftOut(
+        moments=block_moments(predictor.times, residuals, [np.zeros((*r.shape, 0)) for r in residuals]),
+        weights=weights_from(residuals),
+        criteria=Criteria(),
+        channels=predictor.channels,
+        tolerated=np.full(len(predictor.channels), 0.02),
+    )
+
+
+def learn(folder: Path, cubic: float) -> tuple[Learned, list[Flight]]:
+    train, test = flown(folder, cubic)
+    fit, held = load_train_and_test(ROBOT, train, [test], None, 10.0, silent)
+    predictor, point = predictor_of(fit), declared_point(ROBOT)
+    learned = train_residual(predictor, point, left_out_of(predictor))
+    return judge_on_test(learned, predictor_of(held), point, None), held
+
+
+@pytest.fixture(scope="module")
+def cubic(tmp_path_factory: pytest.TempPathFactory) -> tuple[Learned, list[Flight]]:
+    return learn(tmp_path_factory.mktemp("cubic"), CUBIC)
+
+
+def test_a_drag_without_a_name_is_learned_and_holds_on_another_flight(cubic: tuple[Learned, list[Flight]]) -> None:
+    """At least four fifths of the force's mean square are taken on the test flight; the torque, which is noise, stays zero."""
+    learned, held = cubic
+    assert learned.effect is not None
+    assert min(learned.gaps[name] or 0.0 for name in FORCES) > 0.8
+    assert {learned.gaps[name] for name in TURNS} == {0.0}
+    assert learned.cfg is not None
+    assert learned.cfg.limit[3:] == (0.0, 0.0, 0.0)
+    assert 0 <= learned.rows_outside < 0.1 * learned.rows
+    point, with_it = declared_point(ROBOT), replace(declared_point(ROBOT), learned=learned.effect)
+    errors = [roll_out(ROBOT, held, p, horizons=(0.1, 0.5), given_attitude=True).velocity for p in (point, with_it)]
+    rms = [np.sqrt(np.mean(np.square(e), axis=0)) for e in errors if e is not None]
+    assert (rms[1] < 0.5 * rms[0]).all()
+
+
+def test_flights_far_from_the_training_data_get_nothing(cubic: tuple[Learned, list[Flight]]) -> None:
+    learned, held = cubic
+    assert learned.cfg is not None
+    far = tuple(tuple(100.0 * number for number in row) for row in learned.cfg.whitening)
+    narrow = replace(learned, cfg=replace(learned.cfg, whitening=far))
+    judged = judge_on_test(narrow, predictor_of(held), declared_point(ROBOT), None)
+    assert judged.rows_outside == judged.rows > 0
+    assert set(judged.gaps.values()) == {0.0}
+
+
+def test_training_repeats_itself_and_descends(tmp_path: Path) -> None:
+    """Same rows and seed, same numbers; torque is J times acceleration; the gradient is that of central differences."""
+    train, test = flown(tmp_path, CUBIC)
+    fit, _ = load_train_and_test(ROBOT, train, [test], None, 10.0, silent)
+    predictor = predictor_of(fit)
+    trainer = _Trainer(predictor, declared_point(ROBOT), left_out_of(predictor), 0)
+    first = trainer.train(0.01)
+    np.testing.assert_array_equal(first.flat(), trainer.train(0.01).flat())
+    constant = replace(first, output=0.0 * first.output, offset=np.eye(6)[4])
+    turning = trainer.cfg_of(constant).output.bias  # J times the rms of angular acceleration y
+    rms = np.sqrt(np.mean(np.concatenate(predictor.residuals(declared_point(ROBOT)))[:, 4] ** 2))
+    np.testing.assert_allclose(turning, (0.0, 0.0, 0.0, 0.0, 2.4e-3 * rms, 0.0), rtol=1e-5)
+    rng = np.random.default_rng(0)
+    inputs, targets = rng.normal(size=(20, 7)), rng.normal(size=(20, len(trainer.outputs)))
+    here, slope = first.flat(), first.loss(inputs, targets, 0.1)[1].flat()
+    for place in range(0, here.size, 7):
+        step = 1e-6 * np.eye(here.size)[place]
+        high, low = (first.from_flat(here + sign * step).loss(inputs, targets, 0.1)[0] for sign in (1.0, -1.0))
+        assert (high - low) / 2e-6 == pytest.approx(slope[place], rel=1e-5, abs=1e-8)
+
+
+def test_noise_is_not_learned(tmp_path: Path) -> None:
+    learned, _ = learn(tmp_path, 0.0)
+    assert learned.cfg is None
+    assert learned.effect is None
+    assert "not added: takes at most" in learned.sentence
+
+
+def test_flights_without_velocity_and_a_robot_that_has_one_are_refused(tmp_path: Path) -> None:
+    train, test = flown(tmp_path, CUBIC)
+    fit, _ = load_train_and_test(ROBOT, train, [test], None, 10.0, silent)
+    predictor = predictor_of(fit)
+    judge = left_out_of(predictor)
+    again = declared_point(replace(ROBOT, learned_residual=random_network(4)))
+    with pytest.raises(ConfigError, match="already has a learned_residual"):
+        train_residual(predictor, again, judge)
+    predictor.flights = tuple(replace(f, lin_vel=None) for f in fit)
+    assert train_residual(predictor, declared_point(ROBOT), judge).objections == ("the flights have no velocity",)
+
+
+def test_the_loop_adds_it_beside_the_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Named effects come first; the verdict stays unexplained, and the corrected robot is replayed with the network.
+
+    Only drag is looked for, to save time.
+    """
+    few: Registry[Effect] = Registry("effect")
+    for name in ("rotor_drag", "quadratic_drag"):
+        few.register(name, EFFECTS.get(name))
+    for module in (select, library):
+        monkeypatch.setattr(module, "EFFECTS", few)
+    train, test = flown(tmp_path, CUBIC)
+    (tmp_path / "robot.yaml").write_text(dump_yaml(ROBOT), encoding="utf-8")
+    out = tmp_path / "out"
+    found = close_loop(tmp_path / "robot.yaml", train, [test], out, learn_residual=True)
+    verdict = json.loads((out / "verdict.json").read_text())
+    assert verdict["verdict"] == "unexplained"
+    *named, last = verdict["effects"]
+    assert named
+    assert [effect["name"] for effect in named] == [effect.name for effect in found.effects]
+    assert (last["name"], last["params"]) == ("learned_residual", {})
+    assert last["share_of_gap"]["specific_force.y"] > 0.3
+    assert last["rows_outside"] <= last["rows"]
+    robot = load_robot(out / "robot.yaml")
+    assert robot.learned_residual is not None
+    assert "f0, f1, f2" in robot.learned_residual.source
+    held = load_train_and_test(ROBOT, train, [test], None, 10.0, silent)[1]
+    residual = np.concatenate(predictor_of(held).residuals(declared_point(robot)))
+    after = [verdict["after"]["specific_force"][axis]["rms"] for axis in "xyz"]
+    np.testing.assert_allclose(np.sqrt(np.mean(residual[:, :3] ** 2, axis=0)), after, rtol=1e-9)
+    for report in ("report.md", "report.html"):
+        assert "learned_residual was added on request" in (out / report).read_text()

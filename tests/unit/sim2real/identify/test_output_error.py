@@ -1,0 +1,106 @@
+"""The effects fitted on whole rollouts, on exact flights whose drag is known."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from aerial_gym.interop import one_thread
+from aerial_gym.sim2real.identify.output_error import Refit, refit_on_rollouts
+from aerial_gym.sim2real.identify.selection.scoring import Criteria
+from aerial_gym.sim2real.identify.selection.select import _Selector
+from aerial_gym.sim2real.identify.window_rollouts import eliminated
+from aerial_gym.sim2real.logs.flights import load_flights
+from aerial_gym.sim2real.predict.predictor import Predictor, declared_point, find_channels
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+
+DRAG = 0.25
+AXES = ("dx", "dy")
+
+
+def refit(folder, effect: str, tables: list[pd.DataFrame]) -> Refit:
+    """Return the refit of one effect, fitted without a selection."""
+    with one_thread():
+        return _refit(folder, effect, tables)
+
+
+def _refit(folder, effect: str, tables: list[pd.DataFrame]) -> Refit:
+    paths = [write(table, folder / f"f{number}.csv") for number, table in enumerate(tables)]
+    flights = load_flights(paths, ROBOT, mapping=None, bandwidth=10.0)
+    predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+    chosen = _Selector(predictor, declared_point(ROBOT), Criteria(), lambda stage, share: None, ())
+    start = chosen.points(effect, declared_point(ROBOT))[0]
+    selection = SimpleNamespace(
+        final=chosen.score((effect,), start), accepted=(effect,), left_out=chosen.left_out, criteria=chosen.criteria
+    )
+    return refit_on_rollouts(predictor, selection)  # type: ignore[arg-type]
+
+
+def flights_with_drag(noise: float) -> list[pd.DataFrame]:
+    return [flight(30 + seed, drag=DRAG, noise=noise, seconds=20.0, rate=100.0) for seed in range(3)]
+
+
+def test_rollouts_find_the_drag_and_leave_it_to_precise_single_steps(tmp_path) -> None:
+    found = refit(tmp_path, "rotor_drag", flights_with_drag(1.0))
+    changes = {change.parameter: change for change in found.changes}
+    for axis in AXES:
+        assert abs(changes[axis].rollout - DRAG) < 3.0 * changes[axis].std
+        assert changes[axis].rollout == pytest.approx(changes[axis].step, rel=0.05)
+    assert not found.adopted
+    assert not found.contradictions
+    assert found.as_mapping()["because"] == list(found.objections)
+
+
+def test_rollouts_decide_where_accelerometers_are_noisy(tmp_path) -> None:
+    """Noise of 5 m/s² leaves single steps unsure; velocity and attitude are exact, and so rollouts know the drag."""
+    tables, rng = flights_with_drag(0.0), np.random.default_rng(0)
+    for table in tables:
+        table[["acc_x", "acc_y", "acc_z"]] += 5.0 * rng.standard_normal((len(table), 3))
+    found = refit(tmp_path, "rotor_drag", tables)
+    changes = {change.parameter: change for change in found.changes}
+    for axis in AXES:
+        assert abs(changes[axis].rollout - DRAG) < 3.0 * changes[axis].std
+        assert abs(changes[axis].rollout - DRAG) < abs(changes[axis].step - DRAG)
+    assert found.adopted, found.objections
+    assert found.velocity > 0.05
+    assert found.scored is not None
+    assert found.scored.fit.point.effects["rotor_drag"][0] == pytest.approx(DRAG, rel=0.01)
+
+
+def test_a_sensor_that_reads_too_little_is_told_by_the_difference(tmp_path) -> None:
+    """An accelerometer that reads 20 % less sideways: single steps say 20 % less drag, rollouts the truth; both cannot hold."""
+    tables = flights_with_drag(1.0)
+    for table in tables:
+        table[["acc_x", "acc_y"]] *= 0.8
+    found = refit(tmp_path, "rotor_drag", tables)
+    for change in found.changes:
+        if change.parameter in AXES:
+            assert change.step < 0.85 * DRAG
+            assert abs(change.rollout - DRAG) < 3.0 * change.std
+    assert not found.adopted
+    assert any("specific_force" in objection for objection in found.objections)
+    assert any("rotor_drag dx" in text for text in found.contradictions)
+    assert any("single steps rule out its rotor_drag dx" in text for text in found.objections)
+
+
+def test_what_is_left_when_starts_are_eliminated_is_the_least_of_the_whole_problem() -> None:
+    """Against one least-squares problem in the parameters and in nine errors of the start of each window, all written out."""
+    rng, windows, rows, params = np.random.default_rng(3), 4, 5, 2
+    residual, weight = rng.standard_normal((windows, rows, 6)), rng.uniform(0.5, 2.0, (rows, 6))
+    jacobian, start = rng.standard_normal((params, windows, rows, 6)), rng.standard_normal((9, windows, rows, 6))
+    sums = eliminated(residual, jacobian, start, weight)
+    step = np.linalg.solve(sums.product.sum(axis=(0, 1)), sums.gradient.sum(axis=(0, 1)))
+    each, root = rows * 6, np.sqrt(weight).ravel()
+    matrix = np.zeros((windows * (each + 9), params + 9 * windows))
+    right = np.zeros(len(matrix))
+    for w in range(windows):
+        own, free = slice(w * each, (w + 1) * each), slice(params + 9 * w, params + 9 * (w + 1))
+        matrix[own, :params] = jacobian[:, w].reshape(params, -1).T * root[:, None]
+        matrix[own, free] = start[:, w].reshape(9, -1).T * root[:, None]
+        right[own] = residual[w].ravel() * root
+        matrix[windows * each + 9 * w : windows * each + 9 * (w + 1), free] = np.eye(9)
+    whole, least, *_ = np.linalg.lstsq(matrix, right, rcond=None)
+    np.testing.assert_allclose(step, whole[:params], rtol=1e-9)
+    np.testing.assert_allclose(sums.squares_after(np.tile(step, (windows, 1))).sum(), least, rtol=1e-9)

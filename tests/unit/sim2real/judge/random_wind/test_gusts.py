@@ -1,0 +1,211 @@
+"""Gusts in what is left over: the process and its moments, and everything that must not be called gusts.
+
+Series are drawn from the spectrum (sums of cosines), not by the recursion that the simulator and the plant use.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import integrate
+
+from aerial_gym.sim2real.identify.selection.scoring import Criteria
+from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, declared_wind, find_random_wind, wind_response
+from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
+    Series,
+    chance_of_memory,
+    chance_of_noise,
+    chances_of_rivals,
+    fit_process,
+    log_spread,
+    process_covariance,
+)
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.signals import lowpass_gain
+from aerial_gym.sim2real.predict.predictor import Point, Predictor, find_channels
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+from tests.unit.sim2real.flat_flights import ROBOT
+from tests.unit.sim2real.predict.test_scene import RATE, hover
+
+BAND, STEP, ROWS = 10.0, 0.1, 120
+TIME = STEP * np.arange(ROWS)
+
+
+def drawn(rng: np.random.Generator, time: np.ndarray, std: float, corr_time: float) -> np.ndarray:
+    """Return a low-passed wind (T, 3): cosines of random phase, amplitude sqrt(2 S df) H, lines every 1 / 80 s."""
+    frequency = (np.arange(2400) + 0.5) / 80.0
+    density = 4.0 * corr_time * std**2 / (1.0 + (2.0 * np.pi * frequency * corr_time) ** 2)
+    size = np.sqrt(density / 80.0) * lowpass_gain(frequency, BAND)
+    wave = 2.0 * np.pi * np.outer(time, frequency)
+    cosine, sine = rng.standard_normal((2, frequency.size, 3)) * size[:, None]
+    return np.cos(wave) @ cosine + np.sin(wave) @ sine
+
+
+def series(change: Callable[[int], np.ndarray] | None = None, *, std: float = 1.0, seed: int = 0) -> Series:
+    """Return four flights of wind with white noise of 0.05 m/s, and what ``change`` adds to a flight."""
+    rng = np.random.default_rng(seed)
+    wind, features = [], []
+    for flight in range(4):
+        place = np.cumsum(0.3 * rng.standard_normal((ROWS, 3)), axis=0)
+        features.append(place)
+        wind.append(drawn(rng, TIME, std, 1.0) + 0.05 * rng.standard_normal((ROWS, 3)))
+        if change is not None:
+            wind[-1] = wind[-1] + change(flight)
+    return Series(wind=wind, features={"position": features}, step=STEP, bandwidth=BAND)
+
+
+@pytest.mark.parametrize("corr_time", [0.1, 0.7, 5.0])
+def test_the_covariance_is_that_of_the_spectrum_below_the_band(corr_time: float) -> None:
+    """Against adaptive quadrature of ``int S H² cos(2 pi f t) df``."""
+
+    def density(f: float, lag: float) -> float:
+        shape = 4.0 * corr_time / (1.0 + (2.0 * np.pi * f * corr_time) ** 2)
+        return shape * float(lowpass_gain(np.array([f]), BAND)[0]) ** 2 * np.cos(2.0 * np.pi * f * lag)
+
+    lags = np.array([0.0, 0.1, 0.5])
+    expected = [integrate.quad(density, 0.0, 30.0, args=(lag,), limit=400)[0] for lag in lags]
+    np.testing.assert_allclose(process_covariance(corr_time, BAND, lags), expected, atol=2e-3)
+
+
+def test_std_and_correlation_time_are_found_within_their_spread() -> None:
+    """Over six draws of four 12 s flights: the mean within three standard errors, the scatter as stated within a factor 2."""
+    found, spread = [], []
+    for seed in range(6):
+        wind = series(std=0.8, seed=seed)
+        fit = fit_process(wind)
+        found.append(np.log([fit.std / 0.8, fit.corr_time / 1.0]))
+        spread.append(log_spread(wind, fit) if seed == 0 else spread[-1])
+    stated = np.mean(spread, axis=0)
+    assert np.all(np.abs(np.mean(found, axis=0)) < 3.0 * stated / np.sqrt(6.0))
+    assert np.all(np.std(found, axis=0) < 2.0 * stated)
+    assert np.all(np.std(found, axis=0) > 0.5 * stated)
+
+
+def test_wind_alone_raises_no_objection_and_is_no_noise() -> None:
+    wind = series(seed=3)
+    fit = fit_process(wind)
+    chances = chances_of_rivals(wind, fit)
+    assert min(chances.values()) > 0.001, chances
+    assert chance_of_noise(wind, fit) < 1e-6
+    quiet = replace(wind, wind=[0.05 * np.random.default_rng(f).standard_normal((ROWS, 3)) for f in range(4)])
+    assert chance_of_noise(quiet, fit_process(quiet)) > 0.01
+
+
+@pytest.mark.parametrize(
+    ("reason", "change"),
+    [
+        (
+            "has a line at one frequency",
+            lambda f: 0.3 * np.sin(2.0 * np.pi * 3.1 * TIME + f)[:, None] * [1.0, 0.0, 0.0],
+        ),
+        ("differs between the axes", lambda f: drawn(np.random.default_rng(9 + f), TIME, 3.0, 1.0) * [1.0, 0.0, 0.0]),
+        ("differs between the flights", lambda f: (f == 2) * drawn(np.random.default_rng(9), TIME, 4.0, 1.0)),
+        (
+            "is not distributed as a random wind",
+            lambda f: 6.0 * (np.abs(TIME - 4.0 - f) < 0.06)[:, None] * [1.0, 1.0, 1.0],
+        ),
+        (
+            "remembers otherwise than by one correlation time",
+            lambda f: 3.0 * np.sin(np.outer(2.0 * TIME, [1.0, 1.3, 1.7]) + 5.0 * np.sin(0.7 * TIME + f)[:, None]),
+        ),
+    ],
+)
+def test_what_is_no_random_wind_is_told_apart(reason: str, change: Callable[[int], np.ndarray]) -> None:
+    wind = series(change)
+    assert chances_of_rivals(wind, fit_process(wind))[reason] < 0.001
+
+
+def test_a_force_that_follows_a_feature_is_told_apart() -> None:
+    wind = series(seed=5)
+    moved = [w + 0.6 * x[:, :1] * [1.0, 0.0, 0.0] for w, x in zip(wind.wind, wind.features["position"], strict=True)]
+    wind = replace(wind, wind=moved)
+    assert chances_of_rivals(wind, fit_process(wind))["follows position"] < 0.001
+
+
+DRAGGED = Point(effects={"rotor_drag": np.array([0.3, 0.24, 0.18])})
+
+
+def blown(number: int, std: float = 0.0) -> Flight:
+    """Return a hovering flight whose accelerometer feels a wind through the drag: ``f = d w / m`` along each axis."""
+    rng = np.random.default_rng(number)
+    time = np.arange(round(12.0 * RATE)) / RATE
+    still = hover(str(number), 1.0)
+    assert still.rotor_speed is not None
+    felt = drawn(rng, time, std, 1.0) * [0.5, 0.4, 0.3] + 0.02 * rng.standard_normal((time.size, 3))
+    zeros = np.zeros((time.size, 3))
+    return replace(
+        still,
+        time=time,
+        position=zeros + 1.0,
+        lin_vel=zeros,
+        ang_vel=zeros,
+        attitude=np.tile([0.0, 0.0, 0.0, 1.0], (time.size, 1)),
+        rotor_speed=np.tile(still.rotor_speed[0], (time.size, 1)),
+        specific_force=felt + np.array([0.0, 0.0, 9.81]),
+    )
+
+
+def look(flights: list[Flight], point: Point = DRAGGED, **more: object) -> RandomWind:
+    channels = find_channels(flights)
+    predictor = Predictor(ROBOT, flights, bandwidth=BAND, channels=channels, tolerances=Tolerances())
+    settings = {
+        "floor": np.full(len(channels), 0.01),
+        "tolerated": np.full(len(channels), 0.01),
+        "remaining": np.ones(len(channels), dtype=bool),
+        **more,
+    }
+    return find_random_wind(predictor, point, Criteria(), **settings)  # type: ignore[arg-type]
+
+
+def test_a_wind_is_seen_through_the_drag_of_the_model() -> None:
+    flights = [blown(number, 1.2) for number in range(3)]
+    predictor = Predictor(ROBOT, flights, bandwidth=BAND, channels=find_channels(flights), tolerances=Tolerances())
+    response = wind_response(predictor, DRAGGED)[0][:, :3]
+    np.testing.assert_allclose(response, np.tile(np.diag([0.5, 0.4, 0.3]), (len(response), 1, 1)), atol=1e-6)
+    found = look(flights)
+    assert found.accepted, found.objections
+    for value, truth, spread in zip(found.params().values(), (1.2, 1.0), found.spread, strict=True):
+        assert abs(np.log(value / truth)) < 3.0 * spread
+    added = found.adds(predictor, DRAGGED)[:3]
+    expected = (
+        found.std * np.array([0.5, 0.4, 0.3]) * np.sqrt(process_covariance(found.corr_time, BAND, np.zeros(1))[0])
+    )
+    np.testing.assert_allclose(added, expected, rtol=1e-6)
+    named = found.named()
+    assert (named.name, named.params) == ("gusts", found.params())
+    assert named.confidence > 0.999
+    assert found.decision(("none", "", ())) == ("explained", found.decision(("none", "", ()))[1], ("gusts",))
+    assert found.decision(("unexplained", "more", ("com_offset",)))[2] == ("com_offset", "gusts")
+    assert "lower no residual" in found.notes[0]
+
+
+def test_where_gusts_are_not_looked_for_and_why() -> None:
+    flights = [blown(number) for number in range(2)]
+    assert "a known drag" in look(flights, Point()).untestable
+    assert "too slow to show a noise floor" in look(flights, floor=None).untestable
+    assert "needs specific force and velocity" in look([replace(f, lin_vel=None) for f in flights]).untestable
+    nothing = look(flights, remaining=np.zeros(12, dtype=bool))
+    assert (nothing.accepted, nothing.untestable, nothing.notes) == (False, "", ())
+    still = look(flights)
+    assert not still.accepted
+    assert "what remains is not called gusts" in still.notes[0]
+
+
+def test_declared_gusts_are_taken_as_they_are() -> None:
+    declared = declared_wind(replace(ROBOT, effects={"gusts": {"std": 0.5, "corr_time": 2.0}}))
+    assert declared.accepted
+    assert declared.params() == {"std": 0.5, "corr_time": 2.0}
+    assert not declared_wind(ROBOT).accepted
+
+
+def test_noise_has_no_memory_as_often_as_stated() -> None:
+    """Series of 170 rows without their mean, of four flights; 20 lags, two of which a fit would have taken."""
+    rng = np.random.default_rng(0)
+    chances = []
+    for _ in range(600):
+        parts = [rng.standard_normal((170, 3)) for _ in range(4)]
+        chances.append(chance_of_memory([part - part.mean(axis=0) for part in parts]))
+    assert np.mean(np.array(chances) < 0.01) < 0.035
+    late = [np.roll(part, 3, axis=0) for part in parts]
+    assert chance_of_memory([part + 0.2 * other for part, other in zip(parts, late, strict=True)]) < 1e-4

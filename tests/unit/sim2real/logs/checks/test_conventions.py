@@ -1,0 +1,218 @@
+"""Every check of a log against what it claims to be: quiet on good logs, one clear sentence on bad ones."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.checks.conventions import body_rate_of, check_log, check_quaternion_norm, check_time
+from aerial_gym.sim2real.logs.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.flights import load_flight, load_flights
+from aerial_gym.sim2real.logs.signals import uniform_log
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+
+Q, OMEGA, ACC, V, P = (
+    ["q_x", "q_y", "q_z", "q_w"],
+    ["omega_x", "omega_y", "omega_z"],
+    ["acc_x", "acc_y", "acc_z"],
+    ["v_x", "v_y", "v_z"],
+    ["p_x", "p_y", "p_z"],
+)
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    return flight(1, seconds=8.0, rate=100.0, noise=1.0)
+
+
+def check(table: pd.DataFrame, folder: Path) -> list[str]:
+    log = read_flight_log(write(table, folder / "a.csv"))
+    check_time(log)
+    check_quaternion_norm(log)
+    return check_log(uniform_log(log), ROBOT)
+
+
+def replaced(table: pd.DataFrame, columns: list[str], values: object) -> pd.DataFrame:
+    changed = table.copy()
+    changed[columns] = np.asarray(values)
+    return changed
+
+
+def test_good_logs_pass(table: pd.DataFrame, tmp_path: Path) -> None:
+    assert check(table, tmp_path) == []
+    assert check(table.drop(columns=ACC), tmp_path) == []
+    assert check(table.drop(columns=OMEGA), tmp_path) == []
+    assert check(table.drop(columns=V), tmp_path) == []
+
+
+def test_a_sign_jump_of_the_quaternion_is_no_defect(table: pd.DataFrame, tmp_path: Path) -> None:
+    sign = np.where(np.arange(len(table)) % 7 < 3, -1.0, 1.0)[:, None]
+    assert check(replaced(table, Q, table[Q].to_numpy() * sign), tmp_path) == []
+
+
+def body_to_world(table: pd.DataFrame) -> Rotation:
+    return Rotation.from_quat(table[Q].to_numpy(copy=True))
+
+
+def frd(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the log with body axes x forward, y right, z down."""
+    body = (body_to_world(table) * Rotation.from_quat([1.0, 0.0, 0.0, 0.0])).as_quat()
+    found = replaced(table, Q, body)
+    return replaced(replaced(found, OMEGA, found[OMEGA] * (1, -1, -1)), ACC, found[ACC] * (1, -1, -1))
+
+
+def mirrored(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the log with position and velocity in world axes north, east, down, the attitude as it was."""
+    found = table
+    for names in (P, V):
+        found = replaced(found, names, found[names].to_numpy()[:, [1, 0, 2]] * (1, 1, -1))
+    return found
+
+
+def ned(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the log with world axes north, east, down."""
+    swap = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    return replaced(mirrored(table), Q, (swap * body_to_world(table)).as_quat())
+
+
+def turned(table: pd.DataFrame, angle: float) -> pd.DataFrame:
+    """Return the log with position and velocity turned about z [deg], the attitude as it was."""
+    about, found = Rotation.from_euler("z", angle, degrees=True), table
+    for names in (P, V):
+        found = replaced(found, names, about.apply(found[names].to_numpy(copy=True)))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda t: replaced(t, Q, t[["q_w", "q_x", "q_y", "q_z"]]),
+            r"attitude .* and omega contradict each other .*the quaternion is stored w first",
+        ),
+        (lambda t: replaced(t, Q, body_to_world(t).inv().as_quat()), r"the quaternion turns world into body"),
+        (lambda t: replaced(t, OMEGA, np.rad2deg(t[OMEGA])), r"omega is in degrees per second"),
+        (lambda t: replaced(t, OMEGA, t[OMEGA] * (1, -1, -1)), r"omega is in axes x forward, y right, z down"),
+        (lambda t: replaced(t, ACC, -t[ACC]), r"gravity has the wrong sign: .*\+9\.81 on z at hover"),
+        (lambda t: replaced(t, ACC, t[ACC] / 9.81), r"multiples of g: multiply by 9\.81"),
+        (
+            lambda t: replaced(t, ACC, t[ACC] - body_to_world(t).apply([0, 0, 9.81], inverse=True)),
+            r"gravity was taken out",
+        ),
+        (
+            lambda t: replaced(t, ACC, body_to_world(t).apply(t[ACC].to_numpy(copy=True))),
+            r"acc_x.*agrees with the motion in world axes",
+        ),
+        (
+            lambda t: replaced(t, V, body_to_world(t).apply(t[V].to_numpy(copy=True), inverse=True)),
+            r"it looks as if v is in body axes",
+        ),
+        (lambda t: frd(t), r"acc_z is -1\d\.\d+ m/s² on average.*give body_frame: frd in a mapping file"),
+        (lambda t: ned(frd(t)), r"gravity has the wrong sign.*give body_frame: frd and world_frame: ned in a mapping"),
+        (
+            lambda t: ned(frd(t)).drop(columns=V),
+            r"if its signs are turned, turn them; if body and world .*body_frame: frd and world_frame: ned",
+        ),
+        (lambda t: ned(t), r"world axes are north, east, down: give world_frame: ned"),
+        (lambda t: replaced(t, ACC, -t[ACC]), r"gravity has the wrong sign: .*turn the signs of acc"),
+        (
+            lambda t: replaced(t, ACC, body_to_world(t).apply(t[ACC].to_numpy(copy=True))).drop(columns=[*V, *P]),
+            r"acc_x.*agrees with thrust in world axes, not in body axes",
+        ),
+        (
+            lambda t: replaced(t, V, body_to_world(t).apply(t[V].to_numpy(copy=True), inverse=True)).drop(columns=P),
+            r"velocity .* contradicts acc and attitude .*looks as if v is in body axes",
+        ),
+        (lambda t: mirrored(t), r"velocity .* contradicts acc .*looks as if world axes there are north, east, down"),
+        (lambda t: mirrored(t).drop(columns=V), r"position .* contradicts acc .*there are north, east, down"),
+        (lambda t: turned(t, 90.0), r"x and y there must be turned by -90 deg about z to be those of the attitude"),
+        (lambda t: replaced(t, V, 1000.0 * t[V]), r"velocity .* and the derivative of position .* check units"),
+        (
+            lambda t: replaced(
+                t, ["rotor_1", "rotor_2", "rotor_3", "rotor_4"], t.filter(like="rotor") * 60 / (2 * np.pi)
+            ),
+            r"it looks like rpm: convert to rad/s",
+        ),
+        (
+            lambda t: replaced(t, ["rotor_1", "rotor_2", "rotor_3", "rotor_4"], t.filter(like="rotor") / 3000),
+            r"it looks like a fraction of full throttle",
+        ),
+        (
+            lambda t: replaced(t, Q, 1.2 * t[Q]),
+            r"line 2 \(t = 0 s\): the attitude quaternion .* has norm 1\.2, must be 1",
+        ),
+        (lambda t: t.assign(omega_y=0.01), r"ang_vel 2 is 0\.01 in every row; leave a sensor that did not work empty"),
+        (lambda t: t.assign(rotor_3=0.0), r"rotor_speed 3 is 0 in every row"),
+        (lambda t: t[:150], r"lasts 1\.49 s, needs at least 2 s"),
+        (lambda t: t[::10], r"has 10 rows per second, needs at least 20"),
+        (lambda t: t.drop(columns="rotor_4"), r"has 3 rotor columns, the robot has 4 rotors"),
+    ],
+)
+def test_a_log_that_is_not_what_it_claims(table: pd.DataFrame, tmp_path: Path, change: object, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        check(change(table), tmp_path)  # type: ignore[operator]
+
+
+def test_the_order_of_the_quaternion_shows_in_a_quiet_hover_too(tmp_path: Path) -> None:
+    """Without motion the gyro cannot tell, but gravity can."""
+    rng, rows = np.random.default_rng(0), 400
+    hover = flight(2, seconds=4.0, rate=100.0)
+    still = {"q_x": 0.0, "q_y": 0.0, "q_z": 0.0, "q_w": 1.0, "v_x": 0.0, "v_y": 0.0, "v_z": 0.0}
+    hover = hover.assign(**still, p_x=0.0, p_y=0.0, p_z=1.0)
+    hover[OMEGA] = 0.003 * rng.standard_normal((rows, 3))
+    hover[ACC] = [0.0, 0.0, 9.81] + 0.05 * rng.standard_normal((rows, 3))
+    assert check(hover, tmp_path) == []
+    with pytest.raises(DataError, match=r"the quaternion is stored w first; reorder the columns"):
+        check(hover.assign(q_x=1.0, q_w=0.0), tmp_path)
+
+
+def test_a_gap_in_time_is_refused_and_jitter_is_not(table: pd.DataFrame, tmp_path: Path) -> None:
+    with pytest.raises(
+        DataError, match=r"line 202 .*: 1\.01 s after the row before, where 0\.01 s are usual; cut the log"
+    ):
+        check(table.drop(index=range(200, 300)), tmp_path)
+    jitter = table.assign(t=table["t"] + 0.002 * np.sin(np.arange(len(table))))
+    assert check(jitter, tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda t: t.drop(index=range(200, 300)),
+            r"line 202 .*: 1\.01 s after the row before, where 0\.01 s are usual",
+        ),
+        (lambda t: t.assign(t=1e3 * t["t"]), r"0\.1 rows per second, .*check that t is in seconds"),
+        (lambda t: t.assign(t=1e-3 * t["t"]), r"lasts 0\.00799 s, .*is t in seconds"),
+        (lambda t: t.assign(t=1e9 * t["t"]), r"1e-07 rows per second, .*check that t is in seconds"),
+    ],
+)
+def test_a_defect_of_the_time_is_not_taken_for_a_frozen_sensor(
+    table: pd.DataFrame, tmp_path: Path, change: object, message: str
+) -> None:
+    """A value may repeat beside a gap; the gap is what is named."""
+    slow = table.copy()
+    slow.loc[200, ["p_x", "p_y", "p_z"]] = slow.loc[199, ["p_x", "p_y", "p_z"]]
+    slow.loc[300, ["p_x", "p_y", "p_z"]] = slow.loc[199, ["p_x", "p_y", "p_z"]]
+    path = write(change(slow), tmp_path / "a.csv")  # type: ignore[operator]
+    with pytest.raises(DataError, match=message):
+        load_flight(path, ROBOT, mapping=None, bandwidth=10.0)
+    path = write(table.assign(t=table["t"] + 1.7e9), tmp_path / "epoch.csv")
+    assert load_flight(path, ROBOT, mapping=None, bandwidth=10.0).time[0] == 0.0
+
+
+def test_one_flight_is_not_two(table: pd.DataFrame, tmp_path: Path) -> None:
+    path = write(table, tmp_path / "a.csv")
+    with pytest.raises(DataError, match=r"a\.csv: is given twice"):
+        load_flights([path, tmp_path / "." / "a.csv"], ROBOT, mapping=None, bandwidth=10.0)
+
+
+def test_the_rate_of_a_steady_turn_is_its_rate() -> None:
+    """q = (0, 0, sin(w t / 2), cos(w t / 2)) turns with w about z, in body as in world axes."""
+    time = np.arange(0.0, 6.0, 0.01)
+    quaternion = np.stack((0 * time, 0 * time, np.sin(0.7 * time), np.cos(0.7 * time)), axis=1)
+    inner = body_rate_of(quaternion, 100.0, 4.0)[150:-150]
+    np.testing.assert_allclose(inner, np.tile([0.0, 0.0, 1.4], (len(inner), 1)), atol=1e-4)

@@ -1,0 +1,64 @@
+"""Columns of rotors, commands and voltage that are not what they claim to be."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.flights import Flight, load_flight
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+
+ROTORS, COMMANDS = ([f"{name}_{n}" for n in range(1, 5)] for name in ("rotor", "cmd"))
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    """Return a flight with commands that lead the speeds by two rows."""
+    found = flight(1, seconds=6.0, rate=100.0, noise=1.0)
+    ahead = np.concatenate((found[ROTORS].to_numpy()[2:], found[ROTORS].to_numpy()[-2:]))
+    return found.assign(**dict(zip(COMMANDS, ahead.T, strict=True)), vbat=np.linspace(16.0, 15.0, len(found)))
+
+
+def loaded(table: pd.DataFrame, folder: Path) -> Flight:
+    return load_flight(write(table, folder / "a.csv"), ROBOT, mapping=None, bandwidth=10.0)
+
+
+def test_good_columns_stay(table: pd.DataFrame, tmp_path: Path) -> None:
+    found = loaded(table, tmp_path)
+    assert found.rotor_command is not None
+    assert found.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.assign(vbat=0.0), r"line 2 .*battery voltage is 0 V, must be > 0; leave the whole column empty"),
+        (lambda t: t.assign(rotor_2=-t["rotor_2"]), r"rotor_2 is negative .*without sign: .*robot file \(spin\)"),
+        (lambda t: t.assign(cmd_4=-t["cmd_4"]), r"cmd_4 is negative"),
+    ],
+)
+def test_columns_that_cannot_be(table: pd.DataFrame, tmp_path: Path, change: object, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        loaded(change(table), tmp_path)  # type: ignore[operator]
+
+
+def test_commands_that_copy_the_speeds_are_left_out_and_said(table: pd.DataFrame, tmp_path: Path) -> None:
+    found = loaded(table.assign(**dict(zip(COMMANDS, table[ROTORS].to_numpy().T, strict=True))), tmp_path)
+    assert found.rotor_command is None
+    assert any("commands equal the measured rotor speeds in every row" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("names", [ROTORS, COMMANDS])
+@pytest.mark.parametrize("order", [(1, 2, 3, 0), (2, 3, 0, 1), (1, 0, 2, 3)])
+def test_columns_in_another_order_are_told_by_what_they_turn(
+    table: pd.DataFrame, tmp_path: Path, names: list[str], order: tuple[int, ...]
+) -> None:
+    """Column k holds the rotor order[k]; the message lists the columns in the order of the robot file."""
+    mixed = table.assign(**{names[k]: table[names[rotor]] for k, rotor in enumerate(order)})
+    right = ", ".join(names[order.index(rotor)] for rotor in range(4))
+    with pytest.raises(
+        DataError, match=rf"otherwise than the robot file declares .* in their order are {right}: reorder"
+    ):
+        loaded(mixed, tmp_path)

@@ -1,0 +1,32 @@
+"""Rotors of a declared robot in the identification: mixed types, and those that logs cannot tell."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.sim2real.logs.declared_rotors import check_speed_mode, drag_torques, thrusts
+from tests.physics.mixed_rotors import FORCE, PLAIN, REVERSIBLE, mixed_robot, with_rotor
+from tests.physics.vehicles import lopsided_robot
+
+
+def test_each_rotor_has_the_map_of_its_own_type() -> None:
+    """Reversible, plain, force mode, reversible: -2e-6 w² - 1e-4 w backwards, the polynomial, the state, 3e-6 w²."""
+    speed = np.array([[-100.0, 100.0, 3.0, 100.0]])
+    np.testing.assert_allclose(thrusts(mixed_robot(), speed), [[-0.03, 0.02 + 0.01 + 0.03, 3.0, 0.03]], rtol=1e-12)
+    np.testing.assert_allclose(drag_torques(mixed_robot(), speed)[0, [0, 2]], [-0.015 * 0.03, 0.06], rtol=1e-12)
+
+
+def test_rotors_in_force_mode_are_refused_by_name() -> None:
+    with pytest.raises(ConfigError, match="rotors in force mode.*Declare them in speed mode"):
+        check_speed_mode(with_rotor(lopsided_robot(), FORCE))
+    check_speed_mode(with_rotor(lopsided_robot(), REVERSIBLE))
+
+
+def test_what_needs_one_rotor_type_says_so() -> None:
+    with pytest.raises(ConfigError, match="identify hover needs one rotor type.*plain, reversible, force"):
+        mixed_robot().the_rotor("identify hover")
+    robot = mixed_robot()
+    alike = replace(robot, rotors=dict.fromkeys(robot.rotors, PLAIN))
+    assert alike.the_rotor("identify hover") == PLAIN

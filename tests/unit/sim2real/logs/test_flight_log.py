@@ -1,0 +1,237 @@
+"""Reading logs: the contract, foreign layouts, and a clear sentence for everything that is wrong with a file."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.errors import ConfigError, DataError, UnknownNameError
+from aerial_gym.sim2real.logs.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.flights import load_flights
+from aerial_gym.sim2real.logs.mapping import ColumnsCfg, LogMapping, find_mapping, mapping_names
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    return flight(0, seconds=3.0, rate=100.0)
+
+
+def mapping(**changes: object) -> LogMapping:
+    contract = find_mapping("aerial_gym")
+    return LogMapping(**{**vars(contract), **changes})
+
+
+def test_a_log_comes_back_as_it_was_written(table: pd.DataFrame, tmp_path: Path) -> None:
+    log = read_flight_log(write(table, tmp_path / "a.csv"))
+    np.testing.assert_array_equal(log.attitude, table[["q_x", "q_y", "q_z", "q_w"]])
+    np.testing.assert_array_equal(log.rotor_speed, table[[f"rotor_{n}" for n in range(1, 5)]])
+    assert log.rotor_command is None
+    assert log.num_rotors == 4
+    assert log.name == "a"
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_byte_order_mark_and_line_ends_do_not_matter(table: pd.DataFrame, tmp_path: Path, end: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"\xef\xbb\xbf" + table.to_csv(index=False, lineterminator=end).encode())
+    np.testing.assert_array_equal(read_flight_log(path).time, table["t"])
+
+
+def test_empty_columns_are_a_sensor_that_was_not_there(table: pd.DataFrame, tmp_path: Path) -> None:
+    empty = table.assign(**dict.fromkeys(("p_x", "p_y", "p_z"), np.nan), cmd_1=np.nan)
+    log = read_flight_log(write(empty, tmp_path / "a.csv"))
+    assert log.position is None
+    assert log.rotor_command is None
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda t: t.drop(columns=["q_x", "q_y", "q_z", "q_w"]).assign(roll=0.0, pitch=0.0, yaw=0.0),
+            r"column 'q_x' is missing.*Euler angles are no quaternion: write q = qz\(yaw\) qy\(pitch\) qx\(roll\)",
+        ),
+        (
+            lambda t: t.rename(columns={f"rotor_{n}": f"motor_{n}" for n in range(1, 5)}),
+            r"rotor_\{n\} or cmd_\{n\}; they are missing or empty\. Rename the columns, or describe them in a mapping file",
+        ),
+        (lambda t: t.drop(columns="t"), r"a\.csv: column 't' is missing or empty"),
+        (
+            lambda t: t.drop(columns="acc_y"),
+            r"column 'acc_y' is missing or empty while 'acc_x' is there; add it, or remove",
+        ),
+        (lambda t: t.drop(columns=["q_x", "q_y", "q_z", "q_w"]), r"column 'q_x' is missing or empty.*mapping"),
+        (lambda t: t.rename(columns={"q_w": "qw"}), r"column 'q_w' is missing or empty while 'q_x' is there"),
+        (lambda t: t.drop(columns=[f"rotor_{n}" for n in range(1, 5)]), r"needs the columns rotor_\{n\} or cmd_\{n\}"),
+        (lambda t: t.assign(cmd_1=900.0, cmd_2=900.0), r"has 4 rotor speeds and 2 commands"),
+        (lambda t: t.assign(t=t["t"].where(t.index != 50, t["t"][49])), r"line 52: t = 0\.49 s does not increase"),
+        (
+            lambda t: t.assign(t=t["t"].round(1)),
+            r"t is the same in \d+ rows as in the row before; it has too few digits",
+        ),
+        (lambda t: t.assign(t=-t["t"]), r"line 3: t = -0\.01 s does not increase .*sort the rows"),
+        (
+            lambda t: t.assign(omega_x=t["omega_x"].where((t.index < 7) | (t.index > 12))),
+            r"line 9: omega_x is empty \(NaN\) for 6 rows while other rows have it; cut the flight there",
+        ),
+        (
+            lambda t: t.assign(acc_z=t["acc_z"].where(t.index != 7, np.inf)),
+            r"line 9: acc_z = inf is no finite number; cut the flight there",
+        ),
+        (lambda t: t.assign(v_x=t["v_x"].astype(object).where(t.index != 7, "nan")), r"line 9: v_x = nan is no finite"),
+        (lambda t: t.assign(v_x=t["v_x"].astype(object).where(t.index != 7, "abc")), r"line 9: v_x = abc is no finite"),
+        (lambda t: t[:0], r"holds no rows"),
+    ],
+)
+def test_a_bad_table_is_refused_with_the_place_and_the_way_out(
+    table: pd.DataFrame, tmp_path: Path, change: object, message: str
+) -> None:
+    with pytest.raises(DataError, match=message):
+        read_flight_log(write(change(table), tmp_path / "a.csv"))  # type: ignore[operator]
+
+
+def test_a_log_that_was_cut_off_names_the_line(table: pd.DataFrame, tmp_path: Path) -> None:
+    path = write(table, tmp_path / "a.csv")
+    path.write_text(path.read_text()[:-60])
+    with pytest.raises(DataError, match=r"line 301: has \d+ fields, the header has 21; remove the line"):
+        read_flight_log(path)
+
+
+@pytest.mark.parametrize(("mark", "name"), [(";", "';'"), ("\t", "tabs"), (" ", "spaces")])
+def test_other_separators_are_named(table: pd.DataFrame, tmp_path: Path, mark: str, name: str) -> None:
+    table.to_csv(tmp_path / "a.csv", index=False, sep=mark)
+    with pytest.raises(DataError, match=rf"fields are separated by {name}; separate them by ','"):
+        read_flight_log(tmp_path / "a.csv")
+
+
+def test_a_column_that_appears_twice_is_refused(table: pd.DataFrame, tmp_path: Path) -> None:
+    path = write(table, tmp_path / "a.csv")
+    path.write_text(path.read_text().replace("acc_y", "acc_x", 1))
+    with pytest.raises(DataError, match=r"column 'acc_x' appears twice"):
+        read_flight_log(path)
+
+
+def test_files_that_are_no_text_or_not_there(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"none\.csv: no such file"):
+        read_flight_log(tmp_path / "none.csv")
+    with pytest.raises(DataError, match=r"cannot be read as text"):
+        read_flight_log(tmp_path)
+    (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00\x01" * 50)
+    with pytest.raises(DataError, match=r"cannot be read as text"):
+        read_flight_log(tmp_path / "b.csv")
+
+
+def test_a_foreign_layout_is_recognised_and_named(table: pd.DataFrame, tmp_path: Path) -> None:
+    names = {"q": "q{}", "p": "p{}", "v": "v{}", "omega": "w{}", "acc": "f{}_b"}
+    foreign = table.rename(columns={f"{ours}_{a}": theirs.format(a) for ours, theirs in names.items() for a in "xyzw"})
+    with pytest.raises(DataError, match=r"Did you mean 'qx'\?.*give --mapping idsia_nanodrone"):
+        read_flight_log(write(foreign, tmp_path / "a.csv"))
+
+
+def test_units_order_and_gaps_of_a_mapping(table: pd.DataFrame, tmp_path: Path) -> None:
+    other = table.assign(t=1e3 * table["t"], rotor_2=table["rotor_2"].where(table.index != 40))
+    other[["omega_x", "omega_y", "omega_z"]] *= 180.0 / np.pi
+    layout = mapping(
+        time=ColumnsCfg(columns=("t",), unit="ms"),
+        ang_vel=ColumnsCfg(columns=("omega_x", "omega_y", "omega_z"), unit="deg/s"),
+        rotor_speed=ColumnsCfg(columns=("rotor_{n}",), fill_gap_s=0.05),
+    )
+    log = read_flight_log(write(other, tmp_path / "a.csv"), mapping=layout)
+    assert log.ang_vel is not None
+    assert log.rotor_speed is not None
+    np.testing.assert_allclose(log.time, table["t"], atol=1e-12)
+    np.testing.assert_allclose(log.ang_vel, table[["omega_x", "omega_y", "omega_z"]], rtol=1e-12, atol=1e-15)
+    assert log.rotor_speed[40, 1] == pytest.approx(0.5 * (table["rotor_2"][39] + table["rotor_2"][41]))
+    assert log.notes == ("1 empty fields of rotor_1 to rotor_4 filled by straight lines",)
+
+
+def test_single_empty_fields_become_lines_and_commands_hold(table: pd.DataFrame, tmp_path: Path) -> None:
+    """A sensor at a quarter of the log's rate, and a command that was lost for two rows."""
+    command = table[["rotor_1"]].set_axis(["cmd_1"], axis=1).assign(**{f"cmd_{n}": 700.0 + n for n in (2, 3, 4)})
+    sparse = pd.concat((table, command), axis=1)
+    sparse["omega_x"] = sparse["omega_x"].where(sparse.index % 4 == 0)
+    sparse["cmd_1"] = sparse["cmd_1"].where((sparse.index != 50) & (sparse.index != 51))
+    log = read_flight_log(write(sparse, tmp_path / "a.csv"))
+    assert log.ang_vel is not None
+    assert log.rotor_command is not None
+    assert log.ang_vel[41, 0] == pytest.approx(0.75 * table["omega_x"][40] + 0.25 * table["omega_x"][44])
+    np.testing.assert_array_equal(log.rotor_command[49:53, 0], command["cmd_1"][[49, 49, 49, 52]])
+    assert log.notes[1] == "2 empty fields of cmd_1 to cmd_4 filled by the value before"
+
+
+def test_a_gap_that_is_too_long_for_its_mapping(table: pd.DataFrame, tmp_path: Path) -> None:
+    gap = table.assign(rotor_2=table["rotor_2"].where((table.index < 40) | (table.index > 49)))
+    layout = mapping(rotor_speed=ColumnsCfg(columns=("rotor_{n}",), fill_gap_s=0.05))
+    with pytest.raises(DataError, match=r"line 42: rotor_2 is empty \(NaN\) for 10 rows"):
+        read_flight_log(write(gap, tmp_path / "a.csv"), mapping=layout)
+
+
+def test_north_east_down_and_forward_right_down_become_ours(table: pd.DataFrame, tmp_path: Path) -> None:
+    """Turn a log into NED and FRD with rotation matrices; the mapping must turn it back."""
+    world, body = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]), np.diag([1.0, -1, -1])
+    other = table.copy()
+    for columns, turn in (("p", world), ("v", world), ("omega", body), ("acc", body)):
+        names = [f"{columns}_{axis}" for axis in "xyz"]
+        other[names] = table[names].to_numpy() @ turn.T
+    matrix = world @ Rotation.from_quat(table[["q_x", "q_y", "q_z", "q_w"]]).as_matrix() @ body
+    other[["q_x", "q_y", "q_z", "q_w"]] = Rotation.from_matrix(matrix).inv().as_quat()
+    layout = mapping(world_frame="ned", body_frame="frd", attitude_direction="world_to_body")
+    log = read_flight_log(write(other, tmp_path / "a.csv"), mapping=layout)
+    ours = Rotation.from_quat(table[["q_x", "q_y", "q_z", "q_w"]])
+    assert (Rotation.from_quat(log.attitude).inv() * ours).magnitude().max() < 1e-9
+    for values, prefix in (
+        (log.position, "p"),
+        (log.lin_vel, "v"),
+        (log.ang_vel, "omega"),
+        (log.specific_force, "acc"),
+    ):
+        assert values is not None
+        np.testing.assert_allclose(values, table[[f"{prefix}_{axis}" for axis in "xyz"]], rtol=1e-12, atol=1e-12)
+
+
+def test_mappings_say_what_is_wrong_with_them(tmp_path: Path) -> None:
+    assert {"aerial_gym", "idsia_nanodrone", "px4_ulog"} < set(mapping_names())
+    with pytest.raises(UnknownNameError, match=r"no log mapping 'px4'\. Known: aerial_gym, .*idsia_nanodrone"):
+        find_mapping("px4")
+    with pytest.raises(ConfigError, match=r"must be one of si, ms"):
+        ColumnsCfg(columns=("t",), unit="furlong")
+    with pytest.raises(ConfigError, match=r"attitude\.columns .*must name 4 columns"):
+        mapping(attitude=ColumnsCfg(columns=("q_x", "q_y", "q_z")))
+    with pytest.raises(ConfigError, match=r"body_frame = 'up': must be one of flu, frd"):
+        mapping(body_frame="up")
+    (tmp_path / "m.yaml").write_text("summary: x\ntimes: {columns: [t]}\n")
+    with pytest.raises(ConfigError, match=r"unknown field 'times'\. Did you mean 'time'\?"):
+        find_mapping(tmp_path / "m.yaml")
+
+
+def test_battery_and_another_vehicle_are_read_if_they_are_there(table: pd.DataFrame, tmp_path: Path) -> None:
+    assert read_flight_log(write(table.drop(columns="vbat", errors="ignore"), tmp_path / "a.csv")).battery is None
+    more = table.assign(vbat=16.0 - 0.01 * table["t"], other_p_x=1.0, other_p_y=2.0, other_p_z=3.0)
+    log = read_flight_log(write(more, tmp_path / "b.csv"))
+    assert log.battery is not None
+    assert log.other_position is not None
+    np.testing.assert_allclose(log.battery, more["vbat"])
+    np.testing.assert_allclose(log.other_position[-1], (1.0, 2.0, 3.0))
+
+
+@pytest.mark.parametrize("broken", ['"1', '1"2"', '"', '"a\n'])
+def test_unbalanced_quotes_are_refused_with_the_file(broken: str, tmp_path: Path) -> None:
+    lines = ["t,q_x,q_y,q_z,q_w,omega_x,omega_y,omega_z,rotor_1"]
+    lines += [f"{0.01 * i},0,0,0,1,0,0,0,{broken if i == 5 else 900}" for i in range(10)]
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(DataError, match="log.csv"):
+        read_flight_log(tmp_path / "log.csv")
+
+
+def test_rotors_at_rest_and_numbers_of_no_flight_are_refused(tmp_path: Path) -> None:
+    resting = flight(0, seconds=3.0, rate=100.0)
+    resting[[name for name in resting.columns if name.startswith("rotor")]] = 0.0
+    with pytest.raises(DataError, match="rotor_1..4 .* give the declared robot no thrust"):
+        load_flights([write(resting, tmp_path / "rest.csv")], ROBOT, mapping=None, bandwidth=10.0)
+    far = flight(0, seconds=3.0, rate=100.0)
+    far.loc[7, "acc_x"] = 1e300
+    with pytest.raises(DataError, match="acc_x to acc_z reach 1e.300 in SI units"):
+        read_flight_log(write(far, tmp_path / "far.csv"))

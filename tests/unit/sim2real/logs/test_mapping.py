@@ -1,0 +1,375 @@
+"""Mappings of foreign layouts: conversions, missing attitude, companions; and PX4 ULog files written by the test itself."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.config import build
+from aerial_gym.errors import ConfigError, DataError, MissingDependencyError
+from aerial_gym.sim2real.logs.flight_log import FlightLog, read_flight_log
+from aerial_gym.sim2real.logs.flights import load_flight
+from aerial_gym.sim2real.logs.mapping import LogMapping, find_mapping, mapping_names
+from aerial_gym.sim2real.logs.signals import uniform_log
+from aerial_gym.sim2real.logs.ulog import topics_table
+from aerial_gym.sim2real.predict.predictor import find_channels
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+
+BASE = {
+    "summary": "test",
+    "source": "test",
+    "time": {"columns": ["t"]},
+    "attitude": {"columns": ["q_x", "q_y", "q_z", "q_w"]},
+    "ang_vel": {"columns": ["omega_x", "omega_y", "omega_z"]},
+}
+
+
+def layout(**fields: object) -> LogMapping:
+    return build(LogMapping, BASE | fields, where="test")
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    return flight(3, seconds=4.0, rate=100.0)
+
+
+def read(table: pd.DataFrame, folder: Path, mapping: LogMapping, name: str = "a.csv") -> FlightLog:
+    return read_flight_log(write(table, folder / name), mapping=mapping)
+
+
+def test_every_mapping_of_the_package_loads_and_names_its_source() -> None:
+    for name in mapping_names():
+        assert find_mapping(name).source
+
+
+def test_commands_from_duty_cycle_and_voltage(table: pd.DataFrame, tmp_path: Path) -> None:
+    """``offset + gain pwm V``, and a motor that is off does not turn."""
+    table = table.assign(vbat=4.0, pwm1=0.5, pwm2=0.25)
+    table.loc[3, "pwm1"] = 0.0
+    command = {"columns": ["pwm{n}"], "times": "vbat", "gain": 600.0, "offset": 500.0}
+    log = read(table, tmp_path, layout(rotor_command=command, battery={"columns": ["vbat"]}))
+    assert log.rotor_command is not None
+    np.testing.assert_allclose(log.rotor_command[0], (1700.0, 1100.0))
+    np.testing.assert_allclose(log.rotor_command[3], (0.0, 1100.0))
+    assert log.battery is not None
+    np.testing.assert_allclose(log.battery, 4.0)
+
+
+def test_a_collective_thrust_setpoint_is_a_speed_of_every_rotor_and_no_torque(
+    table: pd.DataFrame, tmp_path: Path
+) -> None:
+    """``500 sqrt(T / T_hover)``: four times the setpoint at hover is twice the speed."""
+    table = table.assign(sp=2.0 + 0.5 * np.sin(table["t"]), hover=0.5)
+    command = {"columns": ["sp"], "over": "hover", "power": 0.5, "gain": 500.0, "repeat": 4}
+    mapping = layout(rotor_command=command)
+    log = read(table, tmp_path, mapping)
+    assert log.rotor_command is not None
+    np.testing.assert_allclose(log.rotor_command[0], 1000.0)
+    np.testing.assert_allclose(log.rotor_command[157], 500.0 * np.sqrt(4.0 + np.sin(1.57)), rtol=1e-9)
+    assert log.rotor_command.shape == (len(table), 4)
+    flown = load_flight(write(table, tmp_path / "b.csv"), ROBOT, mapping=mapping, bandwidth=5.0)
+    assert not flown.gyro
+    assert "one command for all rotors: angular acceleration is not compared" in flown.notes
+
+
+def test_an_attitude_that_is_not_logged_is_integrated_from_the_gyro(table: pd.DataFrame, tmp_path: Path) -> None:
+    """From level, where the flight starts elsewhere: the turn between any two rows is the one flown, to the step's error."""
+    rotors = {"columns": ["rotor_{n}"]}
+    mapping = layout(attitude=None, rotor_speed=rotors, lacks="no attitude")
+    log = read(table, tmp_path, mapping)
+    flown, found = Rotation.from_quat(table[["q_x", "q_y", "q_z", "q_w"]]), Rotation.from_quat(log.attitude)
+    np.testing.assert_allclose(log.attitude[0], (0.0, 0.0, 0.0, 1.0))
+    error = ((flown[0].inv() * flown[-1]).inv() * found[-1]).magnitude()
+    assert error < 2e-3
+    assert log.notes[0] == "no attitude"
+    assert "integrated from the gyro" in log.notes[1]
+    moving = layout(attitude=None, rotor_speed=rotors, lin_vel={"columns": ["v_x", "v_y", "v_z"]}, lacks="none logged")
+    with pytest.raises(DataError, match=r"has no attitude. none logged"):
+        read(table, tmp_path, moving)
+
+
+def test_the_other_vehicle_comes_from_its_own_file_and_its_gaps_stay(table: pd.DataFrame, tmp_path: Path) -> None:
+    mapping = layout(
+        rotor_speed={"columns": ["rotor_{n}"]},
+        position={"columns": ["p_x", "p_y", "p_z"]},
+        companion={"_one": "_two", "_two": "_one"},
+    )
+    other = table.assign(p_x=table["t"] * 2.0).drop(index=range(100, 150)).iloc[:-20]
+    write(other, tmp_path / "swap_two.csv")
+    log = read(table, tmp_path, mapping, "swap_one.csv")
+    assert log.other_position is not None
+    np.testing.assert_allclose(log.other_position[50, 0], 1.0)
+    assert np.isnan(log.other_position[120]).all()
+    assert np.isnan(log.other_position[-1]).all()
+    assert "position of the other vehicle from swap_two.csv" in log.notes
+    assert read(table, tmp_path, mapping, "alone.csv").other_position is None
+
+
+def test_logs_that_are_too_slow_for_torques_are_compared_in_forces(table: pd.DataFrame, tmp_path: Path) -> None:
+    rotors, path = {"columns": ["rotor_{n}"]}, write(table, tmp_path / "a.csv")
+    for torques in (True, False):
+        mapping = layout(rotor_speed=rotors, specific_force={"columns": ["acc_x", "acc_y", "acc_z"]}, torques=torques)
+        flown = load_flight(path, ROBOT, mapping=mapping, bandwidth=5.0)
+        kinds = {channel.kind for channel in find_channels([flown])}
+        assert kinds == {"specific_force", *(("angular_acceleration", "kinematic_rate") if torques else ())}
+        assert any("do not show torques" in note for note in flown.notes) is not torques
+
+
+def test_the_known_wind_comes_by_the_name_of_the_file(table: pd.DataFrame, tmp_path: Path) -> None:
+    """In north, east, down a wind of (1, 2, 3) blows 2 m/s to the east, 1 to the north, 3 down."""
+    mapping = layout(rotor_speed={"columns": ["rotor_{n}"]}, wind={"fan_on": [-4.2, 0, 0], "calm": [0, 0, 0]})
+    log = read(table, tmp_path, mapping, "run1_fan_on.csv")
+    assert log.wind == (-4.2, 0.0, 0.0)
+    assert "declared wind (-4.2, 0, 0) m/s, world" in log.notes
+    path = write(table, tmp_path / "calm.csv")
+    assert load_flight(path, ROBOT, mapping=mapping, bandwidth=5.0).wind == (0.0, 0.0, 0.0)
+    other = read(table, tmp_path, mapping, "run2.csv")
+    assert other.wind is None
+    assert "the mapping declares no wind for a file of this name: taken as still air" in other.notes
+    ned = layout(rotor_speed={"columns": ["rotor_{n}"]}, wind={"run": [1, 2, 3]}, world_frame="ned")
+    assert read(table, tmp_path, ned, "run2.csv").wind == (2.0, 1.0, -3.0)
+    with pytest.raises(DataError, match=r"declares the wind of fan_on and of calm; make the texts differ"):
+        read(table, tmp_path, mapping, "calm_fan_on.csv")
+    with pytest.raises(ConfigError, match=r"LogMapping.wind.run = .*: must be finite"):
+        layout(wind={"run": [1.0, float("nan"), 0.0]})
+
+
+def test_commands_are_scaled_to_the_thrust_measured_above_a_height(table: pd.DataFrame, tmp_path: Path) -> None:
+    """Commands that are 10 % too high come back as the speeds flown, whatever stands in the rows below."""
+    flown = table[["rotor_1", "rotor_2", "rotor_3", "rotor_4"]].to_numpy()
+    above = float(table["p_z"].quantile(0.4))
+    high = (table["p_z"] > above).to_numpy()[:, None]
+    for number in range(4):
+        table = table.assign(**{f"cmd_{number + 1}": np.where(high[:, 0], 1.1, 0.7) * flown[:, number]})
+    fields = {
+        "rotor_command": {"columns": ["cmd_{n}"]},
+        "position": {"columns": ["p_x", "p_y", "p_z"]},
+        "specific_force": {"columns": ["acc_x", "acc_y", "acc_z"]},
+    }
+    path = write(table, tmp_path / "a.csv")
+    scaled = load_flight(path, ROBOT, mapping=layout(hover_above_m=above, **fields), bandwidth=5.0)
+    assert scaled.rotor_command is not None
+    np.testing.assert_allclose(scaled.rotor_command, np.where(high, 1.0, 0.7 / 1.1) * flown, rtol=1e-3)
+    assert any("commanded speeds scaled by 0.909" in note for note in scaled.notes)
+    as_logged = load_flight(path, ROBOT, mapping=layout(**fields), bandwidth=5.0)
+    assert as_logged.rotor_command is not None
+    np.testing.assert_allclose(as_logged.rotor_command[0], table.loc[0, ["cmd_1", "cmd_2", "cmd_3", "cmd_4"]].tolist())
+    with pytest.raises(DataError, match=r"hardly flies above 90 m"):
+        load_flight(path, ROBOT, mapping=layout(hover_above_m=90.0, **fields), bandwidth=5.0)
+    blind = {key: value for key, value in fields.items() if key != "position"}
+    with pytest.raises(DataError, match=r"it needs position and acc"):
+        load_flight(path, ROBOT, mapping=layout(hover_above_m=above, **blind), bandwidth=5.0)
+    with pytest.raises(ConfigError, match=r"hover_above_m = inf: must be finite"):
+        layout(hover_above_m=float("inf"))
+
+
+def test_rows_on_the_ground_are_told_from_the_height(table: pd.DataFrame, tmp_path: Path) -> None:
+    fields = {"rotor_speed": {"columns": ["rotor_{n}"]}, "position": {"columns": ["p_x", "p_y", "p_z"]}}
+    path = write(table, tmp_path / "a.csv")
+    found = load_flight(path, ROBOT, mapping=layout(lift_off_m=0.1, **fields), bandwidth=5.0)
+    assert found.standing is not None
+    lowest = float(table["p_z"].min())
+    np.testing.assert_array_equal(found.standing, table["p_z"].to_numpy() <= lowest + 0.1)
+    assert f"stands on the ground in {found.standing.mean():.0%} of the rows; they are not compared" in found.notes
+    assert load_flight(path, ROBOT, mapping=layout(**fields), bandwidth=5.0).standing is None
+    with pytest.raises(ConfigError, match=r"lift_off_m = -0.1: must be >= 0"):
+        layout(lift_off_m=-0.1)
+
+
+@pytest.mark.parametrize(
+    ("command", "error", "message"),
+    [
+        ({"columns": ["pwm{n}"], "times": "volt"}, DataError, r"column 'volt' is missing"),
+        ({"columns": ["pwm{n}"], "over": "zero"}, DataError, r"line 2: zero = 0, must be > 0"),
+        ({"columns": ["pwm{n}"], "gain": 0.0}, ConfigError, r"gain = 0.0 .*must not be 0"),
+        ({"columns": ["pwm{n}"], "power": float("nan")}, ConfigError, r"power = nan: must be finite"),
+        ({"columns": ["a", "b"], "repeat": 4}, ConfigError, r"repeat = 4: must be >= 1, and 1 for more than one"),
+    ],
+)
+def test_conversions_that_cannot_be(
+    table: pd.DataFrame, tmp_path: Path, command: dict, error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        read(table.assign(pwm1=0.5, zero=0.0), tmp_path, layout(rotor_command=command))
+
+
+def test_a_piece_beyond_a_gap_at_the_end_is_cut_off_and_said(table: pd.DataFrame, tmp_path: Path) -> None:
+    log = uniform_log(read_flight_log(write(table.drop(index=range(370, 385)), tmp_path / "a.csv")))
+    assert log.time[-1] == pytest.approx(3.69)
+    assert log.notes == ("15 rows beyond a gap of 0.16 s at the end or start were cut off",)
+
+
+def topics(table: pd.DataFrame) -> dict[str, dict[str, np.ndarray]]:
+    """A flight as PX4 would log it: NED, FRD, w first, microseconds, every topic at its own rate."""
+    stamp = np.round((table["t"].to_numpy() + 5.0) * 1e6).astype(np.uint64)
+    flip = np.array([1.0, -1.0, -1.0])
+    enu_to_ned = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    attitude = (
+        enu_to_ned * Rotation.from_quat(table[["q_x", "q_y", "q_z", "q_w"]]) * Rotation.from_matrix(np.diag(flip))
+    )
+    ned = {key: table[[f"{key}_x", f"{key}_y", f"{key}_z"]].to_numpy()[:, [1, 0, 2]] * (1.0, 1.0, -1.0) for key in "pv"}
+    rpm = table.filter(like="rotor_").to_numpy() * 30.0 / np.pi
+    quaternion = attitude.as_quat()[:, [3, 0, 1, 2]]
+    omega = table[["omega_x", "omega_y", "omega_z"]].to_numpy() * flip
+    force = table[["acc_x", "acc_y", "acc_z"]].to_numpy() * flip
+
+    def topic(every: int, **fields: np.ndarray) -> dict[str, np.ndarray]:
+        return {
+            "timestamp": stamp[::every],
+            **{key: value[::every].astype(np.float32) for key, value in fields.items()},
+        }
+
+    return {
+        "vehicle_attitude": topic(2, **{f"q[{i}]": quaternion[:, i] for i in range(4)}),
+        "vehicle_local_position": topic(
+            4,
+            **{k: ned["p"][:, i] for i, k in enumerate("xyz")},
+            **{f"v{k}": ned["v"][:, i] for i, k in enumerate("xyz")},
+        ),
+        "vehicle_angular_velocity": topic(1, **{f"xyz[{i}]": omega[:, i] for i in range(3)}),
+        "sensor_combined": topic(1, **{f"accelerometer_m_s2[{i}]": force[:, i] for i in range(3)}),
+        "esc_status": topic(2, **{f"esc[{i}].esc_rpm": rpm[:, i] for i in range(4)}),
+        "battery_status": topic(50, voltage_v=np.full(len(table), 15.0)),
+    }
+
+
+def write_ulog(path: Path, found: dict[str, dict[str, np.ndarray]]) -> Path:
+    """Write a ULog file by its specification (docs.px4.io, ULog file format): header, flags, formats, subscriptions, data."""
+
+    def message(kind: str, payload: bytes) -> bytes:
+        return struct.pack("<HB", len(payload), ord(kind)) + payload
+
+    text = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message("B", bytes(40))
+    data: list[tuple[int, bytes]] = []
+    for number, (name, fields) in enumerate(found.items()):
+        keys = [key for key in fields if key != "timestamp"]
+        plain = {key: key.replace("[", "_").replace("]", "").replace(".", "_") for key in keys}
+        arrays = dict.fromkeys(key.split("[")[0] for key in keys if "[" in key and "." not in key)
+        if arrays:
+            entries = "".join(f"float[{sum(k.startswith(a + '[') for k in keys)}] {a};" for a in arrays)
+        elif name == "esc_status":
+            text += message("F", b"esc_report:float esc_rpm;")
+            entries = f"esc_report[{len(keys)}] esc;"
+        else:
+            entries = "".join(f"float {plain[key]};" for key in keys)
+        text += message("F", f"{name}:uint64_t timestamp;{entries}".encode())
+        data += [
+            (int(stamp), message("D", struct.pack("<HQ", number, int(stamp)) + struct.pack(f"<{len(keys)}f", *row)))
+            for stamp, row in zip(fields["timestamp"], np.stack([fields[k] for k in keys], axis=1), strict=True)
+        ]
+    text += b"".join(message("A", struct.pack("<BH", 0, number) + name.encode()) for number, name in enumerate(found))
+    path.write_bytes(text + b"".join(part for _, part in sorted(data, key=lambda entry: entry[0])))
+    return path
+
+
+def check_px4(log: FlightLog, table: pd.DataFrame) -> None:
+    """The log says in ENU and FLU what was flown, at the rows of the slowest clock."""
+    rows = table.iloc[::2].reset_index(drop=True)
+    rows = rows[: len(log.time)]
+    np.testing.assert_allclose(log.time - 5.0, rows["t"], atol=1e-6)
+    inner = slice(5, -5)
+    flown = Rotation.from_quat(rows[["q_x", "q_y", "q_z", "q_w"]])
+    assert (flown.inv() * Rotation.from_quat(log.attitude)).magnitude().max() < 1e-3
+    sizes = {
+        "position": ("p", 2e-3),
+        "lin_vel": ("v", 2e-2),
+        "ang_vel": ("omega", 2e-2),
+        "specific_force": ("acc", 0.1),
+    }
+    for name, (prefix, size) in sizes.items():
+        expected = rows[[f"{prefix}_x", f"{prefix}_y", f"{prefix}_z"]].to_numpy()
+        np.testing.assert_allclose(getattr(log, name)[inner], expected[inner], atol=size)
+    assert log.rotor_speed is not None
+    np.testing.assert_allclose(log.rotor_speed, rows.filter(like="rotor_"), rtol=1e-3)
+
+
+class PlainMapping:
+    """Reads topics with the package's own ULog mapping, without a file."""
+
+    @staticmethod
+    def read(found: dict[str, dict[str, np.ndarray]], folder: Path) -> FlightLog:
+        path = folder / "ulog.csv"
+        topics_table(found, "a.ulg").to_csv(path, index=False)
+        return read_flight_log(path, mapping=find_mapping("px4_ulog"))
+
+
+def test_px4_topics_are_turned_into_the_frames_of_the_contract(tmp_path: Path) -> None:
+    table = flight(5, seconds=6.0, rate=200.0)
+    log = PlainMapping.read(topics(table), tmp_path)
+    check_px4(log, table)
+    assert log.battery is not None
+    np.testing.assert_allclose(log.battery, 15.0)
+
+
+def test_px4_hover_has_gravity_up_and_north_is_enu_y(tmp_path: Path) -> None:
+    """Hover facing north, moving north at 1 m/s and climbing at 0.5 m/s: signed cases, each by hand."""
+    rows = 400
+    one, stamp = np.ones(rows), (np.arange(rows) * 5000 + 10_000_000).astype(np.uint64)
+    found = {
+        "vehicle_attitude": {"timestamp": stamp, "q[0]": one, "q[1]": 0 * one, "q[2]": 0 * one, "q[3]": 0 * one},
+        "vehicle_local_position": {"timestamp": stamp}
+        | dict(
+            zip(("x", "y", "z", "vx", "vy", "vz"), (2 * one, 3 * one, -4 * one, one, 0 * one, -0.5 * one), strict=True)
+        ),
+        "sensor_combined": {"timestamp": stamp}
+        | {f"accelerometer_m_s2[{i}]": v * one for i, v in enumerate((0.1, 0.2, -9.81))}
+        | {f"gyro_rad[{i}]": v * one for i, v in enumerate((0.3, 0.4, 0.5))},
+        "esc_status": {"timestamp": stamp} | {f"esc[{i}].esc_rpm": 6000.0 * one * (i < 4) for i in range(8)},
+    }
+    log = PlainMapping.read(found, tmp_path)
+    np.testing.assert_allclose(log.position[0], (3.0, 2.0, 4.0))  # type: ignore[index]
+    np.testing.assert_allclose(log.lin_vel[0], (0.0, 1.0, 0.5))  # type: ignore[index]
+    np.testing.assert_allclose(log.specific_force[0], (0.1, -0.2, 9.81))  # type: ignore[index]
+    np.testing.assert_allclose(log.ang_vel[0], (0.3, -0.4, -0.5))  # type: ignore[index]
+    np.testing.assert_allclose(Rotation.from_quat(log.attitude[0]).apply([1.0, 0.0, 0.0]), (0.0, 1.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(Rotation.from_quat(log.attitude[0]).apply([0.0, 0.0, 1.0]), (0.0, 0.0, 1.0), atol=1e-12)
+    np.testing.assert_allclose(log.rotor_speed, np.full((rows, 4), 200.0 * np.pi))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["vehicle_angular_velocity", "esc_status", "vehicle_local_position"])
+def test_a_gap_in_any_topic_stays_a_gap(name: str) -> None:
+    table = flight(5, seconds=6.0, rate=200.0)
+    found = topics(table)
+    stamp = found[name]["timestamp"]
+    kept = (stamp < 7_000_000) | (stamp > 7_500_000)
+    found[name] = {key: value[kept] for key, value in found[name].items()}
+    time = topics_table(found, "a.ulg")["t"].to_numpy()
+    assert not np.any((time > 7.03) & (time < 7.48))
+    assert np.diff(time).max() > 0.45
+
+
+def test_pulses_and_controls_are_commands_that_a_mapping_converts(tmp_path: Path) -> None:
+    table = flight(5, seconds=6.0, rate=200.0)
+    found = topics(table)
+    stamp = found.pop("esc_status")["timestamp"]
+    control = {f"control[{i}]": np.full(stamp.size, 0.5 if i < 4 else np.nan) for i in range(12)}
+    found["actuator_motors"] = {"timestamp": stamp} | control
+    path = tmp_path / "a.csv"
+    topics_table(found, "a.ulg").to_csv(path, index=False)
+    with pytest.raises(DataError, match=r"needs the columns rpm_"):
+        read_flight_log(path, mapping=find_mapping("px4_ulog"))
+    mapping = layout(rotor_command={"columns": ["control_{n}"], "gain": 1100.0}, body_frame="frd", world_frame="ned")
+    np.testing.assert_allclose(read_flight_log(path, mapping=mapping).rotor_command, 550.0)  # type: ignore[arg-type]
+
+
+def test_topics_without_an_attitude_are_refused() -> None:
+    with pytest.raises(DataError, match=r"a.ulg: has no topic vehicle_attitude; log it"):
+        topics_table({}, "a.ulg")
+
+
+def test_a_ulog_file_is_a_flight_log(tmp_path: Path) -> None:
+    pytest.importorskip("pyulog", reason="pyulog is not installed: pip install 'aerial-gym[sim2real]'")
+    table = flight(5, seconds=6.0, rate=200.0)
+    check_px4(read_flight_log(write_ulog(tmp_path / "flight.ulg", topics(table))), table)
+    (tmp_path / "broken.ulg").write_bytes(b"no ulog")
+    with pytest.raises(DataError, match=r"cannot be read as a PX4 ULog"):
+        read_flight_log(tmp_path / "broken.ulg")
+
+
+def test_without_pyulog_the_message_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "pyulog", None)
+    with pytest.raises(MissingDependencyError, match=r"pip install 'aerial-gym\[sim2real\]'"):
+        read_flight_log(tmp_path / "a.ulg")

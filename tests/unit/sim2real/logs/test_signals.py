@@ -1,0 +1,71 @@
+"""Filters, derivatives and resampling, against closed forms."""
+
+import numpy as np
+import pytest
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.logs.signals import (
+    continuous_quaternion,
+    edge_rows,
+    lowpass,
+    lowpass_gain,
+    uniform_log,
+)
+
+RATE, BAND = 200.0, 10.0
+TIME = np.arange(0.0, 10.0, 1.0 / RATE)
+INNER = slice(2 * edge_rows(RATE, BAND), -2 * edge_rows(RATE, BAND))
+
+
+@pytest.mark.parametrize("frequency", [0.3, 2.0, 8.0, 10.0, 14.0, 40.0])
+def test_a_sine_keeps_its_phase_and_has_the_gain_of_the_filter(frequency: float) -> None:
+    """sin goes to H sin, and its derivative to H w cos, with H = 1 / (1 + (f / b)^8); the ends leak less than 1 %."""
+    angle, turn = 2.0 * np.pi * frequency * TIME + 0.4, 2.0 * np.pi * frequency
+    wave, gain = np.sin(angle)[:, None], lowpass_gain(np.array([frequency]), BAND)[0]
+    assert np.abs(lowpass(wave, RATE, BAND)[INNER, 0] - gain * np.sin(angle)[INNER]).max() < 0.01
+    slope = lowpass(wave, RATE, BAND, derivative=True)[INNER, 0]
+    assert np.abs(slope - gain * turn * np.cos(angle)[INNER]).max() < 0.01 * turn
+
+
+def test_levels_and_slopes_pass_to_the_very_ends() -> None:
+    line = (3.0 - 2.0 * TIME)[:, None]
+    np.testing.assert_allclose(lowpass(line, RATE, BAND), line, atol=1e-5)
+    np.testing.assert_allclose(lowpass(line, RATE, BAND, derivative=True), np.full_like(line, -2.0), atol=1e-3)
+
+
+def test_the_filter_is_linear_and_columns_do_not_mix() -> None:
+    rng = np.random.default_rng(0)
+    a, b = rng.standard_normal((2, TIME.size, 2))
+    both = lowpass(2.0 * a - b, RATE, BAND)
+    np.testing.assert_allclose(both, 2.0 * lowpass(a, RATE, BAND) - lowpass(b, RATE, BAND), atol=1e-12)
+    np.testing.assert_allclose(lowpass(a[:, :1], RATE, BAND), lowpass(a, RATE, BAND)[:, :1], atol=1e-12)
+
+
+def test_quaternions_become_unit_and_continuous() -> None:
+    rng = np.random.default_rng(1)
+    angle = np.cumsum(0.05 * rng.standard_normal(300))
+    smooth = np.stack((np.sin(angle), 0 * angle, 0 * angle, np.cos(angle)), axis=1)
+    found = continuous_quaternion(1.01 * smooth * rng.choice((-1.0, 1.0), (300, 1)))
+    assert (found[1:] * found[:-1]).sum(axis=1).min() > 0.9
+    np.testing.assert_allclose(np.abs((found * smooth).sum(axis=1)), 1.0)
+
+
+def log(time: np.ndarray, **values: np.ndarray) -> FlightLog:
+    attitude = np.tile([0.0, 0.0, 0.0, 1.0], (time.size, 1))
+    return FlightLog(path="a.csv", time=time, attitude=attitude, **values)
+
+
+def test_jitter_is_resampled_and_commands_stay_held() -> None:
+    time = np.arange(0.0, 4.0, 0.01)
+    time[1:-1] += 0.004 * np.sin(np.arange(1, time.size - 1))
+    step = np.where(time < 2.0, 100.0, 300.0)[:, None]
+    found = uniform_log(log(time, position=np.stack((time, 2 * time, -time), axis=1), rotor_command=step))
+    assert np.ptp(np.diff(found.time)) < 1e-12
+    assert found.position is not None
+    assert found.rotor_command is not None
+    np.testing.assert_allclose(found.position[:, 1], 2.0 * found.time, atol=1e-12)
+    assert set(np.unique(found.rotor_command)) == {100.0, 300.0}
+    assert "resampled" in found.notes[0]
+    with pytest.raises(DataError, match=r"0\.5 s after the row before, where 0\.01 s are usual; cut the log there"):
+        uniform_log(log(np.delete(np.arange(0.0, 4.0, 0.01), np.arange(100, 149))))

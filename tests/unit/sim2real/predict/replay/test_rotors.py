@@ -1,0 +1,318 @@
+"""Commands on their way to the rotors in a replay of logs: lag, dead time and battery against closed forms."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.interpolate import CubicSpline
+
+from aerial_gym.config.robot import BatteryCfg, RobotCfg
+from aerial_gym.errors import DataError, ShapeError
+from aerial_gym.physics import EFFECTS, Model, build_model, vehicle_from_config
+from aerial_gym.sim2real.identify.battery import with_battery
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_effects, tolerance_jacobian
+from aerial_gym.sim2real.identify.selection.select import lacks
+from aerial_gym.sim2real.logs.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.flights import Flight, complete_flight
+from aerial_gym.sim2real.logs.signals import uniform_log
+from aerial_gym.sim2real.predict.predictor import Channel, Point, Predictor, declared_point, find_channels
+from aerial_gym.sim2real.predict.replay.rotor_lag import follow_commands
+from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
+from aerial_gym.sim2real.predict.rollout import Batch, roll_out
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+from aerial_gym.sim2real.replay import replay_flights
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.predict.test_scene import RATE, hover
+
+F64 = torch.float64
+BATTERY = BatteryCfg(
+    nominal_voltage=16.0,
+    full_voltage=16.8,
+    empty_voltage=13.2,
+    internal_resistance=0.03,
+    capacity=4000.0,
+    source="test",
+)
+POWERED = replace(ROBOT, battery=BATTERY)
+TAU_UP, TAU_DOWN = 0.05, 0.03
+
+
+def step_flight(folder: Path, *, rate: float, seconds: float, step_s: float = 0.5, high: float = 1100.0) -> Flight:
+    """Return a flight whose command steps from 900 rad/s up at ``step_s`` and back half a second later, from rest at 900."""
+    path = write(flight(3, rate=rate, seconds=seconds), folder / f"{rate:g}.csv")
+    found = complete_flight(uniform_log(read_flight_log(path)))
+    time = np.arange(found.num_rows) / rate
+    command = np.where((time >= step_s - 1e-9) & (time < step_s + 0.5 - 1e-9), high, 900.0)[:, None].repeat(4, axis=1)
+    return replace(found, rotor_command=command, rotor_speed=np.full_like(command, 900.0))
+
+
+def up_and_down(time: np.ndarray, start: float, high: float = 1100.0) -> np.ndarray:
+    """Return the speed [rad/s] of a step up from 900 at ``start`` and down half a second later, through the lag."""
+    top = high + (900.0 - high) * np.exp(-0.5 / TAU_UP)
+    rise = high + (900.0 - high) * np.exp(-np.maximum(time - start, 0.0) / TAU_UP)
+    fall = 900.0 + (top - 900.0) * np.exp(-np.maximum(time - start - 0.5, 0.0) / TAU_DOWN)
+    return np.where(time < start + 0.5, rise, fall)
+
+
+def model_of(effects: dict[str, list[float]] | None = None, *, robot: RobotCfg = ROBOT) -> Model:
+    """Return the model of a robot with the lags of this file, and with effects."""
+    rotor = replace(robot.rotor, time_constant_up=TAU_UP, time_constant_down=TAU_DOWN)
+    vehicle = vehicle_from_config(replace(robot, rotor=rotor), num_envs=1, dtype=F64)
+    return build_model(vehicle, [(EFFECTS.get(n), torch.tensor([p], dtype=F64)) for n, p in (effects or {}).items()])
+
+
+def replayed(found: Flight, model: Model) -> np.ndarray:
+    speed = RotorReplay([found]).speeds(model, 0.0)[0]
+    assert speed is not None
+    return speed
+
+
+def test_flights_of_several_rates_and_lengths_rise_and_fall_by_their_own_lag(tmp_path: Path) -> None:
+    """``w_c + (w_0 - w_c) exp(-t / tau)`` with one constant up and another down; a flight without commands stays None."""
+    flights = [step_flight(tmp_path, rate=rate, seconds=3.0 + rate / 200.0) for rate in (100.0, 200.0)]
+    flights.insert(1, replace(flights[0], rotor_command=None))
+    found = RotorReplay(flights).speeds(model_of(), 0.0)
+    assert found[1] is None
+    for number in (0, 2):
+        speed, time = found[number], np.arange(flights[number].num_rows) / flights[number].rate
+        assert speed is not None
+        assert speed.shape == (time.size, 4)
+        np.testing.assert_allclose(speed[:, 3], up_and_down(time, 0.5), rtol=1e-12)
+
+
+def test_rotors_without_lag_follow_at_once(tmp_path: Path) -> None:
+    driven = step_flight(tmp_path, rate=100.0, seconds=3.0)
+    assert driven.rotor_command is not None
+    model, none = model_of(), torch.zeros(1, 4, dtype=F64)
+    quick = replace(model, vehicle=replace(model.vehicle, time_constant_up=none, time_constant_down=none))
+    np.testing.assert_array_equal(replayed(driven, quick)[1:], driven.rotor_command[:-1])
+
+
+def test_tables_that_do_not_fit_are_refused() -> None:
+    table, ends, one = torch.ones(5, 4, dtype=F64), torch.tensor([0, 6], dtype=torch.int32), torch.ones(1, dtype=F64)
+    with pytest.raises(ShapeError, match=r"commands have shapes \(5, 4\) and \(5, 4\), expected \(6, 4\)"):
+        follow_commands(table[:1], table, table, one, ends=ends, step=one, tau_up=table[0], tau_down=table[0])
+
+
+# dead time
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0013, 0.005, 0.0132, 0.0999])
+def test_a_delayed_step_arrives_that_much_later(delay: float, tmp_path: Path) -> None:
+    """The closed form of the step, later: part of a row of 5 ms, one row, some rows and a part, and near the bound."""
+    driven = step_flight(tmp_path, rate=200.0, seconds=4.0)
+    speed = replayed(driven, model_of({"actuation_delay": [delay]}))
+    np.testing.assert_allclose(speed[:, 0], up_and_down(np.arange(800) / 200.0, 0.5 + delay), rtol=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0132])
+def test_a_difference_of_microseconds_is_the_derivative_by_the_delay(delay: float, tmp_path: Path) -> None:
+    """dw / d(delay) = (w_0 - w_c) / tau exp(-(t - t_0 - delay) / tau), forward by 10 us: error 1e-5 / 2 tau = 1e-4 of it."""
+    driven = step_flight(tmp_path, rate=200.0, seconds=4.0)
+    here, there = (replayed(driven, model_of({"actuation_delay": [d]}))[105:195, 0] for d in (delay, delay + 1e-5))
+    time = np.arange(105, 195) / 200.0
+    slope = -200.0 / TAU_UP * np.exp(-(time - 0.5 - delay) / TAU_UP)
+    np.testing.assert_allclose((there - here) / 1e-5, slope, rtol=2e-4)
+
+
+# battery
+
+
+def test_a_falling_voltage_drags_the_speed_behind_it(tmp_path: Path) -> None:
+    """Speeds u_k that fall by s each row, through the lag: ``w_k = u_k + e_k``, ``e_k = (1 - a^k) s / (1 - a)``."""
+    still = step_flight(tmp_path, rate=200.0, seconds=4.0, high=900.0)
+    voltage, gain = np.linspace(16.0, 14.0, still.num_rows), 0.6
+    speed = replayed(replace(still, battery=voltage), model_of({"battery_sag": [gain]}, robot=POWERED))
+    target = 900.0 * (1.0 - gain * (1.0 - voltage / 16.0))
+    fall, kept = target[0] - target[1], np.exp(-0.005 / TAU_DOWN)
+    lead = fall * (1.0 - kept ** np.arange(still.num_rows)) / (1.0 - kept)
+    np.testing.assert_allclose(speed[:, 2], target + lead, rtol=1e-12)
+
+
+def test_the_voltage_acts_on_commands_when_they_arrive(tmp_path: Path) -> None:
+    """A voltage that halves at 1.5 s acts at once, also where commands come 50 ms late: 900 to 450 through the lag."""
+    still = step_flight(tmp_path, rate=200.0, seconds=4.0, high=900.0)
+    time = np.arange(still.num_rows) / 200.0
+    halved = replace(still, battery=np.where(time < 1.5 - 1e-9, 16.0, 8.0))
+    speed = replayed(halved, model_of({"actuation_delay": [0.05], "battery_sag": [1.0]}, robot=POWERED))
+    expected = 450.0 + 450.0 * np.exp(-np.maximum(time - 1.5, 0.0) / TAU_DOWN)
+    np.testing.assert_allclose(speed[:, 1], expected, rtol=1e-12)
+
+
+def test_what_logs_lack_for_the_battery_is_said(tmp_path: Path) -> None:
+    bare = step_flight(tmp_path, rate=100.0, seconds=3.0)
+    flat = replace(bare, battery=np.full(bare.num_rows, 15.8))
+    falling = replace(bare, battery=np.linspace(15.8, 15.0, bare.num_rows))
+    assert "the robot file must give battery" in lacks("battery_sag", ROBOT, [falling])
+    assert (
+        lacks("battery_sag", POWERED, [falling], [bare]) == "no battery voltage in 100; log it in volts (column vbat)"
+    )
+    assert "varies by 0.0% in these flights; needed: a long flight" in lacks("battery_sag", POWERED, [flat, flat])
+    assert lacks("battery_sag", POWERED, [flat, falling], [flat]) == ""
+    assert lacks("actuation_delay", ROBOT, [bare]) == ""
+    declared = replace(POWERED, effects={"battery_sag": {"gain": 0.3}})
+    with pytest.raises(DataError, match="effect battery_sag: no battery voltage in 100; log it"):
+        replay_flights(declared, [bare], bandwidth=10.0)
+
+
+# flights
+
+
+def drained(time: np.ndarray, speed: np.ndarray, full: float) -> np.ndarray:
+    """Return the voltage under load: 0.05 Ohm, 1 mV per A s, ``V = E - r I`` and ``V I = P`` with the power of ROBOT."""
+    power = (0.015 * 1.2e-6 * speed**3).sum(axis=1)
+    open_voltage, voltage = full, np.empty(time.size)
+    for row, watt in enumerate(power):
+        voltage[row] = 0.5 * (open_voltage + np.sqrt(open_voltage**2 - 4.0 * 0.05 * watt))
+        open_voltage -= 1e-3 * watt / voltage[row] * (time[1] - time[0])
+    return voltage
+
+
+def commanded_flight(
+    folder: Path, *, delay: float, gain: float, seed: int = 3, full: float = 0.0, volt_noise: float = 0.0
+) -> Flight:
+    """Return an exact flight at 400 rows per second with the commands that lead to its speeds.
+
+    Inverted: ``c = (w + tau w') / factor`` at the middle of the span for which a command holds, ``delay`` after its row.
+    The voltage is a made-up curve, or with ``full`` [V] that of a battery that is drained.
+    """
+    path = write(flight(seed, rate=400.0, seconds=8.0), folder / f"flown{seed}.csv")
+    found = complete_flight(uniform_log(read_flight_log(path)))
+    assert found.rotor_speed is not None
+    arrives = found.time + delay + 0.5 / 400.0
+    curve = CubicSpline(found.time, found.rotor_speed)
+    wanted = curve(arrives) + 0.04 * curve(arrives, 1)
+
+    volts = CubicSpline(
+        found.time,
+        drained(found.time, found.rotor_speed, full)
+        if full
+        else 15.8 - 0.1 * found.time + 0.2 * np.sin(3.0 * found.time),
+    )
+    noise = volt_noise * np.random.default_rng(seed).standard_normal(found.num_rows)
+    factor = 1.0 - gain * (1.0 - volts(arrives) / 16.0)
+    return replace(found, rotor_command=wanted / factor[:, None], battery=volts(found.time) + noise)
+
+
+def test_a_replay_finds_delay_and_gain_under_noise_of_the_voltage(tmp_path: Path) -> None:
+    """8.7 ms and 0.5, both at once, from neutral, with 20 mV on the voltage: to 0.2 ms and 1 %.
+
+    Tolerances of 3 % of the lag and 0.75 ms of the hold of a command (0.3 rows) are fitted beside them.
+    """
+    flights = [commanded_flight(tmp_path, delay=0.0087, gain=0.5, seed=seed, volt_noise=0.02) for seed in (3, 4)]
+    channels = [Channel(kind="rotor_speed", axis=str(number)) for number in (1, 2, 3, 4)]
+    predictor = Predictor(POWERED, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
+    start = Point(effects={"actuation_delay": np.zeros(1), "battery_sag": np.zeros(1)})
+    tolerance = tolerance_jacobian(predictor, start, predictor.predict(start))
+    fit = fit_effects(predictor, ("actuation_delay", "battery_sag"), start, tolerance, np.ones(4))
+    assert fit.point.effects["actuation_delay"][0] == pytest.approx(0.0087, abs=2e-4)
+    assert fit.point.effects["battery_sag"][0] == pytest.approx(0.5, rel=0.01)
+
+
+def test_a_robot_file_with_delay_and_battery_predicts_and_rolls_out(tmp_path: Path) -> None:
+    """Open loop for 1 s from the commands: millimetres with the effects declared, far more without them."""
+    found = commanded_flight(tmp_path, delay=0.03, gain=1.0)
+    robot = replace(POWERED, effects={"actuation_delay": {"delay": 0.03}, "battery_sag": {"gain": 1.0}})
+    errors = [roll_out(robot, [found], point, horizons=(0.5, 1.0)) for point in (declared_point(robot), Point())]
+    assert errors[0].driven_by == "commands"
+    position = [error.position for error in errors]
+    assert position[0] is not None
+    assert position[1] is not None
+    assert position[0].max() < 0.005
+    assert np.median(position[1][:, 1]) > 20.0 * np.median(position[0][:, 1])
+    found = replay_flights(robot, [found], bandwidth=10.0)
+    rms = {c.name: r.value for c, r in zip(found.evaluation.channels, found.evaluation.residual, strict=True)}
+    assert max(value for name, value in rms.items() if name.startswith("rotor_speed")) < 0.5
+
+
+def test_without_measured_rotor_speeds_the_delay_shows_in_the_forces(tmp_path: Path) -> None:
+    found = replace(commanded_flight(tmp_path, delay=0.03, gain=0.0), rotor_speed=None)
+    channels = find_channels([found])
+    assert "rotor_speed" not in {channel.kind for channel in channels}
+    predictor = Predictor(POWERED, [found], bandwidth=10.0, channels=channels, tolerances=Tolerances())
+    left = [predictor.residuals(Point(effects={"actuation_delay": np.array([d])}))[0] for d in (0.0, 0.03)]
+    sizes = [np.sqrt((values[:, 2:5] ** 2).mean(axis=0)) for values in left]  # force z, angular acceleration x and y
+    assert np.all(sizes[1] < 0.1 * sizes[0])
+
+
+def test_a_battery_is_estimated_from_flights_that_drain_it(tmp_path: Path) -> None:
+    """Resistance, fall per charge and nominal voltage of the battery that was flown, with 20 mV on the voltage.
+
+    The nominal voltage to five times what that noise leaves in a mean of 9600 rows, 0.2 mV.
+    """
+    flights = [
+        commanded_flight(tmp_path, delay=0.0, gain=0.3, seed=seed, full=full, volt_noise=0.02)
+        for seed, full in ((3, 16.6), (4, 16.3), (5, 16.1))
+    ]
+    battery = with_battery(ROBOT, flights).battery
+    assert battery is not None
+    slope = (battery.full_voltage - battery.empty_voltage) / battery.capacity
+    assert battery.internal_resistance == pytest.approx(0.05, rel=0.1)
+    assert slope == pytest.approx(1e-3, rel=0.1)
+    assert battery.full_voltage == pytest.approx(16.6, abs=0.02)
+    assert battery.nominal_voltage == pytest.approx(16.0, abs=0.001)
+    assert "from the flights" in battery.source
+
+
+def test_no_battery_is_made_up(tmp_path: Path) -> None:
+    """A declared battery stays; without voltage, with a steady one or without commands there is none."""
+    found = commanded_flight(tmp_path, delay=0.0, gain=0.0)
+    assert with_battery(POWERED, [found]) == POWERED
+    for poor in (replace(found, battery=None), replace(found, battery=np.full(found.num_rows, 16.0))):
+        assert with_battery(ROBOT, [found, poor] if poor.battery is None else [poor]) == ROBOT
+    assert with_battery(ROBOT, [replace(found, rotor_command=None)]) == ROBOT
+
+
+def test_the_nominal_voltage_is_the_highest_seen_where_speeds_do_not_follow_it(tmp_path: Path) -> None:
+    """The highest mean over half a second."""
+    found = commanded_flight(tmp_path, delay=0.0, gain=0.0)
+    assert found.battery is not None
+    for flown in (found, replace(found, rotor_speed=None)):
+        battery = with_battery(ROBOT, [flown]).battery
+        assert battery is not None
+        assert battery.nominal_voltage == pytest.approx(found.battery.reshape(16, 200).mean(axis=1).max(), rel=1e-5)
+        assert "highest voltage seen" in battery.source
+
+
+def test_windows_without_measured_speeds_begin_as_the_commands_have_led_the_rotors() -> None:
+    """After a step at 1 s: ``w1 + (w0 - w1) exp(-t / tau)``, each window under the lag of its model."""
+    still = hover("a", 5.0)
+    assert still.rotor_speed is not None
+    low, high = float(still.rotor_speed[0, 0]), 1.1 * float(still.rotor_speed[0, 0])
+    command = np.where(still.time[:, None] >= 1.0, high, np.full((1, 4), low))
+    flights = [replace(still, rotor_speed=None, rotor_command=command)]
+    vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
+    slower = replace(vehicle, time_constant_up=2.0 * vehicle.time_constant_up)
+    of, rows = np.array([0, 0, 1, 1]), np.array([100, 105, 105, 120])
+    run = Batch([vehicle, slower], [Point(), Point()], of, flights, np.zeros(4, dtype=int), rows)
+    tau = np.array([0.04, 0.04, 0.08, 0.08])
+    expected = high + (low - high) * np.exp(-(rows - 100) / RATE / tau)
+    np.testing.assert_allclose(run.measured(0).rotor_speed, np.tile(expected[:, None], 4), rtol=1e-12)
+
+
+def test_slew_rates_limit_the_replayed_speeds(tmp_path: Path) -> None:
+    """A step of 200 rad/s: up at 1000 rad/s² until 50 are left, then exponentially; down at 500 rad/s² to the end."""
+    driven = step_flight(tmp_path, rate=100.0, seconds=2.0)
+    lag = {"time_constant_up": TAU_UP, "time_constant_down": TAU_DOWN}
+    rotor = replace(ROBOT.rotor, **lag, slew_rate=1000.0, slew_rate_down=500.0)
+    model = build_model(vehicle_from_config(replace(ROBOT, rotor=rotor), num_envs=1, dtype=F64))
+    speed = replayed(driven, model)[:, 2]
+    assert speed[60] == pytest.approx(1000.0, rel=1e-12)
+    assert speed[65] == pytest.approx(1050.0, rel=1e-12)
+    assert speed[90] == pytest.approx(1100.0 - 50.0 * np.exp(-0.25 / TAU_UP), rel=1e-12)
+    assert speed[110] == pytest.approx(speed[100] - 50.0, rel=1e-12)
+    assert speed[150] == pytest.approx(
+        900.0 + 15.0 * np.exp(-(0.5 - (speed[100] - 915.0) / 500.0) / TAU_DOWN), rel=1e-12
+    )
+    assert "slew_rate" in lacks("actuation_delay", replace(ROBOT, rotor=rotor), [driven])
+
+
+def test_commands_in_the_dead_band_stop_replayed_rotors(tmp_path: Path) -> None:
+    """Below 1000 rad/s the command is no command: from 900 the rotors run down, and up again while it is 1100."""
+    driven = step_flight(tmp_path, rate=100.0, seconds=2.0)
+    rotor = replace(ROBOT.rotor, time_constant_up=TAU_UP, time_constant_down=TAU_DOWN, dead_band=1000.0)
+    speed = replayed(driven, build_model(vehicle_from_config(replace(ROBOT, rotor=rotor), num_envs=1, dtype=F64)))[:, 0]
+    assert speed[40] == pytest.approx(900.0 * np.exp(-0.4 / TAU_DOWN), rel=1e-10)
+    assert speed[99] > 1090.0

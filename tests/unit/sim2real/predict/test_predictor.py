@@ -1,0 +1,433 @@
+"""Predictions, rollouts and noise floors on exact flights from differential flatness."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from aerial_gym.errors import DataError
+from aerial_gym.physics import build_model, vehicle_from_config
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import effect_jacobian
+from aerial_gym.sim2real.identify.selection.select import lacks
+from aerial_gym.sim2real.judge.noise_floor import noise_floor
+from aerial_gym.sim2real.logs.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_flights
+from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
+from aerial_gym.sim2real.predict.predictor import Channel, Point, Predictor, declared_point, find_channels, together
+from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
+from aerial_gym.sim2real.predict.rollout import find_windows, roll_out
+from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_biases
+from tests.physics.vehicles import BATTERY
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+
+BAND = 10.0
+
+
+def load(folder: Path, **options: float) -> Flight:
+    path = write(flight(3, **options), folder / "a.csv")  # type: ignore[arg-type]
+    return complete_flight(uniform_log(read_flight_log(path)))
+
+
+def residual(found: Flight, point: Point, **options: bool) -> np.ndarray:
+    channels = find_channels([found])
+    predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances(), **options)
+    return predictor.residuals(point)[0]
+
+
+def test_an_exact_flight_is_predicted_exactly(tmp_path: Path) -> None:
+    """Forces to 2e-3 of g, angular acceleration to 0.5 % of its size: what the filters leave at the ends."""
+    found = load(tmp_path)
+    left = residual(found, declared_point(ROBOT))
+    assert np.abs(left[:, :3]).max() < 0.02
+    assert np.abs(left[:, 3:]).max() < 0.05
+
+
+def test_drag_that_was_flown_is_predicted_by_the_effect_and_by_nothing_else(tmp_path: Path) -> None:
+    found = load(tmp_path, drag=0.25)
+    point = declared_point(ROBOT)
+    without, withdrag = residual(found, point), residual(found, point.with_effect("rotor_drag", np.full(3, 0.25)))
+    assert np.sqrt((without[:, :2] ** 2).mean()) > 0.2
+    assert np.abs(withdrag[:, :3]).max() < 0.02
+
+
+def test_a_known_wind_is_flown_through_in_residuals_and_rollouts(tmp_path: Path) -> None:
+    """Drag in a wind of 4 m/s: nothing is left where the wind is known; where not, a push of d |wind| / m and its path."""
+    wind, drag = np.array([-3.2, 2.4, 0.0]), 0.15
+    blind = load(tmp_path, drag=drag, wind=tuple(wind))
+    told = replace(blind, wind=tuple(wind))
+    point = declared_point(ROBOT).with_effect("rotor_drag", np.full(3, drag))
+    assert np.abs(residual(told, point)[:, :3]).max() < 0.02
+    push = drag * np.linalg.norm(wind) / ROBOT.body.mass
+    left = np.linalg.norm(residual(blind, point)[:, :3], axis=1)
+    np.testing.assert_allclose(left, push, atol=0.03)
+    still = load(tmp_path)  # the wind of one flight is not that of another
+    channels = find_channels([still, told])
+    both = Predictor(ROBOT, [still, told], bandwidth=BAND, channels=channels, tolerances=Tolerances())
+    np.testing.assert_allclose(both.residuals(point)[1], residual(told, point), atol=1e-9)
+    known, unknown = (roll_out(ROBOT, [f], point, horizons=(1.0,), given_attitude=True) for f in (told, blind))
+    assert known.position is not None
+    assert unknown.position is not None
+    assert known.position.max() < 0.02
+    rate = drag / ROBOT.body.mass
+    expected = push / rate**2 * (rate + np.exp(-rate) - 1.0)  # of a push against linear drag, after 1 s
+    np.testing.assert_allclose(unknown.position[:, 0], expected, atol=0.03)
+
+
+def test_rows_on_the_ground_are_not_compared_nor_flown_over(tmp_path: Path) -> None:
+    """Rows within two periods of the band of a touch are left out, and windows of 1 s clear of it; others are as they were."""
+    found = load(tmp_path)
+    standing = np.zeros(found.num_rows, dtype=bool)
+    standing[1000:1100] = True
+    touched = replace(found, standing=standing)
+    channels = find_channels([found])
+    one, other = (
+        Predictor(ROBOT, [f], bandwidth=BAND, channels=channels, tolerances=Tolerances()) for f in (found, touched)
+    )
+    near = 2.0 / BAND + 0.005  # and one row
+    clear = (one.times[0] < 5.0 - near - 1e-9) | (one.times[0] > 5.495 + near + 1e-9)
+    np.testing.assert_allclose(other.times[0], one.times[0][clear])
+    np.testing.assert_allclose(other.residuals(Point())[0], one.residuals(Point())[0][clear], atol=1e-12)
+    start = find_windows([touched], 1.0).row / found.rate
+    assert not np.any((start > 3.99) & (start < 5.49))
+    assert {4.6, 5.1} <= set((find_windows([found], 1.0).row / found.rate).tolist())
+
+
+def test_the_noise_floor_is_that_of_flight_between_touches(tmp_path: Path) -> None:
+    """A jolt in rows on the ground would raise it."""
+    found = load(tmp_path, noise=1.0, seconds=20.0)
+    assert found.specific_force is not None
+    standing = np.zeros(found.num_rows, dtype=bool)
+    standing[1000:1050] = True
+    jolted = found.specific_force.copy()
+    jolted[standing] += np.random.default_rng(0).normal(0.0, 20.0, (50, 3))
+    channels = find_channels([found])
+    floors = {}
+    for name, force, mask in (
+        ("clean", found.specific_force, None),
+        ("masked", jolted, standing),
+        ("all", jolted, None),
+    ):
+        floor = noise_floor(
+            ROBOT, [replace(found, specific_force=force, standing=mask)], Point(), channels, bandwidth=BAND
+        )
+        assert floor is not None
+        floors[name] = floor[:3]
+    np.testing.assert_allclose(floors["masked"], floors["clean"], rtol=0.25)
+    assert (floors["all"] > 3.0 * floors["clean"]).all()
+
+
+def test_without_a_position_there_is_no_ground_near(tmp_path: Path) -> None:
+    robot = replace(ROBOT, rotor=replace(ROBOT.rotor, radius=0.06))
+    lost = replace(load(tmp_path), position=None)
+    channels = find_channels([lost])
+    predictor = Predictor(robot, [lost], bandwidth=BAND, channels=channels, tolerances=Tolerances())
+    near = predictor.predict(Point(effects={"ground_effect": np.array([3.0])}))[0]
+    np.testing.assert_allclose(near, predictor.predict(Point())[0], atol=1e-6)
+
+
+def test_the_thrust_that_was_flown_scales(tmp_path: Path) -> None:
+    found = load(tmp_path, thrust_scale=1.07)
+    left = residual(found, declared_point(ROBOT).with_effect("thrust_coefficient", np.array([1.07])))
+    assert np.abs(left[:, 2]).max() < 0.02
+
+
+def test_a_shifted_centre_of_mass_feels_the_measured_turning(tmp_path: Path) -> None:
+    """Against ``f - alpha x c - w x (w x c)`` and ``J^-1 (r - c) x f`` with numbers of the log, c small."""
+    found = load(tmp_path)
+    shift = np.array([0.004, -0.003, 0.002])
+    predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
+    change = predictor.predict(Point(effects={"com_offset": shift}))[0] - predictor.predict(Point())[0]
+    rows = np.round(predictor.times[0] * found.rate).astype(int)
+    omega = found.ang_vel
+    alpha = np.gradient(omega, 1.0 / found.rate, axis=0)
+    lever = -np.cross(alpha, shift) - np.cross(omega, np.cross(omega, shift))
+    assert np.abs(change[:, :3] - lever[rows]).max() < 0.1 * np.abs(lever[rows]).max()
+    assert found.rotor_speed is not None
+    lift = (1.2e-6 * found.rotor_speed**2).sum(axis=1)[rows]
+    torque = np.cross(-shift, np.stack((0 * lift, 0 * lift, lift), axis=1))
+    expected = torque / np.diag(ROBOT.body.inertia)
+    np.testing.assert_allclose(change[:, 3:6], expected, atol=0.02 * np.abs(expected).max())
+
+
+def test_thinned_rows_predict_what_all_rows_do(tmp_path: Path) -> None:
+    found = load(tmp_path, rate=500.0, noise=1.0)
+    channels = find_channels([found])
+    thin = Predictor(ROBOT, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances())
+    full = Predictor(ROBOT, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances(), every_row=True)
+    place = np.round((thin.times[0] - full.times[0][0]) * found.rate).astype(int)
+    for some, every in ((thin.predict(Point())[0], full.predict(Point())[0]), (thin.measured[0], full.measured[0])):
+        np.testing.assert_allclose(some, every[place], atol=2e-3 * np.abs(every).max())
+
+
+def test_the_jacobian_of_a_wrench_effect_is_its_regressor(tmp_path: Path) -> None:
+    """d f / d (drag) = -v_body / m per unit, at any drag; scale 0.1 N s/m."""
+    found = load(tmp_path)
+    predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
+    point = Point(effects={"rotor_drag": np.full(3, 0.2)})
+    jacobian = effect_jacobian(predictor, point, ("rotor_drag",), predictor.predict(point))[0]
+    zero = predictor.predict(Point())[0]
+    one = predictor.predict(Point(effects={"rotor_drag": np.array([0.1, 0.0, 0.0])}))[0]
+    np.testing.assert_allclose(jacobian[:, :, 0], one - zero, atol=1e-8)
+
+
+MODELS = {
+    "declared": Point(),
+    "drag": Point(effects={"rotor_drag": np.full(3, 0.2)}),
+    "inflow": Point(effects={"axial_inflow": np.array([1e-5]), "h_force_flapping": np.array([1e-5, 1e-6])}),
+    "wind": Point(effects={"rotor_drag": np.full(3, 0.2), "constant_wind": np.array([1.0, -2.0, 0.5])}),
+    "other wind": Point(effects={"rotor_drag": np.full(3, 0.2), "constant_wind": np.array([-1.0, 0.0, 0.5])}),
+    "heavy": Point(effects={"payload_mass": np.array([0.1])}),
+    "off": Point(effects={"rotor_drag": np.full(3, 0.2)}, deviation=np.linspace(-1.0, 1.0, len(Tolerances().names(4)))),
+    "turned sensor": Point(effects={"imu_misalignment": np.array([0.02, 0.01, -0.03])}),
+    "misread speeds": Point(effects={"rotor_speed_scale": np.array([1.1])}),
+}
+
+
+def test_a_prediction_does_not_depend_on_the_models_predicted_before(tmp_path: Path) -> None:
+    """Bit for bit: nothing that is kept of one model is used for another one that it does not hold for."""
+    found = load(tmp_path)
+
+    def new() -> Predictor:
+        return Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
+
+    alone = {name: new().predict(point)[0] for name, point in MODELS.items()}
+    distinct = {values.tobytes() for values in alone.values()}
+    assert len(distinct) == len(MODELS)
+    same, order = new(), np.random.default_rng(0).integers(0, len(MODELS), 60)
+    for name in (list(MODELS)[place] for place in order):
+        np.testing.assert_array_equal(same.predict(MODELS[name])[0], alone[name], err_msg=name)
+
+
+def test_neighbouring_flights_are_evaluated_together_up_to_a_number_of_rows() -> None:
+    assert together([3000, 5000, 1, 9000, 100, 200]) == [slice(0, 2), slice(2, 3), slice(3, 4), slice(4, 6)]
+    assert together([9000]) == [slice(0, 1)]
+
+
+def test_flights_are_predicted_alike_alone_and_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To rounding, and in their order: three flights of different lengths."""
+    paths = [write(flight(seed, seconds=6.0 + seed), tmp_path / f"{seed}.csv") for seed in range(3)]
+    flights = load_flights(paths, ROBOT, mapping=None, bandwidth=BAND)
+    channels = find_channels(flights)
+    predictors = []
+    for most in (1, 10**6):
+        monkeypatch.setattr("aerial_gym.sim2real.predict.predictor.MOST_ROWS", most)
+        predictors.append(Predictor(ROBOT, flights, bandwidth=BAND, channels=channels, tolerances=Tolerances()))
+    for name, point in MODELS.items():
+        for alone, beside in zip(*(predictor.predict(point) for predictor in predictors), strict=True):
+            np.testing.assert_allclose(alone, beside, rtol=1e-9, atol=1e-10, err_msg=name)
+    for alone, beside in zip(*(predictor.times for predictor in predictors), strict=True):
+        np.testing.assert_array_equal(alone, beside)
+
+
+def test_an_error_of_the_sensors_that_is_none_changes_no_channel(tmp_path: Path) -> None:
+    """Kinematic channels of a model without such errors are filtered once; those with them, in every prediction."""
+    found = load(tmp_path)
+    predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
+    for deviation in (None, np.linspace(-1.0, 1.0, predictor.num_tolerances)):
+        point = Point(deviation=deviation)
+        without, neutral = (
+            predictor.predict(p)[0] for p in (point, point.with_effect("imu_misalignment", np.zeros(3)))
+        )
+        np.testing.assert_allclose(without, neutral, atol=1e-10)
+
+
+def test_rollouts_of_an_exact_flight_stay_on_it_and_find_the_error_of_a_wrong_mass(tmp_path: Path) -> None:
+    """Open loop for 1 s: millimetres and milliradians. A vehicle that is 5 % heavier falls behind by g 5 % t² / 2."""
+    found = load(tmp_path, rate=400.0)
+    errors = roll_out(ROBOT, [found], Point(), horizons=(0.1, 0.5, 1.0))
+    assert errors.driven_by == "measured rotor speeds"
+    assert errors.position is not None
+    assert errors.attitude is not None
+    assert errors.position[:, 2].max() < 0.01
+    assert errors.attitude[:, 2].max() < 0.01
+    heavy = replace(ROBOT, body=replace(ROBOT.body, mass=1.05 * ROBOT.body.mass))
+    given = roll_out(heavy, [found], Point(), horizons=(0.1, 0.5, 1.0), given_attitude=True)
+    assert given.attitude is None
+    assert given.position is not None
+    assert np.median(given.position[:, 2]) == pytest.approx(0.5 * 9.81 * (1.0 - 1.0 / 1.05), rel=0.15)
+
+
+def test_windows_cover_every_flight_and_fit_the_longest_horizon(tmp_path: Path) -> None:
+    found = load(tmp_path)
+    windows = find_windows([found, found], 2.0)
+    assert set(windows.flight) == {0, 1}
+    assert (windows.row.max() / found.rate) + 2.0 < found.time[-1]
+    assert len(set(windows.cluster)) >= 4
+    assert not set(windows.cluster[windows.flight == 0]) & set(windows.cluster[windows.flight == 1])
+
+
+def test_commands_drive_the_rotors_through_the_lag(tmp_path: Path) -> None:
+    """A step of the command: ``w = w_c + (w_0 - w_c) exp(-t / tau)`` on rows, with the command held from its row on."""
+    found = load(tmp_path, seconds=4.0)
+    rows = found.num_rows
+    step = np.where(np.arange(rows)[:, None] < 100, 900.0, 1100.0).repeat(4, axis=1)
+    driven = replace(found, rotor_command=step, rotor_speed=np.full((rows, 4), 900.0))
+    rotor = replace(ROBOT.rotor, time_constant_up=0.05, time_constant_down=0.05)
+    vehicle = vehicle_from_config(replace(ROBOT, rotor=rotor), num_envs=1, dtype=torch.float64)
+    speeds = RotorReplay([driven]).speeds(build_model(vehicle), 0.0)[0]
+    assert speeds is not None
+    time = np.maximum(np.arange(rows) - 100, 0) / found.rate
+    np.testing.assert_allclose(speeds[:, 0], 1100.0 - 200.0 * np.exp(-time / 0.05), rtol=1e-9)
+
+
+def test_flights_with_and_without_measured_rotors_do_not_mix(tmp_path: Path) -> None:
+    found = load(tmp_path)
+    commanded = replace(found, rotor_command=found.rotor_speed, rotor_speed=None)
+    with pytest.raises(DataError, match="some flights have measured rotor speeds and some have not"):
+        Predictor(
+            ROBOT,
+            [found, commanded],
+            bandwidth=BAND,
+            channels=find_channels([found, commanded]),
+            tolerances=Tolerances(),
+        )
+
+
+def test_channels_are_what_every_flight_has(tmp_path: Path) -> None:
+    found = load(tmp_path)
+    kinds = ("specific_force", "angular_acceleration", "kinematic_force", "kinematic_rate")
+    assert [channel.kind for channel in find_channels([found])] == [kind for kind in kinds for _ in range(3)]
+    blind = replace(found, specific_force=None, accelerometer=False)
+    assert {channel.kind for channel in find_channels([found, blind])} == {"angular_acceleration", "kinematic_rate"}
+    with pytest.raises(DataError, match="no quantity in common"):
+        find_channels([replace(blind, gyro=False)])
+
+
+def test_missing_sensors_are_derived_or_left_out(tmp_path: Path) -> None:
+    table = flight(4)
+    full = load_flights([write(table, tmp_path / "a.csv")], ROBOT, mapping=None, bandwidth=BAND)[0]
+    rest = [column for column in table if not column.startswith(("v_", "acc_", "omega_"))]
+    bare = complete_flight(
+        uniform_log(read_flight_log(write(table[[*rest, "omega_x", "omega_y", "omega_z"]], tmp_path / "b.csv")))
+    )
+    assert bare.lin_vel is None  # derived only by load_flights
+    poor = table[[*rest, "acc_x", "acc_y", "acc_z"]]
+    found = load_flights([write(poor, tmp_path / "c.csv")], ROBOT, mapping=None, bandwidth=BAND)[0]
+    assert not found.gyro
+    assert found.lin_vel is not None
+    assert full.lin_vel is not None
+    inner = slice(100, -100)
+    np.testing.assert_allclose(found.lin_vel[inner], full.lin_vel[inner], atol=0.01)
+    np.testing.assert_allclose(found.ang_vel[inner], full.ang_vel[inner], atol=0.02)
+    assert any("velocity derived from position" in note for note in found.notes)
+
+
+def test_tolerances_change_what_they_say() -> None:
+    robot = replace(ROBOT, battery=BATTERY)
+    vehicle, tolerances = vehicle_from_config(robot, num_envs=1, dtype=torch.float64), Tolerances()
+    names = tolerances.names(4)
+    deviation = torch.zeros(len(names), dtype=torch.float64)
+    for name, size in (("mass", 2.0), ("thrust_3", -1.0), ("inertia_y", 1.0), ("com_z", 1.0), ("time_constant", 1.0)):
+        deviation[names.index(name)] = size
+    deviation[names.index("nominal_voltage")] = -1.0
+    off = deviate(vehicle, tolerances, deviation)
+    assert float(off.mass[0]) == pytest.approx(0.6 * 1.006)
+    assert float(off.thrust_map[0, 2, 2]) == pytest.approx(1.2e-6 * 0.996)
+    assert float(off.torque_map[0, 2, 2]) == pytest.approx(1.2e-6 * 0.015 * 0.996)
+    assert float(off.thrust_map[0, 0, 2]) == pytest.approx(1.2e-6)
+    assert torch.diagonal(off.inertia[0]).tolist() == pytest.approx([2e-3, 2.4e-3 * 1.02, 4e-3])
+    assert off.com[0].tolist() == pytest.approx([0.0, 0.0, 0.0003])
+    assert off.time_constant_up[0].tolist() == pytest.approx([0.04 * 1.03] * 4)
+    assert off.battery[0].tolist() == pytest.approx([BATTERY.nominal_voltage * 0.997, *vehicle.battery[0, 1:].tolist()])
+    for name, size in (("acc_bias_y", 2.0), ("gyro_bias_x", -1.0), ("command_hold", 1.0), ("joint_rest", -2.0)):
+        deviation[names.index(name)] = size
+    force, rate = sensor_biases(tolerances, deviation)
+    assert force.tolist() == pytest.approx([0.0, 0.04, 0.0])
+    assert rate.tolist() == pytest.approx([-0.002, 0.0, 0.0])
+    assert command_shift(tolerances, deviation) == pytest.approx(0.3)
+    assert joint_start(tolerances, deviation) == pytest.approx(0.4)
+
+
+def test_a_gyro_that_is_off_within_its_tolerance_shows_in_the_kinematic_rate_alone(tmp_path: Path) -> None:
+    """A constant bias has no derivative, so that only the rate read beside the attitude moves, by that bias."""
+    found = load(tmp_path)
+    predictor = Predictor(
+        ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=(tolerances := Tolerances())
+    )
+    deviation = np.zeros(predictor.num_tolerances)
+    deviation[tolerances.names(4).index("gyro_bias_z")] = 3.0
+    moved = predictor.predict(Point(deviation=deviation))[0] - predictor.predict(Point())[0]
+    for place, channel in enumerate(predictor.channels):
+        expected = 0.006 if channel.name == "kinematic_rate.z" else 0.0
+        np.testing.assert_allclose(moved[:, place], expected, atol=1e-12, err_msg=channel.name)
+
+
+def test_the_noise_floor_is_the_residual_of_a_perfect_model(tmp_path: Path) -> None:
+    """White noise of sensors and rotors through filter and derivative; the exact flight leaves nothing else."""
+    found = load(tmp_path, rate=400.0, noise=1.0, seconds=20.0)
+    channels = find_channels([found])
+    left = residual(found, Point())
+    floor = noise_floor(ROBOT, [found], Point(), channels, bandwidth=BAND)
+    assert floor is not None
+    ratio = np.sqrt((left**2).mean(axis=0)) / floor
+    assert np.all((ratio > 0.7) & (ratio < 1.2)), ratio
+    # Below 10 Hz, white noise of 0.05 m/s² at 400 Hz keeps sqrt(sum H²) of its power: 0.05 sqrt(2 * 0.92 * 10 / 400) = 0.011.
+    assert floor[0] == pytest.approx(0.05 * np.sqrt(2.0 * 0.92 * 10.0 / 400.0), rel=0.1)
+
+
+def test_the_noise_floor_of_a_filtered_sensor_is_that_below_its_filter(tmp_path: Path) -> None:
+    """A filter at 30 Hz takes noise away above, none below 10 Hz: the floor stays.
+
+    Lines from 15 to 24 Hz cannot tell a level from growth with f²; growth alone would give 10 / 19.5 / sqrt(3) = 0.3 of it.
+    """
+    found = load(tmp_path, rate=400.0, noise=1.0, seconds=20.0)
+    assert found.specific_force is not None
+    channels = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
+    smooth = replace(found, specific_force=lowpass(found.specific_force, 400.0, 30.0))
+    raw, filtered = (noise_floor(ROBOT, [each], Point(), channels, bandwidth=BAND) for each in (found, smooth))
+    assert raw is not None
+    assert filtered is not None
+    assert np.all(filtered[:2] > 0.5 * raw[:2])
+    assert np.all(filtered / raw < 1.3)
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0])
+def test_the_noise_floor_shows_in_a_log_of_the_highest_band(rate: float, tmp_path: Path) -> None:
+    """At 10 Hz there is little left above the band, but noise of a sensor is white: sqrt(400 / rate) times that at 400 Hz.
+
+    Of 30 s some 250 lines of Welch's spectrum tell it to 5 %; where growth may take a share, only to a factor of two.
+    """
+    slow, fast = (load(tmp_path, rate=each, noise=1.0, seconds=30.0) for each in (rate, 400.0))
+    channels = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
+    floors = [noise_floor(ROBOT, [each], Point(), channels, bandwidth=BAND) for each in (slow, fast)]
+    assert floors[0] is not None
+    assert floors[1] is not None
+    ratio = floors[0] / floors[1] / np.sqrt(400.0 / rate)
+    assert np.all((ratio > 0.85) & (ratio < 1.15)), ratio
+
+
+def test_no_floor_where_the_log_is_too_slow(tmp_path: Path) -> None:
+    found = load(tmp_path, rate=25.0)
+    assert noise_floor(ROBOT, [found], Point(), [Channel(kind="specific_force", axis="x")], bandwidth=8.0) is None
+
+
+def test_a_tolerance_that_strains_is_told_by_its_name() -> None:
+    tolerances, size = Tolerances(), len(Tolerances().names(6))
+    deviation = np.full(size, 2.9)
+    assert tolerances.strained(deviation) == []
+    deviation[[0, 6, size - 1]] = 3.4, -4.0, 3.1
+    notes = tolerances.strained(deviation)
+    for name, asked, note in zip(("mass", "thrust_6", "joint_rest"), ("+3.4", "-4.0", "+3.1"), notes, strict=True):
+        assert f"a {name} that is off by {asked} standard deviations" in note
+
+
+def test_forces_derived_from_the_velocity_have_no_errors_of_an_accelerometer(tmp_path: Path) -> None:
+    """Of a bias and a tilt of the inertial unit they show nothing; beside a gyro the bias of that remains."""
+    table = flight(3).drop(columns=["acc_x", "acc_y", "acc_z"])
+    found = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / "a.csv"))))
+    names = Tolerances().names(4)
+    bias, tilt = np.array([0.5, -0.3, 0.2, 0.0, 0.0, 0.0]), np.array([0.05, -0.03, 0.0])
+    off = np.array([5.0 * name.startswith("acc_bias") for name in names])
+    left = residual(found, Point())
+    for point in (Point(effects={"imu_bias": bias}), Point(deviation=off)):
+        np.testing.assert_array_equal(residual(found, point), left)
+    moved = residual(found, Point(effects={"imu_misalignment": tilt})) - left
+    channels = find_channels([found])
+    for place, channel in enumerate(channels):
+        assert np.any(np.abs(moved[:, place]) > 1e-6) == (channel.kind != "specific_force"), channel.name
+    assert lacks("imu_bias", ROBOT, [found]) == ""
+    without = replace(found, gyro=False)
+    assert "no inertial sensor" in lacks("imu_bias", ROBOT, [without])
+    assert "no inertial sensor" in lacks("imu_misalignment", ROBOT, [without])

@@ -1,0 +1,447 @@
+"""Bench identifications against curves whose numbers are known, and against integrated equations of motion."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from aerial_gym.cli.main import main
+from aerial_gym.config import load
+from aerial_gym.config.robot import RobotCfg, RotorCfg
+from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.teststand.hover import fit_hover
+from aerial_gym.sim2real.teststand.joint import Release, fit_joint, joint_angle, release_record
+from aerial_gym.sim2real.teststand.static import StaticFit, fit_static
+from aerial_gym.sim2real.teststand.statistics import correlated_covariance, estimates, independent_covariance
+from aerial_gym.sim2real.teststand.step import fit_steps, lag_error, simulate, step_record
+from aerial_gym.sim2real.teststand.studies import rotor_changes
+from aerial_gym.sim2real.teststand.tables import read_columns
+
+Array = NDArray[np.float64]
+
+MAP = (0.02, -8e-5, 8.6e-7)
+"""Thrust [N] of the speed [rad/s]."""
+
+RATIO = 0.014
+
+
+def bench(table: pd.DataFrame, folder: Path, **units: str):
+    path = folder / "bench.csv"
+    table.to_csv(path, index=False)
+    return read_columns(path, given={}, units=units)
+
+
+def static_table(
+    rng: np.random.Generator, noise: float, coefficients: tuple[float, float, float] = MAP
+) -> pd.DataFrame:
+    speed = np.linspace(200.0, 2000.0, 24)
+    thrust = np.polyval(coefficients[::-1], speed)
+    wrong = 1.0 + noise * rng.standard_normal((2, speed.size))  # a relative error: residuals of unequal size
+    return pd.DataFrame({"omega": speed, "thrust_N": thrust * wrong[0], "torque_Nm": RATIO * thrust * wrong[1]})
+
+
+def only(table: pd.DataFrame, folder: Path, **units: str) -> StaticFit:
+    (fit,), left_out = fit_static(bench(table, folder, **units))
+    assert left_out == []
+    return fit
+
+
+def test_variance_of_a_mean_of_independent_values_is_its_closed_form() -> None:
+    """HC3 of a mean: every residual over (1 - 1/n), squared, summed, over n²."""
+    residual = np.random.default_rng(0).standard_normal(50)
+    residual -= residual.mean()
+    found = independent_covariance(np.ones((50, 1)), residual)[0, 0]
+    assert found == pytest.approx(((residual / (1.0 - 1.0 / 50)) ** 2).sum() / 50**2, rel=1e-12)
+
+
+def test_variance_of_a_mean_of_correlated_values_is_its_closed_form() -> None:
+    """AR(1): the variance of a mean is (1 + rho) / (1 - rho) times that of independent values (Anderson 1971, 8.3)."""
+    rng, rho, rows = np.random.default_rng(1), 0.8, 200_000
+    noise = rng.standard_normal(rows)
+    values = np.empty(rows)
+    values[0] = noise[0]
+    for row in range(1, rows):
+        values[row] = rho * values[row - 1] + noise[row]
+    found = correlated_covariance(np.ones((rows, 1)), values - values.mean())[0, 0] * rows
+    assert found == pytest.approx(values.var() * (1.0 + rho) / (1.0 - rho), rel=0.1)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    """Slope of a line with correlated noise that grows with the regressor: 95 %, less what few rows cost."""
+    rng, inside, draws, rows = np.random.default_rng(2), 0, 400, 300
+    cause = np.column_stack((np.ones(rows), np.linspace(-1.0, 1.0, rows)))
+    for _ in range(draws):
+        shocks, noise = rng.standard_normal(rows), np.empty(rows)
+        noise[0] = shocks[0]
+        for row in range(1, rows):
+            noise[row] = 0.6 * noise[row - 1] + shocks[row]
+        effect = 2.0 * cause[:, 1] + noise * (0.5 + cause[:, 1] ** 2)
+        gains = np.linalg.lstsq(cause, effect, rcond=None)[0]
+        slope = estimates(gains, correlated_covariance(cause, effect - cause @ gains), rows - 2)[1]
+        inside += slope.low < 2.0 < slope.high
+    assert 0.9 < inside / draws < 0.98
+
+
+def test_the_map_and_the_ratio_are_found_and_the_intervals_hold_them(tmp_path: Path) -> None:
+    fit = only(static_table(np.random.default_rng(3), 0.01), tmp_path)
+    assert fit.thrust_map.chosen in ("w² and w", "w², w and constant")
+    assert fit.torque_map is not None
+    assert fit.torque_map.chosen == "torque ratio"
+    assert fit.torque_ratio is not None
+    assert fit.torque_ratio.low < RATIO < fit.torque_ratio.high
+    full = fit.thrust_map.candidates["w², w and constant"].coefficients
+    for power in range(3):
+        assert full[f"c{power}"].low < MAP[power] < full[f"c{power}"].high
+    assert fit.thrust_map.after.value < fit.thrust_map.before.value
+
+
+def test_held_out_errors_are_those_of_fits_without_the_row(tmp_path: Path) -> None:
+    """Every row predicted by a polynomial that numpy fits to the others."""
+    fit = only(static_table(np.random.default_rng(8), 0.02), tmp_path)
+    found = fit.thrust_map.candidates["w², w and constant"].held_out
+    for row in range(fit.speed.size):
+        others = np.arange(fit.speed.size) != row
+        expected = fit.thrust[row] - np.polyval(np.polyfit(fit.speed[others], fit.thrust[others], 2), fit.speed[row])
+        assert found[row] == pytest.approx(expected, rel=1e-6, abs=1e-9)
+
+
+def test_no_term_is_added_that_does_not_pay(tmp_path: Path) -> None:
+    """Thrust that is w² alone: held-out error takes w² alone in most draws, and never by the fit to its own rows."""
+    chosen = []
+    for seed in range(20):
+        fit = only(static_table(np.random.default_rng(seed), 0.01, (0.0, 0.0, 8e-7)), tmp_path)
+        best = min(fit.thrust_map.candidates.values(), key=lambda c: c.fit_rms)
+        assert best.name in ("w², w and constant", "w³, w² and w")
+        chosen.append(fit.thrust_map.chosen)
+    assert chosen.count("w²") >= 12
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "name", "units"),
+    [
+        ("omega", 30.0 / np.pi, "RPM", {}),
+        ("omega", 30.0 / np.pi, "omega", {"speed": "rpm"}),
+        ("omega", 0.5 / np.pi, "rps", {}),
+        ("thrust_N", 1.0 / 9.80665e-3, "thrust_gf", {}),
+        ("thrust_N", 1e3, "force", {"thrust": "mN"}),
+        ("torque_Nm", 1e3, "torque_mNm", {}),
+        ("torque_Nm", 1.0 / 9.80665e-5, "moment", {"torque": "gf cm"}),
+    ],
+)
+def test_units_do_not_change_the_map(
+    tmp_path: Path, column: str, factor: float, name: str, units: dict[str, str]
+) -> None:
+    table = static_table(np.random.default_rng(4), 0.01)
+    plain = only(table, tmp_path)
+    other = only(table.assign(**{column: table[column] * factor}).rename(columns={column: name}), tmp_path, **units)
+    assert other.thrust_coefficient.value == pytest.approx(plain.thrust_coefficient.value, rel=1e-9)
+    assert other.torque_ratio is not None
+    assert plain.torque_ratio is not None
+    assert other.torque_ratio.value == pytest.approx(plain.torque_ratio.value, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.assign(omega=t["omega"] * 60 / 6.28), r"must lie in \[0, 12000\].*--units speed rpm"),
+        (lambda t: t.assign(torque_Nm=t["torque_Nm"] * 1e3), r"a unit is wrong. It would fit with .*torque in mN m"),
+        (lambda t: t.assign(thrust_N=-t["thrust_N"]), r"thrust at the highest speed is .*turn its sign"),
+        (lambda t: t.rename(columns={"thrust_N": "lift"}).drop(columns="torque_Nm"), r"no column for the thrust"),
+        (lambda t: t[:5], r"has 5 different speeds, needs at least 6"),
+        (lambda t: t.rename(columns={"thrust_N": "thrust_total_N"}), r"of several motors; say how many"),
+        (lambda t: t.assign(torque_Nm="x"), r"line 2: torque_Nm = x is no number"),
+    ],
+)
+def test_tables_that_are_not_what_they_claim(tmp_path: Path, change: object, message: str) -> None:
+    table = change(static_table(np.random.default_rng(5), 0.01))  # type: ignore[operator]
+    with pytest.raises(DataError, match=message):
+        fit_static(bench(table, tmp_path))
+
+
+def test_a_speed_sensor_that_does_not_read_is_left_out_and_tests_are_told_apart(tmp_path: Path) -> None:
+    table = static_table(np.random.default_rng(6), 0.005)
+    table = pd.concat([table.assign(test="a"), table.assign(test="b"), table.assign(test="c", thrust_N=-1.0)])
+    table.iloc[5, 0] = 0.0
+    fits, left_out = fit_static(bench(table, tmp_path))
+    assert [fit.speed.size for fit in fits] == [23, 24]
+    assert fits[0].notes == ("1 rows with thrust at speed 0 left out: the speed sensor did not read",)
+    assert len(left_out) == 1
+    assert "test c: thrust at the highest speed is -1 N" in left_out[0]
+
+
+@pytest.mark.parametrize(("error", "tau", "slew"), [(800.0, 0.05, 1e9), (800.0, 0.03, 9e3), (-800.0, 0.03, 9e3)])
+def test_lag_with_a_slew_limit_solves_its_equation(error: float, tau: float, slew: float) -> None:
+    """Integrated by scipy to 1e-9: ``e' = -min(|e| / tau, slew) sign(e)``."""
+    since = np.linspace(0.0, 0.3, 40)
+    found = solve_ivp(
+        lambda _, e: -np.sign(e) * np.minimum(np.abs(e) / tau, slew),
+        (0.0, 0.3),
+        [error],
+        t_eval=since,
+        rtol=1e-9,
+        atol=1e-9,
+    )
+    np.testing.assert_allclose(lag_error(error, tau, slew, since), found.y[0], atol=1e-5)
+    assert lag_error(error, tau, slew, np.array([-0.01]))[0] == error
+
+
+LEVELS = (300.0, 1500.0, 400.0, 2000.0, 900.0, 1700.0, 250.0, 1200.0)
+
+
+def step_table(params: dict[str, float], *, noise: float, seed: int = 0, rate: float = 200.0) -> pd.DataFrame:
+    time = np.arange(round(0.5 * rate) * len(LEVELS)) / rate
+    command = np.repeat(LEVELS, round(0.5 * rate))
+    table = pd.DataFrame({"t": time, "speed_cmd": command, "speed_meas": 0.0 * time})
+    starts = np.arange(0, time.size + 1, round(0.5 * rate))
+    from aerial_gym.sim2real.teststand.step import StepRecord
+
+    record = StepRecord(path="", time=time, command=command, measured=0.0 * time, starts=starts)
+    course = simulate(record, params)
+    return table.assign(speed_meas=course + noise * np.random.default_rng(seed).standard_normal(time.size))
+
+
+@pytest.mark.parametrize(
+    ("params", "law"),
+    [
+        ({"tau": 0.04}, "one time constant"),
+        ({"tau_up": 0.03, "tau_down": 0.06}, "up and down"),
+        ({"tau_up": 0.03, "tau_down": 0.06, "delay": 0.012}, "up and down, delay"),
+        ({"tau": 0.03, "slew_down": 2e4}, "one time constant, slew limit down"),
+        ({"tau": 0.03, "slew_up": 3e4, "slew_down": 2e4}, "one time constant, slew limits"),
+    ],
+)
+def test_steps_name_the_law_that_made_them(tmp_path: Path, params: dict[str, float], law: str) -> None:
+    fit = fit_steps([step_record(bench(step_table(params, noise=4.0), tmp_path))])
+    assert fit.chosen == law
+    for name, value in params.items():
+        found = fit.laws[law].params[name]
+        assert abs(found.value - value) < found.high - found.low  # two half widths: eleven numbers are checked
+        assert found.high - found.low < 0.2 * value
+    assert fit.laws[law].held_out_rms == pytest.approx(4.0, rel=0.1)
+
+
+def test_the_delay_has_the_sign_of_a_late_answer() -> None:
+    """12 ms after a step up, a lag of 30 ms that starts at once is at 33 %; one with a delay of 12 ms has not moved."""
+    table = step_table({"tau": 0.03, "delay": 0.012}, noise=0.0, rate=500.0)
+    assert table["speed_meas"][6] == 0.0
+    assert step_table({"tau": 0.03}, noise=0.0, rate=500.0)["speed_meas"][6] == pytest.approx(300 * (1 - np.exp(-0.4)))
+
+
+def test_a_slew_limit_that_no_step_reaches_is_only_bounded_from_below(tmp_path: Path) -> None:
+    fit = fit_steps([step_record(bench(step_table({"tau": 0.04}, noise=3.0), tmp_path))])
+    slew = fit.laws["up and down, slew limits"].params["slew_up"]
+    assert slew.high == 1e7
+    assert slew.low >= 1500.0 / 0.045
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.assign(speed_cmd=np.linspace(0, 2000, len(t))), r"needs at least two steps of 5 rows"),
+        (lambda t: t.assign(t=0.0), r"time does not increase"),
+        (lambda t: t.drop(columns="speed_meas"), r"no column for the measured"),
+    ],
+)
+def test_records_that_show_no_steps(tmp_path: Path, change: object, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        step_record(bench(change(step_table({"tau": 0.04}, noise=1.0)), tmp_path))  # type: ignore[operator]
+
+
+JOINT = {
+    "stiffness": 4800.0,
+    "damping": 60.0,
+    "rest": 0.125,
+    "stiffness_1": 3000.0,
+    "time_1": 0.06,
+    "stiffness_2": 1200.0,
+    "time_2": 1.5,
+}
+
+
+def release(rate: float = 100.0, seconds: float = 12.0) -> Release:
+    time = np.arange(round(seconds * rate)) / rate
+    return Release(path="", time=time, angle=0.0 * time, start=0.4)
+
+
+def test_creep_solves_the_generalised_maxwell_equations() -> None:
+    """Integrated by scipy: two Maxwell elements in parallel with a spring and a damper."""
+
+    def motion(_: float, x: Array) -> list[float]:
+        away = x[0] - JOINT["rest"]
+        pull = sum(JOINT[f"stiffness_{i}"] * (away - x[1 + i]) for i in (1, 2))
+        creep = [(away - x[1 + i]) / JOINT[f"time_{i}"] for i in (1, 2)]
+        return [x[1], -JOINT["stiffness"] * away - JOINT["damping"] * x[1] - pull, *creep]
+
+    record = release()
+    found = solve_ivp(
+        motion, (0.0, 12.0), [0.4, 0.0, 0.275, 0.275], t_eval=record.time, rtol=1e-9, atol=1e-12, method="LSODA"
+    )
+    np.testing.assert_allclose(joint_angle(record, JOINT), found.y[0], atol=1e-7)
+
+
+def test_the_quadratic_spring_solves_its_equation_and_waits_for_the_release() -> None:
+    params = {"quadratic_stiffness": 2400.0, "damping": 90.0, "rest": 0.13, "release": 0.05}
+    record = release()
+    found = solve_ivp(
+        lambda _, x: [x[1], -2400.0 * abs(x[0] - 0.13) * (x[0] - 0.13) - 90.0 * x[1]],
+        (0.0, 12.0),
+        [0.4, 0.0],
+        t_eval=record.time[:-5],
+        rtol=1e-10,
+        atol=1e-12,
+        method="LSODA",
+    )
+    course = joint_angle(record, params)
+    np.testing.assert_allclose(course[:6], 0.4, atol=1e-12)
+    np.testing.assert_allclose(course[5:], found.y[0], atol=1e-6)
+
+
+def test_creep_is_told_from_springs_and_its_numbers_are_found(tmp_path: Path) -> None:
+    time = np.arange(-100, 1200) / 100.0
+    record = Release(path="", time=time[time >= 0], angle=0.0 * time[time >= 0], start=0.4)
+    angle = np.full(time.size, 0.4)
+    angle[time >= 0] = joint_angle(record, JOINT)
+    angle += 5e-4 * np.random.default_rng(0).standard_normal(time.size)
+    found = fit_joint(release_record(bench(pd.DataFrame({"t": time, "angle_deg": np.degrees(angle)}), tmp_path)))
+    assert found.chosen == "linear spring, 2 creep elements"
+    law = found.laws[found.chosen]
+    for name in ("stiffness", "rest", "time_1", "time_2"):
+        assert law.params[name].low < JOINT[name] < law.params[name].high
+    assert np.std(law.held_out) < 6e-4
+    assert np.std(found.laws["quadratic spring"].held_out) > 5.0 * np.std(law.held_out)
+
+
+def test_a_record_without_its_release_is_refused(tmp_path: Path) -> None:
+    table = pd.DataFrame({"t": np.arange(200) / 100.0, "angle": 0.1})
+    with pytest.raises(DataError, match=r"0 rows before and 200 after the release at 0 s.*--release-s"):
+        release_record(bench(table, tmp_path))
+    degrees = pd.DataFrame({"t": np.arange(-50, 150) / 100.0, "angle": 23.0})
+    with pytest.raises(DataError, match=r"angles up to 23 rad; if they are degrees: --units angle deg"):
+        release_record(bench(degrees, tmp_path))
+
+
+def hover(seed: int, coefficient: float = 4e-8, *, mass: float = 0.045, drift: float = 0.0) -> FlightLog:
+    """A hover of 12 s: sum of the thrusts is the weight, four unequal rotors, slow noise of the controller."""
+    rng, rows = np.random.default_rng(seed), 1200
+    force = 9.81 + 0.1 * np.repeat(rng.standard_normal(rows // 20), 20)
+    share = np.array([0.24, 0.26, 0.27, 0.23]) * mass * force[:, None]
+    still = np.zeros((rows, 3))
+    return FlightLog(
+        path=f"hover{seed}.csv",
+        time=np.arange(rows) / 100.0,
+        attitude=np.tile([0.0, 0.0, 0.0, 1.0], (rows, 1)),
+        lin_vel=still + drift,
+        ang_vel=still,
+        specific_force=np.column_stack((still[:, :2], force + 0.05 * rng.standard_normal(rows))),
+        rotor_speed=np.sqrt(share / coefficient) * (1.0 + 0.002 * rng.standard_normal((rows, 4))),
+    )
+
+
+def test_hover_gives_the_thrust_coefficient_by_weight() -> None:
+    """``c_t = m f / sum(w²)``; twice the mass is twice the coefficient, and an unsure mass widens the interval as much."""
+    declared = (0.0, 0.0, 4.4e-8)
+    fit = fit_hover([hover(0), hover(1), hover(2)], mass=0.045, declared=declared)
+    assert fit.thrust_coefficient.value == pytest.approx(4e-8, rel=1e-3)
+    assert fit.scale is not None
+    assert fit.scale.value == pytest.approx(4.0 / 4.4, rel=1e-3)
+    assert fit.models["declared"].error.value == pytest.approx(0.1 * 9.81, rel=0.02)
+    assert fit.models[fit.chosen].error.value < 0.05
+    heavy = fit_hover([hover(0)], mass=0.09)
+    assert heavy.thrust_coefficient.value == pytest.approx(8e-8, rel=1e-3)
+    unsure = fit_hover([hover(0)], mass=0.045, mass_std=0.0045)
+    assert unsure.thrust_coefficient.high - unsure.thrust_coefficient.value == pytest.approx(1.96 * 4e-9, rel=0.02)
+
+
+def test_intervals_of_hover_hold_the_truth_as_often_as_they_say() -> None:
+    """One flight each: windows only; of 60 intervals of 95 % fewer than 53 hold with probability 1 %."""
+    found = [fit_hover([hover(seed)], mass=0.045).thrust_coefficient for seed in range(60)]
+    assert sum(estimate.low < 4e-8 < estimate.high for estimate in found) >= 53
+
+
+def test_without_an_accelerometer_the_weight_over_the_cosine_of_the_tilt_is_taken() -> None:
+    from dataclasses import replace
+
+    log = hover(3)
+    tilted = np.tile([np.sin(0.05), 0.0, 0.0, np.cos(0.05)], (log.time.size, 1))
+    fit = fit_hover([replace(log, attitude=tilted, specific_force=None)], mass=0.045)
+    assert fit.force == pytest.approx(9.80665 / np.cos(0.1), rel=1e-3)
+    assert "no accelerometer" in fit.notes[0]
+
+
+def test_a_flight_that_does_not_hover_is_refused_by_name() -> None:
+    with pytest.raises(DataError, match=r"hover4.csv: hovers for 0 windows"):
+        fit_hover([hover(4, drift=1.0)], mass=0.045)
+    assert fit_hover([hover(4, drift=1.0), hover(5)], mass=0.045).notes[0].startswith("left out: hover4.csv")
+    with pytest.raises(ConfigError, match=r"mass = -1"):
+        fit_hover([hover(5)], mass=-1.0)
+
+
+def test_the_command_writes_a_robot_that_loads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    static, steps, out = tmp_path / "static.csv", tmp_path / "steps.csv", tmp_path / "out"
+    static_table(np.random.default_rng(7), 0.01).to_csv(static, index=False)
+    step_table({"tau_up": 0.03, "tau_down": 0.06}, noise=4.0).to_csv(steps, index=False)
+    assert main(["identify", "motor", str(static), str(steps), "--robot", "tinyprop", "--out", str(out), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["steps"]["chosen"] == "up and down"
+    assert found["steps"]["after"]["held_out"]["rms"] < found["steps"]["before"]["held_out"]["rms"]
+    robot = load(RobotCfg, out / "robot.yaml")
+    assert robot.rotor.thrust_map[2] == pytest.approx(MAP[2], rel=0.1)
+    assert robot.rotor.torque_ratio == pytest.approx(RATIO, rel=0.02)
+    assert robot.rotor.time_constant_down == pytest.approx(0.06, rel=0.05)
+    text = (out / "report.md").read_text()
+    assert "up and down (chosen) (in robot file)" in text
+    for name in ("thrust.png", "torque.png", "steps_1.png", "result.json"):
+        assert (out / name).stat().st_size > 500
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        (("motor", "no.csv"), "no.csv: no such file"),
+        (("motor", "no.csv", "--units", "spede", "rpm"), "no quantity 'spede'. Known: speed, thrust"),
+        (("motor", "no.csv", "--num-motors", "0"), "num_motors = 0: must be at least 1"),
+        (("hover", "no.csv"), "identify hover needs a mass: give --robot or --mass-kg"),
+        (("hover", "no.csv", "--mass-kg", "1"), "no.csv: no such file"),
+        (("joint", "no.csv"), "no.csv: no such file"),
+    ],
+)
+def test_wrong_requests_are_one_sentence(
+    argv: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["identify", *argv]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_signed_table_gives_a_reversible_rotor(tmp_path: Path) -> None:
+    """T = 1e-6 w² forwards and -(0.6e-6 w² + 1e-4 w) backwards, torque 0.012 and 0.02 m times the thrust."""
+    speed = np.concatenate((np.linspace(200.0, 2000.0, 14), -np.linspace(200.0, 1800.0, 14)))
+    rng = np.random.default_rng(8)
+    thrust = np.where(speed > 0.0, 1e-6 * speed**2, -(0.6e-6 * speed**2 - 1e-4 * speed))
+    torque = np.where(speed > 0.0, 0.012, 0.02) * thrust
+    noise = 1.0 + 0.002 * rng.standard_normal((2, speed.size))
+    table = pd.DataFrame({"omega": speed, "thrust_N": thrust * noise[0], "torque_Nm": torque * noise[1]})
+    fits, _ = fit_static(bench(table, tmp_path))
+    changes = rotor_changes(fits, None)
+    assert changes["thrust_map"] == pytest.approx((0.0, 0.0, 1e-6), rel=0.01)
+    assert changes["reverse_thrust_map"] == pytest.approx((0.0, 1e-4, 0.6e-6), rel=0.05)
+    torques = np.polyval(np.array(changes["reverse_torque_map"])[::-1], 1500.0)
+    assert torques == pytest.approx(0.02 * (0.6e-6 * 1500.0**2 + 0.15), rel=0.01)
+    rotor = RotorCfg(time_constant_up=0.03, time_constant_down=0.03, source="test", **changes)  # type: ignore[arg-type]
+    assert rotor.reversible
+    assert rotor.speed_at(-1.0) == pytest.approx(-1210.0, rel=0.01)
+
+
+def test_steps_give_slew_rates_that_a_robot_file_holds(tmp_path: Path) -> None:
+    """Falling is limited, rising is not: the rotor has a slew rate down, and none up."""
+    params = {"tau": 0.03, "slew_down": 2e4}
+    fit = fit_steps([step_record(bench(step_table(params, noise=4.0), tmp_path))])
+    assert fit.in_robot == fit.chosen
+    changes = rotor_changes([], fit)
+    assert changes["slew_rate"] is None
+    assert changes["slew_rate_down"] == pytest.approx(2e4, rel=0.05)
+    assert changes["time_constant_up"] == changes["time_constant_down"] == pytest.approx(0.03, rel=0.05)
