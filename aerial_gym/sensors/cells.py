@@ -12,19 +12,37 @@ from torch import Tensor
 from aerial_gym.errors import ShapeError
 from aerial_gym.interop import launch_side_by_side, on_torch_stream, split, start_warp
 
-BLOCK_DIM = 64
-"""Threads that share a cell on a GPU: two rows of pixels at a time."""
+BLOCK_DIM = 256
+"""Threads of a block on a GPU: eight cells, of which neighbours read the same sectors of memory."""
 
-COLUMNS = wp.constant(32)
-"""Neighbouring pixels that are read at once."""
+LANES = 32
+"""Threads that share a cell on a GPU, a warp: neighbouring ones read neighbouring pixels."""
+
+ROWS = 6
+"""Rows of pixels that a thread on a GPU asks for before it waits for the first of them."""
 
 MIN_PIXELS_PER_THREAD = 100_000
 """Pixels below which another CPU thread costs more than it saves (a hand-over takes some 50 µs)."""
 
 
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    for (int offset = 16; offset > 0; offset /= 2) value = min(value, __shfl_xor_sync(0xffffffff, value, offset));
+#endif
+    return value;
+""")
+def least_of_warp(value: float) -> float:
+    """Return the least value among the lanes of a warp; on a CPU the value."""
+
+
 @cache
-def make_pool(*, shared: bool) -> wp.Kernel:
-    """Return the kernel; ``shared``: a block of threads takes a cell, rather than one thread (only on a GPU)."""
+def make_pool(*, lanes: int, rows: int) -> wp.Kernel:
+    """Return the kernel.
+
+    Args:
+        lanes: Threads that share a cell: a warp of a GPU (``LANES``), or 1.
+        rows: Rows of pixels that a thread reads at once.
+    """
 
     @wp.kernel(module="unique", enable_backward=False)
     def pool(
@@ -34,27 +52,24 @@ def make_pool(*, shared: bool) -> wp.Kernel:
         width: int,
         largest: float,  # what counts as 1, in the unit of the image
         empty: float,  # written where no pixel holds a distance
-        first: int,  # environment of the first block
+        first: int,  # environment of the first thread
         # out
         nearest_out: wp.array3d[float],  # (E, R, C)
     ):
         """Write the smallest distance of each cell as a share of the largest."""
-        block, row, column, lane = wp.tid()
-        env = block + first
-        columns = wp.min(COLUMNS, wp.block_dim())
+        thread, row, column, lane = wp.tid()
+        env = thread + first
         bottom = wp.min(image.shape[1], (row + 1) * height)
         right = wp.min(image.shape[2], (column + 1) * width)
         nearest = float(wp.inf)
-        for y in range(row * height + lane / columns, bottom, wp.block_dim() / columns):
-            for x in range(column * width + lane % columns, right, columns):
-                distance = image[env, y, x]
-                if distance >= 0.0:
-                    nearest = wp.min(nearest, distance)
-        least = nearest
-        if wp.static(shared):
-            least = wp.tile_min(wp.tile(nearest))[0]
+        for top in range(row * height, bottom, wp.static(rows)):
+            for x in range(column * width + lane, right, wp.static(lanes)):
+                for k in range(wp.static(rows)):  # beyond the cell its last row again: nothing to decide before reading
+                    distance = image[env, wp.min(top + k, bottom - 1), x]
+                    nearest = wp.min(nearest, wp.where(distance >= 0.0, distance, wp.inf))
+        nearest = least_of_warp(nearest)
         if lane == 0:
-            nearest_out[env, row, column] = wp.where(least < wp.inf, least / largest, empty)
+            nearest_out[env, row, column] = wp.where(nearest < wp.inf, nearest / largest, empty)
 
     return pool
 
@@ -80,17 +95,17 @@ class NearestInCells:
         (rows, columns), (height, width) = cells, image.shape[2:]
         self.nearest = torch.full((image.shape[0], rows * columns), empty, device=image.device)
         """As a share of the largest, (E, R C), row by row from the upper left cell."""
-        shared = image.device.type == "cuda"
+        lanes, together = (LANES, ROWS) if image.device.type == "cuda" else (1, 1)
         arrays = wp.from_torch(image[:, 0]), wp.from_torch(self.nearest.view(-1, rows, columns))
         size = -(-height // rows), -(-width // columns)
         self._kept_alive = (image, arrays)
         self._launches = [
-            wp.launch_tiled(
-                make_pool(shared=shared),
-                dim=[count, rows, columns],
+            wp.launch(
+                make_pool(lanes=lanes, rows=together),
+                dim=(count, rows, columns, lanes),
                 inputs=[arrays[0], *size, largest, empty, first],
                 outputs=[arrays[1]],
-                block_dim=BLOCK_DIM if shared else 1,
+                block_dim=BLOCK_DIM,
                 device=wp.device_from_torch(image.device),
                 record_cmd=True,
             )

@@ -20,7 +20,7 @@ from aerial_gym.physics import EFFECTS, Ground, WarpBackend, build_model, vehicl
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.robots import ROBOTS, derived, initial_state
 from aerial_gym.sensors import flow, imu, places, view
-from aerial_gym.sensors.cells import make_pool
+from aerial_gym.sensors.cells import LANES, ROWS, make_pool
 from aerial_gym.sensors.pixels import Outputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
 from aerial_gym.task.draws import goals, noise
@@ -128,7 +128,7 @@ def test_the_collision_kernel_compiles(moves: bool, cores: bool, tmp_path: Path)
 
 
 def test_the_kernel_of_image_cells_compiles(tmp_path: Path) -> None:
-    compile_for_gpu(make_pool(shared=True).module, tmp_path)
+    compile_for_gpu(make_pool(lanes=LANES, rows=ROWS).module, tmp_path)
 
 
 @pytest.mark.parametrize("module", [derived, initial_state, imu, goals, noise, places, placement, view, flow])
