@@ -11,8 +11,8 @@ from torch import Tensor
 from aerial_gym.benchmarks.measure import spread
 from aerial_gym.benchmarks.merged import DISTINCT, MergedMeshes
 from aerial_gym.benchmarks.output import readable
-from aerial_gym.benchmarks.peers.catalog import RENDER_PEERS, interpreters
-from aerial_gym.benchmarks.peers.runs import (
+from aerial_gym.benchmarks.renderers.catalog import RENDER_PEERS, interpreters
+from aerial_gym.benchmarks.renderers.runs import (
     MOST_THAT_DIFFER,
     run_peer,
     scene_arrays,

@@ -11,9 +11,9 @@ import torch
 
 from aerial_gym.benchmarks.beside import names_of
 from aerial_gym.benchmarks.measure import WorkloadError
-from aerial_gym.benchmarks.peers import runs
-from aerial_gym.benchmarks.peers.catalog import RENDER_PEERS, interpreters
-from aerial_gym.benchmarks.peers.runs import run_peer, scene_arrays, share_that_differs, why_missing
+from aerial_gym.benchmarks.renderers import runs
+from aerial_gym.benchmarks.renderers.catalog import RENDER_PEERS, interpreters
+from aerial_gym.benchmarks.renderers.runs import run_peer, scene_arrays, share_that_differs, why_missing
 from aerial_gym.benchmarks.scenes import RenderScene, make_scene
 from aerial_gym.cli.main import main
 from aerial_gym.config.environment import ShapeCfg

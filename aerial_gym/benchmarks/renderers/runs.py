@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from aerial_gym.benchmarks.measure import WorkloadError
-from aerial_gym.benchmarks.peers.catalog import RENDER_PEERS
-from aerial_gym.benchmarks.peers.process import RunFailedError, run
+from aerial_gym.benchmarks.process import RunFailedError, run
+from aerial_gym.benchmarks.renderers.catalog import RENDER_PEERS
 from aerial_gym.benchmarks.scenes import RenderScene
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate
