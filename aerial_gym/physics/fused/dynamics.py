@@ -13,6 +13,7 @@ from aerial_gym.physics.fused.functions import (
     attitude_rate,
     rotate,
     rotate_inverse,
+    rotation_matrix,
     small_turn,
 )
 from aerial_gym.physics.fused.packing import pickers, values_type
@@ -198,7 +199,7 @@ def _make_hang(model: Model) -> wp.Function | None:
     ):
         lever = -vehicle.com
         cross = wp.skew(lever)
-        rotation = wp.quat_to_matrix(attitude)
+        rotation = rotation_matrix(attitude)
         mobility = vehicle.mass_inverse * wp.identity(n=3, dtype=float) - cross * vehicle.inertia_inverse * cross
         at = Suspension()
         at.acceleration = acc + rotate(attitude, wp.cross(ang_acc, lever) + wp.cross(ang_vel, wp.cross(ang_vel, lever)))
@@ -237,7 +238,7 @@ def make_stepper(model: Model, integrator: str) -> wp.Function:
     follow = make_follow(num_rotors, general)
     if integrator == "euler":
         return _make_euler(*parts, follow)
-    return _make_rk4(*parts, follow, make_spin_up(num_rotors, general))
+    return _make_rk4(*parts, follow, make_follow(num_rotors, general, stages=2), make_spin_up(num_rotors, general))
 
 
 def _make_euler(
@@ -279,6 +280,7 @@ def _make_rk4(
     params_type: Any,
     accelerations: wp.Function,
     any_load: bool,
+    follow_half: wp.Function,
     follow: wp.Function,
     spin_up: wp.Function,
 ) -> wp.Function:
@@ -297,8 +299,8 @@ def _make_rk4(
         dt: float,
     ):
         half = 0.5 * dt
-        middle = follow(vehicle, rotor_speed, command, half)
-        end = follow(vehicle, middle, command, half)
+        middle = follow_half(vehicle, rotor_speed, command, half)
+        end = follow(vehicle, rotor_speed, command, dt)
         n1 = spin_up(vehicle, rotor_speed, command, rotor_speed, dt)
         n2 = spin_up(vehicle, middle, command, rotor_speed, dt)
         n4 = spin_up(vehicle, end, command, rotor_speed, dt)

@@ -27,6 +27,14 @@ def rotate_inverse(q: wp.quat, v: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def rotation_matrix(q: wp.quat) -> wp.mat33:
+    """Return R(q), body to world: ``rotate`` as a matrix (``wp.quat_to_matrix`` differs from it where q is not unit)."""
+    return wp.matrix_from_cols(
+        rotate(q, wp.vec3(1.0, 0.0, 0.0)), rotate(q, wp.vec3(0.0, 1.0, 0.0)), rotate(q, wp.vec3(0.0, 0.0, 1.0))
+    )
+
+
+@wp.func
 def small_turn(rotation: wp.vec3) -> wp.quat:
     """Return the quaternion of a rotation vector [rad], ``(sin(x/2)/x r, cos(x/2))``.
 

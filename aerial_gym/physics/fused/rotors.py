@@ -52,8 +52,12 @@ def make_maps(vehicle: Any) -> tuple[wp.Function, wp.Function]:
 
 
 @cache
-def make_follow(num_rotors: int, general: bool) -> wp.Function:
-    """Return a function to the states after a stage of the stepper, (vehicle, states, commands, span [s]) -> states."""
+def make_follow(num_rotors: int, general: bool, *, stages: int = 1) -> wp.Function:
+    """Return a function to the states after one or two stages of a stepper, (vehicle, states, commands, span [s]) -> states.
+
+    Two stages at once are rounded once: a state near its command stands still where what is left of the way in a stage is less
+    than half a unit in its last place, so that stages one by one end twice as far from the command.
+    """
     types, limited_lag = rotor_types(num_rotors, general), make_limited_lag(wp.float32)
     vehicle_type, vector = types.vehicle, types.vector
 
@@ -61,7 +65,12 @@ def make_follow(num_rotors: int, general: bool) -> wp.Function:
     def follow(vehicle: vehicle_type, speed: vector, command: vector, span: float) -> vector:
         after = vector()
         for i in range(wp.static(num_rotors)):
-            after[i] = lag_speed(speed[i], command[i], vehicle.decay_up[i], vehicle.decay_down[i])
+            up = vehicle.decay_up[i]
+            down = vehicle.decay_down[i]
+            if wp.static(stages == 2):
+                up = up * up
+                down = down * down
+            after[i] = lag_speed(speed[i], command[i], up, down)
         return after
 
     @wp.func
