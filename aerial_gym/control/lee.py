@@ -12,7 +12,7 @@ from math import tan
 import torch
 from torch import Tensor
 
-from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_to_matrix, quat_yaw
+from aerial_gym.math.quaternion import quat_from_yaw, quat_rotate, quat_to_matrix, yaw_from_quat
 from aerial_gym.physics.state import BodyState
 
 
@@ -55,15 +55,13 @@ def attitude_error(rotation: Tensor, desired: Tensor) -> Tensor:
     return torch.stack((skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]), dim=-1)
 
 
-def body_rates_of_yaw_rate(euler: Tensor, yaw_rate: Tensor) -> Tensor:
-    """Return the body rates [rad/s], (E, 3), of a yaw rate (E,) with roll and pitch held.
+def body_rates_of_yaw_rate(rotation: Tensor, yaw_rate: Tensor) -> Tensor:
+    """Return the body rates [rad/s], (E, 3), of a yaw rate (E,) with roll and pitch held: ``psi' R^T e_z``.
 
-    Source: Diebel (2006), Representing Attitude, eq. 287: ``w = psi' (-sin th, sin ph cos th, cos ph cos th)``.
+    Source: Diebel (2006), Representing Attitude, eq. 287: ``w = psi' (-sin th, sin ph cos th, cos ph cos th)``, which is the
+    last row of R (E, 3, 3).
     """
-    roll, pitch = euler[:, 0], euler[:, 1]
-    return yaw_rate.unsqueeze(-1) * torch.stack(
-        (-torch.sin(pitch), torch.sin(roll) * torch.cos(pitch), torch.cos(roll) * torch.cos(pitch)), dim=-1
-    )
+    return yaw_rate.unsqueeze(-1) * rotation[:, 2]
 
 
 def attitude_from_force(force: Tensor, yaw: Tensor) -> Tensor:
@@ -108,14 +106,16 @@ def limit_inclination(force: Tensor, minimum: Tensor, max_inclination: float) ->
     return torch.cat((lateral * shrink.unsqueeze(-1), up.unsqueeze(-1)), dim=-1)
 
 
-def acceleration_wrench(state: BodyState, acceleration: Tensor, yaw: Tensor, rate: Tensor, gains: LeeGains) -> Tensor:
+def acceleration_wrench(
+    state: BodyState, acceleration: Tensor, yaw: Tensor, yaw_rate: Tensor | None, gains: LeeGains
+) -> Tensor:
     """Return the wrench (E, 6), body, that gives an acceleration: ``F = m (a - g)``, thrust ``F . b3``, attitude along F.
 
     Args:
         state: Measured motion.
         acceleration: Wanted acceleration [m/s²], world, (E, 3).
         yaw: Wanted heading [rad], (E,).
-        rate: Wanted body rates [rad/s], (E, 3).
+        yaw_rate: Rate at which the heading turns [rad/s], (E,); None if it does not.
         gains: Gains and declared vehicle.
     """
     weight = gains.mass * gains.gravity
@@ -124,8 +124,14 @@ def acceleration_wrench(state: BodyState, acceleration: Tensor, yaw: Tensor, rat
     force = limit_inclination(force, 0.1 * weight, gains.max_inclination)
     rotation = quat_to_matrix(state.attitude)
     thrust = (force * rotation[:, :, 2]).sum(-1)
+    still = torch.zeros_like(state.ang_vel)
+    rate = still if yaw_rate is None else body_rates_of_yaw_rate(rotation, _within(gains.max_yaw_rate, yaw_rate))
     torque = attitude_torque(gains, rotation, attitude_from_force(force, yaw), state.ang_vel, rate)
     return wrench_from(thrust, torque)
+
+
+def _within(largest: float, rate: Tensor) -> Tensor:
+    return rate.clamp(-largest, largest)
 
 
 def wrench_from(thrust: Tensor, torque: Tensor) -> Tensor:
@@ -137,33 +143,27 @@ def wrench_from(thrust: Tensor, torque: Tensor) -> Tensor:
 def position_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
     """Return the wrench for x, y, z [m, world] and yaw [rad], action (E, 4): ``a = K_p e_p + K_v e_v``."""
     acceleration = gains.position * (action[:, :3] - state.position) - gains.velocity * state.lin_vel
-    return acceleration_wrench(state, acceleration, action[:, 3], torch.zeros_like(state.ang_vel), gains)
+    return acceleration_wrench(state, acceleration, action[:, 3], None, gains)
 
 
 def velocity_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
     """Return the wrench for vx, vy, vz [m/s, vehicle frame] and yaw rate [rad/s], action (E, 4)."""
-    wanted = quat_rotate(quat_yaw(state.attitude), action[:, :3])
-    return _with_yaw_rate(state, gains.velocity * (wanted - state.lin_vel), action[:, 3], gains)
+    yaw = yaw_from_quat(state.attitude)
+    wanted = quat_rotate(quat_from_yaw(yaw), action[:, :3])
+    return acceleration_wrench(state, gains.velocity * (wanted - state.lin_vel), yaw, action[:, 3], gains)
 
 
 def acceleration_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
     """Return the wrench for ax, ay, az [m/s², world] and yaw rate [rad/s], action (E, 4)."""
-    return _with_yaw_rate(state, action[:, :3], action[:, 3], gains)
-
-
-def _with_yaw_rate(state: BodyState, acceleration: Tensor, yaw_rate: Tensor, gains: LeeGains) -> Tensor:
-    euler = euler_from_quat(state.attitude)
-    rate = body_rates_of_yaw_rate(euler, yaw_rate.clamp(-gains.max_yaw_rate, gains.max_yaw_rate))
-    return acceleration_wrench(state, acceleration, euler[:, 2], rate, gains)
+    return acceleration_wrench(state, action[:, :3], yaw_from_quat(state.attitude), action[:, 3], gains)
 
 
 def attitude_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
     """Return the wrench for thrust [multiples of weight, 0 is hover], roll, pitch [rad], yaw rate [rad/s], action (E, 4)."""
-    euler = euler_from_quat(state.attitude)
-    yaw_rate = action[:, 3].clamp(-gains.max_yaw_rate, gains.max_yaw_rate)
-    desired = matrix_from_euler(action[:, 1], action[:, 2], euler[:, 2])
-    rate = body_rates_of_yaw_rate(euler, yaw_rate)
-    torque = attitude_torque(gains, quat_to_matrix(state.attitude), desired, state.ang_vel, rate)
+    rotation = quat_to_matrix(state.attitude)
+    desired = matrix_from_euler(action[:, 1], action[:, 2], yaw_from_quat(state.attitude))
+    rate = body_rates_of_yaw_rate(rotation, _within(gains.max_yaw_rate, action[:, 3]))
+    torque = attitude_torque(gains, rotation, desired, state.ang_vel, rate)
     return wrench_from((action[:, 0] + 1.0) * gains.mass * gains.gravity, torque)
 
 

@@ -7,6 +7,8 @@ float dtype. Sources: Diebel (2006), Representing Attitude; Sola (2017), Quatern
 import torch
 from torch import Tensor
 
+from aerial_gym.math.rows import atan2
+
 
 def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
     """Return the Hamilton product ``a b``, (..., 4): first turn by ``b``, then by ``a``. Source: Sola (2017), 1.2.2."""
@@ -81,7 +83,7 @@ def quat_log(q: Tensor) -> Tensor:
     """Return the rotation vector [rad] of the shorter turn, (..., 3). Source: Sola (2017), eq. 105."""
     q = torch.where(q[..., 3:] < 0.0, -q, q)
     sine = q[..., :3].norm(dim=-1, keepdim=True)
-    angle = 2.0 * torch.atan2(sine, q[..., 3:])
+    angle = 2.0 * atan2(sine, q[..., 3:])
     small = sine < 1e-7
     factor = torch.where(small, torch.full_like(sine, 2.0), angle / torch.where(small, torch.ones_like(sine), sine))
     return factor * q[..., :3]
@@ -105,15 +107,24 @@ def quat_from_euler(roll_pitch_yaw: Tensor) -> Tensor:
 def euler_from_quat(q: Tensor) -> Tensor:
     """Return ZYX roll, pitch, yaw [rad], (..., 3), roll and yaw in (-pi, pi]. Source: Diebel (2006), eq. 290."""
     x, y, z, w = q.unbind(-1)
-    roll = torch.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    roll = atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     pitch = torch.asin((2.0 * (w * y - z * x)).clamp(-1.0, 1.0))
-    yaw = torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return torch.stack((roll, pitch, yaw), dim=-1)
+    return torch.stack((roll, pitch, yaw_from_quat(q)), dim=-1)
+
+
+def yaw_from_quat(q: Tensor) -> Tensor:
+    """Return the yaw [rad] of ``euler_from_quat`` alone, (...), in (-pi, pi]."""
+    x, y, z, w = q.unbind(-1)
+    return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def quat_yaw(q: Tensor) -> Tensor:
     """Return the turn about world z alone that has the yaw of ``q``: attitude of the *vehicle* frame, (..., 4)."""
-    x, y, z, w = q.unbind(-1)
-    half = 0.5 * torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return quat_from_yaw(yaw_from_quat(q))
+
+
+def quat_from_yaw(yaw: Tensor) -> Tensor:
+    """Return the turn by ``yaw`` [rad] about world z, (..., 4)."""
+    half = 0.5 * yaw
     zero = torch.zeros_like(half)
     return torch.stack((zero, zero, torch.sin(half), torch.cos(half)), dim=-1)

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from aerial_gym.errors import CapabilityError
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse, quat_to_matrix
+from aerial_gym.math.rows import times
 from aerial_gym.math.short import dot
 from aerial_gym.physics.effects import (
     Condition,
@@ -35,7 +36,7 @@ _FORCES = (WindEffect, RotorEffect, WrenchEffect, LoadEffect)
 def multiply_rows(matrix: Tensor, vector: Tensor) -> Tensor:
     """Return ``A v`` row by row: (E, 3, 3) times (E, 3) gives (E, 3)."""
     if is_shared(matrix):
-        return vector @ matrix[0].T
+        return times(vector, matrix[0].T)
     return dot(matrix, vector.unsqueeze(-2))
 
 

@@ -7,7 +7,12 @@ Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 import torch
 from torch import Tensor
 
+from aerial_gym.math.rows import times
+from aerial_gym.math.short import sum_slices
 from aerial_gym.physics.vehicle import Vehicle, is_shared
+
+SHORTEST_LAG = 1e-12
+"""Time constant [s] that stands for none, so that no time at all leaves the speed of such a rotor too."""
 
 
 def lag_speed(speed: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, dt: float) -> Tensor:
@@ -52,11 +57,11 @@ def held_command(
     Source:
         Derived: ``lag_speed`` twice, solved for one command.
     """
-    up, down = torch.exp(-dt / tau_up), torch.exp(-dt / tau_down)
-    first = (earlier - speed) * (1.0 - torch.where(earlier > speed, up, down) ** share)
+    up, down = (-dt / tau.clamp_min(SHORTEST_LAG) for tau in (tau_up, tau_down))
+    first = (earlier - speed) * (1.0 - torch.exp(torch.where(earlier > speed, up, down) * share))
     middle = speed + first
-    rise = first + (later - middle) * (1.0 - torch.where(later > middle, up, down) ** (1.0 - share))
-    return speed + rise / (1.0 - torch.where(rise > 0.0, up, down))
+    rise = first + (later - middle) * (1.0 - torch.exp(torch.where(later > middle, up, down) * (1.0 - share)))
+    return speed + rise / (1.0 - torch.exp(torch.where(rise > 0.0, up, down)))
 
 
 def lag_acceleration(
@@ -174,14 +179,16 @@ def rotor_wrench(vehicle: Vehicle, thrust: Tensor, torque: Tensor) -> tuple[Tens
         Mahony, Kumar, Corke (2012), Multirotor Aerial Vehicles, eq. 6-8, for arbitrary axes.
     """
     geometry = (vehicle.rotor_position, vehicle.com, vehicle.rotor_axis, vehicle.rotor_spin)
-    if all(is_shared(rows) for rows in geometry):  # worked out once for all environments
-        geometry = tuple(rows[:1] for rows in geometry)
-    position, com, axis, spin = geometry
+    shared = all(is_shared(rows) for rows in geometry)
+    position, com, axis, spin = (rows[:1] for rows in geometry) if shared else geometry
     moment = torch.linalg.cross(position - com.unsqueeze(1), axis, dim=-1)
     reaction = -spin.unsqueeze(-1) * axis
-    return _sum_over_rotors(thrust, axis), _sum_over_rotors(thrust, moment) + _sum_over_rotors(torque, reaction)
-
-
-def _sum_over_rotors(weight: Tensor, rows: Tensor) -> Tensor:
-    """Return ``sum_r weight_r rows_r``, (E, 3), for weights (E, R) and rows (E, R, 3) or (1, R, 3)."""
-    return weight @ rows[0] if rows.shape[0] == 1 else torch.einsum("er,erk->ek", weight, rows)
+    if shared:  # one matrix for all environments
+        of_thrust, of_torque = torch.cat((axis, moment), dim=-1)[0], torch.cat((0.0 * axis, reaction), dim=-1)[0]
+        wrench = times(torch.cat((thrust, torque), dim=-1), torch.cat((of_thrust, of_torque)))
+        return wrench[:, :3], wrench[:, 3:]
+    force, turn, twist = (
+        sum_slices(weight.unsqueeze(-1) * rows, 1)
+        for weight, rows in ((thrust, axis), (thrust, moment), (torque, reaction))
+    )
+    return force, turn + twist

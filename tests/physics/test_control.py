@@ -87,7 +87,8 @@ def test_attitude_from_force_has_its_z_along_the_force_and_x_over_the_heading() 
 
 def test_body_rates_of_a_yaw_rate_turn_the_yaw_and_nothing_else() -> None:
     euler, rate, h = torch.tensor([[0.4, -0.3, 0.2]], dtype=F64), torch.tensor([0.8], dtype=F64), 1e-6
-    turned = quat_multiply(quat_from_euler(euler), quat_exp(h * body_rates_of_yaw_rate(euler, rate)))
+    attitude = quat_from_euler(euler)
+    turned = quat_multiply(attitude, quat_exp(h * body_rates_of_yaw_rate(quat_to_matrix(attitude), rate)))
     change = (euler_from_quat(turned) - euler) / h
     torch.testing.assert_close(change, torch.tensor([[0.0, 0.0, 0.8]], dtype=F64), atol=1e-5, rtol=0)
 

@@ -7,13 +7,14 @@ from tests.unit.env_manager.test_batch_independence import FEW, RANDOMIZE, asser
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.parametrize("backend", ["torch", "warp"])
 @pytest.mark.parametrize(
     ("env", "robot"), [("env_with_obstacles", "base_quadrotor_with_imu"), ("empty_env", "tinyprop")]
 )
-def test_an_environment_is_the_same_among_few_and_8192(env: str, robot: str) -> None:
+def test_an_environment_is_the_same_among_few_and_8192(env: str, robot: str, backend: str) -> None:
     found = []
     for num_envs in (FEW, 8192):
-        built = build(env, robot, num_envs, randomize=RANDOMIZE)
+        built = build(env, robot, num_envs, backend=backend, randomize=RANDOMIZE)
         fly(built)
         found.append(snapshot(built.gtd, slice(FEW)))
     assert_same(*found)

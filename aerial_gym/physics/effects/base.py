@@ -19,6 +19,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate_inverse
+from aerial_gym.math.rows import times
 from aerial_gym.math.short import dot, sum_slices
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
@@ -159,14 +160,14 @@ def _turn(ang_vel: Tensor, lever: Tensor) -> Tensor:
     """Return ``w x l``, (E, R, 3), for w (E, 3) and l (E, R, 3) or (1, R, 3)."""
     if lever.shape[0] != 1:
         return torch.linalg.cross(ang_vel.unsqueeze(1), lever, dim=-1)
-    return (ang_vel @ _unit_turns(lever[0]).transpose(0, 1).reshape(3, -1)).view(-1, lever.shape[1], 3)
+    return times(ang_vel, _unit_turns(lever[0]).transpose(0, 1).reshape(3, -1)).view(-1, lever.shape[1], 3)
 
 
 def sum_of_crosses(vector: Tensor, arm: Tensor) -> Tensor:
     """Return ``sum_r v_r x a_r``, (E, 3), for vectors v (E, R, 3) and arms a (E, R, 3) or (1, R, 3)."""
     if arm.shape[0] != 1:
         return sum_slices(torch.linalg.cross(vector, arm, dim=-1), 1)
-    return vector.flatten(1) @ _unit_turns(arm[0]).reshape(-1, 3)
+    return times(vector.flatten(1), _unit_turns(arm[0]).reshape(-1, 3))
 
 
 def _unit_turns(arm: Tensor) -> Tensor:
@@ -415,9 +416,7 @@ class LinearWrenchEffect(WrenchEffect):
 
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return force and torque (E, 6), body axes: the regressor times the parameters (E, P)."""
-        if is_shared(params):
-            return self.regressor(condition) @ params[0]
-        return torch.einsum("eip,ep->ei", self.regressor(condition), params)
+        return dot(self.regressor(condition), params.unsqueeze(1))
 
 
 class LoadEffect(Effect):

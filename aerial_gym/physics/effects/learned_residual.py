@@ -15,6 +15,7 @@ from torch import Tensor
 
 from aerial_gym.config.learned_residual import NUM_INPUTS, NUM_OUTPUTS, LayerCfg, LearnedResidualCfg
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.math.rows import times
 from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect
 
 
@@ -62,15 +63,15 @@ class LearnedResidual(WrenchEffect):
 
     def distance(self, felt: Tensor) -> Tensor:
         """Return the squared Mahalanobis distance q of inputs (E, 7), (E, 1): above 1 outside the training data."""
-        return (((felt - self._centre) / self._scale) @ self._whitening.T).square().sum(-1, keepdim=True)
+        return times((felt - self._centre) / self._scale, self._whitening.T).square().sum(-1, keepdim=True)
 
     def of(self, felt: Tensor) -> Tensor:
         """Return force [N] and torque [N m], body axes, (E, 6), for inputs (E, 7)."""
         values = (torch.minimum(torch.maximum(felt, self._low), self._high) - self._centre) / self._scale
         for weights, bias in self._hidden:
-            values = torch.tanh(values @ weights.T + bias)
+            values = torch.tanh(times(values, weights.T) + bias)
         weights, bias = self._output
-        values = values @ weights.T + bias
+        values = times(values, weights.T) + bias
         near = ((4.0 - self.distance(felt)) / 3.0).clamp(0.0, 1.0)
         return near * near * (3.0 - 2.0 * near) * torch.minimum(torch.maximum(values, -self._limit), self._limit)
 

@@ -40,7 +40,8 @@ class WindShear(WindEffect):
         x, y, z_ref, exponent = params.unbind(-1)
         height = position[:, 2]
         above = height > 0.0
-        gain = torch.where(above, (torch.where(above, height, z_ref) / z_ref) ** exponent, 0.0)
+        relative = torch.where(above, height, z_ref) / z_ref
+        gain = torch.where(above, torch.exp(exponent * torch.log(relative)), 0.0)
         return torch.stack((gain * x, gain * y, torch.zeros_like(gain)), dim=-1)
 
     def warp_wind(self) -> wp.Function:

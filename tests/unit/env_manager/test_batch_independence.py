@@ -103,14 +103,15 @@ def test_a_randomised_robot_in_gusts_is_the_same_among_few_many_and_alone() -> N
     assert_same(found[2], {key: value[3:] for key, value in found[1].items()})
 
 
-def test_the_torch_backend_flies_batches_of_whole_vectors_the_same() -> None:
-    """On a CPU torch works on 16 numbers at a time; in batches of a multiple of 64 no environment is left over."""
-    found = []
-    for num_envs in (64, 192):
-        built = build("empty_env", "tinyprop", num_envs, backend="torch", randomize=RANDOMIZE)
-        fly(built)
-        found.append(snapshot(built.gtd, slice(64)))
-    assert_same(*found)
+@pytest.mark.parametrize(("env", "robot"), [("empty_env", "tinyprop"), ("landing_env", "base_quadrotor_on_skids")])
+def test_the_torch_backend_flies_an_environment_the_same_among_any_number(env: str, robot: str) -> None:
+    """Neither what is left over from whole vectors of the processor nor the first environment's place matters."""
+    many = build(env, robot, 130, backend="torch", randomize=RANDOMIZE)
+    fly(many)
+    for num_envs, first in ((1, 0), (1, 129), (3, 7), (4, 0), (65, 1)):
+        built = build(env, robot, num_envs, backend="torch", randomize=RANDOMIZE, first_env=first)
+        fly(built, first)
+        assert_same(snapshot(built.gtd, slice(None)), snapshot(many.gtd, slice(first, first + num_envs)))
 
 
 def test_an_environment_can_be_flown_alone_from_its_numbers() -> None:

@@ -1,0 +1,87 @@
+"""Row i of a batch of the torch backend is bit for bit what it is in every other batch, float32 and float64, on any thread."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+import torch
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.math.random import Randomness
+from aerial_gym.physics import EFFECTS, BodyState, TorchBackend
+from aerial_gym.physics.effects import LearnedResidual
+from aerial_gym.robots import ROBOTS
+from tests.cross.test_backends import DT, actions_for, build, scale_by_env, start_of
+from tests.physics.vehicles import lopsided_robot, random_network
+
+COUNTS = (1, 3, 4, 5, 63, 65, 130)
+MANY = 2048
+
+
+@pytest.fixture(params=[1, 3])
+def threads(request: pytest.FixtureRequest) -> Iterator[int]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(request.param)
+    yield request.param
+    torch.set_num_threads(before)
+
+
+def assert_rows_alike(
+    robot: RobotCfg,
+    controller: str,
+    dtype: torch.dtype,
+    *,
+    effects=(),
+    network=None,
+    adjust=None,
+    first: int = 0,
+    many: int = MANY,
+) -> None:
+    """Fly the rows from ``first`` on as batches of every size in ``COUNTS``, and as part of ``many``."""
+    cfg, ends = CONTROLLERS.get(controller), {}
+    whole, law = build(robot, cfg, many, dtype, effects, adjust)
+    start, actions = start_of(whole, many), 2.0 * actions_for(law, whole, many)
+    for count in (many, *COUNTS):
+        rows = slice(None) if count == many else slice(first, first + count)
+        model, law = build(robot, cfg, count, dtype, effects)
+        if network is not None:
+            learned = LearnedResidual(network, dtype=dtype), torch.full((count, 1), 0.7, dtype=dtype)
+            model = replace(model, effects=type(model.effects)([*model.effects, learned]))
+        if adjust is not None:
+            own = {name: kept[rows].clone() for name, kept in whole.vehicle.rows().items()}
+            inverse = whole.inertia_inverse[rows].clone()
+            model = replace(model, vehicle=replace(whole.vehicle, **own), inertia_inverse=inverse)
+        backend = TorchBackend()
+        numbers = Randomness(count, first_env=rows.start or 0)
+        numbers.begin(torch.ones(count, dtype=torch.bool))
+        backend.allocate(model, law, integrator="rk4" if effects else "euler", random=numbers)
+        state = BodyState(**{name: kept[rows].to(dtype, copy=True) for name, kept in vars(start).items()})
+        for _ in range(2):
+            backend.step(state, actions[rows].to(dtype), DT, 2)
+        ends[count] = state
+    for count in COUNTS:
+        for name, found in vars(ends[count]).items():
+            expected = getattr(ends[many], name)[first : first + count]
+            assert found.isfinite().all()
+            assert torch.equal(found, expected), f"{name} among {count}"
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS.names())
+def test_under_every_controller(controller: str) -> None:
+    assert_rows_alike(lopsided_robot(), controller, torch.float32)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_with_all_effects_at_once_on_any_number_of_threads(threads: int, dtype: torch.dtype) -> None:
+    assert_rows_alike(lopsided_robot(), "lee_velocity_control", dtype, effects=EFFECTS.names(), first=8001, many=8192)
+
+
+def test_with_a_learned_residual() -> None:
+    for dtype in (torch.float32, torch.float64):
+        assert_rows_alike(ROBOTS.get("tinyprop"), "lee_rates_control", dtype, network=random_network(16, 12))
+
+
+@pytest.mark.parametrize("robot", ["tinyprop", "omnidirectional_octarotor"])
+def test_with_a_vehicle_of_its_own_in_each_environment(robot: str) -> None:
+    assert_rows_alike(ROBOTS.get(robot), "rotor_speed_control", torch.float32, adjust=scale_by_env)
