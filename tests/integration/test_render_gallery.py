@@ -2,6 +2,7 @@
 
 import base64
 import re
+import runpy
 from io import BytesIO
 from pathlib import Path
 
@@ -47,3 +48,15 @@ def test_the_colour_camera_shows_obstacles_of_different_colours(
     assert len(hue) > 20
     assert count.max() < 0.5 * len(colors)
     assert (np.ptp(colors.astype(int), axis=1) > 40).mean() > 0.05
+
+
+def test_the_example_shows_two_equal_cameras_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Colours left, distances right; the level camera above, the tilted one below, which sees the same boxes turned."""
+    out = tmp_path / "two.png"
+    monkeypatch.setattr("sys.argv", ["two_cameras.py", str(out)])
+    runpy.run_path(str(Path(__file__).parents[2] / "examples" / "two_cameras.py"), run_name="__main__")
+    picture = np.asarray(Image.open(out)).astype(int)
+    assert picture.shape == (270, 480, 3)
+    level, tilted = picture[:135, :240], picture[135:, :240]
+    assert (np.abs(level - tilted).max(axis=-1) > 30).mean() > 0.2
+    assert len(np.unique(tilted.reshape(-1, 3) // 32, axis=0)) > 10
