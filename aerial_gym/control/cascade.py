@@ -256,12 +256,13 @@ class CascadeController:
         )
 
     def _fused_gains(self) -> Mapping[str, Tensor]:
-        rows = dict(lee_fused.gain_rows(self.gains))
+        rows = lee_fused.gain_rows(self.gains)
         if self.rate_gains is None:
             return rows
+        of_law = {f"lee.{name}": value for name, value in rows.items()}
         loop = {name: value for name, value in vars(self.rate_gains).items() if isinstance(value, Tensor)}
         smoothing = share_row(self.gains.mass.new_tensor(self.rate_gains.smoothing), self._inertia.shape[0])
-        return rows | loop | {"smoothing": smoothing, "body_inertia": self._inertia}
+        return of_law | loop | {"smoothing": smoothing, "body_inertia": self._inertia}
 
     def reset(self, mask: Tensor, random: Randomness) -> None:
         """Nothing is random; the backend forgets what was remembered."""

@@ -23,17 +23,9 @@ if TYPE_CHECKING:
 
 @wp.struct
 class CascadeGains:
-    """Those of ``lee_fused.Gains``, in their order, and those of the rate loop."""
+    """Those of the law, and those of the rate loop."""
 
-    position: wp.vec3
-    velocity: wp.vec3
-    attitude: wp.vec3
-    rate: wp.vec3
-    mass: float
-    inertia: wp.mat33
-    gravity: float
-    max_yaw_rate: float
-    max_slope: float
+    lee: Gains
     proportional: wp.vec3  # [1/s]
     integral: wp.vec3  # [1/s²]
     integral_limit: wp.vec3  # [rad/s²]
@@ -49,17 +41,7 @@ NUM_LEE_GAINS = 25
 @wp.func
 def lee_gains_of(gains: CascadeGains) -> Gains:
     """Return the gains of the law."""
-    lee = Gains()
-    lee.position = gains.position
-    lee.velocity = gains.velocity
-    lee.attitude = gains.attitude
-    lee.rate = gains.rate
-    lee.mass = gains.mass
-    lee.inertia = gains.inertia
-    lee.gravity = gains.gravity
-    lee.max_yaw_rate = gains.max_yaw_rate
-    lee.max_slope = gains.max_slope
-    return lee
+    return gains.lee
 
 
 @wp.func
@@ -71,18 +53,9 @@ def own_gains(gains: Gains) -> Gains:
 @wp.func
 def load_gains(source: wp.array2d[float], first: int, env: int) -> CascadeGains:
     """Return the gains of one environment from the rows of (N, E)."""
-    lee = load_lee_gains(source, first, env)
     at = first + wp.static(NUM_LEE_GAINS)
     gains = CascadeGains()
-    gains.position = lee.position
-    gains.velocity = lee.velocity
-    gains.attitude = lee.attitude
-    gains.rate = lee.rate
-    gains.mass = lee.mass
-    gains.inertia = lee.inertia
-    gains.gravity = lee.gravity
-    gains.max_yaw_rate = lee.max_yaw_rate
-    gains.max_slope = lee.max_slope
+    gains.lee = load_lee_gains(source, first, env)
     gains.proportional = read_vec3(source, at, env)
     gains.integral = read_vec3(source, at + 3, env)
     gains.integral_limit = read_vec3(source, at + 6, env)

@@ -76,4 +76,4 @@ class FusedLaw:
     """``wp.func`` (packed: wp.array2d[float], first: int, env: int) -> gains, from rows ``first``... of (N, E)."""
 
     gains: Mapping[str, Tensor] = field(default_factory=dict)
-    """A tensor (E, ...) for each field of ``gains_type``, in its order."""
+    """A tensor (E, ...) for each field of ``gains_type``, in its order; ``a.b`` is the field b of the struct a in it."""

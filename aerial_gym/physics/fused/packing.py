@@ -9,7 +9,7 @@ Letters: E environments, R rotors, N packed numbers, P parameters and M remember
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, reduce
 from typing import Any
 
 import torch
@@ -192,9 +192,10 @@ def _struct(struct_type: Any, fields: list[Field], packed: Mapping[str, int]) ->
     struct = struct_type()
     for field in fields:
         if field.name not in packed:
-            value = getattr(struct, field.name)
-            numbers = field.row()
-            setattr(struct, field.name, numbers[0] if isinstance(value, (int, float)) else type(value)(*numbers))
+            *outer, name = field.name.split(".")
+            part = reduce(getattr, outer, struct)
+            value, numbers = getattr(part, name), field.row()
+            setattr(part, name, numbers[0] if isinstance(value, (int, float)) else type(value)(*numbers))
     return struct
 
 
