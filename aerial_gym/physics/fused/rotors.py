@@ -62,33 +62,28 @@ def make_follow(num_rotors: int, general: bool, *, stages: int = 1) -> wp.Functi
     vehicle_type, vector = types.vehicle, types.vector
 
     @wp.func
-    def follow(vehicle: vehicle_type, speed: vector, command: vector, span: float) -> vector:
-        after = vector()
-        for i in range(wp.static(num_rotors)):
-            up = vehicle.decay_up[i]
-            down = vehicle.decay_down[i]
-            if wp.static(stages == 2):
-                up = up * up
-                down = down * down
-            after[i] = lag_speed(speed[i], command[i], up, down)
-        return after
+    def plain(plant: vehicle_type, i: int, n: float, command: float, span: float) -> float:
+        up = plant.decay_up[i]
+        down = plant.decay_down[i]
+        if wp.static(stages == 2):
+            up = up * up
+            down = down * down
+        return lag_speed(n, command, up, down)
 
     @wp.func
-    def follow_limited(vehicle: vehicle_type, state: vector, command: vector, span: float) -> vector:
+    def limited(plant: vehicle_type, i: int, n: float, command: float, span: float) -> float:
+        return limited_lag(n, command, plant.tau_up[i], plant.tau_down[i], plant.slew_up[i], plant.slew_down[i], span)
+
+    one = limited if general else plain
+
+    @wp.func
+    def follow(vehicle: vehicle_type, state: vector, command: vector, span: float) -> vector:
         after = vector()
         for i in range(wp.static(num_rotors)):
-            after[i] = limited_lag(
-                state[i],
-                command[i],
-                vehicle.tau_up[i],
-                vehicle.tau_down[i],
-                vehicle.slew_up[i],
-                vehicle.slew_down[i],
-                span,
-            )
+            after[i] = one(vehicle, i, state[i], command[i], span)
         return after
 
-    return follow_limited if general else follow
+    return follow
 
 
 @cache
@@ -98,29 +93,23 @@ def make_spin_up(num_rotors: int, general: bool) -> wp.Function:
     vehicle_type, vector = types.vehicle, types.vector
 
     @wp.func
-    def spin_up(vehicle: vehicle_type, speed: vector, command: vector, first: vector, dt: float) -> vector:
-        rate = vector()
-        for i in range(wp.static(num_rotors)):
-            rate[i] = lag_acceleration(
-                speed[i], command[i], vehicle.decay_up[i], vehicle.decay_down[i], command[i] - first[i], dt
-            )
-        return rate
+    def plain(plant: vehicle_type, i: int, n: float, command: float, jump: float, dt: float) -> float:
+        return lag_acceleration(n, command, plant.decay_up[i], plant.decay_down[i], jump, dt)
 
     @wp.func
-    def spin_up_limited(vehicle: vehicle_type, state: vector, command: vector, first: vector, dt: float) -> vector:
+    def limited(plant: vehicle_type, i: int, n: float, command: float, jump: float, dt: float) -> float:
+        return limited_rate(n, command, plant.tau_up[i], plant.tau_down[i], plant.slew_up[i], plant.slew_down[i])
+
+    one = limited if general else plain
+
+    @wp.func
+    def spin_up(vehicle: vehicle_type, state: vector, command: vector, first: vector, dt: float) -> vector:
         rate = vector()
         for i in range(wp.static(num_rotors)):
-            rate[i] = limited_rate(
-                state[i],
-                command[i],
-                vehicle.tau_up[i],
-                vehicle.tau_down[i],
-                vehicle.slew_up[i],
-                vehicle.slew_down[i],
-            )
+            rate[i] = one(vehicle, i, state[i], command[i], command[i] - first[i], dt)
         return rate
 
-    return spin_up_limited if general else spin_up
+    return spin_up
 
 
 @cache
