@@ -46,7 +46,7 @@ from aerial_gym.physics.fused.contact import (
     rows_of,
 )
 from aerial_gym.physics.fused.functions import rotate
-from aerial_gym.physics.fused.hook import FusedHook
+from aerial_gym.physics.fused.hook import FusedHook, Substep
 from aerial_gym.physics.fused.types import vector_of
 from aerial_gym.physics.integrators import MassState
 
@@ -244,41 +244,29 @@ def _make_meet(cores: bool) -> wp.Function:
     """Return the hook among obstacles at rest, for robots with boxes and capsules or without."""
 
     @wp.func
-    def meet(
-        around: SceneSurroundings,
-        env: int,
-        k: int,  # noqa: ARG001 (all hooks have the same arguments)
-        dt: float,
-        mass: float,
-        inertia: wp.mat33,
-        com: wp.vec3,
-        v0: wp.vec3,
-        w0: wp.vec3,
-        x: wp.vec3,
-        q: wp.quat,
-        v: wp.vec3,
-        w: wp.vec3,
-    ):
-        """Return the motion of a robot after the push of what it overlaps; as it came, bit for bit, where that is nothing.
-
-        Arguments as in ``FusedHook.function``.
-        """
-        pairs = _find_pairs(around.scene, around.motion, around.sphere, com, env, x, q)
+    def meet(around: SceneSurroundings, env: int, k: int, done: Substep):  # noqa: ARG001 (all hooks have the same)
+        """Return the motion of a robot after the push of what it overlaps; as it came, bit for bit, where that is nothing."""
+        x = done.position
+        q = done.attitude
+        v = done.lin_vel
+        w = done.ang_vel
+        pairs = _find_pairs(around.scene, around.motion, around.sphere, done.com, env, x, q)
         if wp.static(cores):
-            pairs = _add_cores(pairs, around.scene, around.motion, around.body, com, env, x, q)
+            pairs = _add_cores(pairs, around.scene, around.motion, around.body, done.com, env, x, q)
         if wp.min(pairs.gaps) >= 0.0:
             return x, q, v, w
-        turn = rotate(q, w0)
+        turn = rotate(q, done.first_ang_vel)
         for i in range(MAX_CONTACTS):
-            approach = wp.dot(pairs.normals[i], pairs.surface_vels[i] - point_velocity(v0, turn, pairs.levers[i]))
+            surface_vel = pairs.surface_vels[i]
+            approach = wp.dot(pairs.normals[i], surface_vel - point_velocity(done.first_lin_vel, turn, pairs.levers[i]))
             if pairs.gaps[i] < 0.0 and approach >= around.law.least_approach:
                 around.crashes[env] = True
         delta, delta_turn = _velocity_change(
-            around.law, dt, mass, inertia, q, v, rotate(q, w),
+            around.law, done.dt, done.mass, done.inertia, q, v, rotate(q, w),
             pairs.gaps, pairs.levers, pairs.normals, pairs.surface_vels,
         )  # fmt: skip
-        around.impulse[env] = around.impulse[env] + mass * delta
-        pushed_x, pushed_q, pushed_v, pushed_w = displaced(around.law, dt, x, q, v, w, delta, delta_turn)
+        around.impulse[env] = around.impulse[env] + done.mass * delta
+        pushed_x, pushed_q, pushed_v, pushed_w = displaced(around.law, done.dt, x, q, v, w, delta, delta_turn)
         return pushed_x, pushed_q, pushed_v, pushed_w
 
     return meet
@@ -290,25 +278,11 @@ def _make_move_and_meet(cores: bool) -> wp.Function:
     meet = _make_meet(cores)
 
     @wp.func
-    def move_and_meet(
-        data: MovingSurroundings,
-        env: int,
-        k: int,
-        dt: float,
-        mass: float,
-        inertia: wp.mat33,
-        com: wp.vec3,
-        v0: wp.vec3,
-        w0: wp.vec3,
-        x: wp.vec3,
-        q: wp.quat,
-        v: wp.vec3,
-        w: wp.vec3,
-    ):
+    def move_and_meet(data: MovingSurroundings, env: int, k: int, done: Substep):
         """Do the same when the obstacles of the environment have moved by a substep."""
         for a in range(data.obstacles.asset.shape[1]):
-            move_instance(data.obstacles, env, a, dt, 1)
-        next_x, next_q, next_v, next_w = meet(data.around, env, k, dt, mass, inertia, com, v0, w0, x, q, v, w)
+            move_instance(data.obstacles, env, a, done.dt, 1)
+        next_x, next_q, next_v, next_w = meet(data.around, env, k, done)
         return next_x, next_q, next_v, next_w
 
     return move_and_meet
@@ -346,12 +320,19 @@ def _make_push(*, moves: bool, cores: bool) -> wp.Kernel:
         q = attitude_out[env]
         w = ang_vel_out[env]
         c = com[env]
-        x = position_out[env] + rotate(q, c)
-        v = lin_vel_out[env] + rotate(q, wp.cross(w, c))
-        next_x, next_q, next_v, next_w = meet(
-            data, env, 0, dt, mass[env], inertia[env], c, first_lin_vel[env], first_ang_vel[env], x, q, v, w
-        )
-        if wp.length(next_v - v) == 0.0 and wp.length(next_w - w) == 0.0:
+        done = Substep()
+        done.dt = dt
+        done.mass = mass[env]
+        done.inertia = inertia[env]
+        done.com = c
+        done.first_lin_vel = first_lin_vel[env]
+        done.first_ang_vel = first_ang_vel[env]
+        done.position = position_out[env] + rotate(q, c)
+        done.attitude = q
+        done.lin_vel = lin_vel_out[env] + rotate(q, wp.cross(w, c))
+        done.ang_vel = w
+        next_x, next_q, next_v, next_w = meet(data, env, 0, done)
+        if wp.length(next_v - done.lin_vel) == 0.0 and wp.length(next_w - w) == 0.0:
             return  # bit for bit as it was
         position_out[env] = next_x - rotate(next_q, c)
         attitude_out[env] = next_q

@@ -22,9 +22,23 @@ class FusedHook:
     """An instance, whose arrays stay where they are."""
 
     function: wp.Function
-    """``(data, env, k, dt, mass, inertia, com, v0, w0, x, q, v, w) -> (x, q, v, w)`` after substep k: mass [kg], inertia about
-    the centre of mass [kg m², body], com [m, body]; v0 [m/s, world] and w0 [rad/s, body] at its start, x, q, v, w at its end.
-    Positions and velocities are those of the centre of mass."""
+    """``(data, env, k, done: Substep) -> (position, attitude, lin_vel, ang_vel)`` after substep k, as in ``Substep``."""
+
+
+@wp.struct
+class Substep:
+    """A substep of one environment that has been integrated. Positions and velocities are those of the centre of mass."""
+
+    dt: float  # [s]
+    mass: float  # [kg]
+    inertia: wp.mat33  # about the centre of mass, body [kg m²]
+    com: wp.vec3  # from the body origin, body [m]
+    first_lin_vel: wp.vec3  # at its start, world [m/s]
+    first_ang_vel: wp.vec3  # likewise, body [rad/s]
+    position: wp.vec3  # at its end, world [m]
+    attitude: wp.quat  # body to world, xyzw
+    lin_vel: wp.vec3
+    ang_vel: wp.vec3
 
 
 @wp.struct
@@ -43,25 +57,11 @@ class TrajectoryArrays:
 
 
 @wp.func
-def record(
-    data: TrajectoryArrays,
-    env: int,
-    k: int,
-    dt: float,
-    mass: float,
-    inertia: wp.mat33,
-    com: wp.vec3,
-    v0: wp.vec3,
-    w0: wp.vec3,
-    x: wp.vec3,
-    q: wp.quat,
-    v: wp.vec3,
-    w: wp.vec3,
-):
+def record(data: TrajectoryArrays, env: int, k: int, done: Substep):
     """Write the pose and return the motion as it came."""
-    data.position[k, env] = x - rotate(q, com)
-    data.attitude[k, env] = q
-    return x, q, v, w
+    data.position[k, env] = done.position - rotate(done.attitude, done.com)
+    data.attitude[k, env] = done.attitude
+    return done.position, done.attitude, done.lin_vel, done.ang_vel
 
 
 def trajectory_hook(position: wp.array, attitude: wp.array) -> FusedHook:

@@ -14,7 +14,7 @@ from aerial_gym.physics.fused.command import make_command
 from aerial_gym.physics.fused.contact import ContactParameters, make_push_off_ground
 from aerial_gym.physics.fused.dynamics import make_stepper
 from aerial_gym.physics.fused.functions import load_quat, load_vec4, rotate, store_quat, store_vec4
-from aerial_gym.physics.fused.hook import FusedHook, NoHook
+from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, NoGains
 from aerial_gym.physics.fused.memory import make_begin, memory_type
 from aerial_gym.physics.fused.packing import (
@@ -225,10 +225,18 @@ def make_kernel(
                     if x[2] + rotate(q, center)[2] - spheres[i][3] < ground_height:
                         contact_out[env] = True
             if wp.static(follows):
-                mass = 1.0 / vehicle.mass_inverse
-                x, q, v, w = follow(
-                    hook_data, env, k, dt, mass, vehicle.inertia, vehicle.com, first_v, first_w, x, q, v, w
-                )
+                done = Substep()
+                done.dt = dt
+                done.mass = 1.0 / vehicle.mass_inverse
+                done.inertia = vehicle.inertia
+                done.com = vehicle.com
+                done.first_lin_vel = first_v
+                done.first_ang_vel = first_w
+                done.position = x
+                done.attitude = q
+                done.lin_vel = v
+                done.ang_vel = w
+                x, q, v, w = follow(hook_data, env, k, done)
         if wp.static(remembers):
             effects.since[env] = since + substeps
             for i in range(wp.static(num_memory - num_loads)):
