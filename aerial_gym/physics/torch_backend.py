@@ -59,7 +59,7 @@ def advance(
     if needs is not None:
         check_law_step(needs, dt)
         law_memory = fresh_law_memory(needs, state.num_envs, state.position)
-    return _roll(model, stepper, control, state, command, dt, substeps, memory, law_memory)[0]
+    return advance_remembering(model, stepper, control, state, command, dt, substeps, memory, law_memory)[0]
 
 
 def advance_remembering(
@@ -71,22 +71,9 @@ def advance_remembering(
     dt: float,
     substeps: int,
     memory: Memory | None,
+    law_memory: LawMemory | None = None,
 ) -> tuple[BodyState, Memory | None]:
     """Return what ``advance`` does, from a memory on, and the memory at the end; None if no effect has one."""
-    return _roll(model, stepper, control, state, command, dt, substeps, memory, None)
-
-
-def _roll(
-    model: Model,
-    stepper: Stepper,
-    control: ControlLaw,
-    state: BodyState,
-    command: Tensor,
-    dt: float,
-    substeps: int,
-    memory: Memory | None,
-    law_memory: LawMemory | None,
-) -> tuple[BodyState, Memory | None]:
     for _ in range(substeps):
         rotor_command, law_memory = law_command(control, state, command, law_memory)
         _, after, memory = _substep(model, stepper, state, rotor_command, dt, memory)
