@@ -22,19 +22,9 @@ from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import RayCaster, SensorImages
-from tests.physics.test_ray_caster import exact_distance, pixel_rays, rotation
+from tests.physics.test_ray_caster import CAMERA, exact_distance, pixel_rays, rotation
 
 DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
-CAMERA = CameraCfg(
-    summary="test camera",
-    width=48,
-    height=37,
-    hfov_deg=80.0,
-    min_range=0.0,
-    max_range=20.0,
-    kind="range",
-    source="chosen for the test",
-)
 ARM = PartCfg(shape=ShapeCfg(kind="box", size=(0.5, 0.06, 0.04)), position=(0.1, 0.0, -0.02), euler=(0.0, 0.0, 0.7))
 POD = PartCfg(shape=ShapeCfg(kind="sphere", radius=0.09), position=(0.2, 0.2, 0.1), semantic_id=5)
 BASE = ROBOTS.get("base_quadrotor")
