@@ -152,20 +152,36 @@ class CascadeController:
         sent[::4] = self.gains.mass[0].to(thrust) * self.gains.gravity
         return torch.cat((numbers, sent))
 
-    def memory_from(self, remembered: Tensor) -> LawMemory:
-        """Return the memory with numbers and wishes (E, ...) as in ``resting``, long after a reset, without late actions."""
+    def phase(self, step: int) -> tuple[bool, bool, int]:
+        """Return what step of a period it is: which levels run, and which wish of the law has come through by then.
+
+        Steps of equal phases map states and memory alike.
+        """
+        timing = self.timing
+        return step % timing.law == 0, step % timing.loop == 0, (step - timing.delay) // timing.law
+
+    def memory_from(self, remembered: Tensor, step: int) -> LawMemory:
+        """Return the memory with numbers and wishes (E, ...) as in ``resting``, at a step of a period long after a reset.
+
+        No action is late.
+        """
         numbers, sent = remembered.split((self._layout.width, self._layout.actions), dim=-1)
         actions = sent.new_zeros(len(sent), self._layout.past - self._layout.actions)
-        long_ago = 1000 * self.period * max(self.timing.setpoint_slots, 1)
+        long_ago = 1000 * self.period * max(self.timing.setpoint_slots, 1) + step
         since = torch.full((len(sent),), long_ago, dtype=torch.int32, device=sent.device)
         return LawMemory(numbers=numbers, past=torch.cat((sent, actions), dim=-1), since=since)
 
-    def remembered_after(self, memory: LawMemory) -> Tensor:
-        """Return numbers and wishes, a period later: the ring turned back, so that equal places are equally old."""
-        sent, slots = memory.past[:, : self._layout.actions], self.timing.setpoint_slots
+    def remembered(self, memory: LawMemory) -> Tensor:
+        """Return numbers and wishes of a memory, as ``memory_from`` takes them."""
+        return torch.cat((memory.numbers, memory.past[:, : self._layout.actions]), dim=-1)
+
+    def turned_back(self, remembered: Tensor) -> Tensor:
+        """Return numbers and wishes (N, ...) after a period with the ring turned: equal places are then equally old."""
+        numbers, sent = remembered.split((self._layout.width, self._layout.actions), dim=-1)
+        slots = self.timing.setpoint_slots
         if slots:
             sent = sent.unflatten(-1, (slots, 4)).roll(-1, dims=1).flatten(1)
-        return torch.cat((memory.numbers, sent), dim=-1)
+        return torch.cat((numbers, sent), dim=-1)
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
         """Return the command of the first step after a reset."""

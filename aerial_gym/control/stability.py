@@ -1,7 +1,8 @@
 """Whether a vehicle under a control law comes to rest: the closed loop as it is sampled, linearised at hover.
 
 One step of the torch reference, in float64, with the real allocation and rotor lag, is differentiated by central differences,
-all perturbations side by side as environments; with rates and memory it is a whole period, and memory is perturbed too. The
+all perturbations side by side as environments. With rates and memory it is a whole period, memory is perturbed too, and the
+derivative is the product of those of its steps, of which all of one phase are alike: hover is at rest in each. The
 vehicle comes to rest if the spectral radius over the axes that the law controls is below 1; what it leaves to itself (position
 and heading under attitude control, say) is left out, as none of the controlled axes depends on it at hover.
 Letters: N axes with rotors, R rotors.
@@ -87,35 +88,42 @@ def spectral_radius(
     rest = trim if memory is None else torch.cat((trim, memory.to(trim)))
     size = torch.cat((torch.ones(len(AXES), dtype=trim.dtype), rest.abs().clamp_min(1.0)))
     nudges = NUDGE * torch.cat((torch.eye(width, dtype=trim.dtype), -torch.eye(width, dtype=trim.dtype)))
-    run = _Run(make_law(plant), build_model(plant, gravity=gravity), INTEGRATORS[integrator], dt, steps)
-    end = run.after(nudges * size, rest, hover_action.to(trim).expand(2 * width, -1)) / size
-    slope = (end[:width] - end[width:]).T / (2.0 * NUDGE)
+    loop = _Loop(make_law(plant), build_model(plant, gravity=gravity), INTEGRATORS[integrator], dt)
+    action, slopes = hover_action.to(trim).expand(2 * width, -1), {}
+    slope = torch.eye(width, dtype=trim.dtype)
+    for step in range(steps):
+        phase = law.phase(step) if isinstance(law, CascadeController) else None
+        if phase not in slopes:
+            end = loop.after(nudges * size, rest, action, step) / size
+            slopes[phase] = (end[:width] - end[width:]).T / (2.0 * NUDGE)
+        slope = slopes[phase] @ slope
+    if isinstance(law, CascadeController):
+        slope = torch.cat((slope[: width - extra], law.turned_back(slope[width - extra :].T).T))
     kept = [AXES.index(name) for name in axes.split()] + list(range(len(AXES), width))
     return float(torch.linalg.eigvals(slope[kept][:, kept]).abs().max()) ** (1.0 / steps)
 
 
-class _Run:
-    """Some steps of a closed loop, from offsets to offsets (2 N, N) from rest."""
+class _Loop:
+    """A step of a closed loop, from offsets to offsets (2 N, N) from rest."""
 
-    def __init__(self, law: ControlLaw, model: Model, stepper: Stepper, dt: float, steps: int) -> None:
-        self._law, self._model, self._stepper, self._dt, self._steps = law, model, stepper, dt, steps
+    def __init__(self, law: ControlLaw, model: Model, stepper: Stepper, dt: float) -> None:
+        self._law, self._model, self._stepper, self._dt = law, model, stepper, dt
 
-    def after(self, offsets: Tensor, rest: Tensor, action: Tensor) -> Tensor:
-        """Return where the offsets are after the steps; ``rest`` is that of rotors and memory."""
+    def after(self, offsets: Tensor, rest: Tensor, action: Tensor, step: int) -> Tensor:
+        """Return where the offsets are after a step of the period; ``rest`` is that of rotors and memory."""
         num_rotors = self._model.vehicle.num_rotors
         state = _state(offsets[:, : len(AXES) + num_rotors], rest[:num_rotors])
         cascade = self._law if isinstance(self._law, CascadeController) else None
         resting, changes = rest[num_rotors:], offsets[:, len(AXES) + num_rotors :]
-        memory = None if cascade is None else cascade.memory_from(resting + changes)
-        for _ in range(self._steps):
-            command, memory = law_command(self._law, state, action, memory)
-            state = to_body_state(
-                self._model, self._stepper(self._model, to_mass_state(self._model, state), command, self._dt)
-            )
+        memory = None if cascade is None else cascade.memory_from(resting + changes, step)
+        command, memory = law_command(self._law, state, action, memory)
+        state = to_body_state(
+            self._model, self._stepper(self._model, to_mass_state(self._model, state), command, self._dt)
+        )
         moved = _offsets(state, rest[:num_rotors])
         if cascade is None or memory is None:
             return moved
-        return torch.cat((moved, cascade.remembered_after(memory) - resting), dim=-1)
+        return torch.cat((moved, cascade.remembered(memory) - resting), dim=-1)
 
 
 def _speed(plant: Vehicle, thrust: Tensor) -> Tensor:

@@ -3,6 +3,7 @@
 import logging
 from dataclasses import replace
 from math import exp
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,12 +12,13 @@ import torch
 from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
+from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller, stability
 from aerial_gym.control.catalog import AERIAL_GYM_GAINS
 from aerial_gym.control.stability import ClosedLoop, largest_stable_dt
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import TorchBackend, build_model, state_at_rest, vehicle_from_config
+from aerial_gym.physics.law_memory import law_command
 from aerial_gym.robots import ROBOTS
 
 LAWS = [name for name in CONTROLLERS.names() if CONTROLLERS.get(name).law not in ("thrust", "rotor_speed")]
@@ -65,6 +67,21 @@ def test_the_radius_of_a_controller_with_memory_is_that_of_a_flight() -> None:
         backend.step(state, torch.zeros(1, 4, dtype=torch.float64), dt, steps)
         sizes.append(float(state.ang_vel[0, 2]))
     assert (sizes[1] / sizes[0]) ** (1 / 400) == pytest.approx(radius(robot, cfg, dt), abs=2e-5)
+
+
+def test_a_long_period_costs_its_different_steps_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """160 steps: law and loop run in one, the loop in every 8th, and half a period later the wish comes through."""
+    flown: list[object] = []
+
+    def counted(*given: Any) -> Any:
+        flown.append(given)
+        return law_command(*given)
+
+    monkeypatch.setattr(stability, "law_command", counted)
+    loop = RateLoopCfg(rate_hz=1000.0)
+    cfg = replace(CONTROLLERS.get("pid_position_control"), rate_hz=50.0, rate_loop=loop, delay=0.01)
+    assert radius(ROBOTS.get("base_quadrotor"), cfg, 1.0 / 8000.0) < 1.0
+    assert len(flown) == 5
 
 
 def test_largest_stable_time_step_is_where_the_radius_is_one() -> None:
