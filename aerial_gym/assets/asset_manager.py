@@ -79,7 +79,11 @@ class AssetManager:
             bounds=(bounds_min, bounds_max),
             random=random,
         )
-        self._placement = Placement(obstacles, mask=random.mask, num_kept=cfg.num_kept, num_others=self._num_obstacles)
+        self._placement: Placement | None = None
+        if self.num_assets:
+            self._placement = Placement(
+                obstacles, mask=random.mask, num_kept=cfg.num_kept, num_others=self._num_obstacles
+            )
         self.moving = obstacles if cfg.moves else None
         """The obstacles as kernels see them, where an asset moves."""
         self._motion = Motion(obstacles, twists=self._env_actions) if cfg.moves else None
@@ -124,7 +128,7 @@ class AssetManager:
         Args:
             mask: Environments to reset, bool, (E,).
         """
-        if not self.num_assets:
+        if self._placement is None:
             return
         check_tensor("mask", mask, (self._num_envs,), device=self._device, dtype=torch.bool)
         take_mask(self.random.mask, mask)

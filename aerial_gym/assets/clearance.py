@@ -14,7 +14,7 @@ from aerial_gym.assets.geometry import signed_distance
 from aerial_gym.assets.obstacles import Obstacles, draw_instance
 from aerial_gym.assets.scene import PARKED_Z, Scene
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW, SceneArrays, part_attitude, part_position
-from aerial_gym.interop import on_torch_stream
+from aerial_gym.interop import RecordedLaunch, on_torch_stream
 from aerial_gym.math.random import take_mask
 
 NUM_ATTEMPTS = 16
@@ -118,13 +118,12 @@ class Clearance:
         start = wp.from_torch(self._start, dtype=wp.vec3)
         self._kept_alive = (inputs, start, obstacles)
         self._commands = [
-            wp.launch(
+            RecordedLaunch(
                 _clear,
                 dim=obstacles.asset.shape,
                 inputs=[*inputs, which, room, NUM_ATTEMPTS, PARKED_Z],
                 outputs=[start, obstacles],
                 device=wp.device_from_torch(device),
-                record_cmd=True,
             )
             for which in (START, GOAL)
         ]

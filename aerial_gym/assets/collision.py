@@ -14,6 +14,7 @@ P parts of all instances, C shapes, K substeps.
 
 from collections.abc import Sequence
 from functools import cache
+from math import inf
 from typing import Any
 
 import torch
@@ -37,7 +38,7 @@ from aerial_gym.assets.scene_arrays import ABSENT_BELOW, WORLD, SceneArrays
 from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.robot import CollisionShape
 from aerial_gym.errors import ShapeError
-from aerial_gym.interop import launch_side_by_side, on_torch_stream, split
+from aerial_gym.interop import RecordedLaunch, launch_side_by_side, on_torch_stream, split
 
 BLOCK_DIM = 64
 """Threads that share an environment on a GPU."""
@@ -230,8 +231,10 @@ class CollisionTest:
         """Whether there is anything to touch."""
         self._kept_alive: list[object] = []
         self._nothing = torch.zeros(0, dtype=torch.bool, device=scene.device)
-        self._now = self._record(position.unsqueeze(0), attitude.unsqueeze(0), dt=0.0, crashes=self._nothing)
-        self._step: list[wp.Launch] | None = None
+        self._now: list[RecordedLaunch] = []
+        if self.has_solids:
+            self._now = self._record(position.unsqueeze(0), attitude.unsqueeze(0), dt=0.0, crashes=self._nothing)
+        self._step: list[RecordedLaunch] | None = None
 
     def follow(self, position: Tensor, attitude: Tensor, *, dt: float, crashes_out: Tensor) -> None:
         """Make ready for ``step``.
@@ -258,7 +261,7 @@ class CollisionTest:
         dt: float,
         crashes: Tensor,
         is_step: bool = False,
-    ) -> list[wp.Launch]:
+    ) -> list[RecordedLaunch]:
         scene, rows = self._scene, (position.shape[0], self._scene.num_envs)
         inputs = [
             scene.arrays,
@@ -277,14 +280,14 @@ class CollisionTest:
         self._kept_alive.append((inputs, outputs))  # launches do not keep the memory that they read
         shared = scene.device.type == "cuda"
         return [
-            wp.launch_tiled(
+            RecordedLaunch(
                 make_walk(moves=self._moving is not None, shared=shared, cores=self._cores),
                 dim=[count],
                 inputs=[*inputs, first],
                 outputs=outputs,
                 block_dim=BLOCK_DIM if shared else 1,
                 device=wp.device_from_torch(scene.device),
-                record_cmd=True,
+                tiled=True,
             )
             for first, count in self._chunks()
         ]
@@ -298,6 +301,9 @@ class CollisionTest:
 
     def measure(self) -> None:
         """Write the distances of the present poses; launched on torch's current stream, not waited for."""
+        if not self.has_solids:
+            self._out.fill_(inf)
+            return
         with on_torch_stream(self._out):
             launch_side_by_side(self._now)
 

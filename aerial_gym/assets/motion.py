@@ -13,7 +13,7 @@ from aerial_gym.assets.asset_table import BOUNCE, STILL, TWIST, WAYPOINTS, WRAP
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW
 from aerial_gym.assets.views import check_tensor
-from aerial_gym.interop import on_torch_stream
+from aerial_gym.interop import RecordedLaunch, on_torch_stream
 
 
 @wp.func
@@ -122,9 +122,9 @@ class Motion:
         check_tensor("twists", twists, shape, device=twists.device, dtype=torch.float32)
         self._twists, self._kept_alive, dim = twists, obstacles, obstacles.asset.shape
         device = wp.device_from_torch(twists.device)
-        self._advance = wp.launch(_advance, dim=dim, inputs=[0.0], outputs=[obstacles], device=device, record_cmd=True)
-        self._take = wp.launch(
-            _set_twists, dim=dim, inputs=[wp.from_torch(twists)], outputs=[obstacles], device=device, record_cmd=True
+        self._advance = RecordedLaunch(_advance, dim=dim, inputs=[0.0], outputs=[obstacles], device=device)
+        self._take = RecordedLaunch(
+            _set_twists, dim=dim, inputs=[wp.from_torch(twists)], outputs=[obstacles], device=device
         )
 
     def step(self, dt: float) -> None:

@@ -10,7 +10,7 @@ from torch import Tensor
 from aerial_gym.assets.obstacles import Obstacles, draw_instance
 from aerial_gym.assets.scene import PARKED_Z
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg
-from aerial_gym.interop import on_torch_stream, start_warp
+from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, random_arrays, stream_of
 from aerial_gym.math.random import Purpose, Randomness, counted_state, counted_uniform, take_mask
@@ -55,22 +55,21 @@ class Bounds:
         limits = (cfg.bounds_lower_low, cfg.bounds_lower_high, cfg.bounds_upper_low, cfg.bounds_upper_high)
         lower.copy_(torch.tensor(limits[0], device=device))
         upper.copy_(torch.tensor(limits[2], device=device))
-        self.vary = limits[0] != limits[1] or limits[2] != limits[3]
-        """Whether they differ between episodes."""
         self._mask, self._kept_alive = random.mask, (lower, upper, random)
-        self._command = wp.launch(
-            _draw_bounds,
-            dim=envs,
-            inputs=[wp.from_torch(self._mask), random_arrays(random), *(wp.vec3(*limit) for limit in limits)],
-            outputs=[wp.from_torch(corner, dtype=wp.vec3) for corner in (lower, upper)],
-            device=wp.device_from_torch(device),
-            record_cmd=True,
-            block_dim=BLOCK_DIM,
-        )
+        self._command: RecordedLaunch | None = None
+        if limits[0] != limits[1] or limits[2] != limits[3]:
+            self._command = RecordedLaunch(
+                _draw_bounds,
+                dim=envs,
+                inputs=[wp.from_torch(self._mask), random_arrays(random), *(wp.vec3(*limit) for limit in limits)],
+                outputs=[wp.from_torch(corner, dtype=wp.vec3) for corner in (lower, upper)],
+                device=wp.device_from_torch(device),
+                block_dim=BLOCK_DIM,
+            )
 
     def draw(self, mask: Tensor) -> None:
         """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
-        if self.vary:
+        if self._command is not None:
             take_mask(self._mask, mask)
             with on_torch_stream(self._mask):
                 self._command.launch()
@@ -136,13 +135,12 @@ class Placement:
         """
         self._mask, self._kept_alive = mask, (obstacles, num_others)
         asked = wp.from_torch(mask)
-        self._command = wp.launch(
+        self._command = RecordedLaunch(
             _place,
             dim=obstacles.asset.shape,
             inputs=[asked, num_kept, wp.from_torch(num_others), PARKED_Z],
             outputs=[obstacles],
             device=asked.device,
-            record_cmd=True,
             block_dim=BLOCK_DIM,
         )
 

@@ -11,13 +11,6 @@ from torch import Tensor
 
 from aerial_gym.interop.kernel_log import KernelLog
 
-INLINING = (
-    "-march=native -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000"
-    " -mllvm=-slp-recursion-max-depth=4"
-)
-"""Compiler flags for the CPU that Warp 1.19 has by itself."""
-
-
 BLOCK_DIM = 64
 """Threads of a block on a GPU in kernels of one thread per environment: Warp's 256 leave most multiprocessors of a large GPU
 without work at some thousand environments."""
@@ -27,16 +20,11 @@ def start_warp() -> None:
     """Initialise Warp without its banner; what it compiles is told by ``KernelLog``. A log level or a logger that the user
     chose stays.
 
-    On a CPU kernels are compiled without Warp's eager inlining, which takes as long again and makes collision and resets no
-    faster; the fused physics and the rays, which it does make faster, ask for it (``INLINING``).
-
     Without a GPU, Warp's native library writes a warning about a missing driver, past Python, that nobody can act on: the
     process's stderr is closed to it meanwhile.
     """
     if wp.config.log_level == wp.LOG_INFO and type(wp.get_logger()).__module__.startswith("warp."):
         wp.set_logger(KernelLog())
-    if wp.config.cpu_compiler_flags == INLINING:
-        wp.config.cpu_compiler_flags = "-march=native"
     with nullcontext() if torch.cuda.is_available() else _silent_stderr():
         wp.init()
 

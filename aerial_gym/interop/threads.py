@@ -7,7 +7,8 @@ from functools import cache
 from itertools import pairwise
 
 import torch
-import warp as wp
+
+from aerial_gym.interop.launches import RecordedLaunch
 
 
 @contextmanager
@@ -36,7 +37,7 @@ def _pool(workers: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(workers, thread_name_prefix="warp")
 
 
-def launch_side_by_side(launches: Sequence[wp.Launch]) -> None:
+def launch_side_by_side(launches: Sequence[RecordedLaunch]) -> None:
     """Run recorded CPU launches at the same time, each on a thread: Warp leaves Python's lock while a kernel runs.
 
     One launch, as always on a GPU, costs nothing more. Split a batch into ``torch.get_num_threads()`` launches, so that

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.errors import CapabilityError, ShapeError
-from aerial_gym.interop import launch_side_by_side, on_torch_stream, split, start_warp
+from aerial_gym.interop import RecordedLaunch, compile_ahead, launch_side_by_side, on_torch_stream, split, start_warp
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics.backend import Capabilities, ControlLaw
@@ -70,7 +70,7 @@ class _Binding:
     command: Tensor
     dt: float
     substeps: int
-    launches: list[wp.Launch]
+    launches: list[RecordedLaunch]
 
 
 class WarpBackend:
@@ -169,6 +169,8 @@ class WarpBackend:
             com_offset=not is_shared(model.vehicle.com) or bool(model.vehicle.com.any()),
             differentiable=self._differentiable,
         )
+        if not self._differentiable:
+            compile_ahead(self.kernel, wp.device_from_torch(self._device))
         self._binding: _Binding | None = None
 
     def _ground_arrays(self, ground: Ground | None) -> _GroundArrays:
@@ -338,14 +340,13 @@ class WarpBackend:
         launches = []
         for first, count in self._chunks(substeps):
             launches.append(
-                wp.launch(
+                RecordedLaunch(
                     self.kernel,
                     dim=count,
                     inputs=[*inputs, first, self._memory_arrays, self._hook_data],
                     outputs=[*arrays, *ground[3:]],
                     device=wp.device_from_torch(self._device),
                     block_dim=BLOCK_DIM,
-                    record_cmd=True,
                 )
             )
         return _Binding(state, command, dt, substeps, launches)

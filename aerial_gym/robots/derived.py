@@ -9,7 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.interop import on_torch_stream, start_warp
+from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.physics import BodyState
 from aerial_gym.robots.finite import NonFinite
@@ -140,7 +140,7 @@ class DerivedStates:
         self.arrays.vehicle_lin_vel = wp.from_torch(vehicle_lin_vel, dtype=wp.vec3)
         self.arrays.euler = wp.from_torch(euler, dtype=wp.vec3)
         self.arrays.root_state = wp.from_torch(root_state)
-        self._command = wp.launch(
+        self._command = RecordedLaunch(
             _derive,
             dim=state.num_envs,
             inputs=[
@@ -156,7 +156,6 @@ class DerivedStates:
             ],
             device=wp.device_from_torch(self._like.device),
             block_dim=BLOCK_DIM,
-            record_cmd=True,
         )
 
     def refresh(self) -> None:

@@ -7,7 +7,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import InitialStateCfg
-from aerial_gym.interop import on_torch_stream
+from aerial_gym.interop import RecordedLaunch, on_torch_stream
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of
 from aerial_gym.math.random import Purpose, Randomness, take_mask
@@ -123,7 +123,7 @@ class InitialState:
             setattr(ranges, name, wp.vec3(*value))
         inputs = [wp.from_torch(self._mask), random_arrays(random), ranges]
         inputs += [wp.from_torch(corner, dtype=wp.vec3) for corner in bounds]
-        self._command = wp.launch(
+        self._command = RecordedLaunch(
             _reset,
             dim=state.num_envs,
             inputs=[*inputs, *(wp.from_torch(tensor) for tensor in (rest_speed, noticed.bits, noticed.episode_step))],
@@ -141,7 +141,6 @@ class InitialState:
             ],
             device=wp.device_from_torch(device),
             block_dim=BLOCK_DIM,
-            record_cmd=True,
         )
 
     def reset(self, mask: Tensor) -> None:

@@ -34,7 +34,7 @@ from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.robot import CollisionShape
 from aerial_gym.errors import ShapeError
-from aerial_gym.interop import on_torch_stream
+from aerial_gym.interop import RecordedLaunch, on_torch_stream
 from aerial_gym.physics import BodyState
 from aerial_gym.physics.contact import POSITION_SHARE
 from aerial_gym.physics.fused.contact import (
@@ -415,7 +415,7 @@ class SceneContact:
             self._data = MovingSurroundings()
             self._data.around, self._data.obstacles = around, moving
         self._moves, self._kept_alive = moving is not None, (crashes_out, impulse_out, moving)
-        self._command: wp.Launch | None = None
+        self._command: RecordedLaunch | None = None
 
     def fused(self) -> FusedHook:
         """Return the same as Warp code."""
@@ -434,7 +434,7 @@ class SceneContact:
         with on_torch_stream(self._state.lin_vel):
             self._command.launch()
 
-    def _record(self) -> wp.Launch:
+    def _record(self) -> RecordedLaunch:
         scene, robot, envs, device = self._scene, self._robot, (self._scene.num_envs,), self._scene.device
         check_tensor("mass", robot.mass, envs, device=device)
         check_tensor("inertia", robot.inertia, (*envs, 3, 3), device=device)
@@ -448,11 +448,10 @@ class SceneContact:
         ]
         moved = [view(name, getattr(self._state, name)) for name in ("position", "attitude", "lin_vel", "ang_vel")]
         self._views = (inputs, moved)
-        return wp.launch(
+        return RecordedLaunch(
             _make_push(moves=self._moves, cores=self._cores),
             dim=scene.num_envs,
             inputs=[*inputs, self._dt],
             outputs=moved,
             device=wp.device_from_torch(device),
-            record_cmd=True,
         )

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from aerial_gym.config.storage import told_storage
 from aerial_gym.errors import ConfigError
-from aerial_gym.interop import on_torch_stream, start_warp
+from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.robots.finite import NonFinite
 from aerial_gym.robots.noticed import KEPT_ROWS, Noticed, take_place
@@ -137,13 +137,12 @@ class Watch:
         state = [gtd[key] for key in (*STATE_COLUMNS, "rotor_speed", "robot_actions")]
         inputs = [gtd["non_finite"], gtd["sim_steps"], self._ended, *state, self._action]
         outputs = [self._steps, self._ring, self._count, self._rows, self._kept]
-        self._command = wp.launch(
+        self._command = RecordedLaunch(
             _remember,
             dim=num_envs,
             inputs=[wp.from_torch(tensor) for tensor in inputs],
             outputs=[wp.from_torch(tensor) for tensor in outputs],
             device=wp.device_from_torch(self._device),
-            record_cmd=True,
         )
 
     def keep(self, actions: Tensor, ended: Tensor) -> None:

@@ -10,7 +10,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.errors import ShapeError
-from aerial_gym.interop import launch_side_by_side, on_torch_stream, split, start_warp
+from aerial_gym.interop import RecordedLaunch, launch_side_by_side, on_torch_stream, split, start_warp
 
 BLOCK_DIM = 256
 """Threads of a block on a GPU: eight cells, of which neighbours read the same sectors of memory."""
@@ -100,14 +100,13 @@ class NearestInCells:
         size = -(-height // rows), -(-width // columns)
         self._kept_alive = (image, arrays)
         self._launches = [
-            wp.launch(
+            RecordedLaunch(
                 make_pool(lanes=lanes, rows=together),
                 dim=(count, rows, columns, lanes),
                 inputs=[arrays[0], *size, largest, empty, first],
                 outputs=[arrays[1]],
                 block_dim=BLOCK_DIM,
                 device=wp.device_from_torch(image.device),
-                record_cmd=True,
             )
             for first, count in self._chunks(image)
         ]

@@ -19,6 +19,7 @@ from aerial_gym.assets.scene_arrays import BODY, WORLD, SceneArrays
 from aerial_gym.assets.views import vector_view
 from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, RangeSensorCfg
 from aerial_gym.errors import ConfigError
+from aerial_gym.interop import RecordedLaunch
 from aerial_gym.sensors.rays import ray_table
 
 LEAST_DISTANCE = wp.constant(1.0e-6)
@@ -108,7 +109,7 @@ def make_flow(cfg: RangeSensorCfg, scene: Scene) -> Flow:
     return flow
 
 
-def record_motion(flow: Flow, scene: Scene, pose: list[wp.array], twist: list[wp.array]) -> wp.Launch:
+def record_motion(flow: Flow, scene: Scene, pose: list[wp.array], twist: list[wp.array]) -> RecordedLaunch:
     """Record the launch that works out the motions before the rays are traced.
 
     Args:
@@ -119,9 +120,7 @@ def record_motion(flow: Flow, scene: Scene, pose: list[wp.array], twist: list[wp
     """
     inputs = [scene.arrays, *instance_twists(scene), *pose[:2], *twist, *pose[2:]]
     outputs, device = [flow.drift, flow.turn], wp.device_from_torch(scene.device)
-    launch = wp.launch(relate, dim=flow.drift.shape, inputs=inputs, outputs=outputs, device=device, record_cmd=True)
-    assert launch is not None
-    return launch
+    return RecordedLaunch(relate, dim=flow.drift.shape, inputs=inputs, outputs=outputs, device=device)
 
 
 def instance_twists(scene: Scene) -> list[wp.array]:

@@ -29,7 +29,7 @@ from torch import Tensor
 from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.imu import ImuCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.interop import on_torch_stream, start_warp
+from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
 from aerial_gym.math.random import Purpose, Randomness, take_mask
@@ -298,9 +298,9 @@ class Imu:
         unit = _make_unit(cfg, pose, dt, gravity, errors)
         unit.latency = latency
         inputs = [motion, unit, random_arrays(self._random), number, self._make_outputs()]
-        launch = {"dim": envs, "device": wp.device_from_torch(device), "record_cmd": True, "block_dim": BLOCK_DIM}
-        self._measure_command = wp.launch(_measure, inputs=inputs, **launch)
-        self._reset_command = wp.launch(_reset, inputs=[wp.from_torch(self._mask), *inputs], **launch)
+        launch = {"dim": envs, "device": wp.device_from_torch(device), "block_dim": BLOCK_DIM}
+        self._measure_command = RecordedLaunch(_measure, inputs=inputs, **launch)
+        self._reset_command = RecordedLaunch(_reset, inputs=[wp.from_torch(self._mask), *inputs], **launch)
 
     def _make_outputs(self) -> Outputs:
         out = Outputs()

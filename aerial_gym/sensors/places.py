@@ -13,7 +13,7 @@ from torch import Tensor
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.sensor import RangeSensorCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.interop import on_torch_stream
+from aerial_gym.interop import RecordedLaunch, on_torch_stream
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import (
     RandomArrays,
@@ -92,13 +92,12 @@ class Places:
         place = _range_of(cfg, nominal)
         self.is_drawn = bool(place.is_drawn)
         """Whether they differ between episodes."""
-        self._command = wp.launch(
+        self._command = RecordedLaunch(
             _place_sensors,
             dim=rows,
             inputs=[wp.from_torch(self._mask), random_arrays(random), number, place],
             outputs=[wp.from_torch(self.position, dtype=wp.vec3), wp.from_torch(self.attitude, dtype=wp.quat)],
             device=wp.device_from_torch(device),
-            record_cmd=True,
             block_dim=BLOCK_DIM,
         )
 

@@ -19,7 +19,7 @@ from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.views import vector_view
 from aerial_gym.config.sensor import LidarCfg, RangeSensorCfg, StereoCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.interop import launch_side_by_side, on_torch_stream, split
+from aerial_gym.interop import RecordedLaunch, launch_side_by_side, on_torch_stream, split
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
 from aerial_gym.sensors.flow import Flow, make_flow, record_motion
@@ -121,7 +121,7 @@ class RayCaster:
         """Sensor to body, xyzw, (E, S, 4)."""
         return self.places.attitude
 
-    def _record_preparations(self, scene: Scene, pose: list[wp.array]) -> list[wp.Launch]:
+    def _record_preparations(self, scene: Scene, pose: list[wp.array]) -> list[RecordedLaunch]:
         """Record what comes before the rays: where the sensors are, and how they see each part."""
         mounts = self._view.kind.shape[0]  # seats of a turning lidar
         device = wp.device_from_torch(self._device)
@@ -130,17 +130,13 @@ class RayCaster:
         found: list = [] if self._scan is None else [self._scan.record_placement()]
         if "world" in (self.cfg.points, self.cfg.normals) or self.cfg.light is not None:
             where = [self._origin, self._attitude]
-            found.append(wp.launch(locate, dim=mounts, inputs=pose, outputs=where, device=device, record_cmd=True))
+            found.append(RecordedLaunch(locate, dim=mounts, inputs=pose, outputs=where, device=device))
         if scene.num_parts and self._scan is not None:
             found.append(self._scan.record_look(self._view, self._reach()))
         elif scene.num_parts:
             out = [self._view.rows, self._view.kind]
             inputs = [scene.arrays, *pose, self._reach()]
-            found.append(
-                wp.launch(
-                    look, dim=(mounts, scene.num_parts), inputs=inputs, outputs=out, device=device, record_cmd=True
-                )
-            )
+            found.append(RecordedLaunch(look, dim=(mounts, scene.num_parts), inputs=inputs, outputs=out, device=device))
         return found
 
     def _reach(self) -> float:
@@ -148,7 +144,7 @@ class RayCaster:
         cosine = float(self.direction[..., 0].min()) if self.cfg.kind == "depth" else 1.0
         return self.cfg.max_range / cosine
 
-    def _record_rays(self, scene: Scene) -> list[wp.Launch]:
+    def _record_rays(self, scene: Scene) -> list[RecordedLaunch]:
         """Record the launches that trace the rays."""
         cfg, on_gpu = self.cfg, self._device.type == "cuda"
         height, width = GPU_TILE if on_gpu else CPU_TILE
@@ -174,12 +170,10 @@ class RayCaster:
         inputs = [self._view, rays, _limits(cfg), self._make_noise(), _light(cfg, scene), self.num_sensors, due, images]
         mounts = self._view.kind.shape[0] // self._groups
 
-        def record(kernel: wp.Kernel, dim: int, *more: int) -> wp.Launch:
+        def record(kernel: wp.Kernel, dim: int, *more: int) -> RecordedLaunch:
             device = wp.device_from_torch(self._device)
             given = [*inputs, *more]
-            launch = wp.launch(kernel, dim=dim, inputs=given, device=device, block_dim=BLOCK_DIM, record_cmd=True)
-            assert launch is not None
-            return launch
+            return RecordedLaunch(kernel, dim=dim, inputs=given, device=device, block_dim=BLOCK_DIM)
 
         if on_gpu:
             return [record(make_warp_kernel(outputs), mounts * tiles.num_tiles * 32)]

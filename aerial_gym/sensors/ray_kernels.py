@@ -8,7 +8,6 @@ from functools import cache
 import warp as wp
 
 from aerial_gym.assets.geometry import MESH
-from aerial_gym.interop.streams import INLINING
 from aerial_gym.sensors.images import arrays_type
 from aerial_gym.sensors.pixels import Limits, Noise, Outputs, limit_of, make_write_pixel
 from aerial_gym.sensors.shading import Light
@@ -134,7 +133,7 @@ def make_tile_kernel(outputs: Outputs, num_parts: int) -> wp.Kernel:
                     hit = i
         return nearest, hit
 
-    @wp.kernel(module="unique", enable_backward=False, module_options={"cpu_compiler_flags": INLINING})
+    @wp.kernel(module="unique", enable_backward=False)
     def cast_by_tile(
         view: View,
         rays: Rays,

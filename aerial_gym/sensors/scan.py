@@ -15,6 +15,7 @@ import warp as wp
 from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.scene_arrays import BODY, SceneArrays
 from aerial_gym.config.sensor import LidarCfg
+from aerial_gym.interop import RecordedLaunch
 from aerial_gym.sensors.flow import instance_twists
 from aerial_gym.sensors.tiles import Tiles, make_tiles
 from aerial_gym.sensors.view import View, see_part
@@ -122,21 +123,19 @@ class Scan:
         self.pose = [*pose[:2], position, attitude]
         """Body position and attitude, seat position and attitude (E, S * G); seats stand where mounts do otherwise."""
 
-    def record_placement(self) -> wp.Launch:
+    def record_placement(self) -> RecordedLaunch:
         """Record the launch that places the seats."""
         _, attitude, *mount = self._mount
         inputs = [attitude, *self._twist, *mount, self._age]
         return self._record(place_seats, self.pose[2].shape, inputs, self.pose[2:])
 
-    def record_look(self, view: View, reach: float) -> wp.Launch:
+    def record_look(self, view: View, reach: float) -> RecordedLaunch:
         """Record the launch that works out how every seat sees every part within a reach [m]."""
         inputs = [self._scene.arrays, *instance_twists(self._scene), *self.pose, *self._mount[2:], self._age, reach]
         return self._record(look_back, view.kind.shape, inputs, [view.rows, view.kind])
 
-    def _record(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list, outputs: list) -> wp.Launch:
-        launch = wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self._device, record_cmd=True)
-        assert launch is not None
-        return launch
+    def _record(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list, outputs: list) -> RecordedLaunch:
+        return RecordedLaunch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self._device)
 
     def make_tiles(self, direction: torch.Tensor, *, height: int, width: int) -> tuple[Tiles, torch.Tensor]:
         """Return tiles of as many rays as ``height`` x ``width``, each within one group, and the group of each, int32."""

@@ -12,6 +12,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.interop.launches import compile_ahead, wait_for
 from aerial_gym.interop.rows.source import WARP_TYPES, write
 from aerial_gym.interop.rows.tracing import trace
 from aerial_gym.interop.streams import BLOCK_DIM, on_torch_stream, start_warp
@@ -68,6 +69,8 @@ class RowFunction:
         self._outputs = [(shape, dtype) for _, shape, dtype in traced.outputs]
         self.kernel = _kernel(source.code, before)
         """It as Warp has it."""
+        compile_ahead(self.kernel, wp.device_from_torch(next(tensor for tensor in inputs if tensor.ndim).device))
+        self._ready = False
         self._known: dict[int, tuple[Tensor, wp.array]] = {}
 
     def __call__(
@@ -93,8 +96,12 @@ class RowFunction:
             _as_rows(tensor, passing=True) if new is None else self._view(-1 - i, tensor)
             for i, (tensor, new) in enumerate(zip(results, given, strict=True))
         ]
+        target = wp.device_from_torch(device)
+        if not self._ready:
+            wait_for(self.kernel, target)
+            self._ready = True
         with on_torch_stream(first):
-            wp.launch(self.kernel, dim=rows, inputs=arrays, device=wp.device_from_torch(device), block_dim=BLOCK_DIM)
+            wp.launch(self.kernel, dim=rows, inputs=arrays, device=target, block_dim=BLOCK_DIM)
         return tuple(results)
 
     def _view(self, key: int, tensor: Tensor) -> wp.array:

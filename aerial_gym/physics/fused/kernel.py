@@ -8,7 +8,6 @@ from typing import Any
 
 import warp as wp
 
-from aerial_gym.interop.streams import INLINING
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.fused.command import make_command
 from aerial_gym.physics.fused.contact import ContactParameters, make_push_off_ground
@@ -137,7 +136,7 @@ def make_kernel(
         x, q, v, w, n, load = step(vehicle, values, gravity, x, q, v, w, n, load, command, dt)
         return x, q, v, w, n, load, values
 
-    @wp.kernel(module="unique", enable_backward=differentiable, module_options={"cpu_compiler_flags": INLINING})
+    @wp.kernel(module="unique", enable_backward=differentiable)
     def advance(
         # state
         position: wp.array[wp.vec3],  # (E,) body origin, world [m]

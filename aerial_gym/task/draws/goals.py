@@ -7,7 +7,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import Vec3
-from aerial_gym.interop import on_torch_stream
+from aerial_gym.interop import RecordedLaunch, on_torch_stream
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, random_arrays, stream_of
 from aerial_gym.math.random import Purpose, Randomness, take_mask
@@ -51,13 +51,12 @@ class Goals:
         self._mask = random.mask
         self._kept_alive = (goal, bounds, random)
         inputs = [wp.from_torch(self._mask), random_arrays(random), *(wp.vec3(*ratio) for ratio in ratios)]
-        self._command = wp.launch(
+        self._command = RecordedLaunch(
             _draw_goals,
             dim=envs,
             inputs=[*inputs, *(wp.from_torch(corner, dtype=wp.vec3) for corner in bounds)],
             outputs=[wp.from_torch(goal, dtype=wp.vec3)],
             device=wp.device_from_torch(device),
-            record_cmd=True,
             block_dim=BLOCK_DIM,
         )
 

@@ -7,7 +7,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.interop import on_torch_stream, start_warp
+from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
 from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
 from aerial_gym.math.random import Purpose, Randomness
 
@@ -43,13 +43,12 @@ class ObservationNoise:
         self._noise = torch.zeros(random.num_envs, std.shape[0], device=std.device)
         self._any, self._kept_alive = bool(std.any()), (std, step, random)
         given = [random_arrays(random), int(Purpose.OBSERVATION), wp.from_torch(step), wp.from_torch(std)]
-        self._command = wp.launch(
+        self._command = RecordedLaunch(
             _draw_noise,
             dim=tuple(self._noise.shape),
             inputs=given,
             outputs=[wp.from_torch(self._noise)],
             device=wp.device_from_torch(std.device),
-            record_cmd=True,
         )
 
     def add(self, observation: Tensor, *, final: bool = False) -> Tensor:

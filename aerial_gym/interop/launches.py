@@ -1,0 +1,102 @@
+"""Launches that are recorded once and repeated, and the compilation of their kernels beside other work.
+
+Warp compiles a module when one of its kernels is first launched or recorded, while everything else waits. Here a launch on a
+CPU is recorded at its first use, and its module is compiled meanwhile, side by side with others.
+"""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from functools import cache, cached_property
+
+import torch
+import warp as wp
+
+MAX_WORKERS = 4
+"""Modules that are compiled at the same time, at most. Each worker reads Warp's headers once for itself, which takes 2 s."""
+
+NO_BFLOAT16 = "-DWP_NO_BFLOAT16="
+"""Leaves out of Warp's headers what only kernels of bfloat16 need, a fifth of them; ours have none. Warp leaves it out of every
+such module, but not of the headers that it precompiles."""
+
+_begun: dict[tuple[wp.Module, str], Future[None]] = {}
+
+
+@cache
+def _workers() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(min(torch.get_num_threads(), MAX_WORKERS), thread_name_prefix="compile")
+
+
+def _forget() -> None:
+    """Begin anew in a process that was forked: the threads stayed behind."""
+    _workers.cache_clear()
+    _begun.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)
+
+
+def compile_ahead(kernel: wp.Kernel, device: wp.Device) -> None:
+    """Begin to compile a kernel that a CPU will need, or to fetch it from Warp's cache, and wait for nothing.
+
+    On a GPU nothing happens: its kernels are compiled when they are recorded.
+    """
+    key = (kernel.module, device.alias)
+    if device.is_cpu and key not in _begun:
+        if wp.config.cpu_compiler_flags is not None:  # one set of flags for all: headers are precompiled for each
+            kernel.module.options["cpu_compiler_flags"] = f"{wp.config.cpu_compiler_flags} {NO_BFLOAT16}"
+        _begun[key] = _workers().submit(wp.force_load, device=device, modules=[kernel.module], max_workers=0)
+
+
+def wait_for(kernel: wp.Kernel, device: wp.Device) -> None:
+    """Wait until a kernel of ``compile_ahead`` can be launched. If it cannot be compiled, its launch says why."""
+    begun = _begun.get((kernel.module, device.alias))
+    if begun is not None:
+        wait([begun])
+
+
+class RecordedLaunch:
+    """A launch with everything fixed, to be repeated.
+
+    On a CPU its kernel may still be compiled when this is made; the first use waits for it.
+    """
+
+    def __init__(
+        self,
+        kernel: wp.Kernel,
+        *,
+        dim: int | Sequence[int],
+        inputs: Sequence[object],
+        outputs: Sequence[object] = (),
+        device: wp.Device,
+        block_dim: int = 256,
+        tiled: bool = False,
+    ) -> None:
+        """Take what ``warp.launch`` takes, or ``warp.launch_tiled`` if it is ``tiled``.
+
+        The caller keeps alive what ``inputs`` and ``outputs`` are views of.
+        """
+        self._kernel, self._device = kernel, device
+        self._given = {"dim": dim, "inputs": inputs, "outputs": outputs, "block_dim": block_dim}
+        self._launch = wp.launch_tiled if tiled else wp.launch
+        compile_ahead(kernel, device)
+        if not device.is_cpu:
+            _ = self.command
+
+    @cached_property
+    def command(self) -> wp.Launch:
+        """What Warp recorded."""
+        wait_for(self._kernel, self._device)
+        command = self._launch(self._kernel, device=self._device, record_cmd=True, **self._given)
+        assert isinstance(command, wp.Launch)
+        del self._given
+        return command
+
+    def set_param_at_index(self, index: int, value: object) -> None:
+        """Replace an argument."""
+        self.command.set_param_at_index(index, value)
+
+    def launch(self) -> None:
+        """Launch it; on a GPU on Warp's current stream, not waited for."""
+        self.command.launch()

@@ -1,0 +1,124 @@
+"""Kernels are compiled beside other work, once each, and launches wait for them."""
+
+import os
+import threading
+import time
+from math import inf
+
+import pytest
+import torch
+import warp as wp
+
+from aerial_gym.env_manager import SimBuilder
+from aerial_gym.interop import RecordedLaunch, compile_ahead, launches, start_warp
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def _fill(value: float, out: wp.array[float]):
+    out[wp.tid()] = value
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def _wrong(out: wp.array[float]):
+    out[wp.tid()] = wp.length(2.0)
+
+
+@pytest.fixture
+def cpu(monkeypatch: pytest.MonkeyPatch) -> wp.Device:
+    """Warp's CPU, with nothing that was compiled ahead."""
+    start_warp()
+    monkeypatch.setattr(launches, "_begun", {})
+    return wp.get_device("cpu")
+
+
+def test_a_launch_waits_for_its_kernel_and_its_making_does_not(cpu: wp.Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compilation stands still until it is let go: making a launch returns before, launching after."""
+    go, force_load = threading.Event(), wp.force_load
+    loaded: list[object] = []
+
+    def late(**given: object) -> None:
+        go.wait(60.0)
+        loaded.append(given["modules"])
+        force_load(**given)
+
+    monkeypatch.setattr(wp, "force_load", late)
+    out = torch.full((3,), float("nan"))
+    made = [
+        RecordedLaunch(_fill, dim=3, inputs=[value], outputs=[wp.from_torch(out)], device=cpu) for value in (1.0, 2.0)
+    ]
+    assert not loaded
+    threading.Timer(0.1, go.set).start()
+    for launch, value in zip(made, (1.0, 2.0), strict=True):
+        launch.launch()
+        assert loaded == [[_fill.module]]  # once, for both
+        assert out.tolist() == [value] * 3
+
+
+def test_an_argument_is_replaced(cpu: wp.Device) -> None:
+    out = torch.zeros(2)
+    launch = RecordedLaunch(_fill, dim=2, inputs=[1.0], outputs=[wp.from_torch(out)], device=cpu)
+    launch.set_param_at_index(0, 5.0)
+    launch.launch()
+    assert out.tolist() == [5.0, 5.0]
+
+
+def test_what_cannot_be_compiled_is_told_at_the_launch(cpu: wp.Device) -> None:
+    launch = RecordedLaunch(_wrong, dim=1, inputs=[], outputs=[wp.zeros(1, dtype=float, device=cpu)], device=cpu)
+    with pytest.raises(Exception, match="length"):
+        launch.launch()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
+def test_a_forked_process_compiles_with_workers_of_its_own(cpu: wp.Device) -> None:
+    """Threads do not survive a fork: a child that waited for its parent's would wait for ever."""
+    compile_ahead(_fill, cpu)
+    launches.wait_for(_fill, cpu)
+    child = os.fork()
+    if child == 0:
+        launches._begun.clear()
+        compile_ahead(_fill, cpu)
+        launches.wait_for(_fill, cpu)
+        os._exit(7)
+    until = time.monotonic() + 60.0
+    while (ended := os.waitpid(child, os.WNOHANG))[0] == 0 and time.monotonic() < until:
+        time.sleep(0.05)
+    if ended[0] == 0:
+        os.kill(child, 9)
+        os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(ended[1]) == 7
+
+
+def test_what_an_empty_environment_does_not_need_is_not_compiled(cpu: wp.Device) -> None:
+    """No obstacle is placed there and nothing can be touched: each of the two takes half a second or more to compile."""
+    env = SimBuilder().build_env(
+        sim_name="base_sim",
+        env_name="empty_env",
+        robot_name="base_quadrotor",
+        controller_name="lee_velocity_control",
+        num_envs=2,
+        device="cpu",
+        seed=0,
+    )
+    env.reset()
+    env.step(torch.zeros(2, 4))
+    assert env.gtd["robot_clearance"].tolist() == [inf, inf]
+    names = [module.name for module, _ in launches._begun]
+    assert any("advance" in name for name in names)
+    assert not [name for name in names if "walk" in name or "placement" in name]
+
+
+def test_everything_is_compiled_with_the_same_flags(cpu: wp.Device) -> None:
+    """Warp precompiles its headers for every set of flags anew, which takes longer than most kernels."""
+    SimBuilder().build_env(
+        sim_name="base_sim",
+        env_name="env_with_obstacles",
+        robot_name="base_quadrotor_with_camera",
+        controller_name="lee_velocity_control",
+        num_envs=2,
+        device="cpu",
+        seed=0,
+    )
+    modules = [module for module, _ in launches._begun]
+    assert len(modules) >= 8
+    assert len({module.options["cpu_compiler_flags"] for module in modules}) == 1
