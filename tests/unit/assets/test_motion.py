@@ -2,21 +2,17 @@
 
 from dataclasses import replace
 from math import sqrt
-from pathlib import Path
-from types import ModuleType
 
 import pytest
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym import SimBuilder
-from aerial_gym.assets import PARKED_Z, AssetManager, clearance, motion, placement
+from aerial_gym.assets import PARKED_Z, AssetManager
 from aerial_gym.config import build
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, MotionCfg, ShapeCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError, ShapeError
-from aerial_gym.interop import start_warp
 from aerial_gym.math.quaternion import quat_exp, quat_multiply
 from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
@@ -324,11 +320,3 @@ def test_a_camera_sees_where_obstacles_are_after_the_step() -> None:
     obstacles.copy_(after)
     env.render()
     assert torch.equal(image, seen)
-
-
-@pytest.mark.parametrize("module", [placement, motion, clearance])
-def test_kernels_compile_for_a_gpu(module: ModuleType, tmp_path: Path) -> None:
-    """Warp brings the compiler along; compute capability 9.0 is Hopper."""
-    start_warp()
-    wp.compile_aot_module(wp.get_module(module.__name__), arch=90, module_dir=tmp_path)
-    assert any(tmp_path.iterdir())
