@@ -3,7 +3,9 @@ independent plant, ``tests/measured/test_idsia.py`` real flights."""
 
 import errno
 import json
+from contextlib import redirect_stdout
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -43,10 +45,25 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def result(folder: Path) -> Path:
-    out = folder / "result"
-    close_loop(folder / "robot.yaml", [folder / f"f{n}.csv" for n in range(3)], [folder / "f3.csv"], out, ranges=True)
-    return out
+def call(folder: Path) -> list[str]:
+    """Return the command that closes the loop, without its folder of results."""
+    train, test = [str(folder / f"f{n}.csv") for n in range(3)], str(folder / "f3.csv")
+    return ["close-loop", "--robot", str(folder / "robot.yaml"), "--train", *train, "--test", test]
+
+
+@pytest.fixture(scope="module")
+def run(folder: Path, call: list[str]) -> tuple[Path, str]:
+    """Return the folder of results of the command, and what it printed."""
+    out, known, printed = folder / "result", folder.parent / "tolerances.yaml", StringIO()
+    known.write_text("mass: 0.002\n")
+    with redirect_stdout(printed):
+        assert main([*call, "--out", str(out), "--ranges", "--tolerances", str(known)]) == 0
+    return out, printed.getvalue()
+
+
+@pytest.fixture(scope="module")
+def result(run: tuple[Path, str]) -> Path:
+    return run[0]
 
 
 def test_the_verdict_names_the_hidden_drag(result: Path) -> None:
@@ -180,20 +197,18 @@ def test_the_reports_stand_alone(result: Path) -> None:
     assert len(record["inputs"]) == 4
 
 
-def test_the_command_prints_and_refuses(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Status 2 and one sentence for a wrong request, and nothing half-written."""
-    train = [str(folder / f"f{n}.csv") for n in range(3)]
-    test, robot, out = str(folder / "f3.csv"), str(folder / "robot.yaml"), folder / "printed"
-    call = ["close-loop", "--robot", robot, "--train", *train, "--test", test]
-    known = folder.parent / "tolerances.yaml"
-    known.write_text("mass: 0.002\n")
-    assert main([*call, "--out", str(out), "--tolerances", str(known)]) == 0
+def test_the_command_prints(run: tuple[Path, str]) -> None:
+    out, printed = run
     record = json.loads((out / "run.json").read_text())
     assert (record["config"]["tolerances"]["mass"], record["config"]["tolerances"]["com"]) == (0.002, 0.0003)
-    known.write_text("mas: 0.002\n")
-    printed = capsys.readouterr().out
     assert "rotor_drag: dx = 0.2" in printed
     assert "specific force x" in printed
+
+
+def test_the_command_refuses(folder: Path, call: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Status 2 and one sentence for a wrong request, and nothing half-written."""
+    test, robot, train, known = call[-1], call[2], call[4:7], folder.parent / "wrong_tolerances.yaml"
+    known.write_text("mas: 0.002\n")
     before = sorted(path.name for path in folder.iterdir())
     bad = pd.read_csv(test)
     bad.loc[100:110, "omega_y"] = np.nan
