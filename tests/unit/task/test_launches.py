@@ -58,3 +58,20 @@ def test_a_step_launches_few_kernels(name: str, most: int, monkeypatch: pytest.M
     with counting:
         task.step(actions)
     assert sum(counting.found.values()) <= most, sorted(counting.found.items())
+
+
+def test_a_reset_copies_its_mask_once() -> None:
+    """Placement, clearance of start and goal, sensors and robot read one mask, which ``Randomness`` keeps."""
+
+    class Masks(TorchDispatchMode):
+        copied = 0
+
+        def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+            self.copied += "copy_" in func._schema.name and args[1].dtype == torch.bool
+            return func(*args, **(kwargs or {}))
+
+    task = task_registry.make_task("navigation_task", num_envs=2, device="cpu", seed=0)
+    task.reset()
+    with Masks() as masks:
+        task._begin(torch.tensor([True, False]))
+    assert masks.copied == 1
