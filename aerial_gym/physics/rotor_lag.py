@@ -74,9 +74,10 @@ def limited_lag(
     crosses = falls & (command * way > 0.0)
     beyond = torch.where(crosses, command.abs(), 1.0)
     until_zero = _time_between(torch.where(crosses, distance, 1.0), beyond, tau_down, slew_down)
-    falling = torch.where(crosses, until_zero, torch.where(falls, dt, 0.0)).clamp_max(dt)
+    span = torch.zeros_like(distance) + dt  # of their float type, which a bare number would not have
+    falling = torch.minimum(torch.where(crosses, until_zero, torch.where(falls, span, 0.0)), span)
     distance = _remaining(distance, tau_down, slew_down, falling)
-    return command - way * _remaining(distance, tau_up, slew_up, dt - falling)
+    return command - way * _remaining(distance, tau_up, slew_up, span - falling)
 
 
 def _remaining(distance: Tensor, tau: Tensor, slew: Tensor, span: Tensor) -> Tensor:
