@@ -26,6 +26,9 @@ class MemoryBench:
     largest: int = 12
     """How many arrays are named."""
 
+    backend: str | None = None
+    """Registered physics backend (aerial-gym list backends); that of the sim if not given."""
+
     device: str = "auto"
     """Torch device; auto takes the GPU if there is one."""
 
@@ -68,6 +71,7 @@ class MemoryBench:
             controller_name="no_control",
             num_envs=self.num_envs,
             device=device,
+            backend=self.backend,
         )
         env.reset()
         env.step(torch.zeros_like(env.gtd["robot_actions"]))
@@ -81,6 +85,7 @@ class MemoryBench:
             "name": "total",
             "env_name": self.env_name,
             "robot": self.robot,
+            "backend": self.backend or "auto",
             "device": device_name(device),
             "num_envs": self.num_envs,
             "arrays_bytes": total,

@@ -13,7 +13,7 @@ from torch import Tensor
 from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize, quat_rotate
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import angular_acceleration, body_wrench, com_acceleration, with_load
-from aerial_gym.physics.rotor_lag import follow_command, rate_towards
+from aerial_gym.physics.rotor_lag import RotorCommand, follow_command, stage_rates
 from aerial_gym.physics.state import BodyState
 
 
@@ -40,8 +40,8 @@ class MassState:
     """Direction of the link on which a body hangs, and its rate [1/s], world, (E, 6); (E, 0) without one."""
 
 
-Stepper = Callable[[Model, MassState, Tensor, float], MassState]
-"""``(model, state, rotor_command (E, R) [rad/s], dt [s]) -> state after dt``."""
+Stepper = Callable[[Model, MassState, RotorCommand, float], MassState]
+"""``(model, state, rotor_command, dt [s]) -> state after dt``."""
 
 
 def to_mass_state(model: Model, state: BodyState, load: Tensor | None = None) -> MassState:
@@ -85,7 +85,7 @@ def _settle(load: Tensor) -> Tensor:
     return torch.cat((direction, rate - (rate * direction).sum(-1, keepdim=True) * direction), dim=-1)
 
 
-def semi_implicit_euler(model: Model, state: MassState, rotor_command: Tensor, dt: float) -> MassState:
+def semi_implicit_euler(model: Model, state: MassState, rotor_command: RotorCommand, dt: float) -> MassState:
     """Return the state after one step of order 1: velocities first, then positions with the new velocities.
 
     The attitude is turned by the exact rotation ``exp(w dt)``. Source: Hairer, Lubich, Wanner (2006), Geometric Numerical
@@ -106,18 +106,18 @@ def semi_implicit_euler(model: Model, state: MassState, rotor_command: Tensor, d
     )
 
 
-def rk4(model: Model, state: MassState, rotor_command: Tensor, dt: float) -> MassState:
+def rk4(model: Model, state: MassState, rotor_command: RotorCommand, dt: float) -> MassState:
     """Return the state after one classical Runge-Kutta step of order 4; rotor speeds are exact at every stage.
 
     Source: Hairer, Norsett, Wanner (1993), Solving Ordinary Differential Equations I, table II.1.2.
     """
     half = follow_command(model.vehicle, state.rotor_speed, rotor_command, 0.5 * dt)
     end = follow_command(model.vehicle, state.rotor_speed, rotor_command, dt)
-    jump = rotor_command - state.rotor_speed
+    speeds = (state.rotor_speed, half, end)
+    rates = stage_rates(model.vehicle, speeds, rotor_command, dt)
     slopes, stage = [], state
-    for speed, weight in ((state.rotor_speed, 0.5), (half, 0.5), (half, 1.0), (end, 0.0)):
-        stage = MassState(**{**vars(stage), "rotor_speed": speed})
-        rotor_acc = rate_towards(model.vehicle, speed, rotor_command, jump, dt)
+    for place, weight in ((0, 0.5), (1, 0.5), (1, 1.0), (2, 0.0)):
+        stage, rotor_acc = MassState(**{**vars(stage), "rotor_speed": speeds[place]}), rates[place]
         acc, ang_acc, swing = _derivative(model, stage, rotor_acc)
         turning = _attitude_rate(stage.attitude, stage.ang_vel)
         slopes.append((stage.lin_vel, turning, acc, ang_acc, torch.cat((stage.load[:, 3:], swing), dim=-1)))

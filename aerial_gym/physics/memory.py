@@ -13,7 +13,7 @@ from torch import Tensor
 from aerial_gym.math.random import Purpose, Randomness, counted_state
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect, LoadEffect, Moment
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rotors import held_command
+from aerial_gym.physics.rotor_lag import RotorCommand, Succession
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +70,8 @@ def forget(memory: Memory, mask: Tensor) -> Memory:
 
 def begin_substep(
     model: Model, memory: Memory, rotor_speed: Tensor, command: Tensor, dt: float
-) -> tuple[Model, Tensor, Memory]:
-    """Return the model with what is remembered in it, the command that the rotors follow (E, R), and the memory of a substep.
+) -> tuple[Model, RotorCommand, Memory]:
+    """Return the model with what is remembered in it, what the rotors follow, and the memory of a substep.
 
     Args:
         model: Vehicle and effects.
@@ -115,8 +115,8 @@ def _led_to(model: Model, command: Tensor) -> Tensor:
     return command
 
 
-def _delayed(model: Model, memory: Memory, rotor_speed: Tensor, dt: float) -> Tensor:
-    """Return the held command that does the same as those which arrive during the substep, (E, R)."""
+def _delayed(model: Model, memory: Memory, rotor_speed: Tensor, dt: float) -> Succession:
+    """Return the commands that arrive during the substep; before the first one has come through, the states of the rotors."""
     effect, params = model.effects[DelayEffect][0]
     substeps = (effect.delay(params) / dt).clamp(0.0, float(memory.past.shape[1] - 2))
     whole = substeps.detach().floor()
@@ -125,9 +125,8 @@ def _delayed(model: Model, memory: Memory, rotor_speed: Tensor, dt: float) -> Te
         rows = age[:, None, None].clamp_max(memory.past.shape[1] - 1).expand(-1, 1, rotor_speed.shape[1])
         led_to = _led_to(model, memory.past.gather(1, rows).squeeze(1))
         arriving.append(torch.where((age <= memory.since).unsqueeze(-1), led_to, rotor_speed))
-    vehicle, share = model.vehicle, (substeps - whole).unsqueeze(-1)
     earlier, later = arriving
-    return held_command(rotor_speed, earlier, later, share, vehicle.time_constant_up, vehicle.time_constant_down, dt)
+    return Succession(earlier=earlier, later=later, change=dt * (substeps - whole).unsqueeze(-1))
 
 
 def load_of(model: Model, memory: Memory) -> Tensor:

@@ -4,6 +4,8 @@
 size of x grows and where it falls. Pure functions of tensors. Letters: E environments, R rotors.
 """
 
+from dataclasses import dataclass, replace
+
 import torch
 from torch import Tensor
 
@@ -17,6 +19,24 @@ SHORTEST = 1e-12
 """In place of a time constant of zero [s]."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Succession:
+    """Two commands, one after the other, that the rotors follow in a step."""
+
+    earlier: Tensor
+    """First commands [rad/s] or [N], (E, R)."""
+
+    later: Tensor
+    """Second ones, likewise."""
+
+    change: Tensor
+    """From the start of the step to the second ones [s], (E, 1)."""
+
+
+RotorCommand = Tensor | Succession
+"""What the rotors follow in a step: one held command (E, R), or two."""
+
+
 def stop_in_dead_band(vehicle: Vehicle, command: Tensor) -> Tensor:
     """Return the commands, (E, R), with zero in place of those within the dead band."""
     if "dead_band" not in vehicle.traits:
@@ -24,12 +44,39 @@ def stop_in_dead_band(vehicle: Vehicle, command: Tensor) -> Tensor:
     return torch.where(command.abs() < vehicle.dead_band, 0.0, command)
 
 
-def follow_command(vehicle: Vehicle, state: Tensor, command: Tensor, dt: float) -> Tensor:
-    """Return the states of the rotors, (E, R), after ``dt`` [s] under held commands (E, R)."""
+def follow_command(vehicle: Vehicle, state: Tensor, command: RotorCommand, dt: float) -> Tensor:
+    """Return the states of the rotors, (E, R), after ``dt`` [s] from the start of a step; exact."""
+    if isinstance(command, Tensor):
+        return _follow_held(vehicle, state, command, dt)
+    lag = {name: getattr(vehicle, name).clamp_min(SHORTEST) for name in ("time_constant_up", "time_constant_down")}
+    vehicle, early = replace(vehicle, **lag), command.change.clamp_max(dt)  # a span may be zero
+    return _follow_held(vehicle, _follow_held(vehicle, state, command.earlier, early), command.later, dt - early)
+
+
+def _follow_held(vehicle: Vehicle, state: Tensor, command: Tensor, dt: float | Tensor) -> Tensor:
     lag = vehicle.time_constant_up, vehicle.time_constant_down
     if not vehicle.traits & {"reversible", "slew"}:
         return lag_speed(state, command, *lag, dt)
     return limited_lag(state, command, *lag, vehicle.slew_rate, vehicle.slew_rate_down, dt)
+
+
+def stage_rates(
+    vehicle: Vehicle, stages: tuple[Tensor, Tensor, Tensor], command: RotorCommand, dt: float
+) -> tuple[Tensor, ...]:
+    """Return the rates of change of the states, (E, R), at the start, in the middle and at the end of a step of ``dt`` [s].
+
+    Where the command changes on the way, all are moved alike, so that Simpson's rule over them gives the whole change of the
+    states: the momentum that the rotors gain is exact.
+    """
+    start, _, end = stages
+    if isinstance(command, Tensor):
+        return tuple(rate_towards(vehicle, state, command, command - start, dt) for state in stages)
+    rates = []
+    for state, time in zip(stages, (0.0, 0.5 * dt, dt), strict=True):
+        now = torch.where(command.change > time, command.earlier, command.later)
+        rates.append(rate_towards(vehicle, state, now, end - start, dt))
+    missing = (end - start) / dt - (rates[0] + 4.0 * rates[1] + rates[2]) / 6.0
+    return tuple(rate + missing for rate in rates)
 
 
 def rate_towards(vehicle: Vehicle, state: Tensor, command: Tensor, jump: Tensor, dt: float) -> Tensor:
@@ -45,7 +92,13 @@ def rate_towards(vehicle: Vehicle, state: Tensor, command: Tensor, jump: Tensor,
 
 
 def limited_lag(
-    state: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, slew_up: Tensor, slew_down: Tensor, dt: float
+    state: Tensor,
+    command: Tensor,
+    tau_up: Tensor,
+    tau_down: Tensor,
+    slew_up: Tensor,
+    slew_down: Tensor,
+    dt: float | Tensor,
 ) -> Tensor:
     """Return the state after ``dt`` under a held command with lag and slew limit; exact, however a span is divided.
 
@@ -59,7 +112,7 @@ def limited_lag(
         tau_down: Time constant where it falls [s], (E, R).
         slew_up: Largest rate at which it grows, (E, R); infinite where there is no limit.
         slew_down: Largest rate at which it falls, (E, R), likewise.
-        dt: Span [s].
+        dt: Span [s]; or (E, 1).
 
     Returns:
         States, (E, R).

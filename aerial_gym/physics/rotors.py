@@ -11,11 +11,8 @@ from aerial_gym.math.rows import times
 from aerial_gym.math.short import sum_slices
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
-SHORTEST_LAG = 1e-12
-"""Time constant [s] that stands for none, so that no time at all leaves the speed of such a rotor too."""
 
-
-def lag_speed(speed: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, dt: float) -> Tensor:
+def lag_speed(speed: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, dt: float | Tensor) -> Tensor:
     """Return the rotor speed after ``dt`` under a held command, ``w_c + (w - w_c) exp(-dt / tau)``.
 
     The exact solution of ``tau dw/dt = w_c - w``: the result does not depend on how a span is divided into steps. Which
@@ -26,7 +23,7 @@ def lag_speed(speed: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, 
         command: Commanded speeds w_c [rad/s], (E, R).
         tau_up: Time constant where the command is above the speed [s], (E, R). Zero follows at once.
         tau_down: Time constant where it is below [s], (E, R).
-        dt: Span [s].
+        dt: Span [s]; or (E, 1).
 
     Returns:
         Rotor speeds [rad/s], (E, R).
@@ -36,32 +33,6 @@ def lag_speed(speed: Tensor, command: Tensor, tau_up: Tensor, tau_down: Tensor, 
     """
     tau = torch.where(command > speed, tau_up, tau_down)
     return command + (speed - command) * torch.exp(-dt / tau)
-
-
-def held_command(
-    speed: Tensor, earlier: Tensor, later: Tensor, share: Tensor, tau_up: Tensor, tau_down: Tensor, dt: float
-) -> Tensor:
-    """Return the held command that leads to the same speed after ``dt`` as two commands one after the other, (E, R) [rad/s].
-
-    ``u = w + (w(dt) - w) / (1 - exp(-dt / tau))`` with the exact speed w(dt) under both commands.
-
-    Args:
-        speed: Rotor speeds w at the start [rad/s], (E, R).
-        earlier: First command [rad/s], (E, R).
-        later: Second command [rad/s], (E, R).
-        share: Part of dt for which the first one holds, 0 to 1, (E, 1).
-        tau_up: Time constant where the command is above the speed [s], (E, R). Zero follows at once.
-        tau_down: Time constant where it is below [s], (E, R).
-        dt: Span [s].
-
-    Source:
-        Derived: ``lag_speed`` twice, solved for one command.
-    """
-    up, down = (-dt / tau.clamp_min(SHORTEST_LAG) for tau in (tau_up, tau_down))
-    first = (earlier - speed) * (1.0 - torch.exp(torch.where(earlier > speed, up, down) * share))
-    middle = speed + first
-    rise = first + (later - middle) * (1.0 - torch.exp(torch.where(later > middle, up, down) * (1.0 - share)))
-    return speed + rise / (1.0 - torch.exp(torch.where(rise > 0.0, up, down)))
 
 
 def lag_acceleration(

@@ -89,9 +89,9 @@ def _substep(
     if memory is None:
         before = to_mass_state(model, state)
         return before, stepper(model, before, rotor_command, dt), None
-    now, rotor_command, memory = begin_substep(model, memory, state.rotor_speed, rotor_command, dt)
+    now, followed, memory = begin_substep(model, memory, state.rotor_speed, rotor_command, dt)
     before = to_mass_state(model, state, load_of(model, memory))
-    after = stepper(now, before, rotor_command, dt)
+    after = stepper(now, before, followed, dt)
     return before, after, end_substep(memory, after.load)
 
 

@@ -39,7 +39,7 @@ def model_of(robot: RobotCfg, dtype: torch.dtype, *, vary: bool, effects: tuple[
         effect = EFFECTS.get(name)
         row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
         rows.append((effect, torch.tensor(row, dtype=dtype).expand(NUM_ENVS, -1).clone()))
-    return build_model(vehicle, rows), declared
+    return build_model(vehicle, rows, ceiling_height=1.0), declared
 
 
 def flights(robot, controller, integrator, *, vary=False, effects=(), actions=thrusts) -> list[list[BodyState]]:

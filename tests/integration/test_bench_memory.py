@@ -45,3 +45,19 @@ def test_memory_of_a_simulator_is_that_of_its_images_and_of_91_obstacles(capsys:
     sizes = {row["name"]: row["bytes_per_env"] for row in arrays}
     assert sizes["gtd.vec_root_tensor"] == 92 * 13 * 4
     assert sizes["sensor_manager.casters.base_depth_camera._view.rows"] == 91 * 12 * 4
+
+
+def test_the_backend_that_is_named_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
+    """The fused backend keeps its parameters in arrays of its own; the torch backend reads those of the model."""
+    plain = ("memory", "--env-name", "empty_env", "--robot", "base_quadrotor", "--num-envs", "2", "--device", "cpu")
+    totals = {}
+    for backend in ("torch", "warp"):
+        status, out, _ = run(capsys, *plain, "--json", "--largest", "0", "--backend", backend)
+        assert status == 0
+        total = json.loads(out)
+        assert total["backend"] == backend
+        totals[backend] = total["arrays_bytes"]
+    assert totals["torch"] != totals["warp"]
+    status, _, err = run(capsys, *plain, "--backend", "warpp")
+    assert status == 2
+    assert "no physics backend 'warpp'. Did you mean 'warp'?" in err

@@ -20,7 +20,7 @@ from aerial_gym.physics.model import check_effects
 from aerial_gym.physics.rotor_lag import limited_lag, stop_in_dead_band
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, state_for_thrust
 from aerial_gym.robots import ROBOTS
-from tests.physics.mixed_rotors import FORCE, PLAIN, REVERSIBLE, mixed_robot, with_rotor
+from tests.physics.mixed_rotors import FORCE, REVERSIBLE, mixed_robot, with_rotor
 from tests.physics.test_rigid_body import SpeedControl
 from tests.physics.vehicles import F64, lopsided_robot, random_state
 
@@ -123,16 +123,18 @@ def test_a_reversed_rotor_is_one_whose_axis_points_the_other_way() -> None:
     state = random_state(8)
     backwards = replace(state, rotor_speed=-state.rotor_speed)
     spin_up = torch.full_like(state.rotor_speed, 30.0)
-    for name in ("axial_inflow", "h_force_flapping", "rotor_inertia", "rotor_drag", "motor_tilt", "torque_ratio"):
+    wrenches = ("axial_inflow", "h_force_flapping", "rotor_inertia", "rotor_drag", "motor_tilt", "torque_ratio")
+    for name in (*wrenches, "ground_effect", "ceiling_effect"):
         effect = EFFECTS.get(name)
         row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
         rows: list[EffectParams] = [(effect, torch.tensor(row, dtype=F64).expand(8, -1))]
         if name == "motor_tilt":  # a tilt turns with the axis
             rows = []
-        reverse = accelerations(
-            build_model(vehicle_from_config(robot, num_envs=8, dtype=F64), rows), backwards, -spin_up
+        here, there = (
+            build_model(vehicle_from_config(r, num_envs=8, dtype=F64), rows, ceiling_height=1.0)
+            for r in (robot, turned)
         )
-        upside = accelerations(build_model(vehicle_from_config(turned, num_envs=8, dtype=F64), rows), state, spin_up)
+        reverse, upside = accelerations(here, backwards, -spin_up), accelerations(there, state, spin_up)
         for one, other in zip(vars(reverse).values(), vars(upside).values(), strict=True):
             torch.testing.assert_close(
                 one, other, rtol=1e-10, atol=1e-10, msg=lambda text, name=name: f"{name}: {text}"
@@ -186,9 +188,8 @@ def test_a_reversible_quadrotor_hovers_upside_down() -> None:
 @pytest.mark.parametrize(
     ("name", "rotor", "words"),
     [
-        ("ground_effect", REVERSIBLE, "reversible"),
+        ("translational_lift", REVERSIBLE, "reversible"),
         ("axial_inflow", FORCE, "force mode"),
-        ("actuation_delay", replace(PLAIN, slew_rate=100.0), "slew_rate"),
     ],
 )
 def test_an_effect_refuses_rotors_by_name(name: str, rotor, words: str) -> None:

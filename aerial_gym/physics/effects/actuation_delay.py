@@ -1,10 +1,9 @@
 """Commands reach the motors late: radio, bus and electronic speed controllers take their time.
 
 The rotors follow ``w_c(t - delay)``, with the command of each substep held over it. Where the delay is no multiple of the
-substep, the delayed command changes inside a substep, and the lag follows first one, then the other. Speeds at the ends of
-substeps are exact for every delay and any division into substeps; inside a substep, forces are those of the held command
-that leads to the same speed at its end (``rotors.held_command``). Before the first command after a reset has come through, the
-rotors keep their speeds.
+substep, the delayed command changes inside a substep, and the lag follows first one, then the other. Speeds, in force mode
+thrusts, of either sign are exact at the stages and ends of substeps for every delay and any division into substeps. Before
+the first command after a reset has come through, the rotors keep their states.
 Source: Derived: transport delay of a piecewise constant signal; in multirotors e.g. Foerster (2015), System identification of
 the Crazyflie 2.0, section 3.2.
 """
@@ -12,7 +11,7 @@ the Crazyflie 2.0, section 3.2.
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.physics.effects.base import DelayEffect, Parameter
+from aerial_gym.physics.effects.base import ANY_ROTOR, DelayEffect, Parameter
 
 LONGEST = 0.1
 """Bound of the delay [s]; the backend keeps the commands of this span (51 at substeps of 2 ms)."""
@@ -26,7 +25,7 @@ class ActuationDelay(DelayEffect):
     parameters = (Parameter(name="delay", unit="s", low=0.0, high=LONGEST, scale=0.01, meaning="dead time"),)
     excitation = "quick changes of the rotor commands, best with measured rotor speeds"
     confused_with = ("motor_time_constant", "motor_asymmetry")
-    rotors = ("force", "dead_band")
+    rotors = ANY_ROTOR
     longest = LONGEST
 
     def delay(self, params: Tensor) -> Tensor:

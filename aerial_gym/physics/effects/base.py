@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import inf
 from typing import ClassVar, Literal
 
 import torch
@@ -126,14 +127,31 @@ class Condition:
         return self.position[:, 2:] + dot(self.lever, self.up.unsqueeze(1))
 
     @cached_property
-    def hub_height(self) -> Tensor:
-        """Height of the hubs above the ground [m], (E, R)."""
+    def axis_height(self) -> Tensor:
+        """World z of the directions of thrust, -1 to 1, (E, R)."""
+        return dot(self.axis, self.up.unsqueeze(1))
+
+    @property
+    def wake_room(self) -> Tensor:
+        """Distance of the hubs to what their wakes blow at [m], (E, R): the ground, or the ceiling where thrust points down."""
+        return torch.where(self._wake_goes_up, self._room_above, self._room_below)
+
+    @property
+    def inlet_room(self) -> Tensor:
+        """Distance of the hubs to what bounds the air that they draw in [m], (E, R): the ceiling, or the ground likewise."""
+        return torch.where(self._wake_goes_up, self._room_below, self._room_above)
+
+    @property
+    def _wake_goes_up(self) -> Tensor:
+        return self.rotor_thrust * self.axis_height < 0.0
+
+    @cached_property
+    def _room_below(self) -> Tensor:
         return self.hub_altitude - self.ground_height
 
     @cached_property
-    def hub_room(self) -> Tensor:
-        """Distance of the hubs to the ceiling above them [m], (E, R)."""
-        return self.ceiling_height - self.hub_altitude
+    def _room_above(self) -> Tensor:
+        return (self.ceiling_height - self.hub_altitude).nan_to_num(nan=inf)
 
     @cached_property
     def axial_velocity(self) -> Tensor:

@@ -1,10 +1,12 @@
 """Rotors close below a ceiling give more thrust at the same speed: it keeps air from them, and they suck towards it.
 
-``T' = T / (1 - k (R / 4 h)²)`` for a rotor of radius R whose hub is a distance h below the ceiling. Closer than ``h = R / 2``
-the formula is not meant to hold, and the gain stays what it is there; above the ceiling as well.
+``T' = T / (1 - k (R / 4 h)²)`` for a rotor of radius R whose hub is a distance h from the surface that bounds the air which it
+draws in: below the ceiling where its thrust points up, as T and the axis of the rotor have it, and above the ground where it
+points down: a reversed rotor is sucked towards the ground. Near the other surface it feels ``ground_effect``. Closer than
+``h = R / 2`` the formula is not meant to hold, and the gain stays what it is there; beyond the surface as well.
 Source: Powers, Mellinger, Kushleyev, Kothmann, Kumar (2013), Influence of aerodynamics and proximity effects in quadrotor
 flight: ``T / T' = 1 - (1 / a_1) (R / (h + a_2))²`` near a ceiling; here a_2 = 0, and ``k = 16 / a_1`` is the factor of
-``ground_effect``, so that their strengths compare.
+``ground_effect``, so that their strengths compare. For thrust that points down derived, as there.
 """
 
 import warp as wp
@@ -12,7 +14,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics.effects.base import Condition, Parameter, RotorEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Parameter, RotorEffect
 
 CLOSEST = wp.constant(0.5)
 """Least distance of a hub that makes a difference, in radii."""
@@ -26,7 +28,7 @@ class CeilingEffect(RotorEffect):
     parameters = (Parameter(name="k", unit="-", low=0.0, high=3.5, scale=1.0, meaning="strength, as of ground_effect"),)
     excitation = "flight within two rotor diameters of the ceiling, and away from it; its height"
     confused_with = ("thrust_coefficient", "battery_sag", "ground_effect")
-    rotors = ("force", "slew", "dead_band")
+    rotors = ANY_ROTOR
     follows = ("position",)
     needs = ("position", "ceiling_height")
 
@@ -38,7 +40,7 @@ class CeilingEffect(RotorEffect):
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
         """Return ``T (1 / (1 - k (R / 4 h)²) - 1)``."""
         radius = condition.vehicle.rotor_radius
-        room = condition.hub_room.maximum(CLOSEST * radius)
+        room = condition.inlet_room.maximum(CLOSEST * radius)
         share = params[:, :1] * (radius / (4.0 * room)).square()
         return condition.rotor_thrust * share / (1.0 - share)
 
@@ -48,7 +50,7 @@ class CeilingEffect(RotorEffect):
 
         @wp.func
         def ceiling_effect(at: condition, rotor: hub, k: params) -> float:
-            ratio = rotor.radius / (4.0 * wp.max(rotor.room, CLOSEST * rotor.radius))
+            ratio = rotor.radius / (4.0 * wp.max(rotor.inlet_room, CLOSEST * rotor.radius))
             share = k[0] * ratio * ratio
             return rotor.thrust * share / (1.0 - share)
 

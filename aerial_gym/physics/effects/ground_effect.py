@@ -1,11 +1,15 @@
 """Rotors near the ground give more thrust at the same speed: the ground holds up their wake.
 
-``T' = T / (1 - k (R / 4 h)²)`` for a rotor of radius R whose hub is at a height h; k = 1 for a single rotor by the
+``T' = T / (1 - k (R / 4 h)²)`` for a rotor of radius R whose hub is a distance h from the surface at which its wake blows: at a
+height h above the ground where its thrust points up, as T and the axis of the rotor have it, and h below a ceiling where it
+points down. Near the other surface such a rotor feels ``ceiling_effect``. Where the thrust passes through zero the gain does
+too; between, the tilt of a rotor makes no difference, for the sources are of level ones; k = 1 for a single rotor by the
 method of images, larger for several rotors side by side: the source for multirotors, with four rotors 3 R apart, comes to about
 2.5 at a height of 3 R, and to 10 with the fountain that lifts the body between them. Below ``h = R / 2`` the formula is not
 meant to hold, and the gain stays what it is there; thrust is at most doubled.
 Source: Cheeseman, Bennett (1955), The effect of the ground on a helicopter rotor in forward flight, ARC R&M 3021; factor
-for multirotors: Sanchez-Cuevas, Heredia, Ollero (2017), Characterization of the aerodynamic ground effect.
+for multirotors: Sanchez-Cuevas, Heredia, Ollero (2017), Characterization of the aerodynamic ground effect. For thrust that
+points down derived: air has no up, so that such a rotor is the mirror image of one over the ground.
 """
 
 import warp as wp
@@ -13,7 +17,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics.effects.base import Condition, Parameter, RotorEffect
+from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Parameter, RotorEffect
 
 LOWEST = wp.constant(0.5)
 """Least height of a hub that makes a difference, in radii."""
@@ -34,7 +38,7 @@ class GroundEffect(RotorEffect):
         "flight within two rotor diameters of the ground, and away from it; heights above the ground in the log"
     )
     confused_with = ("thrust_coefficient", "battery_sag", "axial_inflow")
-    rotors = ("force", "slew", "dead_band")
+    rotors = ANY_ROTOR
     follows = ("position",)
     needs = ("position",)
 
@@ -46,7 +50,7 @@ class GroundEffect(RotorEffect):
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
         """Return ``T (1 / (1 - k (R / 4 h)²) - 1)``."""
         radius = condition.vehicle.rotor_radius
-        height = condition.hub_height.maximum(LOWEST * radius)
+        height = condition.wake_room.maximum(LOWEST * radius)
         share = (params[:, :1] * (radius / (4.0 * height)).square()).clamp_max(LARGEST_SHARE)
         return condition.rotor_thrust * share / (1.0 - share)
 
@@ -56,7 +60,7 @@ class GroundEffect(RotorEffect):
 
         @wp.func
         def ground_effect(at: condition, rotor: hub, k: params) -> float:
-            ratio = rotor.radius / (4.0 * wp.max(rotor.height, LOWEST * rotor.radius))
+            ratio = rotor.radius / (4.0 * wp.max(rotor.wake_room, LOWEST * rotor.radius))
             share = wp.min(k[0] * ratio * ratio, LARGEST_SHARE)
             return rotor.thrust * share / (1.0 - share)
 

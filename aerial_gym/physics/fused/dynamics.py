@@ -7,7 +7,7 @@ from typing import Any
 
 import warp as wp
 
-from aerial_gym.physics.effects import Effect, LoadEffect, RotorEffect, WindEffect, WrenchEffect
+from aerial_gym.physics.effects import DelayEffect, Effect, LoadEffect, RotorEffect, WindEffect, WrenchEffect
 from aerial_gym.physics.fused.functions import (
     angular_acceleration,
     attitude_rate,
@@ -17,12 +17,15 @@ from aerial_gym.physics.fused.functions import (
     small_turn,
 )
 from aerial_gym.physics.fused.packing import pickers, values_type
-from aerial_gym.physics.fused.rotors import make_follow, make_maps, make_spin_up
+from aerial_gym.physics.fused.rotors import make_follow, make_maps, make_stage_rates
 from aerial_gym.physics.fused.types import Hub, Suspension, rotor_types
 from aerial_gym.physics.model import Model
 
 STAGES = {"euler": 1.0, "rk4": 0.5}
 """Part of a step over which a stepper follows the rotors at once."""
+
+NO_CEILING = 1e30
+"""Height in its place [m]: far above all others, and finite in float32."""
 
 
 def _sum_of_rotors(terms: list[tuple[wp.Function, wp.Function]], condition: Any, params: Any) -> wp.Function:
@@ -82,9 +85,10 @@ def _make_hub_at(num_rotors: int, general: bool) -> wp.Function:
         hub.thrust = thrust
         hub.radius = vehicle.rotor_radius[i]
         altitude = at.position[2] + rotate(at.attitude, lever)[2]
-        hub.height = altitude - ground
-        hub.room = ceiling - altitude
         hub.axis = wp.vec3(vehicle.rotor_axis[i, 0], vehicle.rotor_axis[i, 1], vehicle.rotor_axis[i, 2])
+        wake_goes_up = thrust * rotate(at.attitude, hub.axis)[2] < 0.0
+        hub.wake_room = wp.where(wake_goes_up, ceiling - altitude, altitude - ground)
+        hub.inlet_room = wp.where(wake_goes_up, altitude - ground, ceiling - altitude)
         hub.velocity = at.air_velocity + wp.cross(at.ang_vel, lever)
         return hub
 
@@ -111,7 +115,7 @@ def make_accelerations(model: Model) -> wp.Function:
     wrench = _sum_of(wrenches, types.condition, params_type, wp.spatial_vector)
     vehicle_type, vector, condition_type = types.vehicle, types.vector, types.condition
     ground_height, hub_at = model.ground_height, _make_hub_at(num_rotors, general)
-    ceiling_height = 0.0 if model.ceiling_height is None else model.ceiling_height
+    ceiling_height = NO_CEILING if model.ceiling_height is None else model.ceiling_height
     hang = _make_hang(model)
 
     @wp.func
@@ -227,22 +231,34 @@ def settle(load: wp.spatial_vector) -> wp.spatial_vector:
 def make_stepper(model: Model, integrator: str) -> wp.Function:
     """Return a function that advances the motion of the centre of mass and the rotors by one step."""
     num_rotors, general = model.vehicle.num_rotors, not model.vehicle.plain
-    types = rotor_types(num_rotors, general)
+    types, late = rotor_types(num_rotors, general), bool(model.effects[DelayEffect])
     parts = (
         types.vehicle,
         types.vector,
+        types.succession if late else types.vector,
         values_type(model),
         make_accelerations(model),
         bool(model.effects[LoadEffect]),
     )
-    follow = make_follow(num_rotors, general)
+    follow = make_follow(num_rotors, general, late)
     if integrator == "euler":
         return _make_euler(*parts, follow)
-    return _make_rk4(*parts, follow, make_follow(num_rotors, general, stages=2), make_spin_up(num_rotors, general))
+    return _make_rk4(
+        *parts,
+        follow,
+        make_follow(num_rotors, general, late, stages=2),
+        make_stage_rates(num_rotors, general, late),
+    )
 
 
 def _make_euler(
-    vehicle_type: Any, vector: Any, params_type: Any, accelerations: wp.Function, any_load: bool, follow: wp.Function
+    vehicle_type: Any,
+    vector: Any,
+    command_type: Any,
+    params_type: Any,
+    accelerations: wp.Function,
+    any_load: bool,
+    follow: wp.Function,
 ) -> wp.Function:
     @wp.func
     def euler(
@@ -255,7 +271,7 @@ def _make_euler(
         ang_vel: wp.vec3,
         rotor_speed: vector,
         load: wp.spatial_vector,
-        command: vector,
+        command: command_type,
         dt: float,
     ):
         rotors = follow(vehicle, rotor_speed, command, dt)
@@ -277,12 +293,13 @@ def _make_euler(
 def _make_rk4(
     vehicle_type: Any,
     vector: Any,
+    command_type: Any,
     params_type: Any,
     accelerations: wp.Function,
     any_load: bool,
     follow_half: wp.Function,
     follow: wp.Function,
-    spin_up: wp.Function,
+    stage_rates: wp.Function,
 ) -> wp.Function:
     @wp.func
     def rk4(
@@ -295,15 +312,13 @@ def _make_rk4(
         ang_vel: wp.vec3,
         rotor_speed: vector,
         load: wp.spatial_vector,
-        command: vector,
+        command: command_type,
         dt: float,
     ):
         half = 0.5 * dt
         middle = follow_half(vehicle, rotor_speed, command, half)
         end = follow(vehicle, rotor_speed, command, dt)
-        n1 = spin_up(vehicle, rotor_speed, command, rotor_speed, dt)
-        n2 = spin_up(vehicle, middle, command, rotor_speed, dt)
-        n4 = spin_up(vehicle, end, command, rotor_speed, dt)
+        n1, n2, n4 = stage_rates(vehicle, rotor_speed, middle, end, command, dt)
         a1, b1, s1 = accelerations(
             vehicle, params, gravity, position, attitude, lin_vel, ang_vel, rotor_speed, n1, load
         )

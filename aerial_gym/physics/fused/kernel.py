@@ -77,7 +77,7 @@ def make_kernel(
     vector, action_type, params_type = types.vector, vector_of(law.num_actions), values_type(model)
     remembers, num_loads = bool(model.effects.remembering), 6 * len(model.effects[LoadEffect])
     any_load = num_loads > 0
-    begin = make_begin(model, integrator) if remembers else None
+    begin = make_begin(model) if remembers else None
     law_remembers = law.remembering is not None
     memories_type = memory_type(effects=remembers, law=law_remembers)
     remembered_command = law.remembering(law, num_rotors, general) if law.remembering is not None else None
@@ -130,10 +130,12 @@ def make_kernel(
             command = stop(vehicle, command)
         values = params
         if wp.static(remembers and law_remembers):
-            values, command = begin(vehicle, params, command, n, memory.effects, env, since, dt)
+            values, followed = begin(vehicle, params, command, n, memory.effects, env, since, dt)
         elif wp.static(remembers):
-            values, command = begin(vehicle, params, command, n, memory, env, since, dt)
-        x, q, v, w, n, load = step(vehicle, values, gravity, x, q, v, w, n, load, command, dt)
+            values, followed = begin(vehicle, params, command, n, memory, env, since, dt)
+        else:
+            followed = command
+        x, q, v, w, n, load = step(vehicle, values, gravity, x, q, v, w, n, load, followed, dt)
         return x, q, v, w, n, load, values
 
     @wp.kernel(module="unique", enable_backward=differentiable)

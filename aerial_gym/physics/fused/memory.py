@@ -11,7 +11,6 @@ import warp as wp
 from aerial_gym.math.draws import RandomArrays, stream_of, substream
 from aerial_gym.math.random import Purpose
 from aerial_gym.physics.effects import CommandEffect, DelayEffect
-from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.fused.packing import pickers, types_of, values_type
 from aerial_gym.physics.fused.types import RotorTypes
 from aerial_gym.physics.model import Model
@@ -66,12 +65,12 @@ def memory_type(*, effects: bool, law: bool) -> Any:
     return MemoryArrays if effects else NoMemory
 
 
-def make_begin(model: Model, integrator: str) -> wp.Function:
-    """Return a function from values and command to those of a substep."""
+def make_begin(model: Model) -> wp.Function:
+    """Return a function from values and command to those of a substep; with a delay, to two commands."""
     types, values, num_rotors = types_of(model), values_type(model), model.vehicle.num_rotors
     moment, vehicle_type, vector = types.moment, types.vehicle, types.vector
     remember, lead, any_delay = _make_remember(model), _make_lead(model), bool(model.effects[DelayEffect])
-    delayed = _make_delayed(model, integrator, lead) if any_delay else None
+    delayed = _make_delayed(model, lead) if any_delay else None
 
     @wp.func
     def begin(
@@ -90,7 +89,6 @@ def make_begin(model: Model, integrator: str) -> wp.Function:
         now.random = substream(stream_of(arrays.random, env, wp.static(int(Purpose.EFFECTS))), since)
         now.dt = dt
         remembered = remember(vehicle, now, all_values)
-        followed = vector()
         if wp.static(any_delay):
             for i in range(wp.static(num_rotors)):
                 arrays.past[(since % arrays.slots) * wp.static(num_rotors) + i, env] = command[i]
@@ -149,8 +147,8 @@ def _make_lead(model: Model) -> wp.Function:
     return total
 
 
-def _make_delayed(model: Model, integrator: str, lead: wp.Function) -> wp.Function:
-    """Return a function to the held command that does the same as those which arrive during the substep."""
+def _make_delayed(model: Model, lead: wp.Function) -> wp.Function:
+    """Return a function to the commands that arrive during the substep."""
     types, values, num_rotors = types_of(model), values_type(model), model.vehicle.num_rotors
     effect = model.effects[DelayEffect][0][0]
     delay_of, pick, arrive = (
@@ -158,22 +156,17 @@ def _make_delayed(model: Model, integrator: str, lead: wp.Function) -> wp.Functi
         pickers(model)[DelayEffect][0].get,
         _make_arrive(types, num_rotors, lead, values),
     )
-    moment, vehicle_type, vector = types.moment, types.vehicle, types.vector
-    stages = 1.0 / STAGES[integrator]
+    moment, vehicle_type, succession = types.moment, types.vehicle, types.succession
 
     @wp.func
-    def delayed(vehicle: vehicle_type, now: moment, all_values: values, arrays: MemoryArrays, env: int) -> vector:
+    def delayed(vehicle: vehicle_type, now: moment, all_values: values, arrays: MemoryArrays, env: int) -> succession:
         substeps = wp.clamp(delay_of(pick(all_values)) / now.dt, 0.0, float(arrays.slots - 2))
         whole = wp.floor(substeps)
-        share = substeps - whole
-        earlier = arrive(vehicle, now, all_values, arrays, env, int(whole) + 1)
-        later = arrive(vehicle, now, all_values, arrays, env, int(whole))
-        held = vector()
-        for i in range(wp.static(num_rotors)):
-            up = wp.pow(vehicle.decay_up[i], wp.static(stages))
-            down = wp.pow(vehicle.decay_down[i], wp.static(stages))
-            held[i] = held_command(now.rotor_speed[i], earlier[i], later[i], share, up, down)
-        return held
+        both = succession()
+        both.earlier = arrive(vehicle, now, all_values, arrays, env, int(whole) + 1)
+        both.later = arrive(vehicle, now, all_values, arrays, env, int(whole))
+        both.change = (substeps - whole) * now.dt
+        return both
 
     return delayed
 
@@ -193,12 +186,3 @@ def _make_arrive(types: RotorTypes, num_rotors: int, lead: wp.Function, values: 
         return lead(vehicle, all_values, command)
 
     return arrive
-
-
-@wp.func
-def held_command(speed: float, earlier: float, later: float, share: float, up: float, down: float) -> float:
-    """Return ``rotors.held_command`` of one rotor, from its decays over the substep."""
-    first = (earlier - speed) * (1.0 - wp.pow(wp.where(earlier > speed, up, down), share))
-    middle = speed + first
-    rise = first + (later - middle) * (1.0 - wp.pow(wp.where(later > middle, up, down), 1.0 - share))
-    return speed + rise / (1.0 - wp.where(rise > 0.0, up, down))

@@ -52,14 +52,15 @@ def make_maps(vehicle: Any) -> tuple[wp.Function, wp.Function]:
 
 
 @cache
-def make_follow(num_rotors: int, general: bool, *, stages: int = 1) -> wp.Function:
+def make_follow(num_rotors: int, general: bool, late: bool = False, *, stages: int = 1) -> wp.Function:
     """Return a function to the states after one or two stages of a stepper, (vehicle, states, commands, span [s]) -> states.
 
     Two stages at once are rounded once: a state near its command stands still where what is left of the way in a stage is less
-    than half a unit in its last place, so that stages one by one end twice as far from the command.
+    than half a unit in its last place, so that stages one by one end twice as far from the command. With ``late`` two
+    commands follow each other in a step.
     """
     types, limited_lag = rotor_types(num_rotors, general), make_limited_lag(wp.float32)
-    vehicle_type, vector = types.vehicle, types.vector
+    vehicle_type, vector, succession = types.vehicle, types.vector, types.succession
 
     @wp.func
     def plain(plant: vehicle_type, i: int, n: float, command: float, span: float) -> float:
@@ -71,10 +72,19 @@ def make_follow(num_rotors: int, general: bool, *, stages: int = 1) -> wp.Functi
         return lag_speed(n, command, up, down)
 
     @wp.func
+    def plain_part(plant: vehicle_type, i: int, n: float, command: float, share: float, span: float) -> float:
+        decay = wp.where(command > n, plant.decay_up[i], plant.decay_down[i])
+        return n + (command - n) * (1.0 - wp.pow(decay, share * wp.static(float(stages))))
+
+    @wp.func
     def limited(plant: vehicle_type, i: int, n: float, command: float, span: float) -> float:
         return limited_lag(n, command, plant.tau_up[i], plant.tau_down[i], plant.slew_up[i], plant.slew_down[i], span)
 
-    one = limited if general else plain
+    @wp.func
+    def limited_part(plant: vehicle_type, i: int, n: float, command: float, share: float, span: float) -> float:
+        return limited(plant, i, n, command, share * span)
+
+    one, part = (limited, limited_part) if general else (plain, plain_part)
 
     @wp.func
     def follow(vehicle: vehicle_type, state: vector, command: vector, span: float) -> vector:
@@ -83,14 +93,23 @@ def make_follow(num_rotors: int, general: bool, *, stages: int = 1) -> wp.Functi
             after[i] = one(vehicle, i, state[i], command[i], span)
         return after
 
-    return follow
+    @wp.func
+    def follow_both(vehicle: vehicle_type, state: vector, command: succession, span: float) -> vector:
+        after = vector()
+        early = wp.min(command.change / span, 1.0)
+        for i in range(wp.static(num_rotors)):
+            middle = part(vehicle, i, state[i], command.earlier[i], early, span)
+            after[i] = part(vehicle, i, middle, command.later[i], 1.0 - early, span)
+        return after
+
+    return follow_both if late else follow
 
 
 @cache
-def make_spin_up(num_rotors: int, general: bool) -> wp.Function:
-    """Return ``rotor_lag.rate_towards`` for stages of half a step."""
+def make_stage_rates(num_rotors: int, general: bool, late: bool = False) -> wp.Function:
+    """Return ``rotor_lag.stage_rates``, (vehicle, states at start, middle and end, commands, step [s]) -> three rates."""
     types = rotor_types(num_rotors, general)
-    vehicle_type, vector = types.vehicle, types.vector
+    vehicle_type, vector, succession = types.vehicle, types.vector, types.succession
 
     @wp.func
     def plain(plant: vehicle_type, i: int, n: float, command: float, jump: float, dt: float) -> float:
@@ -103,13 +122,38 @@ def make_spin_up(num_rotors: int, general: bool) -> wp.Function:
     one = limited if general else plain
 
     @wp.func
-    def spin_up(vehicle: vehicle_type, state: vector, command: vector, first: vector, dt: float) -> vector:
+    def rates(vehicle: vehicle_type, state: vector, command: vector, first: vector, dt: float) -> vector:
         rate = vector()
         for i in range(wp.static(num_rotors)):
             rate[i] = one(vehicle, i, state[i], command[i], command[i] - first[i], dt)
         return rate
 
-    return spin_up
+    @wp.func
+    def held(vehicle: vehicle_type, start: vector, middle: vector, end: vector, command: vector, dt: float):
+        return (
+            rates(vehicle, start, command, start, dt),
+            rates(vehicle, middle, command, start, dt),
+            rates(vehicle, end, command, start, dt),
+        )
+
+    @wp.func
+    def at(vehicle: vehicle_type, state: vector, command: succession, time: float, jump: vector, dt: float) -> vector:
+        rate = vector()
+        for i in range(wp.static(num_rotors)):
+            now = wp.where(command.change > time, command.earlier[i], command.later[i])
+            rate[i] = one(vehicle, i, state[i], now, jump[i], dt)
+        return rate
+
+    @wp.func
+    def both(vehicle: vehicle_type, start: vector, middle: vector, end: vector, command: succession, dt: float):
+        jump = end - start
+        n1 = at(vehicle, start, command, 0.0, jump, dt)
+        n2 = at(vehicle, middle, command, 0.5 * dt, jump, dt)
+        n4 = at(vehicle, end, command, dt, jump, dt)
+        missing = jump / dt - (n1 + 4.0 * n2 + n4) / 6.0
+        return n1 + missing, n2 + missing, n4 + missing
+
+    return both if late else held
 
 
 @cache

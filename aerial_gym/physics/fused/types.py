@@ -32,6 +32,9 @@ class RotorTypes:
     condition: Any
     """``wp.struct`` of what a force may depend on: ``effects.Condition`` for one environment."""
 
+    succession: Any
+    """``wp.struct`` of two commands in one step: ``rotor_lag.Succession`` for one environment."""
+
     moment: Any
     """``wp.struct`` of the start of a substep: ``effects.Moment`` for one environment."""
 
@@ -43,8 +46,8 @@ class Hub:
     speed: float  # [rad/s]
     thrust: float  # of its own [N]
     radius: float  # [m]
-    height: float  # above the ground [m]
-    room: float  # below the ceiling [m]
+    wake_room: float  # to what the wake blows at, ground or ceiling [m]
+    inlet_room: float  # to what bounds the air that is drawn in [m]
     axis: wp.vec3  # body
     velocity: wp.vec3  # through the air [m/s], body
 
@@ -134,6 +137,12 @@ def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
         other_position: wp.vec3  # another vehicle [m], world
 
     @wp.struct
+    class Succession:
+        earlier: vector  # [rad/s] or [N]
+        later: vector
+        change: float  # from the start of the step to the later ones [s]
+
+    @wp.struct
     class Moment:
         rotor_speed: vector  # [rad/s]
         since: int  # substeps since the reset
@@ -141,7 +150,7 @@ def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
         dt: float  # [s]
 
     vehicle_type, command_type = _struct("VehicleParameters", vehicle), _struct("CommandParameters", command)
-    return RotorTypes(vector, rows, matrix, vehicle_type, command_type, Condition, Moment)
+    return RotorTypes(vector, rows, matrix, vehicle_type, command_type, Condition, Succession, Moment)
 
 
 def _struct(name: str, fields: dict[str, Any]) -> Any:

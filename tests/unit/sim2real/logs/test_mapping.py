@@ -153,7 +153,7 @@ def test_commands_are_scaled_to_the_thrust_measured_above_a_height(table: pd.Dat
     scaled = load_flight(path, ROBOT, mapping=layout(hover_above_m=above, **fields), bandwidth=5.0)
     assert scaled.rotor_command is not None
     np.testing.assert_allclose(scaled.rotor_command, np.where(high, 1.0, 0.7 / 1.1) * flown, rtol=1e-3)
-    assert any("commanded speeds scaled by 0.909" in note for note in scaled.notes)
+    assert any("commands scaled by 0.909" in note for note in scaled.notes)
     as_logged = load_flight(path, ROBOT, mapping=layout(**fields), bandwidth=5.0)
     assert as_logged.rotor_command is not None
     np.testing.assert_allclose(as_logged.rotor_command[0], table.loc[0, ["cmd_1", "cmd_2", "cmd_3", "cmd_4"]].tolist())
