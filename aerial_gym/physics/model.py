@@ -116,7 +116,7 @@ def build_model(
     )
 
 
-def check_rotors(effect: Effect, traits: Set[str]) -> None:
+def check_rotors(effect: Effect | type[Effect], traits: Set[str]) -> None:
     """Raise ``ConfigError`` if rotors are of a kind that an effect cannot act on (``docs/rotors.md``)."""
     if missing := sorted(traits - set(effect.rotors)):
         raise ConfigError(

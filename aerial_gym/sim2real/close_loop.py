@@ -17,7 +17,8 @@ from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
-from aerial_gym.physics.model import check_effects
+from aerial_gym.physics.effects import LearnedResidual
+from aerial_gym.physics.model import check_effects, check_rotors
 from aerial_gym.sim2real.identify.battery import with_battery
 from aerial_gym.sim2real.identify.learned import Learned, judge_on_test, train_residual
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import params_of, with_params
@@ -35,7 +36,6 @@ from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, wit
 from aerial_gym.sim2real.judge.unexplained import find_remains, judges_forces
 from aerial_gym.sim2real.judge.verdict import Verdict, decide, immaterial, named_effects, tied_rivals
 from aerial_gym.sim2real.judge.whiteness import whiteness
-from aerial_gym.sim2real.logs.declared_rotors import check_speed_mode
 from aerial_gym.sim2real.logs.flights import Flight, load_flights
 from aerial_gym.sim2real.logs.mapping import find_mapping
 from aerial_gym.sim2real.predict.predictor import Point, Predictor, comparison_band, declared_point, find_channels
@@ -162,8 +162,9 @@ def judge_flights(
     progress: Progress = silent,
 ) -> Analysis:
     """Return the analysis of flights in memory; arguments as for ``close_loop``."""
-    check_speed_mode(robot)
     check_effects(robot)
+    if learn_residual:
+        check_rotors(LearnedResidual, robot.rotor_traits)
     stated, robot = robot, with_battery(robot, train)
     tolerances = tolerances or Tolerances()
     flights = [*train, *test]

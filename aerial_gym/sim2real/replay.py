@@ -12,7 +12,6 @@ from aerial_gym.interop import one_thread
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate
 from aerial_gym.sim2real.judge.noise_floor import noise_floor
-from aerial_gym.sim2real.logs.declared_rotors import check_speed_mode
 from aerial_gym.sim2real.logs.flights import Flight, load_flights
 from aerial_gym.sim2real.logs.mapping import find_mapping
 from aerial_gym.sim2real.predict.predictor import Point, Predictor, comparison_band, declared_point, find_channels
@@ -76,7 +75,6 @@ def replay(
     if out_dir is not None:
         check_out_dir(Path(out_dir))
     declared = robot_by_name(robot)
-    check_speed_mode(declared)
     check_effects(declared)
     progress("reading flights", 0.0)
     layout = None if mapping is None else find_mapping(mapping)

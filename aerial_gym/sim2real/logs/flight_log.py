@@ -64,10 +64,10 @@ class FlightLog:
     """At the body origin [m/s²], body: +9.81 on z at hover, (T, 3)."""
 
     rotor_speed: Array | None = None
-    """Measured [rad/s], (T, R)."""
+    """Measured [rad/s], (T, R); rotors in force mode have none."""
 
     rotor_command: Array | None = None
-    """Speeds commanded from each row on [rad/s], (T, R)."""
+    """Speeds commanded from each row on [rad/s], in force mode thrusts [N], (T, R)."""
 
     collective: bool = False
     """Whether all rotors share one command: it says nothing about torques."""

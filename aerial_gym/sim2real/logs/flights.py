@@ -243,8 +243,10 @@ def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
         raise DataError(f"{log.path}: hardly flies above {log.hover_above:g} m, where its commands are to be scaled")
     weight = robot.body.mass * float(log.specific_force[high, 2].mean()) - c0.sum()
     linear, square = (speed @ c1).mean(), (speed**2 @ c2).mean()
-    scale = float((-linear + np.sqrt(max(linear**2 + 4.0 * square * weight, 0.0))) / (2.0 * square))
-    note = f"commanded speeds scaled by {scale:.4f} to the thrust measured above {log.hover_above:g} m"
+    scale = float(
+        2.0 * weight / (linear + np.sqrt(max(linear**2 + 4.0 * square * weight, 0.0)))
+    )  # also for c2 = 0: force mode
+    note = f"commands scaled by {scale:.4f} to the thrust measured above {log.hover_above:g} m"
     return replace(log, rotor_command=scale * log.rotor_command, notes=(*log.notes, note))
 
 

@@ -119,7 +119,7 @@ class LogMapping:
     """Measured rotor speeds [rad/s]."""
 
     rotor_command: ColumnsCfg | None = None
-    """Commanded rotor speeds [rad/s]."""
+    """Commanded rotor speeds [rad/s], in force mode thrusts [N]."""
 
     battery: ColumnsCfg | None = None
     """Battery voltage [V]."""

@@ -11,7 +11,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.checks.conventions import rate_of
-from aerial_gym.sim2real.logs.declared_rotors import thrusts
+from aerial_gym.sim2real.logs.declared_rotors import lift
 from aerial_gym.sim2real.logs.flight_log import FlightLog
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ def standing_rows(log: FlightLog, robot: RobotCfg) -> Rows | None:
     if log.specific_force is None or rotors is None:
         return None
     width = SMOOTH_S * rate_of(log)
-    thrust = ndimage.gaussian_filter1d(thrusts(robot, rotors).sum(axis=1), width)
+    thrust = ndimage.gaussian_filter1d(lift(robot, rotors), width)
     thrust = thrust / min(float(np.percentile(thrust, 90.0)), robot.body.mass * STANDARD_GRAVITY)
     rest = _size(log.specific_force, width) > CARRIED * STANDARD_GRAVITY
     for name, limit in STILL.items():

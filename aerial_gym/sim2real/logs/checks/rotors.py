@@ -1,4 +1,5 @@
-"""Are the columns of rotors, commands and voltage what they claim to be: speeds of this robot's rotors in rad/s, volts.
+"""Are the columns of rotors, commands and voltage what they claim to be: speeds of this robot's rotors in rad/s, in force
+mode thrusts in N, volts.
 
 Letters: T rows, R rotors.
 """
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.declared_rotors import thrusts
+from aerial_gym.sim2real.logs.declared_rotors import lift
 from aerial_gym.sim2real.logs.flight_log import FlightLog
 from aerial_gym.sim2real.logs.mapping import UNITS
 
@@ -24,6 +25,12 @@ def check_rotors(log: FlightLog, robot: RobotCfg) -> None:
         raise DataError(
             f"{log.path}: has {log.num_rotors} rotor columns, the robot has {robot.num_rotors} rotors; "
             "give the robot that flew, or correct the columns"
+        )
+    if log.rotor_speed is not None and "force" in robot.rotor_traits:
+        raise DataError(
+            f"{log.path}: has measured rotor speeds (rotor_1..{log.num_rotors}), but the robot has rotors in force mode, whose "
+            "state is a thrust, and no map from one to the other; leave these columns empty, so that thrusts follow from the "
+            "commands (cmd_* in N), or declare the rotors in speed mode, with a thrust_map"
         )
     for name, values in (("rotor", log.rotor_speed), ("cmd", log.rotor_command)):
         if values is not None:
@@ -52,7 +59,7 @@ def _check_sign(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> No
     backwards = np.flatnonzero((np.median(values, axis=0) < 0.0) & one_way)
     if backwards.size:
         raise DataError(
-            f"{log.path}: {name}_{backwards[0] + 1} is negative (median {np.median(values[:, backwards[0]]):.4g}); log speeds "
+            f"{log.path}: {name}_{backwards[0] + 1} is negative (median {np.median(values[:, backwards[0]]):.4g}); log them "
             "without sign: in which direction a rotor turns is declared in the robot file (spin); a reversible rotor has a "
             "thrust_range that begins below 0"
         )
@@ -61,10 +68,10 @@ def _check_sign(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> No
 def _check_unit(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> None:
     """The declared thrust at high logged speeds must carry the vehicle, give or take a factor of three."""
 
-    def lift(speeds: Array) -> float:
-        return float(np.percentile(thrusts(robot, speeds).sum(axis=1), 90.0))
+    def high(states: Array) -> float:
+        return float(np.percentile(lift(robot, states), 90.0))
 
-    thrust = lift(values)
+    thrust, unit = high(values), "N" if "force" in robot.rotor_traits else "rad/s"
     if thrust == 0.0:
         raise DataError(
             f"{log.path}: {name}_1..{values.shape[1]} (largest {values.max():.4g}) give the declared robot no thrust in nine "
@@ -74,12 +81,12 @@ def _check_unit(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> No
     if 1.0 / 3.0 < ratio < 3.0:
         return
     speed = float(np.median(values))
-    guess = "check the unit (rad/s) and the robot"
-    for unit in ("rpm", "rev/s"):
-        if 0.5 < lift(UNITS[unit] * values) * ratio / thrust < 2.0:
-            guess = f"it looks like {unit}: convert to rad/s, or give unit: {unit} in a mapping file"
+    guess = f"check the unit ({unit}) and the robot"
+    for other in ("rpm", "rev/s"):
+        if unit == "rad/s" and 0.5 < high(UNITS[other] * values) * ratio / thrust < 2.0:
+            guess = f"it looks like {other}: convert to rad/s, or give unit: {other} in a mapping file"
     if np.all((values >= 0.0) & (values <= 1.0)):
-        guess = "it looks like a fraction of full throttle: leave these columns out, or convert them to rad/s"
+        guess = f"it looks like a fraction of full throttle: leave these columns out, or convert them to {unit}"
     raise DataError(
         f"{log.path}: {name}_1..{values.shape[1]} (median {speed:.4g}) would give {ratio:.3g} times the weight of the "
         f"declared robot; {guess}"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.sim2real.logs.declared_rotors import check_speed_mode, drag_torques, thrusts
-from tests.physics.mixed_rotors import FORCE, PLAIN, REVERSIBLE, mixed_robot, with_rotor
+from aerial_gym.sim2real.logs.declared_rotors import drag_torques, lift, thrusts
+from tests.physics.mixed_rotors import FORCE, PLAIN, mixed_robot, with_rotor
 from tests.physics.vehicles import lopsided_robot
 
 
@@ -18,10 +18,14 @@ def test_each_rotor_has_the_map_of_its_own_type() -> None:
     np.testing.assert_allclose(drag_torques(mixed_robot(), speed)[0, [0, 2]], [-0.015 * 0.03, 0.06], rtol=1e-12)
 
 
-def test_rotors_in_force_mode_are_refused_by_name() -> None:
-    with pytest.raises(ConfigError, match="rotors in force mode.*Declare them in speed mode"):
-        check_speed_mode(with_rotor(lopsided_robot(), FORCE))
-    check_speed_mode(with_rotor(lopsided_robot(), REVERSIBLE))
+def test_the_lift_is_the_force_of_all_rotors_together() -> None:
+    """Of axes that point to two sides, (3, 4) / 5 and (-3, 4) / 5, with 5 N each: 8 N; one of them reversed: 6 N."""
+    robot = with_rotor(lopsided_robot(), FORCE)
+    axes = ((3.0, 0.0, 4.0), (-3.0, 0.0, 4.0))
+    layout = tuple(replace(m, axis=axes[k % 2]) for k, m in enumerate(robot.mounts.layout))
+    robot = replace(robot, mounts=replace(robot.mounts, layout=layout))
+    states = np.array([[5.0, 5.0, 0.0, 0.0], [5.0, -5.0, 0.0, 0.0]])
+    np.testing.assert_allclose(lift(robot, states), [8.0, 6.0], rtol=1e-12)
 
 
 def test_what_needs_one_rotor_type_says_so() -> None:
