@@ -10,9 +10,13 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
+from aerial_gym.interop.rows.transport import load_quat, store_row, store_vector
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.physics import BodyState
 from aerial_gym.robots.finite import NonFinite
+
+RootRow = wp.types.vector(length=13, dtype=wp.float32)
+"""Position, attitude, velocity and angular velocity, side by side."""
 
 
 @wp.struct
@@ -28,18 +32,26 @@ class DerivedArrays:
 
 
 @wp.func
-def write_derived(out: DerivedArrays, e: int, position: wp.vec3, q: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3):
-    """Write the derived states of one environment. Source of the angles: Diebel (2006), eq. 290."""
+def derive(q: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3):
+    """Return the derived states of one environment. Source of the angles: Diebel (2006), eq. 290."""
     roll = wp.atan2(2.0 * (q[3] * q[0] + q[1] * q[2]), 1.0 - 2.0 * (q[0] * q[0] + q[1] * q[1]))
     pitch = wp.asin(wp.clamp(2.0 * (q[3] * q[1] - q[2] * q[0]), -1.0, 1.0))
     yaw = wp.atan2(2.0 * (q[3] * q[2] + q[0] * q[1]), 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]))
     level = wp.quat(0.0, 0.0, wp.sin(0.5 * yaw), wp.cos(0.5 * yaw))
     turn = wp.quat_rotate(q, ang_vel)
+    lin_vel_body = wp.quat_rotate_inv(q, lin_vel)
+    return turn, lin_vel_body, level, wp.quat_rotate_inv(level, lin_vel), wp.vec3(roll, pitch, yaw)
+
+
+@wp.func
+def write_derived(out: DerivedArrays, e: int, position: wp.vec3, q: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3):
+    """Write the derived states of one environment."""
+    turn, lin_vel_body, level, vehicle_lin_vel, euler = derive(q, lin_vel, ang_vel)
     out.ang_vel_world[e] = turn
-    out.lin_vel_body[e] = wp.quat_rotate_inv(q, lin_vel)
+    out.lin_vel_body[e] = lin_vel_body
     out.vehicle_attitude[e] = level
-    out.vehicle_lin_vel[e] = wp.quat_rotate_inv(level, lin_vel)
-    out.euler[e] = wp.vec3(roll, pitch, yaw)
+    out.vehicle_lin_vel[e] = vehicle_lin_vel
+    out.euler[e] = euler
     for i in range(3):
         out.root_state[e, i] = position[i]
         out.root_state[e, 7 + i] = lin_vel[i]
@@ -49,13 +61,25 @@ def write_derived(out: DerivedArrays, e: int, position: wp.vec3, q: wp.quat, lin
 
 
 @wp.func
+def write_together(out: DerivedArrays, e: int, x: wp.vec3, q: wp.quat, v: wp.vec3, ang_vel: wp.vec3):
+    """Do what ``write_derived`` does, in a launch of all environments."""
+    turn, lin_vel_body, level, vehicle_lin_vel, euler = derive(q, v, ang_vel)
+    store_vector(out.ang_vel_world, e, turn)
+    store_vector(out.lin_vel_body, e, lin_vel_body)
+    store_vector(out.vehicle_attitude, e, level)
+    store_vector(out.vehicle_lin_vel, e, vehicle_lin_vel)
+    store_vector(out.euler, e, euler)
+    root = RootRow(x[0], x[1], x[2], q[0], q[1], q[2], q[3], v[0], v[1], v[2], turn[0], turn[1], turn[2])
+    store_row(out.root_state, e, root)
+
+
+@wp.func
 def all_finite(rows: wp.array2d[float], e: int) -> bool:
-    """Return whether no number of a row is NaN or infinite."""
-    bad = wp.int32(0)
+    """Return whether no number of a row is NaN or infinite: zero times such a number is NaN."""
+    total = wp.float32(0.0)
     for i in range(rows.shape[1]):
-        if not wp.isfinite(rows[e, i]):
-            bad += 1
-    return bad == 0
+        total += 0.0 * rows[e, i]
+    return total == 0.0
 
 
 @wp.kernel(enable_backward=False)
@@ -75,7 +99,7 @@ def _derive(
     """Write the derived states of every environment, and what of it is not finite; all is read before any is written."""
     e = wp.tid()
     x = position[e]
-    q = attitude[e]
+    q = load_quat(attitude, e)
     v = lin_vel[e]
     w = ang_vel[e]
     bits = wp.int32(0)
@@ -87,7 +111,7 @@ def _derive(
     non_finite_out[e] = bits
     if bits != 0:
         crashes_out[e] = True
-    write_derived(out, e, x, q, v, w)
+    write_together(out, e, x, q, v, w)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,10 +12,13 @@ from aerial_gym.config.robot import BatteryCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import CapabilityError
+from aerial_gym.interop.rows.transport import FEW
 from aerial_gym.physics import EFFECTS
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import Task
 from aerial_gym.task.observations import OBSERVATIONS, ObservationTerm
+from tests.unit.interop.rows.test_transport import check_transport
+from tests.unit.robots.test_derived import check_derived, derived, motions
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA GPU")
 
@@ -253,3 +256,18 @@ def test_a_masked_reset_of_a_randomised_robot_waits_for_nothing() -> None:
         env.reset(mask)
     finally:
         torch.cuda.set_sync_debug_mode("default")
+
+
+@pytest.mark.parametrize("num_rows", [1, 33, 65, FEW - 1, FEW, FEW + 33])
+def test_rows_arrive_as_they_are_on_a_gpu(num_rows: int) -> None:
+    """Each by its thread and by warps together, the last of which may be a warp of one row."""
+    check_transport(num_rows, "cuda:0")
+    check_derived(num_rows, "cuda:0")
+
+
+def test_derived_states_are_the_same_among_few_and_many_on_a_gpu() -> None:
+    """Bit for bit: how a row comes to memory changes none of its numbers."""
+    many = derived(motions(65_536, "cuda:0"), beside=1)
+    for num_envs in (3, 33, FEW):
+        few = derived(motions(num_envs, "cuda:0"), beside=1)
+        assert all(torch.equal(few[name], many[name][:num_envs]) for name in many)

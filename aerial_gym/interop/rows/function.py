@@ -67,7 +67,7 @@ class RowFunction:
         """The kernel."""
         self._inputs, self._shared = source.inputs, source.shared
         self._outputs = [(shape, dtype) for _, shape, dtype in traced.outputs]
-        self.kernel = _kernel(source.code, before)
+        self.kernel = _kernel(source.code, before, source.names)
         """It as Warp has it."""
         compile_ahead(self.kernel, wp.device_from_torch(next(tensor for tensor in inputs if tensor.ndim).device))
         self._ready = False
@@ -121,11 +121,11 @@ def _as_rows(tensor: Tensor, *, shared: bool = False, passing: bool = False) -> 
     return wp.from_torch(view, dtype=kind, requires_grad=False, return_ctype=passing)
 
 
-def _kernel(code: str, before: Before | None) -> wp.Kernel:
+def _kernel(code: str, before: Before | None, names: dict[str, Any]) -> wp.Kernel:
     """Return the kernel of a source; the same in every process, so that Warp finds it in its cache."""
     given = "" if before is None else f"# before: {before.function.key}\n"
     if given + code not in _kernels:
-        namespace: dict[str, object] = {"wp": wp}
+        namespace: dict[str, object] = {"wp": wp, **names}
         if before is not None:
             namespace |= {"before": before.function, "given_type": before.given_type}
         exec(code, namespace)

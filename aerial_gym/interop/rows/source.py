@@ -1,12 +1,16 @@
 """A trace as the source of a Warp kernel: one thread per row, every number in a register."""
 
-from dataclasses import dataclass
+from collections.abc import Container
+from dataclasses import dataclass, field
 from math import isinf, isnan
+from typing import Any
 
 import torch
+import warp as wp
 
 from aerial_gym.interop.rows.operations import CODE
 from aerial_gym.interop.rows.tracing import Scalar, Trace
+from aerial_gym.interop.rows.transport import LARGEST, load_row_4, store_row
 
 WARP_TYPES = {
     torch.float32: "float32",
@@ -29,6 +33,9 @@ class KernelSource:
     inputs: tuple[int, ...]
     """Positions of the inputs that are read; each is an argument, rows as (E, n) and shared ones as (n,). Outputs follow."""
 
+    names: dict[str, Any] = field(default_factory=dict)
+    """What the code calls by name, besides ``wp``."""
+
 
 def write(trace: Trace, *, masked: bool = False, prepared: bool = False) -> KernelSource:
     """Return the kernel that does what was traced.
@@ -43,9 +50,20 @@ def write(trace: Trace, *, masked: bool = False, prepared: bool = False) -> Kern
     shared = frozenset(i for i, scalar in kinds.items() if scalar.kind == "shared")
     arguments = [f"in_{i}: {_array(kinds[i].dtype, kinds[i].kind == 'input')}" for i in sorted(kinds)]
     arguments += [f"out_{i}: {_array(dtype, True)}" for i, (_, _, dtype) in enumerate(trace.outputs)]
-    lines = [f"    v{n} = {_code(trace.scalars[n])}" for n in needed]
-    for i, (numbers, _, _) in enumerate(trace.outputs):
-        lines += [f"    out_{i}[row, {entry}] = v{n}" for entry, n in enumerate(numbers)]
+    names: dict[str, Any] = {}
+    together = () if masked else [i for i, kind in kinds.items() if _is_quad(kind, trace.widths[i])]
+    if together:
+        names["load_row_4"] = load_row_4
+    lines = [f"    r{i} = load_row_4(in_{i}, row)" for i in together]
+    lines += [f"    v{n} = {_code(trace.scalars[n], together)}" for n in needed]
+    for i, (numbers, _, dtype) in enumerate(trace.outputs):
+        width = len(numbers)
+        if dtype == torch.float32 and 2 <= width <= LARGEST and not masked:
+            names |= {"store_row": store_row, f"vector_{width}": wp.types.vector(length=width, dtype=wp.float32)}
+            values = ", ".join(f"v{n}" for n in numbers)
+            lines.append(f"    store_row(out_{i}, row, vector_{width}({values}))")
+        else:
+            lines += [f"    out_{i}[row, {entry}] = v{n}" for entry, n in enumerate(numbers)]
     arguments = [*(["given: given_type"] if prepared else []), *arguments]
     arguments = [*(["mask: wp.array2d[wp.bool]"] if masked else []), *arguments]
     head = f"def rows({', '.join(arguments)}):\n    row = wp.tid()\n"
@@ -53,7 +71,7 @@ def write(trace: Trace, *, masked: bool = False, prepared: bool = False) -> Kern
         head += "    if not mask[row, 0]:\n        return\n"
     if prepared:
         head += "    before(row, given)\n"
-    return KernelSource(code=head + "\n".join(lines) + "\n", inputs=tuple(sorted(kinds)), shared=shared)
+    return KernelSource(code=head + "\n".join(lines) + "\n", inputs=tuple(sorted(kinds)), shared=shared, names=names)
 
 
 def _needed(trace: Trace) -> list[int]:
@@ -74,7 +92,13 @@ def _array(dtype: torch.dtype, rows: bool) -> str:
     return f"wp.array{'2d' if rows else ''}[wp.{WARP_TYPES[dtype]}]"
 
 
-def _code(scalar: Scalar) -> str:
+def _is_quad(scalar: Scalar, width: int) -> bool:
+    return scalar.kind == "input" and scalar.dtype == torch.float32 and width == 4
+
+
+def _code(scalar: Scalar, together: Container[object] = ()) -> str:
+    if scalar.kind == "input" and scalar.args[0] in together:
+        return f"r{scalar.args[0]}[{scalar.args[1]}]"
     if scalar.kind == "input":
         return f"in_{scalar.args[0]}[row, {scalar.args[1]}]"
     if scalar.kind == "shared":
@@ -84,6 +108,8 @@ def _code(scalar: Scalar) -> str:
     names = [f"v{n}" for n in scalar.args]
     if scalar.kind == "cast":
         return f"wp.{WARP_TYPES[scalar.dtype]}({names[0]})"
+    if scalar.kind in ("minimum", "maximum") and scalar.dtype in (torch.int32, torch.int64):
+        return f"wp.{scalar.kind[:3]}({names[0]}, {names[1]})"  # no integer is NaN, and a compiler says so
     code = CODE[scalar.kind].format(*names)
     if scalar.dtype == torch.float64:
         code = (

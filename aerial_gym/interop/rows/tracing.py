@@ -53,6 +53,9 @@ class Trace:
     outputs: list[tuple[list[int], tuple[int, ...], torch.dtype]] = field(default_factory=list)
     """Of each output: its scalars, the shape of its row, its type."""
 
+    widths: dict[int, int] = field(default_factory=dict)
+    """Entries in a row of each input, by its position."""
+
     _numbers: dict[tuple[str, tuple[str, ...], torch.dtype], int] = field(default_factory=dict)
 
     def number(self, kind: str, args: tuple[Any, ...], dtype: torch.dtype) -> int:
@@ -126,6 +129,7 @@ class _Watch(TorchDispatchMode):
             large = torch.zeros((), dtype=tensor.dtype).expand(first + tuple(shape))
             self._large[id(large)] = (large, f"input {position} has {shape.numel()} entries in a row")
             return large
+        self.into.widths[position] = shape.numel()
         found = [self.into.number(kind, (position, i), tensor.dtype) for i in range(shape.numel())]
         numbers = torch.tensor(found, dtype=torch.int64).view(shape)
         return self._note(torch.zeros(first + tuple(shape), dtype=tensor.dtype), _marked(numbers) if rows else numbers)

@@ -95,6 +95,20 @@ def test_integers_and_shared_numbers() -> None:
             assert torch.equal(found, expected)
 
 
+def test_limits_of_integers_are_not_asked_for_nan() -> None:
+    """``x != x`` of an integer is a warning of the compiler, shown to whoever makes the task."""
+    steps, other = torch.tensor([-3, 1, 12], dtype=torch.int32), torch.tensor([2, 0, 9], dtype=torch.int32)
+
+    def limited(a: Tensor, b: Tensor) -> tuple[Tensor, ...]:
+        return a.clamp(0, 5), torch.maximum(a, b), torch.minimum(a, b)
+
+    function = RowFunction(limited, (steps, other))
+    assert "!=" not in function.code
+    for found, expected in zip(function(steps, other), limited(steps, other), strict=True):
+        assert found.dtype == expected.dtype
+        assert torch.equal(found, expected)
+
+
 def test_results_are_written_where_asked_even_over_an_input() -> None:
     total, reward, kept = torch.tensor([1.0, 2.0]), torch.tensor([0.5, -1.0]), torch.full((2,), nan)
     function = RowFunction(lambda t, r: (t + r, torch.where(r < 0.0, 0.0, t + r)), (total, reward))

@@ -1,0 +1,54 @@
+"""Rows that warps bring to memory: what arrives is what was stored, and nothing beside it is touched.
+
+On a CPU this is the plain loop; ``tests/integration/test_cuda.py`` does the same on a GPU. Letters: E rows.
+"""
+
+from math import nan
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym.interop.rows import RowFunction
+from aerial_gym.interop.rows.transport import LARGEST
+
+
+def moved(a: Tensor, quad: Tensor) -> tuple[Tensor, ...]:
+    """Return rows of 2, 3, 4, 13 and more than ``LARGEST`` numbers, a flag, and two mirrored over what they come from."""
+    wide = torch.cat([a] * (LARGEST // 13 + 1), dim=-1)
+    return a[:, :2], a[:, 4:7], a[:, 5:9], quad, a + 1.0, wide, a[:, 0] > 100.0, a.flip(-1), quad.flip(-1)
+
+
+def poisoned(num_rows: int, width: int, device: str, *, gap: int, shift: int) -> tuple[Tensor, Tensor]:
+    """Return memory full of NaN, and rows in it that lie ``gap`` numbers apart, the first after ``shift`` numbers."""
+    memory = torch.full((shift + num_rows * (width + gap),), nan, device=device)
+    return memory, memory[shift:].view(num_rows, width + gap)[:, :width]
+
+
+def check_transport(num_rows: int, device: str) -> None:
+    """Store whole numbers, which no rounding changes, into poisoned memory: together, apart, and not aligned."""
+    numbers = torch.arange(num_rows * 13.0, device=device).view(num_rows, 13)
+    for gap, shift in ((0, 0), (0, 1), (3, 0), (9, 1)):
+        memory, (a, quad) = [], (numbers, -numbers[:, 9:])
+        wanted = moved(a, quad)
+        out: list[Tensor] = []
+        for result in wanted:
+            if result.dtype == torch.bool:
+                out.append(torch.zeros_like(result))
+                memory.append(out[-1])
+            else:
+                whole, rows = poisoned(num_rows, result.shape[1], device, gap=gap, shift=shift)
+                memory.append(whole)
+                out.append(rows)
+        out[-2].copy_(a)
+        out[-1].copy_(quad)
+        RowFunction(moved, (out[-2], out[-1]))(out[-2], out[-1], out=out)
+        for i, (found, expected, whole) in enumerate(zip(out, wanted, memory, strict=True)):
+            assert torch.equal(found, expected), (i, gap, shift)
+            found.zero_()
+            assert int(whole.isnan().sum()) == whole.numel() - found.numel(), (i, gap, shift)
+
+
+@pytest.mark.parametrize("num_rows", [1, 33])
+def test_rows_arrive_as_they_are(num_rows: int) -> None:
+    check_transport(num_rows, "cpu")
