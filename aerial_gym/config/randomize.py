@@ -7,11 +7,13 @@ randomize:
   rotor.thrust_map: {each_rotor: true, distribution: normal, mean: 1.0, std: 0.03, low: 0.9, high: 1.1}
   effects.rotor_drag.dx: {how: value, low: 0.05, high: 0.2, distribution: log_uniform}
   body.com: {how: offset, low: [-0.01, -0.01, 0.0], high: [0.01, 0.01, 0.0]}
+  effects.rotor_drag.dy: {how: value, distribution: normal, mean: 0.2, std: 0.02}
+  effects.rotor_drag.dz: {how: value, distribution: normal, mean: 0.1, std: 0.03, correlation: {effects.rotor_drag.dy: -0.7}}
 ```
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf, isfinite
 
 from aerial_gym.errors import ConfigError
@@ -51,6 +53,10 @@ class RandomizeCfg:
     keep_inertia: bool = False
     """Whether a drawn ``body.mass`` leaves the inertia; else that grows with the mass."""
 
+    correlation: Mapping[str, float] = field(default_factory=dict)
+    """Of a normal distribution of one number: correlation, -1 to 1, with others of that kind by their names, each pair at one
+    of the two. Together they are drawn from a joint normal distribution; ``low`` and ``high`` then clip what is beyond."""
+
     def __post_init__(self) -> None:
         if self.how not in HOW:
             raise ConfigError(f"RandomizeCfg.how = {self.how!r}: must be one of {', '.join(HOW)}")
@@ -67,6 +73,11 @@ class RandomizeCfg:
         for name in others:
             if getattr(self, name) is not None:
                 raise ConfigError(f"RandomizeCfg.{name}: a {self.distribution} distribution has none")
+        if self.correlation and not normal:
+            raise ConfigError(f"RandomizeCfg.correlation: a {self.distribution} distribution has none")
+        for name, value in self.correlation.items():
+            if not -1.0 <= value <= 1.0:
+                raise ConfigError(f"RandomizeCfg.correlation: {name} = {value!r}: must lie in -1 to 1")
         for numbers in self.components(max(self.widths())):
             self._check(*numbers)
 

@@ -18,7 +18,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS, Vehicle
 from aerial_gym.physics.effects import Effect
 from aerial_gym.physics.vehicle import own_rows, share_row
-from aerial_gym.robots.parameter_draws import Drawn
+from aerial_gym.robots.parameter_draws import Drawn, joint_factor
 from aerial_gym.robots.quantities import QUANTITIES, drawn_value
 
 GAINS = ("position", "velocity", "attitude", "rate")
@@ -102,6 +102,7 @@ class Randomized:
         self._params = {effect.name: params[0].tolist() for effect, params in effects}
         self._gains = {name: rows[0].tolist() for name, rows in gains.items()}
         self._gain_rows = {name: own_rows(rows[:1])[0] for name, rows in gains.items()}
+        joint_factor(cfg)
         self.drawn: list[Drawn] = []
         first = 0
         for name, each in cfg.items():
@@ -109,6 +110,8 @@ class Randomized:
             self.drawn.append(Drawn(name=name, cfg=each, shape=shape, columns=slice(first, first + prod(shape))))
             first += prod(shape)
             self._check(name, each)
+            if each.correlation and prod(shape) != 1:
+                raise ConfigError(f"randomize: {name}: correlation is for quantities of one number")
         self.width = first
         """K."""
 

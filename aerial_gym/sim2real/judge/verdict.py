@@ -54,6 +54,9 @@ class NamedEffect:
     regime: Regime | None = None
     """Before and after where it acts; None likewise."""
 
+    correlation: dict[str, dict[str, float]] = field(default_factory=dict)
+    """How a parameter is correlated with those that stand before it, by ``name.parameter``."""
+
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
         interval = {
@@ -184,6 +187,9 @@ def named_effects(
     values, scale = params_of(fit.point, fit.effects), scales(fit.effects)
     std = dict(zip(fit.free_effects.tolist(), spread.std, strict=True))
     noise = dict(zip(fit.free_effects.tolist(), np.sqrt(np.diag(spread.blocks)), strict=True))
+    owners = (fit.owners[k] for k in fit.free_effects.tolist())
+    numbers = [f"{name}.{EFFECTS.get(name).parameters[place].name}" for name, place in owners]
+    correlation = spread.correlation
     found = []
     for name in fit.effects:
         own = dict(zip((p.name for p in EFFECTS.get(name).parameters), fit.columns_of(name).tolist(), strict=True))
@@ -198,6 +204,11 @@ def named_effects(
                 inclusion=included.effects.get(name, 0.0),
                 contribution=contributions[name],
                 regime=regimes[name],
+                correlation={
+                    key: dict(zip(numbers[:i], correlation[i, :i].tolist(), strict=True))
+                    for key in own
+                    if f"{name}.{key}" in numbers and (i := numbers.index(f"{name}.{key}")) > 0
+                },
             )
         )
     return tuple(found)

@@ -14,9 +14,9 @@ WIDEST = 4.0
 
 
 def found_ranges(robot: RobotCfg, effects: Sequence[NamedEffect]) -> dict[str, RandomizeCfg]:
-    """Return a normal distribution for every parameter with a standard deviation, by the names of quantities.
+    """Return a joint normal distribution of the parameters with a standard deviation, by the names of quantities.
 
-    Each parameter is drawn by itself: what the flights know only of two together, such as a sum, is drawn wider than it is.
+    What the flights know only of two together, such as a sum, stays as certain as it is.
 
     Args:
         robot: Whose bounds hold.
@@ -37,6 +37,12 @@ def found_ranges(robot: RobotCfg, effects: Sequence[NamedEffect]) -> dict[str, R
                 low=max(least, parameter.low, value - WIDEST * std),
                 high=min(most, parameter.high, value + WIDEST * std),
             )
+    for found in effects:
+        for parameter, others in found.correlation.items():
+            name = f"effects.{found.name}.{parameter}"
+            if name in ranges:
+                kept = {f"effects.{other}": share for other, share in others.items() if f"effects.{other}" in ranges}
+                ranges[name] = replace(ranges[name], correlation=kept)
     return ranges
 
 

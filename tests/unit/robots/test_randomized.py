@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from math import log
+from pathlib import Path
 
 import pytest
 import torch
 from scipy import stats
 
 from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.loader import build as from_mapping
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import BatteryCfg, RobotCfg
@@ -286,3 +288,91 @@ def test_places_of_sensors_are_drawn_about_their_mounts() -> None:
     if cfg.position_low is None:
         assert ((place - torch.tensor(cfg.position)).abs() <= torch.tensor([0.01001, 1e-6, 1e-6])).all()
     assert place[:, 0].std() > 0.001
+
+
+MEANS, DEVIATIONS = (0.2, 0.1, 3.0), (0.02, 0.03, 0.5)
+CORRELATION = ((1.0, -0.7, 0.3), (-0.7, 1.0, 0.2), (0.3, 0.2, 1.0))
+DX, DY, WIND = "effects.rotor_drag.dx", "effects.rotor_drag.dy", "effects.constant_wind.x"
+
+
+def normal(mean: float, std: float, low: float, high: float, **correlation: float) -> RandomizeCfg:
+    """Return a normal value between limits, correlated with a drag ``dx`` or ``dy``, a ``wind`` or a ``mass``."""
+    names = {"dx": DX, "dy": DY, "wind": WIND, "mass": "body.mass", "dz": "effects.rotor_drag.dz"}
+    return RandomizeCfg(
+        how="value",
+        distribution="normal",
+        mean=mean,
+        std=std,
+        low=low,
+        high=high,
+        correlation={names[key]: share for key, share in correlation.items()},
+    )
+
+
+TOGETHER = {
+    DX: normal(0.2, 0.02, 0.0, 1.0),
+    DY: normal(0.1, 0.03, 0.0, 1.0, dx=-0.7),
+    "body.mass": RandomizeCfg(low=0.9, high=1.1),
+    WIND: normal(3.0, 0.5, -10.0, 10.0, dx=0.3, dy=0.2),
+}
+
+
+def test_what_is_drawn_together_has_the_covariance_that_was_written() -> None:
+    """The sample covariance of N normal draws scatters by ``sqrt((s_ii s_jj + s_ij^2) / (N - 1))``, their mean by
+    ``sqrt(s_ii / N)``; five of these leave one false alarm in 100,000. (Anderson (2003), Multivariate Statistical Analysis,
+    theorem 3.4.4.) A drag below zero, which is clipped, is 3.3 deviations away: one draw in 2,300."""
+    count = 4096
+    draws = make(TOGETHER, count).draws()
+    rows = torch.stack([draws[name] for name in TOGETHER if name != "body.mass"], dim=-1).double()
+    means, deviations = torch.tensor(MEANS).double(), torch.tensor(DEVIATIONS).double()
+    expected = torch.tensor(CORRELATION).double() * torch.outer(deviations, deviations)
+    variances = deviations.square()
+    scatter = ((torch.outer(variances, variances) + expected.square()) / (count - 1)).sqrt()
+    assert bool(((torch.cov(rows.T) - expected).abs() < 5.0 * scatter).all())
+    assert bool(((rows.mean(0) - means).abs() < 5.0 * deviations / count**0.5).all())
+    assert bool((rows[:, 1] >= 0.0).all())
+    for each in rows.T:
+        assert stats.kstest(((each - each.mean()) / each.std()).numpy(), "norm").pvalue > 1e-4
+
+
+def test_a_sum_that_alone_is_known_is_drawn_as_certain_as_it_is() -> None:
+    draws = make({DX: normal(0.2, 0.02, 0.0, 1.0), DY: normal(0.2, 0.02, 0.0, 1.0, dx=-1.0)}, 64).draws()
+    assert float((draws[DX] + draws[DY]).std()) < 2e-3 * 0.02
+    assert float(draws[DX].std()) > 0.01
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({DX: normal(0.2, 0.02, 0.0, 1.0, dz=0.5)}, "dz', which is not drawn"),
+        ({DX: normal(0.2, 0.02, 0.0, 1.0, mass=0.5)}, "body.mass must be a normal distribution of one number"),
+        ({DX: normal(0.2, 0.02, 0.0, 1.0, wind=0.3)}, "give each pair of two quantities once"),
+        ({WIND: normal(3.0, 0.5, -10.0, 10.0, dx=0.9, dy=0.9)}, "contradict each other"),
+    ],
+)
+def test_a_correlation_that_cannot_be_drawn_is_refused(changes: Mapping[str, RandomizeCfg], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        make({**TOGETHER, **changes}, 2)
+
+
+@pytest.mark.parametrize(
+    ("mapping", "message"),
+    [
+        ({"distribution": "uniform", "low": 0, "high": 1, "correlation": {DX: 0.5}}, "a uniform distribution has none"),
+        (
+            {"distribution": "normal", "mean": 0, "std": 1, "how": "offset", "correlation": {DX: 1.5}},
+            "must lie in -1 to 1",
+        ),
+    ],
+)
+def test_a_correlation_has_its_limits(mapping: Mapping[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        from_mapping(RandomizeCfg, mapping, where="test")
+
+
+def test_a_joint_distribution_is_read_and_written(tmp_path: Path) -> None:
+    robot = replace(QUAD, randomize=TOGETHER)
+    path = tmp_path / "robot.yaml"
+    path.write_text(dump_yaml(robot), encoding="utf-8")
+    assert load(RobotCfg, path).randomize == TOGETHER
+    assert "effects.rotor_drag.dx: -0.7" in path.read_text(encoding="utf-8")

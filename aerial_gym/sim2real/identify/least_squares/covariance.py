@@ -78,6 +78,13 @@ class Uncertainty:
         """Return half the 95 % interval over 1.96, (P,): twice this covers 95 %, small samples included."""
         return self.half_width / NORMAL_95
 
+    @property
+    def correlation(self) -> Array:
+        """Return the correlations that the scatter of blocks and the tolerances give, (P, P)."""
+        together = self.blocks + self.tolerance
+        deviation = np.sqrt(np.diag(together))
+        return np.clip(together / np.outer(deviation, deviation), -1.0, 1.0)
+
 
 def uncertainty(fit: Fit, weight: Array) -> Uncertainty:
     """Return the spread of the fitted effects, with deviations within the tolerances fitted beside them.

@@ -1,0 +1,50 @@
+"""What a run knows of its parameters is what a robot file draws: deviations, limits, and what is known of two together."""
+
+import numpy as np
+
+from aerial_gym.robots import ROBOTS
+from aerial_gym.robots.parameter_draws import joint_factor
+from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
+from aerial_gym.sim2real.judge.verdict import NamedEffect
+from aerial_gym.sim2real.report.ranges import found_ranges
+
+DX, DY, WIND = "effects.rotor_drag.dx", "effects.rotor_drag.dy", "effects.constant_wind.x"
+
+
+def found(name: str, params: dict[str, float], std: dict[str, float], **correlation: dict[str, float]) -> NamedEffect:
+    return NamedEffect(
+        name=name, params=params, std=std, noise_std=std, frozen=(), confidence=0.99, correlation=correlation
+    )
+
+
+def test_correlations_stand_beside_deviations_where_both_are_drawn() -> None:
+    ranges = found_ranges(
+        ROBOTS.get("base_quadrotor"),
+        (
+            found(
+                "rotor_drag", {"dx": 0.2, "dy": 0.1, "dz": 0.3}, {"dx": 0.02, "dy": 0.01}, dy={"rotor_drag.dx": -0.8}
+            ),
+            found("constant_wind", {"x": 1.0}, {"x": 0.5}, x={"rotor_drag.dx": 0.5, "rotor_drag.dz": 0.1}),
+        ),
+    )
+    assert list(ranges) == [DX, DY, WIND]
+    assert [dict(each.correlation) for each in ranges.values()] == [{}, {DX: -0.8}, {DX: 0.5}]
+    names, factor = joint_factor(ranges)
+    expected = [[1.0, -0.8, 0.5], [-0.8, 1.0, 0.0], [0.5, 0.0, 1.0]]
+    assert names == (DX, DY, WIND)
+    np.testing.assert_allclose(factor @ factor.T, expected, atol=2e-6)
+
+
+def test_the_correlation_of_a_fit_is_that_of_scatter_and_tolerances() -> None:
+    """Blocks know the sum best, -3 of 4; the tolerances add 1 to each number alone: -3 of 5."""
+    spread = Uncertainty(
+        columns=np.arange(2),
+        step=np.zeros(2),
+        plain=np.eye(2),
+        blocks=np.array([[4.0, -3.0], [-3.0, 4.0]]),
+        flights=None,
+        tolerance=np.eye(2),
+        num_blocks=50,
+        num_flights=2,
+    )
+    np.testing.assert_allclose(spread.correlation, [[1.0, -0.6], [-0.6, 1.0]])
