@@ -52,9 +52,9 @@ class TaskRegistry(Registry[TaskCfg]):
             env: Registered environment, or an environment file, in place of the task's own.
             level: Level at which the curriculum stays, in place of one that changes; within its limits.
             capture: Whether to hold the step in a CUDA graph; if not given, on CUDA devices.
-            first_env: Number of the first environment: with ``num_envs=1`` that one alone, as it is in any larger batch. Where
-                there is a curriculum, give its ``level`` as well: it is the one thing that environments share.
-            first_episode: Number of the first episode, likewise.
+            first_env: Number of the first environment: with ``num_envs=1`` that one alone, as it is in any larger batch.
+            first_episode: Number of the first episode, likewise. Where there is a curriculum, ``level`` must be given with it:
+                all environments together decide on that, and it says how many obstacles the episode had.
             backend: Registered physics backend in place of the sim's own.
 
         Raises:
@@ -69,6 +69,11 @@ class TaskRegistry(Registry[TaskCfg]):
         cfg = replace(cfg, **{key: value for key, value in changes.items() if value is not None})
         if level is not None:
             cfg = replace(cfg, curriculum=_held(cfg, name, level))
+        elif first_episode and cfg.curriculum is not None:
+            raise ConfigError(
+                f"first_episode = {first_episode}: seed, environment and episode do not say which level of its curriculum "
+                f'task {name} had then. Give level, which stood in gtd["curriculum_level"] when the episode began'
+            )
         built = SimBuilder().build_env(
             sim_name=cfg.sim,
             env_name=cfg.env,

@@ -157,3 +157,21 @@ def test_unknown_keys_of_a_curriculum_are_refused() -> None:
     with pytest.raises(ConfigError, match="raise_over"):
         build(CurriculumCfg, {"min_level": 1, "raise_over": 0.7}, where="a file")
     assert isinstance(task_registry.get("navigation_task"), TaskCfg)
+
+
+def test_an_episode_is_replayed_alone_with_the_level_that_it_had() -> None:
+    """Environment 2 of 3 in its second episode, which begins at the level to which the first episodes led."""
+    many = task_registry.make_task("navigation_task", num_envs=3, device="cpu", seed=1)
+    many.reset()
+    many.curriculum.load({"level": 23, "finished": 0, "succeeded": 0})
+    many.env.gtd["sim_steps"].fill_(many.cfg.episode_len_steps)
+    many.step(torch.zeros(3, 4))  # all episodes end, and others begin
+    level = int(many.env.gtd["curriculum_level"])
+    assert many.env.gtd["episodes"].tolist() == [1, 1, 1]
+    numbers = {"num_envs": 1, "device": "cpu", "seed": 1, "first_env": 2, "first_episode": 1}
+    alone = task_registry.make_task("navigation_task", **numbers, level=level)
+    alone.reset()
+    for key in ("robot_position", "obstacle_position", "env_bounds_max"):
+        assert torch.equal(alone.env.gtd[key][0], many.env.gtd[key][2]), key
+    with pytest.raises(ConfigError, match="Give level, which stood in"):
+        task_registry.make_task("navigation_task", **numbers)
