@@ -38,7 +38,13 @@ from aerial_gym.sim2real.judge.verdict import Verdict, decide, immaterial, named
 from aerial_gym.sim2real.judge.whiteness import whiteness
 from aerial_gym.sim2real.logs.flights import Flight, load_flights
 from aerial_gym.sim2real.logs.mapping import find_mapping
-from aerial_gym.sim2real.predict.predictor import Point, Predictor, comparison_band, declared_point, find_channels
+from aerial_gym.sim2real.predict.predictor import (
+    ModelParams,
+    Predictor,
+    comparison_band,
+    declared_params,
+    find_channels,
+)
 from aerial_gym.sim2real.predict.scene import check_around
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
@@ -173,7 +179,7 @@ def judge_flights(
     train_predictor, test_predictor = (
         Predictor(robot, part, bandwidth=band, channels=channels, tolerances=tolerances) for part in (train, test)
     )
-    declared = declared_point(robot)
+    declared = declared_params(robot)
     check_around(tuple(robot.effects), flights)
     criteria = criteria or Criteria()
     selection = select_effects(
@@ -299,7 +305,9 @@ def stand_ins(selection: Selection) -> list[str]:
     ]
 
 
-def what_to_fly(train: Predictor, declared: Point, selection: Selection) -> tuple[Advice | None, dict[str, Advice]]:
+def what_to_fly(
+    train: Predictor, declared: ModelParams, selection: Selection
+) -> tuple[Advice | None, dict[str, Advice]]:
     """Return the manoeuvre that tells tied candidates apart, and those that show what the flights do not."""
     tied = {name: tied_rivals(name, selection) for name in selection.accepted}
     hidden = showable(selection, train.robot, train.flights)
@@ -319,13 +327,13 @@ def not_testable(selection: Selection) -> dict[str, str]:
     return found
 
 
-def rounded(robot: RobotCfg, point: Point, effects: Sequence[str]) -> Point:
+def rounded(robot: RobotCfg, point: ModelParams, effects: Sequence[str]) -> ModelParams:
     """Return the point with the parameters as the robot file will hold them."""
     values = np.array([float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in params_of(point, effects)])
     return with_params(robot, point, effects, values)
 
 
-def corrected_robot(robot: RobotCfg, final: Point, accepted: Sequence[str], flights: Sequence[str]) -> RobotCfg:
+def corrected_robot(robot: RobotCfg, final: ModelParams, accepted: Sequence[str], flights: Sequence[str]) -> RobotCfg:
     """Return the declared robot with the accepted effects, and what was learned, in it."""
     if final.learned is not None:
         robot = replace(robot, learned_residual=final.learned.cfg)

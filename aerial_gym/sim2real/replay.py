@@ -14,7 +14,13 @@ from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate
 from aerial_gym.sim2real.judge.noise_floor import noise_floor
 from aerial_gym.sim2real.logs.flights import Flight, load_flights
 from aerial_gym.sim2real.logs.mapping import find_mapping
-from aerial_gym.sim2real.predict.predictor import Point, Predictor, comparison_band, declared_point, find_channels
+from aerial_gym.sim2real.predict.predictor import (
+    ModelParams,
+    Predictor,
+    comparison_band,
+    declared_params,
+    find_channels,
+)
 from aerial_gym.sim2real.predict.scene import check_around
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
@@ -28,7 +34,7 @@ class Replay:
     robot: RobotCfg
     flights: tuple[Flight, ...]
     predictor: Predictor
-    point: Point
+    point: ModelParams
     bandwidth: float
     evaluation: Evaluation
 
@@ -98,7 +104,7 @@ def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: flo
     band = comparison_band(flights, bandwidth)
     channels = find_channels(flights)
     predictor = Predictor(robot, flights, bandwidth=band, channels=channels, tolerances=Tolerances())
-    point = declared_point(robot)
+    point = declared_params(robot)
     check_around(tuple(robot.effects), flights)
     floor = noise_floor(robot, flights, point, channels, bandwidth=band)
     return Replay(

@@ -18,7 +18,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics import build_model, vehicle_from_config
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.sim2real.identify.selection.scoring import Gain, LeftOut
-from aerial_gym.sim2real.predict.predictor import Point, Predictor, effects_at
+from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, effects_at
 
 Array = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ class Learned:
         }
 
 
-def train_residual(predictor: Predictor, point: Point, left_out: LeftOut, *, seed: int = 0) -> Learned:
+def train_residual(predictor: Predictor, point: ModelParams, left_out: LeftOut, *, seed: int = 0) -> Learned:
     """Return a network for what a model leaves of the training flights, unless it does not predict flights left out better.
 
     Args:
@@ -140,7 +140,7 @@ def train_residual(predictor: Predictor, point: Point, left_out: LeftOut, *, see
     return Learned(cfg=trainer.cfg_of(trainer.train(decay)), objections=(), gain=gain, decay=decay)
 
 
-def judge_on_test(learned: Learned, predictor: Predictor, point: Point, floor: Array | None) -> Learned:
+def judge_on_test(learned: Learned, predictor: Predictor, point: ModelParams, floor: Array | None) -> Learned:
     """Return what a learned residual takes of the gap that a model without it leaves on the test flights."""
     if learned.effect is None:
         return learned
@@ -208,7 +208,7 @@ class _Layers:
 class _Trainer:
     """The rows of the training flights, standardised."""
 
-    def __init__(self, predictor: Predictor, point: Point, left_out: LeftOut, seed: int) -> None:
+    def __init__(self, predictor: Predictor, point: ModelParams, left_out: LeftOut, seed: int) -> None:
         self._predictor, self._point, self._left_out, self._seed = predictor, point, left_out, seed
         self._felt = np.concatenate(predictor.felt(point))
         self._residual = np.concatenate(predictor.residuals(point))

@@ -32,7 +32,7 @@ from aerial_gym.sim2real.identify.selection.library import neutral_of
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, Scored
 from aerial_gym.sim2real.identify.selection.select import Selection, at_bounds
 from aerial_gym.sim2real.identify.window_rollouts import WINDOW_S, Linear, Rollouts
-from aerial_gym.sim2real.predict.predictor import Predictor, declared_point
+from aerial_gym.sim2real.predict.predictor import Predictor, declared_params
 from aerial_gym.sim2real.predict.rollout import Windows, find_windows
 
 Array = NDArray[np.float64]
@@ -227,7 +227,7 @@ def judge(predictor: Predictor, selection: Selection, found: Linear, windows: Wi
 
 
 def _at_bounds(predictor: Predictor, fit: Fit) -> list[str]:
-    declared, robot = declared_point(predictor.robot), predictor.robot
+    declared, robot = declared_params(predictor.robot), predictor.robot
     return [
         f"{name} {parameter} runs into its physical bound"
         for name in fit.effects

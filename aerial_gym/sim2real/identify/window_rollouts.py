@@ -32,7 +32,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import Point, Predictor
+from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor
 from aerial_gym.sim2real.predict.rollout import (
     Batch,
     Windows,
@@ -83,7 +83,7 @@ class Rollouts:
         self._declared = vehicle_from_config(predictor.robot, num_envs=1, dtype=torch.float64)
         self._commanded = is_commanded(predictor.flights)
 
-    def linearise(self, effects: tuple[str, ...], point: Point, frozen: Frozen) -> Linear:
+    def linearise(self, effects: tuple[str, ...], point: ModelParams, frozen: Frozen) -> Linear:
         """Return rollouts about a point."""
         predictor, scale = self._predictor, scales(effects)
         here, (lowest, highest) = params_of(point, effects), bounds_of(predictor.robot, effects)
@@ -127,7 +127,7 @@ class Rollouts:
     def _of_flights(self, moments: Moments) -> Moments:
         return replace(moments, flight=self._windows.flight)
 
-    def _fly(self, points: Sequence[Point]) -> Array:
+    def _fly(self, points: Sequence[ModelParams]) -> Array:
         """Return what is missed, of each model, and of the first one from each nudged start, (models + 9, W, S, 6).
 
         Measured minus flown velocity [m/s], world, and the turn from the flown to the measured attitude [rad], body.
@@ -158,7 +158,7 @@ class Rollouts:
                 missed[:, members, at[step]] = both.reshape(of.size, members.size, 6)
         return missed
 
-    def _flights_under(self, points: Sequence[Point]) -> tuple[list[Flight], NDArray[np.int64]]:
+    def _flights_under(self, points: Sequence[ModelParams]) -> tuple[list[Flight], NDArray[np.int64]]:
         """Return the flights under what each model does to commands, and which of these variants each model has."""
         flights = list(self._predictor.flights)
         variants: dict[bytes, int] = {}

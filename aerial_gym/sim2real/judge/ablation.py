@@ -18,7 +18,7 @@ from aerial_gym.sim2real.identify.selection.select import Selection, Trial
 from aerial_gym.sim2real.judge.evaluation import Evaluation, time_groups
 from aerial_gym.sim2real.judge.whiteness import EDGES, in_octaves, lines
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import Channel, Point, Predictor
+from aerial_gym.sim2real.predict.predictor import Channel, ModelParams, Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
@@ -114,7 +114,7 @@ def contributions(
     robot: RobotCfg,
     test: Sequence[Flight],
     predictors: tuple[Predictor, Predictor],
-    points: tuple[Point, Point],
+    points: tuple[ModelParams, ModelParams],
     evaluations: tuple[Evaluation, Evaluation],
     selection: Selection,
     *,
@@ -181,7 +181,7 @@ def solid_below(octaves: Sequence[float], bandwidth: float, least: float) -> flo
     return edge
 
 
-def without_effect(train: Predictor, declared: Point, selection: Selection, name: str) -> Fit:
+def without_effect(train: Predictor, declared: ModelParams, selection: Selection, name: str) -> Fit:
     """Return the final model with one effect taken back to what is declared, and the others fitted again."""
     fit = selection.final.fit
     kept = tuple(effect for effect in fit.effects if effect != name)
@@ -192,7 +192,7 @@ def without_effect(train: Predictor, declared: Point, selection: Selection, name
         effects[name] = declared.effects[name]
     nothing = [np.zeros((*measured.shape, 0)) for measured in train.measured]
     frozen = frozenset(owner for owner in fit.frozen if owner[0] != name)
-    return fit_effects(train, kept, Point(effects=effects), nothing, selection.weights.weight, frozen=frozen)
+    return fit_effects(train, kept, ModelParams(effects=effects), nothing, selection.weights.weight, frozen=frozen)
 
 
 def rollout_rises(without: RolloutErrors, errors: RolloutErrors, *, seed: int) -> dict[float, dict[str, Rise]]:

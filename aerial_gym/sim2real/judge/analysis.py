@@ -6,7 +6,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import Channel, Point, Predictor
+from aerial_gym.sim2real.predict.predictor import Channel, ModelParams, Predictor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,8 +20,8 @@ class Analysis:
     channels: tuple[Channel, ...]
     bandwidth: float
     selection: Selection
-    declared: Point
-    final: Point
+    declared: ModelParams
+    final: ModelParams
     train_predictor: Predictor
     test_predictor: Predictor
     verdict: Verdict

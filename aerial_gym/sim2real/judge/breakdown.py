@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from aerial_gym.sim2real.identify.selection.library import neutral_of
 from aerial_gym.sim2real.judge.evaluation import Evaluation, gap_closed, time_groups
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import KINEMATIC, UNITS, Point, Predictor
+from aerial_gym.sim2real.predict.predictor import KINEMATIC, UNITS, ModelParams, Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 from aerial_gym.sim2real.statistics import Rms, rms_with_interval
 
@@ -62,7 +62,7 @@ class Regime:
 
 
 def by_flight(
-    predictor: Predictor, declared: Point, final: Point, before: Evaluation, after: Evaluation, *, seed: int
+    predictor: Predictor, declared: ModelParams, final: ModelParams, before: Evaluation, after: Evaluation, *, seed: int
 ) -> dict[str, list[Part]]:
     """Return the residual of each kind of channel (rms of its vector) and the rollout at 1 s, of each flight."""
     kinds = [kind for kind in dict.fromkeys(c.kind for c in predictor.channels) if kind not in KINEMATIC]
@@ -98,8 +98,8 @@ def _rollout_parts(index: int, before: Evaluation, after: Evaluation, seed: int)
 
 def where_it_acts(
     predictor: Predictor,
-    declared: Point,
-    final: Point,
+    declared: ModelParams,
+    final: ModelParams,
     name: str,
     weight: Array,
     floor: Sequence[float] | None,

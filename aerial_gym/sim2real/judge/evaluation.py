@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.identify.least_squares.moments import block_length
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import Channel, Point, Predictor
+from aerial_gym.sim2real.predict.predictor import Channel, ModelParams, Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out
 from aerial_gym.sim2real.statistics import Rms, rms_with_interval
 
@@ -70,7 +70,7 @@ def evaluate(
     robot: RobotCfg,
     flights: Sequence[Flight],
     predictor: Predictor,
-    point: Point,
+    point: ModelParams,
     *,
     floor: Array | None,
     seed: int,

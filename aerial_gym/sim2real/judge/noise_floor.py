@@ -18,7 +18,7 @@ from scipy.optimize import nnls
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass_gain
-from aerial_gym.sim2real.predict.predictor import Channel, Point, Predictor
+from aerial_gym.sim2real.predict.predictor import Channel, ModelParams, Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ FEWEST_LINES = 4
 
 
 def noise_floor(
-    robot: RobotCfg, flights: Sequence[Flight], point: Point, channels: Sequence[Channel], *, bandwidth: float
+    robot: RobotCfg, flights: Sequence[Flight], point: ModelParams, channels: Sequence[Channel], *, bandwidth: float
 ) -> Array | None:
     """Return the floor (rms) of each channel below ``bandwidth`` [Hz], (C,); None where a log is too slow to tell."""
     found = [_floor_of(robot, flight, point, channels, bandwidth) for flight in flights]
@@ -67,7 +67,7 @@ def noise_floor(
 
 
 def _floor_of(
-    robot: RobotCfg, flight: Flight, point: Point, channels: Sequence[Channel], bandwidth: float
+    robot: RobotCfg, flight: Flight, point: ModelParams, channels: Sequence[Channel], bandwidth: float
 ) -> Array | None:
     wide = WIDE_BAND * flight.rate
     predictor = Predictor(robot, [flight], bandwidth=wide, channels=channels, tolerances=Tolerances(), every_row=True)

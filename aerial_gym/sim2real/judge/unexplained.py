@@ -15,7 +15,7 @@ from aerial_gym.sim2real.identify.selection.structure import Structure, find_str
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, declared_wind, find_random_wind
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import KINEMATIC, Point, Predictor
+from aerial_gym.sim2real.predict.predictor import KINEMATIC, ModelParams, Predictor
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ TOLERATED = 0.5
 class Remains:
     """What the named effects leave of the test flights."""
 
-    within: Point
+    within: ModelParams
     """The final model with the deviations within the tolerances that fit best."""
 
     left: list[Array]

@@ -126,8 +126,8 @@ class Channel:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Point:
-    """A model: effects with their parameters, and deviations within the tolerances."""
+class ModelParams:
+    """Parameters of a model: effects with theirs, and deviations within the tolerances."""
 
     effects: dict[str, Array] = field(default_factory=dict)
     """Parameters by effect name, each (P,); an effect that is not here is not in the model."""
@@ -138,21 +138,21 @@ class Point:
     learned: LearnedResidual | None = None
     """What flights have taught beyond the effects."""
 
-    def with_effect(self, name: str, params: Array) -> "Point":
+    def with_effect(self, name: str, params: Array) -> "ModelParams":
         """Return the point with one effect added or replaced."""
         return replace(self, effects={**self.effects, name: params})
 
 
-def declared_point(robot: RobotCfg) -> Point:
+def declared_params(robot: RobotCfg) -> ModelParams:
     """Return the model that the robot file declares, without what is random."""
     kept = {name: values for name, values in robot.effects.items() if not EFFECTS.get(name).random}
-    return Point(
+    return ModelParams(
         effects={name: np.array(EFFECTS.get(name).params_from(values)) for name, values in kept.items()},
         learned=None if robot.learned_residual is None else LearnedResidual(robot.learned_residual),
     )
 
 
-def effects_at(point: Point, rows: int) -> list[EffectParams]:
+def effects_at(point: ModelParams, rows: int) -> list[EffectParams]:
     """Return the effects of a point with their parameters in every row, (E, P)."""
     found: list[EffectParams] = [
         (EFFECTS.get(name), torch.from_numpy(np.asarray(params, dtype=float)).expand(rows, -1))
@@ -224,7 +224,7 @@ def thinned(flight: Flight, bandwidth: float) -> int:
     return max(1, int(flight.rate / (ROWS_PER_BAND * bandwidth)))
 
 
-def _key(point: Point) -> tuple[object, ...]:
+def _key(point: ModelParams) -> tuple[object, ...]:
     """Return what tells effects and deviations of a point from those of others, their order included."""
     effects = [(name, np.asarray(params, dtype=float).tobytes()) for name, params in point.effects.items()]
     return (None if point.deviation is None else point.deviation.tobytes(), *effects)
@@ -287,7 +287,7 @@ class _Together:
         ]
         self._conditions: OrderedDict[tuple[object, ...], Condition] = OrderedDict()
 
-    def predict(self, point: Point) -> list[Array]:
+    def predict(self, point: ModelParams) -> list[Array]:
         """Return the predicted channels of each flight, (rows kept, C)."""
         vehicle, deviation = self._vehicle(point)
         speeds = self._speeds(point, vehicle, deviation)
@@ -296,14 +296,14 @@ class _Together:
         implied: dict[str, Array] = dict(zip(KINEMATIC, biases, strict=True))
         return [self._band(index, rows, speeds, implied) for index in range(len(self.flights))]
 
-    def felt(self, point: Point) -> list[Array]:
+    def felt(self, point: ModelParams) -> list[Array]:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
         vehicle, deviation = self._vehicle(point)
         _, condition = self._flown(point, vehicle, self._speeds(point, vehicle, deviation))
         rows = felt_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed).numpy()
         return [self._slow(index, rows[span]) for index, span in enumerate(self._spans)]
 
-    def links(self, point: Point) -> list[Link]:
+    def links(self, point: ModelParams) -> list[Link]:
         """Return how the load swings along each flight."""
         vehicle, deviation = self._vehicle(point)
         model, condition = self._flown(point, vehicle, self._speeds(point, vehicle, deviation))
@@ -311,7 +311,7 @@ class _Together:
         load = self._swing(model, state, condition, deviation).numpy()
         return [Link(time=time, load=load[span]) for time, span in zip(self._row_times, self._spans, strict=True)]
 
-    def _speeds(self, point: Point, vehicle: Vehicle, deviation: Tensor) -> list[Array | None] | None:
+    def _speeds(self, point: ModelParams, vehicle: Vehicle, deviation: Tensor) -> list[Array | None] | None:
         """Return the rotor speeds that commands lead to, where they are needed."""
         if not self._simulated and all(channel.kind != "rotor_speed" for channel in self.channels):
             return None
@@ -319,19 +319,19 @@ class _Together:
         sensors = () if self._simulated else one.effects[RotorSensorEffect]
         return self._replay.speeds(one, command_shift(self.tolerances, deviation), sensors)
 
-    def _vehicle(self, point: Point) -> tuple[Vehicle, Tensor]:
+    def _vehicle(self, point: ModelParams) -> tuple[Vehicle, Tensor]:
         if point.deviation is None:
             names = self.tolerances.names(self._declared.num_rotors)
             return self._declared, torch.zeros(len(names), dtype=torch.float64)
         deviation = torch.from_numpy(point.deviation)
         return deviate(self._declared, self.tolerances, deviation), deviation
 
-    def _model(self, point: Point, vehicle: Vehicle) -> Model:
+    def _model(self, point: ModelParams, vehicle: Vehicle) -> Model:
         """Return the model of one environment, with what stands around it in every row."""
         return build_model(vehicle, effects_at(point, 1), **self._heights, other_position=self._other)
 
     def _rows(
-        self, point: Point, vehicle: Vehicle, deviation: Tensor, speeds: list[Array | None] | None
+        self, point: ModelParams, vehicle: Vehicle, deviation: Tensor, speeds: list[Array | None] | None
     ) -> dict[str, Array]:
         """Return what the inertial sensors would read in every row, (E, 3) by kind; kinematic ones if their errors vary."""
         kinds = {channel.kind for channel in self.channels} - {"rotor_speed"}
@@ -400,7 +400,9 @@ class _Together:
                 found[effect.name] = torch.cat(parts)
         return found
 
-    def _flown(self, point: Point, vehicle: Vehicle, speeds: list[Array | None] | None) -> tuple[Model, Condition]:
+    def _flown(
+        self, point: ModelParams, vehicle: Vehicle, speeds: list[Array | None] | None
+    ) -> tuple[Model, Condition]:
         """Return the model in every row, and what its effects see there."""
         model = expand_model(self._model(point, vehicle), self._state["attitude"].shape[0])
         model = with_known_wind(model, self.flights, self._flight)
@@ -582,7 +584,7 @@ class Predictor:
         """Number N of tolerances."""
         return len(self.tolerances.names(self.robot.num_rotors))
 
-    def predict(self, point: Point) -> list[Array]:
+    def predict(self, point: ModelParams) -> list[Array]:
         """Return the predicted channels of each flight, (rows kept, C); not to be written to."""
         changing = {name: params for name, params in point.effects.items() if not self._adds_nothing(name, params)}
         point = replace(point, effects=changing)
@@ -594,15 +596,15 @@ class Predictor:
         self._predictions.move_to_end(key)
         return self._predictions[key]
 
-    def residuals(self, point: Point) -> list[Array]:
+    def residuals(self, point: ModelParams) -> list[Array]:
         """Return measured minus predicted channels of each flight, (rows kept, C)."""
         return [m - p for m, p in zip(self.measured, self.predict(point), strict=True)]
 
-    def felt(self, point: Point) -> list[Array]:
+    def felt(self, point: ModelParams) -> list[Array]:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
         return [felt for part in self._parts for felt in part.felt(point)]
 
-    def links(self, point: Point) -> list[Link] | None:
+    def links(self, point: ModelParams) -> list[Link] | None:
         """Return how the load of a model swings along each flight, begun as its log says; None for a model without one."""
         if not any(EFFECTS.get(name).kind is LoadEffect for name in point.effects):
             return None

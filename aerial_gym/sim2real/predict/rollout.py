@@ -30,7 +30,7 @@ from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.physics.memory import Memory, make_memory, place_memory
 from aerial_gym.physics.model import EffectParams
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import Point, one_row, with_known_wind
+from aerial_gym.sim2real.predict.predictor import ModelParams, one_row, with_known_wind
 from aerial_gym.sim2real.predict.replay.joint import joint_angles
 from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
 from aerial_gym.sim2real.predict.replay.rotor_commands import mean_commands
@@ -136,7 +136,7 @@ def find_windows(
 def roll_out(
     robot: RobotCfg,
     flights: Sequence[Flight],
-    point: Point,
+    point: ModelParams,
     *,
     links: Sequence[Link] | None = None,
     horizons: Sequence[float] = HORIZONS_S,
@@ -192,7 +192,7 @@ def same_rate(flights: Sequence[Flight], windows: Windows) -> list[NDArray[np.in
     return [np.flatnonzero(rate == one) for one in np.unique(rate)]
 
 
-def with_arriving_commands(vehicle: Vehicle, flights: Sequence[Flight], point: Point) -> list[Flight]:
+def with_arriving_commands(vehicle: Vehicle, flights: Sequence[Flight], point: ModelParams) -> list[Flight]:
     """Return the flights with what arrives at the rotors as commands: so no window begins without those on their way."""
     acting = [(EFFECTS.get(name), params) for name, params in point.effects.items() if acts_on_commands(name)]
     model = build_model(vehicle, [(effect, torch.tensor(params).reshape(1, -1)) for effect, params in acting])
@@ -219,7 +219,7 @@ class Batch:
     def __init__(
         self,
         vehicles: Sequence[Vehicle],
-        points: Sequence[Point],
+        points: Sequence[ModelParams],
         of: NDArray[np.int64],
         flights: Sequence[Flight],
         flight: NDArray[np.int64],

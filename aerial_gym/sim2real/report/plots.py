@@ -19,7 +19,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import effect_jacobian, scales
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import Channel, Point, Predictor
+from aerial_gym.sim2real.predict.predictor import Channel, ModelParams, Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ def png(figure: Figure) -> str:
     return base64.b64encode(buffer.getvalue()).decode("ascii")
 
 
-def residuals_over_time(predictor: Predictor, before: Point, after: Point | None, kind: str) -> str:
+def residuals_over_time(predictor: Predictor, before: ModelParams, after: ModelParams | None, kind: str) -> str:
     """Return the residual of one kind of channel in the first flight, before and after."""
     places = [place for place, channel in enumerate(predictor.channels) if channel.kind == kind]
     figure = Figure(figsize=(10.0, 1.6 * len(places)))
@@ -78,7 +78,7 @@ def residuals_over_time(predictor: Predictor, before: Point, after: Point | None
     return png(figure)
 
 
-def evidence(predictor: Predictor, point: Point, effect: str, neutral: Array) -> str:
+def evidence(predictor: Predictor, point: ModelParams, effect: str, neutral: Array) -> str:
     """Return, for each parameter, the residual without the effect against what the parameter would change.
 
     The slope of the line is the fitted value: a straight cloud is evidence, a round one is none.

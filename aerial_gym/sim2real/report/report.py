@@ -14,7 +14,7 @@ from aerial_gym.sim2real.judge.analysis import Analysis
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.verdict import MEANINGS
 from aerial_gym.sim2real.judge.whiteness import octave_names
-from aerial_gym.sim2real.predict.predictor import KINEMATIC, Channel, Point, Predictor
+from aerial_gym.sim2real.predict.predictor import KINEMATIC, Channel, ModelParams, Predictor
 from aerial_gym.sim2real.report import plots
 from aerial_gym.sim2real.report.tables import (
     channel_rows,
@@ -159,7 +159,7 @@ def remaining(analysis: Analysis) -> list[tuple[Channel, list[plots.Rest]]]:
     return found
 
 
-def evidence_point(selection: Selection, effect: str, analysis: Analysis) -> tuple[Point, np.ndarray]:
+def evidence_point(selection: Selection, effect: str, analysis: Analysis) -> tuple[ModelParams, np.ndarray]:
     """Return the model that has the effect, and the effect's neutral parameters."""
     if effect in analysis.declared.effects:
         neutral = analysis.declared.effects[effect]
@@ -172,7 +172,9 @@ def evidence_point(selection: Selection, effect: str, analysis: Analysis) -> tup
     return trial.scored.fit.point, neutral
 
 
-def write_residuals(path: Path, predictors: dict[str, Predictor], before: Point, after: Point | None) -> None:
+def write_residuals(
+    path: Path, predictors: dict[str, Predictor], before: ModelParams, after: ModelParams | None
+) -> None:
     """Write measured minus predicted of every kept row: flight, set, t, and each channel before and after."""
     tables = []
     for name, predictor in predictors.items():

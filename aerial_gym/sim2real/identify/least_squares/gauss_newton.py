@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting, block_moments, weights_from
-from aerial_gym.sim2real.predict.predictor import Point, Predictor
+from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -49,7 +49,7 @@ class Fit:
     effects: tuple[str, ...]
     """Names, in the order of the parameters."""
 
-    point: Point
+    point: ModelParams
     """Where it is linearised: the best fit, with no deviation."""
 
     moments: Moments
@@ -99,7 +99,7 @@ def scales(effects: Sequence[str]) -> Array:
     return np.array([parameter.scale for name in effects for parameter in EFFECTS.get(name).parameters])
 
 
-def params_of(point: Point, effects: Sequence[str]) -> Array:
+def params_of(point: ModelParams, effects: Sequence[str]) -> Array:
     """Return the parameters of some effects in a row."""
     return np.concatenate([point.effects[name] for name in effects]) if effects else np.zeros(0)
 
@@ -110,7 +110,7 @@ def bounds_of(robot: RobotCfg, effects: Sequence[str]) -> tuple[Array, Array]:
     return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
 
 
-def with_params(robot: RobotCfg, point: Point, effects: Sequence[str], values: Array) -> Point:
+def with_params(robot: RobotCfg, point: ModelParams, effects: Sequence[str], values: Array) -> ModelParams:
     """Return the point with other parameters, held within their bounds."""
     held, start = np.clip(values, *bounds_of(robot, effects)), 0
     for name in effects:
@@ -121,7 +121,12 @@ def with_params(robot: RobotCfg, point: Point, effects: Sequence[str], values: A
 
 
 def effect_jacobian(
-    predictor: Predictor, point: Point, effects: Sequence[str], base: list[Array], *, beside: list[Array] | None = None
+    predictor: Predictor,
+    point: ModelParams,
+    effects: Sequence[str],
+    base: list[Array],
+    *,
+    beside: list[Array] | None = None,
 ) -> list[Array]:
     """Return the derivative of the prediction by the effects' parameters, per scale, each (rows, C, P).
 
@@ -146,7 +151,7 @@ def effect_jacobian(
     return found
 
 
-def tolerance_jacobian(predictor: Predictor, point: Point, base: list[Array]) -> list[Array]:
+def tolerance_jacobian(predictor: Predictor, point: ModelParams, base: list[Array]) -> list[Array]:
     """Return the derivative of the prediction by the deviations, each (rows, C, N)."""
     found = [np.empty((*b.shape, predictor.num_tolerances)) for b in base]
     for k in range(predictor.num_tolerances):
@@ -223,7 +228,7 @@ def _solve(fit: Fit, product: Array, gradient: Array, free: Indices) -> Array:
     return step
 
 
-def best_within_tolerances(robot: RobotCfg, fit: Fit, weight: Array) -> Point:
+def best_within_tolerances(robot: RobotCfg, fit: Fit, weight: Array) -> ModelParams:
     """Return a fitted model with the deviations within the tolerances that fit its flights best."""
     step = best_step(fit, weight, fit.free_all)
     values = params_of(fit.point, fit.effects) + scales(fit.effects) * step[: fit.num_effect_params]
@@ -233,7 +238,7 @@ def best_within_tolerances(robot: RobotCfg, fit: Fit, weight: Array) -> Point:
 def linearise(
     predictor: Predictor,
     effects: tuple[str, ...],
-    point: Point,
+    point: ModelParams,
     tolerance: list[Array],
     *,
     base: list[Array] | None = None,
@@ -249,7 +254,7 @@ def linearise(
 def fit_at(
     predictor: Predictor,
     effects: tuple[str, ...],
-    point: Point,
+    point: ModelParams,
     residuals: list[Array],
     jacobians: list[Array],
     *,
@@ -274,7 +279,7 @@ def fit_at(
 def fit_effects(
     predictor: Predictor,
     effects: tuple[str, ...],
-    start: Point,
+    start: ModelParams,
     tolerance: list[Array],
     weight: Array,
     *,
@@ -324,13 +329,13 @@ def fit_effects(
 
 def misfit(predictor: Predictor, residuals: list[Array], tolerance: list[Array], weight: Array) -> float:
     """Return the weighted squares plus the prior, with the deviations that fit best."""
-    fit = fit_at(predictor, (), Point(effects={}), residuals, tolerance, length=np.inf)
+    fit = fit_at(predictor, (), ModelParams(effects={}), residuals, tolerance, length=np.inf)
     step = best_step(fit, weight, fit.free_all)
     left = fit.moments.squares_after(np.broadcast_to(step, (fit.moments.count.size, step.size)))
     return float(left.sum(axis=0) @ weight + step @ step)
 
 
-def weighting(predictor: Predictor, start: Point, effects: tuple[str, ...], tolerance: list[Array]) -> Weighting:
+def weighting(predictor: Predictor, start: ModelParams, effects: tuple[str, ...], tolerance: list[Array]) -> Weighting:
     """Return the weights of the channels from what no candidate effect explains.
 
     All effects and tolerances are fitted together, three times, each time weighted by what the fit before left over.
@@ -346,8 +351,8 @@ def weighting(predictor: Predictor, start: Point, effects: tuple[str, ...], tole
 
 
 def _weigh_again(
-    predictor: Predictor, weights: Weighting, point: Point, effects: tuple[str, ...], tolerance: list[Array]
-) -> tuple[Weighting, Point]:
+    predictor: Predictor, weights: Weighting, point: ModelParams, effects: tuple[str, ...], tolerance: list[Array]
+) -> tuple[Weighting, ModelParams]:
     """Return the weights from what one more step of a fit leaves over, and the model after it."""
     fit, residuals, jacobians = linearise(predictor, effects, point, tolerance, length=np.inf)
     step = best_step(fit, weights.weight, fit.free_all)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from aerial_gym.sim2real.identify.selection.library import build_library
 from aerial_gym.sim2real.identify.selection.linear import LinearSelector
 from aerial_gym.sim2real.identify.selection.select import Selection
-from aerial_gym.sim2real.predict.predictor import Point, Predictor
+from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -54,7 +54,7 @@ class Inclusion:
     """N."""
 
 
-def inclusion(predictor: Predictor, declared: Point, selection: Selection, *, seed: int) -> Inclusion:
+def inclusion(predictor: Predictor, declared: ModelParams, selection: Selection, *, seed: int) -> Inclusion:
     """Return how often each effect is chosen when the training flights are drawn again.
 
     Args:

@@ -22,7 +22,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments
 from aerial_gym.sim2real.identify.selection.select import Selection
-from aerial_gym.sim2real.predict.predictor import Point, Predictor
+from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -67,7 +67,7 @@ class Library:
     """Places of the tolerances among the K columns."""
 
 
-def build_library(predictor: Predictor, declared: Point, selection: Selection) -> Library:
+def build_library(predictor: Predictor, declared: ModelParams, selection: Selection) -> Library:
     """Return the candidates that the flights can show, each with the parameters that they show.
 
     The derivatives of an accepted effect are those at its fitted values, and exact back to neutral; of any other one those at
@@ -116,7 +116,7 @@ def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) 
     return [c + (d - c @ step)[..., None] * along for c, d in zip(columns, change, strict=True)]
 
 
-def origins(declared: Point, selection: Selection, robot: RobotCfg) -> list[tuple[str, Point]]:
+def origins(declared: ModelParams, selection: Selection, robot: RobotCfg) -> list[tuple[str, ModelParams]]:
     """Return each candidate with the model about which it is linear: the final one for an accepted effect."""
     final, found = selection.final.fit.point, []
     for name in (name for name in EFFECTS if not EFFECTS.get(name).random):
@@ -131,7 +131,7 @@ def origins(declared: Point, selection: Selection, robot: RobotCfg) -> list[tupl
     return found
 
 
-def starts(name: str, point: Point, declared: Point, robot: RobotCfg) -> list[Point]:
+def starts(name: str, point: ModelParams, declared: ModelParams, robot: RobotCfg) -> list[ModelParams]:
     """Return the model with an effect where its fits start: at neutral, once for each rotor that it may act on."""
     if name in declared.effects:
         return [point.with_effect(name, declared.effects[name])]
@@ -143,7 +143,7 @@ def has_rotor(name: str) -> bool:
     return any(parameter.kind == "rotor" for parameter in EFFECTS.get(name).parameters)
 
 
-def neutral_of(name: str, declared: Point, robot: RobotCfg) -> Array:
+def neutral_of(name: str, declared: ModelParams, robot: RobotCfg) -> Array:
     """Return the parameters with which an effect changes nothing: declared ones, else its neutral ones."""
     if name in declared.effects:
         return declared.effects[name]

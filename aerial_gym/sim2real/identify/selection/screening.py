@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from aerial_gym.sim2real.identify.least_squares.covariance import uncertainty
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen, effect_jacobian, fit_at
 from aerial_gym.sim2real.identify.selection.scoring import Gain, LeftOut, Scored
-from aerial_gym.sim2real.predict.predictor import Point, Predictor
+from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor
 
 Array = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ class Glance:
     """One candidate at first sight."""
 
     effect: str
-    start: Point
+    start: ModelParams
     """The present model with the candidate at its neutral parameters."""
 
     gain: Gain
@@ -44,7 +44,7 @@ class Screen:
         self._predicted = predictor.predict(present.point)
         self._own = effect_jacobian(predictor, present.point, present.effects, self._predicted)
 
-    def look(self, name: str, start: Point, frozen: Frozen) -> Glance:
+    def look(self, name: str, start: ModelParams, frozen: Frozen) -> Glance:
         """Return what a candidate would gain from ``start``."""
         predictor, effects = self._predictor, (*self._present.effects, name)
         predicted = predictor.predict(start)  # neutral need not be as declared: one lag in place of two

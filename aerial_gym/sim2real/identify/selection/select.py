@@ -35,7 +35,7 @@ from aerial_gym.sim2real.identify.selection.screening import Screen
 from aerial_gym.sim2real.identify.selection.structure import find_structure
 from aerial_gym.sim2real.identify.selection.surrogates import Beside
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import KINEMATIC, Point, Predictor
+from aerial_gym.sim2real.predict.predictor import KINEMATIC, ModelParams, Predictor
 from aerial_gym.sim2real.predict.replay.rotor_commands import missing_in_logs, too_steady
 from aerial_gym.sim2real.predict.scene import lacks_around
 from aerial_gym.sim2real.progress import Progress
@@ -139,7 +139,7 @@ class Selection:
 
 
 def select_effects(
-    predictor: Predictor, declared: Point, criteria: Criteria, progress: Progress, *, test: Sequence[Flight] = ()
+    predictor: Predictor, declared: ModelParams, criteria: Criteria, progress: Progress, *, test: Sequence[Flight] = ()
 ) -> Selection:
     """Return the effects that the training flights ask for, on top of the declared model.
 
@@ -154,7 +154,7 @@ class _Selector:
     def __init__(
         self,
         predictor: Predictor,
-        declared: Point,
+        declared: ModelParams,
         criteria: Criteria,
         progress: Progress,
         test: Sequence[Flight],
@@ -288,7 +288,7 @@ class _Selector:
             return self.declared.effects[name]
         return np.array(EFFECTS.get(name).neutral(self.predictor.robot), dtype=float)
 
-    def points(self, name: str, here: Point) -> list[Point]:
+    def points(self, name: str, here: ModelParams) -> list[ModelParams]:
         """Return where fits of an effect on top of a model start."""
         if name in here.effects:
             return [here]
@@ -297,10 +297,10 @@ class _Selector:
         starts = EFFECTS.get(name).starts(self.predictor.robot)
         return [here.with_effect(name, np.array(start)) for start in starts]
 
-    def _fit(self, effects: tuple[str, ...], start: Point, frozen: Frozen) -> Fit:
+    def _fit(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen) -> Fit:
         return fit_effects(self.predictor, effects, start, self.tolerance, self.weights.weight, frozen=frozen)
 
-    def score(self, effects: tuple[str, ...], start: Point, frozen: Frozen = frozenset()) -> Scored:
+    def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> Scored:
         """Return the model with these effects fitted, and its squares on flights left out."""
         fit = self._fit(effects, start, frozen)
         return Scored(fit=fit, spread=uncertainty(fit, self.weights.weight), left_out=self.left_out.squares(fit))
@@ -311,7 +311,7 @@ class _Selector:
         self.tolerance = tolerance_jacobian(self.predictor, point, self.predictor.predict(point))
         return self.score(current.effects, point, current.fit.frozen)
 
-    def try_from(self, name: str, current: Scored, start: Point) -> Trial:
+    def try_from(self, name: str, current: Scored, start: ModelParams) -> Trial:
         """Return how one more effect does from some parameters on."""
         effects, frozen = (*current.effects, name), current.fit.frozen
         scored = self.score(effects, start, frozen)
@@ -370,7 +370,7 @@ class _Selector:
         if name in self.declared.effects:
             effects[name] = self.declared.effects[name]
         kept = tuple(effect for effect in scored.effects if effect != name)
-        start = Point(effects=effects, learned=self.declared.learned)
+        start = ModelParams(effects=effects, learned=self.declared.learned)
         return self.score(kept, start, frozenset(f for f in scored.fit.frozen if f[0] != name))
 
     def best_pair(self, trials: list[Trial], current: Scored) -> list[Trial]:

@@ -29,7 +29,7 @@ from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import Selection, lacks
 from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, SPAN_S, fly
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import ROWS_PER_BAND, Point, Predictor
+from aerial_gym.sim2real.predict.predictor import ROWS_PER_BAND, ModelParams, Predictor
 
 Array = NDArray[np.float64]
 
@@ -86,14 +86,14 @@ class Catalogue:
         self._tolerance = tolerance_jacobian(self.predictor, final, self.predictor.predict(final))
         self._spans = np.array([SPAN_S / float(time[-1] - time[0]) for time in self.predictor.times])
 
-    def tell(self, one: tuple[Point, Sequence[str]], other: tuple[Point, Sequence[str]]) -> Array:
+    def tell(self, one: tuple[ModelParams, Sequence[str]], other: tuple[ModelParams, Sequence[str]]) -> Array:
         """Return the expected score per 10 s of each manoeuvre, (M,): the lesser of either model true and the other fitted.
 
         Each model is given by its parameters and the names of the effects that may be fitted.
         """
         return np.minimum(self.falls_short(one[0], *other), self.falls_short(other[0], *one))
 
-    def falls_short(self, truth: Point, fitted: Point, effects: Sequence[str]) -> Array:
+    def falls_short(self, truth: ModelParams, fitted: ModelParams, effects: Sequence[str]) -> Array:
         """Return by how much a model of some fitted effects falls short of the truth in each manoeuvre, per 10 s, (M,)."""
         fit = self._fit(self.predictor.predict(truth), fitted, tuple(effects))
         scores = []
@@ -104,7 +104,7 @@ class Catalogue:
             scores.append(0.5 * float(self.weight @ squares + prior_precision(fit) @ step**2))
         return np.multiply(np.maximum(scores, 0.0), self._spans)
 
-    def show(self, name: str, final: Point, effects: Sequence[str], declared: Point) -> Array:
+    def show(self, name: str, final: ModelParams, effects: Sequence[str], declared: ModelParams) -> Array:
         """Return the expected score per 10 s of each manoeuvre, (M,), of an effect of moderate size over none.
 
         Moderate is the scale of its best-seen parameter; the other effects and the tolerances are fitted beside it.
@@ -121,7 +121,7 @@ class Catalogue:
             scores.append(0.5 / best)
         return np.multiply(scores, self._spans)
 
-    def _fit(self, truth: list[Array], point: Point, effects: tuple[str, ...]) -> Fit:
+    def _fit(self, truth: list[Array], point: ModelParams, effects: tuple[str, ...]) -> Fit:
         base = self.predictor.predict(point)
         own = effect_jacobian(self.predictor, point, effects, base)
         jacobians = [np.concatenate(pair, axis=2) for pair in zip(own, self._tolerance, strict=True)]
@@ -159,7 +159,9 @@ def showable(selection: Selection, robot: RobotCfg, flights: Sequence[Flight]) -
     ]
 
 
-def what_shows(catalogue: Catalogue, selection: Selection, declared: Point, hidden: Sequence[str]) -> dict[str, Advice]:
+def what_shows(
+    catalogue: Catalogue, selection: Selection, declared: ModelParams, hidden: Sequence[str]
+) -> dict[str, Advice]:
     """Return the manoeuvre that shows each of some effects which the flights do not show."""
     final = selection.final
     scores = {name: catalogue.show(name, final.fit.point, final.effects, declared) for name in hidden}

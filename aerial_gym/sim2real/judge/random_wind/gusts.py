@@ -26,7 +26,7 @@ from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
 )
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import Point, Predictor
+from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor
 
 Array = NDArray[np.float64]
 
@@ -100,7 +100,7 @@ class RandomWind:
             name=NAME, params=self.params(), std=std, noise_std=std, frozen=(), confidence=float(confidence)
         )
 
-    def adds(self, predictor: Predictor, point: Point) -> Array:
+    def adds(self, predictor: Predictor, point: ModelParams) -> Array:
         """Return what such a wind adds to the residual (rms) of each channel of some flights, (C,)."""
         response = np.concatenate(wind_response(predictor, point))
         inside = float(process_covariance(self.corr_time, predictor.bandwidth, np.zeros(1))[0])
@@ -114,14 +114,14 @@ def declared_wind(robot: RobotCfg) -> RandomWind:
     return RandomWind(std=robot.effects[NAME]["std"], corr_time=robot.effects[NAME]["corr_time"])
 
 
-def with_random(point: Point, wind: RandomWind) -> Point:
+def with_random(point: ModelParams, wind: RandomWind) -> ModelParams:
     """Return a model as it stands in a robot file: with the random wind, if there is one."""
     return point.with_effect(NAME, np.array(list(wind.params().values()))) if wind.accepted else point
 
 
 def find_random_wind(
     predictor: Predictor,
-    point: Point,
+    point: ModelParams,
     criteria: Criteria,
     *,
     floor: Array | None,
@@ -168,7 +168,7 @@ def find_random_wind(
     return replace(found, objections=tuple(objections))
 
 
-def wind_response(predictor: Predictor, point: Point) -> list[Array]:
+def wind_response(predictor: Predictor, point: ModelParams) -> list[Array]:
     """Return the derivative of the predicted channels of each flight by a wind along world axes, (T, C, 3)."""
     still = point.effects.get("constant_wind", np.zeros(3))
     base, columns = predictor.predict(point.with_effect("constant_wind", still)), []
@@ -178,7 +178,7 @@ def wind_response(predictor: Predictor, point: Point) -> list[Array]:
     return [np.stack([column[flight] for column in columns], axis=2) for flight in range(len(base))]
 
 
-def wind_series(predictor: Predictor, point: Point, response: Sequence[Array], places: Sequence[int]) -> Series:
+def wind_series(predictor: Predictor, point: ModelParams, response: Sequence[Array], places: Sequence[int]) -> Series:
     """Return the wind behind the residual of the specific force (channels ``places``)."""
     stride = max(1, round(1.0 / (predictor.bandwidth * float(np.median(np.diff(predictor.times[0]))))))
     rows = [np.arange(0, time.size, stride) for time in predictor.times]

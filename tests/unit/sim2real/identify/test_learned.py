@@ -20,7 +20,7 @@ from aerial_gym.sim2real.identify.least_squares.moments import block_moments, we
 from aerial_gym.sim2real.identify.selection import library, select
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import Predictor, declared_point, find_channels
+from aerial_gym.sim2real.predict.predictor import Predictor, declared_params, find_channels
 from aerial_gym.sim2real.predict.rollout import roll_out
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import silent
@@ -47,7 +47,7 @@ def predictor_of(flights: list[Flight]) -> Predictor:
 
 def left_out_of(predictor: Predictor) -> LeftOut:
     """Return the judge of a loop without effects."""
-    residuals = predictor.residuals(declared_point(ROBOT))
+    residuals = predictor.residuals(declared_params(ROBOT))
     return LeftOut(
         moments=block_moments(predictor.times, residuals, [np.zeros((*r.shape, 0)) for r in residuals]),
         weights=weights_from(residuals),
@@ -60,7 +60,7 @@ def left_out_of(predictor: Predictor) -> LeftOut:
 def learn(folder: Path, cubic: float) -> tuple[Learned, list[Flight]]:
     train, test = flown(folder, cubic)
     fit, held = load_train_and_test(ROBOT, train, [test], None, 10.0, silent)
-    predictor, point = predictor_of(fit), declared_point(ROBOT)
+    predictor, point = predictor_of(fit), declared_params(ROBOT)
     learned = train_residual(predictor, point, left_out_of(predictor))
     return judge_on_test(learned, predictor_of(held), point, None), held
 
@@ -79,7 +79,7 @@ def test_a_drag_without_a_name_is_learned_and_holds_on_another_flight(cubic: tup
     assert learned.cfg is not None
     assert learned.cfg.limit[3:] == (0.0, 0.0, 0.0)
     assert 0 <= learned.rows_outside < 0.1 * learned.rows
-    point, with_it = declared_point(ROBOT), replace(declared_point(ROBOT), learned=learned.effect)
+    point, with_it = declared_params(ROBOT), replace(declared_params(ROBOT), learned=learned.effect)
     errors = [roll_out(ROBOT, held, p, horizons=(0.1, 0.5), given_attitude=True).velocity for p in (point, with_it)]
     rms = [np.sqrt(np.mean(np.square(e), axis=0)) for e in errors if e is not None]
     assert (rms[1] < 0.5 * rms[0]).all()
@@ -90,7 +90,7 @@ def test_flights_far_from_the_training_data_get_nothing(cubic: tuple[Learned, li
     assert learned.cfg is not None
     far = tuple(tuple(100.0 * number for number in row) for row in learned.cfg.whitening)
     narrow = replace(learned, cfg=replace(learned.cfg, whitening=far))
-    judged = judge_on_test(narrow, predictor_of(held), declared_point(ROBOT), None)
+    judged = judge_on_test(narrow, predictor_of(held), declared_params(ROBOT), None)
     assert judged.rows_outside == judged.rows > 0
     assert set(judged.gaps.values()) == {0.0}
 
@@ -100,12 +100,12 @@ def test_training_repeats_itself_and_descends(tmp_path: Path) -> None:
     train, test = flown(tmp_path, CUBIC)
     fit, _ = load_train_and_test(ROBOT, train, [test], None, 10.0, silent)
     predictor = predictor_of(fit)
-    trainer = _Trainer(predictor, declared_point(ROBOT), left_out_of(predictor), 0)
+    trainer = _Trainer(predictor, declared_params(ROBOT), left_out_of(predictor), 0)
     first = trainer.train(0.01)
     np.testing.assert_array_equal(first.flat(), trainer.train(0.01).flat())
     constant = replace(first, output=0.0 * first.output, offset=np.eye(6)[4])
     turning = trainer.cfg_of(constant).output.bias  # J times the rms of angular acceleration y
-    rms = np.sqrt(np.mean(np.concatenate(predictor.residuals(declared_point(ROBOT)))[:, 4] ** 2))
+    rms = np.sqrt(np.mean(np.concatenate(predictor.residuals(declared_params(ROBOT)))[:, 4] ** 2))
     np.testing.assert_allclose(turning, (0.0, 0.0, 0.0, 0.0, 2.4e-3 * rms, 0.0), rtol=1e-5)
     rng = np.random.default_rng(0)
     inputs, targets = rng.normal(size=(20, 7)), rng.normal(size=(20, len(trainer.outputs)))
@@ -128,11 +128,11 @@ def test_flights_without_velocity_and_a_robot_that_has_one_are_refused(tmp_path:
     fit, _ = load_train_and_test(ROBOT, train, [test], None, 10.0, silent)
     predictor = predictor_of(fit)
     judge = left_out_of(predictor)
-    again = declared_point(replace(ROBOT, learned_residual=random_network(4)))
+    again = declared_params(replace(ROBOT, learned_residual=random_network(4)))
     with pytest.raises(ConfigError, match="already has a learned_residual"):
         train_residual(predictor, again, judge)
     predictor.flights = tuple(replace(f, lin_vel=None) for f in fit)
-    assert train_residual(predictor, declared_point(ROBOT), judge).objections == ("the flights have no velocity",)
+    assert train_residual(predictor, declared_params(ROBOT), judge).objections == ("the flights have no velocity",)
 
 
 def test_the_loop_adds_it_beside_the_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,7 +161,7 @@ def test_the_loop_adds_it_beside_the_verdict(tmp_path: Path, monkeypatch: pytest
     assert robot.learned_residual is not None
     assert "f0, f1, f2" in robot.learned_residual.source
     held = load_train_and_test(ROBOT, train, [test], None, 10.0, silent)[1]
-    residual = np.concatenate(predictor_of(held).residuals(declared_point(robot)))
+    residual = np.concatenate(predictor_of(held).residuals(declared_params(robot)))
     after = [verdict["after"]["specific_force"][axis]["rms"] for axis in "xyz"]
     np.testing.assert_allclose(np.sqrt(np.mean(residual[:, :3] ** 2, axis=0)), after, rtol=1e-9)
     for report in ("report.md", "report.html"):

@@ -12,7 +12,7 @@ from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.selection.select import _Selector
 from aerial_gym.sim2real.identify.window_rollouts import eliminated
 from aerial_gym.sim2real.logs.flights import load_flights
-from aerial_gym.sim2real.predict.predictor import Predictor, declared_point, find_channels
+from aerial_gym.sim2real.predict.predictor import Predictor, declared_params, find_channels
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
@@ -30,8 +30,8 @@ def _refit(folder, effect: str, tables: list[pd.DataFrame]) -> Refit:
     paths = [write(table, folder / f"f{number}.csv") for number, table in enumerate(tables)]
     flights = load_flights(paths, ROBOT, mapping=None, bandwidth=10.0)
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
-    chosen = _Selector(predictor, declared_point(ROBOT), Criteria(), lambda stage, share: None, ())
-    start = chosen.points(effect, declared_point(ROBOT))[0]
+    chosen = _Selector(predictor, declared_params(ROBOT), Criteria(), lambda stage, share: None, ())
+    start = chosen.points(effect, declared_params(ROBOT))[0]
     selection = SimpleNamespace(
         final=chosen.score((effect,), start), accepted=(effect,), left_out=chosen.left_out, criteria=chosen.criteria
     )

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.flights import Flight, load_flight
-from aerial_gym.sim2real.predict.predictor import Predictor, declared_point, find_channels
+from aerial_gym.sim2real.predict.predictor import Predictor, declared_params, find_channels
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
@@ -52,7 +52,7 @@ def test_rows_on_the_ground_are_found_without_a_height(table: pd.DataFrame, tmp_
     assert any("stands on the ground in" in note for note in found.notes)
     channels = find_channels([found])
     predictor = Predictor(ROBOT, [found], bandwidth=5.0, channels=channels, tolerances=Tolerances())
-    residual = predictor.residuals(declared_point(ROBOT))[0]
+    residual = predictor.residuals(declared_params(ROBOT))[0]
     assert np.abs(residual[:, 2]).max() < 0.5  # standing, it would be g
 
 

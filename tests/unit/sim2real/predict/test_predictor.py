@@ -15,7 +15,14 @@ from aerial_gym.sim2real.judge.noise_floor import noise_floor
 from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_flights
 from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
-from aerial_gym.sim2real.predict.predictor import Channel, Point, Predictor, declared_point, find_channels, together
+from aerial_gym.sim2real.predict.predictor import (
+    Channel,
+    ModelParams,
+    Predictor,
+    declared_params,
+    find_channels,
+    together,
+)
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rollout import find_windows, roll_out
 from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_biases
@@ -30,7 +37,7 @@ def load(folder: Path, **options: float) -> Flight:
     return complete_flight(uniform_log(read_flight_log(path)))
 
 
-def residual(found: Flight, point: Point, **options: bool) -> np.ndarray:
+def residual(found: Flight, point: ModelParams, **options: bool) -> np.ndarray:
     channels = find_channels([found])
     predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances(), **options)
     return predictor.residuals(point)[0]
@@ -39,14 +46,14 @@ def residual(found: Flight, point: Point, **options: bool) -> np.ndarray:
 def test_an_exact_flight_is_predicted_exactly(tmp_path: Path) -> None:
     """Forces to 2e-3 of g, angular acceleration to 0.5 % of its size: what the filters leave at the ends."""
     found = load(tmp_path)
-    left = residual(found, declared_point(ROBOT))
+    left = residual(found, declared_params(ROBOT))
     assert np.abs(left[:, :3]).max() < 0.02
     assert np.abs(left[:, 3:]).max() < 0.05
 
 
 def test_drag_that_was_flown_is_predicted_by_the_effect_and_by_nothing_else(tmp_path: Path) -> None:
     found = load(tmp_path, drag=0.25)
-    point = declared_point(ROBOT)
+    point = declared_params(ROBOT)
     without, withdrag = residual(found, point), residual(found, point.with_effect("rotor_drag", np.full(3, 0.25)))
     assert np.sqrt((without[:, :2] ** 2).mean()) > 0.2
     assert np.abs(withdrag[:, :3]).max() < 0.02
@@ -57,7 +64,7 @@ def test_a_known_wind_is_flown_through_in_residuals_and_rollouts(tmp_path: Path)
     wind, drag = np.array([-3.2, 2.4, 0.0]), 0.15
     blind = load(tmp_path, drag=drag, wind=tuple(wind))
     told = replace(blind, wind=tuple(wind))
-    point = declared_point(ROBOT).with_effect("rotor_drag", np.full(3, drag))
+    point = declared_params(ROBOT).with_effect("rotor_drag", np.full(3, drag))
     assert np.abs(residual(told, point)[:, :3]).max() < 0.02
     push = drag * np.linalg.norm(wind) / ROBOT.body.mass
     left = np.linalg.norm(residual(blind, point)[:, :3], axis=1)
@@ -88,7 +95,7 @@ def test_rows_on_the_ground_are_not_compared_nor_flown_over(tmp_path: Path) -> N
     near = 2.0 / BAND + 0.005  # and one row
     clear = (one.times[0] < 5.0 - near - 1e-9) | (one.times[0] > 5.495 + near + 1e-9)
     np.testing.assert_allclose(other.times[0], one.times[0][clear])
-    np.testing.assert_allclose(other.residuals(Point())[0], one.residuals(Point())[0][clear], atol=1e-12)
+    np.testing.assert_allclose(other.residuals(ModelParams())[0], one.residuals(ModelParams())[0][clear], atol=1e-12)
     start = find_windows([touched], 1.0).row / found.rate
     assert not np.any((start > 3.99) & (start < 5.49))
     assert {4.6, 5.1} <= set((find_windows([found], 1.0).row / found.rate).tolist())
@@ -110,7 +117,7 @@ def test_the_noise_floor_is_that_of_flight_between_touches(tmp_path: Path) -> No
         ("all", jolted, None),
     ):
         floor = noise_floor(
-            ROBOT, [replace(found, specific_force=force, standing=mask)], Point(), channels, bandwidth=BAND
+            ROBOT, [replace(found, specific_force=force, standing=mask)], ModelParams(), channels, bandwidth=BAND
         )
         assert floor is not None
         floors[name] = floor[:3]
@@ -123,13 +130,13 @@ def test_without_a_position_there_is_no_ground_near(tmp_path: Path) -> None:
     lost = replace(load(tmp_path), position=None)
     channels = find_channels([lost])
     predictor = Predictor(robot, [lost], bandwidth=BAND, channels=channels, tolerances=Tolerances())
-    near = predictor.predict(Point(effects={"ground_effect": np.array([3.0])}))[0]
-    np.testing.assert_allclose(near, predictor.predict(Point())[0], atol=1e-6)
+    near = predictor.predict(ModelParams(effects={"ground_effect": np.array([3.0])}))[0]
+    np.testing.assert_allclose(near, predictor.predict(ModelParams())[0], atol=1e-6)
 
 
 def test_the_thrust_that_was_flown_scales(tmp_path: Path) -> None:
     found = load(tmp_path, thrust_scale=1.07)
-    left = residual(found, declared_point(ROBOT).with_effect("thrust_coefficient", np.array([1.07])))
+    left = residual(found, declared_params(ROBOT).with_effect("thrust_coefficient", np.array([1.07])))
     assert np.abs(left[:, 2]).max() < 0.02
 
 
@@ -138,7 +145,7 @@ def test_a_shifted_centre_of_mass_feels_the_measured_turning(tmp_path: Path) -> 
     found = load(tmp_path)
     shift = np.array([0.004, -0.003, 0.002])
     predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
-    change = predictor.predict(Point(effects={"com_offset": shift}))[0] - predictor.predict(Point())[0]
+    change = predictor.predict(ModelParams(effects={"com_offset": shift}))[0] - predictor.predict(ModelParams())[0]
     rows = np.round(predictor.times[0] * found.rate).astype(int)
     omega = found.ang_vel
     alpha = np.gradient(omega, 1.0 / found.rate, axis=0)
@@ -157,7 +164,10 @@ def test_thinned_rows_predict_what_all_rows_do(tmp_path: Path) -> None:
     thin = Predictor(ROBOT, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances())
     full = Predictor(ROBOT, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances(), every_row=True)
     place = np.round((thin.times[0] - full.times[0][0]) * found.rate).astype(int)
-    for some, every in ((thin.predict(Point())[0], full.predict(Point())[0]), (thin.measured[0], full.measured[0])):
+    for some, every in (
+        (thin.predict(ModelParams())[0], full.predict(ModelParams())[0]),
+        (thin.measured[0], full.measured[0]),
+    ):
         np.testing.assert_allclose(some, every[place], atol=2e-3 * np.abs(every).max())
 
 
@@ -165,23 +175,25 @@ def test_the_jacobian_of_a_wrench_effect_is_its_regressor(tmp_path: Path) -> Non
     """d f / d (drag) = -v_body / m per unit, at any drag; scale 0.1 N s/m."""
     found = load(tmp_path)
     predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
-    point = Point(effects={"rotor_drag": np.full(3, 0.2)})
+    point = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
     jacobian = effect_jacobian(predictor, point, ("rotor_drag",), predictor.predict(point))[0]
-    zero = predictor.predict(Point())[0]
-    one = predictor.predict(Point(effects={"rotor_drag": np.array([0.1, 0.0, 0.0])}))[0]
+    zero = predictor.predict(ModelParams())[0]
+    one = predictor.predict(ModelParams(effects={"rotor_drag": np.array([0.1, 0.0, 0.0])}))[0]
     np.testing.assert_allclose(jacobian[:, :, 0], one - zero, atol=1e-8)
 
 
 MODELS = {
-    "declared": Point(),
-    "drag": Point(effects={"rotor_drag": np.full(3, 0.2)}),
-    "inflow": Point(effects={"axial_inflow": np.array([1e-5]), "h_force_flapping": np.array([1e-5, 1e-6])}),
-    "wind": Point(effects={"rotor_drag": np.full(3, 0.2), "constant_wind": np.array([1.0, -2.0, 0.5])}),
-    "other wind": Point(effects={"rotor_drag": np.full(3, 0.2), "constant_wind": np.array([-1.0, 0.0, 0.5])}),
-    "heavy": Point(effects={"payload_mass": np.array([0.1])}),
-    "off": Point(effects={"rotor_drag": np.full(3, 0.2)}, deviation=np.linspace(-1.0, 1.0, len(Tolerances().names(4)))),
-    "turned sensor": Point(effects={"imu_misalignment": np.array([0.02, 0.01, -0.03])}),
-    "misread speeds": Point(effects={"rotor_speed_scale": np.array([1.1])}),
+    "declared": ModelParams(),
+    "drag": ModelParams(effects={"rotor_drag": np.full(3, 0.2)}),
+    "inflow": ModelParams(effects={"axial_inflow": np.array([1e-5]), "h_force_flapping": np.array([1e-5, 1e-6])}),
+    "wind": ModelParams(effects={"rotor_drag": np.full(3, 0.2), "constant_wind": np.array([1.0, -2.0, 0.5])}),
+    "other wind": ModelParams(effects={"rotor_drag": np.full(3, 0.2), "constant_wind": np.array([-1.0, 0.0, 0.5])}),
+    "heavy": ModelParams(effects={"payload_mass": np.array([0.1])}),
+    "off": ModelParams(
+        effects={"rotor_drag": np.full(3, 0.2)}, deviation=np.linspace(-1.0, 1.0, len(Tolerances().names(4)))
+    ),
+    "turned sensor": ModelParams(effects={"imu_misalignment": np.array([0.02, 0.01, -0.03])}),
+    "misread speeds": ModelParams(effects={"rotor_speed_scale": np.array([1.1])}),
 }
 
 
@@ -226,7 +238,7 @@ def test_an_error_of_the_sensors_that_is_none_changes_no_channel(tmp_path: Path)
     found = load(tmp_path)
     predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
     for deviation in (None, np.linspace(-1.0, 1.0, predictor.num_tolerances)):
-        point = Point(deviation=deviation)
+        point = ModelParams(deviation=deviation)
         without, neutral = (
             predictor.predict(p)[0] for p in (point, point.with_effect("imu_misalignment", np.zeros(3)))
         )
@@ -236,14 +248,14 @@ def test_an_error_of_the_sensors_that_is_none_changes_no_channel(tmp_path: Path)
 def test_rollouts_of_an_exact_flight_stay_on_it_and_find_the_error_of_a_wrong_mass(tmp_path: Path) -> None:
     """Open loop for 1 s: millimetres and milliradians. A vehicle that is 5 % heavier falls behind by g 5 % t² / 2."""
     found = load(tmp_path, rate=400.0)
-    errors = roll_out(ROBOT, [found], Point(), horizons=(0.1, 0.5, 1.0))
+    errors = roll_out(ROBOT, [found], ModelParams(), horizons=(0.1, 0.5, 1.0))
     assert errors.driven_by == "measured rotor speeds"
     assert errors.position is not None
     assert errors.attitude is not None
     assert errors.position[:, 2].max() < 0.01
     assert errors.attitude[:, 2].max() < 0.01
     heavy = replace(ROBOT, body=replace(ROBOT.body, mass=1.05 * ROBOT.body.mass))
-    given = roll_out(heavy, [found], Point(), horizons=(0.1, 0.5, 1.0), given_attitude=True)
+    given = roll_out(heavy, [found], ModelParams(), horizons=(0.1, 0.5, 1.0), given_attitude=True)
     assert given.attitude is None
     assert given.position is not None
     assert np.median(given.position[:, 2]) == pytest.approx(0.5 * 9.81 * (1.0 - 1.0 / 1.05), rel=0.15)
@@ -348,7 +360,7 @@ def test_a_gyro_that_is_off_within_its_tolerance_shows_in_the_kinematic_rate_alo
     )
     deviation = np.zeros(predictor.num_tolerances)
     deviation[tolerances.names(4).index("gyro_bias_z")] = 3.0
-    moved = predictor.predict(Point(deviation=deviation))[0] - predictor.predict(Point())[0]
+    moved = predictor.predict(ModelParams(deviation=deviation))[0] - predictor.predict(ModelParams())[0]
     for place, channel in enumerate(predictor.channels):
         expected = 0.006 if channel.name == "kinematic_rate.z" else 0.0
         np.testing.assert_allclose(moved[:, place], expected, atol=1e-12, err_msg=channel.name)
@@ -358,8 +370,8 @@ def test_the_noise_floor_is_the_residual_of_a_perfect_model(tmp_path: Path) -> N
     """White noise of sensors and rotors through filter and derivative; the exact flight leaves nothing else."""
     found = load(tmp_path, rate=400.0, noise=1.0, seconds=20.0)
     channels = find_channels([found])
-    left = residual(found, Point())
-    floor = noise_floor(ROBOT, [found], Point(), channels, bandwidth=BAND)
+    left = residual(found, ModelParams())
+    floor = noise_floor(ROBOT, [found], ModelParams(), channels, bandwidth=BAND)
     assert floor is not None
     ratio = np.sqrt((left**2).mean(axis=0)) / floor
     assert np.all((ratio > 0.7) & (ratio < 1.2)), ratio
@@ -376,7 +388,7 @@ def test_the_noise_floor_of_a_filtered_sensor_is_that_below_its_filter(tmp_path:
     assert found.specific_force is not None
     channels = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
     smooth = replace(found, specific_force=lowpass(found.specific_force, 400.0, 30.0))
-    raw, filtered = (noise_floor(ROBOT, [each], Point(), channels, bandwidth=BAND) for each in (found, smooth))
+    raw, filtered = (noise_floor(ROBOT, [each], ModelParams(), channels, bandwidth=BAND) for each in (found, smooth))
     assert raw is not None
     assert filtered is not None
     assert np.all(filtered[:2] > 0.5 * raw[:2])
@@ -391,7 +403,7 @@ def test_the_noise_floor_shows_in_a_log_of_the_highest_band(rate: float, tmp_pat
     """
     slow, fast = (load(tmp_path, rate=each, noise=1.0, seconds=30.0) for each in (rate, 400.0))
     channels = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
-    floors = [noise_floor(ROBOT, [each], Point(), channels, bandwidth=BAND) for each in (slow, fast)]
+    floors = [noise_floor(ROBOT, [each], ModelParams(), channels, bandwidth=BAND) for each in (slow, fast)]
     assert floors[0] is not None
     assert floors[1] is not None
     ratio = floors[0] / floors[1] / np.sqrt(400.0 / rate)
@@ -400,7 +412,7 @@ def test_the_noise_floor_shows_in_a_log_of_the_highest_band(rate: float, tmp_pat
 
 def test_no_floor_where_the_log_is_too_slow(tmp_path: Path) -> None:
     found = load(tmp_path, rate=25.0)
-    assert noise_floor(ROBOT, [found], Point(), [Channel(kind="specific_force", axis="x")], bandwidth=8.0) is None
+    assert noise_floor(ROBOT, [found], ModelParams(), [Channel(kind="specific_force", axis="x")], bandwidth=8.0) is None
 
 
 def test_a_tolerance_that_strains_is_told_by_its_name() -> None:
@@ -420,10 +432,10 @@ def test_forces_derived_from_the_velocity_have_no_errors_of_an_accelerometer(tmp
     names = Tolerances().names(4)
     bias, tilt = np.array([0.5, -0.3, 0.2, 0.0, 0.0, 0.0]), np.array([0.05, -0.03, 0.0])
     off = np.array([5.0 * name.startswith("acc_bias") for name in names])
-    left = residual(found, Point())
-    for point in (Point(effects={"imu_bias": bias}), Point(deviation=off)):
+    left = residual(found, ModelParams())
+    for point in (ModelParams(effects={"imu_bias": bias}), ModelParams(deviation=off)):
         np.testing.assert_array_equal(residual(found, point), left)
-    moved = residual(found, Point(effects={"imu_misalignment": tilt})) - left
+    moved = residual(found, ModelParams(effects={"imu_misalignment": tilt})) - left
     channels = find_channels([found])
     for place, channel in enumerate(channels):
         assert np.any(np.abs(moved[:, place]) > 1e-6) == (channel.kind != "specific_force"), channel.name

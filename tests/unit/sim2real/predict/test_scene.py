@@ -13,7 +13,7 @@ from aerial_gym.sim2real.close_loop import judge_flights
 from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.mapping import LogMapping, find_mapping
-from aerial_gym.sim2real.predict.predictor import Point, Predictor, find_channels
+from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, find_channels
 from aerial_gym.sim2real.predict.rollout import roll_out
 from aerial_gym.sim2real.predict.scene import lacks_around
 from aerial_gym.sim2real.predict.tolerances import Tolerances
@@ -55,8 +55,8 @@ def hover(name: str, height: float, **more: object) -> Flight:
 def lift(flights: list[Flight], effect: str, params: list[float]) -> list[np.ndarray]:
     """Return what an effect adds to the specific force along z in each flight [m/s²]."""
     predictor = Predictor(NEAR, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
-    with_effect = predictor.predict(Point(effects={effect: np.array(params)}))
-    return [(more - own)[:, 2] for more, own in zip(with_effect, predictor.predict(Point()), strict=True)]
+    with_effect = predictor.predict(ModelParams(effects={effect: np.array(params)}))
+    return [(more - own)[:, 2] for more, own in zip(with_effect, predictor.predict(ModelParams()), strict=True)]
 
 
 def gain(k: float, distance: float) -> float:
@@ -104,7 +104,7 @@ def test_a_rollout_feels_what_is_around(effect: str) -> None:
         "ceiling_effect": ([1.5], (G * gain(1.5, 0.3), G * gain(1.5, 7.99))),
         "downwash": ([0.6, 0.3], (-np.exp(-0.5 * (0.2 / 0.3) ** 2), 0.0)),
     }[effect]
-    errors = roll_out(NEAR, flights, Point(effects={effect: np.array(params)}), horizons=(0.1,))
+    errors = roll_out(NEAR, flights, ModelParams(effects={effect: np.array(params)}), horizons=(0.1,))
     assert errors.position is not None
     for place in (0, 1):
         moved = errors.position[errors.windows.flight == place, 0]

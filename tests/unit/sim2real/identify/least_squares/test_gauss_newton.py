@@ -15,7 +15,7 @@ from aerial_gym.sim2real.identify.least_squares.moments import (
     weights_from,
 )
 from aerial_gym.sim2real.logs.signals import lowpass
-from aerial_gym.sim2real.predict.predictor import Point
+from aerial_gym.sim2real.predict.predictor import ModelParams
 from aerial_gym.sim2real.statistics import rms_with_interval
 
 RATE, ROWS, FLIGHTS, CHANNELS = 30.0, 480, 5, 2
@@ -37,7 +37,7 @@ def linear_fit(
     size = NUM_PARAMS + NUM_TOLERANCES
     return Fit(
         effects=(EFFECT,),
-        point=Point(effects={EFFECT: np.zeros(NUM_PARAMS)}),
+        point=ModelParams(effects={EFFECT: np.zeros(NUM_PARAMS)}),
         moments=block_moments(times, residuals, jacobians),
         low=np.concatenate((np.full(NUM_PARAMS, low), np.full(NUM_TOLERANCES, -3.0))),
         high=np.full(size, np.inf),
@@ -172,7 +172,7 @@ def test_a_fit_that_would_overshoot_arrives() -> None:
     rng = np.random.default_rng(2)
     excitation, truth = 1.0 + 0.1 * rng.standard_normal((40, 1)), 3.0
 
-    def predict(point: Point) -> list[np.ndarray]:
+    def predict(point: ModelParams) -> list[np.ndarray]:
         return [np.arctan(excitation * point.effects["constant_wind"][0])]
 
     predictor = SimpleNamespace(
@@ -185,7 +185,7 @@ def test_a_fit_that_would_overshoot_arrives() -> None:
         fit = fit_effects(
             predictor,  # type: ignore[arg-type]
             ("constant_wind",),
-            Point(effects={"constant_wind": np.array([start, 0.0, 0.0])}),
+            ModelParams(effects={"constant_wind": np.array([start, 0.0, 0.0])}),
             [np.zeros((40, 1, 0))],
             np.full(1, 1e6),
         )

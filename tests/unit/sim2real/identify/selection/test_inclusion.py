@@ -14,7 +14,7 @@ from aerial_gym.sim2real.identify.selection.inclusion import RESAMPLES, draw_blo
 from aerial_gym.sim2real.identify.selection.library import Candidate, Library, exact_along
 from aerial_gym.sim2real.identify.selection.linear import LinearSelector
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut, Scored
-from aerial_gym.sim2real.predict.predictor import Channel, Point
+from aerial_gym.sim2real.predict.predictor import Channel, ModelParams
 
 ROWS, RATE, CHANNELS = 360, 30.0, 2
 EFFECT = "rotor_drag"
@@ -68,7 +68,7 @@ def scored(left_out: LeftOut, *, effect: bool) -> Scored:
     moments, kept = left_out.moments, np.array([0, 1] if effect else [1])
     fit = Fit(
         effects=(EFFECT,) if effect else (),
-        point=Point(effects={EFFECT: np.zeros(3)} if effect else {}),
+        point=ModelParams(effects={EFFECT: np.zeros(3)} if effect else {}),
         moments=replace(
             moments, gradient=moments.gradient[..., kept], product=moments.product[..., kept[:, None], kept]
         ),

@@ -19,7 +19,7 @@ from aerial_gym.sim2real.identify.selection.structure import Structure
 from aerial_gym.sim2real.identify.selection.surrogates import Beside
 from aerial_gym.sim2real.judge.verdict import tied_rivals
 from aerial_gym.sim2real.logs.flights import load_flights
-from aerial_gym.sim2real.predict.predictor import Point, Predictor, declared_point, find_channels
+from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, declared_params, find_channels
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
@@ -65,7 +65,7 @@ def test_a_name_holds_or_only_stands_in(
     flights = load_flights(paths, ROBOT, mapping=None, bandwidth=10.0)
     channels = find_channels(flights)
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
-    found = select.select_effects(predictor, Point(), Criteria(), lambda stage, share: None)
+    found = select.select_effects(predictor, ModelParams(), Criteria(), lambda stage, share: None)
     assert found.accepted == named
     assert found.doubted == doubted
 
@@ -88,7 +88,7 @@ def test_thrust_and_mass_are_told_by_torques_as_far_as_the_inertia_is_known(
         [write(log, tmp_path / f"f{n}.csv") for n, log in enumerate(logs)], ROBOT, mapping=None, bandwidth=10.0
     )
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
-    found = select.select_effects(predictor, Point(), Criteria(), lambda stage, share: None)
+    found = select.select_effects(predictor, ModelParams(), Criteria(), lambda stage, share: None)
     (named,) = found.accepted
     assert {named, *tied_rivals(named, found)} == candidates
     doubted = dict.fromkeys(candidates - {named}, "time")  # what only stands in for a structure is no rival
@@ -107,7 +107,7 @@ def test_a_steady_wind_is_not_called_a_shear_that_hardly_grows(tmp_path: Path, m
     paths = [write(log, tmp_path / f"f{n}.csv") for n, log in enumerate(logs)]
     flights = load_flights(paths, robot, mapping=None, bandwidth=10.0)
     predictor = Predictor(robot, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
-    declared = declared_point(robot)
+    declared = declared_params(robot)
     found = select.select_effects(predictor, declared, Criteria(), lambda stage, share: None)
     assert found.accepted == ("constant_wind",)
     assert tied_rivals("constant_wind", found) == []

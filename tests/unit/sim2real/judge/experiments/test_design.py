@@ -11,7 +11,7 @@ from aerial_gym.sim2real.judge.ablation import LEAST_SCORE
 from aerial_gym.sim2real.judge.experiments.design import Catalogue, showable, what_shows, what_tells
 from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, fly
 from aerial_gym.sim2real.logs.flights import load_flights
-from aerial_gym.sim2real.predict.predictor import Point, Predictor, find_channels
+from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, find_channels
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
@@ -29,7 +29,7 @@ def catalogue_of(folder: Path, *, only: str | None = None) -> Catalogue:
     channels = [channel for channel in find_channels(flights) if only in (None, channel.kind)]
     train = Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=TOLERANCES)
     weight = np.array([STD[channel.kind] ** -2 for channel in channels])
-    none = SimpleNamespace(fit=SimpleNamespace(point=Point()), effects=())
+    none = SimpleNamespace(fit=SimpleNamespace(point=ModelParams()), effects=())
     return Catalogue(train, SimpleNamespace(weights=SimpleNamespace(weight=weight), final=none))  # type: ignore[arg-type]
 
 
@@ -38,8 +38,10 @@ def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
     return catalogue_of(tmp_path_factory.mktemp("flight"))
 
 
-def model(**effects: list[float]) -> tuple[Point, tuple[str, ...]]:
-    return Point(effects={name: np.array(values, dtype=float) for name, values in effects.items()}), tuple(effects)
+def model(**effects: list[float]) -> tuple[ModelParams, tuple[str, ...]]:
+    return ModelParams(effects={name: np.array(values, dtype=float) for name, values in effects.items()}), tuple(
+        effects
+    )
 
 
 def by_name(catalogue: Catalogue, scores: np.ndarray) -> dict[str, float]:
@@ -51,7 +53,7 @@ def test_every_manoeuvre_is_one_that_the_simulator_flies_with_these_rotor_speeds
     assert {flown.name for flown in catalogue.flights} == set(MANOEUVRES)
     kinds = [channel.kind for channel in catalogue.predictor.channels]
     for flown, residual, measured in zip(
-        catalogue.flights, catalogue.predictor.residuals(Point()), catalogue.predictor.measured, strict=True
+        catalogue.flights, catalogue.predictor.residuals(ModelParams()), catalogue.predictor.measured, strict=True
     ):
         for kind, least in (("specific_force", 9.81), ("angular_acceleration", 1.0)):
             places = [place for place, name in enumerate(kinds) if name == kind]
@@ -131,9 +133,9 @@ def test_what_has_not_shown_is_shown_by_what_excites_it(catalogue: Catalogue) ->
     hidden = SimpleNamespace(not_testable={"ground_effect": ""}, accepted=())
     assert showable(hidden, robot, []) == ["ground_effect"]  # type: ignore[arg-type]
     assert showable(hidden, ROBOT, []) == []  # type: ignore[arg-type]
-    selection = SimpleNamespace(final=SimpleNamespace(fit=SimpleNamespace(point=Point()), effects=()), rivals={})
+    selection = SimpleNamespace(final=SimpleNamespace(fit=SimpleNamespace(point=ModelParams()), effects=()), rivals={})
     names = ["quadratic_drag", "rotor_inertia", "translational_lift"]
-    advice = what_shows(catalogue, selection, Point(), names)  # type: ignore[arg-type]
+    advice = what_shows(catalogue, selection, ModelParams(), names)  # type: ignore[arg-type]
     assert list(advice) == names
     assert advice["quadratic_drag"].fly == "sweep along both axes, slow and then fast, up to 5 m/s"
     assert all(found.hover < 1e-3 for found in advice.values())

@@ -23,7 +23,7 @@ from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
 )
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass_gain
-from aerial_gym.sim2real.predict.predictor import Point, Predictor, find_channels
+from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, find_channels
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT
 from tests.unit.sim2real.predict.test_scene import RATE, hover
@@ -123,7 +123,7 @@ def test_a_force_that_follows_a_feature_is_told_apart() -> None:
     assert chances_of_rivals(wind, fit_process(wind))["follows position"] < 0.001
 
 
-DRAGGED = Point(effects={"rotor_drag": np.array([0.3, 0.24, 0.18])})
+DRAGGED = ModelParams(effects={"rotor_drag": np.array([0.3, 0.24, 0.18])})
 
 
 def blown(number: int, std: float = 0.0) -> Flight:
@@ -146,7 +146,7 @@ def blown(number: int, std: float = 0.0) -> Flight:
     )
 
 
-def look(flights: list[Flight], point: Point = DRAGGED, **more: object) -> RandomWind:
+def look(flights: list[Flight], point: ModelParams = DRAGGED, **more: object) -> RandomWind:
     channels = find_channels(flights)
     predictor = Predictor(ROBOT, flights, bandwidth=BAND, channels=channels, tolerances=Tolerances())
     settings = {
@@ -182,7 +182,7 @@ def test_a_wind_is_seen_through_the_drag_of_the_model() -> None:
 
 def test_where_gusts_are_not_looked_for_and_why() -> None:
     flights = [blown(number) for number in range(2)]
-    assert "a known drag" in look(flights, Point()).untestable
+    assert "a known drag" in look(flights, ModelParams()).untestable
     assert "too slow to show a noise floor" in look(flights, floor=None).untestable
     assert "needs specific force and velocity" in look([replace(f, lin_vel=None) for f in flights]).untestable
     nothing = look(flights, remaining=np.zeros(12, dtype=bool))

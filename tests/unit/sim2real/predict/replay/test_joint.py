@@ -14,7 +14,7 @@ from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.physics import EFFECTS, vehicle_from_config
 from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.sim2real.logs.flights import load_flight
-from aerial_gym.sim2real.predict.predictor import Point, Predictor, declared_point, find_channels
+from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, declared_params, find_channels
 from aerial_gym.sim2real.predict.replay.joint import follow_joint, joint_angles
 from aerial_gym.sim2real.predict.rollout import Batch, roll_out
 from aerial_gym.sim2real.predict.tolerances import Tolerances
@@ -63,8 +63,8 @@ def test_predictions_follow_the_arms(name: str, tau: float) -> None:
     flight = replace(flight, rotor_speed=flight.rotor_speed * np.sqrt(1.0 + sway * np.sin(turn * time)[:, None]))
     flights = [flight]
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
-    point = Point(effects={name: np.array([compliance, tau, hinge])})
-    found, rigid = (predictor.predict(p)[0][:, 1] for p in (point, Point()))
+    point = ModelParams(effects={name: np.array([compliance, tau, hinge])})
+    found, rigid = (predictor.predict(p)[0][:, 1] for p in (point, ModelParams()))
     lag, less = np.arctan(turn * tau), 1.0 / hypot(1.0, turn * tau)
     at = predictor.times[0]
     rest = compliance * (1.0 - hinge) * ARM * THRUST
@@ -82,7 +82,7 @@ def test_rollouts_begin_with_arms_as_the_log_bends_them(speeds: str) -> None:
     if speeds == "commanded":
         flight = replace(flight, rotor_command=flight.rotor_speed, rotor_speed=None)
     rest = 0.8 * 0.6 * ARM * THRUST
-    point = Point(effects={"joint_creep": np.array([0.8, 20.0, 0.4])})
+    point = ModelParams(effects={"joint_creep": np.array([0.8, 20.0, 0.4])})
     errors = roll_out(ROBOT, [flight], point, horizons=(0.5,))
     assert errors.velocity is not None
     np.testing.assert_allclose(errors.velocity, G * (1.0 - cos(rest)) * 0.5, rtol=1e-6)
@@ -97,9 +97,9 @@ def test_rollouts_begin_with_arms_as_they_are_at_their_row() -> None:
     assert flight.rotor_speed is not None
     more = np.where(flight.time >= 1.0, 1.44, 1.0)
     flight = replace(flight, rotor_speed=flight.rotor_speed * np.sqrt(more)[:, None])
-    point, tau = Point(effects={"joint_creep": np.array([0.8, 2.0, 0.4])}), 2.0
+    point, tau = ModelParams(effects={"joint_creep": np.array([0.8, 2.0, 0.4])}), 2.0
     errors = roll_out(ROBOT, [flight], point, horizons=(0.1,))
-    bare = roll_out(ROBOT, [flight], Point(), horizons=(0.1,))
+    bare = roll_out(ROBOT, [flight], ModelParams(), horizons=(0.1,))
     start = errors.windows.row / RATE
     late = start >= 1.0
     rest = 0.8 * 0.6 * ARM * THRUST
@@ -113,8 +113,8 @@ def test_rollouts_begin_with_arms_as_they_are_at_their_row() -> None:
 def test_neutral_joints_cost_no_prediction() -> None:
     flights = [hover("a", 5.0)]
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
-    neutral = Point(effects={"joint_spring": np.array(EFFECTS.get("joint_spring").neutral(ROBOT))})
-    assert predictor.predict(neutral) is predictor.predict(Point())
+    neutral = ModelParams(effects={"joint_spring": np.array(EFFECTS.get("joint_spring").neutral(ROBOT))})
+    assert predictor.predict(neutral) is predictor.predict(ModelParams())
 
 
 def test_arms_of_a_vehicle_that_stands_at_first_are_not_bent_by_its_flight() -> None:
@@ -137,13 +137,13 @@ def test_arms_that_have_only_begun_to_creep_are_a_deviation_within_the_tolerance
     flights, tau, rest = [hover("a", 5.0)], 1.5, 0.8 * 0.6 * ARM * THRUST
     tolerances = Tolerances(joint_rest=1.0 / 3.0)
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=tolerances)
-    point = Point(effects={"joint_creep": np.array([0.8, tau, 0.4])})
+    point = ModelParams(effects={"joint_creep": np.array([0.8, tau, 0.4])})
     deviation = np.zeros(predictor.num_tolerances)
     deviation[tolerances.names(4).index("joint_rest")] = -2.0
     begun, rested = (predictor.predict(p)[0][:, 2] for p in (replace(point, deviation=deviation), point))
     angle = rest * (1.0 - np.exp(-predictor.times[0] / tau) * 2.0 / 3.0)
     np.testing.assert_allclose(begun - rested, G * (np.cos(angle) - cos(rest)), atol=2e-3 * G * (1.0 - cos(rest)))
-    rigid = [predictor.predict(Point(deviation=moved))[0] for moved in (deviation, np.zeros_like(deviation))]
+    rigid = [predictor.predict(ModelParams(deviation=moved))[0] for moved in (deviation, np.zeros_like(deviation))]
     np.testing.assert_array_equal(*rigid)
 
 
@@ -154,7 +154,7 @@ def test_predictions_are_those_of_the_independent_plant(tmp_path: Path) -> None:
     robot = robot_by_name(files.robot)
     flights = [load_flight(files.train[0], robot, mapping=None, bandwidth=10.0)]
     predictor = Predictor(robot, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
-    declared = declared_point(robot)
+    declared = declared_params(robot)
     soft = declared.with_effect("joint_spring", np.array([1.6, 0.04, 0.4]))
     missed, left = (np.sqrt((predictor.residuals(p)[0][:, :6] ** 2).mean(axis=0)) for p in (declared, soft))
     assert (left[:3] < 0.003 * missed[:3]).all(), (left / missed).round(5)
@@ -169,7 +169,7 @@ def test_windows_of_one_batch_begin_each_with_the_arms_of_its_model_and_flight()
     assert still.rotor_speed is not None
     uneven = np.array([4.0, 2.0, 4.0, 2.0]) / 3.0
     flights = [still, replace(still, name="b", rotor_speed=np.sqrt(uneven) * still.rotor_speed)]
-    points = [Point(effects={"joint_creep": np.array([c, 30.0, 0.4])}) for c in (0.4, 0.8)]
+    points = [ModelParams(effects={"joint_creep": np.array([c, 30.0, 0.4])}) for c in (0.4, 0.8)]
     vehicles = [vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)] * 2
     of, flight = np.array([0, 1, 1, 0]), np.array([0, 0, 1, 1])
     run = Batch(vehicles, points, of, flights, flight, np.array([100, 200, 100, 200]))
@@ -186,6 +186,6 @@ def test_rollouts_take_the_errors_of_rotor_sensors_out_of_the_thrust() -> None:
     assert flight.rotor_speed is not None
     flight = replace(flight, rotor_speed=1.1 * flight.rotor_speed)
     effects = {"joint_creep": np.array([0.8, 20.0, 0.4]), "rotor_speed_scale": np.array([1.1])}
-    errors = roll_out(ROBOT, [flight], Point(effects=effects), horizons=(0.5,))
+    errors = roll_out(ROBOT, [flight], ModelParams(effects=effects), horizons=(0.5,))
     assert errors.velocity is not None
     np.testing.assert_allclose(errors.velocity, G * (1.0 - cos(0.8 * 0.6 * ARM * THRUST)) * 0.5, rtol=1e-6)

@@ -22,7 +22,7 @@ from aerial_gym.physics import (
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.memory import make_memory, place_memory
 from aerial_gym.robots import ROBOTS
-from aerial_gym.sim2real.predict.predictor import Point, Predictor, find_channels
+from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, find_channels
 from aerial_gym.sim2real.predict.replay.load import STEP_S, LoadReplay
 from aerial_gym.sim2real.predict.replay.load_swing import swing
 from aerial_gym.sim2real.predict.rollout import roll_out
@@ -153,7 +153,7 @@ def test_a_still_load_is_felt_as_thrust_over_both_masses() -> None:
     """Rotors that carry M g with a load m below: f = M g / (M + m) on z, and no torque about a centre of mass above it."""
     flights = [hover("a", 1.0)]
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
-    found = predictor.predict(Point(effects={"slung_payload": np.array([0.15, 0.8, 0.0])}))[0]
+    found = predictor.predict(ModelParams(effects={"slung_payload": np.array([0.15, 0.8, 0.0])}))[0]
     np.testing.assert_allclose(found[:, :3], np.tile([0.0, 0.0, 0.6 * G / 0.75], (len(found), 1)), atol=1e-6)
     np.testing.assert_allclose(found[:, 3:6], 0.0, atol=1e-9)
 
@@ -192,8 +192,8 @@ def test_a_rollout_carries_the_load_that_swings_in_the_flight() -> None:
     assert still.rotor_speed is not None
     lifted = replace(still, rotor_speed=still.rotor_speed * sqrt(0.75 / 0.6))
     flights = [replace(lifted, name=name) for name in "ab"]
-    carried = Point(effects={"slung_payload": np.array([0.15, 0.8, 0.0])})
-    errors = [roll_out(ROBOT, flights, point, horizons=(0.5,)).position for point in (carried, Point())]
+    carried = ModelParams(effects={"slung_payload": np.array([0.15, 0.8, 0.0])})
+    errors = [roll_out(ROBOT, flights, point, horizons=(0.5,)).position for point in (carried, ModelParams())]
     assert errors[0] is not None
     assert errors[1] is not None
     assert errors[0].max() < 1e-6
@@ -205,7 +205,7 @@ def test_a_rollout_starts_with_the_swing_of_its_row() -> None:
     rows = np.arange(400) / RATE
     fast = np.column_stack((3.0 * rows, np.zeros(400), np.zeros(400)))
     flight = replace(hover("a", 1.0), lin_vel=fast, position=np.column_stack((1.5 * rows**2, 0 * rows, 0 * rows)))
-    point = Point(effects={"slung_payload": np.array([0.15, 0.8, 0.0])})
+    point = ModelParams(effects={"slung_payload": np.array([0.15, 0.8, 0.0])})
     errors = roll_out(ROBOT, [flight], point, horizons=(0.1,), given_attitude=True)
     lean = np.array([-3.0, 0.0, -G]) / np.hypot(3.0, G)
     # M a = F + M g + n m n . (g - a), and F = M g upwards: the load begins without a rate.
@@ -255,10 +255,10 @@ def test_a_rollout_starts_with_the_swing_that_the_log_shows() -> None:
     )
     flights = [flight]
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
-    point = Point(effects={"slung_payload": np.array([mass, length, 0.0])})
+    point = ModelParams(effects={"slung_payload": np.array([mass, length, 0.0])})
     links = predictor.links(point)
     assert links is not None
-    assert predictor.links(Point()) is None
+    assert predictor.links(ModelParams()) is None
     np.testing.assert_allclose(links[0].at(time)[:, 0], angle * np.cos(omega * time), atol=0.05 * angle)
     errors = [roll_out(ROBOT, flights, point, links=found, horizons=(0.5,)).velocity for found in (links, None)]
     assert errors[0] is not None

@@ -17,7 +17,7 @@ from aerial_gym.sim2real.identify.selection.select import lacks
 from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight
 from aerial_gym.sim2real.logs.signals import uniform_log
-from aerial_gym.sim2real.predict.predictor import Channel, Point, Predictor, declared_point, find_channels
+from aerial_gym.sim2real.predict.predictor import Channel, ModelParams, Predictor, declared_params, find_channels
 from aerial_gym.sim2real.predict.replay.rotor_lag import follow_commands
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rollout import Batch, roll_out
@@ -204,7 +204,7 @@ def test_a_replay_finds_delay_and_gain_under_noise_of_the_voltage(tmp_path: Path
     flights = [commanded_flight(tmp_path, delay=0.0087, gain=0.5, seed=seed, volt_noise=0.02) for seed in (3, 4)]
     channels = [Channel(kind="rotor_speed", axis=str(number)) for number in (1, 2, 3, 4)]
     predictor = Predictor(POWERED, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
-    start = Point(effects={"actuation_delay": np.zeros(1), "battery_sag": np.zeros(1)})
+    start = ModelParams(effects={"actuation_delay": np.zeros(1), "battery_sag": np.zeros(1)})
     tolerance = tolerance_jacobian(predictor, start, predictor.predict(start))
     fit = fit_effects(predictor, ("actuation_delay", "battery_sag"), start, tolerance, np.ones(4))
     assert fit.point.effects["actuation_delay"][0] == pytest.approx(0.0087, abs=2e-4)
@@ -215,7 +215,7 @@ def test_a_robot_file_with_delay_and_battery_predicts_and_rolls_out(tmp_path: Pa
     """Open loop for 1 s from the commands: millimetres with the effects declared, far more without them."""
     found = commanded_flight(tmp_path, delay=0.03, gain=1.0)
     robot = replace(POWERED, effects={"actuation_delay": {"delay": 0.03}, "battery_sag": {"gain": 1.0}})
-    errors = [roll_out(robot, [found], point, horizons=(0.5, 1.0)) for point in (declared_point(robot), Point())]
+    errors = [roll_out(robot, [found], point, horizons=(0.5, 1.0)) for point in (declared_params(robot), ModelParams())]
     assert errors[0].driven_by == "commands"
     position = [error.position for error in errors]
     assert position[0] is not None
@@ -232,7 +232,7 @@ def test_without_measured_rotor_speeds_the_delay_shows_in_the_forces(tmp_path: P
     channels = find_channels([found])
     assert "rotor_speed" not in {channel.kind for channel in channels}
     predictor = Predictor(POWERED, [found], bandwidth=10.0, channels=channels, tolerances=Tolerances())
-    left = [predictor.residuals(Point(effects={"actuation_delay": np.array([d])}))[0] for d in (0.0, 0.03)]
+    left = [predictor.residuals(ModelParams(effects={"actuation_delay": np.array([d])}))[0] for d in (0.0, 0.03)]
     sizes = [np.sqrt((values[:, 2:5] ** 2).mean(axis=0)) for values in left]  # force z, angular acceleration x and y
     assert np.all(sizes[1] < 0.1 * sizes[0])
 
@@ -286,7 +286,7 @@ def test_windows_without_measured_speeds_begin_as_the_commands_have_led_the_roto
     vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
     slower = replace(vehicle, time_constant_up=2.0 * vehicle.time_constant_up)
     of, rows = np.array([0, 0, 1, 1]), np.array([100, 105, 105, 120])
-    run = Batch([vehicle, slower], [Point(), Point()], of, flights, np.zeros(4, dtype=int), rows)
+    run = Batch([vehicle, slower], [ModelParams(), ModelParams()], of, flights, np.zeros(4, dtype=int), rows)
     tau = np.array([0.04, 0.04, 0.08, 0.08])
     expected = high + (low - high) * np.exp(-(rows - 100) / RATE / tau)
     np.testing.assert_allclose(run.measured(0).rotor_speed, np.tile(expected[:, None], 4), rtol=1e-12)
