@@ -259,7 +259,7 @@ def judge_flights(
             *immaterial(named),
             *refit.contradictions,
             *tolerances.strained(remains.deviation),
-            *stand_ins(selection),
+            *surrogate_notes(selection),
         ),
     )
     return Analysis(
@@ -297,11 +297,11 @@ def about_logs(train: Sequence[Flight], test: Sequence[Flight], band: float, ask
     return notes
 
 
-def stand_ins(selection: Selection) -> list[str]:
+def surrogate_notes(selection: Selection) -> list[str]:
     """Return a note on each effect that lost its name to a structure."""
     return [
         f"{name} is not named: it only stands in for a part of what remains, whose structure ({kind}) no effect has"
-        for name, kind in selection.doubted.items()
+        for name, kind in selection.surrogates.items()
     ]
 
 

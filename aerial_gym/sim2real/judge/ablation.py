@@ -243,8 +243,8 @@ def rejection(trial: Trial, selection: Selection, accepted: Trial) -> str:
     if trial.objections:
         return "; ".join(trial.objections)
     assert trial.gain is not None
-    if trial.effect in selection.doubted:
-        return f"only stands in for what remains and follows {selection.doubted[trial.effect]}"
+    if trial.effect in selection.surrogates:
+        return f"only stands in for what remains and follows {selection.surrogates[trial.effect]}"
     if told_apart(trial, selection):
         return f"predicts flights left out worse (p = {trial.gain.chance:.1g})"
     if trial.num_free > accepted.num_free:

@@ -228,7 +228,7 @@ def immaterial(effects: Sequence[NamedEffect]) -> list[str]:
 def serious_rivals(name: str, selection: Selection) -> list[Trial]:
     """Return the effects that could be meant in the place of an accepted one without any objection."""
     rivals = selection.rivals[name]
-    return [trial for trial in rivals if not trial.objections and trial.effect not in selection.doubted]
+    return [trial for trial in rivals if not trial.objections and trial.effect not in selection.surrogates]
 
 
 def _confidence(name: str, selection: Selection) -> float:

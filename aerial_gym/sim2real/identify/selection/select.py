@@ -33,7 +33,7 @@ from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria, Gain, LeftOut, Scored
 from aerial_gym.sim2real.identify.selection.screening import Screen
 from aerial_gym.sim2real.identify.selection.structure import find_structure
-from aerial_gym.sim2real.identify.selection.surrogates import Beside
+from aerial_gym.sim2real.identify.selection.surrogates import SurrogateTest
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.predictor import KINEMATIC, ModelParams, Predictor
 from aerial_gym.sim2real.predict.replay.rotor_commands import missing_in_logs, too_steady
@@ -130,7 +130,7 @@ class Selection:
     not_testable: dict[str, str]
     """Effects that these flights cannot show, and why."""
 
-    doubted: dict[str, str]
+    surrogates: dict[str, str]
     """Effects that only stand in for a structure that no effect has, and for which."""
 
     left_out: LeftOut
@@ -204,7 +204,7 @@ class _Selector:
             assert chosen[0].scored is not None
             current = self.prune(chosen[0].scored, newest={trial.effect for trial in chosen})
             current = self.within_bounds(self.linearise_tolerances(current))
-        current, doubted = self.without_stand_ins(current)
+        current, surrogates = self.without_surrogates(current)
         untestable = {t.effect: t.objections[0] for t in rounds[-1] if t.scored is None and t.glance is None}
         rivals = {name: self.weigh_rivals(name, current) for name in current.effects}
         for trial in (trial for trials in rivals.values() for trial in trials):
@@ -217,7 +217,7 @@ class _Selector:
             rounds=tuple(rounds),
             rivals=rivals,
             not_testable=untestable,
-            doubted=doubted,
+            surrogates=surrogates,
             left_out=self.left_out,
             weights=self.weights,
             criteria=self.criteria,
@@ -407,28 +407,28 @@ class _Selector:
                 return self.within_bounds(self.without(scored, name))
         return scored
 
-    def without_stand_ins(self, scored: Scored) -> tuple[Scored, dict[str, str]]:
+    def without_surrogates(self, scored: Scored) -> tuple[Scored, dict[str, str]]:
         """Return the model without effects that only stand in for a structure of what remains, and that structure for each.
 
         A force that depends on position has a mean, and that mean looks like a wind; a thrust that fades has a mean loss.
         """
         flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
         dynamic = [place for place, channel in enumerate(channels) if channel.kind not in KINEMATIC]
-        doubted: dict[str, str] = {}
+        surrogates: dict[str, str] = {}
         while scored.effects:
             residuals = self.within_tolerances(scored)
             structure = find_structure(flights, times, residuals, channels, dynamic)
             if structure.kind == "none":
                 break
-            among = Beside(structure, flights, times, channels, self.weights, residuals)
+            among = SurrogateTest(structure, flights, times, channels, self.weights, residuals)
             less = {name: self.within_tolerances(self.without(scored, name)) for name in scored.effects}
             neutral = {name: self.neutral(name) for name in scored.effects}
-            found = [n for n in scored.effects if among.stands_in(n, scored.fit, neutral[n], less[n])]
+            found = [n for n in scored.effects if among.is_surrogate(n, scored.fit, neutral[n], less[n])]
             if not found:
                 break
-            doubted[found[-1]] = structure.kind
+            surrogates[found[-1]] = structure.kind
             scored = self.without(scored, found[-1])
-        return scored, doubted
+        return scored, surrogates
 
     def within_tolerances(self, scored: Scored) -> list[Array]:
         """Return the residuals of a model with the deviations within the tolerances that fit best, (rows, C) each."""

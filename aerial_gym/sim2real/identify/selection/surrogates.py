@@ -27,7 +27,7 @@ CERTAIN = 25.0
 """Squared distance of parameters, in variances, above which a difference is none of chance: five standard deviations."""
 
 
-class Beside:
+class SurrogateTest:
     """A structure of the residual, and what effects are worth beside it."""
 
     def __init__(
@@ -44,7 +44,7 @@ class Beside:
         self._weights, self._residuals = weights, residuals
         self._left = squares_beside(structure, flights, times, residuals, channels)
 
-    def stands_in(self, name: str, fit: Fit, neutral: Array, less: list[Array]) -> bool:
+    def is_surrogate(self, name: str, fit: Fit, neutral: Array, less: list[Array]) -> bool:
         """Return whether an effect of a fitted model is not needed beside the structure, or changes with it.
 
         Never an effect that by its nature follows what the structure follows: its law may be off, but its name is right. Nor

@@ -16,7 +16,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit
 from aerial_gym.sim2real.identify.selection import select
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.selection.structure import Structure
-from aerial_gym.sim2real.identify.selection.surrogates import Beside
+from aerial_gym.sim2real.identify.selection.surrogates import SurrogateTest
 from aerial_gym.sim2real.judge.verdict import tied_rivals
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, declared_params, find_channels
@@ -40,7 +40,7 @@ def lifted_below(table: pd.DataFrame) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize(
-    ("scale", "change", "named", "doubted"),
+    ("scale", "change", "named", "surrogates"),
     [
         (1.0, fading, (), {"thrust_coefficient": "time"}),
         (0.9, lifted_below, ("thrust_coefficient",), {}),
@@ -51,7 +51,7 @@ def test_a_name_holds_or_only_stands_in(
     scale: float,
     change: Callable[[pd.DataFrame], pd.DataFrame],
     named: tuple[str, ...],
-    doubted: dict[str, str],
+    surrogates: dict[str, str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -67,7 +67,7 @@ def test_a_name_holds_or_only_stands_in(
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
     found = select.select_effects(predictor, ModelParams(), Criteria(), lambda stage, share: None)
     assert found.accepted == named
-    assert found.doubted == doubted
+    assert found.surrogates == surrogates
 
 
 @pytest.mark.parametrize(
@@ -91,8 +91,8 @@ def test_thrust_and_mass_are_told_by_torques_as_far_as_the_inertia_is_known(
     found = select.select_effects(predictor, ModelParams(), Criteria(), lambda stage, share: None)
     (named,) = found.accepted
     assert {named, *tied_rivals(named, found)} == candidates
-    doubted = dict.fromkeys(candidates - {named}, "time")  # what only stands in for a structure is no rival
-    assert tied_rivals(named, replace(found, doubted=doubted)) == []
+    surrogates = dict.fromkeys(candidates - {named}, "time")  # what only stands in for a structure is no rival
+    assert tied_rivals(named, replace(found, surrogates=surrogates)) == []
 
 
 def test_a_steady_wind_is_not_called_a_shear_that_hardly_grows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -114,12 +114,13 @@ def test_a_steady_wind_is_not_called_a_shear_that_hardly_grows(tmp_path: Path, m
 
 
 @pytest.mark.parametrize(
-    ("beside", "changes", "stands_in"), [(2.0, True, False), (0.9, True, True), (0.9, False, False), (0.4, False, True)]
+    ("beside", "changes", "is_surrogate"),
+    [(2.0, True, False), (0.9, True, True), (0.9, False, False), (0.4, False, True)],
 )
 def test_what_gains_more_beside_a_structure_than_alone_is_no_part_of_it(
-    beside: float, changes: bool, stands_in: bool
+    beside: float, changes: bool, is_surrogate: bool
 ) -> None:
-    class Given(Beside):
+    class Given(SurrogateTest):
         """Evidence and change are given, of an effect that gains 1 alone."""
 
         def __init__(self) -> None:
@@ -132,4 +133,4 @@ def test_what_gains_more_beside_a_structure_than_alone_is_no_part_of_it(
             return changes
 
     fit = cast("Fit", None)
-    assert Given().stands_in("rotor_drag", fit, np.zeros(3), []) is stands_in
+    assert Given().is_surrogate("rotor_drag", fit, np.zeros(3), []) is is_surrogate
