@@ -59,7 +59,7 @@ def with_battery(robot: RobotCfg, flights: Sequence[Flight]) -> RobotCfg:
 
 def _flying(flight: Flight) -> NDArray[np.bool_]:
     """Return the blocks in which the vehicle never stands, (blocks,)."""
-    stood = np.zeros(flight.num_rows) if flight.standing is None else flight.standing.astype(np.float64)
+    stood = np.zeros(flight.num_rows) if flight.on_ground is None else flight.on_ground.astype(np.float64)
     return _block_means(stood, flight.rate)[:, 0] == 0.0
 
 

@@ -101,10 +101,10 @@ def is_reading(channel: Channel, flight: Flight) -> bool:
 
 def longest_flight(flight: Flight, time: Array, bandwidth: float) -> slice:
     """Return the rows at these times [s] of the longest span between touches of the ground; all if the vehicle never stands."""
-    if flight.standing is None:
+    if flight.on_ground is None:
         return slice(None)
     near = 2 * round(flight.rate / bandwidth) + 1
-    stood = ndimage.maximum_filter1d(flight.standing, near)[np.round(time * flight.rate).astype(int)]
+    stood = ndimage.maximum_filter1d(flight.on_ground, near)[np.round(time * flight.rate).astype(int)]
     edges = np.flatnonzero(np.diff(np.concatenate(([True], stood, [True]))))
     if edges.size == 0:
         return slice(0, 0)

@@ -37,7 +37,7 @@ from aerial_gym.sim2real.logs.clock_offset import (
 )
 from aerial_gym.sim2real.logs.flight_log import FlightLog, read_flight_log
 from aerial_gym.sim2real.logs.mapping import LogMapping
-from aerial_gym.sim2real.logs.on_ground import standing_rows
+from aerial_gym.sim2real.logs.on_ground import rows_on_ground
 from aerial_gym.sim2real.logs.repeated_samples import mend_holds
 from aerial_gym.sim2real.logs.signals import lowpass, uniform_log, without_gaps
 
@@ -112,7 +112,7 @@ class Flight:
     ceiling_height: float | None = None
     """World z of the ceiling [m]; None if the log does not say."""
 
-    standing: NDArray[np.bool_] | None = None
+    on_ground: NDArray[np.bool_] | None = None
     """Rows in which the vehicle stands on the ground, which are not compared, (T,); None: it never stands."""
 
     wind: tuple[float, float, float] | None = None
@@ -161,7 +161,7 @@ def load_flights(
     for (log, notes), lead, real in zip(read, leads, seen, strict=True):
         log = match_hover_thrust(with_rotor_clock(log, lead, robot), robot)
         check_order(log, robot)
-        flight = complete_flight(log, notes, standing=standing_rows(log, robot))
+        flight = complete_flight(log, notes, on_ground=rows_on_ground(log, robot))
         taken = {other.name for other in flights}
         name = flight.name if flight.name not in taken else f"{real.parent.name}/{flight.name}"
         flights.append(replace(flight, name=name))
@@ -250,10 +250,10 @@ def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
     return replace(log, rotor_command=scale * log.rotor_command, notes=(*log.notes, note))
 
 
-def complete_flight(log: FlightLog, notes: Sequence[str] = (), *, standing: NDArray[np.bool_] | None = None) -> Flight:
+def complete_flight(log: FlightLog, notes: Sequence[str] = (), *, on_ground: NDArray[np.bool_] | None = None) -> Flight:
     """Return the flight with specific force and angular velocity derived where the log lacks them.
 
-    ``standing``: rows in which the vehicle stands, (T,); those that the mapping tells by the height come to them.
+    ``on_ground``: rows in which the vehicle stands, (T,); those that the mapping tells by the height come to them.
     """
     rate, said = rate_of(log), [*log.notes, *notes]
     band = DERIVED_BAND * rate
@@ -273,9 +273,9 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = (), *, standing: NDAr
         said.append("the mapping says that these logs do not show torques: angular acceleration is not compared")
     if log.lift_off > 0.0 and log.position is not None:
         low = log.position[:, 2] <= log.position[:, 2].min() + log.lift_off
-        standing = low if standing is None else low | standing
-    if standing is not None:
-        said.append(f"stands on the ground in {standing.mean():.0%} of the rows; they are not compared")
+        on_ground = low if on_ground is None else low | on_ground
+    if on_ground is not None:
+        said.append(f"stands on the ground in {on_ground.mean():.0%} of the rows; they are not compared")
     return Flight(
         name=log.name,
         path=log.path,
@@ -295,7 +295,7 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = (), *, standing: NDAr
         other_position=log.other_position,
         ground_height=log.ground_height,
         ceiling_height=log.ceiling_height,
-        standing=standing,
+        on_ground=on_ground,
         wind=log.wind,
         notes=tuple(said),
     )

@@ -36,7 +36,7 @@ MOST = 0.8
 """A vehicle that stands in more of the rows than this did not fly."""
 
 
-def standing_rows(log: FlightLog, robot: RobotCfg) -> Rows | None:
+def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Rows | None:
     """Return in which rows the vehicle stands, (T,); None if in none, or if no accelerometer tells.
 
     It stands where it is at rest and feels gravity while its rotors give less than half the thrust of the flight, and in the
@@ -61,13 +61,13 @@ def standing_rows(log: FlightLog, robot: RobotCfg) -> Rows | None:
         return None
     likely = rest & (thrust < LIFTING)
     piece = np.cumsum(np.diff(likely, prepend=False))
-    standing = likely & np.isin(piece, piece[certain])
-    if standing.mean() > MOST:
+    on_ground = likely & np.isin(piece, piece[certain])
+    if on_ground.mean() > MOST:
         raise DataError(
-            f"{log.path}: the vehicle stands on the ground in {standing.mean():.0%} of the rows: at rest, while its rotors "
+            f"{log.path}: the vehicle stands on the ground in {on_ground.mean():.0%} of the rows: at rest, while its rotors "
             "give less than half its weight; cut the log to the flight"
         )
-    return standing
+    return on_ground
 
 
 def _size(values: Array, width: float) -> Array:

@@ -478,10 +478,10 @@ class _Together:
         start = edge if flight.rotor_command is None else max(edge, round(SETTLE_S * flight.rate))
         step = 1 if every_row else stride * max(1, int(flight.rate / stride / (SAMPLES_PER_BAND * self.bandwidth)))
         rows = np.arange(-(-start // step) * step, flight.num_rows - edge, step)
-        if flight.standing is None or every_row:  # a spectrum needs all of them
+        if flight.on_ground is None or every_row:  # a spectrum needs all of them
             return rows
         near = edge_rows(flight.rate, self.bandwidth)  # the low-pass spreads the jolt of a touch as it spreads an end
-        touched = np.asarray(ndimage.maximum_filter1d(flight.standing, 2 * near + 1), dtype=bool)
+        touched = np.asarray(ndimage.maximum_filter1d(flight.on_ground, 2 * near + 1), dtype=bool)
         return rows[np.logical_not(touched[rows])]
 
     def _state_rows(self, index: int) -> dict[str, Tensor]:

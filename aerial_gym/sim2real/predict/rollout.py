@@ -121,8 +121,8 @@ def find_windows(
     for index, (flight, span) in enumerate(zip(flights, spans, strict=True)):
         starts = np.arange(FIRST_WINDOW_S, span, every)
         rows = np.round(starts * flight.rate).astype(int)
-        if flight.standing is not None:
-            stood = np.concatenate(([0], np.cumsum(flight.standing)))
+        if flight.on_ground is not None:
+            stood = np.concatenate(([0], np.cumsum(flight.on_ground)))
             last = np.minimum(rows + round((horizon + STEP_S) * flight.rate) + 1, flight.num_rows)
             clear = stood[last] == stood[rows]
             starts, rows = starts[clear], rows[clear]

@@ -60,7 +60,7 @@ def joint_angles(
         share: Of the angle of rest in hover that arms have at the start of a flight that does not stand then.
     """
     rest = effect.deflection(vehicle, speed, params).numpy()
-    if flight.standing is not None and flight.standing[0]:
+    if flight.on_ground is not None and flight.on_ground[0]:
         start = rest[0]
     else:
         lift = (rotor_thrust(vehicle, speed) * vehicle.rotor_axis[..., 2]).sum(dim=1).mean()

@@ -170,11 +170,11 @@ def test_rows_on_the_ground_are_told_from_the_height(table: pd.DataFrame, tmp_pa
     fields = {"rotor_speed": {"columns": ["rotor_{n}"]}, "position": {"columns": ["p_x", "p_y", "p_z"]}}
     path = write(table, tmp_path / "a.csv")
     found = load_flight(path, ROBOT, mapping=layout(lift_off_m=0.1, **fields), bandwidth=5.0)
-    assert found.standing is not None
+    assert found.on_ground is not None
     lowest = float(table["p_z"].min())
-    np.testing.assert_array_equal(found.standing, table["p_z"].to_numpy() <= lowest + 0.1)
-    assert f"stands on the ground in {found.standing.mean():.0%} of the rows; they are not compared" in found.notes
-    assert load_flight(path, ROBOT, mapping=layout(**fields), bandwidth=5.0).standing is None
+    np.testing.assert_array_equal(found.on_ground, table["p_z"].to_numpy() <= lowest + 0.1)
+    assert f"stands on the ground in {found.on_ground.mean():.0%} of the rows; they are not compared" in found.notes
+    assert load_flight(path, ROBOT, mapping=layout(**fields), bandwidth=5.0).on_ground is None
     with pytest.raises(ConfigError, match=r"lift_off_m = -0.1: must be >= 0"):
         layout(lift_off_m=-0.1)
 

@@ -45,10 +45,10 @@ def loaded(parts: list[pd.DataFrame], folder: Path) -> Flight:
 def test_rows_on_the_ground_are_found_without_a_height(table: pd.DataFrame, tmp_path: Path, idle: float) -> None:
     """All but a few rows at the touch, where low-passed thrust is that of neither; none of the flight."""
     found = loaded([on_ground(table, 150, idle=idle), table, on_ground(table, 150, idle=idle, at=-1)], tmp_path)
-    assert found.standing is not None
+    assert found.on_ground is not None
     inner = np.r_[0:130, len(table) + 170 : len(table) + 300]
-    assert found.standing[inner].all()
-    assert not found.standing[160 : 140 + len(table)].any()
+    assert found.on_ground[inner].all()
+    assert not found.on_ground[160 : 140 + len(table)].any()
     assert any("stands on the ground in" in note for note in found.notes)
     channels = find_channels([found])
     predictor = Predictor(ROBOT, [found], bandwidth=5.0, channels=channels, tolerances=Tolerances())
@@ -57,14 +57,14 @@ def test_rows_on_the_ground_are_found_without_a_height(table: pd.DataFrame, tmp_
 
 
 def test_a_flight_that_never_stands_has_no_such_rows(table: pd.DataFrame, tmp_path: Path) -> None:
-    assert loaded([table], tmp_path).standing is None
+    assert loaded([table], tmp_path).on_ground is None
 
 
 def test_a_drop_with_idle_rotors_is_flight(table: pd.DataFrame, tmp_path: Path) -> None:
     """Nothing carries a vehicle that falls: its accelerometer reads next to nothing."""
     falling = on_ground(table, 60, idle=100.0, at=-1)
     falling[["acc_x", "acc_y", "acc_z"]] *= 0.01
-    assert loaded([table, falling], tmp_path).standing is None
+    assert loaded([table, falling], tmp_path).on_ground is None
 
 
 def test_a_log_of_a_vehicle_on_the_ground_is_refused(table: pd.DataFrame, tmp_path: Path) -> None:

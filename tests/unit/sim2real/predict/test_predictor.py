@@ -85,9 +85,9 @@ def test_a_known_wind_is_flown_through_in_residuals_and_rollouts(tmp_path: Path)
 def test_rows_on_the_ground_are_not_compared_nor_flown_over(tmp_path: Path) -> None:
     """Rows within two periods of the band of a touch are left out, and windows of 1 s clear of it; others are as they were."""
     found = load(tmp_path)
-    standing = np.zeros(found.num_rows, dtype=bool)
-    standing[1000:1100] = True
-    touched = replace(found, standing=standing)
+    on_ground = np.zeros(found.num_rows, dtype=bool)
+    on_ground[1000:1100] = True
+    touched = replace(found, on_ground=on_ground)
     channels = find_channels([found])
     one, other = (
         Predictor(ROBOT, [f], bandwidth=BAND, channels=channels, tolerances=Tolerances()) for f in (found, touched)
@@ -105,19 +105,19 @@ def test_the_noise_floor_is_that_of_flight_between_touches(tmp_path: Path) -> No
     """A jolt in rows on the ground would raise it."""
     found = load(tmp_path, noise=1.0, seconds=20.0)
     assert found.specific_force is not None
-    standing = np.zeros(found.num_rows, dtype=bool)
-    standing[1000:1050] = True
+    on_ground = np.zeros(found.num_rows, dtype=bool)
+    on_ground[1000:1050] = True
     jolted = found.specific_force.copy()
-    jolted[standing] += np.random.default_rng(0).normal(0.0, 20.0, (50, 3))
+    jolted[on_ground] += np.random.default_rng(0).normal(0.0, 20.0, (50, 3))
     channels = find_channels([found])
     floors = {}
     for name, force, mask in (
         ("clean", found.specific_force, None),
-        ("masked", jolted, standing),
+        ("masked", jolted, on_ground),
         ("all", jolted, None),
     ):
         floor = noise_floor(
-            ROBOT, [replace(found, specific_force=force, standing=mask)], ModelParams(), channels, bandwidth=BAND
+            ROBOT, [replace(found, specific_force=force, on_ground=mask)], ModelParams(), channels, bandwidth=BAND
         )
         assert floor is not None
         floors[name] = floor[:3]

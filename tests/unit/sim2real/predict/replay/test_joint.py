@@ -121,14 +121,14 @@ def test_arms_of_a_vehicle_that_stands_at_first_are_not_bent_by_its_flight() -> 
     """Rotors idle for a second, then push: the first row bears the idle thrust, not that of hover."""
     flight = hover("a", 5.0)
     assert flight.rotor_speed is not None
-    standing = flight.time < 1.0
-    speed = torch.from_numpy(np.where(standing, 0.2, 1.0)[:, None] * flight.rotor_speed)
+    on_ground = flight.time < 1.0
+    speed = torch.from_numpy(np.where(on_ground, 0.2, 1.0)[:, None] * flight.rotor_speed)
     creep, vehicle = EFFECTS.get("joint_creep"), vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
     assert isinstance(creep, ArmJoint)
     params = torch.tensor([[0.8, 2.0, 0.4]], dtype=torch.float64)
     rest = 0.8 * 0.6 * ARM * THRUST
-    for stands, share in ((standing, 0.04), (None, 1.0)):
-        found = joint_angles(creep, vehicle, params, replace(flight, standing=stands), speed, 1.0 / RATE)
+    for stands, share in ((on_ground, 0.04), (None, 1.0)):
+        found = joint_angles(creep, vehicle, params, replace(flight, on_ground=stands), speed, 1.0 / RATE)
         np.testing.assert_allclose(found[0], share * rest, rtol=1e-12)
 
 
