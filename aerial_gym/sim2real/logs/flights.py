@@ -38,7 +38,7 @@ from aerial_gym.sim2real.logs.clock_offset import (
 from aerial_gym.sim2real.logs.flight_log import FlightLog, read_flight_log
 from aerial_gym.sim2real.logs.mapping import LogMapping
 from aerial_gym.sim2real.logs.on_ground import rows_on_ground
-from aerial_gym.sim2real.logs.repeated_samples import mend_holds
+from aerial_gym.sim2real.logs.repeated_samples import mend_repeated_samples
 from aerial_gym.sim2real.logs.signals import lowpass, uniform_log, without_gaps
 
 Array = NDArray[np.float64]
@@ -178,7 +178,7 @@ def mended_log(path: str | Path, mapping: LogMapping | None) -> FlightLog:
     log = read_flight_log(path, mapping=mapping)
     check_time(log)
     check_quaternion_norm(log)
-    return uniform_log(mend_holds(without_gaps(without_copied_commands(log))))
+    return uniform_log(mend_repeated_samples(without_gaps(without_copied_commands(log))))
 
 
 def with_velocity(log: FlightLog) -> FlightLog:

@@ -38,8 +38,8 @@ REGULAR = 0.8
 
 
 @dataclass(frozen=True, kw_only=True)
-class Holds:
-    """Which rows of a sensor were measured."""
+class RepeatedSamples:
+    """Which rows of a sensor were measured, and which repeat the one before."""
 
     fresh: Rows
     """Rows with a new value, the first one included."""
@@ -60,20 +60,20 @@ class Holds:
         return float(spans.mean()) if middle > 1.0 and np.mean(np.abs(spans - middle) <= 1.0) >= REGULAR else 1.0
 
 
-def find_holds(values: Array, moving: NDArray[np.bool_]) -> Holds:
+def find_repeated_samples(values: Array, moving: NDArray[np.bool_]) -> RepeatedSamples:
     """Return the rows (T, any) that are new; what does not move may repeat."""
     same = np.all(values[1:] == values[:-1], axis=1) & moving[1:]
-    return Holds(fresh=np.flatnonzero(np.concatenate(([True], ~same))), num_rows=len(values))
+    return RepeatedSamples(fresh=np.flatnonzero(np.concatenate(([True], ~same))), num_rows=len(values))
 
 
-def mend_holds(log: FlightLog) -> FlightLog:
+def mend_repeated_samples(log: FlightLog) -> FlightLog:
     """Return the log with straight lines in place of repeated values, and a note for each sensor that has many.
 
     Raises:
         DataError: If a sensor was frozen for long, or most of the rows repeat the one before.
     """
     moving = _moving(log)
-    whole = find_holds(np.concatenate([_values(log, name) for name in SENSORS], axis=1), moving)
+    whole = find_repeated_samples(np.concatenate([_values(log, name) for name in SENSORS], axis=1), moving)
     if whole.share > MOST_ROWS:
         raise DataError(
             f"{log.path}: {whole.share:.0%} of the rows repeat the one before; write each sample once, at its own t"
@@ -84,12 +84,14 @@ def mend_holds(log: FlightLog) -> FlightLog:
         values = _values(log, name)
         if values.shape[1] == 0:
             continue
-        holds = find_holds(values, moving)
-        _refuse_frozen(log, name, holds)
-        if holds.share > 0.0:
-            changes[name] = np.stack([np.interp(log.time, log.time[holds.fresh], v[holds.fresh]) for v in values.T], 1)
-        if holds.share > LEAST_SHARE:
-            notes.append(_sentence(log, name, holds))
+        repeats = find_repeated_samples(values, moving)
+        _refuse_frozen(log, name, repeats)
+        if repeats.share > 0.0:
+            changes[name] = np.stack(
+                [np.interp(log.time, log.time[repeats.fresh], v[repeats.fresh]) for v in values.T], 1
+            )
+        if repeats.share > LEAST_SHARE:
+            notes.append(_sentence(log, name, repeats))
     return replace(log, **changes, notes=(*log.notes, *notes))
 
 
@@ -113,26 +115,26 @@ def _values(log: FlightLog, name: str) -> Array:
     return values * np.concatenate(([1.0], turned))[:, None]
 
 
-def _refuse_frozen(log: FlightLog, name: str, holds: Holds) -> None:
-    ends = np.append(holds.fresh[1:], holds.num_rows - 1)
-    held = log.time[ends] - log.time[holds.fresh]
+def _refuse_frozen(log: FlightLog, name: str, repeats: RepeatedSamples) -> None:
+    ends = np.append(repeats.fresh[1:], repeats.num_rows - 1)
+    frozen = log.time[ends] - log.time[repeats.fresh]
     changes = {"position": log.lin_vel, "attitude": log.ang_vel}.get(name)
     if changes is not None:
         way = np.append(0.0, np.cumsum(np.linalg.norm(changes[:-1], axis=1) * np.diff(log.time)))
-        held = np.where(way[ends] - way[holds.fresh] > LEAST_WAY, held, 0.0)
-    worst = int(np.argmax(held))
-    if held[worst] > LONGEST_FROZEN_S:
+        frozen = np.where(way[ends] - way[repeats.fresh] > LEAST_WAY, frozen, 0.0)
+    worst = int(np.argmax(frozen))
+    if frozen[worst] > LONGEST_FROZEN_S:
         raise DataError(
-            f"{log.where(int(holds.fresh[worst]) + 1)}: {name} repeats one value for {held[worst]:.3g} s while the vehicle "
-            "moves; the sensor was frozen, cut the log there, or leave that sensor out"
+            f"{log.where(int(repeats.fresh[worst]) + 1)}: {name} repeats one value for {frozen[worst]:.3g} s while the "
+            "vehicle moves; the sensor was frozen, cut the log there, or leave that sensor out"
         )
 
 
-def _sentence(log: FlightLog, name: str, holds: Holds) -> str:
-    if holds.usual > 1.0:
+def _sentence(log: FlightLog, name: str, repeats: RepeatedSamples) -> str:
+    if repeats.usual > 1.0:
         rate = (log.time.size - 1) / float(log.time[-1] - log.time[0])
-        said = f"comes only {rate / holds.usual:.3g} times per second (the log has {rate:.4g} rows)"
+        said = f"comes only {rate / repeats.usual:.3g} times per second (the log has {rate:.4g} rows)"
     else:
-        longest = int(np.diff(holds.fresh).max()) - 1
-        said = f"repeats its value in {holds.share:.1%} of the rows, at most {longest} in a row: late packets"
+        longest = int(np.diff(repeats.fresh).max()) - 1
+        said = f"repeats its value in {repeats.share:.1%} of the rows, at most {longest} in a row: late packets"
     return f"{name} {said}; straight lines between measured values"

@@ -112,10 +112,10 @@ def bounds_of(robot: RobotCfg, effects: Sequence[str]) -> tuple[Array, Array]:
 
 def with_params(robot: RobotCfg, point: ModelParams, effects: Sequence[str], values: Array) -> ModelParams:
     """Return the point with other parameters, held within their bounds."""
-    held, start = np.clip(values, *bounds_of(robot, effects)), 0
+    clipped, start = np.clip(values, *bounds_of(robot, effects)), 0
     for name in effects:
         width = len(EFFECTS.get(name).parameters)
-        point = point.with_effect(name, held[start : start + width])
+        point = point.with_effect(name, clipped[start : start + width])
         start += width
     return point
 

@@ -221,12 +221,12 @@ class LinearSelector:
         normal = product + np.diag(self._precision(self._columns(model)[:size]))
         step = np.linalg.solve(normal, gradient[..., None])[..., 0]
         outside = (step < low) | (step > high)
-        held = outside.any(axis=-1)
-        if held.any():  # by a stiff spring at the bound
-            spring = np.where(outside[held], 1e9 * np.diagonal(normal[held], axis1=-2, axis2=-1), 0.0)
-            stiff = normal[held] + spring[..., None] * np.eye(size)
-            pull = gradient[held] + spring * np.clip(step[held], low, high)
-            step[held] = np.linalg.solve(stiff, pull[..., None])[..., 0]
+        bounded = outside.any(axis=-1)
+        if bounded.any():  # by a stiff spring at the bound
+            spring = np.where(outside[bounded], 1e9 * np.diagonal(normal[bounded], axis1=-2, axis2=-1), 0.0)
+            stiff = normal[bounded] + spring[..., None] * np.eye(size)
+            pull = gradient[bounded] + spring * np.clip(step[bounded], low, high)
+            step[bounded] = np.linalg.solve(stiff, pull[..., None])[..., 0]
         return np.clip(step, low, high)
 
     def _likelihood(self, fitted: Fitted, places: Indices) -> Array:

@@ -8,7 +8,7 @@ import pytest
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.flight_log import FlightLog, read_flight_log
-from aerial_gym.sim2real.logs.repeated_samples import mend_holds
+from aerial_gym.sim2real.logs.repeated_samples import mend_repeated_samples
 from tests.unit.sim2real.flat_flights import flight, write
 
 GYRO = ["omega_x", "omega_y", "omega_z"]
@@ -20,7 +20,7 @@ def table() -> pd.DataFrame:
     return flight(1, seconds=8.0, rate=200.0, noise=1.0)
 
 
-def held(table: pd.DataFrame, columns: list[str], rows: np.ndarray) -> pd.DataFrame:
+def frozen(table: pd.DataFrame, columns: list[str], rows: np.ndarray) -> pd.DataFrame:
     """Return the table with some columns holding the value of the row before in some rows."""
     values = table[columns].to_numpy().copy()
     for row in rows:
@@ -29,12 +29,12 @@ def held(table: pd.DataFrame, columns: list[str], rows: np.ndarray) -> pd.DataFr
 
 
 def mended(table: pd.DataFrame, folder: Path) -> FlightLog:
-    return mend_holds(read_flight_log(write(table, folder / "a.csv")))
+    return mend_repeated_samples(read_flight_log(write(table, folder / "a.csv")))
 
 
 def test_a_good_log_stays_as_it_is(table: pd.DataFrame, tmp_path: Path) -> None:
     log = read_flight_log(write(table, tmp_path / "a.csv"))
-    same = mend_holds(log)
+    same = mend_repeated_samples(log)
     assert same.notes == log.notes
     for name in ("position", "attitude", "lin_vel", "ang_vel", "specific_force"):
         assert getattr(same, name) is getattr(log, name)
@@ -42,7 +42,7 @@ def test_a_good_log_stays_as_it_is(table: pd.DataFrame, tmp_path: Path) -> None:
 
 def test_a_slow_sensor_becomes_straight_lines_between_its_values(table: pd.DataFrame, tmp_path: Path) -> None:
     """A gyro of 50 Hz in a log of 200 Hz: every fourth row is as it was, those between lie on the lines."""
-    log = mended(held(table, GYRO, np.setdiff1d(np.arange(1, len(table)), np.arange(0, len(table), 4))), tmp_path)
+    log = mended(frozen(table, GYRO, np.setdiff1d(np.arange(1, len(table)), np.arange(0, len(table), 4))), tmp_path)
     assert any("ang_vel comes only 50 times per second (the log has 200 rows)" in note for note in log.notes)
     assert log.ang_vel is not None
     true = table[GYRO].to_numpy()
@@ -52,7 +52,7 @@ def test_a_slow_sensor_becomes_straight_lines_between_its_values(table: pd.DataF
 
 def test_late_packets_are_bridged_and_counted(table: pd.DataFrame, tmp_path: Path) -> None:
     late = np.flatnonzero(np.random.default_rng(0).random(len(table)) < 0.05)
-    log = mended(held(table, ATTITUDE, late[late > 0]), tmp_path)
+    log = mended(frozen(table, ATTITUDE, late[late > 0]), tmp_path)
     note = next(note for note in log.notes if note.startswith("attitude"))
     assert "late packets; straight lines" in note
     fresh = np.setdiff1d(np.arange(len(table)), late)
@@ -64,13 +64,13 @@ def test_late_packets_are_bridged_and_counted(table: pd.DataFrame, tmp_path: Pat
 
 def test_one_frozen_sensor_is_refused_where_it_froze(table: pd.DataFrame, tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"line 402 .*: ang_vel repeats one value for 0\.3 s while the vehicle moves"):
-        mended(held(table, GYRO, np.arange(400, 459)), tmp_path)
-    mended(held(table, GYRO, np.arange(400, 440)), tmp_path)
+        mended(frozen(table, GYRO, np.arange(400, 459)), tmp_path)
+    mended(frozen(table, GYRO, np.arange(400, 440)), tmp_path)
 
 
 def test_an_attitude_in_coarse_steps_is_not_frozen(table: pd.DataFrame, tmp_path: Path) -> None:
     """0.3 s at 0.12 rad/s are 0.036 rad: less than a step of a packed quaternion may be; at 0.3 rad/s they are not."""
-    slow = held(table, ATTITUDE, np.arange(400, 460))
+    slow = frozen(table, ATTITUDE, np.arange(400, 460))
     slow.loc[399:460, GYRO] = [0.12, 0.0, 0.0]
     slow.loc[400:460:2, GYRO] = [0.1201, 0.0, 0.0]
     mended(slow, tmp_path)
@@ -83,7 +83,7 @@ def test_an_attitude_in_coarse_steps_is_not_frozen(table: pd.DataFrame, tmp_path
 def test_a_log_that_repeats_whole_rows_is_refused(table: pd.DataFrame, tmp_path: Path) -> None:
     rows = np.setdiff1d(np.arange(1, len(table)), np.arange(0, len(table), 3))
     with pytest.raises(DataError, match=r"67% of the rows repeat the one before; write each sample once, at its own t"):
-        mended(held(table, [c for c in table.columns if c != "t"], rows), tmp_path)
+        mended(frozen(table, [c for c in table.columns if c != "t"], rows), tmp_path)
 
 
 def test_a_vehicle_at_rest_may_repeat_itself(table: pd.DataFrame, tmp_path: Path) -> None:
