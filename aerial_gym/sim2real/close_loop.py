@@ -33,7 +33,7 @@ from aerial_gym.sim2real.judge.evaluation import evaluate
 from aerial_gym.sim2real.judge.experiments.design import Advice, Catalogue, showable, what_shows, what_tells
 from aerial_gym.sim2real.judge.noise_floor import noise_floor
 from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, with_random
-from aerial_gym.sim2real.judge.unexplained import find_remains, judges_forces
+from aerial_gym.sim2real.judge.unexplained import find_unexplained, judges_forces
 from aerial_gym.sim2real.judge.verdict import Verdict, decide, immaterial, named_effects, tied_rivals
 from aerial_gym.sim2real.judge.whiteness import whiteness
 from aerial_gym.sim2real.logs.flights import Flight, load_flights
@@ -214,12 +214,12 @@ def judge_flights(
     }
     named = named_effects(selection, included, worth, regimes)
     manoeuvre, fly_next = what_to_fly(train_predictor, declared, selection)
-    remains = find_remains(train_predictor, test_predictor, selection, after, floor)
-    floor, wind = remains.floor, remains.wind
+    unexplained = find_unexplained(train_predictor, test_predictor, selection, after, floor)
+    floor, wind = unexplained.floor, unexplained.wind
     if wind.accepted and floor is not None:
         after = replace(after, floor=tuple(floor.tolist()))
     found = () if NAME in robot.effects or not wind.accepted else (wind.named(),)
-    kind, reason, candidates = decide(selection, remains.channels, floor is not None)
+    kind, reason, candidates = decide(selection, unexplained.channels, floor is not None)
     if found:
         kind, reason, candidates = wind.decision((kind, reason, candidates))
     if not judges_forces(flights) and any(channel.kind == "specific_force" for channel in channels):
@@ -244,13 +244,17 @@ def judge_flights(
         fly_next=fly_next,
         inclusion=included,
         output_error=refit,
-        structure=remains.structure,
+        structure=unexplained.structure,
         before=before,
         after=after,
         flights=by_flight(test_predictor, declared, final, before, after, seed=seed),
-        remains=remains.channels,
+        unexplained=unexplained.channels,
         whiteness=dict(
-            zip((c.name for c in channels), whiteness(test_predictor.times, remains.left, channels, band), strict=True)
+            zip(
+                (c.name for c in channels),
+                whiteness(test_predictor.times, unexplained.left, channels, band),
+                strict=True,
+            )
         ),
         learned=learned,
         notes=(
@@ -258,7 +262,7 @@ def judge_flights(
             *about_logs(train, test, band, bandwidth),
             *immaterial(named),
             *refit.contradictions,
-            *tolerances.strained(remains.deviation),
+            *tolerances.strained(unexplained.deviation),
             *surrogate_notes(selection),
         ),
     )

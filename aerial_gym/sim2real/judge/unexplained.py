@@ -27,7 +27,7 @@ TOLERATED = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Remains:
+class Unexplained:
     """What the named effects leave of the test flights."""
 
     within: ModelParams
@@ -52,9 +52,9 @@ class Remains:
         return self.within.deviation
 
 
-def find_remains(
+def find_unexplained(
     train: Predictor, test: Predictor, selection: Selection, after: Evaluation, floor: Array | None
-) -> Remains:
+) -> Unexplained:
     """Return what the final model leaves of the test flights.
 
     Args:
@@ -70,7 +70,7 @@ def find_remains(
     rms = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
     rms = np.minimum(rms, [channel.value for channel in after.residual])  # tolerances only ever explain
     judged = np.array([channel.kind not in not_judged(flights) for channel in test.channels])
-    remaining = judged & material_remains(rms, floor, tolerated)
+    remaining = judged & material_excess(rms, floor, tolerated)
     wind = declared_wind(train.robot)
     if not wind.accepted:
         wind = find_random_wind(
@@ -78,7 +78,7 @@ def find_remains(
         )
         if wind.accepted and floor is not None:
             floor = np.hypot(floor, wind.adds(test, selection.final.fit.point))
-            remaining = judged & material_remains(rms, floor, tolerated)
+            remaining = judged & material_excess(rms, floor, tolerated)
     structure = Structure()
     if remaining.any():
         seen, places = train.residuals(within), np.flatnonzero(remaining).tolist()
@@ -86,10 +86,10 @@ def find_remains(
         if structure.kind == "none":  # test flights may be elsewhere, where what the others agree on does not reach
             structure = find_structure(train.flights, train.times, seen, test.channels, places)
     names = tuple(channel.name for channel, some in zip(test.channels, remaining, strict=True) if some)
-    return Remains(within=within, left=left, channels=names, floor=floor, wind=wind, structure=structure)
+    return Unexplained(within=within, left=left, channels=names, floor=floor, wind=wind, structure=structure)
 
 
-def material_remains(rms: Array, floor: Array | None, tolerated: Array) -> NDArray[np.bool_]:
+def material_excess(rms: Array, floor: Array | None, tolerated: Array) -> NDArray[np.bool_]:
     """Return in which channels more remains than noise and tolerances, (C,); all False where no floor is known.
 
     Args:

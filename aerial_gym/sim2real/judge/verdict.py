@@ -130,7 +130,7 @@ class Verdict:
     flights: dict[str, list[Part]]
     """Before and after on each test flight."""
 
-    remains: tuple[str, ...]
+    unexplained: tuple[str, ...]
     """Channels with material structure after the correction."""
 
     whiteness: dict[str, Whiteness] = field(default_factory=dict)
@@ -167,7 +167,7 @@ class Verdict:
                 name: {"probability": found.probability, "white": found.white, "octaves": list(found.octaves)}
                 for name, found in self.whiteness.items()
             },
-            "remains": list(self.remains),
+            "remains": list(self.unexplained),
             "learned_residual": None if self.learned is None else self.learned.sentence,
             "before": self.before.as_mapping(),
             "after": self.after.as_mapping(before=self.before),
@@ -247,7 +247,7 @@ def tied_rivals(name: str, selection: Selection) -> list[str]:
     return [trial.effect for trial in rivals if not told_apart(trial, selection)]
 
 
-def decide(selection: Selection, remains: tuple[str, ...], floor_known: bool) -> tuple[str, str, tuple[str, ...]]:
+def decide(selection: Selection, unexplained: tuple[str, ...], floor_known: bool) -> tuple[str, str, tuple[str, ...]]:
     """Return verdict, reason and candidates."""
     tied = {name: tied_rivals(name, selection) for name in selection.accepted}
     candidates = list(selection.accepted)
@@ -258,9 +258,9 @@ def decide(selection: Selection, remains: tuple[str, ...], floor_known: bool) ->
     if any(tied.values()):
         rivals = ", ".join(rival for rivals in tied.values() for rival in rivals)
         return "ambiguous", f"{names} cannot be told from {rivals} on flights left out", unique
-    if remains:
+    if unexplained:
         start = f"{names} found, but" if names else "no registered effect explains it:"
-        return "unexplained", f"{start} more than noise and tolerances remains in {', '.join(remains)}", unique
+        return "unexplained", f"{start} more than noise and tolerances remains in {', '.join(unexplained)}", unique
     if not selection.accepted and not floor_known:
         start = "no registered effect explains more of the flights than the declared model, but the logs are too slow or short"
         return "none", f"{start} to show a noise floor: whether more than noise remains cannot be told", unique

@@ -141,7 +141,7 @@ def remaining(analysis: Analysis) -> list[tuple[Channel, list[plots.Rest]]]:
     """Return what the corrected model leaves of the channels that matter: those named, else the farthest above its floor."""
     channels, after, found = analysis.channels, analysis.verdict.after, []
     dynamic = [place for place, channel in enumerate(channels) if channel.kind not in KINEMATIC]
-    named = [place for place in dynamic if channels[place].name in analysis.verdict.remains]
+    named = [place for place in dynamic if channels[place].name in analysis.verdict.unexplained]
     floor = after.floor or (1.0,) * len(channels)
     above = {place: after.residual[place].value / max(floor[place], 1e-300) for place in named or dynamic}
     order = sorted(above, key=lambda place: -above[place])

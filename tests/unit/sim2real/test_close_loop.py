@@ -23,7 +23,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real import close_loop, replay
 from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test
 from aerial_gym.sim2real.identify.selection.structure import find_structure
-from aerial_gym.sim2real.judge.unexplained import material_remains
+from aerial_gym.sim2real.judge.unexplained import material_excess
 from aerial_gym.sim2real.predict.predictor import Channel
 from aerial_gym.sim2real.progress import silent
 from aerial_gym.sim2real.report.run_folder import whole_folder
@@ -337,8 +337,8 @@ def test_the_kind_of_a_remaining_structure(kind: str, folder: Path) -> None:
 def test_what_remains_is_material_above_noise_and_tolerances() -> None:
     floor, tolerated = np.array([0.02, 0.02, 0.02]), np.array([0.02, 0.02, 0.2])
     rms = np.array([0.024, 0.06, 0.06])  # near the floor; above both; hidden by the tolerances
-    assert material_remains(rms, floor, tolerated).tolist() == [False, True, False]
-    assert material_remains(rms, None, tolerated).tolist() == [False, False, False]
+    assert material_excess(rms, floor, tolerated).tolist() == [False, True, False]
+    assert material_excess(rms, None, tolerated).tolist() == [False, False, False]
 
 
 def test_forces_at_an_unknown_airspeed_are_not_called_unexplained(tmp_path: Path) -> None:
@@ -352,5 +352,5 @@ def test_forces_at_an_unknown_airspeed_are_not_called_unexplained(tmp_path: Path
     with one_thread():
         verdict = judge_flights(robot, *flights).verdict
     assert verdict.verdict == "none"
-    assert verdict.remains == ()
+    assert verdict.unexplained == ()
     assert "what remains of the specific force is not judged: log v or p" in verdict.reason
