@@ -26,7 +26,7 @@ from aerial_gym.sim2real.identify.output_error import refit_on_rollouts
 from aerial_gym.sim2real.identify.selection.inclusion import inclusion
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.selection.select import Selection, select_effects
-from aerial_gym.sim2real.judge.ablation import contributions
+from aerial_gym.sim2real.judge.ablation import ablations
 from aerial_gym.sim2real.judge.analysis import Analysis
 from aerial_gym.sim2real.judge.breakdown import by_flight, where_it_acts
 from aerial_gym.sim2real.judge.evaluation import evaluate
@@ -204,7 +204,7 @@ def judge_flights(
     progress("rollouts of the corrected model", 0.85)
     after = evaluate(robot, test, test_predictor, final, floor=floor, seed=seed) if selection.accepted else before
     progress("what each effect is worth", 0.93)
-    worth = contributions(
+    worth = ablations(
         robot, test, (train_predictor, test_predictor), (declared, final), (before, after), selection, seed=seed
     )
     weight = selection.weights.weight

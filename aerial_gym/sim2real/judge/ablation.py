@@ -1,4 +1,4 @@
-"""What each accepted effect is worth, and what stands beside it: the model without it, and others in its place.
+"""Ablation: what each accepted effect is worth, by the model without it, and by others in its place.
 
 The model without an effect has the others fitted again, so that what they can take over is not counted for it.
 Letters: C channels, W windows.
@@ -64,7 +64,7 @@ class Rival:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contribution:
+class Ablation:
     """What becomes worse without an accepted effect, on the test flights."""
 
     residual: dict[str, Rise]
@@ -110,7 +110,7 @@ class Contribution:
         }
 
 
-def contributions(
+def ablations(
     robot: RobotCfg,
     test: Sequence[Flight],
     predictors: tuple[Predictor, Predictor],
@@ -119,7 +119,7 @@ def contributions(
     selection: Selection,
     *,
     seed: int,
-) -> dict[str, Contribution]:
+) -> dict[str, Ablation]:
     """Return what each accepted effect is worth.
 
     Args:
@@ -148,7 +148,7 @@ def contributions(
             links = None if alone else tested.links(less.point)
             errors = evaluations[0].rollouts["free"] if alone else roll_out(robot, test, less.point, links=links)
             rollout = rollout_rises(errors, evaluations[1].rollouts["free"], seed=seed)
-        found[name] = Contribution(
+        found[name] = Ablation(
             residual={channel.name: rise for channel, rise in zip(tested.channels, rises, strict=True)},
             rollout=rollout,
             least=selection.criteria.material,

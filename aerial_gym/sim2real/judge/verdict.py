@@ -16,7 +16,7 @@ from aerial_gym.sim2real.identify.selection.inclusion import LEAST_SHOWN, Inclus
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import Selection, Trial
 from aerial_gym.sim2real.identify.selection.structure import Structure
-from aerial_gym.sim2real.judge.ablation import Contribution, told_apart
+from aerial_gym.sim2real.judge.ablation import Ablation, told_apart
 from aerial_gym.sim2real.judge.breakdown import Part, Regime
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.experiments.design import Advice
@@ -48,7 +48,7 @@ class NamedEffect:
     inclusion: float | None = None
     """Share of resampled flights in which it is chosen; None for a random effect, which is not selected among others."""
 
-    contribution: Contribution | None = None
+    ablation: Ablation | None = None
     """What becomes worse without it, and its rivals; None likewise."""
 
     regime: Regime | None = None
@@ -64,7 +64,7 @@ class NamedEffect:
             for key, value in self.params.items()
             if key in self.std
         }
-        worth, regime = self.contribution, self.regime
+        worth, regime = self.ablation, self.regime
         return {
             "name": self.name,
             "params": self.params,
@@ -180,7 +180,7 @@ class Verdict:
 
 
 def named_effects(
-    selection: Selection, included: Inclusion, contributions: dict[str, Contribution], regimes: dict[str, Regime]
+    selection: Selection, included: Inclusion, ablations: dict[str, Ablation], regimes: dict[str, Regime]
 ) -> tuple[NamedEffect, ...]:
     """Return the accepted effects with parameters, spread and confidence, and with what was found out about them after."""
     fit, spread = selection.final.fit, selection.final.spread
@@ -202,7 +202,7 @@ def named_effects(
                 frozen=tuple(key for key, k in own.items() if k not in std and is_number(*fit.owners[k])),
                 confidence=_confidence(name, selection),
                 inclusion=included.effects.get(name, 0.0),
-                contribution=contributions[name],
+                ablation=ablations[name],
                 regime=regimes[name],
                 correlation={
                     key: dict(zip(numbers[:i], correlation[i, :i].tolist(), strict=True))
@@ -216,7 +216,7 @@ def named_effects(
 
 def immaterial(effects: Sequence[NamedEffect]) -> list[str]:
     """Return a note for each effect whose absence is hardly seen on the test flights."""
-    found = [(effect.name, effect.contribution) for effect in effects if effect.contribution is not None]
+    found = [(effect.name, effect.ablation) for effect in effects if effect.ablation is not None]
     return [
         f"{name} is real but immaterial: without it no residual and no rollout error of the test flights rises by "
         f"{worth.least:.0%}; it may be left out of the robot file"

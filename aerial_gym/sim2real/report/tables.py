@@ -106,7 +106,7 @@ def worth_rows(verdict: Verdict) -> list[dict[str, object]]:
     """Return one row per selected effect: what rises without it."""
     rows = []
     for effect in verdict.effects:
-        if (found := effect.contribution) is None:
+        if (found := effect.ablation) is None:
             continue
         channel, rise = found.most
         rows.append(
@@ -145,10 +145,10 @@ def rival_rows(verdict: Verdict) -> dict[str, list[dict[str, str]]]:
                 "score": f"{rival.score:.0f}",
                 "because": rival.because,
             }
-            for rival in effect.contribution.rivals
+            for rival in effect.ablation.rivals
         ]
         for effect in verdict.effects
-        if effect.contribution is not None
+        if effect.ablation is not None
     }
 
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.judge.ablation import Contribution, rejection, solid_below
+from aerial_gym.sim2real.judge.ablation import Ablation, rejection, solid_below
 from aerial_gym.sim2real.judge.evaluation import gap_closed
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
@@ -43,7 +43,7 @@ def test_an_effect_is_material_if_a_residual_or_a_rollout_misses_it(
     def rise(value: float) -> Rise:
         return Rise(value=value, low=value, high=value)
 
-    found = Contribution(
+    found = Ablation(
         residual={"specific_force.x": rise(-0.5), "specific_force.y": rise(residual)},
         rollout={0.5: {"velocity": rise(rollout)}, 1.0: {"velocity": rise(0.01)}},
         least=0.05,
