@@ -98,7 +98,7 @@ class Learned:
             "interval": {},
             "noise_std": {},
             "frozen": [],
-            "confidence": 0.0 if self.gain is None else 1.0 - self.gain.chance,
+            "confidence": 0.0 if self.gain is None else 1.0 - self.gain.p_value,
             "material": True,
             "share_of_gap": self.gaps,
             "rows": self.rows,

@@ -251,22 +251,22 @@ def _doubts(before: Array, after: Array, falls: Array, windows: Windows, rules: 
     """Return why rollouts of flights left out (squares (W, 2)) do not speak for the refit."""
     shares = (before - after) / before.sum(axis=0)
     both = shares.sum(axis=1)
-    chance = chance_of_gain(both, windows)
+    p_value = p_value_of_gain(both, windows)
     better = np.mean([both[windows.flight == f].sum() > 0.0 for f in np.unique(windows.flight)])
     found = []
-    if chance > rules.left_out_significance:
-        found.append(f"the gain on flights left out may be chance (p = {chance:.2g})")
+    if p_value > rules.left_out_significance:
+        found.append(f"the gain on flights left out may be chance (p = {p_value:.2g})")
     if better < rules.flights_better:
         found.append(f"only {better:.0%} of the flights left out are predicted better")
     if max(falls) < rules.material:
         found.append(f"it takes at most {max(*falls, 0.0):.1%} off the rollout errors of flights left out")
     for name, fall, share in zip(("velocity", "attitude"), falls, shares.T, strict=True):
-        if fall < -rules.harmless and chance_of_gain(-share, windows) < rules.left_out_significance:
+        if fall < -rules.harmless and p_value_of_gain(-share, windows) < rules.left_out_significance:
             found.append(f"it makes the {name} of rollouts worse by {-fall:.1%}")
     return found
 
 
-def chance_of_gain(gain: Array, windows: Windows) -> float:
+def p_value_of_gain(gain: Array, windows: Windows) -> float:
     """Return the probability that a mean gain of windows, (W,), is chance; windows of a cluster count as one."""
     clusters = np.array([gain[windows.cluster == c].sum() for c in np.unique(windows.cluster)])
     spread = clusters.std(ddof=1) / np.sqrt(clusters.size) if clusters.size > 1 else np.inf

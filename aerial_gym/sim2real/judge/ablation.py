@@ -246,7 +246,7 @@ def rejection(trial: Trial, selection: Selection, accepted: Trial) -> str:
     if trial.effect in selection.surrogates:
         return f"only stands in for what remains and follows {selection.surrogates[trial.effect]}"
     if told_apart(trial, selection):
-        return f"predicts flights left out worse (p = {trial.gain.chance:.1g})"
+        return f"predicts flights left out worse (p = {trial.gain.p_value:.1g})"
     if trial.num_free > accepted.num_free:
         return f"as good with {trial.num_free} parameters in place of {accepted.num_free}"
     if trial.complexity > accepted.complexity:
@@ -257,4 +257,4 @@ def rejection(trial: Trial, selection: Selection, accepted: Trial) -> str:
 def told_apart(trial: Trial, selection: Selection) -> bool:
     """Return whether an accepted effect is clearly better than a rival: certainly, and by more than a trifle."""
     assert trial.gain is not None
-    return trial.gain.chance <= selection.criteria.rival_significance and trial.gain.score < -LEAST_SCORE
+    return trial.gain.p_value <= selection.criteria.rival_significance and trial.gain.score < -LEAST_SCORE

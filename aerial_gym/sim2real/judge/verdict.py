@@ -233,10 +233,10 @@ def serious_rivals(name: str, selection: Selection) -> list[Trial]:
 
 def _confidence(name: str, selection: Selection) -> float:
     own = selection.acceptance[name]
-    doubts = [own.probability, own.gain.chance if own.gain else 1.0]
+    doubts = [own.probability, own.gain.p_value if own.gain else 1.0]
     for trial in serious_rivals(name, selection):
         if trial.gain and trial.complexity <= own.complexity:
-            doubts.append(trial.gain.chance if trial.gain.score < -LEAST_SCORE else max(trial.gain.chance, 0.5))
+            doubts.append(trial.gain.p_value if trial.gain.score < -LEAST_SCORE else max(trial.gain.p_value, 0.5))
     return float(min(1.0 - max(doubts), MOST_CONFIDENT))
 
 

@@ -295,7 +295,7 @@ def _judged(
     parts = (
         [(flights, test)] if test else [([*flights[:n], *flights[n + 1 :]], [flights[n]]) for n in range(len(flights))]
     )
-    chances, errors = [], []
+    p_values, errors = [], []
     for seen, left_out in parts:
         fit = _fit(found.cause, np.log([hover.effort for hover in seen]), usual, scatter, count).fit
         predicted = 1.0 + found.cause.columns @ fit.params
@@ -303,11 +303,11 @@ def _judged(
         mean = np.mean(each, axis=0)
         one = scatter.squares / scatter.freedom
         covariance = one * (1.0 / len(left_out) + 1.0 / count) + fit.spread * (1.0 / len(seen) - 1.0 / count)
-        chances.append(scatter.chance(mean, covariance))
+        p_values.append(scatter.p_value(mean, covariance))
         errors += each
-    # Bonferroni: the smallest of as many chances as there are parts.
-    chance = min(1.0, len(parts) * min(chances))
-    return replace(found, judged=chance, held_out=rms(np.array(errors)))
+    # Bonferroni: the smallest of as many p-values as there are parts.
+    p_value = min(1.0, len(parts) * min(p_values))
+    return replace(found, judged=p_value, held_out=rms(np.array(errors)))
 
 
 def _decide(fits: Sequence[CauseFit], possible: Sequence[Cause]) -> tuple[str, tuple[str, ...]]:

@@ -35,7 +35,7 @@ class Scatter:
         repeat, (K,)."""
         return stats.t.ppf(0.975, self.freedom) * self.std * np.sqrt(share)
 
-    def chance(self, left: Array, covariance: Array) -> float:
+    def p_value(self, left: Array, covariance: Array) -> float:
         """Return the probability that scatter alone leaves as much or more, Hotelling's test.
 
         Args:

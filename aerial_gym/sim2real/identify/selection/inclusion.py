@@ -2,7 +2,7 @@
 
 A selection takes seconds, and a hundred of them minutes. This one is linear: around the final model every testable candidate
 adds its derivatives, and everything after that is sums over blocks of time. The criteria are those of the selection
-(``Criteria``: chance, flights better, material, visible, harmless, noise and tolerances, bounds, the simplest of equals).
+(``Criteria``: p-value, flights better, material, visible, harmless, noise and tolerances, bounds, the simplest of equals).
 Simplified are:
 
 - candidates are linear about the final model, those of the present model about their fitted values; their effects add up;

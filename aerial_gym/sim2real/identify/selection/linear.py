@@ -130,9 +130,9 @@ class LinearSelector:
             penalty = np.array([trials[i].penalty(self.tolerances.size)[n] for i in able])
             total, size = like @ drawn - penalty, np.array([self.candidates[others[i]].complexity for i in able])
             best = int(total.argmax())
-            chance = chance_of(like[best] - like, np.broadcast_to(drawn, like.shape))
-            chance = np.minimum(1.0, chance * np.exp(np.minimum(penalty[best] - penalty, 700.0)))
-            tied = (chance > self.criteria.rival_significance) | (total[best] - total < LEAST_SCORE)
+            p_value = p_value_of(like[best] - like, np.broadcast_to(drawn, like.shape))
+            p_value = np.minimum(1.0, p_value * np.exp(np.minimum(penalty[best] - penalty, 700.0)))
+            tied = (p_value > self.criteria.rival_significance) | (total[best] - total < LEAST_SCORE)
             tied[best] = True
             grown[n] = (*model, others[able[np.lexsort((-total, np.where(tied, size, 99)))[0]]])
         alone = np.array([after == model for after in grown])
@@ -285,7 +285,7 @@ class LinearSelector:
         if passes.any():
             places = np.flatnonzero(passes)
             gain = self._likelihood(more, places) - self._likelihood(less, places)
-            passes[places] = chance_of(gain, self.draws[more.members[places]]) <= rules.left_out_significance
+            passes[places] = p_value_of(gain, self.draws[more.members[places]]) <= rules.left_out_significance
         if passes.any():
             passes[passes] = self._stands_out(more.model, more.members[passes], tried)
         return passes
@@ -318,7 +318,7 @@ class LinearSelector:
         return (probability <= self.criteria.significance) & ~(at_low | at_high).any(axis=1)
 
 
-def chance_of(gain: Array, draws: Array) -> Array:
+def p_value_of(gain: Array, draws: Array) -> Array:
     """Return the probability that a mean gain of blocks (N, B), drawn so often, is chance, (N,)."""
     count = draws.sum(axis=1)
     mean = (draws * gain).sum(axis=1) / count

@@ -98,8 +98,8 @@ class Gain:
     score: float
     """In log likelihood."""
 
-    chance: float
-    """Probability that it is chance."""
+    p_value: float
+    """Probability of such a gain where there is none."""
 
     flights_better: float
     """Share of the flights that are predicted better, among those in which anything changes."""
@@ -146,7 +146,7 @@ class LeftOut:
     def gain(self, less: Array, more: Array) -> Gain:
         """Return what one set of left-out squares (B, C) gains over another.
 
-        Score: ``sum n_c / 2 log(MS_less / MS_more)`` over channels with n independent samples; its chance from the same
+        Score: ``sum n_c / 2 log(MS_less / MS_more)`` over channels with n independent samples; its p-value from the same
         sum of each block and the scatter between blocks.
         """
         count, effective = self.moments.count, self.weights.effective
@@ -160,7 +160,7 @@ class LeftOut:
         fallen = (less - more).sum(axis=0) / count.sum()
         return Gain(
             score=self._score(less, more, count),
-            chance=float(stats.t.sf(blocks.mean() / max(spread, 1e-300), max(blocks.size - 1, 1))),
+            p_value=float(stats.t.sf(blocks.mean() / max(spread, 1e-300), max(blocks.size - 1, 1))),
             flights_better=float(np.mean([total > 0.0 for total in totals])),
             falls=tuple((1.0 - np.exp(-0.5 * _log_ratio(less.sum(axis=0), more.sum(axis=0)))).tolist()),
             harmed=tuple(np.mean(rises, axis=0).tolist()),
@@ -192,8 +192,8 @@ class LeftOut:
     def objections(self, gain: Gain) -> list[str]:
         """Return why a gain on flights left out does not count."""
         rules, found = self.criteria, []
-        if gain.chance > rules.left_out_significance:
-            found.append(f"gain on flights left out may be chance (p = {gain.chance:.2g})")
+        if gain.p_value > rules.left_out_significance:
+            found.append(f"gain on flights left out may be chance (p = {gain.p_value:.2g})")
         if gain.flights_better < rules.flights_better:
             found.append(f"predicts only {gain.flights_better:.0%} of the flights left out better")
         if max(fall * seen for fall, seen in zip(gain.falls, gain.visible, strict=True)) < rules.material:

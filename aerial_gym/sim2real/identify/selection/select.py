@@ -278,7 +278,7 @@ class _Selector:
         for trial in passed[1:]:
             assert trial.scored is not None
             ahead = self.compare(trial.scored, best)
-            if ahead.chance > self.criteria.rival_significance or ahead.score < LEAST_SCORE:
+            if ahead.p_value > self.criteria.rival_significance or ahead.score < LEAST_SCORE:
                 tied.append(trial)
         return [min(tied, key=lambda trial: trial.complexity)]  # the first, and so the best, of equals
 
@@ -353,7 +353,9 @@ class _Selector:
         A thrust scale and a mass explain forces alike; the wrong one needs an inertia that is off by several deviations.
         """
         gain, saved = self.left_out.gain(less.left_out, more.left_out), less.penalty - more.penalty
-        return replace(gain, score=gain.score + saved, chance=float(min(1.0, gain.chance * np.exp(min(-saved, 700.0)))))
+        return replace(
+            gain, score=gain.score + saved, p_value=float(min(1.0, gain.p_value * np.exp(min(-saved, 700.0))))
+        )
 
     def probability_neutral(self, name: str, scored: Scored) -> float:
         """Return the probability that an effect's parameters are neutral, given noise and tolerances."""
@@ -447,14 +449,14 @@ class _Selector:
     def weigh_rivals(self, name: str, final: Scored) -> tuple[Trial, ...]:
         """Return every other effect in the place of an accepted one, best first.
 
-        Their gain is over the final model; its chance: that the final model is no better than they are.
+        Their gain is over the final model; its p-value: that the final model is no better than they are.
         """
         less, trials = self.without(final, name), []
         others = [n for n in self.candidates if n not in final.effects and n not in self.lacking]
         for trial in self.try_each(others, less, fewest=1):
             if trial.scored is not None:
                 gain, back = self.compare(final, trial.scored), self.compare(trial.scored, final)
-                trials.append(replace(trial.summed, gain=replace(gain, chance=back.chance)))
+                trials.append(replace(trial.summed, gain=replace(gain, p_value=back.p_value)))
         return tuple(sorted(trials, key=lambda trial: -trial.score))
 
 

@@ -18,10 +18,10 @@ from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     CORR_TIMES,
     Series,
-    chance_of_noise,
-    chances_of_rivals,
     fit_process,
     log_spread,
+    p_value_of_noise,
+    p_values_of_rivals,
     process_covariance,
 )
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect
@@ -38,7 +38,7 @@ WIND_STEP = 0.01
 LEAST_RESPONSE = 0.02
 """Least acceleration per wind along every axis [1/s]: with less, noise of 0.02 m/s² looks like a wind of 1 m/s."""
 
-LEAST_CHANCE = 0.001
+LEAST_P_VALUE = 0.001
 """Gusts are refused if what they must not show has a smaller probability than this by chance."""
 
 
@@ -55,7 +55,7 @@ class RandomWind:
     spread: tuple[float, float] = (0.0, 0.0)
     """Standard deviation of the logarithm of both."""
 
-    chance: float = 1.0
+    p_value: float = 1.0
     """Probability that noise alone looks like this."""
 
     objections: tuple[str, ...] = ()
@@ -95,7 +95,7 @@ class RandomWind:
     def named(self) -> NamedEffect:
         """Return it as an effect of the verdict."""
         std = {key: value * s for (key, value), s in zip(self.params().items(), self.spread, strict=True)}
-        confidence = min(1.0 - self.chance, MOST_CONFIDENT)
+        confidence = min(1.0 - self.p_value, MOST_CONFIDENT)
         return NamedEffect(
             name=NAME, params=self.params(), std=std, noise_std=std, frozen=(), confidence=float(confidence)
         )
@@ -151,20 +151,20 @@ def find_random_wind(
     series = wind_series(predictor, point, response, places)
     fit = fit_process(series)
     found = RandomWind(
-        std=fit.std, corr_time=fit.corr_time, spread=log_spread(series, fit), chance=chance_of_noise(series, fit)
+        std=fit.std, corr_time=fit.corr_time, spread=log_spread(series, fit), p_value=p_value_of_noise(series, fit)
     )
     added = found.adds(predictor, point)
     share = 1.0 - floor / np.sqrt(floor**2 + added**2)
     seen = added > criteria.visible * tolerated
     objections = []
-    if found.chance > criteria.significance:
-        objections.append(f"may be noise (p = {found.chance:.2g})")
+    if found.p_value > criteria.significance:
+        objections.append(f"may be noise (p = {found.p_value:.2g})")
     if max((share * seen)[places]) < criteria.material:
         objections.append("adds too little to the noise of any channel, or less than the tolerances hide")
     if not CORR_TIMES[0] * 1.5 < found.corr_time < 2.0 * max(flight.time[-1] for flight in predictor.flights):
         objections.append(f"a correlation time of {found.corr_time:.2g} s is not one that these flights show")
-    chances = chances_of_rivals(series, fit)
-    objections += [f"{what} (p = {p:.1g})" for what, p in chances.items() if p < LEAST_CHANCE]
+    p_values = p_values_of_rivals(series, fit)
+    objections += [f"{what} (p = {p:.1g})" for what, p in p_values.items() if p < LEAST_P_VALUE]
     return replace(found, objections=tuple(objections))
 
 

@@ -145,7 +145,7 @@ def log_spread(series: Series, fit: ProcessFit) -> tuple[float, float]:
     return float(np.sqrt(max(variance[0], 0.0))), float(np.sqrt(max(variance[1], 0.0)))
 
 
-def chance_of_noise(series: Series, fit: ProcessFit) -> float:
+def p_value_of_noise(series: Series, fit: ProcessFit) -> float:
     """Return the probability that white noise along each axis alone has such a likelihood ratio."""
     rows = sum(len(wind) - 1 for wind in series.wind)
     squares = np.sum([((wind - wind.mean(axis=0)) ** 2).sum(axis=0) for wind in series.wind], axis=0)
@@ -153,16 +153,16 @@ def chance_of_noise(series: Series, fit: ProcessFit) -> float:
     return float(stats.chi2.sf(2.0 * (fit.likelihood - alone), 2))
 
 
-def chances_of_rivals(series: Series, fit: ProcessFit) -> dict[str, float]:
+def p_values_of_rivals(series: Series, fit: ProcessFit) -> dict[str, float]:
     """Return what the wind must not be, and the probability that gusts by chance look at least as much like it."""
     innovations, whiten = whitened(series, fit)
     return {
-        "remembers otherwise than by one correlation time": chance_of_memory(innovations),
-        "has a line at one frequency": chance_of_line(innovations),
-        "is not distributed as a random wind": chance_of_shape(innovations),
-        "differs between the axes": chance_of_unequal(series, fit, "axes"),
-        "differs between the flights": chance_of_unequal(series, fit, "flights"),
-        **{f"follows {name}": chance_of_following(whiten(x), innovations) for name, x in series.features.items()},
+        "remembers otherwise than by one correlation time": p_value_of_memory(innovations),
+        "has a line at one frequency": p_value_of_line(innovations),
+        "is not distributed as a random wind": p_value_of_shape(innovations),
+        "differs between the axes": p_value_of_unequal(series, fit, "axes"),
+        "differs between the flights": p_value_of_unequal(series, fit, "flights"),
+        **{f"follows {name}": p_value_of_following(whiten(x), innovations) for name, x in series.features.items()},
     }
 
 
@@ -186,8 +186,8 @@ def whitened(series: Series, fit: ProcessFit) -> tuple[list[Array], Callable[[li
     return innovations, whiten
 
 
-def chance_of_memory(innovations: Sequence[Array]) -> float:
-    """Return the chance of such a mean autocorrelation of all series: each one's is that of noise without its mean.
+def p_value_of_memory(innovations: Sequence[Array]) -> float:
+    """Return the p-value of such a mean autocorrelation of all series: each one's is that of noise without its mean.
 
     What all have in common counts: single series of a hundred rows stray by more than a chi² says.
     Source: Ljung, Box (1978), On a measure of lack of fit, eq. 1.3, for the mean; Moran (1948), Biometrika 35, for its centre.
@@ -204,8 +204,8 @@ def chance_of_memory(innovations: Sequence[Array]) -> float:
     return float(stats.chi2.sf((total**2 / variance).sum(), LAGS - 2))
 
 
-def chance_of_line(innovations: Sequence[Array]) -> float:
-    """Return the chance of the highest line of the mean spectrum; of each line, twice the sum is chi² with 2 S degrees.
+def p_value_of_line(innovations: Sequence[Array]) -> float:
+    """Return the p-value of the highest line of the mean spectrum; of each line, twice the sum is chi² with 2 S degrees.
 
     Source: Fisher (1929), Tests of significance in harmonic analysis, for many series of known variance.
     """
@@ -216,14 +216,14 @@ def chance_of_line(innovations: Sequence[Array]) -> float:
     return float(-np.expm1(len(lines) * np.log1p(-min(highest, 1.0 - 1e-16))))
 
 
-def chance_of_shape(innovations: Sequence[Array]) -> float:
-    """Return the chance of such an excess kurtosis of normal numbers: of variance 24 / n."""
+def p_value_of_shape(innovations: Sequence[Array]) -> float:
+    """Return the p-value of such an excess kurtosis of normal numbers: of variance 24 / n."""
     both = np.concatenate([(part / part.std(axis=0)).ravel() for part in innovations])
     return float(2.0 * stats.norm.sf(abs(np.mean(both**4) - 3.0) / np.sqrt(24.0 / both.size)))
 
 
-def chance_of_unequal(series: Series, fit: ProcessFit, between: str) -> float:
-    """Return the chance of the likelihood ratio of a std for each axis, or for each flight, over one for all."""
+def p_value_of_unequal(series: Series, fit: ProcessFit, between: str) -> float:
+    """Return the p-value of the likelihood ratio of a std for each axis, or for each flight, over one for all."""
     if between == "axes":
         parts = [(series, (axis,)) for axis in range(3)]
     else:
@@ -241,8 +241,8 @@ def chance_of_unequal(series: Series, fit: ProcessFit, between: str) -> float:
     return float(stats.chi2.sf(2.0 * gained, len(parts) - 1))
 
 
-def chance_of_following(features: list[list[Array]], innovations: Sequence[Array]) -> float:
-    """Return the chance of what features explain: along each axis with the same coefficients in all flights."""
+def p_value_of_following(features: list[list[Array]], innovations: Sequence[Array]) -> float:
+    """Return the p-value of what features explain: along each axis with the same coefficients in all flights."""
     explained, freedom = 0.0, 0
     for axis in range(3):
         x = np.concatenate([part[axis] for part in features])

@@ -65,7 +65,7 @@ def test_an_effect_is_solid_up_to_the_first_octave_that_it_leaves_as_it_is(octav
 
 
 @pytest.mark.parametrize(
-    ("effect", "num_free", "surrogates", "chance", "because"),
+    ("effect", "num_free", "surrogates", "p_value", "because"),
     [
         ("wind_shear", 3, {}, 0.5, "wider case of constant_wind"),
         ("rotor_drag", 4, {}, 0.5, "as good with 4 parameters in place of 3"),
@@ -75,10 +75,10 @@ def test_an_effect_is_solid_up_to_the_first_octave_that_it_leaves_as_it_is(octav
     ],
 )
 def test_why_a_rival_is_not_the_one_is_said(
-    effect: str, num_free: int, surrogates: dict[str, str], chance: float, because: str
+    effect: str, num_free: int, surrogates: dict[str, str], p_value: float, because: str
 ) -> None:
     def trial(name: str, free: int) -> SimpleNamespace:
-        gain = SimpleNamespace(chance=chance, score=-10.0)
+        gain = SimpleNamespace(p_value=p_value, score=-10.0)
         complexity = free + (name == "wind_shear")
         return SimpleNamespace(effect=name, objections=(), gain=gain, num_free=free, complexity=complexity)
 

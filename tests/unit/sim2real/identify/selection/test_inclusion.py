@@ -131,7 +131,7 @@ def test_what_is_visible_is_told_with_equal_deviations() -> None:
     own, gain = left_out.gain(less.left_out, more.left_out), left_out.gain_beyond_tolerances(less, more)
     assert own.visible == (False, False)
     assert gain.visible == (True, True)
-    assert (gain.falls, gain.chance) == (own.falls, own.chance)
+    assert (gain.falls, gain.p_value) == (own.falls, own.p_value)
 
 
 @pytest.mark.parametrize("flights", [4, 7])

@@ -14,11 +14,11 @@ from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, declared_wind, find_random_wind, wind_response
 from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     Series,
-    chance_of_memory,
-    chance_of_noise,
-    chances_of_rivals,
     fit_process,
     log_spread,
+    p_value_of_memory,
+    p_value_of_noise,
+    p_values_of_rivals,
     process_covariance,
 )
 from aerial_gym.sim2real.logs.flights import Flight
@@ -85,11 +85,11 @@ def test_std_and_correlation_time_are_found_within_their_spread() -> None:
 def test_wind_alone_raises_no_objection_and_is_no_noise() -> None:
     wind = series(seed=3)
     fit = fit_process(wind)
-    chances = chances_of_rivals(wind, fit)
-    assert min(chances.values()) > 0.001, chances
-    assert chance_of_noise(wind, fit) < 1e-6
+    p_values = p_values_of_rivals(wind, fit)
+    assert min(p_values.values()) > 0.001, p_values
+    assert p_value_of_noise(wind, fit) < 1e-6
     quiet = replace(wind, wind=[0.05 * np.random.default_rng(f).standard_normal((ROWS, 3)) for f in range(4)])
-    assert chance_of_noise(quiet, fit_process(quiet)) > 0.01
+    assert p_value_of_noise(quiet, fit_process(quiet)) > 0.01
 
 
 @pytest.mark.parametrize(
@@ -113,14 +113,14 @@ def test_wind_alone_raises_no_objection_and_is_no_noise() -> None:
 )
 def test_what_is_no_random_wind_is_told_apart(reason: str, change: Callable[[int], np.ndarray]) -> None:
     wind = series(change)
-    assert chances_of_rivals(wind, fit_process(wind))[reason] < 0.001
+    assert p_values_of_rivals(wind, fit_process(wind))[reason] < 0.001
 
 
 def test_a_force_that_follows_a_feature_is_told_apart() -> None:
     wind = series(seed=5)
     moved = [w + 0.6 * x[:, :1] * [1.0, 0.0, 0.0] for w, x in zip(wind.wind, wind.features["position"], strict=True)]
     wind = replace(wind, wind=moved)
-    assert chances_of_rivals(wind, fit_process(wind))["follows position"] < 0.001
+    assert p_values_of_rivals(wind, fit_process(wind))["follows position"] < 0.001
 
 
 DRAGGED = ModelParams(effects={"rotor_drag": np.array([0.3, 0.24, 0.18])})
@@ -202,10 +202,10 @@ def test_declared_gusts_are_taken_as_they_are() -> None:
 def test_noise_has_no_memory_as_often_as_stated() -> None:
     """Series of 170 rows without their mean, of four flights; 20 lags, two of which a fit would have taken."""
     rng = np.random.default_rng(0)
-    chances = []
+    p_values = []
     for _ in range(600):
         parts = [rng.standard_normal((170, 3)) for _ in range(4)]
-        chances.append(chance_of_memory([part - part.mean(axis=0) for part in parts]))
-    assert np.mean(np.array(chances) < 0.01) < 0.035
+        p_values.append(p_value_of_memory([part - part.mean(axis=0) for part in parts]))
+    assert np.mean(np.array(p_values) < 0.01) < 0.035
     late = [np.roll(part, 3, axis=0) for part in parts]
-    assert chance_of_memory([part + 0.2 * other for part, other in zip(parts, late, strict=True)]) < 1e-4
+    assert p_value_of_memory([part + 0.2 * other for part, other in zip(parts, late, strict=True)]) < 1e-4
