@@ -242,8 +242,8 @@ def _ratio(cause: Array, effect: Array, sizes: Sequence[int], mass_error: float)
         ends = np.cumsum(sizes)[:-1]
         each = [_slope(c, e) for c, e in zip(np.split(cause, ends), np.split(effect, ends), strict=True)]
         spread = max(spread, stats.t.ppf(0.975, len(each) - 1) * np.std(each, ddof=1) / np.sqrt(len(each)))
-    reach = float(np.hypot(spread, 1.96 * mass_error * slope))
-    return Estimate(value=slope, low=slope - reach, high=slope + reach)
+    half_width = float(np.hypot(spread, 1.96 * mass_error * slope))
+    return Estimate(value=slope, low=slope - half_width, high=slope + half_width)
 
 
 def _model(

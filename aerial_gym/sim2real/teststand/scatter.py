@@ -30,7 +30,7 @@ class Scatter:
         """Standard deviation of one repeat, (K,)."""
         return np.sqrt(np.diag(self.squares) / self.freedom)
 
-    def reach(self, share: float) -> Array:
+    def half_width(self, share: float) -> Array:
         """Return half the width of 95 % intervals of a mean or difference whose covariance is ``share`` times that of one
         repeat, (K,)."""
         return stats.t.ppf(0.975, self.freedom) * self.std * np.sqrt(share)
@@ -83,8 +83,8 @@ class ScatterFit:
         square, middle = under**2 - part[1, 1], over * under - part[0, 1]
         if square <= 0.0:
             return None
-        reach = np.sqrt(max(middle**2 - square * (over**2 - part[0, 0]), 0.0))
-        low, high = (middle - reach) / square, (middle + reach) / square
+        half_width = np.sqrt(max(middle**2 - square * (over**2 - part[0, 0]), 0.0))
+        low, high = (middle - half_width) / square, (middle + half_width) / square
         return Estimate(value=float(over / under), low=float(low), high=float(high))
 
 

@@ -30,8 +30,10 @@ class Estimate:
 
 def estimates(values: Array, covariance: Array, freedom: int) -> list[Estimate]:
     """Return each value with ``value ± t std``, t the 97.5 % quantile of Student's distribution."""
-    reach = stats.t.ppf(0.975, max(freedom, 1)) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    return [Estimate(value=float(v), low=float(v - r), high=float(v + r)) for v, r in zip(values, reach, strict=True)]
+    half_width = stats.t.ppf(0.975, max(freedom, 1)) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return [
+        Estimate(value=float(v), low=float(v - r), high=float(v + r)) for v, r in zip(values, half_width, strict=True)
+    ]
 
 
 def rms(values: Array) -> float:
@@ -92,10 +94,10 @@ def correlated_covariance(regressors: Array, residual: Array) -> Array:
     memory = np.clip((after * before).sum(axis=0) / power, -LONGEST_MEMORY, LONGEST_MEMORY)
     white = np.concatenate((scores[:1], after - before * memory))
     meat = white.T @ white
-    reach = min(correlation_rows(white @ _unit(white)), residual.size - 1)
-    for lag in range(1, reach + 1):
+    lags = min(correlation_rows(white @ _unit(white)), residual.size - 1)
+    for lag in range(1, lags + 1):
         product = white[lag:].T @ white[:-lag]
-        meat += (1.0 - lag / (reach + 1.0)) * (product + product.T)
+        meat += (1.0 - lag / (lags + 1.0)) * (product + product.T)
     meat = meat / np.outer(1.0 - memory, 1.0 - memory)
     bread = np.linalg.pinv(regressors.T @ regressors)
     return bread @ meat @ bread

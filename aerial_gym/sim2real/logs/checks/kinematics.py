@@ -47,20 +47,20 @@ class Agreement:
     delay: float
     """By how much the sensor's clock lags that of the attitude or velocity [s]."""
 
-    reach: Array
+    half_width: Array
     """Half widths of the 95 % intervals of bias, angle and delay, (7,); infinite: the flight does not show it."""
 
     def sentences(self) -> list[str]:
         """Return what is certain and material, one sentence each."""
         unit, found = {"gyro": "rad/s", "accelerometer": "m/s²"}[self.sensor], []
         values = np.concatenate((self.bias, self.angle, [self.delay]))
-        sure = np.abs(values) > self.reach
+        sure = np.abs(values) > self.half_width
 
         def text(part: slice, digits: int, scale: float = 1.0) -> str:
-            pairs = zip(values[part] * scale, self.reach[part] * scale, strict=True)
+            pairs = zip(values[part] * scale, self.half_width[part] * scale, strict=True)
             return ", ".join(
-                f"{value:.{digits}f} ± {reach:.{digits}f}" if np.isfinite(reach) else "not shown"
-                for value, reach in pairs
+                f"{value:.{digits}f} ± {half_width:.{digits}f}" if np.isfinite(half_width) else "not shown"
+                for value, half_width in pairs
             )
 
         if np.any(sure[:3] & (np.abs(self.bias) > MATERIAL[self.sensor])):
@@ -73,7 +73,7 @@ class Agreement:
         if sure[6] and abs(self.delay) > MATERIAL["clock"]:
             other = "attitude" if self.sensor == "gyro" else "velocity"
             way = "late" if self.delay > 0.0 else "early"
-            amount = f"{1e3 * abs(self.delay):.1f} ± {1e3 * self.reach[6]:.1f} ms"
+            amount = f"{1e3 * abs(self.delay):.1f} ± {1e3 * self.half_width[6]:.1f} ms"
             found.append(f"{self.sensor} {amount} {way} against {other} by kinematics; left as logged")
         return found
 
@@ -135,7 +135,7 @@ def _agree(sensor: str, measured: Array, motion: Array, level: Array, rate: floa
     sums = np.stack([np.bincount(blocks, weights=column) for column in scores.T], axis=1)
     count = len(sums)
     spread = np.sqrt(np.diag(bread @ (sums.T @ sums) @ bread) * count / max(count - gains.size, 1))
-    values, reach = np.zeros(7), np.full(7, np.inf)
+    values, half_width = np.zeros(7), np.full(7, np.inf)
     values[shown] = gains
-    reach[shown] = stats.t.ppf(0.975, max(count - gains.size, 1)) * spread
-    return Agreement(sensor=sensor, bias=values[:3], angle=values[3:6], delay=float(values[6]), reach=reach)
+    half_width[shown] = stats.t.ppf(0.975, max(count - gains.size, 1)) * spread
+    return Agreement(sensor=sensor, bias=values[:3], angle=values[3:6], delay=float(values[6]), half_width=half_width)

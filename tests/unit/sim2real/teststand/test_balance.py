@@ -288,11 +288,11 @@ def test_shares_and_sum_have_the_interval_of_a_pooled_t_test() -> None:
         return [HoverEffort(name=f"{name}{n}", effort=total * s, windows=9, voltage=None) for n, s in enumerate(share)]
 
     found = judge_balance(pair("normal", 20.0), pair("flight", 22.0), robot=ROBOT)
-    reach = 4.302652729911275 * np.sqrt(
+    half_width = 4.302652729911275 * np.sqrt(
         2.0 * 0.01**2
     )  # Student's t with 2 degrees; variance 2 d², mean of two and of two
-    assert found.shares[0].change.high == pytest.approx(reach, rel=1e-9)
-    assert found.shares[0].baseline.high == pytest.approx(0.25 + reach / np.sqrt(2.0), rel=1e-9)
+    assert found.shares[0].change.high == pytest.approx(half_width, rel=1e-9)
+    assert found.shares[0].baseline.high == pytest.approx(0.25 + half_width / np.sqrt(2.0), rel=1e-9)
     assert found.total.change.value == pytest.approx(0.1, rel=1e-9)
 
 

@@ -50,7 +50,7 @@ def test_a_bias_of_the_accelerometer(table: pd.DataFrame, tmp_path: Path, size: 
     changed = table.assign(acc_z=table["acc_z"] + sign * size)
     found = agreement(changed, tmp_path, "accelerometer")
     assert found.bias[2] == pytest.approx(sign * size, abs=0.05)
-    assert found.bias[2] - found.reach[2] < sign * size < found.bias[2] + found.reach[2]
+    assert found.bias[2] - found.half_width[2] < sign * size < found.bias[2] + found.half_width[2]
     assert any(text.startswith("accelerometer bias") for text in found.sentences())
 
 
@@ -71,8 +71,8 @@ def test_a_turned_sensor(
 def test_what_a_flight_cannot_show_is_not_told(table: pd.DataFrame, tmp_path: Path) -> None:
     """Without drag the specific force lies along body z: a turn of the accelerometer about z changes nothing."""
     found = agreement(table, tmp_path, "accelerometer")
-    assert np.isinf(found.reach[5])
-    assert np.isfinite(found.reach[:5]).all()
+    assert np.isinf(found.half_width[5])
+    assert np.isfinite(found.half_width[:5]).all()
 
 
 @pytest.mark.parametrize(("columns", "sensor"), [(OMEGA, "gyro"), (ACC, "accelerometer")])
