@@ -45,7 +45,7 @@ from aerial_gym.sim2real.predict.predictor import (
     declared_params,
     find_channels,
 )
-from aerial_gym.sim2real.predict.scene import check_around
+from aerial_gym.sim2real.predict.scene import check_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.report.ranges import with_found_ranges
@@ -180,7 +180,7 @@ def judge_flights(
         Predictor(robot, part, bandwidth=band, channels=channels, tolerances=tolerances) for part in (train, test)
     )
     declared = declared_params(robot)
-    check_around(tuple(robot.effects), flights)
+    check_scene(tuple(robot.effects), flights)
     criteria = criteria or Criteria()
     selection = select_effects(
         train_predictor,

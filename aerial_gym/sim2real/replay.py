@@ -21,7 +21,7 @@ from aerial_gym.sim2real.predict.predictor import (
     declared_params,
     find_channels,
 )
-from aerial_gym.sim2real.predict.scene import check_around
+from aerial_gym.sim2real.predict.scene import check_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
@@ -105,7 +105,7 @@ def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: flo
     channels = find_channels(flights)
     predictor = Predictor(robot, flights, bandwidth=band, channels=channels, tolerances=Tolerances())
     point = declared_params(robot)
-    check_around(tuple(robot.effects), flights)
+    check_scene(tuple(robot.effects), flights)
     floor = noise_floor(robot, flights, point, channels, bandwidth=band)
     return Replay(
         robot=robot,

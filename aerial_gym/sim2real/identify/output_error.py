@@ -143,8 +143,8 @@ def refit_on_rollouts(predictor: Predictor, selection: Selection) -> Refit:
             scored=None,
         )
     runs = Rollouts(predictor, windows)
-    around = best_within_tolerances(predictor.robot, fit, selection.left_out.weights.weight).deviation
-    frozen, point = fit.frozen, replace(fit.point, deviation=around)
+    deviation = best_within_tolerances(predictor.robot, fit, selection.left_out.weights.weight).deviation
+    frozen, point = fit.frozen, replace(fit.point, deviation=deviation)
     found = runs.linearise(fit.effects, point, frozen)
     unseen = np.diag(uncertainty(found.fit, found.weight).plain) > 1.0
     frozen |= {fit.owners[k] for k in found.fit.free_effects[unseen]}
@@ -181,10 +181,10 @@ def judge(predictor: Predictor, selection: Selection, found: Linear, windows: Wi
     predicted = predictor.predict(point)
     tolerance = tolerance_jacobian(predictor, point, predicted)
     fit = replace(linearise(predictor, effects, point, tolerance, base=predicted)[0], frozen=one.fit.frozen)
-    around = found.fit.point.deviation
-    assert around is not None
+    deviation = found.fit.point.deviation
+    assert deviation is not None
     ahead = (params_of(one.fit.point, effects) - params_of(point, effects)) / scales(effects)
-    ahead = np.concatenate((ahead, -around))  # from where rollouts are linearised to where single steps are
+    ahead = np.concatenate((ahead, -deviation))  # from where rollouts are linearised to where single steps are
     shown = np.isin(np.arange(own), found.fit.free_effects)
     fold = left_out.fold
     part = (

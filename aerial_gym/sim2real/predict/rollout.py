@@ -263,8 +263,8 @@ class Batch:
         ]
         if (learned := points[0].learned) is not None:
             effects.append((learned, torch.ones(row.size, 1, dtype=torch.float64)))
-        around = heights([flights[index] for index in flight], [1] * row.size)
-        model = build_model(vehicle, effects, **around)
+        scene = heights([flights[index] for index in flight], [1] * row.size)
+        model = build_model(vehicle, effects, **scene)
         flown = replace(model, effects=model.effects.without(DelayEffect, CommandEffect))  # they have acted
         self._model = with_known_wind(flown, flights, flight)
 

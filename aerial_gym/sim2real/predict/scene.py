@@ -1,4 +1,4 @@
-"""What stands around the vehicle in a flight: ground, ceiling, another vehicle.
+"""The scene of a flight: ground, ceiling, another vehicle.
 
 An effect that needs one of them can be tested only where every flight has it. Letters: E rows.
 """
@@ -33,8 +33,8 @@ class Heights(TypedDict):
     ceiling_height: Tensor | None
 
 
-def lacks_around(name: str, flights: Sequence[Flight]) -> str:
-    """Return what of its surroundings the flights lack for an effect; empty if nothing."""
+def lacks_of_scene(name: str, flights: Sequence[Flight]) -> str:
+    """Return what of its scene the flights lack for an effect; empty if nothing."""
     effect = EFFECTS.get(name)
     for need in (*effect.needs, *(("lin_vel",) if effect.kind is LoadEffect else ())):
         without = [flight.name for flight in flights if getattr(flight, need) is None]
@@ -43,10 +43,10 @@ def lacks_around(name: str, flights: Sequence[Flight]) -> str:
     return ""
 
 
-def check_around(names: Sequence[str], flights: Sequence[Flight]) -> None:
+def check_scene(names: Sequence[str], flights: Sequence[Flight]) -> None:
     """Raise ``DataError`` if the flights lack something that a declared effect needs."""
     for name in names:
-        if reason := lacks_around(name, flights):
+        if reason := lacks_of_scene(name, flights):
             raise DataError(f"the robot file declares {name}, but the flights do not tell it: {reason}")
 
 

@@ -333,11 +333,15 @@ def _change(values: Sequence[Array], share: float) -> list[Change]:
     scatter = pooled_scatter(values)
     before, after = values[0].mean(axis=0), values[1].mean(axis=0)
 
-    def around(value: Array, part: float) -> list[Estimate]:
+    def interval(value: Array, part: float) -> list[Estimate]:
         ends = zip(value.tolist(), scatter.half_width(part).tolist(), strict=True)
         return [Estimate(value=v, low=v - r, high=v + r) for v, r in ends]
 
-    parts = around(before, 1.0 / len(values[0])), around(after, 1.0 / len(values[1])), around(after - before, share)
+    parts = (
+        interval(before, 1.0 / len(values[0])),
+        interval(after, 1.0 / len(values[1])),
+        interval(after - before, share),
+    )
     return [Change(baseline=b, flights=f, change=c) for b, f, c in zip(*parts, strict=True)]
 
 

@@ -37,7 +37,7 @@ from aerial_gym.sim2real.identify.selection.surrogates import SurrogateTest
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.predictor import KINEMATIC, ModelParams, Predictor
 from aerial_gym.sim2real.predict.replay.rotor_commands import missing_in_logs, too_steady
-from aerial_gym.sim2real.predict.scene import lacks_around
+from aerial_gym.sim2real.predict.scene import lacks_of_scene
 from aerial_gym.sim2real.progress import Progress
 
 Array = NDArray[np.float64]
@@ -465,7 +465,7 @@ def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Fl
     effect, flights = EFFECTS.get(name), [*train, *test]
     if effect.kind is ImuEffect and not any(flight.accelerometer or flight.gyro for flight in train):
         return "the logs hold no inertial sensor: forces are derived from the velocity"
-    if reason := missing_in_logs(effect, flights) or lacks_around(name, flights) or too_steady(effect, train):
+    if reason := missing_in_logs(effect, flights) or lacks_of_scene(name, flights) or too_steady(effect, train):
         return reason
     try:
         check_rotors(effect, robot.rotor_traits)

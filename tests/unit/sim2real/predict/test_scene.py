@@ -15,7 +15,7 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, find_channels
 from aerial_gym.sim2real.predict.rollout import roll_out
-from aerial_gym.sim2real.predict.scene import lacks_around
+from aerial_gym.sim2real.predict.scene import lacks_of_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.replay import replay_flights
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
@@ -113,9 +113,11 @@ def test_a_rollout_feels_what_is_around(effect: str) -> None:
 
 def test_what_the_logs_do_not_tell_is_said() -> None:
     flights = [hover("a", 1.0, ceiling_height=3.0), hover("b", 1.0)]
-    assert lacks_around("ceiling_effect", flights[:1]) == ""
-    assert lacks_around("ceiling_effect", flights).startswith("b: without the height of the ceiling (column ceiling_z")
-    assert lacks_around("downwash", flights).startswith("a, b: without the position of the other vehicle")
+    assert lacks_of_scene("ceiling_effect", flights[:1]) == ""
+    assert lacks_of_scene("ceiling_effect", flights).startswith(
+        "b: without the height of the ceiling (column ceiling_z"
+    )
+    assert lacks_of_scene("downwash", flights).startswith("a, b: without the position of the other vehicle")
     declares = replace(NEAR, effects={"ceiling_effect": {"k": 1.0}})
     message = "declares ceiling_effect, but the flights do not tell it: b: without the height"
     with pytest.raises(DataError, match=message):

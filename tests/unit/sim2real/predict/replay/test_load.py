@@ -26,7 +26,7 @@ from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, find_c
 from aerial_gym.sim2real.predict.replay.load import STEP_S, LoadReplay
 from aerial_gym.sim2real.predict.replay.load_swing import swing
 from aerial_gym.sim2real.predict.rollout import roll_out
-from aerial_gym.sim2real.predict.scene import lacks_around
+from aerial_gym.sim2real.predict.scene import lacks_of_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.physics.vehicles import F64, lopsided_robot, random_state
 from tests.unit.sim2real.flat_flights import ROBOT
@@ -229,7 +229,7 @@ def test_fits_of_a_load_start_at_several_lengths_and_those_of_a_rotor_at_each() 
 
 def test_a_load_cannot_be_followed_without_velocity() -> None:
     bare = replace(hover("a", 1.0), lin_vel=None)
-    assert lacks_around("slung_payload", [bare]).startswith("a: without velocity or position")
+    assert lacks_of_scene("slung_payload", [bare]).startswith("a: without velocity or position")
 
 
 def test_a_rollout_starts_with_the_swing_that_the_log_shows() -> None:
