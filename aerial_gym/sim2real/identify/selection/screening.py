@@ -1,4 +1,4 @@
-"""A first look at many candidates: what each would gain if the model were linear in it, without fitting it.
+"""Screening of many candidates: what each would gain if the model were linear in it, without fitting it.
 
 The residual of the present model is linearised once; of each candidate only its own derivatives are needed, one prediction a
 parameter. Full fits are then made of the candidates that look best. Letters: C channels, P parameters of the present model
@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Glance:
-    """One candidate at first sight."""
+class ScreenedCandidate:
+    """One candidate as the linearised model sees it."""
 
     effect: str
     start: ModelParams
@@ -29,11 +29,11 @@ class Glance:
     gain: Gain
     """Over the present model, on flights left out."""
 
-    blind: bool
+    unidentified: bool
     """Whether the flights leave all its parameters unknown by more than their scale."""
 
 
-class Screen:
+class Screening:
     """The present model, linearised."""
 
     def __init__(self, predictor: Predictor, current: Scored, tolerance: list[Array], left_out: LeftOut) -> None:
@@ -44,7 +44,7 @@ class Screen:
         self._predicted = predictor.predict(present.point)
         self._own = effect_jacobian(predictor, present.point, present.effects, self._predicted)
 
-    def look(self, name: str, start: ModelParams, frozen: Frozen) -> Glance:
+    def screen(self, name: str, start: ModelParams, frozen: Frozen) -> ScreenedCandidate:
         """Return what a candidate would gain from ``start``."""
         predictor, effects = self._predictor, (*self._present.effects, name)
         predicted = predictor.predict(start)  # neutral need not be as declared: one lag in place of two
@@ -59,5 +59,5 @@ class Screen:
         )
         gain = self._left_out.gain_beyond_tolerances(self._current, scored)
         own = [place for place, k in enumerate(scored.spread.columns) if k in fit.columns_of(name)]
-        blind = bool(np.all(np.diag(scored.spread.plain)[own] > 1.0))
-        return Glance(effect=name, start=start, gain=gain, blind=blind)
+        unidentified = bool(np.all(np.diag(scored.spread.plain)[own] > 1.0))
+        return ScreenedCandidate(effect=name, start=start, gain=gain, unidentified=unidentified)

@@ -31,7 +31,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria, Gain, LeftOut, Scored
-from aerial_gym.sim2real.identify.selection.screening import Screen
+from aerial_gym.sim2real.identify.selection.screening import Screening
 from aerial_gym.sim2real.identify.selection.structure import find_structure
 from aerial_gym.sim2real.identify.selection.surrogates import SurrogateTest
 from aerial_gym.sim2real.logs.flights import Flight
@@ -71,7 +71,7 @@ class Trial:
     objections: tuple[str, ...] = ()
     """Why it is not accepted; empty if it may be."""
 
-    glance: Gain | None = None
+    screened: Gain | None = None
     """Of an effect that was not fitted: what it would gain if the model were linear in it."""
 
     only_harms: bool = False
@@ -205,7 +205,7 @@ class _Selector:
             current = self.prune(chosen[0].scored, newest={trial.effect for trial in chosen})
             current = self.within_bounds(self.linearise_tolerances(current))
         current, surrogates = self.without_surrogates(current)
-        untestable = {t.effect: t.objections[0] for t in rounds[-1] if t.scored is None and t.glance is None}
+        untestable = {t.effect: t.objections[0] for t in rounds[-1] if t.scored is None and t.screened is None}
         rivals = {name: self.weigh_rivals(name, current) for name in current.effects}
         for trial in (trial for trials in rivals.values() for trial in trials):
             untestable.pop(trial.effect, None)  # hidden only beside the effect that it could replace
@@ -230,11 +230,11 @@ class _Selector:
     def try_each(self, names: Sequence[str], current: Scored, done: int | None = None, fewest: int = 0) -> list[Trial]:
         """Return trials of some effects on top of a model, best score first.
 
-        Every effect is looked at as if the model were linear in it; those that then look best are fitted, ``fewest`` of them
+        Every effect is screened as if the model were linear in it; those that then look best are fitted, ``fewest`` of them
         even if they seem to gain nothing. Outside of a round (``done`` is None) each from its best start alone.
         """
-        screen = Screen(self.predictor, current, self.tolerance, self.left_out)
-        trials, glances, starts = [], [], {}
+        screening = Screening(self.predictor, current, self.tolerance, self.left_out)
+        trials, screened, starts = [], [], {}
         for count, name in enumerate(names):
             if done is not None:
                 share = (done + 0.5 * count / len(names)) / USUAL_ROUNDS
@@ -242,27 +242,30 @@ class _Selector:
             if name in self.lacking:
                 trials.append(Trial(effect=name, scored=None, objections=(self.lacking[name],)))
                 continue
-            looks = [screen.look(name, start, current.fit.frozen) for start in self.points(name, current.fit.point)]
-            looks.sort(key=lambda glance: (glance.blind, -glance.gain.score))
-            glances.append(looks[0])
+            points = self.points(name, current.fit.point)
+            options = [screening.screen(name, start, current.fit.frozen) for start in points]
+            options.sort(key=lambda candidate: (candidate.unidentified, -candidate.gain.score))
+            screened.append(options[0])
             on_a_rotor = EFFECTS.get(name).parameters[0].kind == "rotor"  # then another start is another effect
-            starts[name] = [look.start for look in looks[: 1 if on_a_rotor or done is None else MOST_STARTS]]
-        glances.sort(key=lambda glance: -glance.gain.score)
-        seen = [glance for glance in glances if not glance.blind]
-        worth = [g for place, g in enumerate(seen[:MOST_FITTED]) if place < fewest or g.gain.score > 0.0]
-        for count, glance in enumerate(worth):
+            starts[name] = [option.start for option in options[: 1 if on_a_rotor or done is None else MOST_STARTS]]
+        screened.sort(key=lambda candidate: -candidate.gain.score)
+        seen = [candidate for candidate in screened if not candidate.unidentified]
+        worth = [one for place, one in enumerate(seen[:MOST_FITTED]) if place < fewest or one.gain.score > 0.0]
+        for count, candidate in enumerate(worth):
             if done is not None:
                 share = (done + 0.5 + 0.5 * count / len(worth)) / USUAL_ROUNDS
-                self.progress(f"round {done + 1}: {glance.effect}", min(1.0, share))
-            tried = [self.try_from(glance.effect, current, start) for start in starts[glance.effect]]
+                self.progress(f"round {done + 1}: {candidate.effect}", min(1.0, share))
+            tried = [self.try_from(candidate.effect, current, start) for start in starts[candidate.effect]]
             trials.append(max(tried, key=lambda trial: trial.score))
-        for glance in glances:
-            if glance.blind:
-                reason = f"these flights do not show it; needed: {EFFECTS.get(glance.effect).excitation}"
-                trials.append(Trial(effect=glance.effect, scored=None, objections=(reason,)))
-            elif glance not in worth:
-                reason = "gains nothing" if glance.gain.score <= 0.0 else "gains less than others at first sight"
-                trials.append(Trial(effect=glance.effect, scored=None, glance=glance.gain, objections=(reason,)))
+        for candidate in screened:
+            if candidate.unidentified:
+                reason = f"these flights do not show it; needed: {EFFECTS.get(candidate.effect).excitation}"
+                trials.append(Trial(effect=candidate.effect, scored=None, objections=(reason,)))
+            elif candidate not in worth:
+                reason = "gains nothing" if candidate.gain.score <= 0.0 else "gains less than others at first sight"
+                trials.append(
+                    Trial(effect=candidate.effect, scored=None, screened=candidate.gain, objections=(reason,))
+                )
         return sorted(trials, key=lambda trial: -trial.score)
 
     def simplest(self, passed: list[Trial]) -> list[Trial]:
@@ -315,16 +318,18 @@ class _Selector:
         """Return how one more effect does from some parameters on."""
         effects, frozen = (*current.effects, name), current.fit.frozen
         scored = self.score(effects, start, frozen)
-        blind = {owner for owner in blind_parameters(scored) if owner[0] == name}
+        unidentified = {owner for owner in unidentified_parameters(scored) if owner[0] == name}
         numbers = sum(is_number(name, place) for place in range(len(EFFECTS.get(name).parameters)))
-        if 0 < len(blind) < numbers:  # what is nothing at neutral may show where the fit has gone: a power of no wind
+        if (
+            0 < len(unidentified) < numbers
+        ):  # what is nothing at neutral may show where the fit has gone: a power of no wind
             scored = self.score(effects, scored.fit.point, frozen)
-            blind = {owner for owner in blind_parameters(scored) if owner[0] == name}
-        if len(blind) == numbers:
+            unidentified = {owner for owner in unidentified_parameters(scored) if owner[0] == name}
+        if len(unidentified) == numbers:
             reason = f"these flights do not show it; needed: {EFFECTS.get(name).excitation}"
             return Trial(effect=name, scored=None, objections=(reason,))
-        if blind:
-            scored = self.score(effects, start, frozen | blind)
+        if unidentified:
+            scored = self.score(effects, start, frozen | unidentified)
         return self.judge(name, current, scored)
 
     def judge(self, name: str, current: Scored, scored: Scored) -> Trial:
@@ -487,7 +492,7 @@ def at_bounds(name: str, fit: Fit, neutral: Array, robot: RobotCfg) -> list[str]
     return found
 
 
-def blind_parameters(scored: Scored) -> set[tuple[str, int]]:
+def unidentified_parameters(scored: Scored) -> set[tuple[str, int]]:
     """Return the fitted parameters, effect and place, that the flights leave unknown by more than their scale."""
     owners = scored.fit.owners
     return {owners[k] for k in scored.fit.free_effects[np.diag(scored.spread.plain) > 1.0]}
