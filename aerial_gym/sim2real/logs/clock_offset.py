@@ -1,6 +1,6 @@
 """The clock of the rotor log: by how much is it ahead of the other sensors?
 
-Letters: T rows, L leads that are tried.
+Letters: T rows.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ SETTLED = 5.0
 
 LEAST_SHIFT_GAIN = 0.3
 """A shift must take this share off the variance that is left, else the clock is believed. One row of a 100 Hz log or
-vertical drag takes off less; a lead of two rows takes off half (seen on the IDSIA flights)."""
+vertical drag takes off less; an offset of two rows takes off half (seen on the IDSIA flights)."""
 
 AGREEING = 4.0
 """Leads of several logs within this many standard deviations of their mean are the same."""
@@ -33,7 +33,7 @@ PASSED = 0.85
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lead:
+class ClockOffset:
     """By how much the rotor log is ahead of the other sensors."""
 
     rows: float = 0.0
@@ -42,41 +42,41 @@ class Lead:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Agreement:
-    """How well a rotor log agrees with the accelerometer, moved by each of some leads."""
+class OffsetCurve:
+    """How well a rotor log agrees with the accelerometer, moved by each of some offsets."""
 
     rate: float
     """Rows per second [Hz]."""
 
     left: Array
-    """Share of the specific force along z that stays unexplained under each lead -N..N [rows], (2 N + 1,); empty: too short."""
+    """Unexplained share of the specific force along z under each offset -N..N [rows], (2 N + 1,); empty: too short."""
 
     samples: float
     """Independent samples behind it."""
 
     @property
-    def lead(self) -> Lead:
-        """Return the lead that agrees best; 0 unless clearly.
+    def offset(self) -> ClockOffset:
+        """Return the offset that agrees best; 0 unless clearly.
 
         Between rows the least S of ``left`` is that of a parabola, and it is known to ``sqrt(2 S / n S'')`` with n samples.
         """
         if not self.left.size:
-            return Lead()
+            return ClockOffset()
         most = self.left.size // 2
         best = int(np.argmin(self.left))
         # The least at an end of the range is no least: something else grows with the shift.
         if best in (0, 2 * most) or self.left[best] >= min((1.0 - LEAST_SHIFT_GAIN) * self.left[most], 0.5):
-            return Lead()
+            return ClockOffset()
         before, least, after = self.left[best - 1 : best + 2]
         curvature = before - 2.0 * least + after
         least -= (before - after) ** 2 / (8.0 * curvature)
-        return Lead(
+        return ClockOffset(
             rows=float(best - most + 0.5 * (before - after) / curvature),
             std=float(np.sqrt(2.0 * least / (self.samples * curvature))),
         )
 
     def rules_out(self, rows: float) -> bool:
-        """Return whether it clearly agrees better unmoved than under a lead."""
+        """Return whether it clearly agrees better unmoved than under an offset."""
         if not self.left.size:
             return False
         most = self.left.size // 2
@@ -84,7 +84,7 @@ class Agreement:
         return bool(self.left[most] < (1.0 - LEAST_SHIFT_GAIN) * moved)
 
 
-def agreement(measured: Array, predicted: Array, others: Array, rate: float, bandwidth: float) -> Agreement:
+def offset_curve(measured: Array, predicted: Array, others: Array, rate: float, bandwidth: float) -> OffsetCurve:
     """Return how well a rotor log agrees with the accelerometer, moved by up to ``LARGEST_SHIFT_S``.
 
     Thrust explains the specific force along z up to a factor, drag and a shifted centre of mass up to others. Independent
@@ -104,52 +104,52 @@ def agreement(measured: Array, predicted: Array, others: Array, rate: float, ban
     inner = slice(edge, -edge)
     target = wave[inner, 0]
     if target.size < 4 * edge or not np.any(target):
-        return Agreement(rate=rate, left=np.zeros(0), samples=0.0)
+        return OffsetCurve(rate=rate, left=np.zeros(0), samples=0.0)
     left = np.empty(2 * most + 1)
     for place in range(left.size):
         causes = np.column_stack((np.roll(wave[:, 1], place - most)[inner], wave[inner, 2:]))
         gains = np.linalg.lstsq(causes, target, rcond=None)[0]
         left[place] = np.sum((target - causes @ gains) ** 2) / np.sum(target**2)
-    return Agreement(rate=rate, left=left, samples=2.0 * PASSED * bandwidth * target.size / rate)
+    return OffsetCurve(rate=rate, left=left, samples=2.0 * PASSED * bandwidth * target.size / rate)
 
 
-def common_leads(found: Sequence[Agreement], learning: int) -> list[Lead]:
-    """Return the lead of each of some logs: one that all have, where those that tell it agree, else each its own.
+def common_offsets(found: Sequence[OffsetCurve], learning: int) -> list[ClockOffset]:
+    """Return the offset of each of some logs: one that all have, where those that tell it agree, else each its own.
 
     A logger has one clock: a flight whose thrust hardly varies is moved as the others are, unless its own rules that out.
     The first ``learning`` logs decide on it; the others, which are to judge, may only follow it or keep their own.
     """
-    own = [one.lead for one in found]
+    own = [one.offset for one in found]
     told = list(zip(own, found, strict=True))[:learning]
-    known = [(lead.rows / one.rate, lead.std / one.rate) for lead, one in told if lead.std > 0.0]
+    known = [(offset.rows / one.rate, offset.std / one.rate) for offset, one in told if offset.std > 0.0]
     if not known:
         return own
     time, std = np.array(known).T
     mean, spread = float(np.sum(time / std**2) / np.sum(std**-2)), float(np.sum(std**-2) ** -0.5)
     if np.any(np.abs(time - mean) > AGREEING * std):
         return own
-    same = [Lead(rows=mean * one.rate, std=spread * one.rate) for one in found]
+    same = [ClockOffset(rows=mean * one.rate, std=spread * one.rate) for one in found]
     return [
-        lead if one.rules_out(moved.rows) or abs(lead.rows - moved.rows) > AGREEING * lead.std > 0.0 else moved
-        for lead, moved, one in zip(own, same, found, strict=True)
+        offset if one.rules_out(moved.rows) or abs(offset.rows - moved.rows) > AGREEING * offset.std > 0.0 else moved
+        for offset, moved, one in zip(own, same, found, strict=True)
     ]
 
 
-def commands_lead_too(log: FlightLog, lead: Lead, time_constant: float) -> bool:
+def commands_share_clock(log: FlightLog, offset: ClockOffset, time_constant: float) -> bool:
     """Return whether commands are on the clock of the rotor speeds, rather than on that of the other sensors.
 
     A lag is no shift: the clock is the one on which a first-order lag, of any time constant, makes the measured speeds out of
     the commands. Unless the other one leaves clearly less, it is that of the rotor speeds.
 
     Args:
-        log: With rotor speeds that lead the other sensors by ``lead``.
-        lead: Of the rotor speeds.
+        log: With rotor speeds that lead the other sensors by ``offset``.
+        offset: Of the rotor speeds.
         time_constant: Declared [s]; a fifth to five times of it is tried.
     """
     speed, command = log.rotor_speed, log.rotor_command
-    if lead.rows == 0.0 or speed is None or command is None:
+    if offset.rows == 0.0 or speed is None or command is None:
         return True
-    whole = round(lead.rows)
+    whole = round(offset.rows)
     step = float(log.time[-1] - log.time[0]) / (log.time.size - 1)
     edge = round(SETTLED * time_constant / step) + abs(whole)
 
@@ -164,22 +164,22 @@ def commands_lead_too(log: FlightLog, lead: Lead, time_constant: float) -> bool:
     return left(-whole) > (1.0 - LEAST_SHIFT_GAIN) * left(0)
 
 
-def shift_rotor_log(log: FlightLog, lead: Lead, *, commands: bool = True) -> FlightLog:
-    """Return the log with rotor speeds, and commands, moved to the later by ``lead``, the ends cut off.
+def shift_rotor_log(log: FlightLog, offset: ClockOffset, *, commands: bool = True) -> FlightLog:
+    """Return the log with rotor speeds, and commands, moved to the later by ``offset``, the ends cut off.
 
     Between rows they run in a straight line; of a command that is held from row to row this is the mean.
     """
-    if lead.rows == 0.0:
+    if offset.rows == 0.0:
         return log
-    rows, whole = np.arange(log.time.size), int(np.ceil(abs(lead.rows)))
-    kept = slice(whole, None) if lead.rows > 0.0 else slice(0, -whole)
+    rows, whole = np.arange(log.time.size), int(np.ceil(abs(offset.rows)))
+    kept = slice(whole, None) if offset.rows > 0.0 else slice(0, -whole)
     arrays = {f.name: value[kept] for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
     for name in ("rotor_speed", "rotor_command")[: 1 + commands]:
         values = getattr(log, name)
         if values is not None:
-            arrays[name] = np.stack([np.interp(rows[kept] - lead.rows, rows, column) for column in values.T], axis=1)
+            arrays[name] = np.stack([np.interp(rows[kept] - offset.rows, rows, column) for column in values.T], axis=1)
     step = 1e3 * float(np.median(np.diff(log.time)))
     other = "" if commands else "; commands do not and stay"
-    ahead = f"{lead.rows * step:.3g} ± {1.96 * lead.std * step:.2g} ms"
+    ahead = f"{offset.rows * step:.3g} ± {1.96 * offset.std * step:.2g} ms"
     note = f"rotor log leads the other sensors by {ahead} and was moved back{other}"
     return replace(log, **arrays, notes=(*log.notes, note))

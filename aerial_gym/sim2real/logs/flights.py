@@ -28,11 +28,11 @@ from aerial_gym.sim2real.logs.checks.conventions import (
 from aerial_gym.sim2real.logs.checks.rotor_order import check_order
 from aerial_gym.sim2real.logs.checks.rotors import without_copied_commands
 from aerial_gym.sim2real.logs.clock_offset import (
-    Agreement,
-    Lead,
-    agreement,
-    commands_lead_too,
-    common_leads,
+    ClockOffset,
+    OffsetCurve,
+    commands_share_clock,
+    common_offsets,
+    offset_curve,
     shift_rotor_log,
 )
 from aerial_gym.sim2real.logs.flight_log import FlightLog, read_flight_log
@@ -156,10 +156,10 @@ def load_flights(
         seen[real] = str(path)
         log = mended_log(path, mapping)
         read.append((with_velocity(log), check_log(log, robot)))
-    leads = leads_of([log for log, _ in read], robot, bandwidth, len(read) if learning is None else learning)
+    offsets = clock_offsets([log for log, _ in read], robot, bandwidth, len(read) if learning is None else learning)
     flights: list[Flight] = []
-    for (log, notes), lead, real in zip(read, leads, seen, strict=True):
-        log = match_hover_thrust(with_rotor_clock(log, lead, robot), robot)
+    for (log, notes), offset, real in zip(read, offsets, seen, strict=True):
+        log = match_hover_thrust(with_rotor_clock(log, offset, robot), robot)
         check_order(log, robot)
         flight = complete_flight(log, notes, on_ground=rows_on_ground(log, robot))
         taken = {other.name for other in flights}
@@ -190,19 +190,19 @@ def with_velocity(log: FlightLog) -> FlightLog:
     return replace(log, lin_vel=velocity, notes=(*log.notes, "velocity derived from position"))
 
 
-def leads_of(logs: Sequence[FlightLog], robot: RobotCfg, bandwidth: float, learning: int) -> list[Lead]:
+def clock_offsets(logs: Sequence[FlightLog], robot: RobotCfg, bandwidth: float, learning: int) -> list[ClockOffset]:
     """Return by how much each rotor log is ahead of the accelerometer, where the thrust of the first ``learning`` shows it.
 
     Without velocity, drag along z would look like an offset, so that the clock is believed.
     """
     able = [log.rotor_speed is not None and log.specific_force is not None and log.lin_vel is not None for log in logs]
-    agreements = [agreement_of(log, robot, bandwidth) for log, one in zip(logs, able, strict=True) if one]
-    found = iter(common_leads(agreements, sum(able[:learning])))
-    return [next(found) if one else Lead() for one in able]
+    curves = [offset_curve_of(log, robot, bandwidth) for log, one in zip(logs, able, strict=True) if one]
+    found = iter(common_offsets(curves, sum(able[:learning])))
+    return [next(found) if one else ClockOffset() for one in able]
 
 
-def agreement_of(log: FlightLog, robot: RobotCfg, bandwidth: float) -> Agreement:
-    """Return how well the logged rotor speeds agree with the accelerometer under each lead."""
+def offset_curve_of(log: FlightLog, robot: RobotCfg, bandwidth: float) -> OffsetCurve:
+    """Return how well the logged rotor speeds agree with the accelerometer under each offset of the clock."""
     assert log.rotor_speed is not None
     assert log.specific_force is not None
     assert log.lin_vel is not None
@@ -215,13 +215,13 @@ def agreement_of(log: FlightLog, robot: RobotCfg, bandwidth: float) -> Agreement
         others.append(lowpass(log.ang_vel, rate, DERIVED_BAND * rate, derivative=True)[:, :2])
     thrust = (force[:, 2] / rows.mass).numpy()
     band = min(bandwidth, DERIVED_BAND * rate)
-    return agreement(log.specific_force[:, 2], thrust, np.concatenate(others, axis=1), rate, band)
+    return offset_curve(log.specific_force[:, 2], thrust, np.concatenate(others, axis=1), rate, band)
 
 
-def with_rotor_clock(log: FlightLog, lead: Lead, robot: RobotCfg) -> FlightLog:
+def with_rotor_clock(log: FlightLog, offset: ClockOffset, robot: RobotCfg) -> FlightLog:
     """Return the log with rotor speeds, and commands if they share it, on the clock of the other sensors."""
     lag = 0.5 * sum(declared_lag(robot))
-    return shift_rotor_log(log, lead, commands=commands_lead_too(log, lead, lag))
+    return shift_rotor_log(log, offset, commands=commands_share_clock(log, offset, lag))
 
 
 def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.checks.kinematics import kinematic_agreement
+from aerial_gym.sim2real.logs.checks.kinematics import kinematic_errors
 from aerial_gym.sim2real.logs.checks.rotors import check_rotors
 from aerial_gym.sim2real.logs.flight_log import FlightLog
 from aerial_gym.sim2real.logs.mapping import UNITS
@@ -51,7 +51,7 @@ def check_log(log: FlightLog, robot: RobotCfg) -> list[str]:
     _check_gravity(log, attitude)
     _check_velocity(log, attitude)
     _check_force_frame(log, attitude)
-    return [text for agreement in kinematic_agreement(log) for text in agreement.sentences()]
+    return [text for errors in kinematic_errors(log) for text in errors.sentences()]
 
 
 def rate_of(log: FlightLog) -> float:

@@ -32,7 +32,7 @@ MATERIAL = {"gyro": 0.01, "accelerometer": 0.1, "misalignment": np.radians(1.0),
 
 
 @dataclass(frozen=True, kw_only=True)
-class Agreement:
+class ImuErrors:
     """One sensor against the motion: ``measured(t) = (I - [angle]x) motion(t - delay) + bias``."""
 
     sensor: str
@@ -78,7 +78,7 @@ class Agreement:
         return found
 
 
-def kinematic_agreement(log: FlightLog) -> list[Agreement]:
+def kinematic_errors(log: FlightLog) -> list[ImuErrors]:
     """Return how gyro and accelerometer agree with attitude and velocity, for what the log has.
 
     The log has equal time steps. The gyro is compared with the derivative of the attitude, the accelerometer with that of the
@@ -87,15 +87,15 @@ def kinematic_agreement(log: FlightLog) -> list[Agreement]:
     rate = (log.time.size - 1) / float(log.time[-1] - log.time[0])
     found = []
     if log.ang_vel is not None:
-        found.append(_agree("gyro", log.ang_vel, attitude_rate(log.attitude, rate), np.zeros(3), rate))
+        found.append(_fit_errors("gyro", log.ang_vel, attitude_rate(log.attitude, rate), np.zeros(3), rate))
     if log.specific_force is not None and log.lin_vel is not None:
         change = lowpass(log.lin_vel, rate, 2.0 * BANDWIDTH_HZ, derivative=True) + np.array(
             [0.0, 0.0, STANDARD_GRAVITY]
         )
         motion = Rotation.from_quat(log.attitude).apply(change, inverse=True)
         level = np.array([0.0, 0.0, STANDARD_GRAVITY])
-        found.append(_agree("accelerometer", log.specific_force, motion, level, rate))
-    return [agreement for agreement in found if agreement is not None]
+        found.append(_fit_errors("accelerometer", log.specific_force, motion, level, rate))
+    return [errors for errors in found if errors is not None]
 
 
 def attitude_rate(attitude: Array, rate: float) -> Array:
@@ -105,8 +105,8 @@ def attitude_rate(attitude: Array, rate: float) -> Array:
     return np.concatenate((inner[:1], inner, inner[-1:]))
 
 
-def _agree(sensor: str, measured: Array, motion: Array, level: Array, rate: float) -> Agreement | None:
-    """Return the agreement; None if the log is too short. ``level``: part of the motion that a hover has as well."""
+def _fit_errors(sensor: str, measured: Array, motion: Array, level: Array, rate: float) -> ImuErrors | None:
+    """Return the errors of a sensor; None if the log is too short. ``level``: part of the motion that a hover has as well."""
     band = min(BANDWIDTH_HZ, 0.2 * rate)
     slow, rise = lowpass(motion, rate, band), lowpass(motion, rate, band, derivative=True)
     edge = edge_rows(rate, band)
@@ -138,4 +138,4 @@ def _agree(sensor: str, measured: Array, motion: Array, level: Array, rate: floa
     values, half_width = np.zeros(7), np.full(7, np.inf)
     values[shown] = gains
     half_width[shown] = stats.t.ppf(0.975, max(count - gains.size, 1)) * spread
-    return Agreement(sensor=sensor, bias=values[:3], angle=values[3:6], delay=float(values[6]), half_width=half_width)
+    return ImuErrors(sensor=sensor, bias=values[:3], angle=values[3:6], delay=float(values[6]), half_width=half_width)

@@ -1,15 +1,15 @@
-"""The clock of the rotor log, against leads that are known."""
+"""The clock of the rotor log, against offsets that are known."""
 
 import numpy as np
 import pytest
 
 from aerial_gym.sim2real.logs.clock_offset import (
     LARGEST_SHIFT_S,
-    Agreement,
-    Lead,
-    agreement,
-    commands_lead_too,
-    common_leads,
+    ClockOffset,
+    OffsetCurve,
+    commands_share_clock,
+    common_offsets,
+    offset_curve,
     shift_rotor_log,
 )
 from aerial_gym.sim2real.logs.signals import lowpass
@@ -26,40 +26,42 @@ def late(values: np.ndarray, rows: float) -> np.ndarray:
     return np.fft.irfft(np.fft.rfft(values) * np.exp(-2j * np.pi * frequency * rows), n=values.size)
 
 
-@pytest.mark.parametrize("lead", [-4.0, 0.0, 3.3])
-def test_a_lead_of_the_rotor_log_is_found_with_its_spread(lead: float) -> None:
-    """Drag along z and a lever arm must not look like a lead; a thrust that is off by 5 % neither. z is normal."""
+@pytest.mark.parametrize("offset", [-4.0, 0.0, 3.3])
+def test_an_offset_of_the_rotor_log_is_found_with_its_spread(offset: float) -> None:
+    """Drag along z and a lever arm must not look like an offset; a thrust that is off by 5 % neither. z is normal."""
     rng, found = np.random.default_rng(2), []
     for _ in range(200):
         thrust, climb, turning = 3.0 * noise(rng, 3.0), 2.0 * noise(rng, 0.5), 5.0 * noise(rng, 3.0)
         measured = 9.81 + 0.95 * thrust - 0.3 * climb + 0.004 * turning + 0.08 * rng.standard_normal(TIME.size)
         others = np.stack((climb, turning), axis=1)
-        found.append(agreement(measured, 9.81 + late(thrust, -lead), others, RATE, BAND).lead)
-    if lead == 0.0:
-        assert all(one == Lead() for one in found)
+        found.append(offset_curve(measured, 9.81 + late(thrust, -offset), others, RATE, BAND).offset)
+    if offset == 0.0:
+        assert all(one == ClockOffset() for one in found)
         return
-    z = np.array([(one.rows - lead) / one.std for one in found])
+    z = np.array([(one.rows - offset) / one.std for one in found])
     assert abs(z.mean()) < 4.0 / np.sqrt(200)
     assert 0.85 < z.std() < 1.25
 
 
-@pytest.mark.parametrize("lead", [-4.0, 2.0, 2.25])
-def test_a_lead_is_undone(lead: float) -> None:
+@pytest.mark.parametrize("offset", [-4.0, 2.0, 2.25])
+def test_an_offset_is_undone(offset: float) -> None:
     speed = np.arange(TIME.size, dtype=float)[:, None]
     moved = shift_rotor_log(
-        log(TIME, rotor_speed=speed, specific_force=np.repeat(speed, 3, axis=1)), Lead(rows=lead, std=0.1)
+        log(TIME, rotor_speed=speed, specific_force=np.repeat(speed, 3, axis=1)), ClockOffset(rows=offset, std=0.1)
     )
     assert moved.rotor_speed is not None
     assert moved.specific_force is not None
-    assert moved.time.size == TIME.size - np.ceil(abs(lead))
-    np.testing.assert_allclose(moved.specific_force[:, 0] - moved.rotor_speed[:, 0], lead, atol=1e-9)
-    assert f"{5.0 * lead:.3g} ± 0.98 ms" in moved.notes[-1]
+    assert moved.time.size == TIME.size - np.ceil(abs(offset))
+    np.testing.assert_allclose(moved.specific_force[:, 0] - moved.rotor_speed[:, 0], offset, atol=1e-9)
+    assert f"{5.0 * offset:.3g} ± 0.98 ms" in moved.notes[-1]
 
 
-@pytest.mark.parametrize("lead", [-4, 4])
+@pytest.mark.parametrize("offset", [-4, 4])
 @pytest.mark.parametrize("together", [True, False])
 @pytest.mark.parametrize("constant", [0.02, 0.03, 0.06])
-def test_commands_move_with_the_rotor_log_only_if_a_lag_says_so(lead: int, *, together: bool, constant: float) -> None:
+def test_commands_move_with_the_rotor_log_only_if_a_lag_says_so(
+    offset: int, *, together: bool, constant: float
+) -> None:
     """Whatever the lag is, 0.04 s as declared or not, it is no shift."""
     command = 900.0 + 40.0 * noise(np.random.default_rng(5), 15.0)
     speed, kept = command.copy(), np.exp(-1.0 / (RATE * constant))
@@ -68,11 +70,11 @@ def test_commands_move_with_the_rotor_log_only_if_a_lag_says_so(lead: int, *, to
     speed += np.random.default_rng(6).standard_normal(TIME.size)
     logged = log(
         TIME,
-        rotor_speed=np.roll(speed, -lead)[:, None],
-        rotor_command=np.roll(command, -lead if together else 0)[:, None],
+        rotor_speed=np.roll(speed, -offset)[:, None],
+        rotor_command=np.roll(command, -offset if together else 0)[:, None],
     )
-    ahead = Lead(rows=float(lead), std=0.1)
-    assert commands_lead_too(logged, ahead, 0.04) is together
+    ahead = ClockOffset(rows=float(offset), std=0.1)
+    assert commands_share_clock(logged, ahead, 0.04) is together
     moved = shift_rotor_log(logged, ahead, commands=together)
     assert moved.rotor_command is not None
     inner = slice(20, moved.time.size - 20)
@@ -83,7 +85,7 @@ def test_commands_move_with_the_rotor_log_only_if_a_lag_says_so(lead: int, *, to
 
 def test_a_signal_that_does_not_agree_at_all_is_not_shifted() -> None:
     rng = np.random.default_rng(3)
-    assert agreement(noise(rng, 3.0), noise(rng, 3.0), np.zeros((TIME.size, 0)), RATE, BAND).lead == Lead()
+    assert offset_curve(noise(rng, 3.0), noise(rng, 3.0), np.zeros((TIME.size, 0)), RATE, BAND).offset == ClockOffset()
 
 
 def test_a_lead_at_the_end_of_the_range_is_not_believed() -> None:
@@ -92,40 +94,40 @@ def test_a_lead_at_the_end_of_the_range_is_not_believed() -> None:
     thrust = 3.0 * noise(rng, 3.0)
     most = round(LARGEST_SHIFT_S * RATE)
     measured = 9.81 + np.roll(thrust, most) + 0.02 * rng.standard_normal(TIME.size)
-    assert agreement(measured, 9.81 + thrust, np.zeros((TIME.size, 0)), RATE, BAND).lead == Lead()
+    assert offset_curve(measured, 9.81 + thrust, np.zeros((TIME.size, 0)), RATE, BAND).offset == ClockOffset()
 
 
-def heard(rng: np.random.Generator, lead: float, *, size: float) -> Agreement:
-    """Return the agreement of a flight whose thrust varies by 0.5 ``size`` m/s², beside noise of 0.08 m/s²."""
+def heard(rng: np.random.Generator, offset: float, *, size: float) -> OffsetCurve:
+    """Return the curve of a flight whose thrust varies by 0.5 ``size`` m/s², beside noise of 0.08 m/s²."""
     thrust = 3.0 * size * noise(rng, 3.0)
     measured = 9.81 + thrust + 0.08 * rng.standard_normal(TIME.size)
-    return agreement(measured, 9.81 + late(thrust, -lead), np.zeros((TIME.size, 0)), RATE, BAND)
+    return offset_curve(measured, 9.81 + late(thrust, -offset), np.zeros((TIME.size, 0)), RATE, BAND)
 
 
 def test_a_flight_that_hardly_varies_is_moved_as_the_others_are() -> None:
     rng = np.random.default_rng(7)
     loud, quiet = [heard(rng, 4.0, size=1.0) for _ in range(3)], [heard(rng, 4.0, size=0.03) for _ in range(2)]
-    assert all(one.lead == Lead() for one in quiet)
-    leads = common_leads([*loud, *quiet], 5)
-    assert len({(lead.rows, lead.std) for lead in leads}) == 1
-    assert leads[0].rows == pytest.approx(4.0, abs=4.0 * leads[0].std)
-    assert leads[0].std < min(one.lead.std for one in loud)
+    assert all(one.offset == ClockOffset() for one in quiet)
+    offsets = common_offsets([*loud, *quiet], 5)
+    assert len({(offset.rows, offset.std) for offset in offsets}) == 1
+    assert offsets[0].rows == pytest.approx(4.0, abs=4.0 * offsets[0].std)
+    assert offsets[0].std < min(one.offset.std for one in loud)
 
 
 def test_a_flight_that_speaks_for_its_own_clock_keeps_it() -> None:
     rng = np.random.default_rng(8)
     loud, unmoved = [heard(rng, 4.0, size=1.0) for _ in range(2)], heard(rng, 0.0, size=1.0)
-    assert common_leads([*loud, unmoved], 3)[2] == Lead()
+    assert common_offsets([*loud, unmoved], 3)[2] == ClockOffset()
     apart = [heard(rng, 4.0, size=1.0), heard(rng, 7.0, size=1.0), heard(rng, 4.0, size=0.03)]
-    assert common_leads(apart, 3) == [one.lead for one in apart]
-    assert common_leads([heard(rng, 0.0, size=1.0) for _ in range(2)], 2) == [Lead(), Lead()]
+    assert common_offsets(apart, 3) == [one.offset for one in apart]
+    assert common_offsets([heard(rng, 0.0, size=1.0) for _ in range(2)], 2) == [ClockOffset(), ClockOffset()]
 
 
 def test_a_common_lead_is_a_time_not_a_number_of_rows() -> None:
     rng = np.random.default_rng(9)
     loud, quiet = heard(rng, 4.0, size=1.0), heard(rng, 4.0, size=0.03)
-    faster = Agreement(rate=2.0 * quiet.rate, left=np.repeat(quiet.left, 2)[:-1], samples=quiet.samples)
-    slow, fast = common_leads([loud, faster], 2)
+    faster = OffsetCurve(rate=2.0 * quiet.rate, left=np.repeat(quiet.left, 2)[:-1], samples=quiet.samples)
+    slow, fast = common_offsets([loud, faster], 2)
     assert fast.rows == pytest.approx(2.0 * slow.rows)
     assert fast.std == pytest.approx(2.0 * slow.std)
 
@@ -133,6 +135,6 @@ def test_a_common_lead_is_a_time_not_a_number_of_rows() -> None:
 def test_flights_that_judge_do_not_move_those_that_are_learnt_from() -> None:
     rng = np.random.default_rng(10)
     quiet, test = [heard(rng, 4.0, size=0.03) for _ in range(2)], heard(rng, 4.0, size=1.0)
-    assert common_leads([*quiet, test], 2) == [Lead(), Lead(), test.lead]
+    assert common_offsets([*quiet, test], 2) == [ClockOffset(), ClockOffset(), test.offset]
     train, other, silent = heard(rng, 4.0, size=1.0), heard(rng, -6.0, size=1.0), heard(rng, 4.0, size=0.03)
-    assert common_leads([train, other, silent], 1) == [train.lead, other.lead, train.lead]
+    assert common_offsets([train, other, silent], 1) == [train.offset, other.offset, train.offset]

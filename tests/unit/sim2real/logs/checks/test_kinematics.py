@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.sim2real.logs.checks.conventions import check_log
-from aerial_gym.sim2real.logs.checks.kinematics import Agreement, kinematic_agreement
+from aerial_gym.sim2real.logs.checks.kinematics import ImuErrors, kinematic_errors
 from aerial_gym.sim2real.logs.flight_log import FlightLog, read_flight_log
 from aerial_gym.sim2real.logs.signals import uniform_log
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
@@ -25,21 +25,21 @@ def log_of(table: pd.DataFrame, folder: Path) -> FlightLog:
     return uniform_log(read_flight_log(write(table, folder / "a.csv")))
 
 
-def agreement(table: pd.DataFrame, folder: Path, sensor: str) -> Agreement:
-    return next(a for a in kinematic_agreement(log_of(table, folder)) if a.sensor == sensor)
+def errors(table: pd.DataFrame, folder: Path, sensor: str) -> ImuErrors:
+    return next(a for a in kinematic_errors(log_of(table, folder)) if a.sensor == sensor)
 
 
 @pytest.mark.parametrize("seed", [1, 5, 6])
 def test_a_clean_flight_is_silent(seed: int, tmp_path: Path) -> None:
     clean = flight(seed, seconds=16.0, rate=200.0, noise=1.0)
-    assert [text for a in kinematic_agreement(log_of(clean, tmp_path)) for text in a.sentences()] == []
+    assert [text for a in kinematic_errors(log_of(clean, tmp_path)) for text in a.sentences()] == []
 
 
 @pytest.mark.parametrize("size", [0.03, 0.1, 0.3])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_bias_of_the_gyro(table: pd.DataFrame, tmp_path: Path, size: float, sign: float) -> None:
     changed = table.assign(omega_y=table["omega_y"] + sign * size)
-    found = agreement(changed, tmp_path, "gyro")
+    found = errors(changed, tmp_path, "gyro")
     np.testing.assert_allclose(found.bias, (0.0, sign * size, 0.0), atol=0.003)
     assert [text.startswith("gyro bias") for text in found.sentences()] == [True]
 
@@ -48,7 +48,7 @@ def test_a_bias_of_the_gyro(table: pd.DataFrame, tmp_path: Path, size: float, si
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_bias_of_the_accelerometer(table: pd.DataFrame, tmp_path: Path, size: float, sign: float) -> None:
     changed = table.assign(acc_z=table["acc_z"] + sign * size)
-    found = agreement(changed, tmp_path, "accelerometer")
+    found = errors(changed, tmp_path, "accelerometer")
     assert found.bias[2] == pytest.approx(sign * size, abs=0.05)
     assert found.bias[2] - found.half_width[2] < sign * size < found.bias[2] + found.half_width[2]
     assert any(text.startswith("accelerometer bias") for text in found.sentences())
@@ -63,14 +63,14 @@ def test_a_turned_sensor(
     turn = Rotation.from_euler("xyz"[axis], degrees, degrees=True)
     changed = table.copy()
     changed[columns] = turn.inv().apply(table[columns].to_numpy(copy=True))
-    found = agreement(changed, tmp_path, sensor)
+    found = errors(changed, tmp_path, sensor)
     assert np.degrees(found.angle[axis]) == pytest.approx(degrees, abs=0.05 * abs(degrees) + 0.3)
     assert any("turned against the body" in text for text in found.sentences())
 
 
 def test_what_a_flight_cannot_show_is_not_told(table: pd.DataFrame, tmp_path: Path) -> None:
     """Without drag the specific force lies along body z: a turn of the accelerometer about z changes nothing."""
-    found = agreement(table, tmp_path, "accelerometer")
+    found = errors(table, tmp_path, "accelerometer")
     assert np.isinf(found.half_width[5])
     assert np.isfinite(found.half_width[:5]).all()
 
@@ -84,7 +84,7 @@ def test_a_late_or_early_sensor(
     changed = table.copy()
     changed[columns] = np.roll(table[columns].to_numpy(), rows, axis=0)
     changed = changed.iloc[10:-10].reset_index(drop=True)
-    found = agreement(changed, tmp_path, sensor)
+    found = errors(changed, tmp_path, sensor)
     assert found.delay == pytest.approx(0.005 * rows, rel=0.15)
     word = "late" if rows > 0 else "early"
     assert any(f"{word} against" in text for text in found.sentences())
@@ -98,4 +98,4 @@ def test_faults_of_the_imu_stand_in_the_notes_of_a_check(table: pd.DataFrame, tm
 def test_a_drag_the_model_lacks_is_no_fault_of_the_imu(tmp_path: Path) -> None:
     """The accelerometer feels drag, and so does the velocity: kinematics does not see it."""
     draggy = flight(5, seconds=16.0, rate=200.0, noise=1.0, drag=0.3)
-    assert [text for a in kinematic_agreement(log_of(draggy, tmp_path)) for text in a.sentences()] == []
+    assert [text for a in kinematic_errors(log_of(draggy, tmp_path)) for text in a.sentences()] == []
