@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+import warp as wp
 
 from aerial_gym import SimBuilder, task_registry
 from aerial_gym.assets import ENVIRONMENTS
@@ -12,8 +13,10 @@ from aerial_gym.config.robot import BatteryCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import CapabilityError
+from aerial_gym.interop import on_torch_stream
 from aerial_gym.interop.rows.transport import FEW
 from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.fused.functions import inverse_root, root, unit_quat
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import Task
 from aerial_gym.task.observations import OBSERVATIONS, ObservationTerm
@@ -271,3 +274,34 @@ def test_derived_states_are_the_same_among_few_and_many_on_a_gpu() -> None:
     for num_envs in (3, 33, FEW):
         few = derived(motions(num_envs, "cuda:0"), beside=1)
         assert all(torch.equal(few[name], many[name][:num_envs]) for name in many)
+
+
+@wp.kernel(enable_backward=False)
+def take_roots(
+    x: wp.array[float],
+    q: wp.array[wp.quat],
+    root_out: wp.array[float],
+    inverse_out: wp.array[float],
+    unit_out: wp.array[wp.quat],
+):
+    i = wp.tid()
+    root_out[i] = root(x[i])
+    inverse_out[i] = inverse_root(x[i])
+    unit_out[i] = unit_quat(q[i])
+
+
+def test_roots_are_as_near_as_they_say() -> None:
+    """Over 60 decades, relative to float64; the root of zero is zero; quaternions without a direction are NaN, as in torch."""
+    x = torch.logspace(-30.0, 30.0, 1 << 20, device="cuda:0")
+    q = torch.randn(len(x), 4, device="cuda:0")
+    x[0], q[0], q[1] = 0.0, 0.0, torch.nan
+    roots, inverses, units = torch.empty_like(x), torch.empty_like(x), torch.empty_like(q)
+    with on_torch_stream(x):
+        views = [wp.from_torch(x), wp.from_torch(q, dtype=wp.quat), wp.from_torch(roots), wp.from_torch(inverses)]
+        wp.launch(take_roots, dim=len(x), inputs=views, outputs=[wp.from_torch(units, dtype=wp.quat)], device="cuda:0")
+    assert roots[0] == 0.0
+    assert units[:2].isnan().all()
+    exact = x[1:].double().sqrt()
+    torch.testing.assert_close(roots[1:].double(), exact, rtol=2.4e-7, atol=0.0)
+    torch.testing.assert_close(inverses[1:].double(), 1.0 / exact, rtol=2.4e-7, atol=0.0)
+    assert float((units[2:].double().norm(dim=-1) - 1.0).abs().max()) < 5e-7

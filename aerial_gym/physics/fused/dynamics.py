@@ -15,6 +15,7 @@ from aerial_gym.physics.fused.functions import (
     rotate_inverse,
     rotation_matrix,
     small_turn,
+    unit_quat,
 )
 from aerial_gym.physics.fused.packing import pickers, values_type
 from aerial_gym.physics.fused.rotors import make_follow, make_maps, make_stage_rates
@@ -285,7 +286,7 @@ def _make_euler(
         if wp.static(any_load):
             rate = wp.spatial_bottom(load) + dt * wp.spatial_bottom(swing)
             hung = settle(wp.spatial_vector(wp.spatial_top(load) + dt * rate, rate))
-        return position + dt * v, wp.normalize(attitude * small_turn(dt * w)), v, w, rotors, hung
+        return position + dt * v, unit_quat(attitude * small_turn(dt * w)), v, w, rotors, hung
 
     return euler
 
@@ -347,7 +348,7 @@ def _make_rk4(
             hung = settle(load + sixth * (s1 + 2.0 * s2 + 2.0 * s3 + s4))
         return (
             position + sixth * (lin_vel + 2.0 * v2 + 2.0 * v3 + v4),
-            wp.normalize(attitude + sixth * (r1 + 2.0 * r2 + 2.0 * r3 + r4)),
+            unit_quat(attitude + sixth * (r1 + 2.0 * r2 + 2.0 * r3 + r4)),
             lin_vel + sixth * (a1 + 2.0 * a2 + 2.0 * a3 + a4),
             ang_vel + sixth * (b1 + 2.0 * b2 + 2.0 * b3 + b4),
             end,
