@@ -12,7 +12,7 @@ from aerial_gym.control.lee_fused import Gains, read_vec3
 from aerial_gym.control.lee_fused import load_gains as load_lee_gains
 from aerial_gym.control.timing import Timing
 from aerial_gym.physics.fused.allocation import make_prioritised_thrust
-from aerial_gym.physics.fused.command import make_speed_of
+from aerial_gym.physics.fused.command import make_limited, make_speed_of
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types, vector_of
@@ -175,6 +175,7 @@ def make_late_action(num_actions: int, timing: Timing, layout: "Layout") -> wp.F
 def make_allot(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
     """Return ``Allocation.allot``: thrusts and the shares of the wanted torque that they give."""
     types, prioritised = rotor_types(num_rotors, general), law.saturation == "prioritised"
+    limited = make_limited(num_rotors, general)
     command_type, thrust_for = (
         types.command,
         make_prioritised_thrust(num_rotors, general, idle=law.idle, lateral=law.lateral),
@@ -187,7 +188,7 @@ def make_allot(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
         for i in range(wp.static(num_rotors)):
             if thrust[i] < params.low[i] or thrust[i] > params.high[i]:
                 given = 0.0
-        return thrust, given, given
+        return limited(params, thrust), given, given
 
     return thrust_for if prioritised else clamped
 

@@ -6,6 +6,7 @@ Letters: R rotors, U entries of an action.
 import warp as wp
 
 from aerial_gym.physics.fused.allocation import make_prioritised_thrust
+from aerial_gym.physics.fused.functions import root
 from aerial_gym.physics.fused.law import FusedLaw, NoGains
 from aerial_gym.physics.fused.types import rotor_types, vector_of
 
@@ -15,6 +16,7 @@ def make_command(law: FusedLaw, num_rotors: int, general: bool, *, differentiabl
     types = rotor_types(num_rotors, general)
     command_type, vector, action_type = types.command, types.vector, vector_of(law.num_actions)
     gains_type, law_wrench = law.gains_type or NoGains, law.wrench
+    limited = make_limited(num_rotors, general)
     speed_of, prioritised = make_speed_of(num_rotors, general), law.saturation == "prioritised"
     thrust_for = make_prioritised_thrust(
         num_rotors, general, idle=law.idle, lateral=law.lateral, differentiable=differentiable
@@ -35,7 +37,7 @@ def make_command(law: FusedLaw, num_rotors: int, general: bool, *, differentiabl
         params: command_type, gains: gains_type, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3,
         ang_vel: wp.vec3, action: action_type,
     ) -> vector:  # fmt: skip
-        return speed_of(params, action)
+        return speed_of(params, limited(params, action))
 
     @wp.func
     def wrench(
@@ -46,13 +48,28 @@ def make_command(law: FusedLaw, num_rotors: int, general: bool, *, differentiabl
         if wp.static(prioritised):
             allotted, _turn, _rest = thrust_for(params, wanted)
             return speed_of(params, allotted)
-        return speed_of(params, params.allocation * wanted)
+        return speed_of(params, limited(params, params.allocation * wanted))
 
     return {"speed": speed, "thrust": thrust, "wrench": wrench}[law.output]
 
 
+def make_limited(num_rotors: int, general: bool) -> wp.Function:
+    """Return a function that clamps thrusts [N] to their limits."""
+    types = rotor_types(num_rotors, general)
+    command_type, vector = types.command, types.vector
+
+    @wp.func
+    def limited(params: command_type, thrust: vector) -> vector:
+        allowed = vector()
+        for i in range(wp.static(num_rotors)):
+            allowed[i] = wp.clamp(thrust[i], params.low[i], params.high[i])
+        return allowed
+
+    return limited
+
+
 def make_speed_of(num_rotors: int, general: bool) -> wp.Function:
-    """Return a function from thrusts [N] to what is commanded of the rotors within the limits."""
+    """Return a function from thrusts [N] within the limits to what is commanded of the rotors."""
     types = rotor_types(num_rotors, general)
     command_type, vector = types.command, types.vector
 
@@ -60,16 +77,15 @@ def make_speed_of(num_rotors: int, general: bool) -> wp.Function:
     def speed_of(params: command_type, thrust: vector) -> vector:
         speed = vector()
         for i in range(wp.static(num_rotors)):
-            allowed = wp.clamp(thrust[i], params.low[i], params.high[i])
-            square = params.speed_map[i, 0] + params.speed_map[i, 1] * allowed
-            speed[i] = wp.sqrt(wp.max(square, 0.0)) - params.speed_map[i, 2]
+            square = params.speed_map[i, 0] + params.speed_map[i, 1] * thrust[i]
+            speed[i] = root(wp.max(square, 0.0)) - params.speed_map[i, 2]
         return speed
 
     @wp.func
     def state_of(params: command_type, thrust: vector) -> vector:
         state = vector()
         for i in range(wp.static(num_rotors)):
-            allowed = wp.clamp(thrust[i], params.low[i], params.high[i])
+            allowed = thrust[i]
             c0 = params.thrust_map[i, 0]
             c1 = params.thrust_map[i, 1]
             c2 = params.thrust_map[i, 2]
@@ -79,9 +95,9 @@ def make_speed_of(num_rotors: int, general: bool) -> wp.Function:
                 c1 = params.reverse_thrust_map[i, 1]
                 c2 = params.reverse_thrust_map[i, 2]
             size = wp.where(reverse, -allowed, allowed) - c0
-            root = wp.sqrt(wp.max(c1 * c1 + 4.0 * c2 * size, 0.0))
+            inner = root(wp.max(c1 * c1 + 4.0 * c2 * size, 0.0))
             if c2 > 0.0:
-                size = (root - c1) / (2.0 * c2)
+                size = (inner - c1) / (2.0 * c2)
             if c2 == 0.0:  # force mode
                 size = size / c1
             state[i] = wp.where(reverse, -size, size)
