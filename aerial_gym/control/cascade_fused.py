@@ -13,12 +13,13 @@ from aerial_gym.control.lee_fused import load_gains as load_lee_gains
 from aerial_gym.control.timing import Timing
 from aerial_gym.physics.fused.allocation import make_prioritised_thrust
 from aerial_gym.physics.fused.command import make_limited, make_speed_of
-from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.fused.law import FusedLaw, preparation
 from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types, vector_of
 
 if TYPE_CHECKING:
     from aerial_gym.control.cascade import Layout
+    from aerial_gym.control.laws import Law
 
 
 @wp.struct
@@ -68,12 +69,12 @@ def load_gains(source: wp.array2d[float], first: int, env: int) -> CascadeGains:
 
 
 def maker(
-    law_wrench: wp.Function, timing: Timing, layout: "Layout", *, has_loop: bool
+    lee_law: "Law", timing: Timing, layout: "Layout", *, has_loop: bool
 ) -> Callable[[FusedLaw, int, bool], wp.Function]:
     """Return what composes the controller for a number of rotors: ``FusedLaw.remembering``."""
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
-        return make_cascade(law, num_rotors, general, law_wrench, timing, layout, has_loop=has_loop)
+        return make_cascade(law, num_rotors, general, lee_law, timing, layout, has_loop=has_loop)
 
     return make
 
@@ -82,7 +83,7 @@ def make_cascade(
     law: FusedLaw,
     num_rotors: int,
     general: bool,
-    law_wrench: wp.Function,
+    lee_law: "Law",
     timing: Timing,
     layout: "Layout",
     *,
@@ -97,6 +98,7 @@ def make_cascade(
     late = make_late_action(law.num_actions, timing, layout)
     allot, speed_of = make_allot(law, num_rotors, general), make_speed_of(num_rotors, general)
     run_loop = make_rate_loop(law, num_rotors, general, timing) if has_loop else None
+    law_wrench, prepare = lee_law.fused, preparation(lee_law.prepare, law.num_actions)
 
     @wp.func
     def wanted_by_law(
@@ -106,7 +108,7 @@ def make_cascade(
         """Return the thrust and body rates that have come through by now."""
         setpoint = wp.vec4()
         if since % wp.static(period) == 0:
-            wrench = law_wrench(position, attitude, lin_vel, ang_vel, action, lee_of(gains))
+            wrench = law_wrench(position, attitude, lin_vel, ang_vel, prepare(action, lee_of(gains)), lee_of(gains))
             setpoint = wp.vec4(
                 wrench[2], wrench[3] + ang_vel[0], wrench[4] + ang_vel[1], wrench[5] + ang_vel[2]
             )  # fmt: skip
@@ -136,7 +138,7 @@ def make_cascade(
                 command = run_loop(params, gains, ang_vel, setpoint, arrays, env, since, dt)
             else:
                 thrust, _turn, _rest = allot(
-                    params, law_wrench(position, attitude, lin_vel, ang_vel, arrived, lee_of(gains))
+                    params, law_wrench(position, attitude, lin_vel, ang_vel, prepare(arrived, lee_of(gains)), lee_of(gains))
                 )  # fmt: skip
                 command = speed_of(params, thrust)
             if wp.static(loop_steps > 1):

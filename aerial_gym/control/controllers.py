@@ -127,6 +127,7 @@ class LeeController:
             lateral=False,
             idle=self._allocation.idle,
             wrench=self._law.fused,
+            prepare=self._law.prepare,
             gains_type=lee_fused.Gains,
             load_gains=lee_fused.load_gains,
             gains=lee_fused.gain_rows(self.gains),

@@ -28,6 +28,9 @@ class Law:
     fused: wp.Function | None = None
     """The same as a ``wp.func``, as ``physics.fused.FusedLaw`` wants it; None keeps the law to the torch backend."""
 
+    prepare: wp.Function | None = None
+    """``FusedLaw.prepare``."""
+
     action: tuple[str, ...]
     """What each entry of the action is, with its unit."""
 
@@ -39,30 +42,35 @@ LAWS: dict[str, Law] = {
     "position": Law(
         wrench=position_control,
         fused=lee_fused.position_control,
+        prepare=lee_fused.prepare_position,
         action=("x [m]", "y [m]", "z [m]", "yaw [rad]"),
         trim="x y z roll pitch yaw vx vy vz p q r",
     ),
     "velocity": Law(
         wrench=velocity_control,
         fused=lee_fused.velocity_control,
+        prepare=lee_fused.prepare_velocity,
         action=("vx [m/s]", "vy [m/s]", "vz [m/s]", "yaw rate [rad/s]"),
         trim="roll pitch vx vy vz p q r",
     ),
     "acceleration": Law(
         wrench=acceleration_control,
         fused=lee_fused.acceleration_control,
+        prepare=lee_fused.prepare_acceleration,
         action=("ax [m/s²]", "ay [m/s²]", "az [m/s²]", "yaw rate [rad/s]"),
         trim="roll pitch p q r",
     ),
     "attitude": Law(
         wrench=attitude_control,
         fused=lee_fused.attitude_control,
+        prepare=lee_fused.prepare_attitude,
         action=("thrust - 1 [weights]", "roll [rad]", "pitch [rad]", "yaw rate [rad/s]"),
         trim="roll pitch p q r",
     ),
     "rates": Law(
         wrench=rates_control,
         fused=lee_fused.rates_control,
+        prepare=lee_fused.prepare_rates,
         action=("thrust - 1 [weights]", "p [rad/s]", "q [rad/s]", "r [rad/s]"),
         trim="p q r",
     ),

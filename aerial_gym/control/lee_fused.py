@@ -1,7 +1,7 @@
 """The laws of ``control.lee`` as Warp functions for one environment.
 
-Euler angles are avoided: the third row of R is (-sin pitch, sin roll cos pitch, cos roll cos pitch), and its first column
-points along the heading.
+All of a law is computed in the body frame, where ``R`` drops out of ``R^T Rd``: its columns are the wanted axes as the body
+sees them. Euler angles are avoided: *up*, the third row of R, is (-sin pitch, sin roll cos pitch, cos roll cos pitch).
 Frames: world z up, body x forward, y left, z up; the *vehicle* frame is the world turned by the yaw alone.
 """
 
@@ -13,7 +13,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.control.lee import LeeGains
-from aerial_gym.physics.fused.functions import rotate
+from aerial_gym.physics.fused.functions import inverse_root, rotate_inverse, unit
 
 
 @wp.struct
@@ -75,10 +75,26 @@ def load_gains(source: wp.array2d[float], first: int, env: int) -> Gains:
 
 
 @wp.func
-def heading_of(attitude: wp.quat) -> wp.vec3:
-    """Return the unit vector of the yaw in the world plane, (cos yaw, sin yaw, 0)."""
-    forward = rotate(attitude, wp.vec3(1.0, 0.0, 0.0))
-    return wp.normalize(wp.vec3(forward[0], forward[1], 0.0))
+def up_of(q: wp.quat) -> wp.vec3:
+    """Return world z as the body sees it, the third row of R."""
+    return wp.vec3(
+        2.0 * (q[0] * q[2] - q[3] * q[1]),
+        2.0 * (q[1] * q[2] + q[3] * q[0]),
+        1.0 - 2.0 * (q[0] * q[0] + q[1] * q[1]),
+    )
+
+
+@wp.func
+def inverse_cos_pitch(up: wp.vec3) -> float:
+    """Return ``1 / cos pitch``, finite where the body points straight up or down."""
+    return inverse_root(wp.max(up[1] * up[1] + up[2] * up[2], 1.0e-30))
+
+
+@wp.func
+def heading_of(up: wp.vec3, inverse: float) -> wp.vec3:
+    """Return vehicle x as the body sees it, from ``1 / cos pitch``: (cos pitch, sin roll sin pitch, cos roll sin pitch)."""
+    slope = -up[0] * inverse
+    return wp.vec3((up[1] * up[1] + up[2] * up[2]) * inverse, slope * up[1], slope * up[2])
 
 
 @wp.func
@@ -88,103 +104,162 @@ def rate_torque(gains: Gains, ang_vel: wp.vec3, rate: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def attitude_torque(gains: Gains, rotation: wp.mat33, desired: wp.mat33, ang_vel: wp.vec3, rate: wp.vec3) -> wp.vec3:
-    """Return ``-K_R e_R - K_w (w - R^T Rd w_d) + w x J w`` [N m], body."""
-    product = wp.transpose(desired) * rotation
-    error = 0.5 * wp.vec3(product[2, 1] - product[1, 2], product[0, 2] - product[2, 0], product[1, 0] - product[0, 1])
-    return rate_torque(gains, ang_vel, wp.transpose(product) * rate) - wp.cw_mul(gains.attitude, error)
+def attitude_torque(gains: Gains, d1: wp.vec3, d2: wp.vec3, d3: wp.vec3) -> wp.vec3:
+    """Return ``-K_R e_R`` [N m], body, from the wanted axes as the body sees them."""
+    error = wp.vec3(d3[1] - d2[2], d1[2] - d3[0], d2[0] - d1[1])
+    return -0.5 * wp.cw_mul(gains.attitude, error)
 
 
 @wp.func
-def attitude_from_force(force: wp.vec3, heading: wp.vec3) -> wp.mat33:
-    """Return the rotation with body z along ``force`` and body x nearest to ``heading``."""
-    b3 = wp.normalize(force)
-    b2 = wp.normalize(wp.cross(b3, heading))
-    return wp.matrix_from_cols(wp.cross(b2, b3), b2, b3)
+def limited_yaw_rate(yaw_rate: float, gains: Gains) -> float:
+    """Return the yaw rate [rad/s] within its limits."""
+    return wp.clamp(yaw_rate, -gains.max_yaw_rate, gains.max_yaw_rate)
 
 
 @wp.func
-def body_rates(rotation: wp.mat33, yaw_rate: float, limit: float) -> wp.vec3:
-    """Return the body rates [rad/s] of a yaw rate, clamped, with roll and pitch held: it times the third row of R."""
-    return wp.clamp(yaw_rate, -limit, limit) * wp.vec3(rotation[2, 0], rotation[2, 1], rotation[2, 2])
-
-
-@wp.func
-def acceleration_wrench(
-    gains: Gains, attitude: wp.quat, ang_vel: wp.vec3, acceleration: wp.vec3, heading: wp.vec3, yaw_rate: float
-) -> wp.spatial_vector:
-    """Return the wrench that gives an acceleration [m/s², world]: ``F = m (a - g)`` within the inclination."""
+def limited_force(gains: Gains, acceleration: wp.vec3) -> wp.vec3:
+    """Return the force [N], world, ``m (a - g)`` within the inclination."""
     weight = gains.mass * gains.gravity
     up = wp.max(gains.mass * acceleration[2] + weight, 0.1 * weight)
-    lateral = gains.mass * wp.vec2(acceleration[0], acceleration[1])
-    shrink = wp.min(gains.max_slope * up / wp.max(wp.length(lateral), 1.0e-9), 1.0)
-    force = wp.vec3(shrink * lateral[0], shrink * lateral[1], up)
-    rotation = wp.quat_to_matrix(attitude)
-    thrust = wp.dot(force, wp.vec3(rotation[0, 2], rotation[1, 2], rotation[2, 2]))
-    rate = body_rates(rotation, yaw_rate, gains.max_yaw_rate)
-    torque = attitude_torque(gains, rotation, attitude_from_force(force, heading), ang_vel, rate)
-    return wp.spatial_vector(wp.vec3(0.0, 0.0, thrust), torque)
+    x = gains.mass * acceleration[0]
+    y = gains.mass * acceleration[1]
+    shrink = wp.min(gains.max_slope * up * inverse_root(wp.max(x * x + y * y, 1.0e-18)), 1.0)
+    return wp.vec3(shrink * x, shrink * y, up)
+
+
+@wp.func
+def force_wrench(
+    gains: Gains, attitude: wp.quat, ang_vel: wp.vec3, force: wp.vec3, heading: wp.vec3, rate: wp.vec3
+) -> wp.spatial_vector:
+    """Return the wrench with the thrust of a force [N, world], and the torque that turns body z along it.
+
+    Args:
+        gains: Gains.
+        attitude: Body to world.
+        ang_vel: [rad/s], body.
+        force: World [N].
+        heading: To which body x shall be nearest, body.
+        rate: Wanted angular velocity [rad/s], wanted body frame.
+    """
+    seen = rotate_inverse(attitude, force)
+    d3 = unit(seen)
+    d2 = unit(wp.cross(d3, heading))
+    d1 = wp.cross(d2, d3)
+    turned = rate[0] * d1 + rate[1] * d2 + rate[2] * d3
+    torque = rate_torque(gains, ang_vel, turned) + attitude_torque(gains, d1, d2, d3)
+    return wp.spatial_vector(0.0, 0.0, seen[2], torque[0], torque[1], torque[2])
+
+
+vec5 = wp.types.vector(length=5, dtype=wp.float32)
+vec6 = wp.types.vector(length=6, dtype=wp.float32)
+
+
+@wp.func
+def prepare_position(action: wp.vec4, gains: Gains) -> vec5:
+    """Return x, y, z [m] and cosine and sine of the yaw."""
+    return vec5(action[0], action[1], action[2], wp.cos(action[3]), wp.sin(action[3]))
 
 
 @wp.func
 def position_control(
-    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, action: wp.vec4, gains: Gains
+    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: vec5, gains: Gains
 ) -> wp.spatial_vector:
     """Return the wrench for x, y, z [m, world] and yaw [rad]."""
-    error = wp.vec3(action[0], action[1], action[2]) - position
+    error = wp.vec3(wanted[0], wanted[1], wanted[2]) - position
     acceleration = wp.cw_mul(gains.position, error) - wp.cw_mul(gains.velocity, lin_vel)
-    heading = wp.vec3(wp.cos(action[3]), wp.sin(action[3]), 0.0)
-    return acceleration_wrench(gains, attitude, ang_vel, acceleration, heading, 0.0)
+    heading = rotate_inverse(attitude, wp.vec3(wanted[3], wanted[4], 0.0))
+    return force_wrench(gains, attitude, ang_vel, limited_force(gains, acceleration), heading, wp.vec3())
+
+
+@wp.func
+def prepare_velocity(action: wp.vec4, gains: Gains) -> wp.vec4:
+    """Return vx, vy, vz [m/s] and the limited yaw rate [rad/s]."""
+    return wp.vec4(action[0], action[1], action[2], limited_yaw_rate(action[3], gains))
 
 
 @wp.func
 def velocity_control(
-    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, action: wp.vec4, gains: Gains
+    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: wp.vec4, gains: Gains
 ) -> wp.spatial_vector:
     """Return the wrench for vx, vy, vz [m/s, vehicle frame] and yaw rate [rad/s]."""
-    heading = heading_of(attitude)
-    wanted = wp.vec3(
-        heading[0] * action[0] - heading[1] * action[1], heading[1] * action[0] + heading[0] * action[1], action[2]
-    )
-    acceleration = wp.cw_mul(gains.velocity, wanted - lin_vel)
-    return acceleration_wrench(gains, attitude, ang_vel, acceleration, heading, action[3])
+    q = attitude
+    up = up_of(q)
+    inverse = inverse_cos_pitch(up)
+    cosine = inverse * (1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]))
+    sine = inverse * 2.0 * (q[0] * q[1] + q[3] * q[2])
+    velocity = wp.vec3(cosine * wanted[0] - sine * wanted[1], sine * wanted[0] + cosine * wanted[1], wanted[2])
+    force = limited_force(gains, wp.cw_mul(gains.velocity, velocity - lin_vel))
+    return force_wrench(gains, q, ang_vel, force, heading_of(up, inverse), wanted[3] * up)
+
+
+@wp.func
+def prepare_acceleration(action: wp.vec4, gains: Gains) -> wp.vec4:
+    """Return the limited force [N] and the limited yaw rate [rad/s]."""
+    force = limited_force(gains, wp.vec3(action[0], action[1], action[2]))
+    return wp.vec4(force[0], force[1], force[2], limited_yaw_rate(action[3], gains))
 
 
 @wp.func
 def acceleration_control(
-    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, action: wp.vec4, gains: Gains
+    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: wp.vec4, gains: Gains
 ) -> wp.spatial_vector:
     """Return the wrench for ax, ay, az [m/s², world] and yaw rate [rad/s]."""
-    acceleration = wp.vec3(action[0], action[1], action[2])
-    return acceleration_wrench(gains, attitude, ang_vel, acceleration, heading_of(attitude), action[3])
+    up = up_of(attitude)
+    heading = heading_of(up, inverse_cos_pitch(up))
+    return force_wrench(gains, attitude, ang_vel, wp.vec3(wanted[0], wanted[1], wanted[2]), heading, wanted[3] * up)
+
+
+@wp.func
+def prepare_attitude(action: wp.vec4, gains: Gains) -> vec6:
+    """Return the thrust [N], sines and cosines of roll and pitch, and the limited yaw rate [rad/s]."""
+    return vec6(
+        (action[0] + 1.0) * gains.mass * gains.gravity,
+        wp.sin(action[1]),
+        wp.cos(action[1]),
+        wp.sin(action[2]),
+        wp.cos(action[2]),
+        limited_yaw_rate(action[3], gains),
+    )
 
 
 @wp.func
 def attitude_control(
-    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, action: wp.vec4, gains: Gains
+    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: vec6, gains: Gains
 ) -> wp.spatial_vector:
-    """Return the wrench for thrust [multiples of weight, 0 is hover], roll, pitch [rad] and yaw rate [rad/s]."""
-    heading = heading_of(attitude)
-    sr, cr = wp.sin(action[1]), wp.cos(action[1])
-    sp, cp = wp.sin(action[2]), wp.cos(action[2])
-    sy, cy = heading[1], heading[0]
-    desired = wp.matrix_from_rows(
-        wp.vec3(cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
-        wp.vec3(sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
-        wp.vec3(-sp, cp * sr, cp * cr),
+    """Return the wrench for thrust [multiples of weight, 0 is hover], roll, pitch [rad] and yaw rate [rad/s].
+
+    The wanted attitude has the heading of the body, so that the yaw drops out: vehicle x, y and z as the body sees them are
+    turned by the wanted pitch and then by the wanted roll.
+    """
+    up = up_of(attitude)
+    inverse = inverse_cos_pitch(up)
+    heading = heading_of(up, inverse)
+    left_y = up[2] * inverse  # vehicle y has no part along body x
+    left_z = -up[1] * inverse
+    d1 = wanted[4] * heading - wanted[3] * up
+    lifted = wanted[3] * heading + wanted[4] * up
+    d2 = wp.vec3(
+        wanted[1] * lifted[0], wanted[1] * lifted[1] + wanted[2] * left_y, wanted[1] * lifted[2] + wanted[2] * left_z
     )
-    rotation = wp.quat_to_matrix(attitude)
-    rate = body_rates(rotation, action[3], gains.max_yaw_rate)
-    torque = attitude_torque(gains, rotation, desired, ang_vel, rate)
-    thrust = (action[0] + 1.0) * gains.mass * gains.gravity
-    return wp.spatial_vector(wp.vec3(0.0, 0.0, thrust), torque)
+    d3 = wp.vec3(
+        wanted[2] * lifted[0], wanted[2] * lifted[1] - wanted[1] * left_y, wanted[2] * lifted[2] - wanted[1] * left_z
+    )
+    rate = wanted[5] * up
+    turned = rate[0] * d1 + rate[1] * d2 + rate[2] * d3
+    torque = rate_torque(gains, ang_vel, turned) + attitude_torque(gains, d1, d2, d3)
+    return wp.spatial_vector(0.0, 0.0, wanted[0], torque[0], torque[1], torque[2])
+
+
+@wp.func
+def prepare_rates(action: wp.vec4, gains: Gains) -> wp.vec4:
+    """Return the thrust [N] and body rates p, q, r [rad/s]."""
+    return wp.vec4((action[0] + 1.0) * gains.mass * gains.gravity, action[1], action[2], action[3])
 
 
 @wp.func
 def rates_control(
-    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, action: wp.vec4, gains: Gains
+    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: wp.vec4, gains: Gains
 ) -> wp.spatial_vector:
     """Return the wrench for thrust [multiples of weight, 0 is hover] and body rates p, q, r [rad/s]."""
-    torque = rate_torque(gains, ang_vel, wp.vec3(action[1], action[2], action[3]))
-    thrust = (action[0] + 1.0) * gains.mass * gains.gravity
-    return wp.spatial_vector(wp.vec3(0.0, 0.0, thrust), torque)
+    torque = rate_torque(gains, ang_vel, wp.vec3(wanted[1], wanted[2], wanted[3]))
+    return wp.spatial_vector(0.0, 0.0, wanted[0], torque[0], torque[1], torque[2])

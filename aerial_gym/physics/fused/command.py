@@ -14,7 +14,7 @@ from aerial_gym.physics.fused.types import rotor_types, vector_of
 def make_command(law: FusedLaw, num_rotors: int, general: bool, *, differentiable: bool = False) -> wp.Function:
     """Return a function from the motion of the body origin and an action to commanded rotor speeds [rad/s]."""
     types = rotor_types(num_rotors, general)
-    command_type, vector, action_type = types.command, types.vector, vector_of(law.num_actions)
+    command_type, vector, action_type = types.command, types.vector, vector_of(law.num_prepared)
     gains_type, law_wrench = law.gains_type or NoGains, law.wrench
     limited = make_limited(num_rotors, general)
     speed_of, prioritised = make_speed_of(num_rotors, general), law.saturation == "prioritised"

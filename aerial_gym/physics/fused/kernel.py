@@ -14,7 +14,7 @@ from aerial_gym.physics.fused.contact import ContactParameters, make_push_off_gr
 from aerial_gym.physics.fused.dynamics import make_stepper
 from aerial_gym.physics.fused.functions import load_quat, load_vec4, rotate, store_quat, store_vec4
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
-from aerial_gym.physics.fused.law import FusedLaw, NoGains
+from aerial_gym.physics.fused.law import FusedLaw, NoGains, preparation
 from aerial_gym.physics.fused.memory import make_begin, memory_type
 from aerial_gym.physics.fused.packing import (
     Packing,
@@ -75,6 +75,7 @@ def make_kernel(
     general, types = not model.vehicle.plain, types_of(model)
     stop = make_dead_band(num_rotors) if general else None
     vector, action_type, params_type = types.vector, vector_of(law.num_actions), values_type(model)
+    prepare, prepared_type = preparation(law.prepare, law.num_actions), vector_of(law.num_prepared)
     remembers, num_loads = bool(model.effects.remembering), 6 * len(model.effects[LoadEffect])
     any_load = num_loads > 0
     begin = make_begin(model) if remembers else None
@@ -111,7 +112,7 @@ def make_kernel(
         w: wp.vec3,
         n: vector,
         load: wp.spatial_vector,
-        u: action_type,
+        u: prepared_type,
         memory: memories_type,
         env: int,
         since: int,
@@ -181,7 +182,7 @@ def make_kernel(
         v = lin_vel[env]
         w = ang_vel[env]
         n = get_rotors(rotor_speed, env)
-        u = get_action(action, env)
+        u = prepare(get_action(action, env), gains)
         if wp.static(com_offset):
             x = x + rotate(q, vehicle.com)
             v = v + rotate(q, wp.cross(w, vehicle.com))

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.physics.fused.types import vector_of
 from aerial_gym.physics.law_memory import LawNeeds
 
 
@@ -59,7 +60,12 @@ class FusedLaw:
     """Whether any rotor has no part in the force along body z."""
 
     wrench: wp.Function | None = None
-    """``wp.func`` (position, attitude, lin_vel, ang_vel, action, gains) -> (force, torque), body, ``wp.spatial_vector``."""
+    """``wp.func`` (position, attitude, lin_vel, ang_vel, prepared action, gains) -> (force, torque), body,
+    ``wp.spatial_vector``."""
+
+    prepare: wp.Function | None = None
+    """``wp.func`` (action, gains) -> vector: what ``wrench`` needs of an action, computed once a launch; the action itself if
+    not given."""
 
     remembering: "Callable[[FusedLaw, int, bool], wp.Function] | None" = None
     """For a law with memory, in place of ``wrench``: from this, the number of rotors and whether they are of any kind to a
@@ -77,3 +83,19 @@ class FusedLaw:
 
     gains: Mapping[str, Tensor] = field(default_factory=dict)
     """A tensor (E, ...) for each field of ``gains_type``, in its order; ``a.b`` is the field b of the struct a in it."""
+
+    @property
+    def num_prepared(self) -> int:
+        """Entries of a prepared action."""
+        return self.num_actions if self.prepare is None else self.prepare.func.__annotations__["return"]._length_
+
+
+def preparation(prepare: wp.Function | None, num_actions: int) -> wp.Function:
+    """Return ``FusedLaw.prepare``, or if there is none what leaves an action as it is."""
+    action_type = vector_of(num_actions)
+
+    @wp.func
+    def as_it_is(action: action_type, gains: Any) -> action_type:
+        return action
+
+    return as_it_is if prepare is None else prepare
