@@ -1,27 +1,206 @@
-"""Everything that a closed loop found, as a report shows it."""
+"""The last stage of the loop: what test flights say of the corrected model, and the robot that comes out."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.learned import judge_on_test, train_residual
 from aerial_gym.sim2real.identify.selection.select import Selection
-from aerial_gym.sim2real.judge.verdict import Verdict
-from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import Channel, ModelParams, Predictor
+from aerial_gym.sim2real.identify.stages import Declared, Refitted
+from aerial_gym.sim2real.judge.ablation import ablations
+from aerial_gym.sim2real.judge.breakdown import by_flight, where_it_acts
+from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate
+from aerial_gym.sim2real.judge.experiments.design import Advice, Catalogue, showable, what_shows, what_tells
+from aerial_gym.sim2real.judge.noise_floor import noise_floor
+from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, with_random
+from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained, judges_forces
+from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, decide, immaterial, named_effects, tied_rivals
+from aerial_gym.sim2real.judge.whiteness import whiteness
+from aerial_gym.sim2real.predict.predictor import ModelParams
+from aerial_gym.sim2real.progress import Progress
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Analysis:
+class Judged:
     """Everything that a report shows."""
 
-    robot: RobotCfg
-    corrected: RobotCfg
-    train: tuple[Flight, ...]
-    test: tuple[Flight, ...]
-    channels: tuple[Channel, ...]
-    bandwidth: float
+    declared: Declared
     selection: Selection
-    declared: ModelParams
-    final: ModelParams
-    train_predictor: Predictor
-    test_predictor: Predictor
+    params: ModelParams
+    """The final model, with what was learned."""
+
+    corrected: RobotCfg
     verdict: Verdict
+
+
+def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Progress) -> Judged:
+    """Return what the test flights say; nothing is fitted to them.
+
+    Args:
+        refitted: The stage before.
+        seed: Of the resampling behind intervals, and of the first weights of a network.
+        learn_residual: Whether a small network may be added for what no named effect explains.
+        progress: Told what is being done.
+    """
+    declared, selection, tested = refitted.declared, refitted.selection, refitted.declared.test
+
+    def on_test(params: ModelParams, floor: Array | None) -> Evaluation:
+        return evaluate(declared.robot, tested.flights, tested, params, floor=floor, seed=seed)
+
+    progress("rollouts of the declared and the corrected model", 0.7)
+    still = floor_in_declared_wind(declared, refitted.params)
+    before = on_test(declared.params, still)
+    progress("rollouts of the corrected model", 0.85)
+    named = on_test(refitted.params, still) if selection.accepted else before
+    progress("what each effect is worth", 0.93)
+    effects = judged_effects(refitted, before, named, seed=seed)
+    unexplained = find_unexplained(declared.train, tested, selection, named, still)
+    learned = None
+    if learn_residual:
+        progress("learning what remains", 0.9)
+        trained = train_residual(declared.train, refitted.params, selection.left_out, seed=seed)
+        learned = judge_on_test(trained, tested, refitted.params, unexplained.floor)
+    if learned is None or learned.effect is None:
+        params, after = refitted.params, unexplained.above_its_floor(named)
+    else:
+        params = replace(refitted.params, learned=learned.effect)
+        after = on_test(params, unexplained.floor)
+    gusts = () if NAME in declared.robot.effects or not unexplained.wind.accepted else (unexplained.wind.named(),)
+    kind, reason, candidates = decision(refitted, unexplained, gusts)
+    manoeuvre, fly_next = what_to_fly(declared, selection)
+    spectra = whiteness(tested.times, unexplained.left, declared.channels, declared.bandwidth)
+    verdict = Verdict(
+        verdict=kind,
+        reason=reason,
+        effects=(*effects, *gusts),
+        candidates=candidates,
+        not_testable=not_testable(selection, unexplained),
+        manoeuvre=manoeuvre,
+        fly_next=fly_next,
+        inclusion=refitted.inclusion,
+        output_error=refitted.refit,
+        structure=unexplained.structure,
+        before=before,
+        after=after,
+        flights=by_flight(tested, declared.params, params, before, after, seed=seed),
+        unexplained=unexplained.channels,
+        whiteness=dict(zip((channel.name for channel in declared.channels), spectra, strict=True)),
+        learned=learned,
+        notes=notes(refitted, unexplained, effects),
+    )
+    accepted = (*selection.accepted, *(effect.name for effect in gusts))
+    return Judged(
+        declared=declared,
+        selection=selection,
+        params=params,
+        corrected=corrected_robot(declared, with_random(params, unexplained.wind), accepted),
+        verdict=verdict,
+    )
+
+
+def floor_in_declared_wind(declared: Declared, params: ModelParams) -> Array | None:
+    """Return the noise floor of each channel on the test flights, declared random wind included, (C,); None: not shown."""
+    test = declared.test
+    floor = noise_floor(declared.robot, test.flights, params, test.channels, bandwidth=test.bandwidth)
+    return None if floor is None else np.hypot(floor, declared_wind(declared.robot).adds(test, params))
+
+
+def judged_effects(refitted: Refitted, before: Evaluation, named: Evaluation, *, seed: int) -> tuple[NamedEffect, ...]:
+    """Return the accepted effects with what each is worth on the test flights, and where it acts."""
+    declared, selection, params = refitted.declared, refitted.selection, refitted.params
+    test, models = declared.test, (declared.params, params)
+    worth = ablations(
+        declared.robot, test.flights, (declared.train, test), models, (before, named), selection, seed=seed
+    )
+    weight = selection.weights.weight
+    regimes = {name: where_it_acts(test, *models, name, weight, named.floor, seed=seed) for name in selection.accepted}
+    return named_effects(selection, refitted.inclusion, worth, regimes)
+
+
+def decision(
+    refitted: Refitted, unexplained: Unexplained, gusts: Sequence[NamedEffect]
+) -> tuple[str, str, tuple[str, ...]]:
+    """Return verdict, reason and candidates."""
+    declared = refitted.declared
+    made = decide(refitted.selection, unexplained.channels, unexplained.floor is not None)
+    kind, reason, candidates = unexplained.wind.decision(made) if gusts else made
+    if judges_forces(declared.flights) or all(channel.kind != "specific_force" for channel in declared.channels):
+        return kind, reason, candidates
+    blind = "without velocity drag is not known, so that what remains of the specific force is not judged: log v or p"
+    return kind, f"{reason}; {blind}", candidates
+
+
+def notes(refitted: Refitted, unexplained: Unexplained, effects: Sequence[NamedEffect]) -> tuple[str, ...]:
+    """Return what was done to the logs, and what else a reader must know."""
+    declared = refitted.declared
+    return (
+        *unexplained.wind.notes,
+        *about_logs(declared),
+        *immaterial(effects),
+        *refitted.refit.contradictions,
+        *declared.tolerances.strained(unexplained.deviation),
+        *surrogate_notes(refitted.selection),
+    )
+
+
+def about_logs(declared: Declared) -> list[str]:
+    """Return notes on the logs, and on what they are too slow or too few for."""
+    flights, band = declared.flights, declared.bandwidth
+    found = [f"{flight.name}: {note}" for flight in flights for note in flight.notes]
+    if band < declared.asked_bandwidth:
+        slowest = min(flight.rate for flight in flights)
+        found.append(f"compared below {band:.3g} Hz: the slowest log has {slowest:.4g} rows per second")
+    if (count := len(declared.train.flights)) < 3:
+        found.append(f"only {count} training flights: intervals rest on blocks of time, not on the spread of flights")
+    return found
+
+
+def surrogate_notes(selection: Selection) -> list[str]:
+    """Return a note on each effect that lost its name to a structure."""
+    return [
+        f"{name} is not named: it only stands in for a part of what remains, whose structure ({kind}) no effect has"
+        for name, kind in selection.surrogates.items()
+    ]
+
+
+def what_to_fly(declared: Declared, selection: Selection) -> tuple[Advice | None, dict[str, Advice]]:
+    """Return the manoeuvre that tells tied candidates apart, and those that show what the flights do not."""
+    train = declared.train
+    tied = {name: tied_rivals(name, selection) for name in selection.accepted}
+    hidden = showable(selection, train.robot, train.flights)
+    if not any(tied.values()) and not hidden:
+        return None, {}
+    catalogue = Catalogue(train, selection)
+    return what_tells(catalogue, selection, tied), what_shows(catalogue, selection, declared.params, hidden)
+
+
+def not_testable(selection: Selection, unexplained: Unexplained) -> dict[str, str]:
+    """Return what the flights cannot show: registered effects without excitation, and look-alikes without a model."""
+    found = dict(selection.not_testable)
+    for name in selection.accepted:
+        for other in EFFECTS.get(name).confused_with:
+            if other not in EFFECTS:
+                found.setdefault(other, f"looks like {name}; there is no registered effect of this name to weigh it")
+    return found | ({NAME: unexplained.wind.untestable} if unexplained.wind.untestable else {})
+
+
+def corrected_robot(declared: Declared, params: ModelParams, accepted: Sequence[str]) -> RobotCfg:
+    """Return the declared robot with the accepted effects, and what was learned, in it."""
+    robot = declared.robot if "battery_sag" in accepted else declared.stated
+    learned = robot if params.learned is None else replace(robot, learned_residual=params.learned.cfg)
+    if not accepted:
+        return learned
+    effects = {
+        name: {p.name: float(v) for p, v in zip(EFFECTS.get(name).parameters, values, strict=True)}
+        for name, values in params.effects.items()
+    }
+    flights = ", ".join(flight.name for flight in declared.train.flights)
+    source = f"{', '.join(accepted)}: aerial-gym close-loop on the flights {flights}"
+    before = f"; before: {robot.effects_source}" if robot.effects_source else ""
+    return replace(learned, effects=effects, effects_source=f"{source}{before}")

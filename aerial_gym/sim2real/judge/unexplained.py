@@ -4,7 +4,7 @@ Letters: C channels, N tolerances, T rows.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,12 @@ class Unexplained:
         """Return these deviations, in standard deviations, (N,)."""
         assert self.within.deviation is not None
         return self.within.deviation
+
+    def above_its_floor(self, found: Evaluation) -> Evaluation:
+        """Return an evaluation against the noise floor with random wind in it, if there is any."""
+        return (
+            replace(found, floor=tuple(self.floor.tolist())) if self.wind.accepted and self.floor is not None else found
+        )
 
 
 def find_unexplained(

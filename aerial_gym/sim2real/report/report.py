@@ -10,7 +10,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.identify.selection.structure import world_forces
-from aerial_gym.sim2real.judge.analysis import Analysis
+from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.verdict import MEANINGS
 from aerial_gym.sim2real.judge.whiteness import octave_names
@@ -45,16 +45,16 @@ VARIANTS = {
 }
 
 
-def write_report(folder: Path, analysis: Analysis) -> None:
+def write_report(folder: Path, judged: Judged) -> None:
     """Write report.html, report.md and residuals.csv."""
-    context = report_context(analysis)
+    context = report_context(judged)
     for name in ("report.html", "report.md"):
         (folder / name).write_text(render(name, context), encoding="utf-8")
-    after = analysis.final if analysis.verdict.corrects else None
+    after = judged.params if judged.verdict.corrects else None
     write_residuals(
         folder / "residuals.csv",
-        {"train": analysis.train_predictor, "test": analysis.test_predictor},
-        analysis.declared,
+        {"train": judged.declared.train, "test": judged.declared.test},
+        judged.declared.params,
         after,
     )
 
@@ -73,22 +73,22 @@ def render(name: str, context: dict[str, object]) -> str:
     return environment.get_template(f"{name}.j2").render(context)
 
 
-def report_context(analysis: Analysis) -> dict[str, object]:
+def report_context(judged: Judged) -> dict[str, object]:
     """Return everything that the templates show."""
-    verdict, selection = analysis.verdict, analysis.selection
+    verdict, selection = judged.verdict, judged.selection
     after = verdict.after if verdict.corrects else None
     shown = selection.accepted or tuple(trial.effect for trial in selection.rounds[0] if trial.scored)[:2]
     return {
         "verdict": verdict,
         "meaning": MEANINGS[verdict.verdict],
-        "robot": analysis.robot,
-        "bandwidth": analysis.bandwidth,
-        "train": [flight.name for flight in analysis.train],
-        "test": [flight.name for flight in analysis.test],
-        "effects": parameter_rows(analysis),
+        "robot": judged.declared.stated,
+        "bandwidth": judged.declared.bandwidth,
+        "train": [flight.name for flight in judged.declared.train.flights],
+        "test": [flight.name for flight in judged.declared.test.flights],
+        "effects": parameter_rows(judged),
         "channels": channel_rows(verdict.before, after),
         "worth": worth_rows(verdict),
-        "octaves": octave_names(analysis.bandwidth),
+        "octaves": octave_names(judged.declared.bandwidth),
         "regimes": regime_rows(verdict),
         "flights": flight_rows(verdict) if after else [],
         "models": list(verdict.inclusion.models.items())[:MOST_MODELS],
@@ -100,21 +100,21 @@ def report_context(analysis: Analysis) -> dict[str, object]:
             for name, text in VARIANTS.items()
             if name in verdict.before.rollout
         ],
-        "rounds": [trial_rows(trials, analysis.channels) for trials in selection.rounds],
+        "rounds": [trial_rows(trials, judged.declared.channels) for trials in selection.rounds],
         "rivals": rival_rows(verdict),
         "criteria": vars(selection.criteria),
-        "tolerances": vars(analysis.train_predictor.tolerances),
-        "figures": figures(analysis, after, shown),
+        "tolerances": vars(judged.declared.tolerances),
+        "figures": figures(judged, after, shown),
     }
 
 
-def figures(analysis: Analysis, after: Evaluation | None, shown: Sequence[str]) -> dict[str, list[dict[str, str]]]:
+def figures(judged: Judged, after: Evaluation | None, shown: Sequence[str]) -> dict[str, list[dict[str, str]]]:
     """Return the figures of the page, by its sections."""
-    before, final = analysis.verdict.before, analysis.final if after is not None else None
+    before, final = judged.verdict.before, judged.params if after is not None else None
     evidence = []
     for effect in shown:
-        point, neutral = evidence_point(analysis.selection, effect, analysis)
-        image = plots.evidence(analysis.train_predictor, point, effect, neutral)
+        point, neutral = evidence_point(judged.selection, effect, judged)
+        image = plots.evidence(judged.declared.train, point, effect, neutral)
         evidence.append({"title": f"Evidence for {effect}", "image": image})
     bars = [{"title": "Residuals before and after", "image": plots.residual_bars(before, after)}]
     bars += [
@@ -124,30 +124,29 @@ def figures(analysis: Analysis, after: Evaluation | None, shown: Sequence[str]) 
     ]
     rest = [
         {"title": f"What remains of the {channel.name.replace('_', ' ')}", "image": plots.what_remains(parts, channel)}
-        for channel, parts in remaining(analysis)
+        for channel, parts in remaining(judged)
     ]
-    kinds = dict.fromkeys(channel.kind for channel in analysis.channels)
+    kinds = dict.fromkeys(channel.kind for channel in judged.declared.channels)
     over_time = [
         {
             "title": f"Residual of the {kind.replace('_', ' ')} over time",
-            "image": plots.residuals_over_time(analysis.test_predictor, analysis.declared, final, kind),
+            "image": plots.residuals_over_time(judged.declared.test, judged.declared.params, final, kind),
         }
         for kind in kinds
     ]
     return {"evidence": evidence, "bars": bars, "rest": rest, "over_time": over_time}
 
 
-def remaining(analysis: Analysis) -> list[tuple[Channel, list[plots.Rest]]]:
+def remaining(judged: Judged) -> list[tuple[Channel, list[plots.Rest]]]:
     """Return what the corrected model leaves of the channels that matter: those named, else the farthest above its floor."""
-    channels, after, found = analysis.channels, analysis.verdict.after, []
+    channels, after, found = judged.declared.channels, judged.verdict.after, []
     dynamic = [place for place, channel in enumerate(channels) if channel.kind not in KINEMATIC]
-    named = [place for place in dynamic if channels[place].name in analysis.verdict.unexplained]
+    named = [place for place in dynamic if channels[place].name in judged.verdict.unexplained]
     floor = after.floor or (1.0,) * len(channels)
     above = {place: after.residual[place].value / max(floor[place], 1e-300) for place in named or dynamic}
     order = sorted(above, key=lambda place: -above[place])
     left = [
-        (predictor, predictor.residuals(analysis.final))
-        for predictor in (analysis.train_predictor, analysis.test_predictor)
+        (predictor, predictor.residuals(judged.params)) for predictor in (judged.declared.train, judged.declared.test)
     ]
     for place in order[: MOST_REMAINING if named else 1]:
         parts = []
@@ -159,14 +158,14 @@ def remaining(analysis: Analysis) -> list[tuple[Channel, list[plots.Rest]]]:
     return found
 
 
-def evidence_point(selection: Selection, effect: str, analysis: Analysis) -> tuple[ModelParams, np.ndarray]:
+def evidence_point(selection: Selection, effect: str, judged: Judged) -> tuple[ModelParams, np.ndarray]:
     """Return the model that has the effect, and the effect's neutral parameters."""
-    if effect in analysis.declared.effects:
-        neutral = analysis.declared.effects[effect]
+    if effect in judged.declared.params.effects:
+        neutral = judged.declared.params.effects[effect]
     else:
-        neutral = np.array(EFFECTS.get(effect).neutral(analysis.robot))
+        neutral = np.array(EFFECTS.get(effect).neutral(judged.declared.stated))
     if effect in selection.accepted:
-        return analysis.final, neutral
+        return judged.params, neutral
     trial = next(trial for trial in selection.rounds[0] if trial.effect == effect)
     assert trial.scored is not None
     return trial.scored.fit.point, neutral

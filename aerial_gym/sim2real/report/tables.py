@@ -7,7 +7,7 @@ import numpy as np
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.selection.select import Trial
 from aerial_gym.sim2real.judge.ablation import explained
-from aerial_gym.sim2real.judge.analysis import Analysis
+from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.predict.predictor import Channel
@@ -18,12 +18,12 @@ MOST_PERCENT = 3.0
 """Rises beyond it are told as factors."""
 
 
-def parameter_rows(analysis: Analysis) -> list[dict[str, object]]:
+def parameter_rows(judged: Judged) -> list[dict[str, object]]:
     """Return one row per parameter of the accepted effects."""
     rows = []
-    for effect in analysis.verdict.effects:
-        declared = analysis.robot.effects.get(effect.name, {})
-        neutral = EFFECTS.get(effect.name).neutral(analysis.robot)
+    for effect in judged.verdict.effects:
+        declared = judged.declared.stated.effects.get(effect.name, {})
+        neutral = EFFECTS.get(effect.name).neutral(judged.declared.stated)
         for place, parameter in enumerate(EFFECTS.get(effect.name).parameters):
             value, std = effect.params[parameter.name], effect.std.get(parameter.name)
             rows.append(

@@ -1,0 +1,147 @@
+"""The first stages of the loop, each a value that the next one is made of: ``Declared -> Selected -> Refitted``.
+
+The last one, ``Judged``, stands in ``judge.analysis``.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics.model import check_effects
+from aerial_gym.sim2real.identify.battery import with_battery
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import params_of, with_params
+from aerial_gym.sim2real.identify.output_error import Refit, refit_on_rollouts
+from aerial_gym.sim2real.identify.selection.inclusion import Inclusion, inclusion
+from aerial_gym.sim2real.identify.selection.scoring import Criteria
+from aerial_gym.sim2real.identify.selection.select import Selection, select_effects
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.predictor import (
+    Channel,
+    ModelParams,
+    Predictor,
+    comparison_band,
+    declared_params,
+    find_channels,
+)
+from aerial_gym.sim2real.predict.scene import check_scene
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+from aerial_gym.sim2real.progress import Progress
+
+SIGNIFICANT_DIGITS = 6
+"""Of parameters in the corrected robot file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Declared:
+    """A declared robot beside flights."""
+
+    stated: RobotCfg
+    """As its file says."""
+
+    robot: RobotCfg
+    """With a battery estimated from the training flights where the file gives none."""
+
+    params: ModelParams
+    """The model that the file declares."""
+
+    train: Predictor
+    test: Predictor
+
+    asked_bandwidth: float
+    """[Hz]."""
+
+    @property
+    def flights(self) -> tuple[Flight, ...]:
+        """Return training and test flights."""
+        return (*self.train.flights, *self.test.flights)
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Return what is compared."""
+        return self.test.channels
+
+    @property
+    def bandwidth(self) -> float:
+        """Return below which frequency [Hz]: as asked, as far as the logs reach."""
+        return self.test.bandwidth
+
+    @property
+    def tolerances(self) -> Tolerances:
+        """Return how well the robot is declared."""
+        return self.train.tolerances
+
+
+@dataclass(frozen=True, kw_only=True)
+class Selected:
+    """The effects that the training flights ask for, step by step."""
+
+    declared: Declared
+    selection: Selection
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refitted:
+    """The same effects after a fit on whole rollouts, where flights left out are for it."""
+
+    declared: Declared
+    selection: Selection
+    """With the final model of that fit."""
+
+    refit: Refit
+    params: ModelParams
+    """The final model as the robot file holds it."""
+
+    inclusion: Inclusion
+
+
+def declare(
+    robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight], *, bandwidth: float, tolerances: Tolerances
+) -> Declared:
+    """Return a robot beside flights to train and to test on.
+
+    Raises:
+        ConfigError: If the robot cannot be compared with flights.
+        DataError: If the flights lack what it declares, or have nothing in common.
+    """
+    check_effects(robot)
+    flights, powered = [*train, *test], with_battery(robot, train)
+    band, channels = comparison_band(flights, bandwidth), find_channels(flights)
+    on_train, on_test = (
+        Predictor(powered, part, bandwidth=band, channels=channels, tolerances=tolerances) for part in (train, test)
+    )
+    params = declared_params(powered)
+    check_scene(tuple(powered.effects), flights)
+    return Declared(stated=robot, robot=powered, params=params, train=on_train, test=on_test, asked_bandwidth=bandwidth)
+
+
+def select(declared: Declared, criteria: Criteria, progress: Progress) -> Selected:
+    """Return the effects that the training flights ask for."""
+
+    def told(stage: str, share: float) -> None:
+        progress(stage, 0.05 + 0.58 * share)
+
+    test = declared.test.flights
+    return Selected(
+        declared=declared, selection=select_effects(declared.train, declared.params, criteria, told, test=test)
+    )
+
+
+def refit(selected: Selected, *, seed: int, progress: Progress) -> Refitted:
+    """Return the selected effects fitted again on rollouts, and how often flights drawn again choose each."""
+    declared, by_steps = selected.declared, selected.selection
+    progress("rollouts of the training flights", 0.63)
+    tried = refit_on_rollouts(declared.train, by_steps)
+    adopted = tried.adopted and tried.scored is not None
+    selection = replace(by_steps, final=tried.scored) if adopted else by_steps
+    params = rounded(declared.robot, selection.final.fit.point, selection.accepted)
+    progress("selections on flights drawn again", 0.65)
+    included = inclusion(declared.train, declared.params, selection, seed=seed)
+    return Refitted(declared=declared, selection=selection, refit=tried, params=params, inclusion=included)
+
+
+def rounded(robot: RobotCfg, point: ModelParams, effects: Sequence[str]) -> ModelParams:
+    """Return the point with the parameters as the robot file will hold them."""
+    values = np.array([float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in params_of(point, effects)])
+    return with_params(robot, point, effects, values)
