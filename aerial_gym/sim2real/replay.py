@@ -14,13 +14,9 @@ from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate
 from aerial_gym.sim2real.judge.noise_floor import noise_floor
 from aerial_gym.sim2real.logs.flights import Flight, load_flights
 from aerial_gym.sim2real.logs.mapping import find_mapping
-from aerial_gym.sim2real.predict.predictor import (
-    ModelParams,
-    Predictor,
-    comparison_band,
-    declared_params,
-    find_channels,
-)
+from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
+from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.scene import check_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent

@@ -18,7 +18,8 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics import build_model, vehicle_from_config
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.sim2real.identify.selection.scoring import Gain, LeftOut
-from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, effects_at
+from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at
+from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 

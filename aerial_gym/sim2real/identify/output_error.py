@@ -32,7 +32,8 @@ from aerial_gym.sim2real.identify.selection.library import neutral_of
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, Scored
 from aerial_gym.sim2real.identify.selection.select import Selection, at_bounds
 from aerial_gym.sim2real.identify.window_rollouts import WINDOW_S, Linear, Rollouts
-from aerial_gym.sim2real.predict.predictor import Predictor, declared_params
+from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import Windows, find_windows
 
 Array = NDArray[np.float64]

@@ -17,14 +17,9 @@ from aerial_gym.sim2real.identify.selection.inclusion import Inclusion, inclusio
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.selection.select import Selection, select_effects
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import (
-    Channel,
-    ModelParams,
-    Predictor,
-    comparison_band,
-    declared_params,
-    find_channels,
-)
+from aerial_gym.sim2real.predict.channels import Channel, comparison_band, find_channels
+from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.scene import check_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress

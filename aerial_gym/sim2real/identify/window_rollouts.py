@@ -32,7 +32,8 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import (
     Batch,
     Windows,

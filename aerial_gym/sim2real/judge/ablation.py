@@ -18,7 +18,9 @@ from aerial_gym.sim2real.identify.selection.select import Selection, Trial
 from aerial_gym.sim2real.judge.evaluation import Evaluation, time_groups
 from aerial_gym.sim2real.judge.whiteness import EDGES, in_octaves, lines
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import Channel, ModelParams, Predictor
+from aerial_gym.sim2real.predict.channels import Channel
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 

@@ -20,7 +20,7 @@ from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, wit
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained, judges_forces
 from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, decide, immaterial, named_effects, tied_rivals
 from aerial_gym.sim2real.judge.whiteness import whiteness
-from aerial_gym.sim2real.predict.predictor import ModelParams
+from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.progress import Progress
 
 Array = NDArray[np.float64]

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from aerial_gym.sim2real.identify.selection.library import neutral_of
 from aerial_gym.sim2real.judge.evaluation import Evaluation, gap_closed, time_groups
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import KINEMATIC, UNITS, ModelParams, Predictor
+from aerial_gym.sim2real.predict.channels import KINEMATIC, UNITS
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 from aerial_gym.sim2real.statistics import Rms, rms_with_interval
 

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.identify.least_squares.moments import block_length
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import Channel, ModelParams, Predictor
+from aerial_gym.sim2real.predict.channels import Channel
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out
 from aerial_gym.sim2real.statistics import Rms, rms_with_interval
 

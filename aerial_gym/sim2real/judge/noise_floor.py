@@ -18,7 +18,9 @@ from scipy.optimize import nnls
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass_gain
-from aerial_gym.sim2real.predict.predictor import Channel, ModelParams, Predictor
+from aerial_gym.sim2real.predict.channels import Channel
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 
 Array = NDArray[np.float64]

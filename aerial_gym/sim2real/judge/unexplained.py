@@ -15,7 +15,9 @@ from aerial_gym.sim2real.identify.selection.structure import Structure, find_str
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, declared_wind, find_random_wind
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import KINEMATIC, ModelParams, Predictor
+from aerial_gym.sim2real.predict.channels import KINEMATIC
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from scipy import signal, stats
 from scipy.integrate import cumulative_trapezoid
 
 from aerial_gym.sim2real.logs.signals import lowpass_gain
-from aerial_gym.sim2real.predict.predictor import Channel
+from aerial_gym.sim2real.predict.channels import Channel
 
 Array = NDArray[np.float64]
 

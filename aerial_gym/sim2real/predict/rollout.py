@@ -30,11 +30,12 @@ from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.physics.memory import Memory, make_memory, place_memory
 from aerial_gym.physics.model import EffectParams
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import ModelParams, one_row, with_known_wind
+from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.replay.joint import joint_angles
 from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
 from aerial_gym.sim2real.predict.replay.rotor_commands import mean_commands
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
+from aerial_gym.sim2real.predict.rows import one_row, with_known_wind
 from aerial_gym.sim2real.predict.scene import heights, other_at
 
 Array = NDArray[np.float64]

@@ -19,7 +19,9 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import effect_jacobian, scales
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import Channel, ModelParams, Predictor
+from aerial_gym.sim2real.predict.channels import Channel
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 
 Array = NDArray[np.float64]

@@ -14,7 +14,9 @@ from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.verdict import MEANINGS
 from aerial_gym.sim2real.judge.whiteness import octave_names
-from aerial_gym.sim2real.predict.predictor import KINEMATIC, Channel, ModelParams, Predictor
+from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.report import plots
 from aerial_gym.sim2real.report.tables import (
     channel_rows,

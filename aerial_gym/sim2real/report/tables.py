@@ -10,7 +10,7 @@ from aerial_gym.sim2real.judge.ablation import explained
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.verdict import Verdict
-from aerial_gym.sim2real.predict.predictor import Channel
+from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 from aerial_gym.sim2real.statistics import Rise, Rms
 

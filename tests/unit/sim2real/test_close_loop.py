@@ -24,7 +24,7 @@ from aerial_gym.sim2real import close_loop, replay
 from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test
 from aerial_gym.sim2real.identify.selection.structure import find_structure
 from aerial_gym.sim2real.judge.unexplained import material_excess
-from aerial_gym.sim2real.predict.predictor import Channel
+from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.progress import silent
 from aerial_gym.sim2real.report.run_folder import whole_folder
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write

@@ -15,7 +15,8 @@ from scipy.optimize import lsq_linear
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting, block_moments, weights_from
-from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

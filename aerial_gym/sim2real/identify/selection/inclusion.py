@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from aerial_gym.sim2real.identify.selection.library import build_library
 from aerial_gym.sim2real.identify.selection.linear import LinearSelector
 from aerial_gym.sim2real.identify.selection.select import Selection
-from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

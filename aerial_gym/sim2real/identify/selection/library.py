@@ -22,7 +22,8 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments
 from aerial_gym.sim2real.identify.selection.select import Selection
-from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

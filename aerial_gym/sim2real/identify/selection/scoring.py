@@ -12,7 +12,7 @@ from scipy import stats
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, steps_beside, steps_without
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting
-from aerial_gym.sim2real.predict.predictor import Channel
+from aerial_gym.sim2real.predict.channels import Channel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

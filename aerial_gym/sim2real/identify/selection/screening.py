@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from aerial_gym.sim2real.identify.least_squares.covariance import uncertainty
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen, effect_jacobian, fit_at
 from aerial_gym.sim2real.identify.selection.scoring import Gain, LeftOut, Scored
-from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 

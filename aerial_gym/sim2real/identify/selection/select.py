@@ -35,7 +35,9 @@ from aerial_gym.sim2real.identify.selection.screening import Screening
 from aerial_gym.sim2real.identify.selection.structure import find_structure
 from aerial_gym.sim2real.identify.selection.surrogates import SurrogateTest
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import KINEMATIC, ModelParams, Predictor
+from aerial_gym.sim2real.predict.channels import KINEMATIC
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.rotor_commands import missing_in_logs, too_steady
 from aerial_gym.sim2real.predict.scene import lacks_of_scene
 from aerial_gym.sim2real.progress import Progress

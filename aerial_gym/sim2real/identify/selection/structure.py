@@ -14,7 +14,7 @@ from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import Channel
+from aerial_gym.sim2real.predict.channels import Channel
 
 Array = NDArray[np.float64]
 

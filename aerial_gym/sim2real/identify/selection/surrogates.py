@@ -13,7 +13,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, is_numb
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, block_length, block_rows
 from aerial_gym.sim2real.identify.selection.structure import Structure, squares_beside, structure_values
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import Channel
+from aerial_gym.sim2real.predict.channels import Channel
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,8 @@ from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
 )
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,9 @@ from aerial_gym.sim2real.identify.least_squares.moments import block_moments, we
 from aerial_gym.sim2real.identify.selection import library, select
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.predictor import Predictor, declared_params, find_channels
+from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import roll_out
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import silent

@@ -12,7 +12,9 @@ from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.selection.select import _Selector
 from aerial_gym.sim2real.identify.window_rollouts import eliminated
 from aerial_gym.sim2real.logs.flights import load_flights
-from aerial_gym.sim2real.predict.predictor import Predictor, declared_params, find_channels
+from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 

@@ -5,7 +5,7 @@ import pytest
 
 from aerial_gym.sim2real.judge.whiteness import WHITE, in_octaves, lines, octave_names, whiteness
 from aerial_gym.sim2real.logs.signals import lowpass
-from aerial_gym.sim2real.predict.predictor import Channel
+from aerial_gym.sim2real.predict.channels import Channel
 
 RATE, BAND = 30.0, 10.0
 FORCE, TURN = Channel(kind="specific_force", axis="x"), Channel(kind="angular_acceleration", axis="x")

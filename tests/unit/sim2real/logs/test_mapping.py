@@ -15,7 +15,7 @@ from aerial_gym.sim2real.logs.flights import load_flight
 from aerial_gym.sim2real.logs.mapping import LogMapping, find_mapping, mapping_names
 from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.logs.ulog import topics_table
-from aerial_gym.sim2real.predict.predictor import find_channels
+from aerial_gym.sim2real.predict.channels import find_channels
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 BASE = {

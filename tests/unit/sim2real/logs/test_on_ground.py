@@ -9,7 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.flights import Flight, load_flight
-from aerial_gym.sim2real.predict.predictor import Predictor, declared_params, find_channels
+from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 

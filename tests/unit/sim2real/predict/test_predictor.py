@@ -15,14 +15,9 @@ from aerial_gym.sim2real.judge.noise_floor import noise_floor
 from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_flights
 from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
-from aerial_gym.sim2real.predict.predictor import (
-    Channel,
-    ModelParams,
-    Predictor,
-    declared_params,
-    find_channels,
-    together,
-)
+from aerial_gym.sim2real.predict.channels import Channel, find_channels
+from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
+from aerial_gym.sim2real.predict.predictor import Predictor, together
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rollout import find_windows, roll_out
 from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_biases

@@ -13,7 +13,9 @@ from aerial_gym.sim2real.close_loop import judge_flights
 from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.mapping import LogMapping, find_mapping
-from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, find_channels
+from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import roll_out
 from aerial_gym.sim2real.predict.scene import lacks_of_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances

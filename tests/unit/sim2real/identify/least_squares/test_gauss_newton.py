@@ -15,7 +15,7 @@ from aerial_gym.sim2real.identify.least_squares.moments import (
     weights_from,
 )
 from aerial_gym.sim2real.logs.signals import lowpass
-from aerial_gym.sim2real.predict.predictor import ModelParams
+from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.statistics import rms_with_interval
 
 RATE, ROWS, FLIGHTS, CHANNELS = 30.0, 480, 5, 2

@@ -14,7 +14,8 @@ from aerial_gym.sim2real.identify.selection.inclusion import RESAMPLES, draw_blo
 from aerial_gym.sim2real.identify.selection.library import Candidate, Library, exact_along
 from aerial_gym.sim2real.identify.selection.linear import LinearSelector
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut, Scored
-from aerial_gym.sim2real.predict.predictor import Channel, ModelParams
+from aerial_gym.sim2real.predict.channels import Channel
+from aerial_gym.sim2real.predict.model_params import ModelParams
 
 ROWS, RATE, CHANNELS = 360, 30.0, 2
 EFFECT = "rotor_drag"

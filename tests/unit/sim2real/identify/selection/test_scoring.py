@@ -5,7 +5,7 @@ import pytest
 
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut
-from aerial_gym.sim2real.predict.predictor import Channel
+from aerial_gym.sim2real.predict.channels import Channel
 
 BLOCKS, FLIGHTS = 8, 4
 

@@ -19,7 +19,9 @@ from aerial_gym.sim2real.identify.selection.structure import Structure
 from aerial_gym.sim2real.identify.selection.surrogates import SurrogateTest
 from aerial_gym.sim2real.judge.verdict import tied_rivals
 from aerial_gym.sim2real.logs.flights import load_flights
-from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, declared_params, find_channels
+from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 

@@ -11,7 +11,9 @@ from aerial_gym.sim2real.judge.ablation import LEAST_SCORE
 from aerial_gym.sim2real.judge.experiments.design import Catalogue, showable, what_shows, what_tells
 from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, fly
 from aerial_gym.sim2real.logs.flights import load_flights
-from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, find_channels
+from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 

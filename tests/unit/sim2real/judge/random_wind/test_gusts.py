@@ -23,7 +23,9 @@ from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
 )
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass_gain
-from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, find_channels
+from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT
 from tests.unit.sim2real.predict.test_scene import RATE, hover

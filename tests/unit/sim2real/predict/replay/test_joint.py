@@ -14,7 +14,9 @@ from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.physics import EFFECTS, vehicle_from_config
 from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.sim2real.logs.flights import load_flight
-from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, declared_params, find_channels
+from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.joint import follow_joint, joint_angles
 from aerial_gym.sim2real.predict.rollout import Batch, roll_out
 from aerial_gym.sim2real.predict.tolerances import Tolerances

@@ -22,7 +22,9 @@ from aerial_gym.physics import (
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.memory import make_memory, place_memory
 from aerial_gym.robots import ROBOTS
-from aerial_gym.sim2real.predict.predictor import ModelParams, Predictor, find_channels
+from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.load import STEP_S, LoadReplay
 from aerial_gym.sim2real.predict.replay.load_swing import swing
 from aerial_gym.sim2real.predict.rollout import roll_out

@@ -17,7 +17,9 @@ from aerial_gym.sim2real.identify.selection.select import lacks
 from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight
 from aerial_gym.sim2real.logs.signals import uniform_log
-from aerial_gym.sim2real.predict.predictor import Channel, ModelParams, Predictor, declared_params, find_channels
+from aerial_gym.sim2real.predict.channels import Channel, find_channels
+from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.rotor_lag import follow_commands
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rollout import Batch, roll_out

@@ -1,0 +1,70 @@
+"""What is compared: the channels that flights have in common, and the band."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.flights import Flight
+
+HIGHEST_BAND = 0.2
+"""The comparison reaches at most to this share of the slowest log's rate."""
+
+UNITS = {
+    "specific_force": "m/s²",
+    "angular_acceleration": "rad/s²",
+    "rotor_speed": "rad/s",
+    "kinematic_force": "m/s²",
+    "kinematic_rate": "rad/s",
+}
+"""Of each kind of channel, in their order."""
+
+KINEMATIC = ("kinematic_force", "kinematic_rate")
+"""Kinds that need no dynamics."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Channel:
+    """One compared quantity."""
+
+    kind: str
+    """specific_force, angular_acceleration, rotor_speed, kinematic_force or kinematic_rate."""
+
+    axis: str
+    """x, y, z, or the number of the rotor."""
+
+    @property
+    def unit(self) -> str:
+        """SI unit."""
+        return UNITS[self.kind]
+
+    @property
+    def name(self) -> str:
+        """Unique name."""
+        return f"{self.kind}.{self.axis}"
+
+
+def comparison_band(flights: Sequence[Flight], bandwidth: float) -> float:
+    """Return below which frequency measured and predicted are compared [Hz]: the one asked for, as far as the logs reach."""
+    return min(bandwidth, HIGHEST_BAND * min(flight.rate for flight in flights))
+
+
+def find_channels(flights: Sequence[Flight]) -> tuple[Channel, ...]:
+    """Return the channels that every flight has.
+
+    Raises:
+        DataError: If there are none.
+    """
+    found: list[Channel] = []
+    if all(flight.specific_force is not None for flight in flights):
+        found += [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
+    if all(flight.gyro for flight in flights):
+        found += [Channel(kind="angular_acceleration", axis=axis) for axis in "xyz"]
+    if all(flight.rotor_speed is not None and flight.rotor_command is not None for flight in flights):
+        found += [Channel(kind="rotor_speed", axis=str(n + 1)) for n in range(flights[0].num_rotors)]
+    if not found:
+        raise DataError("the flights have no quantity in common that can be compared; log acc or omega in all of them")
+    if all(flight.accelerometer and flight.lin_vel is not None for flight in flights):
+        found += [Channel(kind="kinematic_force", axis=axis) for axis in "xyz"]
+    if all(flight.gyro and not flight.attitude_integrated for flight in flights):
+        found += [Channel(kind="kinematic_rate", axis=axis) for axis in "xyz"]
+    return tuple(found)

@@ -1,0 +1,41 @@
+"""Vehicles and models of one environment in every row of flights. Letters: E rows."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from aerial_gym.physics import EFFECTS, Vehicle
+from aerial_gym.physics.model import Model
+from aerial_gym.sim2real.logs.flights import Flight
+
+
+def expand_rows(vehicle: Vehicle, rows: int) -> Vehicle:
+    """Return the vehicle of one environment in every row, without copies."""
+    return vehicle.map_rows(lambda values: values.expand(rows, *values.shape[1:]))
+
+
+def one_row(vehicle: Vehicle, row: int) -> Vehicle:
+    """Return the vehicle of one of several environments."""
+    return vehicle.map_rows(lambda values: values[row : row + 1])
+
+
+def expand_model(model: Model, rows: int) -> Model:
+    """Return the model of one environment in every row, without copies."""
+    return replace(
+        model,
+        vehicle=expand_rows(model.vehicle, rows),
+        inertia_inverse=model.inertia_inverse.expand(rows, 3, 3),
+        effects=model.effects.with_params(lambda _, params: params.expand(rows, -1)),
+    )
+
+
+def with_known_wind(model: Model, flights: Sequence[Flight], flight: NDArray[np.int64]) -> Model:
+    """Return the model in the wind that was known in the flight of each row, on top of its own; ``flight`` is (E,)."""
+    if all(f.wind is None for f in flights):
+        return model
+    known = torch.tensor([f.wind or (0.0, 0.0, 0.0) for f in flights], dtype=torch.float64)
+    steady = EFFECTS.get("constant_wind")
+    return replace(model, effects=model.effects.plus(steady, known[torch.from_numpy(flight)]))
