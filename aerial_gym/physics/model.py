@@ -116,6 +116,11 @@ def build_model(
     )
 
 
+def in_steady_wind(model: Model, velocity: Tensor) -> Model:
+    """Return a model in a steady wind [m/s], world, (E, 3), on top of its own."""
+    return replace(model, effects=model.effects.plus(EFFECTS.get("constant_wind"), velocity))
+
+
 def check_rotors(effect: Effect | type[Effect], traits: Set[str]) -> None:
     """Raise ``ConfigError`` if rotors are of a kind that an effect cannot act on (``docs/rotors.md``)."""
     if missing := sorted(traits - set(effect.rotors)):

@@ -28,8 +28,10 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Moment, Parameter, WrenchEffect
+from aerial_gym.physics.effects.track import Track, relax
 from aerial_gym.physics.fused.rotors import make_maps
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
 from aerial_gym.physics.vehicle import Vehicle, is_shared
@@ -103,6 +105,22 @@ class ArmJoint(WrenchEffect):
         decay = torch.exp(-moment.dt / values[:, TAU, None])
         rest = self.deflection(moment.vehicle, moment.rotor_speed, values)
         return rest + (values[:, ANGLES:] - rest) * decay
+
+    def replay(self, track: Track, params: Tensor) -> Tensor:
+        """Return the angles in every row of a flight, (T, R).
+
+        Between rows the angle of rest runs in a straight line, along which an element is followed exactly. Logs do not tell
+        what arms bore before: they are taken to rest at the start as in hover, shared among the rotors as over the flight, or
+        under the thrust of the first row if the vehicle then stands.
+        """
+        rest = self.deflection(track.vehicle, track.rotor_speed, params).numpy()
+        if track.begins_on_ground:
+            start = rest[0]
+        else:
+            vehicle = track.vehicle
+            lift = (rotor_thrust(vehicle, track.rotor_speed) * vehicle.rotor_axis[..., 2]).sum(dim=1).mean()
+            start = track.settled * float(vehicle.mass[0] * STANDARD_GRAVITY / lift) * rest.mean(axis=0)
+        return torch.from_numpy(relax(rest, start, tau=float(params[0, TAU]), step=track.step))
 
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return what bent arms change of force and torque, (E, 6); the angles stand behind the parameters."""

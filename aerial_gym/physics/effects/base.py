@@ -18,10 +18,11 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import ConfigError
+from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.math.rows import times
 from aerial_gym.math.short import dot, sum_slices
+from aerial_gym.physics.effects.track import Track
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
 RotorTrait = Literal["reversible", "force", "slew", "dead_band"]
@@ -296,6 +297,17 @@ class Effect(ABC):
         """
         del moment
         return values[:, len(self.parameters) :]
+
+    def replay(self, track: Track, params: Tensor) -> Tensor:
+        """Return what it remembers in every row of a measured flight, (T, M), from parameters (1, P).
+
+        Identification needs it of effects on rotors and body that remember.
+
+        Raises:
+            CapabilityError: If the effect does not say.
+        """
+        del track, params
+        raise CapabilityError(f"effect {self.name}: remembers, but cannot be followed along a flight: it has no replay")
 
     def warp_remember(self, vehicle: type, moment: type) -> wp.Function | None:
         """Return the twin of ``remember``, or None: what is remembered never changes.

@@ -40,7 +40,6 @@ from aerial_gym.physics.effects import (
     WindEffect,
     WrenchEffect,
 )
-from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.physics.effects.learned_residual import felt_inputs
 from aerial_gym.physics.model import Model
 from aerial_gym.sim2real.logs.flights import Flight
@@ -48,8 +47,8 @@ from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
 from aerial_gym.sim2real.predict.dataset import Dataset, thinned
 from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at, key_of
-from aerial_gym.sim2real.predict.replay.joint import joint_angles
 from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
+from aerial_gym.sim2real.predict.replay.memory import remembering, track_of
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows import expand_model, one_row, with_known_wind
 from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_biases
@@ -137,8 +136,8 @@ class _Together:
         model, condition = self._flown(point, vehicle, speeds)
         state = BodyState(rotor_speed=condition.rotor_speed, **self.data.state)
         load = self._swing(model, state, condition, deviation) if model.effects[LoadEffect] else None
-        angles = self._angles(model, condition, deviation)
-        found = accelerations(model, state, load=load, remembered=angles, condition=condition)
+        remembered = self._remembered(model, condition, deviation)
+        found = accelerations(model, state, load=load, remembered=remembered, condition=condition)
         # The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
         force = found.specific_force + torch.linalg.cross(found.ang_acc - self.data.ang_acc, model.vehicle.com)
         force_bias, rate_bias = sensor_biases(self.tolerances, deviation)
@@ -163,7 +162,7 @@ class _Together:
         """Return the link of the load in every row, (E, 6), begun as the measured specific force says where there is one."""
         if self.data.force is None:
             return self._load_replay.loads(model, self.data.row_times)
-        remembered = self._angles(model, condition, deviation)
+        remembered = self._remembered(model, condition, deviation)
         found = accelerations(
             replace(model, effects=model.effects.without(LoadEffect)), state, remembered=remembered, condition=condition
         )
@@ -175,27 +174,17 @@ class _Together:
         missed = quat_rotate(self.data.state["attitude"], force).numpy()
         return self._load_replay.loads(model, self.data.row_times, [missed[span] for span in self.data.spans])
 
-    def _angles(self, model: Model, condition: Condition, deviation: Tensor) -> dict[str, Tensor]:
-        """Return the angles of soft arms in every row [rad], (E, R), by effect; empty where they are rigid."""
-        found: dict[str, Tensor] = {}
-        share = joint_start(self.tolerances, deviation)
-        for effect, params in model.effects[WrenchEffect]:
-            if isinstance(effect, ArmJoint):
-                vehicle = one_row(model.vehicle, 0)
-                parts = [
-                    joint_angles(
-                        effect,
-                        vehicle,
-                        params[:1],
-                        flight,
-                        condition.rotor_speed[span],
-                        stride / flight.rate,
-                        share=share,
-                    )
-                    for span, stride, flight in zip(self.data.spans, self.data.stride, self.data.flights, strict=True)
-                ]
-                found[effect.name] = torch.cat(parts)
-        return found
+    def _remembered(self, model: Model, condition: Condition, deviation: Tensor) -> dict[str, Tensor]:
+        """Return what effects on rotors and body remember in every row, (E, M), by effect."""
+        vehicle, settled = one_row(model.vehicle, 0), joint_start(self.tolerances, deviation)
+        tracks = [
+            track_of(flight, vehicle, condition.rotor_speed[span], stride / flight.rate, settled=settled)
+            for span, stride, flight in zip(self.data.spans, self.data.stride, self.data.flights, strict=True)
+        ]
+        return {
+            effect.name: torch.cat([effect.replay(track, params[:1]) for track in tracks])
+            for effect, params in remembering(model.effects)
+        }
 
     def _flown(
         self, point: ModelParams, vehicle: Vehicle, speeds: list[Array | None] | None

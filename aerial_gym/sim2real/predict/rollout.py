@@ -24,15 +24,13 @@ from aerial_gym.physics import (
     build_model,
     vehicle_from_config,
 )
-from aerial_gym.physics.effects import CommandEffect, DelayEffect, LoadEffect, RotorSensorEffect, WrenchEffect
-from aerial_gym.physics.effects.actuation_delay import LONGEST as LONGEST_DELAY
-from aerial_gym.physics.effects.arm_joint import ArmJoint
+from aerial_gym.physics.effects import CommandEffect, DelayEffect, LoadEffect, RotorSensorEffect
 from aerial_gym.physics.memory import Memory, make_memory, place_memory
 from aerial_gym.physics.model import EffectParams
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.replay.joint import joint_angles
 from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
+from aerial_gym.sim2real.predict.replay.memory import remembering, track_of
 from aerial_gym.sim2real.predict.replay.rotor_commands import mean_commands
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows import one_row, with_known_wind
@@ -49,7 +47,7 @@ STEP_S = 0.005
 WINDOW_EVERY_S = 0.5
 """Between the starts of two windows [s]."""
 
-FIRST_WINDOW_S = LONGEST_DELAY
+FIRST_WINDOW_S = max(e.longest for e in map(EFFECTS.get, EFFECTS) if isinstance(e, DelayEffect))
 """Start of the first window [s]: no command is longer on its way, so that all that arrive are in the log."""
 
 MOST_WINDOWS = 600
@@ -318,7 +316,7 @@ class Batch:
         """Return what effects remember at the starts."""
         if not self._model.effects.remembering:
             return None
-        memory = place_memory(self._model, make_memory(self._model, dt), self._angles())
+        memory = place_memory(self._model, make_memory(self._model, dt), self._remembered())
         if not self._model.effects[LoadEffect]:
             return memory
         name = self._model.effects[LoadEffect][0][0].name
@@ -331,19 +329,18 @@ class Batch:
         load[order] = LoadReplay([self._flights[index] for index in flown]).loads(self._model, times)
         return place_memory(self._model, memory, {name: load})
 
-    def _angles(self) -> dict[str, Tensor]:
-        """Return the angles of soft arms at the starts [rad], (W, R), by effect, as the rotors have turned until then."""
+    def _remembered(self) -> dict[str, Tensor]:
+        """Return what effects on rotors and body remember at the starts, (W, M), by effect, as it came about until then."""
         found: dict[str, Tensor] = {}
-        for effect, params in self._model.effects[WrenchEffect]:
-            if isinstance(effect, ArmJoint):
-                angles = torch.zeros(self._row.size, self._rotors, dtype=torch.float64)
-                for model, index in np.unique(np.stack((self._of, self._flight)), axis=1).T:
-                    chosen = np.flatnonzero((self._of == model) & (self._flight == index))
-                    vehicle, one = one_row(self._model.vehicle, chosen[0]), params[chosen[:1]]
-                    speed = self._speed_along(int(model), int(index))
-                    along = joint_angles(effect, vehicle, one, self._flights[index], speed, 1.0 / self._rate)
-                    angles[chosen] = along[self._row[chosen]]
-                found[effect.name] = angles
+        for effect, params in remembering(self._model.effects):
+            numbers = torch.empty(self._row.size, len(effect.fresh_memory(self._rotors)), dtype=torch.float64)
+            for model, index in np.unique(np.stack((self._of, self._flight)), axis=1).T:
+                chosen = np.flatnonzero((self._of == model) & (self._flight == index))
+                vehicle, one = one_row(self._model.vehicle, chosen[0]), params[chosen[:1]]
+                speed = self._speed_along(int(model), int(index))
+                along = effect.replay(track_of(self._flights[index], vehicle, speed, 1.0 / self._rate), one)
+                numbers[chosen] = along[self._row[chosen]]
+            found[effect.name] = numbers
         return found
 
     def _speed_along(self, model: int, index: int) -> Tensor:

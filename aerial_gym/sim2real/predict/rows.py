@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from aerial_gym.physics import EFFECTS, Vehicle
-from aerial_gym.physics.model import Model
+from aerial_gym.physics import Vehicle
+from aerial_gym.physics.model import Model, in_steady_wind
 from aerial_gym.sim2real.logs.flights import Flight
 
 
@@ -37,5 +37,4 @@ def with_known_wind(model: Model, flights: Sequence[Flight], flight: NDArray[np.
     if all(f.wind is None for f in flights):
         return model
     known = torch.tensor([f.wind or (0.0, 0.0, 0.0) for f in flights], dtype=torch.float64)
-    steady = EFFECTS.get("constant_wind")
-    return replace(model, effects=model.effects.plus(steady, known[torch.from_numpy(flight)]))
+    return in_steady_wind(model, known[torch.from_numpy(flight)])

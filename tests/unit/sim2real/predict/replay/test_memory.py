@@ -1,4 +1,4 @@
-"""Soft arms along measured flights: their angles, predictions and rollouts against closed forms."""
+"""Effects with memory along measured flights: soft arms against closed forms, and one that only this file knows."""
 
 from dataclasses import replace
 from math import cos, hypot, pi
@@ -9,15 +9,18 @@ import pytest
 import torch
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from torch import Tensor
 
 from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.physics import EFFECTS, vehicle_from_config
+from aerial_gym.physics.effects import Condition, Moment, Parameter, WrenchEffect
 from aerial_gym.physics.effects.arm_joint import ArmJoint
+from aerial_gym.physics.effects.track import Track, relax
 from aerial_gym.sim2real.logs.flights import load_flight
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.replay.joint import follow_joint, joint_angles
+from aerial_gym.sim2real.predict.replay.memory import track_of
 from aerial_gym.sim2real.predict.rollout import Batch, roll_out
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from benchmarks.undeclared import make_case
@@ -38,7 +41,7 @@ def test_elements_are_followed_exactly_between_rows(tau: float) -> None:
     rest = rng.normal(size=(120, 2))
     time = step * np.arange(120)
     start = np.array([0.3, -0.2])
-    found = follow_joint(rest, start, tau=tau, step=step)
+    found = relax(rest, start, tau=tau, step=step)
     np.testing.assert_allclose(found[0], start, atol=1e-14)
     for column in range(2):
         course = [start[column]]
@@ -130,7 +133,7 @@ def test_arms_of_a_vehicle_that_stands_at_first_are_not_bent_by_its_flight() -> 
     params = torch.tensor([[0.8, 2.0, 0.4]], dtype=torch.float64)
     rest = 0.8 * 0.6 * ARM * THRUST
     for stands, share in ((on_ground, 0.04), (None, 1.0)):
-        found = joint_angles(creep, vehicle, params, replace(flight, on_ground=stands), speed, 1.0 / RATE)
+        found = creep.replay(track_of(replace(flight, on_ground=stands), vehicle, speed, 1.0 / RATE), params)
         np.testing.assert_allclose(found[0], share * rest, rtol=1e-12)
 
 
@@ -191,3 +194,50 @@ def test_rollouts_take_the_errors_of_rotor_sensors_out_of_the_thrust() -> None:
     errors = roll_out(ROBOT, [flight], ModelParams(effects=effects), horizons=(0.5,))
     assert errors.velocity is not None
     np.testing.assert_allclose(errors.velocity, G * (1.0 - cos(0.8 * 0.6 * ARM * THRUST)) * 0.5, rtol=1e-6)
+
+
+class Wake(WrenchEffect):
+    """A push along body x that follows the mean speed of the rotors, late by 1 s; it remembers that speed [rad/s]."""
+
+    name = "wake_of_this_test"
+    summary = "a push that comes late"
+    parameters = (Parameter(name="gain", unit="N s/rad", low=-1.0, high=1.0, scale=1e-4, meaning="force per speed"),)
+    excitation = "changes of thrust"
+    confused_with = ()
+    memory = (0.0,)
+
+    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+        mean = moment.rotor_speed.mean(dim=1, keepdim=True)
+        return mean + (values[:, 1:] - mean) * float(np.exp(-moment.dt))
+
+    def replay(self, track: Track, params: Tensor) -> Tensor:
+        rest = track.rotor_speed.mean(dim=1, keepdim=True).numpy()
+        return torch.from_numpy(relax(rest, rest[0], tau=1.0, step=track.step))
+
+    def wrench(self, condition: Condition, params: Tensor) -> Tensor:
+        push = torch.zeros_like(params[:, :1].expand(-1, 6))
+        push[:, 0] = params[:, 0] * params[:, 1]
+        return push
+
+
+def test_an_effect_with_memory_is_one_class(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither predictor nor rollout knows it: speeds that rise by a tenth at 2 s push ``k w (1 + 0.1 (1 - exp(-(t - 2))))``."""
+    monkeypatch.setitem(EFFECTS._entries, Wake.name, Wake())
+    flight, gain = hover("a", 5.0), 1e-3
+    assert flight.rotor_speed is not None
+    still = float(flight.rotor_speed[0].mean())
+    more = np.where(flight.time >= 2.0, 1.1, 1.0)
+    flight = replace(flight, rotor_speed=flight.rotor_speed * more[:, None])
+    point = ModelParams(effects={Wake.name: np.array([gain])})
+
+    def push(time: Array) -> Array:
+        return gain * still * (1.0 + 0.1 * -np.expm1(-np.maximum(time - 2.0, 0.0)))
+
+    predictor = Predictor(ROBOT, [flight], bandwidth=10.0, channels=find_channels([flight]), tolerances=Tolerances())
+    found, bare = (predictor.predict(p)[0][:, 0] for p in (point, ModelParams()))
+    np.testing.assert_allclose(found - bare, push(predictor.times[0]) / ROBOT.body.mass, rtol=2e-3)
+    vehicle = [vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)]
+    rows = np.array([100, 200, 260])
+    run = Batch(vehicle, [point], np.zeros(3, dtype=int), [flight], np.zeros(3, dtype=int), rows)
+    ((_, state, _),) = run.fly(run.measured(0), {run.steps(0.1)})
+    np.testing.assert_allclose(state.lin_vel[:, 0], 0.1 * push(rows / RATE + 0.05) / ROBOT.body.mass, rtol=3e-3)

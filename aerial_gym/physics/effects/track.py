@@ -1,0 +1,49 @@
+"""What drives the memory of an effect along a measured flight. Letters: T rows, R rotors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from aerial_gym.physics.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track:
+    """Rows of one flight at equal time steps."""
+
+    vehicle: Vehicle
+    """With the effects on its parameters applied, one environment."""
+
+    rotor_speed: Tensor
+    """True rotor speeds [rad/s], (T, R)."""
+
+    step: float
+    """Between two rows [s]."""
+
+    begins_on_ground: bool
+    """Whether the vehicle stands in the first row."""
+
+    settled: float = 1.0
+    """Share of what it would be in lasting hover that a memory is when a flight begins in the air: logs do not tell it."""
+
+
+def relax(rest: Array, start: Array, *, tau: float, step: float) -> Array:
+    """Return the course of elements whose places of rest are given every ``step`` [s], both (T, any).
+
+    ``h_n+1 = a h_n + b0 r_n + b1 r_n+1`` with ``x = step / tau``, ``a = exp(-x)``, ``b1 = 1 - (1 - a) / x``,
+    ``b0 = 1 - a - b1``: exact where r runs in straight lines between the rows. ``start`` is h in the first row, (any,).
+
+    Source:
+        Derived: ``tau h' = r - h`` with a linear r, integrated over a step.
+    """
+    from scipy.signal import lfilter  # of the extra ``sim2real``
+
+    share = step / tau
+    decay, gained = np.exp(-share), -np.expm1(-share)
+    later = 1.0 - gained / share
+    past = start - later * rest[0]  # so that the output in the first row is the start
+    return lfilter([later, gained - later], [1.0, -decay], rest, axis=0, zi=past[None])[0]
