@@ -39,8 +39,8 @@ FLIP = np.array([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True, kw_only=True)
-class FlightLog:
-    """What was measured in one flight; None: not in the log."""
+class Recording:
+    """What a log and the flight that is made of it have in common; None: it was not measured. World ENU, body FLU, SI."""
 
     path: str
     """File, as error messages and reports call it."""
@@ -49,16 +49,13 @@ class FlightLog:
     """[s], increasing, (T,)."""
 
     attitude: Array
-    """Body to world, xyzw, as in the file: not yet made unit, (T, 4)."""
+    """Body to world, xyzw, (T, 4)."""
 
     position: Array | None = None
     """Body origin [m], world, (T, 3)."""
 
     lin_vel: Array | None = None
     """Of the body origin [m/s], world, (T, 3)."""
-
-    ang_vel: Array | None = None
-    """[rad/s], body, (T, 3)."""
 
     specific_force: Array | None = None
     """At the body origin [m/s²], body: +9.81 on z at hover, (T, 3)."""
@@ -68,6 +65,35 @@ class FlightLog:
 
     rotor_command: Array | None = None
     """Speeds commanded from each row on [rad/s], in force mode thrusts [N], (T, R)."""
+
+    battery: Array | None = None
+    """Voltage [V], (T,)."""
+
+    attitude_integrated: bool = False
+    """Whether the attitude is that which the gyro implies, and so no check of the gyro."""
+
+    other_position: Array | None = None
+    """Body origin of another vehicle flown at the same time [m], world, (T, 3); NaN where it is not known."""
+
+    ground_height: float = 0.0
+    """World z of the ground [m]."""
+
+    ceiling_height: float | None = None
+    """World z of the ceiling [m]; None if the log does not say."""
+
+    wind: tuple[float, float, float] | None = None
+    """Steady wind that was known to whoever flew [m/s], world; None: still air as far as is known."""
+
+    notes: tuple[str, ...] = ()
+    """What was done to the log, for the report."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightLog(Recording):
+    """What was measured in one flight, row by row of its file; quaternions are not yet made unit."""
+
+    ang_vel: Array | None = None
+    """[rad/s], body, (T, 3)."""
 
     collective: bool = False
     """Whether all rotors share one command: it says nothing about torques."""
@@ -80,27 +106,6 @@ class FlightLog:
 
     torques: bool = True
     """Whether the log shows what torques do."""
-
-    battery: Array | None = None
-    """Voltage [V], (T,)."""
-
-    attitude_integrated: bool = False
-    """Whether the attitude is that which the gyro implies, and so no check of the gyro."""
-
-    other_position: Array | None = None
-    """Body origin of another vehicle flown at the same time [m], world, (T, 3); NaN where its log has a gap."""
-
-    ground_height: float = 0.0
-    """World z of the ground [m]."""
-
-    ceiling_height: float | None = None
-    """World z of the ceiling [m]."""
-
-    wind: tuple[float, float, float] | None = None
-    """Steady wind that was known to whoever flew [m/s], world."""
-
-    notes: tuple[str, ...] = ()
-    """What was done to the log, for the report."""
 
     @property
     def name(self) -> str:

@@ -4,7 +4,7 @@ Letters: T rows, R rotors.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +35,7 @@ from aerial_gym.sim2real.logs.clock_offset import (
     offset_curve,
     shift_rotor_log,
 )
-from aerial_gym.sim2real.logs.flight_log import FlightLog, read_flight_log
+from aerial_gym.sim2real.logs.flight_log import FlightLog, Recording, read_flight_log
 from aerial_gym.sim2real.logs.mapping import LogMapping
 from aerial_gym.sim2real.logs.on_ground import rows_on_ground
 from aerial_gym.sim2real.logs.repeated_samples import mend_repeated_samples
@@ -52,71 +52,26 @@ FEWEST_HIGH = 10
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flight:
-    """One flight at equal time steps; world ENU, body FLU, SI."""
+class Flight(Recording):
+    """One flight at equal time steps that begins at 0 s; quaternions are unit, without jumps of sign."""
 
     name: str
     """Short name, unique among the flights of one run."""
 
-    path: str
-    """File."""
-
     rate: float
     """Rows per second [Hz]."""
-
-    time: Array
-    """[s], (T,)."""
-
-    position: Array | None
-    """[m], (T, 3)."""
-
-    attitude: Array
-    """Body to world, unit, xyzw, no jumps of sign, (T, 4)."""
-
-    lin_vel: Array | None
-    """[m/s], world, (T, 3)."""
 
     ang_vel: Array
     """[rad/s], body, (T, 3)."""
 
-    attitude_integrated: bool
-    """Whether ``attitude`` is that which the gyro implies."""
-
     gyro: bool
     """Whether ``ang_vel`` was measured and the rotors' torques are known; if not, its derivative is no channel."""
-
-    specific_force: Array | None
-    """[m/s²], body, (T, 3)."""
 
     accelerometer: bool
     """Whether ``specific_force`` was measured; if not, it was derived from the velocity."""
 
-    rotor_speed: Array | None
-    """Measured [rad/s], (T, R)."""
-
-    rotor_command: Array | None
-    """[rad/s], (T, R)."""
-
-    notes: tuple[str, ...]
-    """What was done to the log."""
-
-    battery: Array | None = None
-    """Voltage [V], (T,)."""
-
-    other_position: Array | None = None
-    """Body origin of another vehicle flown at the same time [m], world, (T, 3); NaN where it is not known."""
-
-    ground_height: float = 0.0
-    """World z of the ground [m]."""
-
-    ceiling_height: float | None = None
-    """World z of the ceiling [m]; None if the log does not say."""
-
     on_ground: NDArray[np.bool_] | None = None
     """Rows in which the vehicle stands on the ground, which are not compared, (T,); None: it never stands."""
-
-    wind: tuple[float, float, float] | None = None
-    """Steady wind that was known to whoever flew [m/s], world; None: still air as far as is known."""
 
     @property
     def num_rows(self) -> int:
@@ -276,26 +231,14 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = (), *, on_ground: NDA
         on_ground = low if on_ground is None else low | on_ground
     if on_ground is not None:
         said.append(f"stands on the ground in {on_ground.mean():.0%} of the rows; they are not compared")
+    shared = {field.name: getattr(log, field.name) for field in fields(Recording)}
+    completed = {"time": log.time - log.time[0], "specific_force": specific_force, "notes": tuple(said)}
     return Flight(
+        **(shared | completed),
         name=log.name,
-        path=log.path,
         rate=rate,
-        time=log.time - log.time[0],
-        position=log.position,
-        attitude=log.attitude,
-        lin_vel=log.lin_vel,
         ang_vel=ang_vel,
-        attitude_integrated=log.attitude_integrated,
         gyro=log.ang_vel is not None and log.torques and not log.collective,
-        specific_force=specific_force,
         accelerometer=log.specific_force is not None,
-        rotor_speed=log.rotor_speed,
-        rotor_command=log.rotor_command,
-        battery=log.battery,
-        other_position=log.other_position,
-        ground_height=log.ground_height,
-        ceiling_height=log.ceiling_height,
         on_ground=on_ground,
-        wind=log.wind,
-        notes=tuple(said),
     )
