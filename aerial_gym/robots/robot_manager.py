@@ -20,8 +20,9 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import Controller, make_controller
 from aerial_gym.errors import ConfigError, ShapeError
+from aerial_gym.interop import Aside
 from aerial_gym.interop.rows import MaskedRows
-from aerial_gym.math.random import Randomness
+from aerial_gym.math.random import Randomness, take_mask
 from aerial_gym.physics import (
     PhysicsBackend,
     SubstepHook,
@@ -147,7 +148,7 @@ class RobotManager:
             random=random,
         )
         self.backend.prepare(sim.dt)
-        self._update = self._make_update()
+        self._update, self._aside = self._make_update(), Aside(gtd.device)
         rest_speed = _hover_speed(self.declared, sim.gravity)
         self.tensors.state.rotor_speed.copy_(rest_speed)
         self.noticed = Noticed.of(gtd)
@@ -399,11 +400,11 @@ class RobotManager:
 
     def reset(self, mask: Tensor) -> None:
         """Draw a new initial state, and new parameters where randomised, for the environments in ``mask``, bool (E,)."""
-        self._initial.reset(mask)
-        if self._update is not None:
-            self._update()
-            if self.differentiable is not None:
-                self.differentiable.mark_written()
+        take_mask(self._random.mask, mask)
+        with self._aside.doing(self._update):  # neither reads what the other writes
+            self._initial.reset(self._random.mask)
+        if self._update is not None and self.differentiable is not None:
+            self.differentiable.mark_written()
         self.controller.reset(mask, self._random)
         self.backend.reset(mask)
 
