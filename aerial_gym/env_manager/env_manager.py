@@ -187,25 +187,23 @@ class EnvManager:
             key="episodes", shape=("E",), dtype=torch.int32, unit="-", frame="-", owner="env",
             meaning="number of the present episode, from 0 on; -1 before the first reset",
         ), view=self.random.episode)  # fmt: skip
-        self._flags = torch.zeros(2, self.num_envs, dtype=torch.bool, device=self.device)
-        self._counts = torch.zeros(2, self.num_envs, dtype=torch.int32, device=self.device)
-        for key, view, meaning in (
+        for key, dtype, meaning in (
             (
                 "crashes",
-                self._flags[0],
+                torch.bool,
                 "the robot touched something in this step (see contact), or the task calls it crashed",
             ),
-            ("truncations", self._flags[1], "the task ends the episode without a crash"),
-            ("sim_steps", self._counts[0], "environment steps since the last reset"),
+            ("truncations", torch.bool, "the task ends the episode without a crash"),
+            ("sim_steps", torch.int32, "environment steps since the last reset"),
             (
                 "non_finite",
-                self._counts[1],
+                torch.int32,
                 "what was NaN or infinite in this step: 1 action, 2 state, 4 reward, 8 observation; such a row is a crash",
             ),
         ):
-            declare(TensorSpec(
-                key=key, shape=("E",), dtype=view.dtype, unit="-", frame="-", owner="env, task", meaning=meaning
-            ), view=view)  # fmt: skip
+            declare(
+                TensorSpec(key=key, shape=("E",), dtype=dtype, unit="-", frame="-", owner="env, task", meaning=meaning)
+            )
 
     @property
     def traced(self) -> dict[str, Tensor]:
@@ -238,8 +236,6 @@ class EnvManager:
             env_actions: New twists of the obstacles that move by twist: velocity [m/s] and angular velocity [rad/s],
                 world, (E, A, 6). Without them obstacles keep the twists they have.
         """
-        gtd = self.gtd
-        self._flags.zero_()
         self.robot_manager.act(actions)
         if env_actions is not None:
             self.asset_manager.take_actions(env_actions)
@@ -247,7 +243,6 @@ class EnvManager:
         self.collide()
         self.robot_manager.refresh(self.dt)
         self.imus.measure()
-        gtd["sim_steps"].add_(1)
 
     def fly(self) -> None:
         """Advance the physics by an environment step, in one launch.
@@ -270,10 +265,15 @@ class EnvManager:
         self.random.restart(seed)
         self.asset_manager.restart()
 
-    def reset(self, mask: Tensor | None = None) -> None:
-        """Start the environments in ``mask``, bool (E,), anew; all of them without a mask. Others stay bit for bit."""
+    def reset(self, mask: Tensor | None = None, *, counted: bool = False) -> None:
+        """Start the environments in ``mask``, bool (E,), anew; all of them without a mask. Others stay bit for bit.
+
+        ``counted`` says that the mask is ``random.mask``, and that its new episodes stand in ``random.episode`` already: a task
+        writes both in the launch that finds which episodes end.
+        """
         all_rows = mask is None
-        self.random.begin(self._all if mask is None else mask)
+        if not counted:
+            self.random.begin(self._all if mask is None else mask)
         mask = self.random.mask
         self._bounds.draw(mask)
         if self.cfg.num_assets:
@@ -286,8 +286,6 @@ class EnvManager:
         self.imus.reset(mask)
         if self._collision.has_solids:
             self._collision.measure()
-        self._flags.masked_fill_(mask, 0)
-        self._counts.masked_fill_(mask, 0)
 
     def clear_goal(self, mask: Tensor, position: Tensor) -> None:
         """Make room for a robot at a goal (E, 3) [m], world, of the environments in ``mask``, bool (E,), after a reset."""

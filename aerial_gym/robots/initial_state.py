@@ -1,4 +1,4 @@
-"""Initial states, drawn inside a kernel.
+"""The beginning of an episode, with a state drawn inside a kernel, and of a step.
 
 Letters: E environments, R rotors, U entries of an action.
 """
@@ -39,9 +39,12 @@ def _reset(
     bounds_min: wp.array[wp.vec3],  # (E,) world [m]
     bounds_max: wp.array[wp.vec3],  # (E,) world [m]
     rest_speed: wp.array[float],  # (R,) [rad/s]
+    # in and out
     non_finite: wp.array[wp.int32],  # (E,) bits of NonFinite, of the step that ends
     episode_step: wp.array[wp.int32],  # (E,) that it was
     # out
+    crashes_out: wp.array[wp.bool],  # (E,)
+    truncations_out: wp.array[wp.bool],  # (E,)
     position_out: wp.array[wp.vec3],
     attitude_out: wp.array[wp.quat],
     lin_vel_out: wp.array[wp.vec3],
@@ -55,7 +58,8 @@ def _reset(
 ):
     """Write a new state and what follows from it where the mask says so; leave every other row alone.
 
-    Rows that end because they were not finite are counted, and the first ones written down.
+    Rows that end because they were not finite are counted, and the first ones written down. Then what said that an episode
+    ended is cleared.
     """
     e = wp.tid()
     if not mask[e]:
@@ -67,6 +71,10 @@ def _reset(
             rows_out[place, 1] = random.episode[e] - 1  # the new one has begun
             rows_out[place, 2] = episode_step[e]
             rows_out[place, 3] = non_finite[e]
+    non_finite[e] = 0
+    episode_step[e] = 0
+    crashes_out[e] = False
+    truncations_out[e] = False
     stream = stream_of(random, e, wp.static(int(Purpose.START)))
     share = draw_vec3(stream, 0, ranges.position_ratio_low, ranges.position_ratio_high)
     position = bounds_min[e] + wp.cw_mul(bounds_max[e] - bounds_min[e], share)
@@ -83,6 +91,48 @@ def _reset(
     for i in range(actions_out.shape[1]):
         actions_out[e, i] = 0.0
         prev_actions_out[e, i] = 0.0
+
+
+@wp.kernel(enable_backward=False)
+def _begin_step(
+    given: wp.array2d[float],  # (E, U)
+    # out
+    actions_out: wp.array2d[float],  # (E, U)
+    prev_actions_out: wp.array2d[float],  # (E, U)
+    episode_step_out: wp.array[wp.int32],  # (E,)
+    crashes_out: wp.array[wp.bool],  # (E,)
+    truncations_out: wp.array[wp.bool],  # (E,)
+):
+    """Take the action of every environment and keep the one before, count the step, clear what ends an episode."""
+    e, i = wp.tid()
+    prev_actions_out[e, i] = actions_out[e, i]
+    actions_out[e, i] = given[e, i]
+    if i == 0:
+        episode_step_out[e] = episode_step_out[e] + 1
+        crashes_out[e] = False
+        truncations_out[e] = False
+
+
+class StepBegin:
+    """Begins a step of every environment in one launch, with all views but that of the action made at construction."""
+
+    def __init__(self, actions: Tensor, prev_actions: Tensor, noticed: Noticed) -> None:
+        """Take what is written, the first two (E, U)."""
+        self._actions = actions
+        self._command = RecordedLaunch(
+            _begin_step,
+            dim=tuple(actions.shape),
+            inputs=[wp.from_torch(actions)],
+            outputs=[wp.from_torch(tensor) for tensor in (actions, prev_actions, noticed.episode_step, *noticed.flags)],
+            device=wp.device_from_torch(actions.device),
+        )
+
+    def take(self, given: Tensor) -> None:
+        """Begin with an action, (E, U); launched on torch's current stream, not waited for."""
+        given = given.detach().to(self._actions).contiguous()
+        self._command.set_param_at_index(0, wp.from_torch(given))
+        with on_torch_stream(self._actions):
+            self._command.launch()
 
 
 class InitialState:
@@ -112,7 +162,7 @@ class InitialState:
             actions: Set to zero, (E, U).
             prev_actions: Likewise.
             random: Of the draws.
-            noticed: What becomes of rows that were not finite.
+            noticed: What becomes of rows that were not finite, and what is cleared.
         """
         device = state.position.device
         self._mask = random.mask
@@ -128,6 +178,7 @@ class InitialState:
             dim=state.num_envs,
             inputs=[*inputs, *(wp.from_torch(tensor) for tensor in (rest_speed, noticed.bits, noticed.episode_step))],
             outputs=[
+                *(wp.from_torch(flag) for flag in noticed.flags),
                 wp.from_torch(state.position, dtype=wp.vec3),
                 wp.from_torch(state.attitude, dtype=wp.quat),
                 wp.from_torch(state.lin_vel, dtype=wp.vec3),

@@ -34,6 +34,9 @@ class Noticed:
     episode_step: Tensor
     """Which step of the episode that is, int32 (E,)."""
 
+    flags: tuple[Tensor, Tensor]
+    """What ended it, ``crashes`` and ``truncations``, each bool (E,). These and the two above begin anew with an episode."""
+
     found: Tensor
     """Count, and environment, episode, step and bits of the first K rows, side by side: one copy brings them to the host,
     int32 (1 + 4 K,)."""
@@ -52,13 +55,13 @@ class Noticed:
     def of(cls, gtd: GlobalTensorDictionary) -> "Noticed":
         """Return what belongs to the rows of a simulation."""
         found = torch.zeros(1 + 4 * KEPT_ROWS, dtype=torch.int32, device=gtd.device)
-        return cls(bits=gtd["non_finite"], episode_step=gtd["sim_steps"], found=found)
+        flags = gtd["crashes"], gtd["truncations"]
+        return cls(bits=gtd["non_finite"], episode_step=gtd["sim_steps"], flags=flags, found=found)
 
     @classmethod
     def nothing(cls, state: BodyState) -> "Noticed":
         """Return tensors that say that everything is finite."""
         device = state.position.device
-        zeros = torch.zeros(state.num_envs, dtype=torch.int32, device=device)
-        return cls(
-            bits=zeros, episode_step=zeros, found=torch.zeros(1 + 4 * KEPT_ROWS, dtype=torch.int32, device=device)
-        )
+        zeros, no = (torch.zeros(state.num_envs, dtype=dtype, device=device) for dtype in (torch.int32, torch.bool))
+        found = torch.zeros(1 + 4 * KEPT_ROWS, dtype=torch.int32, device=device)
+        return cls(bits=zeros, episode_step=zeros, flags=(no, no), found=found)

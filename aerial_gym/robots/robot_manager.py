@@ -39,7 +39,7 @@ from aerial_gym.physics.vehicle import is_shared, own_rows
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import below
 from aerial_gym.robots.differentiable import DifferentiableBackend
-from aerial_gym.robots.initial_state import InitialState
+from aerial_gym.robots.initial_state import InitialState, StepBegin
 from aerial_gym.robots.noticed import Noticed
 from aerial_gym.robots.parameter_draws import drawing
 from aerial_gym.robots.randomized import GAINS, Followed, Randomized, with_drawn_effects
@@ -164,6 +164,7 @@ class RobotManager:
             random=random,
             noticed=self.noticed,
         )
+        self._begin = StepBegin(self.tensors.actions, self.tensors.prev_actions, self.noticed)
 
     def _declare_model(self) -> None:
         """Declare what is per environment of the vehicle and its effects."""
@@ -375,14 +376,13 @@ class RobotManager:
         return bool(getattr(self.controller, "_ranges", None))
 
     def act(self, actions: Tensor) -> None:
-        """Begin a step: store its action, (E, U), and keep the one before."""
+        """Begin a step: store its action, (E, U), keep the one before, count the step, and clear what ends an episode."""
         if actions.shape != self.tensors.actions.shape:
             raise ShapeError(
                 f"actions has shape {tuple(actions.shape)}, expected (E, U) = {tuple(self.tensors.actions.shape)}: "
                 f"{', '.join(self.controller.action_names)}"
             )
-        self.tensors.prev_actions.copy_(self.tensors.actions)
-        self.tensors.actions.copy_(actions.detach())
+        self._begin.take(actions)
         if self.differentiable is not None:
             self.differentiable.action = actions.to(self.differentiable.state.position)
         if self._contact_force is not None:

@@ -44,7 +44,7 @@ StepResult = tuple[Observation, Tensor, Tensor, Tensor, dict[str, Tensor]]
 
 
 class Judgement(NamedTuple):
-    """What one kernel finds of a step of every environment, (E, ...); the first five go on into the next one."""
+    """What one kernel finds of a step of every environment, (E, ...); the first six go on into the next one."""
 
     non_finite: Tensor
     """Bits of ``NonFinite``, for ``gtd["non_finite"]``."""
@@ -60,6 +60,9 @@ class Judgement(NamedTuple):
 
     ended: Tensor
     """Terminated or truncated; for ``Randomness.mask``, where a reset takes it from."""
+
+    episode: Tensor
+    """Number of the episode that the next step belongs to; for ``Randomness.episode``."""
 
     final: Tensor
     """Observation before the reset."""
@@ -156,7 +159,7 @@ class Task:
         self._apart = terms_apart([(e.term, OBSERVATIONS[e.term]) for e in cfg.observations], self.state())
         self._observe = ByRow(self._finite_observation, "the observation")
         keys = ("non_finite", "crashes", "truncations")
-        self._written = (*(env.gtd[key] for key in keys), self.episode_return, env.random.mask)
+        self._written = (*(env.gtd[key] for key in keys), self.episode_return, env.random.mask, env.random.episode)
         self._judge = ByRow(self._judgement, f"the judgement of a step, with reward {cfg.reward!r},")
         self._command = ByRow(
             lambda actions: self._action.value(actions, self._action_params), f"action {cfg.action!r}"
@@ -260,6 +263,7 @@ class Task:
         self._watch.forget()
         self.episode_return.zero_()
         self._look()
+        self._noise.draw()
         return {"observations": self._noise.add(self._observe(*vars(self.state()).values()))}, {}
 
     def stagger(self) -> None:
@@ -275,9 +279,10 @@ class Task:
 
     def _step(self, actions: Tensor) -> StepResult:
         self.env.step(actions if self._action.value is direct else self._command(actions))
+        self._noise.draw(final=True)  # of the episode that may end now
         judged = Judgement(*self._judge(*self._judged(), out=self._written))
         ended, info = judged.ended, {
-            "final_observation": self._noise.add(judged.final, final=True),
+            "final_observation": self._noise.add(judged.final),
             "time_outs": judged.truncated,
             "episode_return": judged.total,
             "episode_length": judged.length,
@@ -289,18 +294,20 @@ class Task:
             if self.curriculum is not None:
                 self.curriculum.count(ended, judged.success)
         self._watch.keep(actions, ended)
-        self._begin(ended)
+        self._begin(ended, counted=True)
         self._look()
+        self._noise.draw()
         after = self._noise.add(self._observe(*vars(self.state()).values()))
         return {"observations": after}, judged.reward, judged.terminated, judged.truncated, info
 
     def _judged(self) -> tuple[Tensor, ...]:
         """Return what ``_judgement`` looks at."""
-        return (self._gtd["sim_steps"], self.episode_return, self._gtd["non_finite"], *vars(self.state()).values())
+        gtd, episode = self._gtd, self.env.random.episode
+        return (gtd["sim_steps"], self.episode_return, gtd["non_finite"], episode, *vars(self.state()).values())
 
-    def _begin(self, mask: Tensor) -> None:
+    def _begin(self, mask: Tensor, *, counted: bool = False) -> None:
         """Start episodes in the environments of ``mask``: robot, obstacles, goal and the room around it."""
-        self.env.reset(mask)
+        self.env.reset(mask, counted=counted)
         mask = self.env.random.mask
         if self._goals is not None:
             self._goals.draw(mask)
@@ -365,7 +372,7 @@ class Task:
         return self._observation(*state).nan_to_num(0.0, 0.0, 0.0)
 
     def _judgement(
-        self, steps: Tensor, episode_return: Tensor, non_finite: Tensor, *state: Tensor
+        self, steps: Tensor, episode_return: Tensor, non_finite: Tensor, episode: Tensor, *state: Tensor
     ) -> tuple[Tensor, ...]:
         """Return a ``Judgement``."""
         at = TaskState.of(state)
@@ -395,6 +402,7 @@ class Task:
             terminated=terminated.clone(),
             truncated=truncated.clone(),
             ended=ended,
+            episode=episode + ended,
             distance=distance,
             total=total,
             length=steps.clone(),

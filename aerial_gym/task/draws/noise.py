@@ -51,11 +51,13 @@ class ObservationNoise:
             device=wp.device_from_torch(std.device),
         )
 
-    def add(self, observation: Tensor, *, final: bool = False) -> Tensor:
-        """Return an observation (E, O) with noise; the last one of an episode has noise of its own."""
-        if not self._any:
-            return observation
-        self._command.set_param_at_index(1, int(Purpose.FINAL_OBSERVATION if final else Purpose.OBSERVATION))
-        with on_torch_stream(self._noise):
-            self._command.launch()
-        return observation + self._noise
+    def draw(self, *, final: bool = False) -> None:
+        """Draw the noise of the present step of the present episodes; the last observation of one has noise of its own."""
+        if self._any:
+            self._command.set_param_at_index(1, int(Purpose.FINAL_OBSERVATION if final else Purpose.OBSERVATION))
+            with on_torch_stream(self._noise):
+                self._command.launch()
+
+    def add(self, observation: Tensor) -> Tensor:
+        """Return an observation (E, O) with the noise that was drawn last."""
+        return observation + self._noise if self._any else observation

@@ -1,6 +1,6 @@
 """Initial states: within their ranges, uniform, and a function of seed, environment and episode alone."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -10,7 +10,8 @@ from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import state_at_rest
 from aerial_gym.robots.derived import DerivedStates
-from aerial_gym.robots.initial_state import InitialState
+from aerial_gym.robots.initial_state import InitialState, StepBegin
+from aerial_gym.robots.noticed import Noticed
 
 CFG = InitialStateCfg(
     position_ratio_low=(0.1, 0.2, 0.3),
@@ -36,7 +37,7 @@ class Begun:
         self.initial.reset(mask)
 
 
-def make(num_envs: int, seed: int = 0):
+def make(num_envs: int, seed: int = 0, noticed: Noticed | None = None):
     random = Randomness(num_envs, seed=seed)
     state = state_at_rest(num_envs, 4, device=torch.device("cpu"), dtype=torch.float32)
     derived = {name: torch.full((num_envs, width), torch.nan) for name, width in (
@@ -52,6 +53,7 @@ def make(num_envs: int, seed: int = 0):
         actions=torch.ones(num_envs, 4),
         prev_actions=torch.ones(num_envs, 4),
         random=random,
+        noticed=noticed,
     )
     return state, derived, Begun(initial, random)
 
@@ -123,3 +125,44 @@ def test_what_follows_from_the_motion_is_written_with_it() -> None:
         ("root_state", torch.cat((state.position, state.attitude, state.lin_vel, turn), dim=-1)),
     ):
         torch.testing.assert_close(derived[name], expected, rtol=1e-5, atol=1e-5, msg=name)
+
+
+def noticed(num_envs: int) -> Noticed:
+    """Return rows that ended in every way, with marks in all."""
+    made = Noticed.nothing(state_at_rest(num_envs, 4, device=torch.device("cpu"), dtype=torch.float32))
+    marks = torch.arange(num_envs, dtype=torch.int32)
+    return replace(made, bits=marks % 2, episode_step=7 + marks, flags=(marks >= 0, marks >= 0))
+
+
+def test_a_reset_notices_what_ended_its_rows_and_clears_it_there_alone() -> None:
+    marked = noticed(4)
+    _, _, begun = make(4, noticed=marked)
+    begun.reset(torch.tensor([True, True, False, False]))
+    assert marked.found[:5].tolist() == [1, 1, -1, 8, 1]  # one row: environment 1, the episode before the first, step 8
+    assert marked.bits.tolist() == [0, 0, 0, 1]
+    assert marked.episode_step.tolist() == [0, 0, 9, 10]
+    for flag in marked.flags:
+        assert flag.tolist() == [False, False, True, True]
+
+
+def test_a_step_begins_with_its_action_whatever_its_layout_and_keeps_the_one_before() -> None:
+    marked, actions, before = noticed(3), torch.full((3, 2), 5.0), torch.zeros(3, 2)
+    begin = StepBegin(actions, before, marked)
+    numbers = torch.arange(6.0)
+    last = actions.clone()
+    for given in (
+        numbers.view(3, 2),
+        numbers.view(2, 3).T,
+        numbers.double().view(3, 2).requires_grad_(),
+        numbers[:2].expand(3, 2),
+        actions,
+        before,
+    ):
+        wanted = (last if given is before else given).detach().float().clone()
+        begin.take(given)
+        assert torch.equal(before, last)
+        assert torch.equal(actions, wanted)
+        last = wanted
+    assert marked.episode_step.tolist() == [13, 14, 15]
+    assert not any(flag.any() for flag in marked.flags)
+    assert marked.bits.tolist() == [0, 1, 0]
