@@ -30,6 +30,7 @@ from aerial_gym.physics.fused.packing import (
     arrange,
     numbers_of,
     packed_rows,
+    parameter_rows,
     shared_structs,
     types_of,
 )
@@ -201,7 +202,8 @@ class WarpBackend:
         old, self._model = self._model, model
         pairs = [*zip(model.vehicle.rows().values(), old.vehicle.rows().values(), strict=True)]
         pairs.append((model.other_position, old.other_position))
-        if any(is_shared(kept) and new is not kept and not _same_row(new, kept) for new, kept in pairs):
+        changed = any(is_shared(kept) and new is not kept and not _same_row(new, kept) for new, kept in pairs)
+        if changed or not self._packing.fits(self._numbers(1.0)):
             memory, law_memory = self._memory, self.law_memory
             self.allocate(
                 model,
@@ -243,16 +245,12 @@ class WarpBackend:
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
         """Return the packed numbers of the vehicle, (E, n), and the parameters of the effects, (E, m)."""
         numbers = numbers_of(model, self._law, STAGES[self._integrator] * self._dt)
-        vehicle = [field.rows() for field in numbers.vehicle if field.name in self._packing.vehicle]
-        return tuple(torch.cat(rows, dim=1) for rows in (vehicle, numbers.effects) if rows)
+        return parameter_rows(self._packing, numbers)
 
     def parameter_targets(self) -> tuple[Tensor, ...]:
         """Return their places in the packed tensor (N, E)."""
         width = sum(rows.shape[1] for rows in self._numbers(self._dt).effects)
-        first = min(
-            [*self._packing.command.values(), *([] if self._packing.gains is None else [self._packing.gains])],
-            default=self._packing.effects,
-        )
+        first = self._packing.behind_vehicle
         return tuple(
             rows.T for rows in (self._packed[:first], self._packed[self._packing.effects :][:width]) if len(rows)
         )

@@ -16,16 +16,8 @@ from aerial_gym.physics.fused.functions import load_quat, load_vec4, rotate, sto
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, NoGains, preparation
 from aerial_gym.physics.fused.memory import make_begin, memory_type
-from aerial_gym.physics.fused.packing import (
-    Packing,
-    make_command_reader,
-    make_gains_reader,
-    make_reader,
-    make_vehicle_reader,
-    num_values,
-    types_of,
-    values_type,
-)
+from aerial_gym.physics.fused.packing import Packing, num_values, types_of, values_type
+from aerial_gym.physics.fused.readers import make_command_reader, make_gains_reader, make_reader, make_vehicle_reader
 from aerial_gym.physics.fused.rotors import make_dead_band
 from aerial_gym.physics.fused.types import vector_of
 from aerial_gym.physics.model import Model
@@ -87,7 +79,7 @@ def make_kernel(
         make_stepper(model, integrator),
         make_command(law, num_rotors, general, differentiable=differentiable),
     )
-    read_vehicle = make_vehicle_reader(types, packing.vehicle)
+    read_vehicle = make_vehicle_reader(types, packing.vehicle, packing.entries)
     read_command = make_command_reader(types, packing.command)
     read_gains = make_gains_reader(law, packing.gains)
     read_params = make_reader(params_type, num_params, 0)

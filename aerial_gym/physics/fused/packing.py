@@ -1,4 +1,4 @@
-"""Where each number of an environment stands for the fused kernel, how it is written there from torch, and how it is read.
+"""Where each number of an environment stands for the fused kernel, and how it is written there from torch.
 
 A number that all environments share stands in a struct, which a launch passes by value. One that differs stands in the packed
 tensor (N, E): its *row* is the same for all environments, so that neighbouring threads read neighbouring memory. What effects
@@ -9,7 +9,7 @@ Letters: E environments, R rotors, N packed numbers, P parameters and M remember
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache, reduce
+from functools import reduce
 from typing import Any
 
 import torch
@@ -37,9 +37,10 @@ class Field:
         """Whether all environments have the same value."""
         return all(is_shared(source) for source in self.sources)
 
-    def rows(self) -> Tensor:
-        """Return the numbers of every environment, (E, n)."""
-        return self.compute(*self.sources).flatten(1)
+    def rows(self, entries: tuple[int, ...] | None = None) -> Tensor:
+        """Return the numbers of every environment, (E, n), or only some entries of them."""
+        rows = self.compute(*self.sources).flatten(1)
+        return rows if entries is None else torch.stack([rows[:, i] for i in entries], dim=1)
 
     def row(self) -> list[float]:
         """Return the numbers that all environments share."""
@@ -135,11 +136,18 @@ def numbers_of(model: Model, law: FusedLaw, stage: float) -> Numbers:
     return Numbers(_vehicle_fields(model, stage), _command_fields(law, model.vehicle.plain), gains, effects)
 
 
+SYMMETRIC = (0, 1, 2, 4, 5, 8)
+"""Entries of a symmetric 3 x 3 matrix from which the others follow."""
+
+
 @dataclass(frozen=True)
 class Packing:
     """The first row in the packed tensor (N, E) of each field that differs between environments."""
 
     vehicle: Mapping[str, int]
+    entries: Mapping[str, tuple[int, ...]]
+    """Which entries of a field of the vehicle are packed, where it is not all of them."""
+
     command: Mapping[str, int]
     gains: int | None
     """Of the first gain; None where all environments have the same."""
@@ -148,34 +156,73 @@ class Packing:
     total: int
     """N."""
 
+    @property
+    def behind_vehicle(self) -> int:
+        """The first row that is not of the vehicle."""
+        gains = [] if self.gains is None else [self.gains]
+        return min([*self.command.values(), *gains, self.effects])
+
+    def fits(self, numbers: Numbers) -> bool:
+        """Return whether what is packed of each field still says all of it."""
+        return not self.entries or self.entries.keys() <= entries_of(numbers.vehicle).keys()
+
 
 def arrange(numbers: Numbers, *, all_packed: bool) -> Packing:
     """Return a row for every number that differs between environments; with ``all_packed`` for every number."""
-    first = 0
+    first, few = 0, {} if all_packed else entries_of(numbers.vehicle)
 
-    def place(fields: list[Field]) -> dict[str, int]:
+    def place(fields: list[Field], few: Mapping[str, tuple[int, ...]]) -> dict[str, int]:
         nonlocal first
         rows = {}
         for field in fields:
             if all_packed or not field.shared:
                 rows[field.name] = first
-                first += len(field.row())
+                first += len(few.get(field.name, field.row()))
         return rows
 
-    vehicle, command, gains = place(numbers.vehicle), place(numbers.command), None
+    vehicle, command, gains = place(numbers.vehicle, few), place(numbers.command, {}), None
     if numbers.gains and (all_packed or not all(field.shared for field in numbers.gains)):
         gains = first
         first += sum(len(field.row()) for field in numbers.gains)
-    return Packing(vehicle, command, gains, first, first + sum(params.shape[1] for params in numbers.effects))
+    few = {name: entries for name, entries in few.items() if name in vehicle}
+    return Packing(vehicle, few, command, gains, first, first + sum(params.shape[1] for params in numbers.effects))
+
+
+def entries_of(vehicle: list[Field]) -> dict[str, tuple[int, ...]]:
+    """Return the entries from which a field follows: half of the inertia, and the squares of maps that have nothing else.
+
+    What draws do to a map is a factor on each rotor: what is zero stays zero.
+    """
+    found = {"inertia": SYMMETRIC, "inertia_inverse": SYMMETRIC}
+    for field in vehicle:
+        if field.name in ("thrust_map", "torque_map") and only_squares(field):
+            found[field.name] = tuple(range(2, len(field.row()), 3))
+    return found
+
+
+def only_squares(field: Field) -> bool:
+    """Return whether a field of maps (E, R, 3) has squares of the speed alone."""
+    return not bool(field.sources[0][..., :2].any())
 
 
 def packed_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
     """Return the packed numbers, each (E, n), in the order of their rows."""
-    packed = [field.rows() for field in numbers.vehicle if field.name in packing.vehicle]
+    packed = vehicle_rows(packing, numbers)
     packed += [field.rows() for field in numbers.command if field.name in packing.command]
     if packing.gains is not None:
         packed += [field.rows() for field in numbers.gains]
     return packed + numbers.effects
+
+
+def vehicle_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
+    """Return those of the vehicle."""
+    packed = (field for field in numbers.vehicle if field.name in packing.vehicle)
+    return [field.rows(packing.entries.get(field.name)) for field in packed]
+
+
+def parameter_rows(packing: Packing, numbers: Numbers) -> tuple[Tensor, ...]:
+    """Return the packed numbers of the vehicle, (E, n), and the parameters of the effects, (E, m); without what is empty."""
+    return tuple(torch.cat(rows, dim=1) for rows in (vehicle_rows(packing, numbers), numbers.effects) if rows)
 
 
 def shared_structs(packing: Packing, numbers: Numbers, law: FusedLaw, types: RotorTypes) -> list[Any]:
@@ -199,135 +246,9 @@ def _struct(struct_type: Any, fields: list[Field], packed: Mapping[str, int]) ->
     return struct
 
 
-@cache
-def make_reader(kind: Any, height: int, width: int) -> wp.Function:
-    """Return a function that reads a vector (width 0) or matrix of one environment from the packed tensor."""
-
-    @wp.func
-    def read_vector(source: wp.array2d[float], first: int, env: int) -> kind:
-        value = kind()
-        for i in range(wp.static(height)):
-            value[i] = source[first + i, env]
-        return value
-
-    @wp.func
-    def read_matrix(source: wp.array2d[float], first: int, env: int) -> kind:
-        value = kind()
-        for i in range(wp.static(height)):
-            for j in range(wp.static(width)):
-                value[i, j] = source[first + i * wp.static(width) + j, env]
-        return value
-
-    return read_matrix if width else read_vector
-
-
 def types_of(model: Model) -> RotorTypes:
     """Return the types for the rotors of a model."""
     return rotor_types(model.vehicle.num_rotors, not model.vehicle.plain)
-
-
-def make_vehicle_reader(types: RotorTypes, packed: Mapping[str, int]) -> wp.Function:
-    """Return a function that completes the shared vehicle with what is per environment."""
-    at, num_rotors = packed.get, types.vector._length_
-    vehicle_type = types.vehicle
-    vec3, mat33 = make_reader(wp.vec3, 3, 0), make_reader(wp.mat33, 3, 3)
-    vector, rows = make_reader(types.vector, num_rotors, 0), make_reader(types.rows, num_rotors, 3)
-    battery = make_reader(vector_of(6), 6, 0)
-
-    @wp.func
-    def read(shared: vehicle_type, source: wp.array2d[float], env: int) -> vehicle_type:
-        vehicle = shared
-        if wp.static("mass_inverse" in packed):
-            vehicle.mass_inverse = source[wp.static(at("mass_inverse", 0)), env]
-        if wp.static("inertia" in packed):
-            vehicle.inertia = mat33(source, wp.static(at("inertia", 0)), env)
-            vehicle.inertia_inverse = mat33(source, wp.static(at("inertia_inverse", 0)), env)
-        if wp.static("com" in packed):
-            vehicle.com = vec3(source, wp.static(at("com", 0)), env)
-        if wp.static("thrust_map" in packed):
-            vehicle.thrust_map = rows(source, wp.static(at("thrust_map", 0)), env)
-        if wp.static("torque_map" in packed):
-            vehicle.torque_map = rows(source, wp.static(at("torque_map", 0)), env)
-        if wp.static("rotor_axis" in packed):
-            vehicle.rotor_axis = rows(source, wp.static(at("rotor_axis", 0)), env)
-        if wp.static("rotor_moment" in packed):
-            vehicle.rotor_moment = rows(source, wp.static(at("rotor_moment", 0)), env)
-        if wp.static("rotor_lever" in packed):
-            vehicle.rotor_lever = rows(source, wp.static(at("rotor_lever", 0)), env)
-        if wp.static("rotor_radius" in packed):
-            vehicle.rotor_radius = vector(source, wp.static(at("rotor_radius", 0)), env)
-        if wp.static("rotor_reaction" in packed):
-            vehicle.rotor_reaction = rows(source, wp.static(at("rotor_reaction", 0)), env)
-        if wp.static("reverse_thrust_map" in packed):
-            vehicle.reverse_thrust_map = rows(source, wp.static(at("reverse_thrust_map", 0)), env)
-        if wp.static("reverse_torque_map" in packed):
-            vehicle.reverse_torque_map = rows(source, wp.static(at("reverse_torque_map", 0)), env)
-        if wp.static("tau_up" in packed):
-            vehicle.tau_up = vector(source, wp.static(at("tau_up", 0)), env)
-        if wp.static("tau_down" in packed):
-            vehicle.tau_down = vector(source, wp.static(at("tau_down", 0)), env)
-        if wp.static("slew_up" in packed):
-            vehicle.slew_up = vector(source, wp.static(at("slew_up", 0)), env)
-        if wp.static("slew_down" in packed):
-            vehicle.slew_down = vector(source, wp.static(at("slew_down", 0)), env)
-        if wp.static("dead_band" in packed):
-            vehicle.dead_band = vector(source, wp.static(at("dead_band", 0)), env)
-        if wp.static("decay_up" in packed):
-            vehicle.decay_up = vector(source, wp.static(at("decay_up", 0)), env)
-        if wp.static("decay_down" in packed):
-            vehicle.decay_down = vector(source, wp.static(at("decay_down", 0)), env)
-        if wp.static("battery" in packed):
-            vehicle.battery = battery(source, wp.static(at("battery", 0)), env)
-        if wp.static("other_position" in packed):
-            vehicle.other_position = vec3(source, wp.static(at("other_position", 0)), env)
-        return vehicle
-
-    return read
-
-
-def make_command_reader(types: RotorTypes, packed: Mapping[str, int]) -> wp.Function:
-    """Return a function that completes the shared command parameters with what is per environment."""
-    at, num_rotors = packed.get, types.vector._length_
-    command_type = types.command
-    vector, rows = make_reader(types.vector, num_rotors, 0), make_reader(types.rows, num_rotors, 3)
-    matrix = make_reader(types.allocation, num_rotors, 6)
-
-    @wp.func
-    def read(shared: command_type, source: wp.array2d[float], env: int) -> command_type:
-        command = shared
-        if wp.static("low" in packed):
-            command.low = vector(source, wp.static(at("low", 0)), env)
-        if wp.static("high" in packed):
-            command.high = vector(source, wp.static(at("high", 0)), env)
-        if wp.static("thrust_map" in packed):
-            command.thrust_map = rows(source, wp.static(at("thrust_map", 0)), env)
-        if wp.static("reverse_thrust_map" in packed):
-            command.reverse_thrust_map = rows(source, wp.static(at("reverse_thrust_map", 0)), env)
-        if wp.static("speed_map" in packed):
-            command.speed_map = rows(source, wp.static(at("speed_map", 0)), env)
-        if wp.static("allocation" in packed):
-            command.allocation = matrix(source, wp.static(at("allocation", 0)), env)
-        return command
-
-    return read
-
-
-def make_gains_reader(law: FusedLaw, first: int | None) -> wp.Function:
-    """Return a function to the gains of an environment; ``first`` is their row, None where all have the same."""
-    gains_type, load = law.gains_type or NoGains, law.load_gains
-
-    @wp.func
-    def shared_gains(shared: gains_type, source: wp.array2d[float], env: int) -> gains_type:
-        return shared
-
-    if first is None:
-        return shared_gains
-
-    @wp.func
-    def own_gains(shared: gains_type, source: wp.array2d[float], env: int) -> gains_type:
-        return load(source, wp.static(first), env)
-
-    return own_gains
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,67 @@
+"""Which numbers of an environment of its own the fused kernel reads from memory."""
+
+from dataclasses import replace
+
+import torch
+
+from aerial_gym import SimBuilder
+from aerial_gym.config.randomize import RandomizeCfg
+from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.physics import BodyState, TorchBackend, WarpBackend, build_model, vehicle_from_config
+from aerial_gym.physics.vehicle import Vehicle
+from aerial_gym.robots import ROBOTS
+from tests.physics.vehicles import random_state
+
+ENVS, DT = 8, 0.004
+
+
+def test_what_follows_from_other_numbers_takes_no_rows() -> None:
+    """Mass 1, inertia and its inverse 6 each, squares of thrust and torque 4 each, lags rising and falling 4 each."""
+    drawn = RandomizeCfg(each_rotor=True, low=0.9, high=1.1)
+    env = SimBuilder().build_env(
+        sim_name="base_sim",
+        env_name="empty_env",
+        robot_name="base_quadrotor",
+        controller_name="lee_velocity_control",
+        num_envs=2,
+        device="cpu",
+        randomize={
+            "body.mass": RandomizeCfg(low=0.9, high=1.1),
+            "rotor.thrust_map": drawn,
+            "rotor.time_constant": drawn,
+        },
+    )
+    backend = env.robot_manager.backend
+    assert isinstance(backend, WarpBackend)
+    assert [rows.shape for rows in backend.parameter_targets()] == [(2, 1 + 12 + 8 + 8)]
+
+
+def test_maps_and_inertias_of_any_kind_arrive_whole() -> None:
+    """Products of inertia; then maps with constant and linear terms in place of squares alone: as in torch."""
+    ends = []
+    for backend in (TorchBackend(), WarpBackend()):
+        vehicle = vehicle_from_config(ROBOTS.get("base_quadrotor"), num_envs=ENVS)
+        factor = torch.linspace(0.8, 1.2, ENVS)
+        inertia = vehicle.inertia + 1e-4 * torch.tensor([[0.0, 1.0, 2.0], [1.0, 0.0, -3.0], [2.0, -3.0, 0.0]])
+        first = vehicle.with_scaled_maps(thrust=factor[:, None].expand(-1, 4), torque=factor[:, None].expand(-1, 4))
+        first = replace(first, inertia=factor[:, None, None] * inertia)
+        law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, 9.81, dt=DT)
+        backend.allocate(build_model(first), law, integrator="euler")
+        start = random_state(ENVS, seed=4, rotor_speed=400.0)
+        state = BodyState(**{name: value.float() for name, value in vars(start).items()})
+        command = torch.full((ENVS, 4), 450.0)
+        backend.step(state, command, DT, 5)
+        ends.append(torch.cat(state.tensors(), dim=-1))
+        backend.set_model(build_model(with_linear_terms(first)))
+        backend.step(state, command, DT, 5)
+        ends.append(torch.cat(state.tensors(), dim=-1))
+    for torch_end, warp_end in zip(ends[:2], ends[2:], strict=True):
+        torch.testing.assert_close(warp_end, torch_end, rtol=2e-5, atol=2e-5)
+    assert (ends[0] - ends[1]).abs().max() > 0.01
+
+
+def with_linear_terms(vehicle: Vehicle) -> Vehicle:
+    """Return the vehicle with a constant thrust and one that grows with the speed."""
+    more = vehicle.thrust_map.clone()
+    more[..., 0], more[..., 1] = 0.1, 1e-3
+    return replace(vehicle, thrust_map=more)
