@@ -23,10 +23,9 @@ _STORE = """
 #if defined(__CUDA_ARCH__)
     char* data = reinterpret_cast<char*>(out.data);
     const size_t gap = out.strides[0];
-    if constexpr (count == 4) {
-        float* to = reinterpret_cast<float*>(data + row * gap);
-        if (INNER == 4 && (reinterpret_cast<size_t>(to) & 15) == 0) {
-            *reinterpret_cast<float4*>(to) = make_float4(value[0], value[1], value[2], value[3]);
+    if constexpr (count == 4) {  // all rows or none: those that leave here would be missed by the other threads of their warp
+        if (INNER == 4 && ((reinterpret_cast<size_t>(data) | gap) & 15) == 0) {
+            *reinterpret_cast<float4*>(data + row * gap) = make_float4(value[0], value[1], value[2], value[3]);
             return;
         }
     }
