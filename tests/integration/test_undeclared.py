@@ -16,10 +16,10 @@ from aerial_gym.sim2real import close_loop
 from benchmarks.undeclared import make_case
 
 SHORT: dict[str, Any] = {"num_train": 4, "num_test": 2, "duration_s": 8.0, "rate_hz": 200}
-EFFECTS = ("rotor_drag", "com_offset", "motor_tilt", "actuation_delay")
+EFFECTS = ("motor_tilt", "actuation_delay")
 MORE_EFFECTS = (
-    "quadratic_drag", "thrust_coefficient", "motor_time_constant", "constant_wind", "h_force_flapping", "imu_misalignment",
-    "battery_sag", "ceiling_effect", "downwash", "joint_spring", "joint_creep",
+    "rotor_drag", "com_offset", "quadratic_drag", "thrust_coefficient", "motor_time_constant", "constant_wind",
+    "h_force_flapping", "imu_misalignment", "battery_sag", "ceiling_effect", "downwash", "joint_spring", "joint_creep",
 )  # fmt: skip
 CAUSES = ("unknown_position",)
 MORE_CAUSES = ("unknown_periodic", "unknown_time", "unknown_heading")

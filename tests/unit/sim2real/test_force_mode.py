@@ -60,9 +60,9 @@ def found(folder: Path, **hidden: float) -> dict:
 @pytest.mark.parametrize(
     ("hidden", "name", "params"),
     [
-        ({"drag": 0.25}, "rotor_drag", {"dx": 0.25, "dy": 0.25}),
         ({"tau": 0.1}, "motor_time_constant", {"tau": 0.1}),
-        ({"scale": 1.1}, "thrust_coefficient", {"scale": 1.1}),
+        pytest.param({"drag": 0.25}, "rotor_drag", {"dx": 0.25, "dy": 0.25}, marks=pytest.mark.slow),
+        pytest.param({"scale": 1.1}, "thrust_coefficient", {"scale": 1.1}, marks=pytest.mark.slow),
     ],
 )
 def test_the_hidden_effect_is_named(
