@@ -20,6 +20,9 @@ SHORTEST_BLOCK_S = 0.5
 ENOUGH_BLOCKS = 24
 """So many tell a scatter to 15 %."""
 
+QUARTERS = 4
+"""A single flight is left out in so many parts."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Moments:
@@ -66,6 +69,14 @@ def block_length(times: Sequence[Array]) -> float:
     """Return how long blocks of flights with rows at these times [s] are [s]: shorter if there would be few."""
     total = sum(float(time[-1] - time[0]) for time in times)
     return float(np.clip(total / ENOUGH_BLOCKS, SHORTEST_BLOCK_S, BLOCK_S))
+
+
+def folds(flight: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return what is left out together: the flight of each block, or the quarter of a single flight, (B,)."""
+    if flight.max() > 0:
+        return flight
+    parts = min(QUARTERS, flight.size)
+    return np.arange(flight.size) * parts // flight.size
 
 
 def block_rows(time: Array, length: float) -> list[NDArray[np.int64]]:

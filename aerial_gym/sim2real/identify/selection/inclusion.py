@@ -15,13 +15,13 @@ Letters: N resamples, B blocks, F folds (flights, or quarters of a single one).
 
 from collections import Counter
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aerial_gym.sim2real.identify.selection.library import build_library
+from aerial_gym.sim2real.identify.selection.library import build_library, seen_candidates
 from aerial_gym.sim2real.identify.selection.linear import LinearSelector
 from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -68,7 +68,11 @@ def inclusion(predictor: Predictor, declared: ModelParams, selection: Selection,
         Davison, Hinkley (1997), Bootstrap Methods and their Application, section 3.8 (hierarchical data); Sauerbrei,
         Schumacher (1992), A bootstrap resampling procedure for model building, Statistics in Medicine 11 (inclusion).
     """
-    library = build_library(predictor, declared, selection)
+    fit = selection.final.fit
+    library = build_library(
+        predictor, declared, fit.point, selection.accepted, frozen=fit.frozen, skipped=selection.not_testable
+    )
+    library = replace(library, candidates=seen_candidates(library, selection.weights.weight))
     draws = draw_blocks(selection.left_out.fold, np.random.default_rng(seed))
     models = LinearSelector(library, selection, draws).select()
     sets = [tuple(sorted(library.candidates[k].name for k in model)) for model in models]

@@ -3,8 +3,8 @@
 Letters: B blocks, C channels, K columns (parameters of the candidates in units of their scale, then the tolerances).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     WEAK_PRIOR,
+    Frozen,
     bounds_of,
     effect_jacobian,
     is_number,
@@ -21,7 +22,6 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     tolerance_jacobian,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments
-from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -50,6 +50,9 @@ class Candidate:
     contained: int = 0
     """Of how many effects it is a wider case."""
 
+    start: Array = field(default_factory=lambda: np.zeros(0))
+    """Its parameters where it is linearised, conventions and the number of its rotor among them."""
+
     @property
     def complexity(self) -> int:
         """Return by what effects are ordered that flights do not tell apart, as ``Trial.complexity``."""
@@ -58,7 +61,7 @@ class Candidate:
 
 @dataclass(frozen=True, kw_only=True)
 class Library:
-    """Candidates about the final model; the residual is that of the declared one, all candidates at neutral."""
+    """Candidates about a model; the residual is that of the declared one, all candidates at neutral."""
 
     candidates: tuple[Candidate, ...]
     moments: Moments
@@ -68,18 +71,33 @@ class Library:
     """Places of the tolerances among the K columns."""
 
 
-def build_library(predictor: Predictor, declared: ModelParams, selection: Selection) -> Library:
-    """Return the candidates that the flights can show, each with the parameters that they show.
+def build_library(
+    predictor: Predictor,
+    declared: ModelParams,
+    present: ModelParams,
+    accepted: Sequence[str],
+    *,
+    frozen: Frozen = frozenset(),
+    skipped: Collection[str] = (),
+) -> Library:
+    """Return every candidate about a model that holds some of them.
 
     The derivatives of an accepted effect are those at its fitted values, and exact back to neutral; of any other one those at
     neutral.
+
+    Args:
+        predictor: Training flights.
+        declared: The declared model.
+        present: The model about which the candidates are linear.
+        accepted: Effects that were fitted in it.
+        frozen: Parameters of accepted effects that the flights do not show; they stay as they are.
+        skipped: Effects that these flights cannot show.
     """
-    final, frozen = selection.final.fit.point, selection.final.fit.frozen
-    base = predictor.predict(final)
+    base = predictor.predict(present)
     residuals = [m - p for m, p in zip(predictor.measured, base, strict=True)]
     candidates, parts, width = [], [], 0
-    for name, point in origins(declared, selection, predictor.robot):
-        named, neutral, scale = point is final, neutral_of(name, declared, predictor.robot), scales((name,))
+    for name, point in origins(declared, present, accepted, skipped, predictor.robot):
+        named, neutral, scale = point is present, neutral_of(name, declared, predictor.robot), scales((name,))
         columns = effect_jacobian(predictor, point, (name,), base if named else predictor.predict(point))
         step = (params_of(point, (name,)) - neutral) / scale
         if named:  # back to neutral
@@ -90,17 +108,26 @@ def build_library(predictor: Predictor, declared: ModelParams, selection: Select
         low, high = (((bound - neutral) / scale)[free] for bound in bounds_of(predictor.robot, (name,)))
         places = np.array(free, dtype=int) + width
         wider = len(EFFECTS.get(name).contains)
-        candidates.append(Candidate(name=name, named=named, columns=places, low=low, high=high, contained=wider))
+        candidates.append(
+            Candidate(
+                name=name,
+                named=named,
+                columns=places,
+                low=low,
+                high=high,
+                contained=wider,
+                start=point.effects[name],
+            )
+        )
         parts.append(columns)
         width += scale.size
-    parts.append(tolerance_jacobian(predictor, final, base))
+    parts.append(tolerance_jacobian(predictor, present, base))
     jacobians = [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)]
-    library = Library(
+    return Library(
         candidates=tuple(candidates),
         moments=block_moments(predictor.times, residuals, jacobians),
         tolerances=np.arange(width, jacobians[0].shape[2]),
     )
-    return replace(library, candidates=seen_candidates(library, selection.weights.weight))
 
 
 def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) -> list[Array]:
@@ -117,17 +144,18 @@ def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) 
     return [c + (d - c @ step)[..., None] * along for c, d in zip(columns, change, strict=True)]
 
 
-def origins(declared: ModelParams, selection: Selection, robot: RobotCfg) -> list[tuple[str, ModelParams]]:
-    """Return each candidate with the model about which it is linear: the final one for an accepted effect."""
-    final, found = selection.final.fit.point, []
+def origins(
+    declared: ModelParams, present: ModelParams, accepted: Sequence[str], skipped: Collection[str], robot: RobotCfg
+) -> list[tuple[str, ModelParams]]:
+    """Return each candidate with the model about which it is linear: the present one for an accepted effect."""
+    found = []
     for name in (name for name in EFFECTS if not EFFECTS.get(name).random):
-        accepted = name in selection.accepted
-        if accepted:
-            found.append((name, final))
-        if name in selection.not_testable and not accepted:
+        if name in accepted:
+            found.append((name, present))
+        if name in skipped and name not in accepted:
             continue
-        for point in starts(name, final, declared, robot):
-            if not accepted or (has_rotor(name) and point.effects[name][0] != final.effects[name][0]):
+        for point in starts(name, present, declared, robot):
+            if name not in accepted or (has_rotor(name) and point.effects[name][0] != present.effects[name][0]):
                 found.append((name, point))
     return found
 
@@ -137,6 +165,22 @@ def starts(name: str, point: ModelParams, declared: ModelParams, robot: RobotCfg
     if name in declared.effects:
         return [point.with_effect(name, declared.effects[name])]
     return [point.with_effect(name, np.array(start)) for start in EFFECTS.get(name).starts(robot)]
+
+
+def has_starts(name: str, robot: RobotCfg) -> bool:
+    """Return whether fits of an effect start from several parameters."""
+    return len(EFFECTS.get(name).starts(robot)) > 1
+
+
+def columns_of_starts(
+    predictor: Predictor, present: ModelParams, declared: ModelParams, names: Sequence[str], columns: list[Array]
+) -> list[Array]:
+    """Return derivatives (rows, C, any) with those of some effects on top of a model beside them, at each of their starts."""
+    parts = [columns]
+    for name in names:
+        for point in starts(name, present, declared, predictor.robot):
+            parts.append(effect_jacobian(predictor, point, (name,), predictor.predict(point)))
+    return [np.concatenate(group, axis=2) for group in zip(*parts, strict=True)]
 
 
 def has_rotor(name: str) -> bool:

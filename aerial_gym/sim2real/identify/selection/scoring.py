@@ -11,15 +11,11 @@ from scipy import stats
 
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, steps_beside, steps_without
-from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting
+from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting, folds
 from aerial_gym.sim2real.predict.channels import Channel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-QUARTERS = 4
-"""A single flight is left out in so many parts."""
-
 
 LEAST_SCORE = 3.0
 """Two models are told apart only by a log likelihood that differs so much: one is 20 times likelier.
@@ -133,11 +129,7 @@ class LeftOut:
     @property
     def fold(self) -> Indices:
         """Return what is left out together: the flight of each block, or the quarter of a single flight, (B,)."""
-        flight = self.moments.flight
-        if flight.max() > 0:
-            return flight
-        parts = min(QUARTERS, flight.size)
-        return np.arange(flight.size) * parts // flight.size
+        return folds(self.moments.flight)
 
     def squares(self, fit: Fit) -> Array:
         """Return the squares (B, C) of each fold under the fit of the others, of effects and of what tolerances allow."""

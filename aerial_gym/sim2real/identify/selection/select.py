@@ -21,7 +21,6 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     Fit,
     Frozen,
     best_within_tolerances,
-    effect_jacobian,
     fit_effects,
     is_number,
     params_of,
@@ -30,6 +29,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     weighting,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.selection.library import columns_of_starts, has_starts
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria, Gain, LeftOut, Scored
 from aerial_gym.sim2real.identify.selection.screening import Screening
 from aerial_gym.sim2real.identify.selection.structure import find_structure
@@ -166,8 +166,11 @@ class _Selector:
         reasons = {name: lacks(name, predictor.robot, predictor.flights, test) for name in self.candidates}
         self.lacking = {name: reason for name, reason in reasons.items() if reason}
         self.tolerance = tolerance_jacobian(predictor, declared, predictor.predict(declared))
-        common = tuple(n for n in self.candidates if n not in self.lacking and not self.has_starts(n))
-        self.weights = weighting(predictor, declared, common, self.with_starts(self.tolerance))
+        able = [name for name in self.candidates if name not in self.lacking]
+        several = [name for name in able if has_starts(name, predictor.robot) and name not in declared.effects]
+        common = tuple(name for name in able if not has_starts(name, predictor.robot))
+        beside = columns_of_starts(predictor, declared, declared, several, self.tolerance)
+        self.weights = weighting(predictor, declared, common, beside)
         squares = np.concatenate([(part**2).sum(axis=2) for part in self.tolerance])
         self.left_out = LeftOut(
             moments=self._fit((), declared, frozenset()).moments,
@@ -176,19 +179,6 @@ class _Selector:
             channels=predictor.channels,
             tolerated=np.sqrt(squares.mean(axis=0)),
         )
-
-    def has_starts(self, name: str) -> bool:
-        """Return whether fits of an effect start from several parameters."""
-        return len(EFFECTS.get(name).starts(self.predictor.robot)) > 1
-
-    def with_starts(self, columns: list[Array]) -> list[Array]:
-        """Return derivatives (rows, C, any) with those of effects that have several starts beside them, at each of these."""
-        parts = [columns]
-        for name in self.candidates:
-            if self.has_starts(name) and name not in self.lacking and name not in self.declared.effects:
-                for point in self.points(name, self.declared):
-                    parts.append(effect_jacobian(self.predictor, point, (name,), self.predictor.predict(point)))
-        return [np.concatenate(group, axis=2) for group in zip(*parts, strict=True)]
 
     def run(self) -> Selection:
         """Select, prune, weigh the rivals."""
