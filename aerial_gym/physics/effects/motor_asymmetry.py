@@ -25,6 +25,7 @@ class MotorAsymmetry(VehicleEffect):
         Parameter(name="tau_down", unit="s", low=1e-3, high=1.0, scale=0.01, meaning="time constant of fall"),
     )
     excitation = "quick changes of the rotor commands, up and down"
+    contains = ("motor_time_constant",)
     confused_with = ("motor_time_constant", "actuation_delay", "battery_sag")
     rotors = ANY_ROTOR
 

@@ -1,0 +1,106 @@
+"""The posterior over sets of effects, and the search for the most probable ones.
+
+Sets compete, not single effects: two that only together mend what each alone would spoil are found as a pair, one that
+another has made superfluous goes when it no longer pays, and what cannot be told apart shares the probability.
+
+Source: Scott, Berger (2010), Bayes and empirical-Bayes multiplicity adjustment in the variable-selection problem, Annals of
+Statistics 38 (why the prior of a set depends on how many effects there are to choose from).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import logsumexp
+
+from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal, posterior
+
+
+@dataclass
+class Sets:
+    """The posterior over the sets that a search has looked at.
+
+    A set of n effects has the prior ``1 / m**n`` for m names: one undeclared effect among all names is expected, so that a
+    long list does not find something by its length alone.
+    """
+
+    candidates: Candidates
+    normal: Normal
+    log_posterior: dict[Model, float] = field(default_factory=dict)
+    """Up to a constant."""
+
+    @property
+    def log_names(self) -> float:
+        """Return what one more effect costs before the flights are seen."""
+        return float(np.log(len(set(self.candidates.exclusive))))
+
+    def look(self, model: Sequence[int]) -> float:
+        """Return the log posterior of a set up to a constant; minus infinity for two candidates of one name."""
+        key = tuple(sorted(model))
+        if key not in self.log_posterior:
+            names = [self.candidates.exclusive[k] for k in key]
+            if len(set(names)) < len(names):
+                return -np.inf
+            found = posterior(self.candidates, self.normal, key).log_evidence
+            self.log_posterior[key] = found - self.log_names * len(key)
+        return self.log_posterior[key]
+
+    @property
+    def best(self) -> Model:
+        """Return the most probable set."""
+        return max(self.log_posterior, key=self.log_posterior.__getitem__)
+
+    def probabilities(self) -> dict[Model, float]:
+        """Return the probability of each set among those looked at, the most probable first."""
+        models = sorted(self.log_posterior, key=self.log_posterior.__getitem__, reverse=True)
+        logs = np.array([self.log_posterior[model] for model in models])
+        return dict(zip(models, np.exp(logs - logsumexp(logs)).tolist(), strict=True))
+
+    def inclusion(self) -> dict[str, float]:
+        """Return the probability that an effect is there, by name: that of all sets which hold it."""
+        found = dict.fromkeys(self.candidates.exclusive, 0.0)
+        for model, probability in self.probabilities().items():
+            for k in model:
+                found[self.candidates.exclusive[k]] += probability
+        return found
+
+
+MOST_STARTS = 3
+"""Sets from which the search climbs, the best of none, one and two effects."""
+
+
+def search(candidates: Candidates, normal: Normal, *, starts: Sequence[Model] = ()) -> Sets:
+    """Return the posterior over sets around the most probable ones.
+
+    All singles and all pairs are looked at, so that two effects of which each alone would do harm are found; from the best
+    of these, and from ``starts``, the search climbs by adding, removing and swapping effects until none helps.
+    """
+    sets, places = Sets(candidates=candidates, normal=normal), range(len(candidates.columns))
+    sets.look(())
+    for one in places:
+        sets.look((one,))
+        for other in range(one):
+            sets.look((other, one))
+    first = sorted(sets.log_posterior, key=sets.log_posterior.__getitem__, reverse=True)[:MOST_STARTS]
+    for start in (*starts, *first):
+        _climb(sets, tuple(sorted(start)))
+    return sets
+
+
+def _climb(sets: Sets, model: Model) -> None:
+    """Look at neighbours of a set, and of the best of these, until none is more probable."""
+    while True:
+        best = max(neighbours(model, len(sets.candidates.columns)), key=sets.look)
+        if sets.look(best) <= sets.look(model):
+            return
+        model = best
+
+
+def neighbours(model: Model, count: int) -> list[Model]:
+    """Return the sets with one candidate more, one less, or one in the place of another."""
+    others = [k for k in range(count) if k not in model]
+    less = [tuple(k for k in model if k != gone) for gone in model]
+    return [
+        tuple(sorted(found))
+        for found in (*((*model, k) for k in others), *less, *((*m, k) for m in less for k in others))
+    ]

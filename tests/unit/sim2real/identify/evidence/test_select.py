@@ -1,0 +1,57 @@
+"""The most probable set of effects of exact flights with a known cause."""
+
+from pathlib import Path
+
+import pytest
+
+from aerial_gym.sim2real.identify.evidence.select import Chosen, choose_effects
+from aerial_gym.sim2real.logs.flights import load_flights
+from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+from tests.unit.sim2real.flat_flights import ROBOT, flight
+
+NAMES = (
+    "rotor_drag",
+    "quadratic_drag",
+    "thrust_coefficient",
+    "payload_mass",
+    "constant_wind",
+    "com_offset",
+    "weak_motor",
+)
+
+
+def chosen(folder: Path, **hidden: float) -> Chosen:
+    """Return what three flights of 8 s with sensor noise make most probable."""
+    files = []
+    for seed in range(3):
+        files.append(folder / f"flight_{seed}.csv")
+        flight(seed, noise=1.0, seconds=8.0, **hidden).to_csv(files[-1], index=False)
+    flights = load_flights(files, ROBOT, mapping=None, bandwidth=10.0)
+    channels = find_channels(flights)
+    predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
+    return choose_effects(predictor, declared_params(ROBOT), NAMES)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "expected", "parameter"),
+    [
+        ({}, (), None),
+        ({"drag": 0.05, "thrust_scale": 1.04}, ("rotor_drag", "thrust_coefficient"), 0.05),
+    ],
+)
+def test_the_hidden_effects_are_the_most_probable_set(
+    tmp_path: Path, hidden: dict[str, float], expected: tuple[str, ...], parameter: float | None
+) -> None:
+    """The path's forces are exact; nothing, and a drag beside stronger rotors."""
+    found = chosen(tmp_path, **hidden)
+    assert set(found.effects) == set(expected)
+    assert found.probability > 0.8
+    assert sum(found.sets.values()) == pytest.approx(1.0)
+    assert all(found.inclusion[name] > 0.95 for name in expected)
+    assert all(found.predictive[name].gain > 0.0 for name in expected)
+    if parameter is not None:
+        distance = found.params.effects["rotor_drag"] - parameter
+        assert (abs(distance) < 4.0 * found.std["rotor_drag"]).all()
