@@ -7,11 +7,12 @@ two-sided density, the Allan deviation at 1 s (N of IEEE Std 952-1997). A bias w
 """
 
 from dataclasses import dataclass
-from math import inf, pi
+from math import inf
 from pathlib import Path
 
-from aerial_gym.config.checks import Vec3, require_finite, require_positive
+from aerial_gym.config.checks import Vec3, require_positive
 from aerial_gym.config.loader import load
+from aerial_gym.config.placement import PlacementCfg
 from aerial_gym.errors import ConfigError
 
 MOST_MISALIGNMENT_DEG = 45.0
@@ -19,7 +20,7 @@ MOST_MISALIGNMENT_DEG = 45.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImuCfg:
+class ImuCfg(PlacementCfg):
     """Three accelerometers and three gyros at one point of the body."""
 
     model: str = "imu"
@@ -28,14 +29,9 @@ class ImuCfg:
     summary: str
     """One line for people who choose a sensor."""
 
-    position: Vec3 = (0.0, 0.0, 0.0)
-    """Where the accelerometers are, from the body origin [m], body axes."""
-
-    euler: Vec3 = (0.0, 0.0, 0.0)
-    """ZYX roll, pitch, yaw from body to IMU [rad], within +-2 pi."""
-
     misalignment_deg: Vec3 = (0.0, 0.0, 0.0)
-    """Each reset turns the IMU about its own axes (ZYX) by roll, pitch, yaw drawn uniformly within +- these [deg], 0 to 45."""
+    """Each reset turns the IMU further, about its own axes (ZYX), by roll, pitch, yaw drawn uniformly within +- these [deg],
+    0 to 45."""
 
     accel_noise_density: Vec3
     """White noise of each accelerometer [m/s²/sqrt(Hz)], >= 0."""
@@ -79,13 +75,12 @@ class ImuCfg:
         if not 0.0 <= self.latency_s < inf:
             raise ConfigError(f"ImuCfg.latency_s = {self.latency_s!r}: must be >= 0 and finite")
         require_positive(self, "accel_range", "gyro_range")
-        require_finite(self, "position")
+        self.check_placement()
         for kind in ("accel", "gyro"):
             for name in ("noise_density", "bias_walk", "initial_bias"):
                 _require_each(self, f"{kind}_{name}", 0.0, inf, "must be >= 0 and finite")
         limit = MOST_MISALIGNMENT_DEG
         _require_each(self, "misalignment_deg", 0.0, limit, f"must lie within 0 and {limit:g} degrees")
-        _require_each(self, "euler", -2.0 * pi, 2.0 * pi, "must lie within +-2 pi. Angles are in radians")
 
 
 def _require_each(cfg: ImuCfg, name: str, low: float, high: float, rule: str) -> None:

@@ -6,10 +6,11 @@ Letters: E environments, S sensors of one kind, H x W pixels (row 0 on top, colu
 """
 
 from dataclasses import dataclass
-from math import inf, isfinite, pi
+from math import inf, isfinite
 
-from aerial_gym.config.checks import MAX_MADE, Vec3, require_count, require_finite, require_ordered
+from aerial_gym.config.checks import MAX_MADE, require_count, require_finite
 from aerial_gym.config.images import FRAMES, ImagesCfg, LightCfg
+from aerial_gym.config.placement import PlacementCfg
 from aerial_gym.errors import ConfigError
 
 __all__ = ["FRAMES", "KINDS", "LightCfg", "NoiseCfg", "RangeSensorCfg"]
@@ -56,7 +57,7 @@ class NoiseCfg:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RangeSensorCfg(ImagesCfg):
+class RangeSensorCfg(PlacementCfg, ImagesCfg):
     """Common part of all cameras, lidars and ray tables; the classes built on it say where the rays point.
 
     Order of what becomes of a distance: ray, noise and dropout, limits, normalisation. Out of its limits a pixel holds
@@ -97,24 +98,6 @@ class RangeSensorCfg(ImagesCfg):
     count: int = 1
     """Sensors S of this kind on the robot, >= 1; they share the mount unless the placement is drawn."""
 
-    position: Vec3 = (0.0, 0.0, 0.0)
-    """Nominal origin of the rays from the body origin [m], body axes."""
-
-    euler: Vec3 = (0.0, 0.0, 0.0)
-    """Nominal ZYX roll, pitch, yaw from body to sensor [rad], within +-2 pi."""
-
-    position_low: Vec3 | None = None
-    """Lowest position [m], body axes, of the uniform draw per environment and sensor at reset; None keeps ``position``."""
-
-    position_high: Vec3 | None = None
-    """Highest one; given with ``position_low``, and ``position`` lies between them."""
-
-    euler_low: Vec3 | None = None
-    """Lowest Euler angles [rad] of the uniform draw per environment and sensor at reset; None keeps ``euler``."""
-
-    euler_high: Vec3 | None = None
-    """Highest ones; given with ``euler_low``, and ``euler`` lies between them."""
-
     rate_hz: float | None = None
     """Images per second of simulated time [Hz], > 0; between two of them the last one stays. None: one at every step."""
 
@@ -137,8 +120,7 @@ class RangeSensorCfg(ImagesCfg):
         _check_image(self)
         _check_outputs(self)
         _check_noise(self)
-        _check_placement(self, "position")
-        _check_placement(self, "euler")
+        self.check_placement()
         _check_timing(self)
 
     @property
@@ -210,21 +192,6 @@ def _check_noise(cfg: RangeSensorCfg) -> None:
             f"{type(cfg).__name__}.noise: standard deviation {cfg.noise.std(worst):g} m at {worst:g} m: "
             "std_a r² + std_b r + std_c must be >= 0 from min_range to max_range"
         )
-
-
-def _check_placement(cfg: RangeSensorCfg, name: str) -> None:
-    low, high = f"{name}_low", f"{name}_high"
-    if (getattr(cfg, low) is None) != (getattr(cfg, high) is None):
-        raise ConfigError(f"{type(cfg).__name__}: give both {low} and {high}, or neither")
-    names = (name,) if getattr(cfg, low) is None else (low, name, high)
-    require_finite(cfg, *names)
-    for one in names if name == "euler" else ():
-        if any(abs(angle) > 2.0 * pi for angle in getattr(cfg, one)):
-            raise ConfigError(f"{_of(cfg, one)}: must lie within +-2 pi. Angles are in radians")
-    if len(names) > 1:
-        require_ordered(cfg, low, high)
-        require_ordered(cfg, low, name)
-        require_ordered(cfg, name, high)
 
 
 def _check_timing(cfg: RangeSensorCfg) -> None:

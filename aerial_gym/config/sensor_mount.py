@@ -29,8 +29,8 @@ class SensorMountCfg:
     The pose of the mount takes the place of the nominal one of the sensor's own file; without ``position``, or without an
     attitude, that of the file stays. What a reset draws there deviates from the mount as it deviates from the nominal
     placement there: ``T_body_sensor = T_mount T_nominal^-1 T_drawn``. So a camera that is turned with its mount shakes along
-    its own axes, and a mount in the nominal place changes nothing. The misalignment of an IMU turns it about its own axes
-    anyway.
+    its own axes, and a mount in the nominal place changes nothing. The misalignment of an IMU turns it further, about
+    its own axes.
     """
 
     sensor: str

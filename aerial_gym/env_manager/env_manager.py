@@ -28,7 +28,7 @@ from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
 from aerial_gym.registry.state import below, check_state, identity, restore, saved
 from aerial_gym.robots import ROBOTS, RobotManager, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend, states_by_key
-from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors, with_drawn_places
+from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors
 
 
 def _name_in(registry: Registry[Any], entry: RobotCfg | ControllerCfg) -> str:
@@ -124,8 +124,7 @@ class EnvManager:
             randomize={name: each for name, each in random.items() if name not in places},
         )
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
-        range_sensors, imus = mounted_sensors(robot.sensor_mounts)
-        range_sensors = with_drawn_places(range_sensors, places)
+        range_sensors, imus = mounted_sensors(robot.sensor_mounts, places)
         self.sensor_manager = SensorManager(
             {name: mounted.cfg for name, mounted in range_sensors.items()},
             self.gtd,
@@ -295,7 +294,7 @@ class EnvManager:
 
     def draws(self) -> dict[str, Tensor]:
         """Return what the present episodes have drawn, by the names of quantities, (E, ...): factors, offsets or values."""
-        return self.robot_manager.draws() | self.sensor_manager.draws()
+        return self.robot_manager.draws() | self.sensor_manager.draws() | self.imus.draws()
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return everything on which the future depends, by name: tensors that keep their places, and digests."""

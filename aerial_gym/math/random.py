@@ -36,11 +36,11 @@ class Purpose(IntEnum):
     GAINS = 8
     """Gains of the controller; index: gain."""
     MOUNTS = 9
-    """Places of the sensors; indices: sensor, mount, quantity."""
+    """Places of the range sensors; indices: sensor, mount, quantity."""
     IMAGE_NOISE = 10
     """Noise of the range sensors; indices: sensor, image, pixel."""
     IMU = 11
-    """Errors of inertial sensors; indices: unit, sample, quantity."""
+    """Errors and places of inertial sensors; indices: unit, sample, quantity."""
     EFFECTS = 12
     """Effects in which chance acts; indices: substep, quantity."""
     OBSERVATION = 13

@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from aerial_gym.sensors.imu import Imu
     from aerial_gym.sensors.imus import ImuSet
     from aerial_gym.sensors.mounts import Pose, mounted_sensors, sensor_by_name
-    from aerial_gym.sensors.places import with_drawn_places
     from aerial_gym.sensors.ray_caster import MISS_ID, RayCaster
     from aerial_gym.sensors.rays import pinhole_rays, ray_table
     from aerial_gym.sensors.sensor_manager import SensorManager
@@ -30,7 +29,6 @@ __all__ = [
     "pinhole_rays",
     "ray_table",
     "sensor_by_name",
-    "with_drawn_places",
 ]
 
 __getattr__, __dir__ = exports(__name__, __file__)

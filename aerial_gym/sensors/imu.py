@@ -37,14 +37,14 @@ from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn
 from aerial_gym.sensors.delay import CLOCK_MARGIN, steps_of
 from aerial_gym.sensors.mounts import Pose, nominal_pose
+from aerial_gym.sensors.places import PlaceRange, place_of, place_range
 
 
 @wp.struct
 class Unit:
     """The IMU, the same in all environments. Noise and walk are those of one step."""
 
-    position: wp.vec3  # from the body origin, body [m]
-    mount: wp.quat  # IMU to body, without misalignment
+    mount: PlaceRange  # IMU to body, without misalignment
     misalignment: wp.vec3  # +- [rad]
     accel_noise: wp.vec3  # [m/s²]
     gyro_noise: wp.vec3  # [rad/s]
@@ -80,6 +80,7 @@ class Outputs:
 
     sample: wp.array[wp.int32]  # (E,) counted from the reset on
     point_vel: wp.array[wp.vec3]  # (E,) world [m/s]
+    position: wp.array[wp.vec3]  # (E,) from the body origin, body [m]
     mount: wp.array[wp.quat]  # (E,) IMU to body, with misalignment
     bias: wp.array2d[wp.vec3]  # (E, 2) [m/s²], [rad/s]
     clock: wp.array[float]  # (E,) age of the last sample [s]
@@ -122,9 +123,9 @@ def _limit(value: wp.vec3, bound: float) -> wp.vec3:
 
 
 @wp.func
-def _point_velocity(unit: Unit, motion: Motion, e: int) -> wp.vec3:
+def _point_velocity(motion: Motion, position: wp.vec3, e: int) -> wp.vec3:
     """Return ``v_o + R (w x r)`` [m/s], world."""
-    return motion.lin_vel[e] + rotate(motion.attitude[e], wp.cross(motion.ang_vel[e], unit.position))
+    return motion.lin_vel[e] + rotate(motion.attitude[e], wp.cross(motion.ang_vel[e], position))
 
 
 @wp.func
@@ -180,7 +181,7 @@ def _measure(motion: Motion, unit: Unit, random: RandomArrays, number: int, out:
     """Take the step that has just ended into the sample, and write that if it is due."""
     e = wp.tid()
     ang_vel = motion.ang_vel[e]
-    velocity = _point_velocity(unit, motion, e)
+    velocity = _point_velocity(motion, out.position[e], e)
     acceleration = (velocity - out.point_vel[e]) / unit.dt
     out.point_vel[e] = velocity
     middle = motion.attitude[e] * small_turn(-0.5 * unit.dt * ang_vel)
@@ -204,7 +205,7 @@ def _measure(motion: Motion, unit: Unit, random: RandomArrays, number: int, out:
 
 @wp.kernel(enable_backward=False)
 def _reset(mask: wp.array[wp.bool], motion: Motion, unit: Unit, random: RandomArrays, number: int, out: Outputs):
-    """Draw bias and misalignment and write a first sample where the mask says so; leave every other row alone."""
+    """Draw place, bias and misalignment and write a first sample where the mask says so; leave every other row alone."""
     e = wp.tid()
     if not mask[e]:
         return
@@ -212,12 +213,14 @@ def _reset(mask: wp.array[wp.bool], motion: Motion, unit: Unit, random: RandomAr
     state = _count(random, number, e, out)
     turn = _uniform(state, 4, unit.misalignment)
     yaw_pitch = small_turn(wp.vec3(0.0, 0.0, turn[2])) * small_turn(wp.vec3(0.0, turn[1], 0.0))
-    mount = wp.normalize(unit.mount * yaw_pitch * small_turn(wp.vec3(turn[0], 0.0, 0.0)))
+    position, nominal = place_of(unit.mount, substream(state, 7))
+    mount = wp.normalize(nominal * yaw_pitch * small_turn(wp.vec3(turn[0], 0.0, 0.0)))
     accel_bias = _uniform(state, 5, unit.accel_initial_bias)
     gyro_bias = _uniform(state, 6, unit.gyro_initial_bias)
     force = rotate_inverse(motion.attitude[e], wp.vec3(0.0, 0.0, unit.gravity))
+    out.position[e] = position
     out.mount[e] = mount
-    out.point_vel[e] = _point_velocity(unit, motion, e)
+    out.point_vel[e] = _point_velocity(motion, position, e)
     _write(unit, out, e, state, mount, force, motion.ang_vel[e], accel_bias, gyro_bias, 1.0)
     out.clock[e] = 0.0
     out.steps[e] = 0
@@ -260,7 +263,7 @@ class Imu:
             random: Of the draws; that of seed 0 if not given.
             number: Of the IMU on its robot: two IMUs are drawn apart.
             errors: Effects of the robot on its inertial sensors with their parameters, (E, P), the same in every environment.
-            pose: Of its mount in the body frame, instead of its own placement.
+            pose: Of its mount in the body frame, instead of its own placement; what is drawn deviates from there.
 
         Raises:
             ConfigError: If ``dt`` is not positive and finite, or the IMU measures more often.
@@ -280,6 +283,8 @@ class Imu:
         self.bias = torch.zeros(envs, 6, device=device)
         """Present bias [m/s²] and [rad/s], IMU axes, (E, 6)."""
         pose = nominal_pose(cfg) if pose is None else pose
+        self.mount_position = pose.position.float().to(device).expand(envs, 3).clone()
+        """Place in this episode from the body origin [m], body, (E, 3)."""
         self.mount_attitude = pose.attitude.float().to(device).expand(envs, 4).clone()
         """IMU to body, with the misalignment of the episode, (E, 4)."""
         self._point_vel = torch.zeros(envs, 3, device=device)
@@ -291,12 +296,14 @@ class Imu:
         self._line = torch.zeros(latency, envs, 6, device=device)
         self._random = random or Randomness(envs, device=device)
         self._mask = self._random.mask
+        unit = _make_unit(cfg, pose, dt, gravity, errors)
+        unit.latency = latency
+        self.is_drawn = bool(unit.mount.is_drawn)
+        """Whether its place differs between episodes."""
         motion = Motion()
         motion.attitude = vector_view("attitude", attitude, (envs, 4), device=device)
         motion.lin_vel = vector_view("lin_vel", lin_vel, (envs, 3), device=device)
         motion.ang_vel = vector_view("ang_vel", ang_vel, (envs, 3), device=device)
-        unit = _make_unit(cfg, pose, dt, gravity, errors)
-        unit.latency = latency
         inputs = [motion, unit, random_arrays(self._random), number, self._make_outputs()]
         launch = {"dim": envs, "device": wp.device_from_torch(device), "block_dim": BLOCK_DIM}
         self._measure_command = RecordedLaunch(_measure, inputs=inputs, **launch)
@@ -306,6 +313,7 @@ class Imu:
         out = Outputs()
         out.sample = wp.from_torch(self._sample)
         out.point_vel = wp.from_torch(self._point_vel, dtype=wp.vec3)
+        out.position = wp.from_torch(self.mount_position, dtype=wp.vec3)
         out.mount = wp.from_torch(self.mount_attitude, dtype=wp.quat)
         out.bias = wp.from_torch(self.bias.view(-1, 2, 3), dtype=wp.vec3)
         out.clock, out.steps, out.place = (wp.from_torch(t) for t in (self._clock, self._steps, self._place))
@@ -319,6 +327,7 @@ class Imu:
         """Return what must be kept to go on, by name."""
         return {
             "bias": self.bias,
+            "mount_position": self.mount_position,
             "mount_attitude": self.mount_attitude,
             "point_vel": self._point_vel,
             "sample": self._sample,
@@ -341,8 +350,9 @@ class Imu:
     def reset(self, mask: Tensor) -> None:
         """Begin anew in the environments of ``mask``, bool (E,), from their present state; others stay bit for bit.
 
-        Draws bias and misalignment, and writes a first sample: that of a vehicle without acceleration in its present attitude,
-        as no step has shown one yet, with its present angular velocity. Launched on torch's current stream, not waited for.
+        Draws place, bias and misalignment, and writes a first sample: that of a vehicle without acceleration in its present
+        attitude, as no step has shown one yet, with its present angular velocity.
+        Launched on torch's current stream, not waited for.
         """
         take_mask(self._mask, mask)
         with on_torch_stream(self._mask):
@@ -366,7 +376,7 @@ def _make_unit(cfg: ImuCfg, pose: Pose, dt: float, gravity: float, errors: Seque
     unit.dt, unit.gravity = dt, gravity
     unit.period = dt if cfg.rate_hz is None else 1.0 / cfg.rate_hz
     unit.due = (1.0 - CLOCK_MARGIN) * unit.period
-    unit.position, unit.mount = wp.vec3(*pose.position.tolist()), wp.quat(*pose.attitude.tolist())
+    unit.mount = place_range(cfg, pose)
     unit.misalignment = wp.vec3(*(radians(angle) for angle in cfg.misalignment_deg))
     for kind in ("accel", "gyro"):
         noise = wp.vec3(*getattr(cfg, f"{kind}_noise_density")) / sqrt(dt)

@@ -73,6 +73,15 @@ class ImuSet:
         """Return what must be kept to go on, by name."""
         return {name: t for key, imu in self.imus.items() for name, t in below(key, imu.state_tensors()).items()}
 
+    def draws(self) -> dict[str, Tensor]:
+        """Return where IMUs sit whose places are drawn: position [m], body, (E, 3), and attitude, IMU to body, (E, 4)."""
+        found = {}
+        for name, imu in self.imus.items():
+            if imu.is_drawn:
+                found[f"sensors.{name}.position"] = imu.mount_position
+                found[f"sensors.{name}.attitude"] = imu.mount_attitude
+        return found
+
     def measure(self) -> None:
         """Write the samples of the step that has just ended; launched on torch's current stream, not waited for."""
         for imu in self.imus.values():

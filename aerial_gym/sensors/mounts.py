@@ -3,16 +3,19 @@
 Frames: body is x forward, y left, z up.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from typing import Generic, TypeVar
 
 import torch
 from torch import Tensor
 
 from aerial_gym.config.imu import ImuCfg
+from aerial_gym.config.randomize import Randomize, RandomizeCfg
 from aerial_gym.config.sensor import RangeSensorCfg, SensorCfg, load_any_sensor
 from aerial_gym.config.sensor_mount import SensorMountCfg, is_file
+from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import (
     quat_conjugate,
     quat_from_euler,
@@ -24,6 +27,9 @@ from aerial_gym.registry import Registry
 from aerial_gym.sensors.catalog import IMUS, SENSORS
 
 Cfg = TypeVar("Cfg", RangeSensorCfg, ImuCfg)
+
+PLACE = ("position", "euler")
+"""What may be drawn of the place of a sensor."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,23 +103,58 @@ def mount_pose(mount: SensorMountCfg, cfg: SensorCfg) -> Pose | None:
     return pose
 
 
+def _with_drawn_place(cfg: Cfg, drawn: Mapping[str, RandomizeCfg]) -> Cfg:
+    """Return a sensor whose place is drawn.
+
+    Args:
+        cfg: The sensor.
+        drawn: Uniform offsets of ``position`` [m] and ``euler`` [rad], in the frame of the sensor's own file.
+    """
+    ends = {}
+    for what, each in drawn.items():
+        nominal = getattr(cfg, what)
+        for k, end in enumerate(("low", "high")):
+            ends[f"{what}_{end}"] = tuple(n + x[k] for n, x in zip(nominal, each.components(3), strict=True))
+    return replace(cfg, **ends)
+
+
+def _check_places(places: Randomize, mounts: Sequence[SensorMountCfg]) -> None:
+    known = [f"sensors.{mount.key}.{what}" for mount in mounts for what in PLACE]
+    for name, each in places.items():
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            raise ConfigError(f"randomize: no quantity {name!r}.{hint} Known: {', '.join(known) or 'no sensor'}")
+        if each.how != "offset" or each.distribution != "uniform":
+            raise ConfigError(f"randomize: {name}: places of sensors take uniform offsets (how: offset)")
+
+
 def mounted_sensors(
-    mounts: Sequence[SensorMountCfg],
+    mounts: Sequence[SensorMountCfg], places: Randomize | None = None
 ) -> tuple[dict[str, Mounted[RangeSensorCfg]], dict[str, Mounted[ImuCfg]]]:
     """Return the range sensors and the IMUs of a robot by the names of their mounts, in order.
 
+    Args:
+        mounts: Of the robot.
+        places: What is drawn of their places, by ``sensors.NAME.position`` [m] and ``sensors.NAME.euler`` [rad].
+
     Raises:
         UnknownNameError: If a sensor is not registered.
-        ConfigError: If a file does not hold one, or a mount asks for what the sensor cannot.
+        ConfigError: If a file does not hold one, a mount asks for what the sensor cannot, there is no sensor of a name in
+            ``places``, or another way or distribution is asked for there.
     """
+    places = places or {}
+    _check_places(places, mounts)
     ranges: dict[str, Mounted[RangeSensorCfg]] = {}
     imus: dict[str, Mounted[ImuCfg]] = {}
     for mount in mounts:
         cfg = sensor_by_name(mount.sensor)
         timing = {name: getattr(mount, name) for name in ("rate_hz", "latency_s") if getattr(mount, name) is not None}
         pose = mount_pose(mount, cfg)
+        drawn = {what: places[name] for what in PLACE if (name := f"sensors.{mount.key}.{what}") in places}
+        cfg = _with_drawn_place(replace(cfg, **timing), drawn)
         if isinstance(cfg, ImuCfg):
-            imus[mount.key] = Mounted(cfg=replace(cfg, **timing), pose=pose)
+            imus[mount.key] = Mounted(cfg=cfg, pose=pose)
         else:
-            ranges[mount.key] = Mounted(cfg=replace(cfg, **timing), pose=pose)
+            ranges[mount.key] = Mounted(cfg=cfg, pose=pose)
     return ranges, imus

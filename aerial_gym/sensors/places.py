@@ -3,16 +3,11 @@
 Frames: body is x forward, y left, z up. Letters: E environments, S sensors of one kind.
 """
 
-from collections.abc import Mapping
-from dataclasses import replace
-from difflib import get_close_matches
-
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.config.randomize import Randomize
+from aerial_gym.config.placement import PlacementCfg
 from aerial_gym.config.sensor import RangeSensorCfg
-from aerial_gym.errors import ConfigError
 from aerial_gym.interop import RecordedLaunch, on_torch_stream
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import (
@@ -24,7 +19,7 @@ from aerial_gym.math.draws import (
     substream,
 )
 from aerial_gym.math.random import Purpose, Randomness, take_mask
-from aerial_gym.sensors.mounts import Mounted, Pose, nominal_pose
+from aerial_gym.sensors.mounts import Pose, nominal_pose
 
 
 @wp.struct
@@ -42,6 +37,19 @@ class PlaceRange:
     turn: wp.quat
 
 
+@wp.func
+def place_of(place: PlaceRange, random: wp.uint32):
+    """Return position [m] and attitude (sensor to body) of a random state, both in the body frame."""
+    position = place.position
+    attitude = place.attitude
+    if place.is_drawn:
+        position = place.shift + wp.quat_rotate(
+            place.turn, draw_vec3(random, 0, place.position_low, place.position_high)
+        )
+        attitude = wp.normalize(place.turn * quat_of_angles(draw_vec3(random, 1, place.euler_low, place.euler_high)))
+    return position, attitude
+
+
 @wp.kernel(enable_backward=False)
 def _place_sensors(
     mask: wp.array[wp.bool],  # (E,)
@@ -57,14 +65,8 @@ def _place_sensors(
     env, sensor = wp.tid()
     if not mask[env]:
         return
-    position = place.position
-    attitude = place.attitude
-    if place.is_drawn:
-        stream = substream(substream(stream_of(random, env, wp.static(int(Purpose.MOUNTS))), number), sensor)
-        position = place.shift + wp.quat_rotate(
-            place.turn, draw_vec3(stream, 0, place.position_low, place.position_high)
-        )
-        attitude = wp.normalize(place.turn * quat_of_angles(draw_vec3(stream, 1, place.euler_low, place.euler_high)))
+    stream = substream(substream(stream_of(random, env, wp.static(int(Purpose.MOUNTS))), number), sensor)
+    position, attitude = place_of(place, stream)
     position_out[env, sensor] = position
     attitude_out[env, sensor] = attitude
 
@@ -89,7 +91,7 @@ class Places:
         self.attitude = nominal.attitude.float().to(device).expand(*rows, 4).clone()
         """Sensor to body, xyzw, (E, S, 4)."""
         self._mask, self._kept_alive = random.mask, random
-        place = _range_of(cfg, nominal)
+        place = place_range(cfg, nominal)
         self.is_drawn = bool(place.is_drawn)
         """Whether they differ between episodes."""
         self._command = RecordedLaunch(
@@ -111,7 +113,11 @@ class Places:
             self._command.launch()
 
 
-def _range_of(cfg: RangeSensorCfg, nominal: Pose) -> PlaceRange:
+def place_range(cfg: PlacementCfg, nominal: Pose) -> PlaceRange:
+    """Return what a kernel must know of a place: that of a sensor which is at ``nominal`` in the body frame.
+
+    What is drawn deviates from there as it deviates from the nominal placement in the sensor's file.
+    """
     place, back = PlaceRange(), nominal_pose(cfg).inverse()
     shift, turn = nominal.of(back.position, back.attitude)
     place.position, place.attitude = wp.vec3(*nominal.position.tolist()), wp.quat(*nominal.attitude.tolist())
@@ -124,36 +130,3 @@ def _range_of(cfg: RangeSensorCfg, nominal: Pose) -> PlaceRange:
         setattr(place, f"{name}_high", wp.vec3(*high))
         place.is_drawn = place.is_drawn or drawn
     return place
-
-
-def with_drawn_places(
-    mounted: Mapping[str, Mounted[RangeSensorCfg]], randomize: Randomize
-) -> dict[str, Mounted[RangeSensorCfg]]:
-    """Return range sensors whose places are drawn by ``sensors.NAME.position`` [m] and ``sensors.NAME.euler`` [rad].
-
-    Args:
-        mounted: Sensors by the names of their mounts.
-        randomize: Offsets, uniform, in the frame of the sensor's own file.
-
-    Raises:
-        ConfigError: If there is no such sensor, or another way or distribution is asked for.
-    """
-    found = dict(mounted)
-    known = [f"sensors.{name}.{what}" for name in mounted for what in ("position", "euler")]
-    for name, each in randomize.items():
-        if name not in known:
-            near = get_close_matches(name, known, n=1)
-            hint = f" Did you mean {near[0]!r}?" if near else ""
-            raise ConfigError(f"randomize: no quantity {name!r}.{hint} Known: {', '.join(known) or 'no range sensor'}")
-        if each.how != "offset" or each.distribution != "uniform":
-            raise ConfigError(f"randomize: {name}: places of sensors take uniform offsets (how: offset)")
-        mount, what = name.removeprefix("sensors.").rsplit(".", 1)
-        cfg = found[mount].cfg
-        nominal = getattr(cfg, what)
-        low, high = ([row[end] for row in each.components(3)] for end in (0, 1))
-        ends = {
-            f"{what}_low": tuple(n + x for n, x in zip(nominal, low, strict=True)),
-            f"{what}_high": tuple(n + x for n, x in zip(nominal, high, strict=True)),
-        }
-        found[mount] = replace(found[mount], cfg=replace(cfg, **ends))
-    return found

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.imu import ImuCfg
+from aerial_gym.math.quaternion import quat_exp, quat_from_euler, quat_multiply, quat_rotate_inverse
 from aerial_gym.math.random import Randomness
 from aerial_gym.sensors.imu import Imu
 
@@ -61,7 +62,7 @@ class Rig:
             pose=pose,
         )
         poisoned = (self.imu._clock, self.imu._force_sum, self.imu._fresh, self.imu._line)
-        for tensor in (self.imu.bias, self.imu.mount_attitude, self.imu._point_vel, *poisoned):
+        for tensor in (self.imu.bias, self.imu.mount_attitude, self.imu.mount_position, self.imu._point_vel, *poisoned):
             tensor.fill_(nan)
 
     def reset(self) -> Tensor:
@@ -82,5 +83,36 @@ class Rig:
 
     def memory(self) -> list[Tensor]:
         imu = self.imu
-        kept = [imu._clock, imu._steps, imu._force_sum, imu._fresh, imu._place]
+        kept = [imu.mount_position, imu._clock, imu._steps, imu._force_sum, imu._fresh, imu._place]
         return [self.measurement, imu.bias, imu.mount_attitude, imu._point_vel, imu._sample, *kept, *imu._line]
+
+
+def spin_about_z(rig: Rig, samples: int, rate: float, growth: float) -> list[Tensor]:
+    """Return the samples of a body whose origin rests and which turns about z with ``w = rate + growth t``."""
+    found = []
+    rig.move(quat_from_euler(torch.zeros(1, 3)), torch.zeros(1, 3), torch.tensor([[0.0, 0.0, rate]]))
+    rig.reset()
+    for k in range(1, samples + 1):
+        t = 0.01 * k
+        turn = torch.tensor([[0.0, 0.0, rate * t + 0.5 * growth * t * t]])
+        rate_now = torch.tensor([[0.0, 0.0, rate + growth * t]])
+        found.append(rig.sample(quat_from_euler(turn), torch.zeros(1, 3), rate_now).clone())
+    return found
+
+
+def wobble(t: Tensor, r: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return attitude, velocity, angular velocity and the specific force at r of a smooth motion at times t (E,), float64.
+
+    The body turns about a fixed, tilted axis n by ``theta = 3 t + sin(4 t)``, its origin moves as ``v = (sin 5t, cos 3t, t²)``.
+    Closed form: ``f = R^T (a_o + g z) + theta'' n x r + theta'² n x (n x r)``.
+    """
+    t = t.double().unsqueeze(-1)
+    n = torch.tensor([2.0, -1.0, 2.0], dtype=torch.float64).expand(len(t), 3) / 3.0
+    start = quat_from_euler(torch.tensor([0.4, -0.6, 1.1], dtype=torch.float64)).expand(len(t), 4)
+    attitude = quat_multiply(start, quat_exp((3.0 * t + torch.sin(4.0 * t)) * n))
+    rate, acceleration = 3.0 + 4.0 * torch.cos(4.0 * t), -16.0 * torch.sin(4.0 * t)
+    velocity = torch.cat((torch.sin(5.0 * t), torch.cos(3.0 * t), t * t), dim=-1)
+    felt = torch.cat((5.0 * torch.cos(5.0 * t), -3.0 * torch.sin(3.0 * t), 2.0 * t + G), dim=-1)
+    lever = torch.linalg.cross(n, r.double().expand_as(n))
+    force = quat_rotate_inverse(attitude, felt) + acceleration * lever + rate**2 * torch.linalg.cross(n, lever)
+    return attitude, velocity, rate * n, force

@@ -43,7 +43,7 @@ from aerial_gym.robots.initial_state import InitialState
 from aerial_gym.sensors import Pose
 from aerial_gym.sensors.allan import record_at_rest
 from aerial_gym.sensors.imu import Imu
-from tests.physics.imu_rig import IDEAL, NOISY, ZERO, G, Rig
+from tests.physics.imu_rig import IDEAL, NOISY, ZERO, G, Rig, spin_about_z, wobble
 from tests.physics.vehicles import lopsided_robot, random_state
 
 QUADROTOR = ROBOTS.get("base_quadrotor")
@@ -100,24 +100,6 @@ def test_an_angular_acceleration_pushes_the_lever_arm_forwards() -> None:
     found = rig.sample(quat_exp(0.5 * alpha * dt**2 * axis), torch.zeros(1, 3), alpha * dt * axis)
     close(found[0, :3], [0.0, alpha * r, G], 0.5 * (alpha * dt) ** 2 * r)
     assert found[0, 0] < 0.0
-
-
-def wobble(t: Tensor, r: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return attitude, velocity, angular velocity and the specific force at r of a smooth motion at times t (E,), float64.
-
-    The body turns about a fixed, tilted axis n by ``theta = 3 t + sin(4 t)``, its origin moves as ``v = (sin 5t, cos 3t, t²)``.
-    Closed form: ``f = R^T (a_o + g z) + theta'' n x r + theta'² n x (n x r)``.
-    """
-    t = t.double().unsqueeze(-1)
-    n = torch.tensor([2.0, -1.0, 2.0], dtype=torch.float64).expand(len(t), 3) / 3.0
-    start = quat_from_euler(torch.tensor([0.4, -0.6, 1.1], dtype=torch.float64)).expand(len(t), 4)
-    attitude = quat_multiply(start, quat_exp((3.0 * t + torch.sin(4.0 * t)) * n))
-    rate, acceleration = 3.0 + 4.0 * torch.cos(4.0 * t), -16.0 * torch.sin(4.0 * t)
-    velocity = torch.cat((torch.sin(5.0 * t), torch.cos(3.0 * t), t * t), dim=-1)
-    felt = torch.cat((5.0 * torch.cos(5.0 * t), -3.0 * torch.sin(3.0 * t), 2.0 * t + G), dim=-1)
-    lever = torch.linalg.cross(n, r.double().expand_as(n))
-    force = quat_rotate_inverse(attitude, felt) + acceleration * lever + rate**2 * torch.linalg.cross(n, lever)
-    return attitude, velocity, rate * n, force
 
 
 @pytest.mark.parametrize("position", [ZERO, (0.3, -0.2, 0.1)])
@@ -297,8 +279,11 @@ def test_a_first_sample_is_that_of_a_vehicle_without_acceleration() -> None:
 SLOW = replace(NOISY, rate_hz=40.0, latency_s=0.03)
 """Every 2.5 steps of 10 ms, three steps late."""
 
+PLACED = replace(SLOW, position_low=(-0.1, -0.2, -0.3), position_high=(0.3, 0.2, 0.1))
+"""Elsewhere in every episode."""
 
-@pytest.mark.parametrize("cfg", [NOISY, SLOW])
+
+@pytest.mark.parametrize("cfg", [NOISY, SLOW, PLACED])
 def test_reset_leaves_other_rows_bit_for_bit(cfg: ImuCfg) -> None:
     rig = Rig(cfg, 8)
     rig.reset()
@@ -328,7 +313,7 @@ def test_same_seed_same_noise_and_restart() -> None:
             assert torch.equal(rig.measurement, row)
 
 
-@pytest.mark.parametrize("cfg", [NOISY, SLOW])
+@pytest.mark.parametrize("cfg", [NOISY, SLOW, PLACED])
 def test_an_environment_does_not_depend_on_the_others(cfg: ImuCfg) -> None:
     """Eight environments, and the same eight among 64 of which others are reset in between, are equal bit for bit."""
     few, many = Rig(cfg, 8), Rig(cfg, 64)
@@ -370,19 +355,6 @@ def test_effects_of_the_robot_act_in_body_axes_before_the_mount() -> None:
     in_body = (0.0, G * sin(0.1) + 0.2, G * cos(0.1))
     expected = torch.tensor([in_body[1], -in_body[0], in_body[2], 0.0, -0.03, 0.0])
     torch.testing.assert_close(sample, expected, rtol=0.0, atol=2e-6)
-
-
-def spin_about_z(rig: Rig, samples: int, rate: float, growth: float) -> list[Tensor]:
-    """Return the samples of a body whose origin rests and which turns about z with ``w = rate + growth t``."""
-    found = []
-    rig.move(quat_from_euler(torch.zeros(1, 3)), torch.zeros(1, 3), torch.tensor([[0.0, 0.0, rate]]))
-    rig.reset()
-    for k in range(1, samples + 1):
-        t = 0.01 * k
-        turn = torch.tensor([[0.0, 0.0, rate * t + 0.5 * growth * t * t]])
-        rate_now = torch.tensor([[0.0, 0.0, rate + growth * t]])
-        found.append(rig.sample(quat_from_euler(turn), torch.zeros(1, 3), rate_now).clone())
-    return found
 
 
 def test_a_rolled_mount_feels_the_lever_arm_in_its_own_axes() -> None:

@@ -27,6 +27,7 @@ RANDOMIZE = {
     "body.mass": RandomizeCfg(low=0.8, high=1.2),
     "effects.gusts.std": RandomizeCfg(how="value", low=0.5, high=2.0),
     "gains.velocity": RandomizeCfg(low=0.9, high=1.1),
+    "sensors.inner.position": RandomizeCfg(how="offset", low=-0.1, high=0.1),
 }
 
 

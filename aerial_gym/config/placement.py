@@ -1,0 +1,53 @@
+"""Where a sensor sits on the body, always or drawn at every reset.
+
+Frames: body is x forward, y left, z up.
+"""
+
+from dataclasses import dataclass
+from math import pi
+
+from aerial_gym.config.checks import Vec3, require_finite, require_ordered
+from aerial_gym.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacementCfg:
+    """Nominal placement of a sensor, and within what a reset draws it."""
+
+    position: Vec3 = (0.0, 0.0, 0.0)
+    """Nominal place from the body origin [m], body axes: where rays begin, where accelerometers are."""
+
+    euler: Vec3 = (0.0, 0.0, 0.0)
+    """Nominal ZYX roll, pitch, yaw from body to sensor [rad], within +-2 pi."""
+
+    position_low: Vec3 | None = None
+    """Lowest position [m], body axes, of the uniform draw per environment and sensor at reset; None keeps ``position``."""
+
+    position_high: Vec3 | None = None
+    """Highest one; given with ``position_low``, and ``position`` lies between them."""
+
+    euler_low: Vec3 | None = None
+    """Lowest Euler angles [rad] of the uniform draw per environment and sensor at reset; None keeps ``euler``."""
+
+    euler_high: Vec3 | None = None
+    """Highest ones; given with ``euler_low``, and ``euler`` lies between them."""
+
+    def check_placement(self) -> None:
+        """Raise ``ConfigError`` unless the numbers are finite and each nominal one lies between its ends."""
+        for name in ("position", "euler"):
+            self._check(name, f"{name}_low", f"{name}_high")
+
+    def _check(self, name: str, low: str, high: str) -> None:
+        what = type(self).__name__
+        if (getattr(self, low) is None) != (getattr(self, high) is None):
+            raise ConfigError(f"{what}: give both {low} and {high}, or neither")
+        names = (name,) if getattr(self, low) is None else (low, name, high)
+        require_finite(self, *names)
+        for one in names if name == "euler" else ():
+            angles = getattr(self, one)
+            if any(abs(angle) > 2.0 * pi for angle in angles):
+                raise ConfigError(f"{what}.{one} = {angles!r}: must lie within +-2 pi. Angles are in radians")
+        if len(names) > 1:
+            require_ordered(self, low, high)
+            require_ordered(self, low, name)
+            require_ordered(self, name, high)

@@ -1,0 +1,191 @@
+"""IMUs whose places a reset draws: what each feels at its own lever arm, and that draws are of its environment alone.
+
+The kernel is float32: without noise, a tolerance is the round-off of a velocity difference, 1e-7 |v| / dt, unless stated.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+from math import cos, pi, sin
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config.randomize import RandomizeCfg
+from aerial_gym.config.sensor_mount import SensorMountCfg
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.errors import ConfigError
+from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate, quat_rotate_inverse
+from aerial_gym.robots import ROBOTS
+from aerial_gym.sensors import Pose
+from tests.physics.imu_rig import IDEAL, NOISY, G, Rig, spin_about_z, wobble
+
+LOW, HIGH = (-0.2, -0.3, -0.1), (0.4, 0.1, 0.2)
+DRAWN = replace(IDEAL, position_low=LOW, position_high=HIGH)
+
+
+def test_places_are_uniform_and_independent_of_the_errors() -> None:
+    """Mean and standard deviation of a uniform draw, no correlation with bias, noise or each other: five standard errors."""
+    count, low, high = 20_000, torch.tensor(LOW), torch.tensor(HIGH)
+    turned = replace(NOISY, position_low=LOW, position_high=HIGH, euler_low=(-0.1,) * 3, euler_high=(0.1,) * 3)
+    rig = Rig(replace(turned, misalignment_deg=(0.0, 0.0, 0.0)), count, seed=3)
+    rig.reset()
+    place, turn = rig.imu.mount_position, rig.imu.mount_attitude[:, :3]
+    assert ((place >= low) & (place <= high)).all()
+    spread = (high - low) / 12.0**0.5
+    assert ((place.mean(0) - 0.5 * (low + high)).abs() < 5.0 * spread / count**0.5).all()
+    assert ((place.std(0) / spread - 1.0).abs() < 5.0 * (0.2 / count) ** 0.5).all()  # kurtosis 9/5: (9/5 - 1) / 4
+    upwards = quat_rotate_inverse(rig.imu.mount_attitude, torch.tensor([[0.0, 0.0, G]]).expand(count, 3))
+    noise = (rig.measurement - rig.imu.bias - torch.cat((upwards, torch.zeros_like(upwards)), dim=-1)).square()
+    columns = torch.cat((place, turn, rig.imu.bias, noise, place.roll(1, dims=0)), dim=-1)
+    assert (torch.corrcoef(columns.T) - torch.eye(columns.shape[1])).abs().max() < 5.0 / count**0.5
+
+
+def test_each_feels_its_own_lever_arm() -> None:
+    """``f = dw x r + w x (w x r) + g``: about z that is (-dw y - w² x, dw x - w² y, g), with the r of each environment."""
+    w, dw, dt = 2.0, 3.0, 0.01
+    rig = Rig(DRAWN, 32)
+    (found,) = spin_about_z(rig, 1, w, dw)
+    x, y, _ = rig.imu.mount_position.double().unbind(-1)
+    assert x.std() > 0.1
+    middle = w + 0.5 * dt * dw
+    expected = torch.stack((-dw * y - middle**2 * x, dw * x - middle**2 * y, torch.full_like(x, G)), dim=-1)
+    torch.testing.assert_close(found[:, :3].double(), expected, rtol=0.0, atol=dt**2 * w * dw)  # O(dt²)
+
+
+def test_force_is_the_second_derivative_of_the_place_of_each() -> None:
+    """``R_m^T (p'' + g z)`` with ``p = x + R r`` differenced twice in float64: no lever-arm term is written down.
+
+    The root mean square error at t - dt/2 falls with dt² as dt is halved.
+    """
+    cfg = replace(DRAWN, euler_low=(-0.5, -0.4, -0.3), euler_high=(0.5, 0.4, 0.3))
+    t, steps, errors = torch.linspace(0.5, 2.0, 200).double(), (0.08, 0.04, 0.02), []
+    for dt in steps:
+        rig = Rig(cfg, len(t), dt=dt)
+        rig.move(*wobble(t - 2.0 * dt, torch.zeros(3))[:3])
+        rig.reset()
+        rig.sample(*wobble(t - dt, torch.zeros(3))[:3])
+        found = rig.sample(*wobble(t, torch.zeros(3))[:3])
+        lever, mount = rig.imu.mount_position.double(), rig.imu.mount_attitude.double()
+        middle, h = t - 0.5 * dt, 1e-4
+        before, now, after = (point(middle + shift, lever) for shift in (-h, 0.0, h))
+        felt = (before - 2.0 * now + after) / h**2 + torch.tensor([0.0, 0.0, G], dtype=torch.float64)
+        attitude = quat_multiply(wobble(middle, torch.zeros(3))[0], mount)
+        errors.append((found[:, :3] - quat_rotate_inverse(attitude, felt)).square().mean().sqrt())
+    assert [torch.log2(a / b).item() for a, b in pairwise(errors)] == pytest.approx([2.0, 2.0], abs=0.1)
+
+
+def point(t: Tensor, lever: Tensor) -> Tensor:
+    """Return where a point of the body of ``wobble`` is at times t: ``x + R r`` with the integral x of its velocity."""
+    origin = torch.stack((-torch.cos(5.0 * t) / 5.0, torch.sin(3.0 * t) / 3.0, t**3 / 3.0), dim=-1)
+    return origin + quat_rotate(wobble(t, torch.zeros(3))[0], lever)
+
+
+def test_what_is_drawn_deviates_from_the_mount_along_its_own_axes() -> None:
+    """``T_mount T_nominal^-1 T_drawn``: a shift to the IMU's left goes up where the mount is rolled by +90 degrees."""
+    cfg = replace(IDEAL, position=(1.0, 2.0, 3.0), position_low=(1.0, 2.0, 3.0), position_high=(1.0, 2.05, 3.0))
+    turned = replace(cfg, euler=(0.0, 0.0, 0.1), euler_low=(0.0, 0.0, 0.1), euler_high=(0.0, 0.0, 0.1))
+    at = torch.tensor([0.3, 0.2, 0.1], dtype=torch.float64)
+    rolled = quat_from_euler(torch.tensor([0.5 * pi, 0.0, 0.0], dtype=torch.float64))
+    rig = Rig(turned, 64, pose=Pose(position=at, attitude=rolled))
+    rig.reset()
+    x, y, z = (rig.imu.mount_position - at.float()).unbind(-1)  # the nominal yaw turns a shift of d to (d sin, d cos)
+    shift = torch.hypot(x, z)
+    torch.testing.assert_close(y, torch.zeros(64), rtol=0.0, atol=1e-6)
+    torch.testing.assert_close(x, shift * sin(0.1), rtol=0.0, atol=1e-6)
+    torch.testing.assert_close(z, shift * cos(0.1), rtol=0.0, atol=1e-6)
+    assert ((z >= 0.0) & (shift <= 0.05 + 1e-6)).all()
+    assert shift.std() > 0.01
+    torch.testing.assert_close(rig.imu.mount_attitude, rolled.float().expand(64, 4), rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"position_low": LOW}, "give both position_low and position_high"),
+        ({"position_low": HIGH, "position_high": LOW}, "must not exceed"),
+        ({"euler_low": (-9.0, 0.0, 0.0), "euler_high": (0.0, 0.0, 0.0)}, r"within \+-2 pi"),
+    ],
+)
+def test_impossible_placements_are_refused(fields: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        replace(IDEAL, **fields)
+
+
+TAIL = SensorMountCfg(sensor="bmi088", name="tail", position=(-0.2, 0.0, 0.0), euler=(0.0, 0.0, pi))
+PLACES = {
+    "sensors.base_imu.position": RandomizeCfg(how="offset", low=-0.1, high=0.1),
+    "sensors.tail.position": RandomizeCfg(how="offset", low=(0.0, -0.01, 0.0), high=(0.05, 0.01, 0.0)),
+    "sensors.tail.euler": RandomizeCfg(how="offset", low=-0.1, high=0.1),
+}
+
+
+def flown(
+    num_envs: int,
+    backend: str = "warp",
+    *,
+    randomize: dict[str, RandomizeCfg] = PLACES,
+    first: str | SensorMountCfg = "base_imu",
+) -> EnvManager:
+    """Return environments after a few steps with a reset of every third on the way."""
+    env = EnvManager(
+        sim=replace(SIMS.get("base_sim"), backend=backend),
+        env=ENVIRONMENTS.get("empty_env"),
+        robot=replace(ROBOTS.get("base_quadrotor"), sensors=(first, TAIL)),
+        controller=CONTROLLERS.get("lee_velocity_control"),
+        num_envs=num_envs,
+        device=torch.device("cpu"),
+        seed=2,
+        randomize=randomize,
+    )
+    env.reset()
+    number = torch.arange(num_envs)
+    for k in range(4):
+        env.step(torch.tensor([[0.3, -0.2, 0.1, 0.5]]).expand(num_envs, 4))
+        env.reset(number % 3 == k)
+    return env
+
+
+@pytest.mark.parametrize("backend", ["warp", "torch"])
+def test_an_environment_of_four_is_that_of_sixty_four(backend: str) -> None:
+    few, many = flown(4, backend), flown(64, backend)
+    for name, rows in few.draws().items():
+        assert torch.equal(rows, many.draws()[name][:4])
+    for key in ("imu_measurement", "tail_imu_measurement"):
+        assert torch.equal(few.gtd[key], many.gtd[key][:4])
+
+
+def test_named_places_are_offsets_about_the_mount() -> None:
+    """In the frame of the IMU's own file: the tail is turned by pi, so that its x is minus the body's."""
+    env = flown(64)
+    draws = env.draws()
+    assert set(draws) == {
+        f"sensors.{name}.{what}" for name in ("base_imu", "tail") for what in ("position", "attitude")
+    }
+    assert (draws["sensors.base_imu.position"].abs() <= 0.1).all()
+    assert (draws["sensors.base_imu.position"].std(0) > 0.04).all()
+    x, y, z = draws["sensors.tail.position"].unbind(-1)
+    assert ((x >= -0.25 - 1e-6) & (x <= -0.2 + 1e-6) & (y.abs() <= 0.01 + 1e-6) & (z.abs() < 1e-6)).all()
+    assert x.std() > 0.01
+    before = {name: rows.clone() for name, rows in draws.items()}
+    mask = torch.arange(64) % 2 == 0
+    env.reset(mask)
+    for name, rows in draws.items():
+        assert torch.equal(rows[~mask], before[name][~mask])
+        changed = (rows[mask] != before[name][mask]).any(-1)
+        assert changed.all() or name == "sensors.base_imu.attitude"
+    assert not flown(4, randomize={}).draws()
+
+
+def test_a_drawn_place_is_a_mount_at_that_place() -> None:
+    """In flight an environment's IMU measures what one that is mounted where it was drawn does, and not what others do."""
+    drawn = flown(4)
+    found, places = drawn.gtd["imu_measurement"], drawn.draws()["sensors.base_imu.position"]
+    for i in range(4):
+        mounted = flown(4, randomize={}, first=SensorMountCfg(sensor="base_imu", position=tuple(places[i].tolist())))
+        expected = mounted.gtd["imu_measurement"]
+        torch.testing.assert_close(found[i], expected[i], rtol=0.0, atol=1e-4)
+        others = torch.arange(4) != i
+        assert (found - expected)[others, :3].norm(dim=-1).min() > 1e-2
