@@ -99,7 +99,7 @@ class FlightLog(Recording):
     """Whether all rotors share one command: it says nothing about torques."""
 
     lift_off: float = 0.0
-    """Up to this above the lowest place of the flight the vehicle stands on the ground [m]; 0: it never stands."""
+    """Within this of a height at which it stood the vehicle stands on the ground [m]; 0: heights tell nothing."""
 
     hover_above: float | None = None
     """Commanded speeds are to be scaled to the thrust measured above this height [m], world; None: they are not."""

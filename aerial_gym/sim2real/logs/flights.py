@@ -208,7 +208,7 @@ def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
 def complete_flight(log: FlightLog, notes: Sequence[str] = (), *, on_ground: NDArray[np.bool_] | None = None) -> Flight:
     """Return the flight with specific force and angular velocity derived where the log lacks them.
 
-    ``on_ground``: rows in which the vehicle stands, (T,); those that the mapping tells by the height come to them.
+    ``on_ground``: rows in which the vehicle stands, (T,).
     """
     rate, said = rate_of(log), [*log.notes, *notes]
     band = DERIVED_BAND * rate
@@ -226,9 +226,6 @@ def complete_flight(log: FlightLog, notes: Sequence[str] = (), *, on_ground: NDA
         said.append("one command for all rotors: angular acceleration is not compared")
     if not log.torques:
         said.append("the mapping says that these logs do not show torques: angular acceleration is not compared")
-    if log.lift_off > 0.0 and log.position is not None:
-        low = log.position[:, 2] <= log.position[:, 2].min() + log.lift_off
-        on_ground = low if on_ground is None else low | on_ground
     if on_ground is not None:
         said.append(f"stands on the ground in {on_ground.mean():.0%} of the rows; they are not compared")
     shared = {field.name: getattr(log, field.name) for field in fields(Recording)}

@@ -141,8 +141,8 @@ class LogMapping:
     """Text in the name of a file, and the steady wind [m/s], world, that was known in that flight, as in a wind tunnel."""
 
     lift_off_m: float = 0.0
-    """The vehicle stands in rows that are no more than this above the lowest place of its flight [m]: they are not compared,
-    for the ground pushes as well. 0: it never stands."""
+    """Where the log shows that the vehicle stood (at rest, its rotors giving less than half its weight), it also stands in all
+    rows within this of that height [m]: they are not compared, for the ground pushes as well. 0: heights tell nothing."""
 
     hover_above_m: float | None = None
     """Where given, the commanded speeds of each flight are scaled so that the declared thrust is the measured one on average in

@@ -5,11 +5,12 @@ Letters: T rows, R rotors.
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy import ndimage, signal
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
+from aerial_gym.physics.effects.one_rotor import declared_lag
 from aerial_gym.sim2real.logs.checks.conventions import rate_of
 from aerial_gym.sim2real.logs.declared_rotors import lift
 from aerial_gym.sim2real.logs.flight_log import FlightLog
@@ -37,21 +38,22 @@ MOST = 0.8
 
 
 def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Rows | None:
-    """Return in which rows the vehicle stands, (T,); None if in none, or if no accelerometer tells.
+    """Return in which rows the vehicle stands, (T,); None if in none, or if nothing tells.
 
     It stands where it is at rest and feels gravity while its rotors give less than half the thrust of the flight, and in the
-    rows beside, as long as it is at rest and the rotors give less than nine tenths.
+    rows beside, as long as it is at rest and the rotors give less than nine tenths. Where it stood once it stands in all rows
+    within the mapping's ``lift_off_m`` of that height. A height alone is no evidence: it may be that of a hover.
 
     Raises:
         DataError: If it stands nearly all the time.
     """
-    rotors = log.rotor_speed if log.rotor_speed is not None else log.rotor_command
-    if log.specific_force is None or rotors is None:
+    rotors, width = _rotors(log, robot), SMOOTH_S * rate_of(log)
+    felt = _felt(log, width)
+    if felt is None or rotors is None:
         return None
-    width = SMOOTH_S * rate_of(log)
     thrust = ndimage.gaussian_filter1d(lift(robot, rotors), width)
     thrust = thrust / min(float(np.percentile(thrust, 90.0)), robot.body.mass * STANDARD_GRAVITY)
-    rest = _size(log.specific_force, width) > CARRIED * STANDARD_GRAVITY
+    rest = felt > CARRIED * STANDARD_GRAVITY
     for name, limit in STILL.items():
         values = getattr(log, name)
         if values is not None:
@@ -62,12 +64,43 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Rows | None:
     likely = rest & (thrust < LIFTING)
     piece = np.cumsum(np.diff(likely, prepend=False))
     on_ground = likely & np.isin(piece, piece[certain])
+    if log.lift_off > 0.0 and log.position is not None:
+        on_ground |= _at_height_of(on_ground, log.position[:, 2], log.lift_off)
     if on_ground.mean() > MOST:
         raise DataError(
             f"{log.path}: the vehicle stands on the ground in {on_ground.mean():.0%} of the rows: at rest, while its rotors "
             "give less than half its weight; cut the log to the flight"
         )
     return on_ground
+
+
+def _rotors(log: FlightLog, robot: RobotCfg) -> Array | None:
+    """Return the states of the rotors, (T, R): measured, or what the declared lag makes of commands; None without both.
+
+    A command of zero carries no less than the one before until the rotors have followed it.
+    """
+    if log.rotor_speed is not None or log.rotor_command is None:
+        return log.rotor_speed
+    kept = float(np.exp(-1.0 / (rate_of(log) * 0.5 * sum(declared_lag(robot)))))
+    follow, _ = signal.lfilter([0.0, 1.0 - kept], [1.0, -kept], log.rotor_command, axis=0, zi=log.rotor_command[:1])
+    return follow
+
+
+def _felt(log: FlightLog, width: float) -> Array | None:
+    """Return the size of the specific force [m/s²], (T,), of the accelerometer or else of the velocity; None without both."""
+    if log.specific_force is not None:
+        return _size(log.specific_force, width)
+    if log.lin_vel is None:
+        return None
+    change = rate_of(log) * ndimage.gaussian_filter1d(log.lin_vel, width, axis=0, order=1)
+    return np.linalg.norm(change + np.array([0.0, 0.0, STANDARD_GRAVITY]), axis=1)
+
+
+def _at_height_of(stands: Rows, height: Array, reach: float) -> Rows:
+    """Return the rows (T,) within ``reach`` [m] of the lowest height of any piece of rows in which the vehicle stands."""
+    pieces, count = ndimage.label(stands)  # pyright: ignore[reportGeneralTypeIssues]
+    levels = ndimage.minimum(height, pieces, np.arange(1, count + 1))
+    return np.any([np.abs(height - level) <= reach for level in np.atleast_1d(levels)], axis=0)
 
 
 def _size(values: Array, width: float) -> Array:

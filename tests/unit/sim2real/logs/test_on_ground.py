@@ -1,14 +1,19 @@
 """A vehicle that stands before take-off and after landing: those rows are found and not compared."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight, load_flight
+from aerial_gym.sim2real.logs.mapping import find_mapping
+from aerial_gym.sim2real.logs.on_ground import rows_on_ground
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -17,6 +22,7 @@ from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 RATE = 100.0
 ROTORS = [f"rotor_{n}" for n in range(1, 5)]
+COMMANDS = [f"cmd_{n}" for n in range(1, 5)]
 FIELDS = [f"{name}_{axis}" for name in ("p", "v", "omega", "acc") for axis in "xyz"]
 
 
@@ -37,10 +43,20 @@ def on_ground(table: pd.DataFrame, rows: int, *, idle: float, at: int = 0) -> pd
     return ground
 
 
-def loaded(parts: list[pd.DataFrame], folder: Path) -> Flight:
+def joined(parts: list[pd.DataFrame], folder: Path) -> Path:
     whole = pd.concat(parts, ignore_index=True)
     whole["t"] = np.arange(len(whole)) / RATE
-    return load_flight(write(whole, folder / "a.csv"), ROBOT, mapping=None, bandwidth=10.0)
+    return write(whole, folder / "a.csv")
+
+
+def loaded(parts: list[pd.DataFrame], folder: Path) -> Flight:
+    return load_flight(joined(parts, folder), ROBOT, mapping=None, bandwidth=10.0)
+
+
+def stood(parts: list[pd.DataFrame], folder: Path, *, lift_off: float) -> NDArray[np.bool_] | None:
+    """Return the rows on the ground of pieces that need not fit together."""
+    mapping = replace(find_mapping("aerial_gym"), lift_off_m=lift_off)
+    return rows_on_ground(read_flight_log(joined(parts, folder), mapping=mapping), ROBOT)
 
 
 @pytest.mark.parametrize("idle", [0.0, 200.0])
@@ -60,6 +76,48 @@ def test_rows_on_the_ground_are_found_without_a_height(table: pd.DataFrame, tmp_
 
 def test_a_flight_that_never_stands_has_no_such_rows(table: pd.DataFrame, tmp_path: Path) -> None:
     assert loaded([table], tmp_path).on_ground is None
+
+
+def test_a_height_at_which_it_stood_is_the_ground_and_a_lower_one_is_none(table: pd.DataFrame, tmp_path: Path) -> None:
+    """It stands on a table 5 m high, skims it, and flies far below as well: there nothing but its rotors carries it."""
+    stands, skims = on_ground(table, 150, idle=200.0).assign(p_z=5.0), table[:100].assign(p_z=5.01)
+    found = stood([stands, skims, table.assign(p_z=table["p_z"] - 3.0)], tmp_path, lift_off=0.02)
+    assert found is not None
+    assert found[:250].all()
+    assert not found[250:].any()
+
+
+def test_a_low_slow_hover_is_flight(table: pd.DataFrame, tmp_path: Path) -> None:
+    """A hover that hardly moves lies within a centimetre of the lowest place of its log, and is flown by its rotors."""
+    hover = on_ground(table, 400, idle=np.sqrt(0.6 * 9.81 / 4.8e-6)).assign(p_z=0.8)
+    assert stood([hover, table], tmp_path, lift_off=0.01) is None
+
+
+def test_rotors_that_are_cut_in_the_air_carry_until_they_have_followed(table: pd.DataFrame, tmp_path: Path) -> None:
+    """Commands of zero while the vehicle still hangs on its slow rotors are no ground."""
+    lag, speed = 0.3, np.sqrt(0.6 * 9.81 / 4.8e-6)
+    slow, quick = (
+        replace(ROBOT, rotor=replace(ROBOT.rotor, time_constant_up=s, time_constant_down=s)) for s in (lag, 1e-3)
+    )
+    log = on_ground(table, 400, idle=speed).rename(columns=dict(zip(ROTORS, COMMANDS, strict=True)))
+    cut = on_ground(table, 30, idle=0.0).rename(columns=dict(zip(ROTORS, COMMANDS, strict=True)))
+    share = np.exp(-2.0 * np.arange(30) / RATE / lag)
+    cut[["acc_x", "acc_y", "acc_z"]] *= share[:, None]
+    cut["v_z"] = 9.81 * np.cumsum(share - 1.0) / RATE
+    path = joined([log, cut], tmp_path)
+    assert rows_on_ground(read_flight_log(path), slow) is None
+    assert (
+        rows_on_ground(read_flight_log(path), quick) is not None
+    )  # with such rotors nothing but the ground would carry it
+
+
+def test_the_ground_is_found_without_an_accelerometer(table: pd.DataFrame, tmp_path: Path) -> None:
+    """The velocity tells as well that it does not fall."""
+    whole = pd.concat([on_ground(table, 150, idle=200.0), table], ignore_index=True)
+    found = loaded([whole.drop(columns=["acc_x", "acc_y", "acc_z"])], tmp_path)
+    assert found.on_ground is not None
+    assert found.on_ground[20:130].all()
+    assert not found.on_ground[160:].any()
 
 
 def test_a_drop_with_idle_rotors_is_flight(table: pd.DataFrame, tmp_path: Path) -> None:
