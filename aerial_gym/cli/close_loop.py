@@ -83,10 +83,14 @@ class CloseLoopCmd:
 
 
 def _print_verdict(verdict: "Verdict", out: Path) -> None:
+    from aerial_gym.sim2real.logs.inputs import LEFT_OUT
     from aerial_gym.sim2real.report.tables import channel_rows, rollout_rows
 
     console = Console(markup=False)
     console.print(f"{verdict.verdict}: {verdict.reason}")
+    for note in verdict.notes:
+        if note.startswith(LEFT_OUT):
+            console.print(f"  {note}")
     for effect in verdict.effects:
         parts = [
             f"{key} = {value:.4g}" + (f" ± {1.96 * effect.std[key]:.2g}" if key in effect.std else " (not shown)")

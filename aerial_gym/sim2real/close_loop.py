@@ -5,12 +5,13 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.env_manager.sim_builder import robot_by_name
-from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.errors import DataError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.model import check_rotors
@@ -18,7 +19,8 @@ from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.stages import declare, refit, select
 from aerial_gym.sim2real.judge.analysis import Judged, judge
 from aerial_gym.sim2real.judge.verdict import Verdict
-from aerial_gym.sim2real.logs.flights import Flight, load_flights
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.inputs import read_inputs
 from aerial_gym.sim2real.logs.mapping import find_mapping
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
@@ -46,7 +48,7 @@ def close_loop(
     Args:
         robot: Registered robot, or a robot file.
         train: Logs to fit on.
-        test: Logs to judge on; no fit sees them.
+        test: Logs to judge on; no fit sees them. All logs are read at the start, and not again.
         out_dir: Folder of the results; it appears when all is done, and not at all if something fails.
         mapping: Name or file of a log mapping; None for logs of this package's layout.
         bandwidth: Residuals are compared below it [Hz].
@@ -58,7 +60,7 @@ def close_loop(
         progress: Told what is being done.
 
     Raises:
-        DataError: If a log cannot be used.
+        DataError: If a file is not there, or no log that can be used is left to train or to test on.
         ConfigError, UnknownNameError: If robot or mapping cannot.
     """
     from aerial_gym.sim2real.report.report import write_report  # matplotlib is slow to import
@@ -66,10 +68,15 @@ def close_loop(
     check_out_dir(Path(out_dir))
     declared = robot_by_name(robot)
     with one_thread():
-        flights = load_train_and_test(declared, train, test, mapping, bandwidth, progress)
+        progress("reading flights", 0.0)
+        layout = None if mapping is None else find_mapping(mapping)
+        inputs = read_inputs(declared, train, test, mapping=layout, bandwidth=bandwidth)
+        for sentence in inputs.left_out:
+            progress(sentence, 0.0)
         judged = judge_flights(
             declared,
-            *flights,
+            inputs.train,
+            inputs.test,
             bandwidth=bandwidth,
             seed=seed,
             criteria=criteria,
@@ -77,7 +84,8 @@ def close_loop(
             learn_residual=learn_residual,
             progress=progress,
         )
-        verdict, found = judged.verdict, judged.corrected
+        verdict = replace(judged.verdict, notes=(*inputs.left_out, *judged.verdict.notes))
+        judged, found = replace(judged, verdict=verdict), judged.corrected
         corrected = with_found_ranges(found, verdict.effects) if ranges else found
         progress("writing the report", 0.97)
         config = {
@@ -98,7 +106,7 @@ def close_loop(
             (folder / "verdict.json").write_text(text + "\n", encoding="utf-8")
             (folder / "robot.yaml").write_text(dump_yaml(corrected), encoding="utf-8")
             write_report(folder, judged)
-            write_record(folder, config, [*train, *test])
+            write_record(folder, config, inputs.digests)
     progress("done", 1.0)
     return verdict
 
@@ -111,15 +119,13 @@ def load_train_and_test(
     bandwidth: float,
     progress: Progress,
 ) -> tuple[list[Flight], list[Flight]]:
-    """Return training and test flights; no file may be both."""
-    if not train or not test:
-        raise DataError("needs at least one flight to train on (--train) and another one to test on (--test)")
-    if not 0.5 <= bandwidth <= 100.0:
-        raise ConfigError(f"bandwidth_hz = {bandwidth!r}: must lie in [0.5, 100] Hz")
+    """Return training and test flights; none may be refused."""
     progress("reading flights", 0.0)
     layout = None if mapping is None else find_mapping(mapping)
-    flights = load_flights([*train, *test], robot, mapping=layout, bandwidth=bandwidth, learning=len(train))
-    return flights[: len(train)], flights[len(train) :]
+    inputs = read_inputs(robot, train, test, mapping=layout, bandwidth=bandwidth)
+    if inputs.left_out:
+        raise DataError(inputs.left_out[0])
+    return inputs.train, inputs.test
 
 
 def judge_flights(

@@ -13,6 +13,7 @@ from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate
 from aerial_gym.sim2real.judge.noise_floor import noise_floor
 from aerial_gym.sim2real.logs.flights import Flight, load_flights
+from aerial_gym.sim2real.logs.inputs import file_digests
 from aerial_gym.sim2real.logs.mapping import find_mapping
 from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
@@ -81,6 +82,7 @@ def replay(
     progress("reading flights", 0.0)
     layout = None if mapping is None else find_mapping(mapping)
     with one_thread():
+        digests = file_digests(flights)
         found = load_flights(flights, declared, mapping=layout, bandwidth=bandwidth)
         progress("predicting every row, rolling out every window", 0.3)
         result = replay_flights(declared, found, bandwidth=bandwidth, seed=seed)
@@ -90,7 +92,7 @@ def replay(
             config |= {"mapping": mapping and str(mapping), "bandwidth_hz": bandwidth, "seed": seed}
             with whole_folder(Path(out_dir)) as folder:
                 _write(folder, result)
-                write_record(folder, config, flights)
+                write_record(folder, config, digests)
     progress("done", 1.0)
     return result
 

@@ -3,7 +3,8 @@
 Letters: T rows, R rotors.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -93,34 +94,55 @@ def load_flights(
     mapping: LogMapping | None,
     bandwidth: float,
     learning: int | None = None,
+    refused: list[DataError] | None = None,
 ) -> list[Flight]:
     """Return the flights of the files, with names that differ.
 
     The first ``learning`` of them decide on the clock of all rotor logs, None: all do; nothing else of a flight depends on
-    another one.
+    another one. A file that cannot be used is left out if there is a list ``refused`` to say so in.
 
     Raises:
-        DataError: If a file cannot be used, or is given twice.
+        DataError: If a file cannot be used and no list is given, or is given twice.
     """
-    seen: dict[Path, str] = {}
-    read: list[tuple[FlightLog, list[str]]] = []
+    read: dict[Path, tuple[FlightLog, list[str]]] = {}
+    for real, path in distinct_files(paths).items():
+        with _left_out(refused):
+            log = mended_log(path, mapping)
+            read[real] = (with_velocity(log), check_log(log, robot))
+    first = {Path(path).resolve() for path in paths[:learning]}
+    offsets = clock_offsets([log for log, _ in read.values()], robot, bandwidth, sum(real in first for real in read))
+    flights: list[Flight] = []
+    for (real, (log, notes)), offset in zip(read.items(), offsets, strict=True):
+        with _left_out(refused):
+            log = match_hover_thrust(with_rotor_clock(log, offset, robot), robot)
+            check_order(log, robot)
+            flight = complete_flight(log, notes, on_ground=rows_on_ground(log, robot))
+            taken = {other.name for other in flights}
+            name = flight.name if flight.name not in taken else f"{real.parent.name}/{flight.name}"
+            flights.append(replace(flight, name=name))
+    return flights
+
+
+@contextmanager
+def _left_out(refused: list[DataError] | None) -> Iterator[None]:
+    """Put a refusal into a list, if there is one."""
+    try:
+        yield
+    except DataError as error:
+        if refused is None:
+            raise
+        refused.append(error)
+
+
+def distinct_files(paths: Sequence[str | Path]) -> dict[Path, str | Path]:
+    """Return the paths by the files that they name; refuse a file that is named twice."""
+    seen: dict[Path, str | Path] = {}
     for path in paths:
         real = Path(path).resolve()
         if real in seen:
             raise DataError(f"{path}: is given twice (also as {seen[real]}); a flight is for training or for testing")
-        seen[real] = str(path)
-        log = mended_log(path, mapping)
-        read.append((with_velocity(log), check_log(log, robot)))
-    offsets = clock_offsets([log for log, _ in read], robot, bandwidth, len(read) if learning is None else learning)
-    flights: list[Flight] = []
-    for (log, notes), offset, real in zip(read, offsets, seen, strict=True):
-        log = match_hover_thrust(with_rotor_clock(log, offset, robot), robot)
-        check_order(log, robot)
-        flight = complete_flight(log, notes, on_ground=rows_on_ground(log, robot))
-        taken = {other.name for other in flights}
-        name = flight.name if flight.name not in taken else f"{real.parent.name}/{flight.name}"
-        flights.append(replace(flight, name=name))
-    return flights
+        seen[real] = path
+    return seen
 
 
 def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None, bandwidth: float) -> Flight:

@@ -1,11 +1,10 @@
 """What a run needs around its calculation: a folder that appears whole, a record of what was run."""
 
-import hashlib
 import json
 import platform
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -71,13 +70,13 @@ def _listed_files(record: Path) -> set[str]:
     return {name for name in names if isinstance(name, str) and name == Path(name).name and name not in ("", ".", "..")}
 
 
-def write_record(folder: Path, config: dict[str, object], inputs: Sequence[str | Path]) -> None:
-    """Write what was run, with which versions, on which files."""
+def write_record(folder: Path, config: dict[str, object], inputs: dict[str, str]) -> None:
+    """Write what was run, with which versions, on which files: their digests, taken when they were read."""
     record = {
         "config": config,
         "versions": {name: _version(name) for name in ("aerial-gym", "torch", "numpy", "scipy", "pandas")},
         "python": platform.python_version(),
-        "inputs": {str(path): hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in inputs},
+        "inputs": inputs,
     }
     (folder / RECORD).write_text(json.dumps(record, indent=1, default=str) + "\n", encoding="utf-8")
 

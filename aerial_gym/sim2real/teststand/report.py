@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg, RotorCfg
+from aerial_gym.sim2real.logs.inputs import file_digests
 from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def write_study(out_dir: Path, study: Study, config: dict[str, object], inputs: 
         (folder / "result.json").write_text(text + "\n", encoding="utf-8")
         for name, text in study.files.items():
             (folder / name).write_text(text, encoding="utf-8")
-        write_record(folder, config, inputs)
+        write_record(folder, config, file_digests(inputs))
 
 
 def rotor_files(robot: RobotCfg | None, changes: dict[str, object], source: str) -> dict[str, str]:

@@ -3,10 +3,13 @@ independent plant, ``tests/measured/test_idsia.py`` real flights."""
 
 import errno
 import json
+import shutil
 from contextlib import redirect_stdout
 from dataclasses import replace
+from importlib import import_module
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,7 +26,9 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real import close_loop, replay
 from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test
 from aerial_gym.sim2real.identify.selection.structure import find_structure
+from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.unexplained import material_excess
+from aerial_gym.sim2real.logs.inputs import LEFT_OUT
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.progress import silent
 from aerial_gym.sim2real.report.run_folder import whole_folder
@@ -53,11 +58,25 @@ def call(folder: Path) -> list[str]:
 
 @pytest.fixture(scope="module")
 def run(folder: Path, call: list[str]) -> tuple[Path, str]:
-    """Return the folder of results of the command, and what it printed."""
+    """Return the folder of results of the command, and what it printed.
+
+    One more training flight cannot be used, and the folder of the flights is gone as soon as they are read.
+    """
     out, known, printed = folder / "result", folder.parent / "tolerances.yaml", StringIO()
     known.write_text("mass: 0.002\n")
-    with redirect_stdout(printed):
-        assert main([*call, "--out", str(out), "--ranges", "--tolerances", str(known)]) == 0
+    gone = Path(shutil.copytree(folder, folder.parent / "gone"))
+    write(pd.read_csv(gone / "f0.csv").assign(omega_y=0.0), gone / "f9.csv")
+    arguments = [text.replace(str(folder), str(gone)) for text in call]
+    arguments[-2:-2] = [str(gone / "f9.csv")]
+
+    def without_files(*args: Any, **options: Any) -> Judged:
+        shutil.rmtree(gone)
+        return judge_flights(*args, **options)
+
+    with redirect_stdout(printed), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(import_module("aerial_gym.sim2real.close_loop"), "judge_flights", without_files)
+        assert main([*arguments, "--out", str(out), "--ranges", "--tolerances", str(known)]) == 0
+    assert not gone.exists()
     return out, printed.getvalue()
 
 
@@ -194,7 +213,7 @@ def test_the_reports_stand_alone(result: Path) -> None:
     assert test["specific_force_x_after"].std() < 0.3 * test["specific_force_x_before"].std()
     record = json.loads((result / "run.json").read_text())
     assert record["config"]["seed"] == 0
-    assert len(record["inputs"]) == 4
+    assert {Path(path).name for path in record["inputs"]} == {"f0.csv", "f1.csv", "f2.csv", "f3.csv", "f9.csv"}
 
 
 def test_the_command_prints(run: tuple[Path, str]) -> None:
@@ -203,6 +222,15 @@ def test_the_command_prints(run: tuple[Path, str]) -> None:
     assert (record["config"]["tolerances"]["mass"], record["config"]["tolerances"]["com"]) == (0.002, 0.0003)
     assert "rotor_drag: dx = 0.2" in printed
     assert "specific force x" in printed
+
+
+def test_a_flight_that_cannot_be_used_is_said_to_be_left_out(run: tuple[Path, str]) -> None:
+    out, printed = run
+    notes = json.loads((out / "verdict.json").read_text())["notes"]
+    assert notes[0].startswith(LEFT_OUT)
+    assert "f9.csv: ang_vel 2 is 0 in every row" in notes[0]
+    assert "ang_vel 2 is 0 in every row" in "".join(printed.split("\n")[1:4])
+    assert "ang_vel 2 is 0 in every row" in (out / "report.html").read_text()
 
 
 def test_the_command_refuses(folder: Path, call: list[str], capsys: pytest.CaptureFixture[str]) -> None:

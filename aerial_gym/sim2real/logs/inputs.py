@@ -1,0 +1,73 @@
+"""What a run reads, once and at its start: flights for training and for testing, and what their files were."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.sim2real.logs.flights import Flight, distinct_files, load_flights
+from aerial_gym.sim2real.logs.mapping import LogMapping
+
+LEFT_OUT = "left out: "
+"""How a note on a flight that cannot be used begins."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """Flights that can be used, and a sentence for each that cannot."""
+
+    train: list[Flight]
+    test: list[Flight]
+
+    left_out: tuple[str, ...]
+    """Notes that begin with ``LEFT_OUT``."""
+
+    digests: dict[str, str]
+    """SHA-256 of each file by its path, those left out included."""
+
+
+def read_inputs(
+    robot: RobotCfg,
+    train: Sequence[str | Path],
+    test: Sequence[str | Path],
+    *,
+    mapping: LogMapping | None,
+    bandwidth: float,
+) -> Inputs:
+    """Return what the logs hold; a log that cannot be used is left out and said so, as long as others are left.
+
+    Raises:
+        DataError: If a file is not there or given twice, or if no flight is left to train on or to test on.
+        ConfigError: If the bandwidth is none.
+    """
+    if not train or not test:
+        raise DataError("needs at least one flight to train on (--train) and another one to test on (--test)")
+    if not 0.5 <= bandwidth <= 100.0:
+        raise ConfigError(f"bandwidth_hz = {bandwidth!r}: must lie in [0.5, 100] Hz")
+    paths, refused = [*train, *test], list[DataError]()
+    distinct_files(paths)
+    digests = file_digests(paths)
+    flights = load_flights(paths, robot, mapping=mapping, bandwidth=bandwidth, learning=len(train), refused=refused)
+    to_train = {str(path) for path in train}
+    found = [[f for f in flights if (f.path in to_train) is wanted] for wanted in (True, False)]
+    for role, given, left in zip(("train", "test"), (train, test), found, strict=True):
+        if not left:
+            others = f" (none of {len(given)} flights to {role} on is left; the first refusal of {len(refused)})"
+            raise DataError(f"{refused[0]}{others if len(refused) > 1 else ''}") from None
+    notes = tuple(f"{LEFT_OUT}{error}" for error in refused)
+    return Inputs(train=found[0], test=found[1], left_out=notes, digests=digests)
+
+
+def file_digests(paths: Sequence[str | Path]) -> dict[str, str]:
+    """Return the SHA-256 of files by their paths."""
+    found: dict[str, str] = {}
+    for path in paths:
+        try:
+            found[str(path)] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+        except FileNotFoundError:
+            raise DataError(f"{path}: no such file") from None
+        except OSError as error:
+            raise DataError(f"{path}: cannot be read ({error.strerror})") from None
+    return found

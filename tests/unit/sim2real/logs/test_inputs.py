@@ -1,0 +1,62 @@
+"""What a run reads: once, at its start, and without the flights that cannot be used."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.inputs import LEFT_OUT, read_inputs
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> list[Path]:
+    """Return the logs of four flights."""
+    return [write(flight(40 + n, noise=1.0, seconds=5.0, rate=100.0), tmp_path / f"f{n}.csv") for n in range(4)]
+
+
+def spoil(path: Path) -> None:
+    """Let a sensor fail in the middle of a log."""
+    table = pd.read_csv(path)
+    table.loc[100:110, "omega_y"] = np.nan
+    write(table, path)
+
+
+def test_a_flight_that_cannot_be_used_is_left_out_and_said_so(logs: list[Path]) -> None:
+    spoil(logs[1])
+    found = read_inputs(ROBOT, logs[:3], logs[3:], mapping=None, bandwidth=10.0)
+    assert [one.name for one in found.train] == ["f0", "f2"]
+    assert [one.name for one in found.test] == ["f3"]
+    (sentence,) = found.left_out
+    assert sentence.startswith(f"{LEFT_OUT}{logs[1]}, line 102: omega_y is empty")
+    assert found.digests == {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in logs}
+
+
+def test_a_flight_that_turns_otherwise_than_declared_is_left_out_too(logs: list[Path]) -> None:
+    """The order of the rotors is looked at last, when clocks are set."""
+    table = pd.read_csv(logs[0])
+    write(table.rename(columns={"rotor_1": "rotor_2", "rotor_2": "rotor_1"}), logs[0])
+    found = read_inputs(ROBOT, logs[:3], logs[3:], mapping=None, bandwidth=10.0)
+    assert [one.name for one in found.train] == ["f1", "f2"]
+    assert "rotors in their order are rotor_2, rotor_1" in found.left_out[0]
+
+
+def test_a_run_that_has_no_flight_left_says_why(logs: list[Path]) -> None:
+    spoil(logs[3])
+    with pytest.raises(DataError, match=r"f3\.csv, line 102: omega_y is empty"):
+        read_inputs(ROBOT, logs[:3], logs[3:], mapping=None, bandwidth=10.0)
+    for path in logs[:3]:
+        spoil(path)
+    with pytest.raises(
+        DataError, match=r"f0\.csv, line 102: .*none of 3 flights to train on is left; the first .* of 4"
+    ):
+        read_inputs(ROBOT, logs[:3], logs[3:], mapping=None, bandwidth=10.0)
+
+
+def test_a_file_that_is_not_there_ends_the_run_at_its_start(logs: list[Path]) -> None:
+    """A name that is mistyped is no flight that cannot be used."""
+    with pytest.raises(DataError, match=r"f9\.csv: no such file"):
+        read_inputs(ROBOT, [*logs[:2], logs[0].parent / "f9.csv"], logs[3:], mapping=None, bandwidth=10.0)
