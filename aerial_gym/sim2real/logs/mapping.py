@@ -24,12 +24,19 @@ UNITS: dict[str, float] = {
     "ns": 1e-9,
     "mm": 1e-3,
     "cm": 1e-2,
+    "ft": 0.3048,
+    "mm/s": 1e-3,
+    "cm/s": 1e-2,
+    "ft/s": 0.3048,
+    "km/h": 1.0 / 3.6,
+    "mph": 0.44704,
+    "kn": 1.852 / 3.6,
     "deg/s": 0.017453292519943295,
     "g": UNIT_G,
     "rpm": 0.10471975511965977,
     "rev/s": 6.283185307179586,
 }
-"""What a value in that unit is multiplied by to be SI."""
+"""What a value in that unit is multiplied by to be SI. Foot and mile are international: NIST SP 811 (2008), B.8."""
 
 BODY_FRAMES = ("flu", "frd")
 WORLD_FRAMES = ("enu", "ned")

@@ -15,6 +15,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.checks.kinematics import kinematic_errors
 from aerial_gym.sim2real.logs.checks.rotors import check_rotors
+from aerial_gym.sim2real.logs.checks.units import check_growth, check_units
 from aerial_gym.sim2real.logs.flight_log import FlightLog
 from aerial_gym.sim2real.logs.mapping import UNITS
 from aerial_gym.sim2real.logs.signals import lowpass
@@ -49,9 +50,11 @@ def check_log(log: FlightLog, robot: RobotCfg) -> list[str]:
     attitude = Rotation.from_quat(log.attitude)
     _check_attitude_against_rate(log, attitude)
     _check_gravity(log, attitude)
+    notes = check_units(log)
     _check_velocity(log, attitude)
     _check_force_frame(log, attitude)
-    return [text for errors in kinematic_errors(log) for text in errors.sentences()]
+    check_growth(log)
+    return [*notes, *(text for errors in kinematic_errors(log) for text in errors.sentences())]
 
 
 def rate_of(log: FlightLog) -> float:

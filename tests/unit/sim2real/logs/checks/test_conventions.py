@@ -129,7 +129,7 @@ def turned(table: pd.DataFrame, angle: float) -> pd.DataFrame:
         (lambda t: mirrored(t), r"velocity .* contradicts acc .*looks as if world axes there are north, east, down"),
         (lambda t: mirrored(t).drop(columns=V), r"position .* contradicts acc .*there are north, east, down"),
         (lambda t: turned(t, 90.0), r"x and y there must be turned by -90 deg about z to be those of the attitude"),
-        (lambda t: replaced(t, V, 1000.0 * t[V]), r"velocity .* and the derivative of position .* check units"),
+        (lambda t: replaced(t, V, 1000.0 * t[V]), r"velocity .* and the derivative of position .* in mm/s"),
         (
             lambda t: replaced(
                 t, ["rotor_1", "rotor_2", "rotor_3", "rotor_4"], t.filter(like="rotor") * 60 / (2 * np.pi)

@@ -1,0 +1,268 @@
+"""Do position, velocity and accelerometer have one unit, one sign and one order of axes.
+
+Over windows of half a second the way equals the integral of the velocity, and the change of velocity that of the
+acceleration felt: no model of the vehicle enters. Both sides have errors, which pull a slope to zero if they are the
+regressor's and pull its inverse if they are the other's: the true factor lies between both (Frisch, 1934, Statistical
+Confluence Analysis). A log that hardly moves has a wide interval, and passes. Letters: N windows.
+"""
+
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.integrate import cumulative_trapezoid
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.logs.mapping import UNITS
+from aerial_gym.sim2real.logs.signals import lowpass
+
+Array = NDArray[np.float64]
+Axes = NDArray[np.bool_]
+
+AXES = np.arange(3)
+
+WINDOW_S = 0.5
+"""[s]: errors of windows are taken as independent of each other."""
+
+SURE = stats.norm.sf(4.0)
+"""A log is refused if what it claims lies beyond a quantile of so little probability: many logs have six axes each."""
+
+CLEARLY = 10.0
+"""Another order of axes is believed if it is exp(10) times as likely, and explains four fifths of each axis."""
+
+SHARED = 0.8
+
+FEWEST = 4
+"""Fewer windows give no interval."""
+
+DERIVED_HZ = 4.0
+"""A velocity is derived from the position below this, and below a fifth of the rate."""
+
+MATERIAL = 0.05
+"""A factor that is nearer to 1 than this, though not 1, is not worth a sentence."""
+
+FITS = 0.1
+"""A unit is named if the factor is its own within a tenth: estimators of velocity err by that (the IDSIA flights by 0.09)."""
+
+VELOCITY_UNITS = ("km/h", "mph", "kn", "ft/s", "cm/s", "mm/s")
+POSITION_UNITS = ("ft", "cm", "mm")
+
+WRONG = np.log([1.0, *(UNITS[u] for u in VELOCITY_UNITS), *(1.0 / UNITS[u] for u in POSITION_UNITS)])
+"""Factors of the way over the integrated velocity that mistaken units make; 1 for none, first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relation:
+    """How one vector follows another one, axis by axis: ``effect_i = factor_i cause_order(i)`` and a constant."""
+
+    order: tuple[int, ...]
+    """Which axis of the cause each axis of the effect follows."""
+
+    factor: Array
+    """With its sign, (3,)."""
+
+    low: Array
+    """Interval of the factor's size, (3,); where not even the sign is sure: 0 to infinity."""
+
+    high: Array
+
+    share: Array
+    """Part of each axis that the other explains, squared correlation, (3,)."""
+
+    @property
+    def told(self) -> Axes:
+        """Return on which axes the motion shows sign and size, (3,)."""
+        return self.low > 0.0
+
+    @property
+    def moved(self) -> Axes:
+        """Return which axes follow another one, (3,)."""
+        return np.array(self.order) != np.arange(3)
+
+    @property
+    def turned(self) -> Axes:
+        """Return which axes have the other sign, (3,)."""
+        return self.told & (self.factor < 0.0) & (self.share > SHARED)
+
+    @property
+    def scaled(self) -> Axes:
+        """Return on which axes the factor surely is not 1, and nearer to that of a mistaken unit, (3,)."""
+        size = np.log(np.where(self.told, np.abs(self.factor), 1.0))
+        unit = np.argmin(np.abs(size[:, None] - WRONG), axis=1) > 0
+        return self.sure & unit
+
+    @property
+    def sure(self) -> Axes:
+        """Return on which axes the size of the factor surely is not 1, (3,)."""
+        return self.told & ((self.low > 1.0) | (self.high < 1.0))
+
+    @property
+    def off(self) -> Axes:
+        """Return which axes are not what they claim, (3,)."""
+        return self.moved | self.turned | self.scaled
+
+
+def relate(effect: Array, cause: Array) -> Relation | None:
+    """Return how the increments (N, 3) of one vector follow those of another one; None if there are too few, or none."""
+    count = len(effect)
+    sizes = np.std(effect, axis=0), np.std(cause, axis=0)
+    if count < FEWEST or not np.all(np.concatenate(sizes) > 0.0):
+        return None
+    scores = [(part - part.mean(axis=0)) / size for part, size in zip((effect, cause), sizes, strict=True)]
+    shared = np.clip(scores[0].T @ scores[1] / count, -1.0 + 1e-12, 1.0 - 1e-12)
+    order = _likeliest(shared, count)
+    share, size = shared[AXES, order], sizes[0] / sizes[1][list(order)]
+    error = stats.t.isf(SURE, count - 2) * np.sqrt((1.0 - share**2) / (count - 2)) / np.maximum(np.abs(share), 1e-12)
+    known = error < 1.0  # else the share itself may be 0
+    widening = np.exp(np.minimum(error, 1.0))
+    return Relation(
+        order=order,
+        factor=np.sign(share) * size,
+        low=np.where(known, np.abs(share) * size / widening, 0.0),
+        high=np.where(known, size / np.maximum(np.abs(share), 1e-12) * widening, np.inf),
+        share=share**2,
+    )
+
+
+def _likeliest(shared: Array, count: int) -> tuple[int, ...]:
+    """Return the order of axes of correlations (3, 3) that is clearly the likeliest; as they are, if none is."""
+    plain = (0, 1, 2)
+
+    def likelihood(order: tuple[int, ...]) -> float:
+        return float(-0.5 * count * np.log1p(-(shared[AXES, order] ** 2)).sum())
+
+    best = max(permutations(plain), key=likelihood)
+    moved = shared[AXES, best][np.array(best) != AXES]
+    clear = likelihood(best) - likelihood(plain) > CLEARLY and np.all(moved**2 > SHARED)
+    return best if clear else plain
+
+
+def check_units(log: FlightLog) -> list[str]:
+    """Raise ``DataError`` if velocity and position differ by a unit, a sign or an order; return a note on lesser factors."""
+    velocity, place = log.lin_vel, log.position
+    if velocity is None or place is None:
+        return []
+    way = _steps(log, place)
+    found = relate(way, _sums(log, velocity))
+    if found is None or not found.off.any():
+        return _notes(found)
+    both = "velocity (v_x, v_y, v_z) and the derivative of position (p_x, p_y, p_z)"
+    start = f"{log.path}: {both} contradict each other; it looks as if"
+    body = relate(way, _sums(log, Rotation.from_quat(log.attitude).apply(velocity)))
+    if body is not None and body.told.sum() >= found.told.sum() and not body.off.any():
+        raise DataError(f"{start} v is in body axes: turn it into world axes")
+    raise DataError(f"{start} {_ways_out(found, _culprits(found, log))}")
+
+
+def check_growth(log: FlightLog) -> None:
+    """Raise ``DataError`` if velocity and position, which agree, contradict the accelerometer by a sign, or by a unit.
+
+    An attitude that leans on the accelerometer may hide a slow motion, but not on all axes alike: a unit is the same on all
+    that tell, and two at least must.
+    """
+    letters = [letter for letter, values in (("v", log.lin_vel), ("p", log.position)) if values is not None]
+    by = _by_accelerometer(log, letters[0]) if letters else None
+    if by is None:
+        return
+    start = f"{log.path}: {' and '.join({'v': 'velocity', 'p': 'position'}[letter] for letter in letters)}"
+    if by.turned.any():
+        columns = " and ".join(_columns([letter], by.turned) for letter in letters)
+        raise DataError(
+            f"{start} contradict acc and attitude; it looks as if {columns} had the other sign: multiply the columns by -1"
+        )
+    if by.told.sum() >= 2 and np.array_equal(by.scaled, by.told):
+        ways = "; ".join(_unit(letter, by, _pooled(by), 1.0 / _pooled(by)) for letter in letters)
+        raise DataError(f"{start} grow otherwise than acc and attitude say; it looks as if {ways}")
+
+
+def _by_accelerometer(log: FlightLog, letter: str) -> Relation | None:
+    """Return how velocity, or that of the position, follows the accelerometer in world axes; None if the log lacks one."""
+    values = log.lin_vel if letter == "v" else log.position
+    if values is None or log.specific_force is None:
+        return None
+    if letter == "p":
+        values = lowpass(values, _rate(log), min(DERIVED_HZ, 0.2 * _rate(log)), derivative=True)
+    felt = Rotation.from_quat(log.attitude).apply(log.specific_force) - (0.0, 0.0, STANDARD_GRAVITY)
+    return relate(_steps(log, values), _sums(log, felt))
+
+
+def _steps(log: FlightLog, values: Array) -> Array:
+    """Return by how much values (T, 3) change over each window, (N, 3)."""
+    return np.diff(values[:: max(1, round(WINDOW_S * _rate(log)))], axis=0)
+
+
+def _sums(log: FlightLog, values: Array) -> Array:
+    """Return the integral of values (T, 3) over each window, (N, 3)."""
+    return _steps(log, cumulative_trapezoid(values, dx=1.0 / _rate(log), axis=0, initial=0.0))
+
+
+def _rate(log: FlightLog) -> float:
+    return (log.time.size - 1) / float(log.time[-1] - log.time[0])
+
+
+def _culprits(found: Relation, log: FlightLog) -> list[str]:
+    """Return the letters of what is not as it claims: velocity, position; both, if the accelerometer does not tell."""
+
+    def agrees(letter: str) -> bool:
+        other = _by_accelerometer(log, letter)
+        return other is not None and bool(np.all(other.told[found.off]) and not other.off[found.off].any())
+
+    wrong = [letter for letter in ("v", "p") if not agrees(letter)]
+    return wrong or ["v", "p"]
+
+
+def _columns(letters: list[str], axes: Axes) -> str:
+    """Return the names of columns: v_x, v_y or p_x, p_y."""
+    return " or ".join(", ".join(f"{letter}_{'xyz'[axis]}" for axis in np.flatnonzero(axes)) for letter in letters)
+
+
+def _ways_out(found: Relation, letters: list[str]) -> str:
+    """Return what position and velocity look like, and the entries of a mapping file that mend it."""
+    said: list[str] = []
+    if found.moved.any():
+        names = ", ".join("xyz"[axis] for axis in found.order)
+        said.append(
+            f"the axes of {' or '.join(letters)} were exchanged: name its columns in the order {names} in a "
+            "mapping file"
+        )
+    if found.turned.any():
+        said.append(f"{_columns(letters, found.turned)} had the other sign: multiply the column by -1")
+    if found.scaled.any():
+        factor = _pooled(found)
+        said.append(_unit("v" if factor < 1.0 else "p", found, factor, min(factor, 1.0 / factor)))
+    return "; and ".join(said)
+
+
+def _pooled(found: Relation) -> float:
+    return float(np.exp(np.mean(np.log(np.abs(found.factor[found.scaled])))))
+
+
+def _unit(letter: str, found: Relation, factor: float, mends: float) -> str:
+    """Return which unit the columns of a quantity are in that have a factor and are mended by one, and the way out."""
+    units, name = (VELOCITY_UNITS, "lin_vel") if letter == "v" else (POSITION_UNITS, "position")
+    columns = _columns([letter], (found.low < factor * (1.0 + FITS)) & (found.high > factor * (1.0 - FITS)))
+    best = min(units, key=lambda unit: abs(np.log(mends / UNITS[unit])))
+    if abs(np.log(mends / UNITS[best])) < FITS:
+        return (
+            f"it looks as if {columns} were in {best} (factor {mends:.3g}): give {name} unit: {best} in a mapping file"
+        )
+    way = f"give {name} gain: {mends:.3g} in a mapping file"
+    return f"{columns} had to be multiplied by {mends:.3g}, which no unit explains: {way}"
+
+
+def _notes(found: Relation | None) -> list[str]:
+    if found is None:
+        return []
+    material = found.sure & (np.abs(np.log(np.where(found.told, np.abs(found.factor), 1.0))) > MATERIAL)
+    if not material.any():
+        return []
+    text = ", ".join(
+        f"{'xyz'[axis]} {1.0 / np.abs(found.factor[axis]):.3f} ({1.0 / found.high[axis]:.3f} to {1.0 / found.low[axis]:.3f})"
+        for axis in np.flatnonzero(material)
+    )
+    return [f"velocity over derivative of position: {text}; left as logged"]
