@@ -36,6 +36,7 @@ from aerial_gym.sim2real.logs.clock_offset import (
     offset_curve,
     shift_rotor_log,
 )
+from aerial_gym.sim2real.logs.copies import SeenLogs
 from aerial_gym.sim2real.logs.flight_log import FlightLog, Recording, read_flight_log
 from aerial_gym.sim2real.logs.mapping import LogMapping
 from aerial_gym.sim2real.logs.on_ground import rows_on_ground
@@ -102,12 +103,15 @@ def load_flights(
     another one. A file that cannot be used is left out if there is a list ``refused`` to say so in.
 
     Raises:
-        DataError: If a file cannot be used and no list is given, or is given twice.
+        DataError: If a file cannot be used and no list is given, a copy of another one among them, or is given twice.
     """
     read: dict[Path, tuple[FlightLog, list[str]]] = {}
+    seen = SeenLogs()
     for real, path in distinct_files(paths).items():
         with _left_out(refused):
-            log = mended_log(path, mapping)
+            raw = read_flight_log(path, mapping=mapping)
+            seen.add(raw)
+            log = mended_log(raw)
             read[real] = (with_velocity(log), check_log(log, robot))
     first = {Path(path).resolve() for path in paths[:learning]}
     offsets = clock_offsets([log for log, _ in read.values()], robot, bandwidth, sum(real in first for real in read))
@@ -150,9 +154,8 @@ def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None
     return load_flights([path], robot, mapping=mapping, bandwidth=bandwidth)[0]
 
 
-def mended_log(path: str | Path, mapping: LogMapping | None) -> FlightLog:
+def mended_log(log: FlightLog) -> FlightLog:
     """Return a log at equal time steps, repeated values mended."""
-    log = read_flight_log(path, mapping=mapping)
     check_time(log)
     check_quaternion_norm(log)
     return uniform_log(mend_repeated_samples(without_gaps(without_copied_commands(log))))
