@@ -7,11 +7,10 @@ from aerial_gym.lazy import exports
 if TYPE_CHECKING:
     from aerial_gym.interop.devices import resolve_device
     from aerial_gym.interop.launches import RecordedLaunch, compile_ahead, wait_for
-    from aerial_gym.interop.streams import Aside, on_torch_stream, start_warp
+    from aerial_gym.interop.streams import on_torch_stream, start_warp
     from aerial_gym.interop.threads import launch_side_by_side, one_thread, split
 
 __all__ = [
-    "Aside",
     "RecordedLaunch",
     "compile_ahead",
     "launch_side_by_side",

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 
 import torch
@@ -51,32 +51,3 @@ def on_torch_stream(tensor: Tensor) -> Iterator[None]:
     stream = wp.stream_from_torch(torch.cuda.current_stream(tensor.device))
     with wp.ScopedStream(stream, sync_enter=False):  # no event on Warp's own stream: a capture would refuse it
         yield
-
-
-class Aside:
-    """A second stream of a device, for work that needs nothing of what is done meanwhile; a CPU does it first.
-
-    Two launches that each wait for memory most of the time take little longer than one, beside each other. A CUDA graph that
-    records them has two branches.
-    """
-
-    def __init__(self, device: torch.device) -> None:
-        """Make the stream of a GPU."""
-        self._stream = torch.cuda.Stream(device) if device.type == "cuda" else None
-
-    @contextmanager
-    def doing(self, work: Callable[[], None] | None) -> Iterator[None]:
-        """Do ``work``, if any, beside what is launched inside; both come after all that was before, and before all later."""
-        if work is None or self._stream is None:
-            if work is not None:
-                work()
-            yield
-            return
-        current = torch.cuda.current_stream(self._stream.device)
-        self._stream.wait_stream(current)
-        with torch.cuda.stream(self._stream):
-            work()
-        try:
-            yield
-        finally:
-            current.wait_stream(self._stream)

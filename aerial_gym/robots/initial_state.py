@@ -8,6 +8,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.interop import RecordedLaunch, on_torch_stream
+from aerial_gym.interop.rows import RowWork
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of
 from aerial_gym.math.random import Purpose, Randomness, take_mask
@@ -30,67 +31,74 @@ class Ranges:
     ang_vel_high: wp.vec3
 
 
-@wp.kernel(enable_backward=False)
-def _reset(
-    mask: wp.array[wp.bool],  # (E,)
-    # params
-    random: RandomArrays,
-    ranges: Ranges,
-    bounds_min: wp.array[wp.vec3],  # (E,) world [m]
-    bounds_max: wp.array[wp.vec3],  # (E,) world [m]
-    rest_speed: wp.array[float],  # (R,) [rad/s]
-    # in and out
-    non_finite: wp.array[wp.int32],  # (E,) bits of NonFinite, of the step that ends
-    episode_step: wp.array[wp.int32],  # (E,) that it was
-    # out
-    crashes_out: wp.array[wp.bool],  # (E,)
-    truncations_out: wp.array[wp.bool],  # (E,)
-    position_out: wp.array[wp.vec3],
-    attitude_out: wp.array[wp.quat],
-    lin_vel_out: wp.array[wp.vec3],
-    ang_vel_out: wp.array[wp.vec3],
-    rotor_speed_out: wp.array2d[float],  # (E, R)
-    actions_out: wp.array2d[float],  # (E, U)
-    prev_actions_out: wp.array2d[float],  # (E, U)
-    derived_out: DerivedArrays,
-    count_out: wp.array[wp.int32],  # (1,) rows that were not finite
-    rows_out: wp.array2d[wp.int32],  # (K, 4) environment, episode, step and bits of the first ones
-):
-    """Write a new state and what follows from it where the mask says so; leave every other row alone.
+@wp.struct
+class StartArrays:
+    """What a new episode reads and writes."""
 
-    Rows that end because they were not finite are counted, and the first ones written down. Then what said that an episode
+    random: RandomArrays
+    ranges: Ranges
+    bounds_min: wp.array[wp.vec3]  # (E,) world [m]
+    bounds_max: wp.array[wp.vec3]  # (E,) world [m]
+    rest_speed: wp.array[float]  # (R,) [rad/s]
+    non_finite: wp.array[wp.int32]  # (E,) bits of NonFinite, of the step that ends; cleared
+    episode_step: wp.array[wp.int32]  # (E,) that it was; cleared
+    crashes: wp.array[wp.bool]  # (E,) cleared
+    truncations: wp.array[wp.bool]  # (E,) cleared
+    position: wp.array[wp.vec3]  # (E,) this and all below is written
+    attitude: wp.array[wp.quat]  # (E,)
+    lin_vel: wp.array[wp.vec3]  # (E,)
+    ang_vel: wp.array[wp.vec3]  # (E,)
+    rotor_speed: wp.array2d[float]  # (E, R)
+    actions: wp.array2d[float]  # (E, U)
+    prev_actions: wp.array2d[float]  # (E, U)
+    derived: DerivedArrays
+    count: wp.array[wp.int32]  # (1,) rows that were not finite
+    rows: wp.array2d[wp.int32]  # (K, 4) environment, episode, step and bits of the first ones
+
+
+@wp.func
+def start_row(e: int, given: StartArrays):
+    """Write a new state of one environment and what follows from it.
+
+    A row that ends because it was not finite is counted, and the first ones written down. Then what said that an episode
     ended is cleared.
     """
-    e = wp.tid()
-    if not mask[e]:
-        return
-    if non_finite[e] != 0:
-        place = take_place(count_out)
-        if place < rows_out.shape[0]:
-            rows_out[place, 0] = e
-            rows_out[place, 1] = random.episode[e] - 1  # the new one has begun
-            rows_out[place, 2] = episode_step[e]
-            rows_out[place, 3] = non_finite[e]
-    non_finite[e] = 0
-    episode_step[e] = 0
-    crashes_out[e] = False
-    truncations_out[e] = False
-    stream = stream_of(random, e, wp.static(int(Purpose.START)))
+    if given.non_finite[e] != 0:
+        place = take_place(given.count)
+        if place < given.rows.shape[0]:
+            given.rows[place, 0] = e
+            given.rows[place, 1] = given.random.episode[e] - 1  # the new one has begun
+            given.rows[place, 2] = given.episode_step[e]
+            given.rows[place, 3] = given.non_finite[e]
+    given.non_finite[e] = 0
+    given.episode_step[e] = 0
+    given.crashes[e] = False
+    given.truncations[e] = False
+    stream = stream_of(given.random, e, wp.static(int(Purpose.START)))
+    ranges = given.ranges
     share = draw_vec3(stream, 0, ranges.position_ratio_low, ranges.position_ratio_high)
-    position = bounds_min[e] + wp.cw_mul(bounds_max[e] - bounds_min[e], share)
+    position = given.bounds_min[e] + wp.cw_mul(given.bounds_max[e] - given.bounds_min[e], share)
     attitude = quat_of_angles(draw_vec3(stream, 1, ranges.euler_low, ranges.euler_high))
     lin_vel = draw_vec3(stream, 2, ranges.lin_vel_low, ranges.lin_vel_high)
     ang_vel = draw_vec3(stream, 3, ranges.ang_vel_low, ranges.ang_vel_high)
-    position_out[e] = position
-    attitude_out[e] = attitude
-    lin_vel_out[e] = lin_vel
-    ang_vel_out[e] = ang_vel
-    write_derived(derived_out, e, position, attitude, lin_vel, ang_vel)
-    for i in range(rest_speed.shape[0]):
-        rotor_speed_out[e, i] = rest_speed[i]
-    for i in range(actions_out.shape[1]):
-        actions_out[e, i] = 0.0
-        prev_actions_out[e, i] = 0.0
+    given.position[e] = position
+    given.attitude[e] = attitude
+    given.lin_vel[e] = lin_vel
+    given.ang_vel[e] = ang_vel
+    write_derived(given.derived, e, position, attitude, lin_vel, ang_vel)
+    for i in range(given.rest_speed.shape[0]):
+        given.rotor_speed[e, i] = given.rest_speed[i]
+    for i in range(given.actions.shape[1]):
+        given.actions[e, i] = 0.0
+        given.prev_actions[e, i] = 0.0
+
+
+@wp.kernel(enable_backward=False)
+def _start(mask: wp.array[wp.bool], given: StartArrays):
+    """Begin an episode where the mask (E,) says so; leave every other row alone."""
+    e = wp.tid()
+    if mask[e]:
+        start_row(e, given)
 
 
 @wp.kernel(enable_backward=False)
@@ -164,38 +172,46 @@ class InitialState:
             random: Of the draws.
             noticed: What becomes of rows that were not finite, and what is cleared.
         """
-        device = state.position.device
         self._mask = random.mask
         noticed = noticed or Noticed.nothing(state)
         self._kept_alive = random, noticed
         ranges = Ranges()
         for name, value in vars(cfg).items():
             setattr(ranges, name, wp.vec3(*value))
-        inputs = [wp.from_torch(self._mask), random_arrays(random), ranges]
-        inputs += [wp.from_torch(corner, dtype=wp.vec3) for corner in bounds]
+        given = StartArrays()
+        given.random, given.ranges, given.derived = random_arrays(random), ranges, derived.arrays
+        given.bounds_min, given.bounds_max = (wp.from_torch(corner, dtype=wp.vec3) for corner in bounds)
+        given.attitude = wp.from_torch(state.attitude, dtype=wp.quat)
+        for name in ("position", "lin_vel", "ang_vel"):
+            setattr(given, name, wp.from_torch(getattr(state, name), dtype=wp.vec3))
+        given.crashes, given.truncations = (wp.from_torch(flag) for flag in noticed.flags)
+        for name, tensor in (
+            ("rest_speed", rest_speed),
+            ("non_finite", noticed.bits),
+            ("episode_step", noticed.episode_step),
+            ("rotor_speed", state.rotor_speed),
+            ("actions", actions),
+            ("prev_actions", prev_actions),
+            ("count", noticed.count),
+            ("rows", noticed.rows),
+        ):
+            setattr(given, name, wp.from_torch(tensor))
+        self.work = RowWork(function=start_row, given_type=StartArrays, given=given)
+        """What begins one environment, for a kernel that does more."""
         self._command = RecordedLaunch(
-            _reset,
+            _start,
             dim=state.num_envs,
-            inputs=[*inputs, *(wp.from_torch(tensor) for tensor in (rest_speed, noticed.bits, noticed.episode_step))],
-            outputs=[
-                *(wp.from_torch(flag) for flag in noticed.flags),
-                wp.from_torch(state.position, dtype=wp.vec3),
-                wp.from_torch(state.attitude, dtype=wp.quat),
-                wp.from_torch(state.lin_vel, dtype=wp.vec3),
-                wp.from_torch(state.ang_vel, dtype=wp.vec3),
-                wp.from_torch(state.rotor_speed),
-                wp.from_torch(actions),
-                wp.from_torch(prev_actions),
-                derived.arrays,
-                wp.from_torch(noticed.count),
-                wp.from_torch(noticed.rows),
-            ],
-            device=wp.device_from_torch(device),
+            inputs=[wp.from_torch(self._mask), given],
+            device=wp.device_from_torch(state.position.device),
             block_dim=BLOCK_DIM,
         )
 
     def reset(self, mask: Tensor) -> None:
         """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
         take_mask(self._mask, mask)
+        self()
+
+    def __call__(self) -> None:
+        """Do so for those in the mask that ``random`` keeps."""
         with on_torch_stream(self._mask):
             self._command.launch()

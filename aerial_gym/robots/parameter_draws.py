@@ -3,27 +3,21 @@
 Letters: E environments, K drawn numbers.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import inf, log
 from zlib import crc32
 
 import numpy as np
+import torch
 import warp as wp
-from torch import Tensor
 
-from aerial_gym.config.randomize import DISTRIBUTIONS, Randomize, RandomizeCfg
+from aerial_gym.config.randomize import Randomize, RandomizeCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import start_warp
-from aerial_gym.interop.rows import Before
+from aerial_gym.interop.rows import Made
 from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
 from aerial_gym.math.random import Purpose, Randomness
-
-UNIFORM, LOG_UNIFORM, NORMAL = (wp.constant(i) for i in range(len(DISTRIBUTIONS)))
-"""Kinds of distribution, in the order of ``DISTRIBUTIONS``."""
-
-JOINT = wp.constant(len(DISTRIBUTIONS))
-"""A number of a joint normal distribution."""
 
 ROUND_OFF = 1e-6
 """Share of independence in a joint distribution: of two numbers of which the sum alone is known, the matrix is singular, and
@@ -78,11 +72,8 @@ class Drawn:
 
 @wp.struct
 class Draw:
-    """How one number is drawn."""
+    """Limits of one number."""
 
-    kind: wp.int32
-    stream: wp.int32  # tells quantities apart, by their names
-    element: wp.int32
     low: wp.float32  # of the number; of its logarithm; of the normal probability
     high: wp.float32
     mean: wp.float32
@@ -92,13 +83,18 @@ class Draw:
 
 
 @wp.struct
-class DrawnRows:
-    """Everything that a draw reads and writes."""
+class DrawArrays:
+    """What the draws of an environment read."""
 
     random: RandomArrays
     draws: wp.array[Draw]  # (K,)
     factor: wp.array2d[float]  # (K, K), lower Cholesky factor of the correlations of joint numbers
-    value: wp.array2d[float]  # (E, K), written
+
+
+@wp.func
+def share_of(draw: Draw, state: wp.uint32) -> float:
+    """Return a uniform draw between ``low`` and ``high``."""
+    return draw.low + (draw.high - draw.low) * wp.randf(state)
 
 
 @wp.func
@@ -108,63 +104,84 @@ def standard_normal(share: float) -> float:
 
 
 @wp.func
-def joint_normal(k: int, episode: wp.uint32, given: DrawnRows) -> float:
-    """Return number k of the joint distribution without its mean and deviation: row k of the factor times normal numbers."""
-    total = wp.float32(0.0)
-    for j in range(k + 1):
-        weight = given.factor[k, j]
-        if weight != 0.0:
-            draw = given.draws[j]
-            total += weight * standard_normal(wp.randf(substream(substream(episode, draw.stream), draw.element)))
-    return total
+def independent_normal(state: wp.uint32) -> float:
+    """Return a normal draw of mean 0 and standard deviation 1."""
+    return standard_normal(wp.randf(state))
 
 
 @wp.func
-def draw_row(env: int, given: DrawnRows):
-    """Write the numbers of one environment anew."""
-    episode = stream_of(given.random, env, wp.static(int(Purpose.PARAMETERS)))
-    for k in range(given.draws.shape[0]):
-        draw = given.draws[k]
-        state = substream(substream(episode, draw.stream), draw.element)
-        share = draw.low + (draw.high - draw.low) * wp.randf(state)
-        value = share
-        if draw.kind == LOG_UNIFORM:
-            value = wp.exp(share)
-        if draw.kind == NORMAL:
-            value = draw.mean + draw.std * standard_normal(share)
-        if draw.kind == JOINT:
-            value = draw.mean + draw.std * joint_normal(k, episode, given)
-        given.value[env, k] = wp.clamp(value, draw.least, draw.most)
+def uniform(draw: Draw, state: wp.uint32) -> float:
+    """Return a draw of a uniform distribution."""
+    return wp.clamp(share_of(draw, state), draw.least, draw.most)
 
 
-def drawing(drawn: Sequence[Drawn], value: Tensor, random: Randomness) -> Before:
-    """Return the draw of a row for a kernel; ``value`` (E, K) receives the numbers and must be kept alive."""
+@wp.func
+def log_uniform(draw: Draw, state: wp.uint32) -> float:
+    """Return a draw whose logarithm is uniform."""
+    return wp.clamp(wp.exp(share_of(draw, state)), draw.least, draw.most)
+
+
+@wp.func
+def normal(draw: Draw, state: wp.uint32) -> float:
+    """Return a draw of a truncated normal distribution."""
+    return wp.clamp(draw.mean + draw.std * standard_normal(share_of(draw, state)), draw.least, draw.most)
+
+
+@wp.func
+def joint(draw: Draw, weighted: float) -> float:
+    """Return a number of a joint normal distribution; ``weighted`` is its row of the factor times independent normal draws."""
+    return wp.clamp(draw.mean + draw.std * weighted, draw.least, draw.most)
+
+
+_CALLED = (stream_of, substream, independent_normal, uniform, log_uniform, normal, joint)
+
+
+def drawing(drawn: Sequence[Drawn], random: Randomness, *, device: torch.device) -> Made:
+    """Return the draws of one environment as lines of a kernel, side by side: none waits for another one."""
     start_warp()
-    rows = np.zeros(value.shape[1], dtype=Draw.numpy_dtype())  # type: ignore[call-overload]
+    rows = np.zeros(drawn[-1].columns.stop, dtype=Draw.numpy_dtype())  # type: ignore[call-overload]
     for each in drawn:
         width = each.columns.stop - each.columns.start
         for i, numbers in enumerate(each.cfg.components(width)):
-            _fill(rows[each.columns.start + i], each, i, *numbers)
-    device = wp.device_from_torch(value.device)
+            _fill(rows[each.columns.start + i], each.cfg.distribution, *numbers)
     first = {each.name: each.columns.start for each in drawn}
-    joint, small = joint_factor({each.name: each.cfg for each in drawn})
-    columns, factor = [first[name] for name in joint], np.zeros((len(rows), len(rows)), dtype=np.float32)
+    together, small = joint_factor({each.name: each.cfg for each in drawn})
+    columns, factor = [first[name] for name in together], np.zeros((len(rows), len(rows)), dtype=np.float32)
     factor[np.ix_(columns, columns)] = small
-    rows["kind"][columns] = JOINT
-    given = DrawnRows()
-    given.random, given.value = random_arrays(random), wp.from_torch(value)
-    given.draws, given.factor = wp.array(rows, dtype=Draw, device=device), wp.array(factor, device=device)
-    return Before(function=draw_row, given_type=DrawnRows, given=given)
+    given, target = DrawArrays(), wp.device_from_torch(device)
+    given.random = random_arrays(random)
+    given.draws, given.factor = wp.array(rows, dtype=Draw, device=target), wp.array(factor, device=target)
+    names = {function.key: function for function in _CALLED}
+    return Made(lines=tuple(_lines(drawn, columns)), names=names, given_type=DrawArrays, given=given)
 
 
-def _fill(row: np.void, drawn: Drawn, element: int, low: float, high: float, mean: float, std: float) -> None:
-    row["kind"] = DISTRIBUTIONS.index(drawn.cfg.distribution)
-    row["stream"], row["element"] = crc32(drawn.name.encode()) & 0x7FFFFFFF, element
+def _lines(drawn: Sequence[Drawn], joint_columns: Sequence[int]) -> Iterator[str]:
+    """Yield the lines that draw every number; ``joint_columns`` are those of one joint distribution, in their order."""
+    yield f"episode = stream_of(given.random, row, {int(Purpose.PARAMETERS)})"
+    for i, each in enumerate(drawn):
+        yield f"quantity_{i} = substream(episode, {_stream(each.name)})"
+        for element, k in enumerate(range(each.columns.start, each.columns.stop)):
+            state = f"substream(quantity_{i}, {element})"
+            if k in joint_columns:
+                yield f"normal_{k} = independent_normal({state})"
+            else:
+                yield f"made_{k} = {each.cfg.distribution}(given.draws[{k}], {state})"
+    for i, k in enumerate(joint_columns):
+        weighted = " + ".join(f"given.factor[{k}, {j}] * normal_{j}" for j in joint_columns[: i + 1])
+        yield f"made_{k} = joint(given.draws[{k}], {weighted})"
+
+
+def _stream(name: str) -> int:
+    """Return what tells quantities apart, by their names."""
+    return crc32(name.encode()) & 0x7FFFFFFF
+
+
+def _fill(row: np.void, distribution: str, low: float, high: float, mean: float, std: float) -> None:
     row["mean"], row["std"] = mean, std
     row["least"], row["most"] = max(low, -3e38), min(high, 3e38)
-    if drawn.cfg.distribution == "normal":
+    if distribution == "normal":
         low, high = _normal_share(low, mean, std), _normal_share(high, mean, std)
-    elif drawn.cfg.distribution == "log_uniform":
+    elif distribution == "log_uniform":
         low, high = log(low), log(high)
     row["low"], row["high"] = low, high
 

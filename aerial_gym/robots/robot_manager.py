@@ -20,7 +20,6 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import Controller, make_controller
 from aerial_gym.errors import ConfigError, ShapeError
-from aerial_gym.interop import Aside
 from aerial_gym.interop.rows import MaskedRows
 from aerial_gym.math.random import Randomness, take_mask
 from aerial_gym.physics import (
@@ -148,7 +147,6 @@ class RobotManager:
             random=random,
         )
         self.backend.prepare(sim.dt)
-        self._update, self._aside = self._make_update(), Aside(gtd.device)
         rest_speed = _hover_speed(self.declared, sim.gravity)
         self.tensors.state.rotor_speed.copy_(rest_speed)
         self.noticed = Noticed.of(gtd)
@@ -164,6 +162,7 @@ class RobotManager:
             random=random,
             noticed=self.noticed,
         )
+        self._update = self._make_update()
         self._begin = StepBegin(self.tensors.actions, self.tensors.prev_actions, self.noticed)
 
     def _declare_model(self) -> None:
@@ -331,7 +330,7 @@ class RobotManager:
         return params + [getattr(gains, name) for name in self._randomized.drawn_gains]
 
     def _make_update(self) -> MaskedRows | None:
-        """Return what writes the parameters of the environments of a mask in one launch; None where nothing is drawn."""
+        """Return what draws parameters and initial state of the environments of a mask in one launch; None if no parameter."""
         if self._randomized is None:
             return None
 
@@ -350,7 +349,8 @@ class RobotManager:
             self._sources(),
             targets,
             mask=self._random.mask,
-            before=drawing(self._randomized.drawn, self._values, self._random),
+            made=drawing(self._randomized.drawn, self._random, device=self._gtd.device),
+            beside=self._initial.work,
             plain=partial(rows, declared=self.declared),
         )
 
@@ -401,8 +401,7 @@ class RobotManager:
     def reset(self, mask: Tensor) -> None:
         """Draw a new initial state, and new parameters where randomised, for the environments in ``mask``, bool (E,)."""
         take_mask(self._random.mask, mask)
-        with self._aside.doing(self._update):  # neither reads what the other writes
-            self._initial.reset(self._random.mask)
+        (self._update or self._initial)()
         if self._update is not None and self.differentiable is not None:
             self.differentiable.mark_written()
         self.controller.reset(mask, self._random)

@@ -13,7 +13,7 @@ from aerial_gym.config.robot import BatteryCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import CapabilityError
-from aerial_gym.interop import Aside, on_torch_stream
+from aerial_gym.interop import on_torch_stream
 from aerial_gym.interop.rows.transport import FEW
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.fused.functions import inverse_root, root, unit_quat
@@ -305,32 +305,3 @@ def test_roots_are_as_near_as_they_say() -> None:
     torch.testing.assert_close(roots[1:].double(), exact, rtol=2.4e-7, atol=0.0)
     torch.testing.assert_close(inverses[1:].double(), 1.0 / exact, rtol=2.4e-7, atol=0.0)
     assert float((units[2:].double().norm(dim=-1) - 1.0).abs().max()) < 5e-7
-
-
-@pytest.mark.parametrize("capture", [False, True])
-def test_work_aside_comes_after_all_before_it_and_before_all_after_it(capture: bool) -> None:
-    """Both branches begin with long products, so that whoever does not wait reads what is not there yet."""
-    aside, x = Aside(torch.device("cuda:0")), torch.ones(2048, 2048, device="cuda:0")
-    before, left, right, after = (torch.zeros_like(x) for _ in range(4))
-
-    def step() -> None:
-        before.copy_(x @ x)
-
-        def work() -> None:
-            left.copy_(before @ x / 2048.0)
-
-        with aside.doing(work):
-            right.copy_(before * 2.0)
-        after.copy_(left + right)
-
-    for _ in range(2):
-        step()  # libraries are set up before a capture
-    graph = torch.cuda.CUDAGraph()
-    if capture:
-        torch.cuda.synchronize()
-        with torch.cuda.graph(graph):
-            step()
-    for number in (1.0, 2.0, 3.0):
-        x.fill_(number)
-        graph.replay() if capture else step()
-        torch.testing.assert_close(after, torch.full_like(x, 2048.0 * number**2 * (number + 2.0)))

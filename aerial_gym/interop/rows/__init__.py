@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
-    from aerial_gym.interop.rows.function import Before, RowFunction
+    from aerial_gym.interop.rows.function import Made, RowFunction, RowWork
     from aerial_gym.interop.rows.masked import MaskedRows
     from aerial_gym.interop.rows.tracing import UntraceableError, trace
 
-__all__ = ["Before", "MaskedRows", "RowFunction", "UntraceableError", "trace"]
+__all__ = ["Made", "MaskedRows", "RowFunction", "RowWork", "UntraceableError", "trace"]
 
 __getattr__, __dir__ = exports(__name__, __file__)

@@ -4,7 +4,7 @@ Letters: E rows.
 """
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,8 +22,25 @@ _kernels: dict[str, wp.Kernel] = {}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Before:
-    """What a kernel does in each of its rows before the traced function: it may write inputs of that row."""
+class Made:
+    """An input that the kernel makes for itself in each of its rows: straight lines, so that its numbers come side by side."""
+
+    lines: tuple[str, ...]
+    """Warp code that makes the numbers ``made_0``, ``made_1``, ... of ``row`` from ``given``."""
+
+    names: Mapping[str, Any]
+    """What it calls by name, besides ``wp``."""
+
+    given_type: Any
+    """The ``wp.struct`` of ``given``."""
+
+    given: Any
+    """Its value; what it points to must be kept alive."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RowWork:
+    """What can be done to a row by a thread of its own, in whatever kernel."""
 
     function: wp.Function
     """``wp.func`` (row: int, given: the struct)."""
@@ -44,7 +61,8 @@ class RowFunction:
         inputs: Sequence[Tensor],
         *,
         masked: bool = False,
-        before: Before | None = None,
+        made: Made | None = None,
+        beside: RowWork | None = None,
     ) -> None:
         """Trace the function and write its kernel, which is compiled at the first call.
 
@@ -54,20 +72,24 @@ class RowFunction:
             inputs: What it will be called with, or tensors of the same shapes and types: (E, ...), or of any other first
                 dimension for what all rows share.
             masked: Whether calls give a mask: other rows are then neither computed nor written.
-            before: What the kernel does in a row before all.
+            made: The first of the inputs, where the kernel makes it; calls leave it unread.
+            beside: What other threads of the launch do to the same rows of the mask meanwhile; neither reads what the other
+                writes.
 
         Raises:
             UntraceableError: If it cannot be done row by row; the text says why.
         """
         start_warp()
         traced = trace(function, inputs)
-        source = write(traced, masked=masked, prepared=before is not None)
-        self._before = [] if before is None else [before.given]
+        source = write(traced, masked=masked, made=() if made is None else made.lines, beside=beside is not None)
+        self._given = [each.given for each in (beside, made) if each is not None]
+        self._threads = 1 if beside is None else 2
+        self._block_dim = self._threads * BLOCK_DIM  # as many blocks, most of which leave at once (measured on an H200)
         self.code = source.code
         """The kernel."""
         self._inputs, self._shared = source.inputs, source.shared
         self._outputs = [(shape, dtype) for _, shape, dtype in traced.outputs]
-        self.kernel = _kernel(source.code, before, source.names)
+        self.kernel = _kernel(source.code, source.names, made, beside)
         """It as Warp has it."""
         compile_ahead(self.kernel, wp.device_from_torch(next(tensor for tensor in inputs if tensor.ndim).device))
         self._ready = False
@@ -91,7 +113,7 @@ class RowFunction:
             for tensor, (shape, dtype) in zip(given, self._outputs, strict=True)
         ]
         arrays = [] if mask is None else [self._view(len(inputs), mask)]
-        arrays += [*self._before, *(self._view(i, inputs[i]) for i in self._inputs)]
+        arrays += [*self._given, *(self._view(i, inputs[i]) for i in self._inputs)]
         arrays += [
             _as_rows(tensor, passing=True) if new is None else self._view(-1 - i, tensor)
             for i, (tensor, new) in enumerate(zip(results, given, strict=True))
@@ -101,7 +123,7 @@ class RowFunction:
             wait_for(self.kernel, target)
             self._ready = True
         with on_torch_stream(first):
-            wp.launch(self.kernel, dim=rows, inputs=arrays, device=target, block_dim=BLOCK_DIM)
+            wp.launch(self.kernel, dim=self._threads * rows, inputs=arrays, device=target, block_dim=self._block_dim)
         return tuple(results)
 
     def _view(self, key: int, tensor: Tensor) -> wp.array:
@@ -121,16 +143,19 @@ def _as_rows(tensor: Tensor, *, shared: bool = False, passing: bool = False) -> 
     return wp.from_torch(view, dtype=kind, requires_grad=False, return_ctype=passing)
 
 
-def _kernel(code: str, before: Before | None, names: dict[str, Any]) -> wp.Kernel:
+def _kernel(code: str, names: dict[str, Any], made: Made | None, beside: RowWork | None) -> wp.Kernel:
     """Return the kernel of a source; the same in every process, so that Warp finds it in its cache."""
-    given = "" if before is None else f"# before: {before.function.key}\n"
-    if given + code not in _kernels:
-        namespace: dict[str, object] = {"wp": wp, **names}
-        if before is not None:
-            namespace |= {"before": before.function, "given_type": before.given_type}
+    more: dict[str, Any] = {}
+    if made is not None:
+        more |= {"given_type": made.given_type, **made.names}
+    if beside is not None:
+        more |= {"beside": beside.function, "beside_type": beside.given_type}
+    meant = "".join(f"# {name}: {value.key}\n" for name, value in more.items())
+    if meant + code not in _kernels:
+        namespace = {"wp": wp, **names, **more}
         exec(code, namespace)
-        name = f"aerial_gym_rows_{hashlib.sha256((given + code).encode()).hexdigest()[:12]}"
+        name = f"aerial_gym_rows_{hashlib.sha256((meant + code).encode()).hexdigest()[:12]}"
         module = wp.get_module(name)
         module.options["enable_backward"] = False
-        _kernels[given + code] = wp.Kernel(namespace["rows"], key="rows", source=code, module=module)
-    return _kernels[given + code]
+        _kernels[meant + code] = wp.Kernel(namespace["rows"], key="rows", source=code, module=module)
+    return _kernels[meant + code]

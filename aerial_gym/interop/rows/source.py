@@ -1,6 +1,6 @@
 """A trace as the source of a Warp kernel: one thread per row, every number in a register."""
 
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 from math import isinf, isnan
 from typing import Any
@@ -37,16 +37,20 @@ class KernelSource:
     """What the code calls by name, besides ``wp``."""
 
 
-def write(trace: Trace, *, masked: bool = False, prepared: bool = False) -> KernelSource:
+def write(trace: Trace, *, masked: bool = False, made: Sequence[str] = (), beside: bool = False) -> KernelSource:
     """Return the kernel that does what was traced.
 
     Args:
         trace: What is done.
         masked: Whether it takes a mask first and does nothing in other rows.
-        prepared: Whether it then takes a struct of type ``given_type`` and calls ``before(row, given)`` in front of all.
+        made: Lines that make ``made_0``, ``made_1``, ... in place of the first input, of ``given``: ``given_type``.
+        beside: Whether it is launched with twice as many threads as rows, the later ones of which call ``beside(row, other)``,
+            of ``other``: ``beside_type``. Only with a mask, which tells how many rows there are.
     """
     needed = _needed(trace)
     kinds = {int(scalar.args[0]): scalar for n in needed if (scalar := trace.scalars[n]).kind in ("input", "shared")}
+    if made:
+        kinds.pop(0, None)
     shared = frozenset(i for i, scalar in kinds.items() if scalar.kind == "shared")
     arguments = [f"in_{i}: {_array(kinds[i].dtype, kinds[i].kind == 'input')}" for i in sorted(kinds)]
     arguments += [f"out_{i}: {_array(dtype, True)}" for i, (_, _, dtype) in enumerate(trace.outputs)]
@@ -55,7 +59,8 @@ def write(trace: Trace, *, masked: bool = False, prepared: bool = False) -> Kern
     if together:
         names["load_row_4"] = load_row_4
     lines = [f"    r{i} = load_row_4(in_{i}, row)" for i in together]
-    lines += [f"    v{n} = {_code(trace.scalars[n], together)}" for n in needed]
+    lines += [f"    {line}" for line in made]
+    lines += [f"    v{n} = {_code(trace.scalars[n], together, made=bool(made))}" for n in needed]
     for i, (numbers, _, dtype) in enumerate(trace.outputs):
         width = len(numbers)
         if dtype == torch.float32 and 2 <= width <= LARGEST and not masked:
@@ -64,14 +69,23 @@ def write(trace: Trace, *, masked: bool = False, prepared: bool = False) -> Kern
             lines.append(f"    store_row(out_{i}, row, vector_{width}({values}))")
         else:
             lines += [f"    out_{i}[row, {entry}] = v{n}" for entry, n in enumerate(numbers)]
-    arguments = [*(["given: given_type"] if prepared else []), *arguments]
-    arguments = [*(["mask: wp.array2d[wp.bool]"] if masked else []), *arguments]
+    first = {"mask: wp.array2d[wp.bool]": masked, "other: beside_type": beside, "given: given_type": bool(made)}
+    arguments = [*(argument for argument, taken in first.items() if taken), *arguments]
     head = f"def rows({', '.join(arguments)}):\n    row = wp.tid()\n"
+    if beside:
+        head += _BESIDE
     if masked:
         head += "    if not mask[row, 0]:\n        return\n"
-    if prepared:
-        head += "    before(row, given)\n"
     return KernelSource(code=head + "\n".join(lines) + "\n", inputs=tuple(sorted(kinds)), shared=shared, names=names)
+
+
+_BESIDE = """\
+    if row >= mask.shape[0]:
+        row = row - mask.shape[0]
+        if mask[row, 0]:
+            beside(row, other)
+        return
+"""
 
 
 def _needed(trace: Trace) -> list[int]:
@@ -96,7 +110,9 @@ def _is_quad(scalar: Scalar, width: int) -> bool:
     return scalar.kind == "input" and scalar.dtype == torch.float32 and width == 4
 
 
-def _code(scalar: Scalar, together: Container[object] = ()) -> str:
+def _code(scalar: Scalar, together: Container[object] = (), *, made: bool = False) -> str:
+    if made and scalar.kind == "input" and scalar.args[0] == 0:
+        return f"made_{scalar.args[1]}"
     if scalar.kind == "input" and scalar.args[0] in together:
         return f"r{scalar.args[0]}[{scalar.args[1]}]"
     if scalar.kind == "input":

@@ -96,6 +96,17 @@ def test_a_draw_does_not_depend_on_what_else_is_drawn() -> None:
     assert torch.equal(alone, make({"body.com": MANY["body.com"], "body.mass": MANY["body.mass"]}).draws()["body.mass"])
 
 
+def test_an_episode_begins_as_without_draws(many: EnvManager) -> None:
+    """Initial states are drawn in the same launch as the parameters; bit for bit the same as in a launch of their own."""
+    plain = make({}, backend=many.sim_cfg.backend)
+    drawn = make(MANY, backend=many.sim_cfg.backend)
+    for env in (plain, drawn):
+        env.reset(torch.tensor([True, False, True, True, False, True]))
+    assert not torch.equal(plain.gtd["robot_mass"], drawn.gtd["robot_mass"])
+    for key in ("vec_root_tensor", "robot_position", "robot_body_angvel", "robot_euler_angles", "rotor_speed"):
+        assert torch.equal(plain.gtd[key], drawn.gtd[key]), key
+
+
 def test_only_the_rows_of_the_mask_are_written(many: EnvManager) -> None:
     """What the backend keeps is afterwards what building it anew gives, but for round-off of float32."""
     manager, mask = many.robot_manager, torch.tensor([True, False, True, False, False, True])

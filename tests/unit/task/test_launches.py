@@ -1,6 +1,7 @@
 """How many kernels a step launches: on a GPU each costs a microsecond or two, whatever it does."""
 
 from collections import Counter
+from dataclasses import replace
 
 import pytest
 import torch
@@ -9,8 +10,10 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from warp._src.context import Launch
 
+from aerial_gym import SimBuilder
+from aerial_gym.config.randomize import Randomize, RandomizeCfg
 from aerial_gym.interop.rows import RowFunction
-from aerial_gym.task import task_registry
+from aerial_gym.task import Task, task_registry
 
 VIEWS = (
     "alias", "as_strided", "detach", "empty", "expand", "permute", "select", "slice", "split", "squeeze", "t", "transpose",
@@ -35,10 +38,27 @@ class Counting(TorchDispatchMode):
         return func(*args, **(kwargs or {}))
 
 
-@pytest.mark.parametrize(("name", "most"), [("position_setpoint_task", 6), ("navigation_task", 34)])
-def test_a_step_launches_few_kernels(name: str, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+EACH_ROTOR = RandomizeCfg(each_rotor=True, low=0.9, high=1.1)
+RANDOMIZE = {
+    "body.mass": RandomizeCfg(low=0.9, high=1.1),
+    "rotor.thrust_map": EACH_ROTOR,
+    "rotor.time_constant": EACH_ROTOR,
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "randomize", "most"),
+    [("position_setpoint_task", {}, 6), ("position_setpoint_task", RANDOMIZE, 6), ("navigation_task", {}, 34)],
+)
+def test_a_step_launches_few_kernels(
+    name: str, randomize: Randomize, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """``most`` is what it takes today: more of them are a choice, to be made here."""
-    task = task_registry.make_task(name, num_envs=2, device="cpu", seed=0)
+    cfg = replace(task_registry.get(name), randomize=randomize)
+    task = Task(cfg, SimBuilder().build_env(
+        sim_name=cfg.sim, env_name=cfg.env, robot_name=cfg.robot, controller_name=cfg.controller, num_envs=2, device="cpu",
+        seed=0, randomize=randomize,
+    ))  # fmt: skip
     assert task.action_space.shape is not None
     actions = torch.zeros(2, *task.action_space.shape)
     task.reset()
