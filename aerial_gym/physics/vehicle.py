@@ -69,7 +69,7 @@ class Vehicle:
     """Lag of a speed, in force mode of a thrust, that grows in size [s], (E, R)."""
 
     time_constant_down: Tensor
-    """Lag of one that falls in size [s], (E, R)."""
+    """Lag of one that falls in size [s], (E, R); the very tensor of ``time_constant_up`` where both are one by construction."""
 
     slew_rate: Tensor
     """Largest rate at which the size of the speed [rad/s²], in force mode of the thrust [N/s], grows, (E, R); infinite where
@@ -152,6 +152,8 @@ def vehicle_from_config(
         voltages = cell.nominal_voltage, cell.full_voltage, cell.empty_voltage
         battery = [*voltages, cell.internal_resistance, cell.capacity, cell.efficiency]
     rotors, layout = robot.rotor_types, robot.mounts.layout
+    up, down = ([getattr(rotor, f"time_constant_{way}") for rotor in rotors] for way in ("up", "down"))
+    rising = rows(up)
     axis = torch.tensor([mount.axis for mount in layout], dtype=dtype, device=device)
     vehicle = Vehicle(
         mass=rows(robot.body.mass),
@@ -164,8 +166,8 @@ def vehicle_from_config(
         torque_map=rows([rotor.torque_coefficients for rotor in rotors]),
         reverse_thrust_map=rows([rotor.reverse_thrust_coefficients for rotor in rotors]),
         reverse_torque_map=rows([rotor.reverse_torque_coefficients for rotor in rotors]),
-        time_constant_up=rows([rotor.time_constant_up for rotor in rotors]),
-        time_constant_down=rows([rotor.time_constant_down for rotor in rotors]),
+        time_constant_up=rising,
+        time_constant_down=rising if down == up else rows(down),
         slew_rate=rows([rotor.slew_rates[0] for rotor in rotors]),
         slew_rate_down=rows([rotor.slew_rates[1] for rotor in rotors]),
         dead_band=rows([rotor.dead_band for rotor in rotors]),

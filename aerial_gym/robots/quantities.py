@@ -75,7 +75,11 @@ def _inertia(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
 
 
 def _field(names: tuple[str, ...], vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
-    return replace(vehicle, **{name: drawn_value(cfg, getattr(vehicle, name), draw) for name in names})
+    drawn: dict[int, Tensor] = {}
+    for declared in (getattr(vehicle, name) for name in names):  # one tensor for all names stays one
+        if id(declared) not in drawn:
+            drawn[id(declared)] = drawn_value(cfg, declared, draw)
+    return replace(vehicle, **{name: drawn[id(getattr(vehicle, name))] for name in names})
 
 
 def _thrust(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:

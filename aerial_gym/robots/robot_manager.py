@@ -298,7 +298,8 @@ class RobotManager:
         if self._randomized is not None:
             declared = self.declared.rows()
             changed = {name: rows for name, rows in model.vehicle.rows().items() if rows is not declared[name]}
-            vehicle = replace(model.vehicle, **{name: own_rows(rows) for name, rows in changed.items()})
+            own = {id(rows): own_rows(rows) for rows in changed.values()}  # what is one tensor by two names stays one
+            vehicle = replace(model.vehicle, **{name: own[id(rows)] for name, rows in changed.items()})
             inverse = own_rows(model.inertia_inverse) if "inertia" in changed else model.inertia_inverse
             model = replace(model, vehicle=vehicle, inertia_inverse=inverse)
         self.model = replace(model, effects=effects)

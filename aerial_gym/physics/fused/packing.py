@@ -58,6 +58,9 @@ def _vehicle_fields(model: Model, stage: float) -> list[Field]:
     def decay(tau: Tensor) -> Tensor:
         return torch.exp(-stage / tau)
 
+    def lag(tau: Tensor) -> Tensor:
+        return tau.clamp_min(SHORTEST)
+
     def moment(position: Tensor, com: Tensor, axis: Tensor) -> Tensor:
         return torch.linalg.cross(position - com.unsqueeze(1), axis)
 
@@ -78,8 +81,8 @@ def _vehicle_fields(model: Model, stage: float) -> list[Field]:
         fields += [
             Field("reverse_thrust_map", (v.reverse_thrust_map,), _same),
             Field("reverse_torque_map", (v.reverse_torque_map,), _same),
-            Field("tau_up", (v.time_constant_up,), lambda tau: tau.clamp_min(SHORTEST)),
-            Field("tau_down", (v.time_constant_down,), lambda tau: tau.clamp_min(SHORTEST)),
+            Field("tau_up", (v.time_constant_up,), lag),
+            Field("tau_down", (v.time_constant_down,), lag),
             Field("slew_up", (v.slew_rate,), lambda rate: rate.clamp_max(FASTEST)),
             Field("slew_down", (v.slew_rate_down,), lambda rate: rate.clamp_max(FASTEST)),
             Field("dead_band", (v.dead_band,), _same),
@@ -148,6 +151,9 @@ class Packing:
     entries: Mapping[str, tuple[int, ...]]
     """Which entries of a field of the vehicle are packed, where it is not all of them."""
 
+    twins: frozenset[str]
+    """Fields of the vehicle whose rows are those of an earlier field."""
+
     command: Mapping[str, int]
     gains: int | None
     """Of the first gain; None where all environments have the same."""
@@ -164,28 +170,35 @@ class Packing:
 
     def fits(self, numbers: Numbers) -> bool:
         """Return whether what is packed of each field still says all of it."""
-        return not self.entries or self.entries.keys() <= entries_of(numbers.vehicle).keys()
+        return (
+            self.entries.keys() <= entries_of(numbers.vehicle).keys() and self.twins <= twins_of(numbers.vehicle).keys()
+        )
 
 
 def arrange(numbers: Numbers, *, all_packed: bool) -> Packing:
     """Return a row for every number that differs between environments; with ``all_packed`` for every number."""
     first, few = 0, {} if all_packed else entries_of(numbers.vehicle)
+    twins = {} if all_packed else twins_of(numbers.vehicle)
 
-    def place(fields: list[Field], few: Mapping[str, tuple[int, ...]]) -> dict[str, int]:
+    def place(fields: list[Field]) -> dict[str, int]:
         nonlocal first
-        rows = {}
+        rows: dict[str, int] = {}
         for field in fields:
-            if all_packed or not field.shared:
+            if field.name in twins and not field.shared:
+                rows[field.name] = rows[twins[field.name]]
+            elif all_packed or not field.shared:
                 rows[field.name] = first
                 first += len(few.get(field.name, field.row()))
         return rows
 
-    vehicle, command, gains = place(numbers.vehicle, few), place(numbers.command, {}), None
+    vehicle, command, gains = place(numbers.vehicle), place(numbers.command), None
     if numbers.gains and (all_packed or not all(field.shared for field in numbers.gains)):
         gains = first
         first += sum(len(field.row()) for field in numbers.gains)
     few = {name: entries for name, entries in few.items() if name in vehicle}
-    return Packing(vehicle, few, command, gains, first, first + sum(params.shape[1] for params in numbers.effects))
+    written = frozenset(twins) & vehicle.keys()
+    last = first + sum(params.shape[1] for params in numbers.effects)
+    return Packing(vehicle, few, written, command, gains, first, last)
 
 
 def entries_of(vehicle: list[Field]) -> dict[str, tuple[int, ...]]:
@@ -198,6 +211,13 @@ def entries_of(vehicle: list[Field]) -> dict[str, tuple[int, ...]]:
         if field.name in ("thrust_map", "torque_map") and only_squares(field):
             found[field.name] = tuple(range(2, len(field.row()), 3))
     return found
+
+
+def twins_of(vehicle: list[Field]) -> dict[str, str]:
+    """Return fields that follow from the same tensors in the same way as an earlier one, each with that."""
+    first: dict[tuple[object, ...], str] = {}
+    found = {field.name: first.setdefault((field.compute, *map(id, field.sources)), field.name) for field in vehicle}
+    return {name: other for name, other in found.items() if name != other}
 
 
 def only_squares(field: Field) -> bool:
@@ -216,7 +236,7 @@ def packed_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
 
 def vehicle_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
     """Return those of the vehicle."""
-    packed = (field for field in numbers.vehicle if field.name in packing.vehicle)
+    packed = (field for field in numbers.vehicle if field.name in packing.vehicle and field.name not in packing.twins)
     return [field.rows(packing.entries.get(field.name)) for field in packed]
 
 

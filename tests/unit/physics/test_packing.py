@@ -16,7 +16,7 @@ ENVS, DT = 8, 0.004
 
 
 def test_what_follows_from_other_numbers_takes_no_rows() -> None:
-    """Mass 1, inertia and its inverse 6 each, squares of thrust and torque 4 each, lags rising and falling 4 each."""
+    """Mass 1, inertia and its inverse 6 each, squares of thrust and torque 4 each, lags 4, as they rise so they fall."""
     drawn = RandomizeCfg(each_rotor=True, low=0.9, high=1.1)
     env = SimBuilder().build_env(
         sim_name="base_sim",
@@ -33,7 +33,30 @@ def test_what_follows_from_other_numbers_takes_no_rows() -> None:
     )
     backend = env.robot_manager.backend
     assert isinstance(backend, WarpBackend)
-    assert [rows.shape for rows in backend.parameter_targets()] == [(2, 1 + 12 + 8 + 8)]
+    assert [rows.shape for rows in backend.parameter_targets()] == [(2, 1 + 12 + 8 + 4)]
+
+
+def test_lags_that_rise_and_fall_apart_take_rows_of_their_own() -> None:
+    """Equal lags are read from one row, others from two, also where they come to differ later: as in torch."""
+    ends = []
+    for backend in (TorchBackend(), WarpBackend()):
+        vehicle = vehicle_from_config(ROBOTS.get("base_quadrotor"), num_envs=ENVS)
+        lag = 0.02 * torch.linspace(0.5, 2.0, 4 * ENVS).view(ENVS, 4)
+        one = replace(vehicle, time_constant_up=lag, time_constant_down=lag)
+        apart = replace(one, time_constant_down=3.0 * lag)
+        law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, 9.81, dt=DT)
+        backend.allocate(build_model(one), law, integrator="euler")
+        start = random_state(ENVS, seed=4, rotor_speed=400.0)
+        state = BodyState(**{name: value.float() for name, value in vars(start).items()})
+        for model, width in ((one, 4), (apart, 8)):
+            backend.set_model(build_model(model))
+            for speed in (450.0, 350.0):
+                backend.step(state, torch.full((ENVS, 4), speed), DT, 2)
+                ends.append(state.rotor_speed.clone())
+            if isinstance(backend, WarpBackend):
+                assert [rows.shape for rows in backend.parameter_targets()] == [(ENVS, width)]
+    for torch_end, warp_end in zip(ends[:4], ends[4:], strict=True):
+        torch.testing.assert_close(warp_end, torch_end, rtol=2e-6, atol=0.0)
 
 
 def test_maps_and_inertias_of_any_kind_arrive_whole() -> None:
