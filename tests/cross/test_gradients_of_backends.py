@@ -10,7 +10,6 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError
 from aerial_gym.physics import (
     EFFECTS,
-    INTEGRATORS,
     BodyState,
     Ground,
     TorchBackend,
@@ -67,8 +66,9 @@ def gradients(backend, dtype: torch.dtype, controller: str, integrator: str) -> 
     return found
 
 
-@pytest.mark.parametrize("integrator", list(INTEGRATORS))
-@pytest.mark.parametrize("controller", ["rotor_speed_control", "lee_velocity_control"])
+@pytest.mark.parametrize(
+    ("controller", "integrator"), [("lee_velocity_control", "euler"), ("rotor_speed_control", "rk4")]
+)
 def test_gradients_agree_with_torch(controller: str, integrator: str) -> None:
     """For the action, every tensor of the initial state, mass, inertia and the parameters of every effect."""
     exact = gradients(TorchBackend(), torch.float64, controller, integrator)
