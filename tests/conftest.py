@@ -1,10 +1,15 @@
-"""Settings of all tests: as many threads as there are cores for each worker; what a module's tests register goes with them."""
+"""Settings of all tests: as many threads as there are cores for each worker, or ``OMP_NUM_THREADS``; kernels are compiled when
+they are launched; what a module's tests register goes with them.
+"""
 
 import os
 from collections.abc import Iterator
+from concurrent.futures import Future
+from functools import cache
 
 _CORES = len(os.sched_getaffinity(0))
-_THREADS = max(1, min(2, _CORES // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))))
+_WANTED = int(os.environ.get("OMP_NUM_THREADS", "2"))
+_THREADS = max(1, min(2, _WANTED, _CORES // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))))
 
 # Workers that have more threads than cores wait for each other; processes that tests start inherit the number.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(_THREADS)))
@@ -15,11 +20,28 @@ import torch  # noqa: E402
 from aerial_gym.assets import ENVIRONMENTS  # noqa: E402
 from aerial_gym.control import CONTROLLERS  # noqa: E402
 from aerial_gym.env_manager import SIMS  # noqa: E402
+from aerial_gym.interop import launches  # noqa: E402
 from aerial_gym.robots import ROBOTS  # noqa: E402
 from aerial_gym.sensors import IMUS, SENSORS  # noqa: E402
 from aerial_gym.task import task_registry  # noqa: E402
 
 torch.set_num_threads(_THREADS)
+
+
+class CompileAtLaunch:
+    """Stands for the threads of ``compile_ahead`` and does nothing: what a test builds and never launches is not compiled.
+
+    The threads themselves are tested in ``unit/interop/test_launches.py``, and in every process that a test starts.
+    """
+
+    def submit(self, *args: object, **kwargs: object) -> Future[None]:
+        done: Future[None] = Future()
+        done.set_result(None)
+        return done
+
+
+COMPILING_THREADS = launches._workers
+launches._workers = cache(CompileAtLaunch)
 
 REGISTRIES = (SIMS, ENVIRONMENTS, ROBOTS, CONTROLLERS, SENSORS, IMUS, task_registry)
 
@@ -32,3 +54,9 @@ def own_names() -> Iterator[None]:
     for registry, names in zip(REGISTRIES, before, strict=True):
         for name in set(registry.names()) - names:
             del registry._entries[name]
+
+
+@pytest.fixture
+def no_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lay out the figures of reports, and leave out their pixels, which are a sixth of the time of a whole loop."""
+    monkeypatch.setattr("aerial_gym.sim2real.report.plots.png", lambda figure: "")

@@ -15,6 +15,8 @@ from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real import close_loop
 from benchmarks.undeclared import make_case
 
+pytestmark = pytest.mark.usefixtures("no_pixels")
+
 SHORT: dict[str, Any] = {"num_train": 4, "num_test": 2, "duration_s": 8.0, "rate_hz": 200}
 EFFECTS = ("motor_tilt", "actuation_delay")
 MORE_EFFECTS = (

@@ -9,7 +9,10 @@ from aerial_gym.sim2real import close_loop
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "neural_fly"
 
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights are not on this machine: {DATA}")
+pytestmark = [
+    pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights are not on this machine: {DATA}"),
+    pytest.mark.usefixtures("no_pixels"),
+]
 
 
 def test_drag_learned_at_other_wind_speeds_holds_at_an_unseen_one(tmp_path: Path) -> None:

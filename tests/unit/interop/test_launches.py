@@ -11,6 +11,7 @@ import warp as wp
 
 from aerial_gym.env_manager import SimBuilder
 from aerial_gym.interop import RecordedLaunch, compile_ahead, launches, start_warp
+from tests.conftest import COMPILING_THREADS
 
 
 @wp.kernel(module="unique", enable_backward=False)
@@ -25,9 +26,10 @@ def _wrong(out: wp.array[float]):
 
 @pytest.fixture
 def cpu(monkeypatch: pytest.MonkeyPatch) -> wp.Device:
-    """Warp's CPU, with nothing that was compiled ahead."""
+    """Warp's CPU, with threads that compile and nothing that was compiled ahead."""
     start_warp()
     monkeypatch.setattr(launches, "_begun", {})
+    monkeypatch.setattr(launches, "_workers", COMPILING_THREADS)
     return wp.get_device("cpu")
 
 
