@@ -14,6 +14,7 @@ from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.compat.config import controllers, environments, robots, sims, tasks
 from aerial_gym.compat.config.fields import Table, fresh
 from aerial_gym.compat.names import ABSENT
+from aerial_gym.config.randomize import Randomize
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, robot_by_name
 from aerial_gym.env_manager.sim_builder import environment_by_name
@@ -215,12 +216,21 @@ class ControllerRegistry(_Names):
 
     def resolve(self, name: str) -> Any:
         """Return our controller for a name; a name of ours as it is."""
+        classes = self._classes(name)
+        return name if classes is None else controllers.controller_of(*classes)
+
+    def drawn_gains(self, name: str) -> Randomize:
+        """Return what is drawn of the gains of a controller, by the names of ``randomize:``."""
+        classes = self._classes(name)
+        return {} if classes is None else controllers.drawn_gains(*classes)
+
+    def _classes(self, name: str) -> tuple[Any, Any] | None:
+        """Return law and gains; None for a controller of ours with gains of the robot."""
         found = self._find(name)
         if found is not None:
-            return controllers.controller_of(*found)
-        changed = controllers.control_is_changed()
+            return found
         law = self.get_controller_class(name)
-        return controllers.controller_of(law, controllers.control) if changed and law is not None else name
+        return (law, controllers.control) if law is not None and controllers.control_is_changed() else None
 
 
 class TaskRegistry(_Names):

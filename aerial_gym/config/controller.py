@@ -1,49 +1,49 @@
 """Gains and limits of the controllers."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf, pi
-from typing import Literal
+from typing import ClassVar, Literal
 
-from aerial_gym.config.checks import Vec3, require_finite, require_ordered, require_positive
+from aerial_gym.config.checks import Vec3, require_finite, require_positive
 from aerial_gym.errors import ConfigError
+
+_DRAWN_BY_NAME = (
+    "gains have no ranges of their own: give each gain as one number per axis (position: [2.5, 2.5, 1.5]) and what is drawn by "
+    "name, randomize: {gains.position: {how: value, low: [2.0, 2.0, 1.0], high: [3.0, 3.0, 2.0]}} (docs/randomisation.md)"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LeeGainsCfg:
-    """Explicit gains of the geometric controllers as ranges; the middle is used unless ``randomize`` draws per environment."""
+    """Explicit gains of the geometric controllers; ``gains.NAME`` of ``randomize:`` draws them per environment."""
 
-    position_gain_low: Vec3
-    """Acceleration per position error [1/s²], world axes."""
+    MOVED: ClassVar[Mapping[str, str]] = {
+        "randomize": _DRAWN_BY_NAME,
+        **{
+            f"{name}_gain_{end}": _DRAWN_BY_NAME
+            for name in ("position", "velocity", "attitude", "rate")
+            for end in ("low", "high")
+        },
+    }
 
-    position_gain_high: Vec3
-    """Upper end [1/s²]."""
+    position: Vec3
+    """Acceleration per position error [1/s²], >= 0, world axes."""
 
-    velocity_gain_low: Vec3
-    """Acceleration per velocity error [1/s], world axes."""
+    velocity: Vec3
+    """Acceleration per velocity error [1/s], >= 0, world axes."""
 
-    velocity_gain_high: Vec3
-    """Upper end [1/s]."""
+    attitude: Vec3
+    """Torque per attitude error [N m/rad], >= 0, body axes."""
 
-    attitude_gain_low: Vec3
-    """Torque per attitude error [N m/rad], body axes."""
-
-    attitude_gain_high: Vec3
-    """Upper end [N m/rad]."""
-
-    rate_gain_low: Vec3
-    """Torque per rate error [N m s/rad], body axes."""
-
-    rate_gain_high: Vec3
-    """Upper end [N m s/rad]."""
+    rate: Vec3
+    """Torque per rate error [N m s/rad], >= 0, body axes."""
 
     max_yaw_rate: float
     """Yaw rate commands are clamped to this [rad/s], > 0."""
 
     max_inclination: float
     """Largest tilt that position, velocity and acceleration control ask for [rad], > 0 and < pi/2."""
-
-    randomize: bool = False
-    """Whether a reset draws new gains per environment."""
 
     source: str
     """Where the numbers come from."""
@@ -52,11 +52,9 @@ class LeeGainsCfg:
         require_positive(self, "max_yaw_rate", "max_inclination")
         _require_tilt(self, self.max_inclination)
         for name in ("position", "velocity", "attitude", "rate"):
-            low, high = f"{name}_gain_low", f"{name}_gain_high"
-            require_finite(self, low, high)
-            require_ordered(self, low, high)
-            if min(getattr(self, low)) < 0.0:
-                raise ConfigError(f"LeeGainsCfg.{low} = {getattr(self, low)!r}: must be >= 0")
+            require_finite(self, name)
+            if min(getattr(self, name)) < 0.0:
+                raise ConfigError(f"LeeGainsCfg.{name} = {getattr(self, name)!r}: must be >= 0")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -58,7 +58,8 @@ def build(cls: type[T], data: Mapping[str, object], *, where: str) -> T:
     """Return the frozen dataclass ``cls`` filled from nested mappings.
 
     Args:
-        cls: A dataclass whose fields are numbers, strings, tuples, mappings, optional values or such dataclasses.
+        cls: A dataclass whose fields are numbers, strings, tuples, mappings, optional values or such dataclasses. Its
+            ``MOVED``, if it has one, says of fields that it no longer has what takes their place.
         data: Values by field name, as YAML gives them.
         where: Named at the start of every error message: a file, or the call.
 
@@ -69,7 +70,10 @@ def build(cls: type[T], data: Mapping[str, object], *, where: str) -> T:
         raise ConfigError(f"{where}: must be a mapping of the fields of {cls.__name__}, found {shown(data)}")
     hints = get_type_hints(cls)
     known = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    moved = getattr(cls, "MOVED", {})
     for key in data:
+        if key in moved:
+            raise ConfigError(f"{where}: field {key!r} is gone: {moved[key]}")
         if key not in known:
             near = get_close_matches(str(key), known, n=1)
             hint = f" Did you mean {near[0]!r}?" if near else ""

@@ -12,7 +12,7 @@ randomize:
 ```
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf, isfinite
 
@@ -23,6 +23,10 @@ HOW = ("scale", "offset", "value")
 
 DISTRIBUTIONS = ("uniform", "log_uniform", "normal")
 """How it is distributed. A normal one is truncated at ``low`` and ``high``, where they are given."""
+
+
+LARGEST_NORMAL = 5.4
+"""Standard deviations: float32 shares of probability, from which normal draws are made, lead no further."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,6 +101,31 @@ class RandomizeCfg:
             raise ConfigError(f"RandomizeCfg.low = {low!r}: a log_uniform distribution needs 0 < low")
         if self.how == "scale" and not low >= 0.0:
             raise ConfigError(f"RandomizeCfg.low = {low!r}: a factor needs a lowest value >= 0 (how: scale)")
+
+    def reached(self, name: str, declared: Sequence[float], *, spread: float = inf) -> list[tuple[float, float]]:
+        """Return the lowest and the highest value that each component of a quantity takes.
+
+        Args:
+            name: Of the quantity, for messages.
+            declared: Its components as declared.
+            spread: Standard deviations beyond which nothing of a normal distribution is looked at.
+
+        Raises:
+            ConfigError: If a field has another number of components.
+        """
+        try:
+            numbers = self.components(len(declared))
+        except ConfigError as error:
+            raise ConfigError(f"randomize: {name}: {error}") from None
+        found = []
+        for value, (low, high, mean, std) in zip(declared, numbers, strict=True):
+            if std > 0.0:
+                low, high = max(low, mean - spread * std), min(high, mean + spread * std)
+            ends = {"value": (low, high), "offset": (value + low, value + high)}.get(
+                self.how, (value * low, value * high)
+            )
+            found.append((min(ends), max(ends)))
+        return found
 
     def widths(self) -> set[int]:
         """Return the numbers of components that the fields have; 1 for single numbers."""

@@ -19,11 +19,10 @@ from torch import Tensor
 from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
 from aerial_gym.control import cascade_fused, lee_fused
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.gains import gains_for, spacing_of
+from aerial_gym.control.gains import GAINS, gains_for, spacing_of, with_own_rows
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.lee import LeeGains, wrench_from
 from aerial_gym.control.timing import Timing, timing_of
-from aerial_gym.math.random import Randomness
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.law_memory import LawMemory, LawNeeds, fresh_law_memory
 from aerial_gym.physics.state import BodyState
@@ -240,10 +239,15 @@ class CascadeController:
         numbers = torch.cat((integral, slope, ang_vel, memory.numbers[:, 9:]), dim=-1)
         return self._allocation.speed(allotted.thrust), numbers
 
+    @property
+    def named_gains(self) -> dict[str, Tensor]:
+        """The law's gains; over a rate loop that on attitude is body rate per error [1/s], and that on the rate, 1, is none."""
+        names = GAINS if self.rate_gains is None else GAINS[:-1]
+        return {name: getattr(self.gains, name) for name in names}
+
     def own_gains(self) -> None:
         """Give each environment rows (E, 3) of its own, to be written in place; call it before ``fused``."""
-        own = {name: own_rows(getattr(self.gains, name)) for name in ("position", "velocity", "attitude", "rate")}
-        self.gains = replace(self.gains, **own)
+        self.gains = with_own_rows(self.gains)
         if self.rate_gains is not None:
             rows = {name: own_rows(rows) for name, rows in vars(self.rate_gains).items() if isinstance(rows, Tensor)}
             self.rate_gains = replace(self.rate_gains, **rows)
@@ -279,10 +283,6 @@ class CascadeController:
         loop = {name: value for name, value in vars(self.rate_gains).items() if isinstance(value, Tensor)}
         smoothing = share_row(self.gains.mass.new_tensor(self.rate_gains.smoothing), self._inertia.shape[0])
         return of_law | loop | {"smoothing": smoothing, "body_inertia": self._inertia}
-
-    def reset(self, mask: Tensor, random: Randomness) -> None:
-        """Nothing is random; the backend forgets what was remembered."""
-        del mask, random
 
 
 def _write(ring: Tensor, row: Tensor, count: Tensor, slots: int) -> Tensor:

@@ -3,6 +3,8 @@
 Letters: E environments, R rotors.
 """
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Literal, Protocol
 
 import torch
@@ -12,11 +14,10 @@ from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control import lee_fused
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.cascade import CascadeController
-from aerial_gym.control.gains import GAINS, explicit_gains_of, gain_range, gains_for, with_own_rows
+from aerial_gym.control.gains import GAINS, gains_for, with_own_rows
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.timing import remembers
 from aerial_gym.errors import ConfigError
-from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.physics.fused import FusedLaw
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
@@ -30,12 +31,13 @@ class Controller(Protocol):
     action_names: tuple[str, ...]
     """Meaning and unit of each entry of the action."""
 
-    def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
-        """Return commanded rotor speeds [rad/s], (E, R)."""
+    @property
+    def named_gains(self) -> Mapping[str, Tensor]:
+        """Gains that ``randomize:`` knows as ``gains.NAME``, by these names, (E, 3); whoever has any has ``own_gains`` too."""
         ...
 
-    def reset(self, mask: Tensor, random: Randomness) -> None:
-        """Draw new gains for the environments in ``mask``, bool (E,), if they are randomised."""
+    def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
+        """Return commanded rotor speeds [rad/s], (E, R)."""
         ...
 
     def fused(self) -> FusedLaw | None:
@@ -45,6 +47,9 @@ class Controller(Protocol):
 
 class ThrustController:
     """``no_control``: the action is the thrust of each rotor [N], clamped to its limits."""
+
+    named_gains: Mapping[str, Tensor] = MappingProxyType({})
+    """It has none."""
 
     def __init__(self, vehicle: Vehicle, gravity: float) -> None:
         """Take the declared vehicle."""
@@ -60,13 +65,12 @@ class ThrustController:
         """Return the clamp and the thrust map."""
         return _fused("thrust", self._allocation, len(self.action_names))
 
-    def reset(self, mask: Tensor, random: Randomness) -> None:
-        """Nothing is random."""
-        del mask, random
-
 
 class RotorSpeedController:
     """``rotor_speed_control``: the action is the speed of each rotor [rad/s], in force mode its thrust [N], within limits."""
+
+    named_gains: Mapping[str, Tensor] = MappingProxyType({})
+    """It has none."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         """Take the declared vehicle."""
@@ -88,10 +92,6 @@ class RotorSpeedController:
             high=self._vehicle.speed_high,
         )
 
-    def reset(self, mask: Tensor, random: Randomness) -> None:
-        """Nothing is random."""
-        del mask, random
-
 
 class LeeController:
     """A geometric law with its gains."""
@@ -100,12 +100,15 @@ class LeeController:
         self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float | None, control: ControlCfg
     ) -> None:
         """Take the configuration, the declared vehicle, gravity [m/s²], the time step [s] and the robot's own settings."""
-        law, explicit = LAWS[cfg.law], explicit_gains_of(cfg, control)
+        law = LAWS[cfg.law]
         self.action_names, self._law = law.action, law
         self._allocation = Allocation(vehicle, gravity, saturation=cfg.allocation)
         self.gains = gains_for(cfg, control, vehicle, self._allocation, gravity=gravity, dt=dt)
-        drawn = explicit if explicit is not None and explicit.randomize else None
-        self._ranges = {} if drawn is None else {name: gain_range(drawn, name, vehicle.com) for name in GAINS}
+
+    @property
+    def named_gains(self) -> dict[str, Tensor]:
+        """All of its gains."""
+        return {name: getattr(self.gains, name) for name in GAINS}
 
     def own_gains(self) -> None:
         """Give each environment rows (E, 3) of its own in ``gains``, to be written in place; call it before ``fused``."""
@@ -132,13 +135,6 @@ class LeeController:
             load_gains=lee_fused.load_gains,
             gains=lee_fused.gain_rows(self.gains),
         )
-
-    def reset(self, mask: Tensor, random: Randomness) -> None:
-        """Draw gains for the environments in ``mask`` if the configuration randomises them."""
-        for index, (name, (low, high)) in enumerate(self._ranges.items()):
-            gain = getattr(self.gains, name)
-            draw = random.uniform(Purpose.GAINS, low[0], high[0], index=index)
-            gain.copy_(torch.where(mask.unsqueeze(-1), draw, gain))
 
 
 def _fused(output: Literal["thrust", "wrench"], allocation: Allocation, num_actions: int, **law: Any) -> FusedLaw:
@@ -190,11 +186,6 @@ def make_controller(
         if dt is None:
             raise ConfigError(
                 f"law {cfg.law!r}: a controller with rates or memory is built for one time step. Give dt [s]"
-            )
-        explicit = explicit_gains_of(cfg, control)
-        if explicit is not None and explicit.randomize:
-            raise ConfigError(
-                "LeeGainsCfg.randomize: a controller with memory draws no gains. Write rows of own_gains()"
             )
         return CascadeController(cfg, vehicle, gravity, dt=dt, control=control)
     known = ", ".join(("thrust", "rotor_speed", *LAWS))

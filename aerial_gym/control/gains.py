@@ -20,13 +20,14 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.controller import ControlCfg, ControllerCfg, LeeGainsCfg
+from aerial_gym.config.randomize import LARGEST_NORMAL, RandomizeCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.lee import LeeGains
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.vehicle import Vehicle, own_rows, share_row
 
 GAINS = ("position", "velocity", "attitude", "rate")
-"""Fields of ``LeeGains`` that a range or an override may change, each (E, 3)."""
+"""Fields of ``LeeGains`` that may be given and drawn, each (E, 3)."""
 
 LARGEST_INCLINATION = pi / 3
 """Of a vehicle with thrust to spare [rad]. Source: Aerial Gym Simulator 2.0.1, max_inclination_angle_rad."""
@@ -146,26 +147,27 @@ def gains_for(
 
 
 def explicit_gains(cfg: LeeGainsCfg, vehicle: Vehicle, gravity: float) -> LeeGains:
-    """Return gains in the middle of their ranges; where they are randomised each environment has its own rows."""
-    like = vehicle.com[:1]
-    shared = {name: 0.5 * sum(gain_range(cfg, name, like)) for name in GAINS}
-    gains = LeeGains(
-        **{name: share_row(row[0], vehicle.num_envs) for name, row in shared.items()},
+    """Return the given gains, the same in all environments."""
+    return LeeGains(
+        **{name: share_row(vehicle.com.new_tensor(getattr(cfg, name)), vehicle.num_envs) for name in GAINS},
         mass=vehicle.mass,
         inertia=vehicle.inertia,
         gravity=gravity,
         max_yaw_rate=cfg.max_yaw_rate,
         max_inclination=cfg.max_inclination,
     )
-    return with_own_rows(gains) if cfg.randomize else gains
+
+
+def ends_of(name: str, cfg: RandomizeCfg, declared: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the lowest and the highest rows (E, 3) that are drawn of a gain, of which all environments have one row.
+
+    They are not below 0: what draws such gains is refused where it is drawn.
+    """
+    reached = cfg.reached(f"gains.{name}", declared[0].tolist(), spread=LARGEST_NORMAL)
+    low, high = (declared.new_tensor(ends).clamp_min(0.0) for ends in zip(*reached, strict=True))
+    return share_row(low, len(declared)), share_row(high, len(declared))
 
 
 def with_own_rows(gains: LeeGains) -> LeeGains:
     """Return gains with a row of each environment's own, (E, 3), that may be written in place."""
     return replace(gains, **{name: own_rows(getattr(gains, name)) for name in GAINS})
-
-
-def gain_range(cfg: LeeGainsCfg, name: str, like: Tensor) -> tuple[Tensor, Tensor]:
-    """Return lower and upper end of a gain, each (1, 3)."""
-    low, high = getattr(cfg, f"{name}_gain_low"), getattr(cfg, f"{name}_gain_high")
-    return like.new_tensor([low]), like.new_tensor([high])

@@ -9,19 +9,22 @@ Letters: N axes with rotors, R rotors.
 """
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
+from itertools import product
 from math import exp, log
 
 import torch
 from torch import Tensor
 
-from aerial_gym.config.controller import ControlCfg, ControllerCfg
+from aerial_gym.config.controller import ControllerCfg
+from aerial_gym.config.randomize import Randomize, RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.cascade import CascadeController
-from aerial_gym.control.controllers import make_controller
-from aerial_gym.control.gains import GAINS, explicit_gains_of
+from aerial_gym.control.controllers import LeeController, make_controller
+from aerial_gym.control.gains import GAINS, ends_of, explicit_gains_of
 from aerial_gym.control.laws import LAWS
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_log
@@ -159,12 +162,20 @@ def largest_stable_dt(radius: Callable[[float], float], unstable: float) -> floa
 
 
 def check_closed_loop(
-    robot: RobotCfg, controller: ControllerCfg, *, gravity: float, dt: float, integrator: str, names: tuple[str, str]
+    robot: RobotCfg,
+    controller: ControllerCfg,
+    *,
+    gravity: float,
+    dt: float,
+    integrator: str,
+    names: tuple[str, str],
+    randomize: Randomize | None = None,
 ) -> None:
     """Refuse a robot that does not come to rest under its controller at this time step.
 
     Derived gains and bandwidths are our promise, and a loop that breaks it is refused. Explicit gains are someone's result,
-    which one may want to reproduce as it is, limit cycles and all: there is a warning instead.
+    which one may want to reproduce as it is, limit cycles and all: there is a warning instead. So it is with what is drawn
+    about them.
 
     Args:
         robot: What flies, as declared.
@@ -173,38 +184,63 @@ def check_closed_loop(
         dt: Time step [s].
         integrator: Name of the stepper.
         names: Of robot and controller, for people.
+        randomize: What is drawn, by name; the ends of its gains must come to rest as well.
 
     Raises:
         ConfigError: If the vehicle cannot hover, or the loop is unstable with derived gains.
     """
     if controller.law not in LAWS:
         return
-    loop = ClosedLoop(robot, controller, gravity=gravity, integrator=integrator, names=names)
-    radius = loop.radius(dt)
-    if radius <= 1.0 + ROUND_OFF:
+    loop = ClosedLoop(
+        robot, controller, gravity=gravity, integrator=integrator, names=names, drawn=drawn_gains(randomize or {})
+    )
+    radii = loop.radii(dt)
+    if max(radii) <= 1.0 + ROUND_OFF:
         return
-    best = largest_stable_dt(loop.radius, dt)
     explicit = explicit_gains_of(controller, robot.control) is not None
+    with_gains, way_out = (
+        ("the explicit gains given", "lower the gains, or leave them out to have them derived")
+        if explicit
+        else ("its frequencies and damping", "lower the frequencies")
+    )
+    if radii[0] <= 1.0 + ROUND_OFF:
+        drawn = ", ".join(f"gains.{name}" for name in loop.drawn)
+        with_gains, way_out = f"gains at the ends of what is drawn of {drawn}", "narrow these ranges (randomize:)"
+    best = loop.largest_stable_dt(dt)
     message = (
         f"robot {names[0]} with controller {names[1]} at dt = {dt:g} s is unstable: a disturbance at hover grows by a factor "
-        f"of {radius:.3g} in each step, with "
-        + ("the explicit gains given. " if explicit else "its frequencies and damping. ")
+        f"of {max(radii):.3g} in each step, with {with_gains}. "
         + ("It is at every time step" if best is None else f"The largest stable dt is {best:.3g} s")
-        + (": lower the gains, or leave them out to have them derived" if explicit else ": lower the frequencies")
+        + f": {way_out}"
     )
     if not explicit:
         raise ConfigError(message)
     logging.getLogger(__name__).warning(message)
 
 
+def drawn_gains(randomize: Randomize) -> dict[str, RandomizeCfg]:
+    """Return what is drawn of gains, by their own names."""
+    return {name: randomize[f"gains.{name}"] for name in GAINS if f"gains.{name}" in randomize}
+
+
 class ClosedLoop:
     """A robot under a controller, at any time step."""
 
     def __init__(
-        self, robot: RobotCfg, controller: ControllerCfg, *, gravity: float, integrator: str, names: tuple[str, str]
+        self,
+        robot: RobotCfg,
+        controller: ControllerCfg,
+        *,
+        gravity: float,
+        integrator: str,
+        names: tuple[str, str],
+        drawn: Mapping[str, RandomizeCfg] | None = None,
     ) -> None:
         """Find hover, and the axes that the law and the rotors control."""
         self._robot, self._controller, self._gravity, self._integrator = robot, controller, gravity, integrator
+        self.drawn = drawn or {}
+        """What is drawn of gains, by name."""
+        self._corners = [None, *(product((0, 1), repeat=len(self.drawn)) if self.drawn else ())]
         self._vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         allocation = Allocation(self._vehicle, gravity)
         weight = robot.body.mass * gravity
@@ -220,17 +256,34 @@ class ClosedLoop:
         self._axes = " ".join(name for name in LAWS[controller.law].trim.split() if name not in idle)
 
     def radius(self, dt: float) -> float:
-        """Return the spectral radius at a time step [s]; with ranges of gains, the largest of middle and ends."""
-        return max(self._radius_with(controller, dt) for controller in _ends_of(self._controller, self._robot.control))
+        """Return the spectral radius at a time step [s]; where gains are drawn, the largest of ``radii``."""
+        return max(self.radii(dt))
 
-    def _radius_with(self, controller: ControllerCfg, dt: float) -> float:
+    def radii(self, dt: float) -> list[float]:
+        """Return the spectral radius with the declared gains, then with each combination of ends of the drawn ones."""
+        return [self._radius_with(corner, dt) for corner in self._corners]
+
+    def largest_stable_dt(self, unstable: float) -> float | None:
+        """Return the largest time step [s] below an unstable one at which all are stable; None if there is none."""
+        best: float | None = unstable
+        while best is not None and max(radii := self.radii(best)) > 1.0 + ROUND_OFF:
+            worst = self._corners[radii.index(max(radii))]
+            best = largest_stable_dt(partial(self._radius_with, worst), best)
+        return best
+
+    def _radius_with(self, corner: tuple[int, ...] | None, dt: float) -> float:
         def make_law(vehicle: Vehicle) -> ControlLaw:
-            return make_controller(controller, vehicle, self._gravity, dt=dt, control=self._robot.control)
+            law = make_controller(self._controller, vehicle, self._gravity, dt=dt, control=self._robot.control)
+            if corner is not None and isinstance(law, LeeController | CascadeController):
+                chosen, known = zip(self.drawn.items(), corner, strict=True), law.named_gains
+                ends = {name: ends_of(name, cfg, known[name])[end] for (name, cfg), end in chosen if name in known}
+                law.gains = replace(law.gains, **ends)
+            return law
 
         return spectral_radius(
             self._vehicle,
             make_law,
-            torch.zeros(len(LAWS[controller.law].action)),
+            torch.zeros(len(LAWS[self._controller.law].action)),
             axes=self._axes,
             gravity=self._gravity,
             dt=dt,
@@ -240,16 +293,3 @@ class ClosedLoop:
 
 
 _TURNS = (("roll", "p"), ("pitch", "q"), ("yaw", "r"))
-
-
-def _ends_of(controller: ControllerCfg, control: ControlCfg) -> list[ControllerCfg]:
-    """Return the controller with the middle of its gains, and where they are drawn with the lowest and the highest."""
-    gains = explicit_gains_of(controller, control)
-    if gains is None or not gains.randomize:
-        return [controller]
-    fixed = replace(gains, randomize=False)
-    ends = [
-        replace(fixed, **{f"{name}_gain_{other}": getattr(gains, f"{name}_gain_{end}") for name in GAINS})
-        for end, other in (("low", "high"), ("high", "low"))
-    ]
-    return [replace(controller, gains=case) for case in (fixed, *ends)]

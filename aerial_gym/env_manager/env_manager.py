@@ -97,7 +97,15 @@ class EnvManager:
         random = {**robot.randomize, **env.randomize, **(randomize or {})}
         places = {name: each for name, each in random.items() if name.startswith("sensors.")}
         names = (_name_in(ROBOTS, robot), _name_in(CONTROLLERS, controller))
-        check_closed_loop(robot, controller, gravity=sim.gravity, dt=sim.dt, integrator=sim.integrator, names=names)
+        check_closed_loop(
+            robot,
+            controller,
+            gravity=sim.gravity,
+            dt=sim.dt,
+            integrator=sim.integrator,
+            names=names,
+            randomize=random,
+        )
         scene = self.asset_manager.scene
         trajectory = None
         if env.num_assets and env.contact is None:

@@ -32,9 +32,7 @@ class Purpose(IntEnum):
     GOAL = 6
     """The task's goal; index: quantity."""
     PARAMETERS = 7
-    """Randomised quantities of the vehicle; index: quantity."""
-    GAINS = 8
-    """Gains of the controller; index: gain."""
+    """Randomised quantities of vehicle and controller; index: quantity."""
     MOUNTS = 9
     """Places of the range sensors; indices: sensor, mount, quantity."""
     IMAGE_NOISE = 10
@@ -161,17 +159,3 @@ class Randomness:
         one of 2^32 states, they do so for one purpose and differ in the others.
         """
         return counted_state(counted_state(self.seed, int(purpose)), self.environment)
-
-    def uniform(self, purpose: Purpose, low: Tensor, high: Tensor, *, index: int = 0) -> Tensor:
-        """Return uniform draws between ``low`` and ``high`` (...) of every environment, (E, ...); same dtype and device.
-
-        Args:
-            purpose: What for.
-            low: Lowest values.
-            high: Highest values, of the same shape.
-            index: Tells the draws of one purpose apart.
-        """
-        count = torch.arange(low.numel(), device=low.device)
-        states = counted_state(counted_state(self.stream(purpose), index).unsqueeze(-1), count)
-        share = counted_uniform(states, dtype=low.dtype).view(-1, *low.shape)
-        return low + (high - low) * share

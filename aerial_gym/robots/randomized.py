@@ -4,7 +4,7 @@ Letters: E environments, R rotors, K drawn numbers, P parameters of an effect.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from math import inf, prod
@@ -20,9 +20,6 @@ from aerial_gym.physics.effects import Effect
 from aerial_gym.physics.vehicle import own_rows, share_row
 from aerial_gym.robots.parameter_draws import Drawn, joint_factor
 from aerial_gym.robots.quantities import QUANTITIES, drawn_value
-
-GAINS = ("position", "velocity", "attitude", "rate")
-"""Gains of a controller, each (E, 3)."""
 
 _ONE_MOUNT = re.compile(r"mounts\.(\d+)\.(\w+)")
 
@@ -41,12 +38,12 @@ def with_drawn_effects(robot: RobotCfg, cfg: Randomize) -> RobotCfg:
     return replace(robot, effects=effects, effects_source=robot.effects_source or "randomize: neutral where not drawn")
 
 
-def known_quantities(robot: RobotCfg, *, gains: bool) -> list[str]:
-    """Return the names of everything that may be drawn of a robot; any effect may, though the robot file lacks it."""
+def known_quantities(robot: RobotCfg, *, gains: Iterable[str]) -> list[str]:
+    """Return the names of everything that may be drawn of a robot and ``gains``; any effect may, though the file lacks it."""
     names = [name for name in QUANTITIES if robot.battery is not None or not name.startswith("battery.")]
     names += [f"mounts.{i + 1}.{what}" for i in range(robot.num_rotors) for what in ("position", "axis")]
     names += [f"effects.{name}.{p.name}" for name in EFFECTS.names() for p in EFFECTS.get(name).parameters]
-    return names + ([f"gains.{name}" for name in GAINS] if gains else [])
+    return names + [f"gains.{name}" for name in gains]
 
 
 def check_names(cfg: Randomize, known: Sequence[str]) -> None:
@@ -95,7 +92,7 @@ class Randomized:
         Raises:
             ConfigError: If a quantity is unknown, or a range leaves what is possible; the message says which.
         """
-        check_names(cfg, known_quantities(robot, gains=bool(gains)))
+        check_names(cfg, known_quantities(robot, gains=gains))
         self._num_rotors, self._declared = declared.num_rotors, declared
         self._vehicle = {name: rows[0].tolist() for name, rows in declared.rows().items()}
         self._effects = [effect for effect, _ in effects]
@@ -238,18 +235,11 @@ class Randomized:
         if trait is not None and trait not in self._declared.traits:
             raise ConfigError(f"randomize: {name}: the rotors of this robot have none. Declare one in its file")
         declared = torch.tensor(self._declared_of(name, cfg)).flatten().tolist()
-        try:
-            ends = cfg.components(len(declared))
-        except ConfigError as error:
-            raise ConfigError(f"randomize: {name}: {error}") from None
         least, most = _limits(name)
-        for value, (low, high, _, _) in zip(declared, ends, strict=True):
-            reached = {"value": (low, high), "offset": (value + low, value + high)}.get(
-                cfg.how, tuple(sorted((value * low, value * high)))
-            )
-            if not (least <= reached[0] and reached[1] <= most):
+        for low, high in cfg.reached(name, declared):
+            if not (least <= low and high <= most):
                 raise ConfigError(
-                    f"randomize: {name} reaches {reached[0]:g} to {reached[1]:g}: must stay within [{least:g}, {most:g}]. "
+                    f"randomize: {name} reaches {low:g} to {high:g}: must stay within [{least:g}, {most:g}]. "
                     "Give low and high"
                 )
 

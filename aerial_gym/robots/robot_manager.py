@@ -41,7 +41,7 @@ from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.initial_state import InitialState, StepBegin
 from aerial_gym.robots.noticed import Noticed
 from aerial_gym.robots.parameter_draws import drawing
-from aerial_gym.robots.randomized import GAINS, Followed, Randomized, with_drawn_effects
+from aerial_gym.robots.randomized import Followed, Randomized, with_drawn_effects
 from aerial_gym.robots.scene_contact import PushedRobot, SceneContact
 from aerial_gym.robots.state_keys import RobotTensors, declare_robot_tensors
 
@@ -249,9 +249,8 @@ class RobotManager:
         """Return the layout of what is drawn, and declare its numbers; None where nothing is drawn."""
         if not cfg:
             return None
-        gains = getattr(self.controller, "gains", None)
-        declared = {} if gains is None else {name: getattr(gains, name) for name in GAINS}
-        randomized = Randomized(cfg, self.cfg, self.declared, self._effects, declared)
+        gains = self.controller.named_gains
+        randomized = Randomized(cfg, self.cfg, self.declared, self._effects, gains)
         if randomized.drawn_gains:
             self.controller.own_gains()  # pyright: ignore[reportAttributeAccessIssue] - whoever has gains has it
         names = ", ".join(f"{each.name} ({each.cfg.how})" for each in randomized.drawn)
@@ -368,13 +367,8 @@ class RobotManager:
         """Return what must be kept to go on beside the GTD, by name."""
         gains = getattr(self.controller, "gains", None)
         drawn = [] if self._randomized is None else self._randomized.drawn_gains
-        kept = {name: getattr(gains, name) for name in GAINS if name in drawn or self._draws_gains}
+        kept = {name: getattr(gains, name) for name in drawn}
         return {"com": self._com} | below("gains", kept) | below("backend", self.backend.state_tensors())
-
-    @property
-    def _draws_gains(self) -> bool:
-        """Whether the controller's own configuration draws its gains."""
-        return bool(getattr(self.controller, "_ranges", None))
 
     def act(self, actions: Tensor) -> None:
         """Begin a step: store its action, (E, U), keep the one before, count the step, and clear what ends an episode."""
@@ -405,7 +399,6 @@ class RobotManager:
         (self._update or self._initial)()
         if self._update is not None and self.differentiable is not None:
             self.differentiable.mark_written()
-        self.controller.reset(mask, self._random)
         self.backend.reset(mask)
 
 

@@ -18,7 +18,6 @@ from aerial_gym.control.lee import (
 )
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import euler_from_quat, quat_exp, quat_from_euler, quat_multiply, quat_to_matrix
-from aerial_gym.math.random import Randomness
 from aerial_gym.physics import (
     INTEGRATORS,
     BodyState,
@@ -216,25 +215,6 @@ def test_direct_control_passes_the_action_through(name: str, unit: str) -> None:
     state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
     torch.testing.assert_close(controller.rotor_command(state, action), speeds)
     assert len(controller.action_names) == 4
-
-
-def test_randomised_gains_change_only_masked_rows_and_stay_in_range() -> None:
-    base = CONTROLLERS.get("lee_position_control")
-    cfg = replace(base, gains=replace(AERIAL_GYM_GAINS, randomize=True))
-    controller = make_controller(cfg, vehicle_from_config(ROBOTS.get("tinyprop"), num_envs=6, dtype=F64), 9.81)
-    before = controller.gains.position.clone()
-    mask = torch.tensor([True, False, True, False, False, True])
-    random = Randomness(6)
-    random.begin(mask)
-    controller.reset(mask, random)
-    after = controller.gains.position
-    assert torch.equal(after[~mask], before[~mask])
-    assert (after[mask] != before[mask]).all()
-    low, high = (
-        torch.tensor(AERIAL_GYM_GAINS.position_gain_low, dtype=F64),
-        torch.tensor(AERIAL_GYM_GAINS.position_gain_high, dtype=F64),
-    )
-    assert ((after >= low) & (after <= high)).all()
 
 
 def test_unknown_law_is_named() -> None:

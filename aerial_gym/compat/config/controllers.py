@@ -1,18 +1,92 @@
-"""Controllers: a class for the law and a flat class of gains as ranges; the middle is used unless ``randomize_params``."""
+"""Controllers: a class for the law and a flat class of gains as ranges: the middle is used, ``randomize_params`` draws."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from aerial_gym.compat.config.fields import Changes, Table, Values, carried, kept
-from aerial_gym.config.controller import ControllerCfg
+from aerial_gym.config.checks import Vec3
+from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg
+from aerial_gym.config.randomize import Randomize, RandomizeCfg
 from aerial_gym.control.catalog import AERIAL_GYM_GAINS, CONTROLLERS
+from aerial_gym.control.gains import GAINS
 from aerial_gym.errors import ConfigError
 
-_GAINS = (
-    ("K_pos_tensor", "position_gain"),
-    ("K_vel_tensor", "velocity_gain"),
-    ("K_rot_tensor", "attitude_gain"),
-    ("K_angvel_tensor", "rate_gain"),
+Ends = tuple[Vec3, Vec3]
+"""Lowest and highest."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainRanges:
+    """What a class of gains says."""
+
+    position: Ends
+    """[1/s²]."""
+
+    velocity: Ends
+    """[1/s]."""
+
+    attitude: Ends
+    """[N m/rad]."""
+
+    rate: Ends
+    """[N m s/rad]."""
+
+    max_yaw_rate: float
+    """[rad/s]."""
+
+    max_inclination: float
+    """[rad]."""
+
+    randomize: bool = False
+    """Whether a reset draws between the ends; else the middle holds."""
+
+    def explicit(self, source: str) -> LeeGainsCfg:
+        """Return the middle of each range."""
+        return LeeGainsCfg(
+            **{name: tuple(0.5 * (a + b) for a, b in zip(*getattr(self, name), strict=True)) for name in GAINS},
+            max_yaw_rate=self.max_yaw_rate,
+            max_inclination=self.max_inclination,
+            source=source,
+        )
+
+    def drawn(self) -> Randomize:
+        """Return what is drawn, by the names of ``randomize:``."""
+        if not self.randomize:
+            return {}
+        ends = {name: getattr(self, name) for name in GAINS}
+        return {f"gains.{name}": RandomizeCfg(how="value", low=low, high=high) for name, (low, high) in ends.items()}
+
+
+_HALF_WIDTH: dict[str, Vec3] = {
+    "position": (0.5, 0.5, 0.5),
+    "velocity": (0.5, 0.5, 0.5),
+    "attitude": (0.2, 0.2, 0.1),
+    "rate": (0.05, 0.05, 0.05),
+}
+"""Of the ranges around ``AERIAL_GYM_GAINS``. Source: Aerial Gym Simulator 2.0.1, lee_controller_config."""
+
+
+def _around(name: str) -> Ends:
+    pairs = list(zip(getattr(AERIAL_GYM_GAINS, name), _HALF_WIDTH[name], strict=True))
+    low, high = (tuple(round(middle + sign * width, 9) for middle, width in pairs) for sign in (-1.0, 1.0))
+    return low, high  # pyright: ignore[reportReturnType] - as many as in Vec3
+
+
+SHARED = GainRanges(
+    position=_around("position"),
+    velocity=_around("velocity"),
+    attitude=_around("attitude"),
+    rate=_around("rate"),
+    max_yaw_rate=AERIAL_GYM_GAINS.max_yaw_rate,
+    max_inclination=AERIAL_GYM_GAINS.max_inclination,
+)
+"""The one class of gains that all Lee controllers of that simulator share."""
+
+_NAMES = (
+    ("K_pos_tensor", "position"),
+    ("K_vel_tensor", "velocity"),
+    ("K_rot_tensor", "attitude"),
+    ("K_angvel_tensor", "rate"),
 )
 
 
@@ -21,7 +95,7 @@ def _gain(theirs: str, ours: str) -> Any:
         pairs = [
             sorted(map(float, pair)) for pair in zip(values[f"{theirs}_min"], values[f"{theirs}_max"], strict=True)
         ]
-        return {f"{ours}_low": tuple(low for low, _ in pairs), f"{ours}_high": tuple(high for _, high in pairs)}
+        return {ours: tuple(zip(*pairs, strict=True))}
 
     return write
 
@@ -30,21 +104,23 @@ TABLE = Table(
     kind="controller",
     fields=(
         *(
-            carried(f"{theirs}_{there}", f"{ours}_{here}", lambda c, name=f"{ours}_{here}": list(getattr(c, name)),
-                    _gain(theirs, ours), "a minimum above its maximum, as some of theirs have it, is put in order")
-            for theirs, ours in _GAINS
-            for there, here in (("min", "low"), ("max", "high"))
+            carried(f"{theirs}_{there}", f"gains.{ours}", lambda c, name=ours, end=end: list(getattr(c, name)[end]),
+                    _gain(theirs, ours),
+                    "the middle, or drawn; a minimum above its maximum, as some of theirs have it, is put in order")
+            for theirs, ours in _NAMES
+            for end, there in enumerate(("min", "max"))
         ),
         carried("max_yaw_rate", "max_yaw_rate", lambda c: c.max_yaw_rate),
         carried("max_inclination_angle_rad", "max_inclination", lambda c: c.max_inclination, remark="never used there"),
-        carried("randomize_params", "randomize", lambda c: c.randomize),
+        carried("randomize_params", "randomize", lambda c: c.randomize,
+                remark="draws `gains.position`, `gains.velocity`, `gains.attitude` and `gains.rate` from minimum to maximum"),
         kept("num_actions", "-", lambda _: 4, "follows from the law"),
     ),
     idle_sections={},
 )  # fmt: skip
 """What becomes of the attributes of a class of gains."""
 
-control = TABLE.class_of("control", AERIAL_GYM_GAINS)
+control = TABLE.class_of("control", SHARED)
 """Gains of that simulator's Lee controllers."""
 
 
@@ -80,11 +156,23 @@ def controller_of(law: Any, config: Any) -> ControllerCfg:
             f"Classes that can: {', '.join(LAWS)}; a law of your own is a torch function in aerial_gym.control.laws"
         )
     ours = CONTROLLERS.get(law.name)
+    ranges = _ranges_of(law, config)
+    return ours if ranges is None else replace(ours, gains=ranges.explicit(f"class {config.__name__}"))
+
+
+def drawn_gains(law: Any, config: Any) -> Randomize:
+    """Return what a controller class and its configuration class draw of gains."""
+    ranges = _ranges_of(law, config)
+    return {} if ranges is None else ranges.drawn()
+
+
+def _ranges_of(law: Any, config: Any) -> GainRanges | None:
+    """Return what a class says of gains; None where they are the robot's own."""
     if law is LAWS["NoControl"] or (config is control and not control_is_changed()):
-        return ours
-    return replace(ours, gains=replace(TABLE.translate(config, AERIAL_GYM_GAINS), source=f"class {config.__name__}"))
+        return None
+    return TABLE.translate(config, SHARED)
 
 
 def control_is_changed() -> bool:
     """Return whether a script has changed the class of gains that all controllers of that simulator share."""
-    return TABLE.translate(control, AERIAL_GYM_GAINS) != AERIAL_GYM_GAINS
+    return TABLE.translate(control, SHARED) != SHARED

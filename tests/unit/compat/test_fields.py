@@ -9,6 +9,7 @@ import pytest
 from aerial_gym.compat.config import assets, controllers, environments, imus, robots, sensors, sims, tasks
 from aerial_gym.compat.config.fields import STANDS_FOR, Field, Table, same
 from aerial_gym.compat.page import TABLES
+from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.errors import ConfigError
 
 URDF = '<robot name="post"><link name="post"><collision><geometry><box size="0.2 0.2 1"/></geometry></collision></link></robot>'
@@ -316,9 +317,12 @@ def test_gains_of_a_class_are_explicit_gains() -> None:
 
     cfg = controllers.controller_of(controllers.LAWS["LeeAttitudeController"], Quick)
     assert cfg.gains is not None
-    assert cfg.gains.attitude_gain_low == (1.5, 1.6, 0.4)
-    assert cfg.gains.attitude_gain_high == (1.6, 1.7, 0.5)
-    assert cfg.gains.randomize
+    assert cfg.gains.attitude == pytest.approx((1.55, 1.65, 0.45))
+    drawn = controllers.drawn_gains(controllers.LAWS["LeeAttitudeController"], Quick)
+    assert drawn["gains.attitude"] == RandomizeCfg(how="value", low=(1.5, 1.6, 0.4), high=(1.6, 1.7, 0.5))
+    assert drawn["gains.position"] == RandomizeCfg(how="value", low=(2.0, 2.0, 1.0), high=(3.0, 3.0, 2.0))
+    assert drawn.keys() == {"gains.position", "gains.velocity", "gains.attitude", "gains.rate"}
+    assert not controllers.drawn_gains(controllers.LAWS["NoControl"], Quick)
     with pytest.raises(ConfigError, match="controller class MyLaw: its own law cannot be run here"):
         controllers.controller_of(type("MyLaw", (), {}), Quick)
 

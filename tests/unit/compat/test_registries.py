@@ -121,11 +121,38 @@ def test_registered_gains_fly() -> None:
     torch.testing.assert_close(env.get_obs()["robot_position"], goal[:, :3], atol=0.03, rtol=0.0)
 
 
+def test_randomised_gains_are_drawn_by_name() -> None:
+    """What ``randomize_params`` draws lies between minimum and maximum, is of each environment, and changes with an episode."""
+
+    class Drawn(controllers.control):
+        K_rot_tensor_min, K_rot_tensor_max = [0.9, 0.9, 0.4], [1.1, 1.1, 0.6]
+        K_angvel_tensor_min, K_angvel_tensor_max = [0.15, 0.15, 0.15], [0.2, 0.2, 0.2]
+        randomize_params = True
+
+    controller_registry.register_controller("drawn_position_control", controllers.LAWS["LeePositionController"], Drawn)
+    env = SimBuilder().build_env(
+        "base_sim", "empty_env", "base_quadrotor", "drawn_position_control", "cpu", num_envs=64
+    )
+    env.reset()
+    draws, gains = env.env.draws(), env.env.robot_manager.controller.gains
+    assert draws.keys() == {"gains.position", "gains.velocity", "gains.attitude", "gains.rate"}
+    for name in ("position", "velocity", "attitude", "rate"):
+        assert torch.equal(draws[f"gains.{name}"], getattr(gains, name))
+        assert len(getattr(gains, name).unique(dim=0)) == 64
+    low, high = torch.tensor(Drawn.K_rot_tensor_min), torch.tensor(Drawn.K_rot_tensor_max)
+    assert ((gains.attitude >= low) & (gains.attitude <= high)).all()
+    before = gains.attitude.clone()
+    env.env.reset(torch.arange(64) < 32)
+    changed = (gains.attitude != before).all(-1)
+    assert changed.tolist() == [True] * 32 + [False] * 32
+
+
 def test_gains_that_all_share_can_be_changed_in_place() -> None:
     before = controllers.control.K_vel_tensor_max  # pyright: ignore
     try:
         controllers.control.K_vel_tensor_max = [9.0, 9.0, 9.0]  # pyright: ignore
-        assert controller_registry.resolve("lee_velocity_control").gains.velocity_gain_high == (9.0, 9.0, 9.0)
+        assert controller_registry.resolve("lee_velocity_control").gains.velocity == (5.5, 5.5, 5.5)
+        assert not controller_registry.drawn_gains("lee_velocity_control")
     finally:
         controllers.control.K_vel_tensor_max = before  # pyright: ignore
     assert controller_registry.resolve("lee_velocity_control") == "lee_velocity_control"

@@ -6,8 +6,11 @@ from math import acos, atan, pi, sqrt
 import numpy as np
 import pytest
 import torch
+import yaml
 
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
+from aerial_gym.config.loader import build
+from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.allocation import Allocation
@@ -113,6 +116,20 @@ def test_each_environment_may_have_gains_of_its_own() -> None:
     controller.own_gains()
     controller.gains.attitude[1] *= 2.0
     torch.testing.assert_close(controller.gains.attitude[1], 2.0 * controller.gains.attitude[0])
+
+
+@pytest.mark.parametrize("field", ["randomize", "rate_gain_low", "position_gain_high"])
+def test_a_file_with_ranges_of_gains_is_told_where_they_went(field: str) -> None:
+    """One sentence that names field and file, and how the same is said now."""
+    gains = {"randomize": False} if field == "randomize" else {field: [1.0, 1.0, 1.0]}
+    with pytest.raises(ConfigError) as e:
+        build(ControlCfg, {"gains": gains}, where="robot.yaml: control")
+    message = str(e.value)
+    assert message.startswith(f"robot.yaml: control: gains: field {field!r} is gone: gains have no ranges of their own")
+    way_out = message.split("randomize: {", 1)[1].rsplit("}", 1)[0]
+    name, drawn = next(iter(yaml.safe_load(f"{{{way_out}}}").items()))
+    assert name == "gains.position"
+    assert build(RandomizeCfg, drawn, where="the message").how == "value"
 
 
 def test_what_is_missing_or_impossible_is_named() -> None:

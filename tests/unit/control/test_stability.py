@@ -11,6 +11,7 @@ import torch
 
 from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
+from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller, stability
 from aerial_gym.control.catalog import AERIAL_GYM_GAINS
@@ -117,11 +118,61 @@ def test_explicit_gains_are_warned_of(caplog: pytest.LogCaptureFixture) -> None:
         assert len(caplog.records) == warnings
 
 
-def test_ranges_of_gains_are_judged_at_their_ends() -> None:
-    robot, law = ROBOTS.get("base_quadrotor"), CONTROLLERS.get("lee_position_control")
-    wide = replace(AERIAL_GYM_GAINS, rate_gain_low=(0.0, 0.0, 0.0), rate_gain_high=(0.3, 0.3, 0.2))
-    assert radius(robot, replace(law, gains=wide), 0.01) < 1.0
-    assert radius(robot, replace(law, gains=replace(wide, randomize=True)), 0.01) > 1.0
+WIDE = {"gains.rate": RandomizeCfg(how="value", low=0.0, high=(0.3, 0.3, 0.2))}
+FIRM = replace(CONTROLLERS.get("lee_position_control"), gains=AERIAL_GYM_GAINS)
+
+
+def check(controller: ControllerCfg, randomize: dict[str, RandomizeCfg], dt: float = 0.01) -> None:
+    robot = ROBOTS.get("base_quadrotor")
+    check_closed_loop(
+        robot, controller, gravity=9.81, dt=dt, integrator="euler", names=("quad", "p"), randomize=randomize
+    )
+
+
+def test_what_is_drawn_about_explicit_gains_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        check(FIRM, {})
+        check(FIRM, {"gains.rate": RandomizeCfg(how="offset", low=-0.01, high=0.01)})
+        assert not caplog.records
+        check(FIRM, WIDE)
+    (record,) = caplog.records
+    assert "with gains at the ends of what is drawn of gains.rate. It is at every time step" in record.getMessage()
+    assert "narrow these ranges" in record.getMessage()
+
+
+def test_what_is_drawn_about_derived_gains_is_refused_with_the_largest_time_step() -> None:
+    """The two by two of a rate loop has determinant d and trace ``1 + d - dt (1 - d) K``: ``dt (1 - d) K < 2 (1 + d)``."""
+    strong, tau = RandomizeCfg(how="value", low=0.01, high=(0.6, 0.6, 0.01)), 0.04
+    check(RATES, {"gains.rate": RandomizeCfg(low=0.8, high=1.2)}, 0.02)
+    with pytest.raises(ConfigError, match=r"quad .* drawn of gains.rate. The largest stable dt .*: narrow") as e:
+        check(RATES, {"gains.rate": strong}, 0.02)
+    largest = float(str(e.value).split("largest stable dt is ")[1].split(" s")[0])
+    decay = exp(-largest / tau)
+    assert largest * (1.0 - decay) * 0.6 / 8.45e-4 == pytest.approx(
+        2.0 * (1.0 + decay), rel=0.02
+    )  # three figures are said
+    check(RATES, {"gains.rate": strong}, 0.99 * largest)
+
+
+def test_the_ends_of_gains_are_combined(caplog: pytest.LogCaptureFixture) -> None:
+    """A strong attitude alone comes to rest, a weak rate as well, both do not: Routh's ``k_w > T k_R`` of ``s² (T s + 1)``."""
+    strong = {"gains.attitude": RandomizeCfg(low=1.0, high=2.0)}
+    weak = {"gains.rate": RandomizeCfg(low=0.4, high=1.0)}
+    with caplog.at_level(logging.WARNING):
+        check(FIRM, strong)
+        check(FIRM, weak)
+        assert not caplog.records
+        check(FIRM, strong | weak)
+    assert "of what is drawn of gains.attitude, gains.rate" in caplog.records[0].getMessage()
+
+
+def test_an_untruncated_normal_gain_is_judged_where_its_draws_end(caplog: pytest.LogCaptureFixture) -> None:
+    """5.4 standard deviations: with 0.02 of 1 there is nothing to warn of, with 2 the ends are far out."""
+    with caplog.at_level(logging.WARNING):
+        check(FIRM, {"gains.rate": RandomizeCfg(distribution="normal", mean=1.0, std=0.02, low=0.5)})
+        assert not caplog.records
+        check(FIRM, {"gains.rate": RandomizeCfg(distribution="normal", mean=1.0, std=2.0, low=0.5)})
+    assert len(caplog.records) == 1
 
 
 def test_a_robot_that_cannot_hover_is_refused() -> None:

@@ -43,19 +43,18 @@ def test_kernels_and_torch_draw_the_same() -> None:
 
 
 def test_a_draw_follows_from_its_numbers_alone() -> None:
-    low, high = torch.tensor([-1.0, 2.0, 5.0]), torch.tensor([1.0, 3.0, 5.0])
-    many = begun(40, episodes=3).uniform(Purpose.START, low, high, index=2)
-    assert many.shape == (40, 3)
-    assert (many[:, 2] == 5.0).all()
-    alone = begun(1, first_env=17, first_episode=2).uniform(Purpose.START, low, high, index=2)
-    assert torch.equal(alone[0], many[17])
+    def drawn(random: Randomness, purpose: Purpose = Purpose.START, *, index: int = 2) -> torch.Tensor:
+        return counted_uniform(counted_state(random.stream(purpose), index), dtype=torch.float64)
+
+    many = drawn(begun(40, episodes=3))
+    assert drawn(begun(1, first_env=17, first_episode=2))[0] == many[17]
     for other in (
-        begun(40, episodes=4).uniform(Purpose.START, low, high, index=2),
-        begun(40, episodes=3, seed=4).uniform(Purpose.START, low, high, index=2),
-        begun(40, episodes=3).uniform(Purpose.GOAL, low, high, index=2),
-        begun(40, episodes=3).uniform(Purpose.START, low, high, index=3),
+        drawn(begun(40, episodes=4)),
+        drawn(begun(40, episodes=3, seed=4)),
+        drawn(begun(40, episodes=3), Purpose.GOAL),
+        drawn(begun(40, episodes=3), index=3),
     ):
-        assert (other[:, :2] != many[:, :2]).all()
+        assert (other != many).all()
 
 
 def test_only_the_environments_of_a_mask_begin() -> None:
