@@ -98,8 +98,8 @@ def test_attitude_command_is_zyx_euler_at_any_heading() -> None:
     torch.testing.assert_close(matrix, quat_to_matrix(quat_from_euler(angles)), atol=1e-14, rtol=0)
 
 
-def test_gains_are_the_middle_of_their_ranges() -> None:
-    """Explicit gains, in the controller or in the robot file, stand in place of the derived ones (parity.md 2.3)."""
+def test_explicit_gains_stand_in_place_of_derived_ones() -> None:
+    """In the controller or in the robot file; those of Aerial Gym are the middle of its ranges (parity.md 2.3)."""
     vehicle = vehicle_from_config(ROBOTS.get("tinyprop"), num_envs=3, dtype=F64)
     cfg, of_robot = CONTROLLERS.get("lee_position_control"), ControlCfg(gains=AERIAL_GYM_GAINS)
     gains = make_controller(replace(cfg, gains=AERIAL_GYM_GAINS), vehicle, 9.81).gains
