@@ -13,7 +13,7 @@ from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.loader import build as from_mapping
 from aerial_gym.config.randomize import RandomizeCfg
-from aerial_gym.config.robot import BatteryCfg, InitialStateCfg, RobotCfg
+from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import ConfigError
@@ -44,14 +44,13 @@ def make(
     *,
     backend: str = "warp",
     robot: RobotCfg = QUAD,
-    controller: str = "lee_velocity_control",
     **numbers: int,
 ) -> EnvManager:
     env = EnvManager(
         sim=replace(SIMS.get("base_sim"), backend=backend),
         env=ENVIRONMENTS.get("empty_env"),
         robot=robot,
-        controller=CONTROLLERS.get(controller),
+        controller=CONTROLLERS.get("lee_velocity_control"),
         num_envs=num_envs,
         device=torch.device("cpu"),
         seed=4,
@@ -288,28 +287,6 @@ def test_impossible_requests_are_refused_by_name(cfg: dict[str, RandomizeCfg], m
 def test_impossible_distributions_are_refused(fields: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         RandomizeCfg(**fields)
-
-
-@pytest.mark.parametrize("backend", ["warp", "torch"])
-def test_gains_over_a_rate_loop_are_drawn(backend: str) -> None:
-    """From one start, the larger the gain on the velocity error the faster after 0.1 s; a unit gain is not to be drawn."""
-    still = {f"{name}_{end}": (0.0, 0.0, 0.0) for name in ("euler", "lin_vel", "ang_vel") for end in ("low", "high")}
-    robot = replace(QUAD, initial_state=InitialStateCfg(**still))
-    env = make(
-        {"gains.velocity": RandomizeCfg(low=0.5, high=1.0)},
-        backend=backend,
-        controller="pid_velocity_control",
-        robot=robot,
-    )
-    gains, factor = env.robot_manager.controller.gains.velocity, env.draws()["gains.velocity"]
-    plain = make({}, backend=backend, controller="pid_velocity_control").robot_manager.controller.gains.velocity
-    torch.testing.assert_close(gains, factor * plain)
-    for _ in range(10):
-        env.step(torch.tensor([[0.5, 0.0, 0.0, 0.0]]).expand(6, 4))
-    order = env.gtd["robot_linvel"][:, 0].argsort()
-    assert torch.equal(order, factor[:, 0].argsort())
-    with pytest.raises(ConfigError, match=r"no quantity 'gains.rate'"):
-        make({"gains.rate": RandomizeCfg(low=0.9, high=1.1)}, controller="pid_velocity_control")
 
 
 def test_places_of_sensors_are_drawn_about_their_mounts() -> None:
