@@ -84,8 +84,10 @@ class OffsetCurve:
         return bool(self.left[most] < (1.0 - LEAST_SHIFT_GAIN) * moved)
 
 
-def offset_curve(measured: Array, predicted: Array, others: Array, rate: float, bandwidth: float) -> OffsetCurve:
-    """Return how well a rotor log agrees with the accelerometer, moved by up to ``LARGEST_SHIFT_S``.
+def offset_curve(
+    measured: Array, predicted: Array, others: Array, rate: float, bandwidth: float, *, largest: float = LARGEST_SHIFT_S
+) -> OffsetCurve:
+    """Return how well a rotor log agrees with the accelerometer, moved by up to ``largest`` [s].
 
     Thrust explains the specific force along z up to a factor, drag and a shifted centre of mass up to others. Independent
     samples are two per second and hertz of what the filters pass.
@@ -96,8 +98,9 @@ def offset_curve(measured: Array, predicted: Array, others: Array, rate: float, 
         others: What else may act along z, on the clock of the accelerometer, (T, any): velocity, angular acceleration.
         rate: Rows per second [Hz].
         bandwidth: The comparison is made below it and above a twentieth of it [Hz].
+        largest: Of the offsets [s].
     """
-    most = round(LARGEST_SHIFT_S * rate)
+    most = round(largest * rate)
     wave = np.column_stack((measured, predicted, others))
     wave = lowpass(wave, rate, bandwidth) - lowpass(wave, rate, 0.05 * bandwidth)
     edge = edge_rows(rate, bandwidth) + most

@@ -9,16 +9,12 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
-from aerial_gym.physics import vehicle_from_config
-from aerial_gym.physics.effects.one_rotor import declared_lag
-from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
 from aerial_gym.sim2real.logs.checks.conventions import (
     body_rate_of,
     check_log,
@@ -26,28 +22,18 @@ from aerial_gym.sim2real.logs.checks.conventions import (
     check_time,
     rate_of,
 )
+from aerial_gym.sim2real.logs.checks.copies import SeenLogs
+from aerial_gym.sim2real.logs.checks.rotor_law import check_rotor_law
 from aerial_gym.sim2real.logs.checks.rotor_order import check_order
 from aerial_gym.sim2real.logs.checks.rotors import without_copied_commands
-from aerial_gym.sim2real.logs.clock_offset import (
-    ClockOffset,
-    OffsetCurve,
-    commands_share_clock,
-    common_offsets,
-    offset_curve,
-    shift_rotor_log,
-)
-from aerial_gym.sim2real.logs.copies import SeenLogs
 from aerial_gym.sim2real.logs.flight_log import FlightLog, Recording, read_flight_log
 from aerial_gym.sim2real.logs.mapping import LogMapping
 from aerial_gym.sim2real.logs.on_ground import rows_on_ground
 from aerial_gym.sim2real.logs.repeated_samples import mend_repeated_samples
-from aerial_gym.sim2real.logs.signals import lowpass, uniform_log, without_gaps
+from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock, clock_offsets, with_rotor_clock
+from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass, uniform_log, without_gaps
 
 Array = NDArray[np.float64]
-
-DERIVED_BAND = 0.2
-"""Derivatives that stand in for a missing sensor are low-passed at this share of the rate."""
-
 
 FEWEST_HIGH = 10
 """At least one row of so many must lie where commands are scaled to the measured thrust."""
@@ -118,9 +104,12 @@ def load_flights(
     flights: list[Flight] = []
     for (real, (log, notes)), offset in zip(read.items(), offsets, strict=True):
         with _left_out(refused):
+            check_rotor_clock(log, robot, bandwidth)
             log = match_hover_thrust(with_rotor_clock(log, offset, robot), robot)
             check_order(log, robot)
-            flight = complete_flight(log, notes, on_ground=rows_on_ground(log, robot))
+            stands = rows_on_ground(log, robot)
+            check_rotor_law(log, robot, stands)
+            flight = complete_flight(log, notes, on_ground=stands)
             taken = {other.name for other in flights}
             name = flight.name if flight.name not in taken else f"{real.parent.name}/{flight.name}"
             flights.append(replace(flight, name=name))
@@ -168,40 +157,6 @@ def with_velocity(log: FlightLog) -> FlightLog:
     rate = rate_of(log)
     velocity = lowpass(log.position, rate, DERIVED_BAND * rate, derivative=True)
     return replace(log, lin_vel=velocity, notes=(*log.notes, "velocity derived from position"))
-
-
-def clock_offsets(logs: Sequence[FlightLog], robot: RobotCfg, bandwidth: float, learning: int) -> list[ClockOffset]:
-    """Return by how much each rotor log is ahead of the accelerometer, where the thrust of the first ``learning`` shows it.
-
-    Without velocity, drag along z would look like an offset, so that the clock is believed.
-    """
-    able = [log.rotor_speed is not None and log.specific_force is not None and log.lin_vel is not None for log in logs]
-    curves = [offset_curve_of(log, robot, bandwidth) for log, one in zip(logs, able, strict=True) if one]
-    found = iter(common_offsets(curves, sum(able[:learning])))
-    return [next(found) if one else ClockOffset() for one in able]
-
-
-def offset_curve_of(log: FlightLog, robot: RobotCfg, bandwidth: float) -> OffsetCurve:
-    """Return how well the logged rotor speeds agree with the accelerometer under each offset of the clock."""
-    assert log.rotor_speed is not None
-    assert log.specific_force is not None
-    assert log.lin_vel is not None
-    rows = vehicle_from_config(robot, num_envs=log.time.size, dtype=torch.float64)
-    speed = torch.from_numpy(log.rotor_speed)
-    force, _ = rotor_wrench(rows, rotor_thrust(rows, speed), rotor_torque(rows, speed))
-    rate = rate_of(log)
-    others = [Rotation.from_quat(log.attitude).apply(log.lin_vel, inverse=True)[:, 2:]]
-    if log.ang_vel is not None:
-        others.append(lowpass(log.ang_vel, rate, DERIVED_BAND * rate, derivative=True)[:, :2])
-    thrust = (force[:, 2] / rows.mass).numpy()
-    band = min(bandwidth, DERIVED_BAND * rate)
-    return offset_curve(log.specific_force[:, 2], thrust, np.concatenate(others, axis=1), rate, band)
-
-
-def with_rotor_clock(log: FlightLog, offset: ClockOffset, robot: RobotCfg) -> FlightLog:
-    """Return the log with rotor speeds, and commands if they share it, on the clock of the other sensors."""
-    lag = 0.5 * sum(declared_lag(robot))
-    return shift_rotor_log(log, offset, commands=commands_share_clock(log, offset, lag))
 
 
 def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:

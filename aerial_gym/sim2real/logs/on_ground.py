@@ -5,14 +5,13 @@ Letters: T rows, R rotors.
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, signal
+from scipy import ndimage
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
-from aerial_gym.physics.effects.one_rotor import declared_lag
 from aerial_gym.sim2real.logs.checks.conventions import rate_of
-from aerial_gym.sim2real.logs.declared_rotors import lift
+from aerial_gym.sim2real.logs.declared_rotors import followed, lift
 from aerial_gym.sim2real.logs.flight_log import FlightLog
 
 Array = NDArray[np.float64]
@@ -47,7 +46,9 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Rows | None:
     Raises:
         DataError: If it stands nearly all the time.
     """
-    rotors, width = _rotors(log, robot), SMOOTH_S * rate_of(log)
+    rotors, width = log.rotor_speed, SMOOTH_S * rate_of(log)
+    if rotors is None and log.rotor_command is not None:
+        rotors = followed(robot, log.rotor_command, rate_of(log))
     felt = _felt(log, width)
     if felt is None or rotors is None:
         return None
@@ -72,18 +73,6 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Rows | None:
             "give less than half its weight; cut the log to the flight"
         )
     return on_ground
-
-
-def _rotors(log: FlightLog, robot: RobotCfg) -> Array | None:
-    """Return the states of the rotors, (T, R): measured, or what the declared lag makes of commands; None without both.
-
-    A command of zero carries no less than the one before until the rotors have followed it.
-    """
-    if log.rotor_speed is not None or log.rotor_command is None:
-        return log.rotor_speed
-    kept = float(np.exp(-1.0 / (rate_of(log) * 0.5 * sum(declared_lag(robot)))))
-    follow, _ = signal.lfilter([0.0, 1.0 - kept], [1.0, -kept], log.rotor_command, axis=0, zi=log.rotor_command[:1])
-    return follow
 
 
 def _felt(log: FlightLog, width: float) -> Array | None:

@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 FILTER_ORDER = 4
 """Order of the Butterworth low-pass that is run forwards and backwards."""
 
+DERIVED_BAND = 0.2
+"""Derivatives that stand in for a missing sensor are low-passed at this share of the rate."""
+
 LONGEST_GAP_ROWS = 5
 """A gap of more rows than this, and of more than LONGEST_GAP_S, ends a flight."""
 

@@ -19,7 +19,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.flight_log import FlightLog
 from aerial_gym.sim2real.logs.mapping import UNITS
-from aerial_gym.sim2real.logs.signals import lowpass
+from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
 
 Array = NDArray[np.float64]
 Axes = NDArray[np.bool_]
@@ -41,7 +41,7 @@ FEWEST = 4
 """Fewer windows give no interval."""
 
 DERIVED_HZ = 4.0
-"""A velocity is derived from the position below this, and below a fifth of the rate."""
+"""A velocity is derived from the position below this [Hz]."""
 
 MATERIAL = 0.05
 """A factor that is nearer to 1 than this, though not 1, is not worth a sentence."""
@@ -186,7 +186,7 @@ def _by_accelerometer(log: FlightLog, letter: str) -> Relation | None:
     if values is None or log.specific_force is None:
         return None
     if letter == "p":
-        values = lowpass(values, _rate(log), min(DERIVED_HZ, 0.2 * _rate(log)), derivative=True)
+        values = lowpass(values, _rate(log), min(DERIVED_HZ, DERIVED_BAND * _rate(log)), derivative=True)
     felt = Rotation.from_quat(log.attitude).apply(log.specific_force) - (0.0, 0.0, STANDARD_GRAVITY)
     return relate(_steps(log, values), _sums(log, felt))
 

@@ -1,0 +1,79 @@
+"""Does the thrust that is felt grow with the rotor columns as the robot file says: are they what they claim to be.
+
+A pulse width, a duty cycle or a thrust in place of a speed may carry the vehicle in hover, but its slope there is another
+one: in units of the declared slope 1.5 to 3, 1/2, and 2. Letters: T rows, R rotors, N windows.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.checks.conventions import rate_of
+from aerial_gym.sim2real.logs.checks.units import SURE
+from aerial_gym.sim2real.logs.declared_rotors import followed, lift
+from aerial_gym.sim2real.logs.flight_log import FlightLog
+
+Array = NDArray[np.float64]
+
+WINDOW_S = 0.25
+"""[s]."""
+
+FEWEST = 8
+"""Fewer windows give no interval."""
+
+WRONG = float(np.sqrt(2.0))
+"""Beyond this, or below its inverse, a slope is nearer to that of a mistaken column (2 or 1/2) than to 1."""
+
+
+def check_rotor_law(log: FlightLog, robot: RobotCfg, on_ground: NDArray[np.bool_] | None) -> None:
+    """Raise ``DataError`` if the thrust surely grows with the rotor columns as it does with something else."""
+    for name, values in (("rotor", log.rotor_speed), ("cmd", log.rotor_command)):
+        if values is None or log.specific_force is None:
+            continue
+        states = values if name == "rotor" else followed(robot, values, rate_of(log))
+        low, high = relative_slope(log, lift(robot, states), on_ground)
+        if high >= 1.0 / WRONG and low <= WRONG:
+            continue
+        unit = "N" if "force" in robot.rotor_traits else "rad/s"
+        grows = f"{low:.2g} to {high:.2g} times as steeply with {name}_1..{values.shape[1]}"
+        raise DataError(
+            f"{log.path}: the force felt grows {grows} as the robot file declares; it looks as if they were no {unit} but a "
+            "pulse width, a duty cycle or a thrust: convert them in a mapping file (power, gain, offset), or leave them empty"
+        )
+
+
+def relative_slope(log: FlightLog, thrust: Array, on_ground: NDArray[np.bool_] | None) -> tuple[float, float]:
+    """Return the interval of ``d ln |f| / d ln T``, what goes with vertical and with squared level speed apart.
+
+    Both sides have errors: the slope lies between that of both regressions (see ``units``). 0 to infinity: not shown.
+    """
+    assert log.specific_force is not None
+    rows = max(1, round(WINDOW_S * rate_of(log)))
+    count = len(thrust) // rows
+
+    def means(values: Array) -> Array:
+        return values[: count * rows].reshape(count, rows, -1).mean(axis=1)
+
+    others = [np.ones((count, 1))]
+    if log.lin_vel is not None:
+        speed = Rotation.from_quat(log.attitude).apply(log.lin_vel, inverse=True)
+        others += [means(speed[:, 2:]), means(np.sum(speed[:, :2] ** 2, axis=1))]
+    flies = np.full(count, True) if on_ground is None else means(on_ground.astype(float))[:, 0] == 0.0
+    causes = np.concatenate(others, axis=1)[flies]
+    pair = np.column_stack((np.linalg.norm(means(log.specific_force), axis=1), means(thrust)))[flies]
+    free = len(pair) - causes.shape[1] - 1
+    if free < FEWEST:
+        return 0.0, np.inf
+    left = pair - causes @ np.linalg.lstsq(causes, pair, rcond=None)[0]
+    spread = np.sqrt(np.mean(left**2, axis=0))
+    if not np.all(spread > 0.0):
+        return 0.0, np.inf
+    share = float(np.mean(left[:, 0] * left[:, 1]) / np.prod(spread))
+    error = float(stats.t.isf(SURE, free)) * np.sqrt(max(1.0 - share**2, 0.0) / free) / max(abs(share), 1e-12)
+    if error >= 1.0 or share < 0.0:
+        return 0.0, np.inf
+    size = float(spread[0] / spread[1] * pair[:, 1].mean() / pair[:, 0].mean())
+    return share * size / np.exp(error), size / share * np.exp(error)

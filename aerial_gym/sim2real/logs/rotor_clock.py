@@ -1,0 +1,100 @@
+"""The clock of the rotor log of a robot: moved onto that of the other sensors, or refused where no clock is that far off.
+
+Letters: T rows.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import DataError
+from aerial_gym.physics import vehicle_from_config
+from aerial_gym.physics.effects.one_rotor import declared_lag
+from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
+from aerial_gym.sim2real.logs.checks.conventions import rate_of
+from aerial_gym.sim2real.logs.clock_offset import (
+    LARGEST_SHIFT_S,
+    ClockOffset,
+    OffsetCurve,
+    commands_share_clock,
+    common_offsets,
+    offset_curve,
+    shift_rotor_log,
+)
+from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
+
+FAR_S = 0.25
+"""Delays of the rotor log are looked for up to this [s]."""
+
+FAR_GAIN = 0.5
+"""A delay beyond all clocks is believed if it leaves less than this share of what the best clock leaves."""
+
+ROWS_PER_BAND = 10.0
+"""Delays are looked for at this many times the bandwidth."""
+
+
+def clock_offsets(logs: Sequence[FlightLog], robot: RobotCfg, bandwidth: float, learning: int) -> list[ClockOffset]:
+    """Return by how much each rotor log is ahead of the accelerometer, where the thrust of the first ``learning`` shows it.
+
+    Without velocity, drag along z would look like an offset, so that the clock is believed.
+    """
+    able = [log.rotor_speed is not None and log.specific_force is not None and log.lin_vel is not None for log in logs]
+    curves = [offset_curve_of(log, robot, bandwidth) for log, one in zip(logs, able, strict=True) if one]
+    found = iter(common_offsets(curves, sum(able[:learning])))
+    return [next(found) if one else ClockOffset() for one in able]
+
+
+def offset_curve_of(
+    log: FlightLog, robot: RobotCfg, bandwidth: float, *, largest: float = LARGEST_SHIFT_S, stride: int = 1
+) -> OffsetCurve:
+    """Return how well the logged rotor speeds agree with the accelerometer under each offset of the clock to ``largest`` [s].
+
+    ``stride``: every so many rows are compared.
+    """
+    assert log.rotor_speed is not None
+    assert log.specific_force is not None
+    assert log.lin_vel is not None
+    rows = vehicle_from_config(robot, num_envs=log.time.size, dtype=torch.float64)
+    speed = torch.from_numpy(log.rotor_speed)
+    force, _ = rotor_wrench(rows, rotor_thrust(rows, speed), rotor_torque(rows, speed))
+    rate = rate_of(log)
+    others = [Rotation.from_quat(log.attitude).apply(log.lin_vel, inverse=True)[:, 2:]]
+    if log.ang_vel is not None:
+        others.append(lowpass(log.ang_vel, rate, DERIVED_BAND * rate, derivative=True)[:, :2])
+    thrust = (force[:, 2] / rows.mass).numpy()
+    band = min(bandwidth, DERIVED_BAND * rate)
+    waves = np.column_stack((log.specific_force[:, 2], thrust, *others))
+    if stride > 1:
+        waves, rate = lowpass(waves, rate, 2.0 * band)[::stride], rate / stride
+    return offset_curve(waves[:, 0], waves[:, 1], waves[:, 2:], rate, band, largest=largest)
+
+
+def with_rotor_clock(log: FlightLog, offset: ClockOffset, robot: RobotCfg) -> FlightLog:
+    """Return the log with rotor speeds, and commands if they share it, on the clock of the other sensors."""
+    lag = 0.5 * sum(declared_lag(robot))
+    return shift_rotor_log(log, offset, commands=commands_share_clock(log, offset, lag))
+
+
+def check_rotor_clock(log: FlightLog, robot: RobotCfg, bandwidth: float) -> None:
+    """Raise ``DataError`` if measured rotor speeds clearly come later or earlier than any clock is off."""
+    if log.rotor_speed is None or log.specific_force is None or log.lin_vel is None:
+        return
+    stride = max(1, int(rate_of(log) / (ROWS_PER_BAND * bandwidth)))
+    curve = offset_curve_of(log, robot, bandwidth, largest=FAR_S, stride=stride)
+    if not curve.left.size:
+        return
+    rows = np.arange(curve.left.size) - curve.left.size // 2
+    near = np.abs(rows) <= LARGEST_SHIFT_S * curve.rate
+    best = int(np.argmin(curve.left))
+    if near[best] or best in (0, rows.size - 1) or curve.left[best] > FAR_GAIN * min(curve.left[near].min(), 1.0):
+        return
+    time, most = 1e3 * float(rows[best]) / curve.rate, 1e3 * LARGEST_SHIFT_S
+    way = f"{'lead' if time > 0.0 else 'lag'} the accelerometer by {abs(time):.0f} ms"
+    raise DataError(
+        f"{log.path}: rotor_1..{log.num_rotors} {way}, more than clocks are off ({most:.0f} ms); move these columns to the "
+        "rows at which the rotors turned so, or call them cmd_* if they were commanded and not measured"
+    )
