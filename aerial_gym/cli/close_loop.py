@@ -91,6 +91,7 @@ def _print_verdict(verdict: "Verdict", out: Path) -> None:
     for note in verdict.notes:
         if note.startswith(LEFT_OUT):
             console.print(f"  {note}")
+    console.print(verdict.meaning)
     for effect in verdict.effects:
         parts = [
             f"{key} = {value:.4g}" + (f" ± {1.96 * effect.std[key]:.2g}" if key in effect.std else " (not shown)")
@@ -102,17 +103,17 @@ def _print_verdict(verdict: "Verdict", out: Path) -> None:
         console.print(f"  {verdict.learned.sentence}")
     after = verdict.after if verdict.corrects else None
     table = Table(title="residual on the test flights (rms, 95 % interval)", box=None, pad_edge=False)
-    for head in ("channel", "declared", "corrected", "change", "noise floor"):
+    for head in ("channel", "declared", "corrected", "change", "became", "noise floor"):
         table.add_column(head)
-    for row in channel_rows(verdict.before, after):
-        table.add_row(*(str(row[key]) for key in ("name", "before", "after", "change", "floor")))
+    for row in channel_rows(verdict.before, after, verdict.outcomes):
+        table.add_row(*(str(row[key]) for key in ("name", "before", "after", "change", "became", "floor")))
     console.print(table)
     for variant in verdict.before.rollout:
         table = Table(title=f"open-loop error, {variant.replace('_', ' ')}", box=None, pad_edge=False)
-        for head in ("quantity", "after [s]", "declared", "corrected"):
+        for head in ("quantity", "after [s]", "declared", "corrected", "became"):
             table.add_column(head)
         for row in rollout_rows(verdict, variant):
-            table.add_row(row["quantity"], row["horizon"], row["before"], row["after"])
+            table.add_row(row["quantity"], row["horizon"], row["before"], row["after"], row["became"])
         console.print(table)
     if verdict.manoeuvre is not None:
         console.print(f"what would tell: {verdict.manoeuvre.text}")

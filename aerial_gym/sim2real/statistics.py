@@ -1,12 +1,13 @@
-"""Root mean squares and their ratios with 95 % intervals, from the scatter of groups of neighbouring samples.
+"""Root mean squares and their ratios with 95 % intervals, from the scatter of groups of neighbouring samples and of flights.
 
-Letters: S samples, G groups, C columns.
+Letters: S samples, G groups, C columns, P parameters.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 Array = NDArray[np.float64]
 
@@ -56,25 +57,72 @@ class Rise:
     """End of the 95 % interval."""
 
     high: float
-    """Other end."""
+    """Other end; infinite where there is nothing to tell it from."""
 
-    def as_mapping(self) -> dict[str, float | list[float]]:
+    def as_mapping(self) -> dict[str, float | list[float | None]]:
         """Return it for JSON."""
-        return {"rises": self.value, "interval": [self.low, self.high]}
+        return {"rises": self.value, "interval": [self.low, self.high if np.isfinite(self.high) else None]}
 
 
-def rise_with_interval(values: Array, reference: Array, group: NDArray[np.int64], *, seed: int) -> list[Rise]:
-    """Return ``rms(values) / rms(reference) - 1`` of each column, both (S, C), from a bootstrap over whole groups.
+def rise_with_interval(
+    values: Array, reference: Array, group: NDArray[np.int64], flight: NDArray[np.int64]
+) -> list[Rise]:
+    """Return ``rms(values) / rms(reference) - 1`` of each column, both (S, C), with its interval over flights.
 
-    Both are of the same samples and drawn together: what makes a sample hard for both does not widen the interval.
+    Both are of the same samples: what makes a sample hard for both does not widen the interval. With ``a_g`` and ``b_g`` the
+    squares of a group, A and B their sums, ``L = log(A / B) / 2`` has the scatter of the scores ``(a_g / A - b_g / B) / 2``.
+
+    Args:
+        values: One set of errors, (S, C).
+        reference: Another one, of the same samples, (S, C).
+        group: Neighbouring samples that count as one draw, (S,).
+        flight: Of each sample, (S,).
+
+    Source:
+        Davison, Hinkley (1997), Bootstrap Methods and their Application, section 2.7 (nonparametric delta method).
     """
-    labels, place = np.unique(group, return_inverse=True)
-    squares = np.zeros((2, labels.size, values.shape[1]))
-    for sums, part in zip(squares, (values, reference), strict=True):
-        np.add.at(sums, place, np.square(part))
-    rng = np.random.default_rng(seed)
-    draws = rng.multinomial(labels.size, np.full(labels.size, 1.0 / labels.size), size=RESAMPLES).astype(float)
-    above, below = draws @ squares[0], np.maximum(draws @ squares[1], 1e-300)
-    low, high = np.quantile(np.sqrt(above / below), (0.025, 0.975), axis=0) - 1.0
-    value = np.sqrt(squares[0].sum(axis=0) / np.maximum(squares[1].sum(axis=0), 1e-300)) - 1.0
+    scores, totals = [], []
+    for part in (values, reference):
+        total = np.maximum(np.square(part).sum(axis=0), 1e-300)
+        totals.append(total)
+        scores.append(np.square(part) / total)
+    change, score = 0.5 * np.log(totals[0] / totals[1]), 0.5 * (scores[0] - scores[1])
+    half = half_width_of_scatter(*_scatter(score, group), *_scatter(score, flight))
+    with np.errstate(over="ignore"):
+        value, low, high = (np.expm1(end) for end in (change, change - half, change + half))
     return [Rise(value=float(v), low=float(lo), high=float(hi)) for v, lo, hi in zip(value, low, high, strict=True)]
+
+
+def _scatter(score: Array, label: NDArray[np.int64]) -> tuple[Array, int]:
+    """Return the variance of the sum of scores (S, C) that clusters show, (C,), and how many there are; infinite for one."""
+    labels, place = np.unique(label, return_inverse=True)
+    sums = np.zeros((labels.size, score.shape[1]))
+    np.add.at(sums, place, score)
+    if labels.size < 2:
+        return np.full(score.shape[1], np.inf), labels.size
+    return (sums**2).sum(axis=0) * labels.size / (labels.size - 1), labels.size
+
+
+DOUBTFUL = 0.2
+"""Flights count as scattering more than their blocks explain if that were chance in no more than this share of cases."""
+
+FEWEST_FLIGHTS = 3
+"""Of fewer, the scatter is not told."""
+
+
+def half_width_of_scatter(blocks: Array, num_blocks: int, flights: Array | None, num_flights: int) -> Array:
+    """Return half the 95 % interval, (P,), from variances (P,): those of blocks, unless whole flights scatter more than they explain.
+
+    Args:
+        blocks: From the scatter of blocks of time.
+        num_blocks: How many.
+        flights: From the scatter of whole flights; None if there are too few.
+        num_flights: How many.
+    """
+    count = max(num_blocks - 1, 1)
+    variance = stats.t.ppf(0.975, count) ** 2 * blocks
+    if flights is not None and num_flights >= FEWEST_FLIGHTS:
+        between = num_flights - 1
+        limit = stats.f.ppf(1.0 - DOUBTFUL, between, count)
+        variance = np.where(flights > limit * blocks, stats.t.ppf(0.975, between) ** 2 * flights, variance)
+    return np.sqrt(variance)

@@ -95,7 +95,9 @@ def flights_of(num_train: int, num_test: int, features: Sequence[str] = ()) -> l
 
 
 def _placed(flight: Flight, part: str, i: int, features: Sequence[str]) -> Flight:
-    """Return the flight where the features want it; with ground and ceiling they take turns."""
+    """Return the flight where and as the features want it; with ground and ceiling they take turns."""
+    if "hover" in features and part == "train":
+        flight = replace(flight, family="hover")
     if "low" in features or "ceiling" in features:
         family, lowest, ease = NEAR[part][i % len(NEAR[part])]
         hanging = "ceiling" in features and ("low" not in features or i % 2 == 1)

@@ -12,9 +12,9 @@ import numpy as np
 from benchmarks.undeclared.vehicle import DECLARED, Vehicle
 
 SIZES = ("small", "moderate", "large")
-FEATURES = ("battery", "low", "ceiling", "heights", "other")
+FEATURES = ("battery", "low", "ceiling", "heights", "other", "hover")
 """What flights may have beyond the plain ones: a battery that empties, flights near the ground, flights below a ceiling,
-flights at very different heights, another vehicle above."""
+flights at very different heights, another vehicle above, training flights that only hover."""
 
 Params = dict[str, float]
 Range = tuple[float, float]

@@ -138,6 +138,12 @@ def hover_steps(t: Array, rng: np.random.Generator) -> Shape:
     return Shape(path=curve[:, :3], yaw=curve[:, 3], excite=excite)
 
 
+def hover(t: Array, rng: np.random.Generator) -> Shape:
+    """Hover, as still as a pilot holds it: a slow wander of a few centimetres, the heading as it is, no excitation."""
+    path = [smooth_step(t / 1.5) * _multisine(t, rng, low=0.1, high=0.3, count=4, slope=1.0) for _ in range(3)]
+    return Shape(path=np.stack(path, axis=1), yaw=np.zeros(len(t)), excite=np.zeros((len(t), 4)))
+
+
 def low_hover(t: Array, rng: np.random.Generator) -> Shape:
     """Rests at several heights, half of them the lowest, with small moves and a little excitation."""
     low, high = np.array([-0.5, -0.5, 0.0, -0.8]), np.array([0.5, 0.5, 0.5, 0.8])
@@ -187,6 +193,7 @@ TOP_SPEED: dict[str, tuple[float, float]] = {
     "waypoints": (4.0, 5.0),
     "vertical": (2.5, 3.0),
     "hover_steps": (1.5, 2.0),
+    "hover": (0.05, 0.1),
     "figure_eight": (3.5, 5.0),
     "square": (3.5, 4.5),
     "lissajous": (3.0, 4.5),
@@ -197,7 +204,18 @@ TOP_SPEED: dict[str, tuple[float, float]] = {
 
 FAMILIES: dict[str, Family] = {
     f.__name__: f
-    for f in (multisine, waypoints, vertical, hover_steps, figure_eight, square, lissajous, low_hover, low_passes)
+    for f in (
+        multisine,
+        waypoints,
+        vertical,
+        hover_steps,
+        hover,
+        figure_eight,
+        square,
+        lissajous,
+        low_hover,
+        low_passes,
+    )
 }
 TRAIN_FAMILIES = ("multisine", "waypoints", "vertical", "hover_steps")
 TEST_FAMILIES = ("figure_eight", "square", "lissajous")

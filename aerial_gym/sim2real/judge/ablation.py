@@ -15,7 +15,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, fit_effects
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import Selection, Trial
-from aerial_gym.sim2real.judge.evaluation import Evaluation, time_groups
+from aerial_gym.sim2real.judge.evaluation import Evaluation, flight_of_rows, time_groups
 from aerial_gym.sim2real.judge.whiteness import EDGES, in_octaves, lines
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
@@ -119,8 +119,6 @@ def ablations(
     points: tuple[ModelParams, ModelParams],
     evaluations: tuple[Evaluation, Evaluation],
     selection: Selection,
-    *,
-    seed: int,
 ) -> dict[str, Ablation]:
     """Return what each accepted effect is worth.
 
@@ -131,17 +129,16 @@ def ablations(
         points: The declared and the final model.
         evaluations: Of both.
         selection: The selection.
-        seed: Of the intervals.
     """
     train, tested = predictors
     declared, final = points
-    residuals, group = tested.residuals(final), time_groups(tested.times)
+    residuals, group, flight = tested.residuals(final), time_groups(tested.times), flight_of_rows(tested.times)
     residual = np.concatenate(residuals)
     found = {}
     for name in selection.accepted:
         less = without_effect(train, declared, selection, name)
         left = tested.residuals(less.point)
-        rises = rise_with_interval(np.concatenate(left), residual, group, seed=seed)
+        rises = rise_with_interval(np.concatenate(left), residual, group, flight)
         most = int(np.argmax([rise.value for rise in rises]))
         octaves = taken_from_octaves(tested, left, residuals, most)
         rollout: dict[float, dict[str, Rise]] = {}
@@ -149,7 +146,7 @@ def ablations(
             alone = len(selection.accepted) == 1
             links = None if alone else tested.links(less.point)
             errors = evaluations[0].rollouts["free"] if alone else roll_out(robot, test, less.point, links=links)
-            rollout = rollout_rises(errors, evaluations[1].rollouts["free"], seed=seed)
+            rollout = rollout_rises(errors, evaluations[1].rollouts["free"])
         found[name] = Ablation(
             residual={channel.name: rise for channel, rise in zip(tested.channels, rises, strict=True)},
             rollout=rollout,
@@ -197,15 +194,14 @@ def without_effect(train: Predictor, declared: ModelParams, selection: Selection
     return fit_effects(train, kept, ModelParams(effects=effects), nothing, selection.weights.weight, frozen=frozen)
 
 
-def rollout_rises(without: RolloutErrors, errors: RolloutErrors, *, seed: int) -> dict[float, dict[str, Rise]]:
+def rollout_rises(without: RolloutErrors, errors: RolloutErrors) -> dict[float, dict[str, Rise]]:
     """Return by which share the errors of the same windows rise at the judged horizons."""
     found: dict[float, dict[str, Rise]] = {horizon: {} for horizon in JUDGED_S if horizon in errors.horizons}
     for quantity in QUANTITIES:
         more, less = getattr(without, quantity), getattr(errors, quantity)
         if less is not None:
-            rises = dict(
-                zip(errors.horizons, rise_with_interval(more, less, errors.windows.cluster, seed=seed), strict=True)
-            )
+            found_rises = rise_with_interval(more, less, errors.windows.cluster, errors.windows.flight)
+            rises = dict(zip(errors.horizons, found_rises, strict=True))
             for horizon, quantities in found.items():
                 quantities[quantity] = rises[horizon]
     return found

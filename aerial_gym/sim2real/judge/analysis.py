@@ -16,6 +16,7 @@ from aerial_gym.sim2real.judge.breakdown import by_flight, where_it_acts
 from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate
 from aerial_gym.sim2real.judge.experiments.design import Advice, Catalogue, showable, what_shows, what_tells
 from aerial_gym.sim2real.judge.noise_floor import noise_floor
+from aerial_gym.sim2real.judge.outcome import Outcome, outcomes, said_first
 from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, with_random
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained, judges_forces
 from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, decide, immaterial, named_effects, tied_rivals
@@ -73,11 +74,15 @@ def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Prog
         after = on_test(params, unexplained.floor)
     gusts = () if NAME in declared.robot.effects or not unexplained.wind.accepted else (unexplained.wind.named(),)
     kind, reason, candidates = decision(refitted, unexplained, gusts)
+    became: tuple[Outcome, ...] = ()
+    if effects or gusts or (learned is not None and learned.cfg is not None):
+        models, least = (declared.params, params), selection.criteria.material
+        became = outcomes(tested, models, (before, after), least=least)
     manoeuvre, fly_next = what_to_fly(declared, selection)
     spectra = whiteness(tested.times, unexplained.left, declared.channels, declared.bandwidth)
     verdict = Verdict(
         verdict=kind,
-        reason=reason,
+        reason="; ".join(part for part in (said_first(became), reason) if part),
         effects=(*effects, *gusts),
         candidates=candidates,
         not_testable=not_testable(selection, unexplained),
@@ -88,6 +93,7 @@ def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Prog
         structure=unexplained.structure,
         before=before,
         after=after,
+        outcomes=became,
         flights=by_flight(tested, declared.params, params, before, after, seed=seed),
         unexplained=unexplained.channels,
         whiteness=dict(zip((channel.name for channel in declared.channels), spectra, strict=True)),
@@ -115,9 +121,7 @@ def judged_effects(refitted: Refitted, before: Evaluation, named: Evaluation, *,
     """Return the accepted effects with what each is worth on the test flights, and where it acts."""
     declared, selection, params = refitted.declared, refitted.selection, refitted.params
     test, models = declared.test, (declared.params, params)
-    worth = ablations(
-        declared.robot, test.flights, (declared.train, test), models, (before, named), selection, seed=seed
-    )
+    worth = ablations(declared.robot, test.flights, (declared.train, test), models, (before, named), selection)
     weight = selection.weights.weight
     regimes = {name: where_it_acts(test, *models, name, weight, named.floor, seed=seed) for name in selection.accepted}
     return named_effects(selection, refitted.inclusion, worth, regimes)

@@ -119,6 +119,11 @@ def time_groups(times: Sequence[Array]) -> NDArray[np.int64]:
     return np.concatenate(parts)
 
 
+def flight_of_rows(times: Sequence[Array]) -> NDArray[np.int64]:
+    """Return the flight of each row, all flights in a row."""
+    return np.repeat(np.arange(len(times)), [time.size for time in times])
+
+
 def _rollout_rms(errors: RolloutErrors, seed: int) -> dict[str, dict[float, Rms]]:
     result = {}
     for quantity in QUANTITIES:

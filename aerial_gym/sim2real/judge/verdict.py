@@ -20,6 +20,7 @@ from aerial_gym.sim2real.judge.ablation import Ablation, told_apart
 from aerial_gym.sim2real.judge.breakdown import Part, Regime
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.experiments.design import Advice
+from aerial_gym.sim2real.judge.outcome import Outcome, meaning
 from aerial_gym.sim2real.judge.whiteness import Whiteness
 
 MOST_CONFIDENT = 0.9999
@@ -81,18 +82,6 @@ class NamedEffect:
         }
 
 
-MEANINGS = {
-    "explained": "The corrected vehicle makes the flights within noise and tolerances.",
-    "none": "The declared vehicle makes the flights within noise and tolerances; nothing is to be corrected.",
-    "unexplained": (
-        "What was found is real and its correction helps, but the flights hold more than the corrected vehicle makes, of a "
-        "kind that no registered effect has: do not trust the simulator in the channels named here."
-    ),
-    "ambiguous": "Several effects would do equally well on these flights; fly what tells them apart.",
-}
-"""What each verdict tells its reader."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
     """What the flights say about the declared model."""
@@ -101,7 +90,7 @@ class Verdict:
     """explained, none, unexplained or ambiguous."""
 
     reason: str
-    """One sentence."""
+    """One sentence; what gets worse on the test flights comes first."""
 
     effects: tuple[NamedEffect, ...]
     """In the order in which they were named."""
@@ -127,6 +116,10 @@ class Verdict:
     structure: Structure
     before: Evaluation
     after: Evaluation
+
+    outcomes: tuple[Outcome, ...]
+    """What became of each channel and rollout of the test flights; empty where nothing is corrected."""
+
     flights: dict[str, list[Part]]
     """Before and after on each test flight."""
 
@@ -147,13 +140,19 @@ class Verdict:
         """Whether the corrected robot is another one than the declared."""
         return bool(self.effects) or (self.learned is not None and self.learned.cfg is not None)
 
+    @property
+    def meaning(self) -> str:
+        """What it tells its reader."""
+        return meaning(self.verdict, self.outcomes)
+
     def as_mapping(self) -> dict[str, object]:
         """Return the contract for JSON."""
         learned = [self.learned.as_mapping()] if self.learned is not None and self.learned.cfg is not None else []
         return {
             "verdict": self.verdict,
             "reason": self.reason,
-            "meaning": MEANINGS[self.verdict],
+            "meaning": self.meaning,
+            "test_flights": {found.name: found.as_mapping() for found in self.outcomes},
             "effects": [*(effect.as_mapping() for effect in self.effects), *learned],
             "candidates": list(self.candidates),
             "not_testable": list(self.not_testable),

@@ -12,7 +12,6 @@ from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.identify.selection.structure import world_forces
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.evaluation import Evaluation
-from aerial_gym.sim2real.judge.verdict import MEANINGS
 from aerial_gym.sim2real.judge.whiteness import octave_names
 from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -82,13 +81,12 @@ def report_context(judged: Judged) -> dict[str, object]:
     shown = selection.accepted or tuple(trial.effect for trial in selection.rounds[0] if trial.scored)[:2]
     return {
         "verdict": verdict,
-        "meaning": MEANINGS[verdict.verdict],
         "robot": judged.declared.stated,
         "bandwidth": judged.declared.bandwidth,
         "train": [flight.name for flight in judged.declared.train.flights],
         "test": [flight.name for flight in judged.declared.test.flights],
         "effects": parameter_rows(judged),
-        "channels": channel_rows(verdict.before, after),
+        "channels": channel_rows(verdict.before, after, verdict.outcomes),
         "worth": worth_rows(verdict),
         "octaves": octave_names(judged.declared.bandwidth),
         "regimes": regime_rows(verdict),

@@ -9,6 +9,7 @@ from aerial_gym.sim2real.identify.selection.select import Trial
 from aerial_gym.sim2real.judge.ablation import explained
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.evaluation import Evaluation
+from aerial_gym.sim2real.judge.outcome import Outcome
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
@@ -45,19 +46,23 @@ def parameter_rows(judged: Judged) -> list[dict[str, object]]:
     return rows
 
 
-def channel_rows(before: Evaluation, after: Evaluation | None) -> list[dict[str, object]]:
-    """Return one row per channel."""
-    rows = []
+def channel_rows(
+    before: Evaluation, after: Evaluation | None, became: Sequence[Outcome] = ()
+) -> list[dict[str, object]]:
+    """Return one row per channel; ``became`` says what became of each."""
+    rows, states = [], {found.name: found for found in became}
     closed = [None] * len(before.channels) if after is None else after.gaps_closed(before)
     for place, channel in enumerate(before.channels):
         first = before.residual[place]
         second = None if after is None else after.residual[place]
+        found = states.get(channel.name)
         rows.append(
             {
                 "name": f"{channel.kind.replace('_', ' ')} {channel.axis} [{channel.unit}]",
                 "before": interval(first),
                 "after": "–" if second is None else interval(second),
-                "change": "–" if second is None else f"{100.0 * (second.value / first.value - 1.0):+.0f} %",
+                "change": "–" if found is None else risen(found.rise),
+                "became": "–" if found is None else found.state,
                 "closed": "–" if (share := closed[place]) is None else f"{share:.1%}",
                 "floor": "–" if before.floor is None else number(before.floor[place]),
             }
@@ -68,16 +73,22 @@ def channel_rows(before: Evaluation, after: Evaluation | None) -> list[dict[str,
 def rollout_rows(verdict: Verdict, variant: str) -> list[dict[str, str]]:
     """Return one row per quantity and horizon."""
     before, after = verdict.before.rollout[variant], verdict.after.rollout[variant]
-    return [
-        {
-            "quantity": f"{quantity} [{QUANTITIES[quantity]}]",
-            "horizon": f"{horizon:g}",
-            "before": interval(rms),
-            "after": interval(after[quantity][horizon]),
-        }
-        for quantity, horizons in before.items()
-        for horizon, rms in horizons.items()
-    ]
+    states = {found.name: found for found in verdict.outcomes}
+    rows = []
+    for quantity, horizons in before.items():
+        for horizon, rms in horizons.items():
+            found = states.get(f"{variant}.{quantity}.{horizon:g}")
+            rows.append(
+                {
+                    "quantity": f"{quantity} [{QUANTITIES[quantity]}]",
+                    "horizon": f"{horizon:g}",
+                    "before": interval(rms),
+                    "after": interval(after[quantity][horizon]),
+                    "change": "–" if found is None else risen(found.rise),
+                    "became": "–" if found is None else found.state,
+                }
+            )
+    return rows
 
 
 def trial_rows(trials: Sequence[Trial], channels: Sequence[Channel]) -> list[dict[str, str]]:
@@ -128,7 +139,7 @@ def worth_rows(verdict: Verdict) -> list[dict[str, object]]:
 
 def risen(rise: Rise) -> str:
     """Return a rise with its interval, in per cent, and as a factor where it is large."""
-    if rise.value > MOST_PERCENT:
+    if max(rise.value, rise.high) > MOST_PERCENT:
         return f"× {number(1.0 + rise.value)} [{number(1.0 + rise.low)}, {number(1.0 + rise.high)}]"
     return f"{rise.value:+.1%} [{rise.low:+.1%}, {rise.high:+.1%}]"
 

@@ -113,6 +113,12 @@ def test_the_verdict_names_the_hidden_drag(result: Path) -> None:
     for horizon in ("0.1", "0.5", "1", "2"):
         assert set(after["rollout"][horizon]) == {"position", "velocity", "attitude"}
         assert after["specific_force"][axis]["gap_closed"] > 0.95
+    became = verdict["test_flights"]
+    assert became["specific_force.x"]["state"] == became["specific_force.y"]["state"] == "better"
+    assert became["free.velocity.1"]["rises"] < -0.5  # two groups of windows: no more than the size is shown
+    assert became["specific_force.x"]["interval"][1] < -0.5
+    assert "helps in specific force x" in verdict["meaning"]
+    assert "worse" not in verdict["reason"]
     error = [model["rollout_given_attitude"]["1"]["velocity"]["rms"] for model in (before, after)]
     assert error[1] < 0.5 * error[0]
 
@@ -221,7 +227,7 @@ def test_the_command_prints(run: tuple[Path, str]) -> None:
     record = json.loads((out / "run.json").read_text())
     assert (record["config"]["tolerances"]["mass"], record["config"]["tolerances"]["com"]) == (0.002, 0.0003)
     assert "rotor_drag: dx = 0.2" in printed
-    assert "specific force x" in printed
+    assert "The correction helps in specific force x" in printed.replace("\n", " ")
 
 
 def test_a_flight_that_cannot_be_used_is_said_to_be_left_out(run: tuple[Path, str]) -> None:

@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, best_step, normal_equations, prior_precision
+from aerial_gym.sim2real.statistics import FEWEST_FLIGHTS, half_width_of_scatter
 
 Array = NDArray[np.float64]
 
 NORMAL_95 = float(stats.norm.ppf(0.975))
-
-DOUBTFUL = 0.2
-"""Flights count as scattering more than their blocks explain if that were chance in no more than this share of cases."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,13 +63,9 @@ class Uncertainty:
 
         The scatter is that of blocks, unless whole flights scatter more than blocks explain.
         """
-        count, blocks = max(self.num_blocks - 1, 1), np.diag(self.blocks)
-        scatter = stats.t.ppf(0.975, count) ** 2 * blocks
-        if self.flights is not None:
-            between, wide = self.num_flights - 1, np.diag(self.flights)
-            limit = stats.f.ppf(1.0 - DOUBTFUL, between, count)
-            scatter = np.where(wide > limit * blocks, stats.t.ppf(0.975, between) ** 2 * wide, scatter)
-        return np.sqrt(scatter + NORMAL_95**2 * np.diag(self.tolerance))
+        whole = None if self.flights is None else np.diag(self.flights)
+        scatter = half_width_of_scatter(np.diag(self.blocks), self.num_blocks, whole, self.num_flights)
+        return np.hypot(scatter, NORMAL_95 * np.sqrt(np.diag(self.tolerance)))
 
     @property
     def std(self) -> Array:
@@ -112,7 +106,7 @@ def uncertainty(fit: Fit, weight: Array) -> Uncertainty:
         step=step,
         plain=bread[:own, :own],
         blocks=scores.T @ scores * (count / max(count - 1, 1)),
-        flights=None if flights < 3 else by_flight.T @ by_flight * (flights / (flights - 1)),
+        flights=None if flights < FEWEST_FLIGHTS else by_flight.T @ by_flight * (flights / (flights - 1)),
         tolerance=(bread[:own] * precision) @ bread[:, :own],
         num_blocks=count,
         num_flights=flights,

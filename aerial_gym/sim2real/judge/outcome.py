@@ -1,0 +1,163 @@
+"""What became of the test flights: which channels and rollouts the correction makes better, which worse, and how surely.
+
+Letters: T rows, C channels, W windows, H horizons.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from aerial_gym.sim2real.judge.evaluation import Evaluation, flight_of_rows, time_groups
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.rollout import QUANTITIES
+from aerial_gym.sim2real.statistics import Rise, rise_with_interval
+
+BETTER, SAME, WORSE, NOT_SHOWN = "better", "same", "worse", "not shown"
+
+ROLLOUTS = {"free": "rollout", "given_attitude": "rollout with given attitude"}
+"""Variants of rollouts, in words."""
+
+MOST_SAID = 5
+"""Quantities that a sentence names; the others are counted."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """One quantity of the test flights under the declared and the corrected model."""
+
+    name: str
+    """Of the channel, or of variant and quantity of a rollout and its horizon [s]; unique."""
+
+    about: str
+    """In words; the same for all horizons of a rollout."""
+
+    where: str
+    """The horizon, in words; empty for a channel."""
+
+    rise: Rise
+    """Of its rms, corrected over declared, with the 95 % interval over flights."""
+
+    least: float
+    """Share from which on a change is material."""
+
+    @property
+    def state(self) -> str:
+        """Return what became of it.
+
+        Same: the interval holds no material change; better or worse: it lies on one side of zero; else it is not shown.
+        """
+        if -self.least < self.rise.low and self.rise.high < self.least:
+            return SAME
+        if self.rise.high < 0.0:
+            return BETTER
+        return WORSE if self.rise.low > 0.0 else NOT_SHOWN
+
+    @property
+    def suspect(self) -> bool:
+        """Return whether it rises by a material share, although that may be chance."""
+        return self.state == NOT_SHOWN and self.rise.value >= self.least
+
+    @property
+    def text(self) -> str:
+        """Return what it is and by how much it changes."""
+        low, high = (f"{100.0 * end:+.0f}" for end in (self.rise.low, self.rise.high))
+        return f"{self.about}{self.where} by {100.0 * self.rise.value:.0f} % [{low}, {high}]"
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return {"state": self.state, **self.rise.as_mapping()}
+
+
+def outcomes(
+    predictor: Predictor,
+    models: tuple[ModelParams, ModelParams],
+    evaluations: tuple[Evaluation, Evaluation],
+    *,
+    least: float,
+) -> tuple[Outcome, ...]:
+    """Return what became of every channel and every rollout.
+
+    Args:
+        predictor: Test flights.
+        models: The declared and the corrected one.
+        evaluations: Of both on these flights.
+        least: Share from which on a change is material.
+    """
+    return (*_channels(predictor, models, least), *_rollouts(evaluations, least))
+
+
+def _channels(predictor: Predictor, models: tuple[ModelParams, ModelParams], least: float) -> Iterator[Outcome]:
+    before, after = (np.concatenate(predictor.residuals(model)) for model in models)
+    rises = rise_with_interval(after, before, time_groups(predictor.times), flight_of_rows(predictor.times))
+    for channel, rise in zip(predictor.channels, rises, strict=True):
+        about = f"{channel.kind.replace('_', ' ')} {channel.axis}"
+        yield Outcome(name=channel.name, about=about, where="", rise=rise, least=least)
+
+
+def _rollouts(evaluations: tuple[Evaluation, Evaluation], least: float) -> Iterator[Outcome]:
+    before, after = (evaluation.rollouts for evaluation in evaluations)
+    for variant, errors in after.items():
+        for quantity in QUANTITIES:
+            new, old = getattr(errors, quantity), getattr(before[variant], quantity)
+            if new is None:
+                continue
+            rises = rise_with_interval(new, old, errors.windows.cluster, errors.windows.flight)
+            for horizon, rise in zip(errors.horizons, rises, strict=True):
+                yield Outcome(
+                    name=f"{variant}.{quantity}.{horizon:g}",
+                    about=f"{quantity} of the {ROLLOUTS[variant]}",
+                    where=f" after {horizon:g} s",
+                    rise=rise,
+                    least=least,
+                )
+
+
+def said_first(found: Sequence[Outcome]) -> str:
+    """Return in one sentence what gets worse on the test flights, the largest first; empty if nothing does."""
+    parts = []
+    for start, chosen in (
+        ("worse on the test flights", [one for one in found if one.state == WORSE]),
+        ("perhaps worse, these flights cannot tell", [one for one in found if one.suspect]),
+    ):
+        if chosen:
+            parts.append(f"{start}: {_listed(chosen)}")
+    return "; ".join(parts)
+
+
+def _listed(chosen: Sequence[Outcome]) -> str:
+    """Return the quantities in words, each rollout at the horizon at which it rises most."""
+    largest: dict[str, Outcome] = {}
+    for one in sorted(chosen, key=lambda one: -one.rise.value):
+        largest.setdefault(one.about, one)
+    texts = [one.text for one in largest.values()]
+    more = len(texts) - MOST_SAID
+    return ", ".join(texts[:MOST_SAID]) + (f" and {more} more" if more > 0 else "")
+
+
+TRUSTED = {
+    "explained": "The corrected vehicle makes the flights within noise and tolerances",
+    "none": "The declared vehicle makes the flights within noise and tolerances; nothing is to be corrected",
+    "unexplained": (
+        "The flights hold more than the vehicle makes, of a kind that no registered effect has: do not trust the simulator in "
+        "the channels named here"
+    ),
+    "ambiguous": "Several effects would do equally well on these flights; fly what tells them apart",
+}
+"""What each verdict tells its reader of the model."""
+
+
+def meaning(kind: str, found: Sequence[Outcome]) -> str:
+    """Return what a verdict tells its reader, and what the correction does to the test flights; ``found`` may be empty."""
+    if not found:
+        return f"{TRUSTED[kind]}."
+    better = dict.fromkeys(one.about for one in found if one.state == BETTER)
+    worse = dict.fromkeys(one.about for one in found if one.state == WORSE)
+    helps = (
+        f"The correction helps in {', '.join(better)}"
+        if better
+        else "The correction is not seen to help in any channel"
+    )
+    harms = f", and makes {', '.join(worse)} worse: keep the declared vehicle where these matter" if worse else ""
+    return f"{TRUSTED[kind]}. {helps}{harms}."
