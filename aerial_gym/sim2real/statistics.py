@@ -111,12 +111,12 @@ FEWEST_FLIGHTS = 3
 
 
 def half_width_of_scatter(blocks: Array, num_blocks: int, flights: Array | None, num_flights: int) -> Array:
-    """Return half the 95 % interval, (P,), from variances (P,): those of blocks, unless whole flights scatter more than they explain.
+    """Return half the 95 % interval, (P,): from the scatter of blocks, unless whole flights scatter more than these explain.
 
     Args:
-        blocks: From the scatter of blocks of time.
+        blocks: Variances from the scatter of blocks of time, (P,).
         num_blocks: How many.
-        flights: From the scatter of whole flights; None if there are too few.
+        flights: From the scatter of whole flights, (P,); None if there are too few.
         num_flights: How many.
     """
     count = max(num_blocks - 1, 1)

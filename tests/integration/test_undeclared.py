@@ -108,6 +108,20 @@ def test_gusts_are_found_with_their_moments(tmp_path: Path) -> None:
     assert any("lower no residual" in note for note in verdict["notes"])
 
 
+@pytest.mark.slow
+def test_the_gap_closed_where_an_effect_acts_is_that_above_gusts(tmp_path: Path) -> None:
+    """What gusts add belongs to the noise floor there too: ``(b² - a²) / (b² - f²)`` with the floor after the correction."""
+    verdict, _ = run_case(tmp_path, {"rotor_drag": "large", "gusts": "moderate"}, 211)
+    (drag,) = (found for found in verdict["effects"] if found["name"] == "rotor_drag")
+    assert "gusts" in verdict["candidates"]
+    acts = drag["where_it_acts"]
+    kind, axis = acts["channel"].split(".")
+    before, after = (acts[model]["rms"] for model in ("before", "after"))
+    floor = verdict["after"][kind][axis]["noise_floor"]
+    assert floor > 2.0 * verdict["before"][kind][axis]["noise_floor"]
+    assert acts["gap_closed"] == pytest.approx((before**2 - after**2) / (before**2 - floor**2), rel=1e-6)
+
+
 @pytest.mark.parametrize("cause", [*CAUSES, *slow(MORE_CAUSES)])
 def test_an_unknown_cause_is_given_no_name_but_its_structure(cause: str, tmp_path: Path) -> None:
     verdict, _ = run_case(tmp_path, {cause: "moderate"}, 213)

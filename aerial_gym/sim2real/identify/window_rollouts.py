@@ -34,15 +34,9 @@ from aerial_gym.sim2real.identify.least_squares.moments import Moments
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rollout import (
-    Batch,
-    Windows,
-    acts_on_commands,
-    is_commanded,
-    same_rate,
-    with_arriving_commands,
-)
-from aerial_gym.sim2real.predict.tolerances import deviate
+from aerial_gym.sim2real.predict.replay.rotor_commands import is_commanded, what_moves_commands, with_arriving_commands
+from aerial_gym.sim2real.predict.rollout import Batch, Windows, same_rate
+from aerial_gym.sim2real.predict.tolerances import Deviated, deviated
 
 Array = NDArray[np.float64]
 
@@ -134,23 +128,19 @@ class Rollouts:
         Measured minus flown velocity [m/s], world, and the turn from the flown to the measured attitude [rad], body.
         """
         predictor, windows = self._predictor, self._windows
-        flights, variant = self._flights_under(points)
+        off = [deviated(self._declared, predictor.tolerances, point.deviation) for point in points]
+        flights, variant = self._flights_under(points, off)
         num_models, each, num_windows = len(points), len(predictor.flights), windows.row.size
         num_samples = round(WINDOW_S / SAMPLE_S)
         of = np.concatenate((np.arange(num_models), np.zeros(len(START_STD), dtype=int)))
         nudges = np.concatenate((np.zeros((num_models, len(START_STD))), NUDGE * np.diag(START_STD)))
-        vehicles = [
-            self._declared
-            if p.deviation is None
-            else deviate(self._declared, predictor.tolerances, torch.from_numpy(p.deviation))
-            for p in points
-        ]
+        vehicles, settled = [one.vehicle for one in off], [one.joint_start for one in off]
         missed = np.zeros((of.size, num_windows, num_samples, 6))
         for members in same_rate(predictor.flights, windows):
             model_of = np.repeat(of, members.size)
             flight = np.tile(windows.flight[members], of.size) + each * variant[model_of]
             row = np.tile(windows.row[members], of.size)
-            run = Batch(vehicles, points, model_of, flights, flight, row, longest_step=LONGEST_STEP_S)
+            run = Batch(vehicles, points, model_of, flights, flight, row, settled=settled, longest_step=LONGEST_STEP_S)
             at = {run.steps(SAMPLE_S * (place + 1)): place for place in range(num_samples)}
             nudge = torch.from_numpy(nudges).repeat_interleave(members.size, dim=0)
             for step, state, truth in run.fly(_nudged(run.measured(0), nudge), at):
@@ -159,18 +149,19 @@ class Rollouts:
                 missed[:, members, at[step]] = both.reshape(of.size, members.size, 6)
         return missed
 
-    def _flights_under(self, points: Sequence[ModelParams]) -> tuple[list[Flight], NDArray[np.int64]]:
+    def _flights_under(
+        self, points: Sequence[ModelParams], off: Sequence[Deviated]
+    ) -> tuple[list[Flight], NDArray[np.int64]]:
         """Return the flights under what each model does to commands, and which of these variants each model has."""
         flights = list(self._predictor.flights)
         variants: dict[bytes, int] = {}
         found: list[Flight] = []
         which = np.zeros(len(points), dtype=np.int64)
-        for place, point in enumerate(points):
-            acting = [params.tobytes() for name, params in point.effects.items() if acts_on_commands(name)]
-            key = b"".join(acting)
+        for place, (point, one) in enumerate(zip(points, off, strict=True)):
+            key = what_moves_commands(one, point) if self._commanded else b""
             if key not in variants:
                 variants[key] = len(variants)
-                found += with_arriving_commands(self._declared, flights, point) if self._commanded else flights
+                found += with_arriving_commands(one, flights, point) if self._commanded else flights
             which[place] = variants[key]
         return found, which
 

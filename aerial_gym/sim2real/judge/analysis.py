@@ -59,9 +59,9 @@ def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Prog
     before = on_test(declared.params, still)
     progress("rollouts of the corrected model", 0.85)
     named = on_test(refitted.params, still) if selection.accepted else before
+    unexplained = find_unexplained(declared.train, tested, selection, refitted.params, named, still)
     progress("what each effect is worth", 0.93)
-    effects = judged_effects(refitted, before, named, seed=seed)
-    unexplained = find_unexplained(declared.train, tested, selection, named, still)
+    effects = judged_effects(refitted, before, named, unexplained.floor, seed=seed)
     learned = None
     if learn_residual:
         progress("learning what remains", 0.9)
@@ -117,13 +117,18 @@ def floor_in_declared_wind(declared: Declared, params: ModelParams) -> Array | N
     return None if floor is None else np.hypot(floor, declared_wind(declared.robot).adds(test, params))
 
 
-def judged_effects(refitted: Refitted, before: Evaluation, named: Evaluation, *, seed: int) -> tuple[NamedEffect, ...]:
-    """Return the accepted effects with what each is worth on the test flights, and where it acts."""
+def judged_effects(
+    refitted: Refitted, before: Evaluation, named: Evaluation, floor: Array | None, *, seed: int
+) -> tuple[NamedEffect, ...]:
+    """Return the accepted effects with what each is worth on the test flights, and where it acts.
+
+    ``floor`` is the noise floor of each channel with random wind in it, (C,).
+    """
     declared, selection, params = refitted.declared, refitted.selection, refitted.params
     test, models = declared.test, (declared.params, params)
     worth = ablations(declared.robot, test.flights, (declared.train, test), models, (before, named), selection)
     weight = selection.weights.weight
-    regimes = {name: where_it_acts(test, *models, name, weight, named.floor, seed=seed) for name in selection.accepted}
+    regimes = {name: where_it_acts(test, *models, name, weight, floor, seed=seed) for name in selection.accepted}
     return named_effects(selection, refitted.inclusion, worth, regimes)
 
 

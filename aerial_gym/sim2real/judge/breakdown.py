@@ -104,7 +104,7 @@ def where_it_acts(
     final: ModelParams,
     name: str,
     weight: Array,
-    floor: Sequence[float] | None,
+    floor: Array | None,
     *,
     seed: int,
 ) -> Regime:
@@ -129,7 +129,7 @@ def where_it_acts(
         unit=channel.unit,
         before=rms[0],
         after=rms[1],
-        gap_closed=gap_closed(rms[0].value, rms[1].value, None if floor is None else floor[place]),
+        gap_closed=gap_closed(rms[0].value, rms[1].value, None if floor is None else float(floor[place])),
         looks=_looks(predictor.flights, predictor.times, acts),
     )
 

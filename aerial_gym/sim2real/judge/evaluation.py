@@ -82,10 +82,10 @@ def evaluate(
     group = time_groups(predictor.times)
     rollouts: dict[str, RolloutErrors] = {}
     if any(flight.lin_vel is not None for flight in flights):
-        links = predictor.links(point)
+        links, sizes = predictor.links(point), predictor.tolerances
         rollouts = {
-            "free": roll_out(robot, flights, point, links=links),
-            "given_attitude": roll_out(robot, flights, point, links=links, given_attitude=True),
+            "free": roll_out(robot, flights, point, links=links, tolerances=sizes),
+            "given_attitude": roll_out(robot, flights, point, links=links, given_attitude=True, tolerances=sizes),
         }
     return Evaluation(
         channels=predictor.channels,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import best_within_tolerances
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, best_step
 from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.identify.selection.structure import Structure, find_structure
 from aerial_gym.sim2real.judge.evaluation import Evaluation
@@ -61,7 +61,12 @@ class Unexplained:
 
 
 def find_unexplained(
-    train: Predictor, test: Predictor, selection: Selection, after: Evaluation, floor: Array | None
+    train: Predictor,
+    test: Predictor,
+    selection: Selection,
+    params: ModelParams,
+    after: Evaluation,
+    floor: Array | None,
 ) -> Unexplained:
     """Return what the final model leaves of the test flights.
 
@@ -69,11 +74,12 @@ def find_unexplained(
         train: Training flights.
         test: Test flights.
         selection: The selection.
+        params: The final model, as the robot file holds it.
         after: What the corrected model leaves of the test flights, without deviations.
         floor: Noise floor of each channel, (C,).
     """
     flights = [*train.flights, *test.flights]
-    within = best_within_tolerances(train.robot, selection.final.fit, selection.weights.weight)
+    within = with_best_deviations(params, selection.final.fit, selection.weights.weight)
     left, tolerated = test.residuals(within), selection.left_out.tolerated
     rms = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
     rms = np.minimum(rms, [channel.value for channel in after.residual])  # tolerances only ever explain
@@ -85,7 +91,7 @@ def find_unexplained(
             train, within, selection.criteria, floor=floor, tolerated=tolerated, remaining=remaining
         )
         if wind.accepted and floor is not None:
-            floor = np.hypot(floor, wind.adds(test, selection.final.fit.point))
+            floor = np.hypot(floor, wind.adds(test, params))
             remaining = judged & material_excess(rms, floor, tolerated)
     structure = Structure()
     if remaining.any():
@@ -95,6 +101,19 @@ def find_unexplained(
             structure = find_structure(train.flights, train.times, seen, test.channels, places)
     names = tuple(channel.name for channel, some in zip(test.channels, remaining, strict=True) if some)
     return Unexplained(within=within, left=left, channels=names, floor=floor, wind=wind, structure=structure)
+
+
+def with_best_deviations(params: ModelParams, fit: Fit, weight: Array) -> ModelParams:
+    """Return a model with the deviations within the tolerances that fit the training flights best beside its own effects.
+
+    Args:
+        params: The final model, as the robot file holds it.
+        fit: Its linearisation on the training flights.
+        weight: Of one row of each channel, (C,).
+    """
+    own = fit.num_effect_params
+    step = best_step(fit, weight, np.arange(own, fit.low.size))
+    return replace(params, deviation=step[own:])
 
 
 def material_excess(rms: Array, floor: Array | None, tolerated: Array) -> NDArray[np.bool_]:

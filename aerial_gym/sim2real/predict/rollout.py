@@ -31,10 +31,11 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
 from aerial_gym.sim2real.predict.replay.memory import remembering, track_of
-from aerial_gym.sim2real.predict.replay.rotor_commands import mean_commands
+from aerial_gym.sim2real.predict.replay.rotor_commands import is_commanded, with_arriving_commands
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows import one_row, with_known_wind
 from aerial_gym.sim2real.predict.scene import heights, other_at
+from aerial_gym.sim2real.predict.tolerances import Tolerances, deviated
 
 Array = NDArray[np.float64]
 
@@ -140,24 +141,27 @@ def roll_out(
     links: Sequence[Link] | None = None,
     horizons: Sequence[float] = HORIZONS_S,
     given_attitude: bool = False,
+    tolerances: Tolerances | None = None,
 ) -> RolloutErrors:
     """Return the open-loop errors of a model.
 
     Args:
         robot: Declared robot.
         flights: Flights with velocity.
-        point: Effects of the model.
+        point: Effects of the model, and its deviations within the tolerances.
         links: How its load swings along each flight; None: as if it hung still when the log begins.
         horizons: When to compare [s]; those that no flight is long enough for are left out.
         given_attitude: Whether attitude and angular velocity are set to the measured ones after every step.
+        tolerances: Sizes of the deviations; None: the usual ones.
     """
     longest = max(float(flight.time[-1]) for flight in flights)
     kept = tuple(h for h in horizons if FIRST_WINDOW_S + h + 2.0 * STEP_S < longest)
     windows = find_windows(flights, max(kept))
     commanded = is_commanded(flights)
-    vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+    declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+    off = deviated(declared, tolerances or Tolerances(), point.deviation)
     if commanded:
-        flights = with_arriving_commands(vehicle, flights, point)
+        flights = with_arriving_commands(off, flights, point)
     shape = (windows.row.size, len(kept))
     errors = {name: np.full(shape, np.nan) for name in QUANTITIES}
     load = None if links is None else load_at(links, flights, windows)
@@ -165,7 +169,7 @@ def roll_out(
         one = np.zeros(members.size, dtype=np.int64)
         starts = windows.flight[members], windows.row[members]
         begun = None if load is None else load[members]
-        run = Batch([vehicle], [point], one, flights, *starts, load=begun)
+        run = Batch([off.vehicle], [point], one, flights, *starts, load=begun, settled=[off.joint_start])
         at = {run.steps(horizon): place for place, horizon in enumerate(kept)}
         for step, state, truth in run.fly(run.measured(0), at, given_attitude=given_attitude):
             for name, values in _distances(state, truth).items():
@@ -180,22 +184,10 @@ def roll_out(
     )
 
 
-def is_commanded(flights: Sequence[Flight]) -> bool:
-    """Return whether rotors can follow commands in all flights; else they turn as measured."""
-    return all(flight.rotor_command is not None for flight in flights)
-
-
 def same_rate(flights: Sequence[Flight], windows: Windows) -> list[NDArray[np.int64]]:
     """Return the windows whose flights have the same rate, for each rate."""
     rate = np.array([flights[index].rate for index in windows.flight])
     return [np.flatnonzero(rate == one) for one in np.unique(rate)]
-
-
-def with_arriving_commands(vehicle: Vehicle, flights: Sequence[Flight], point: ModelParams) -> list[Flight]:
-    """Return the flights with what arrives at the rotors as commands: so no window begins without those on their way."""
-    acting = [(EFFECTS.get(name), params) for name, params in point.effects.items() if acts_on_commands(name)]
-    model = build_model(vehicle, [(effect, torch.tensor(params).reshape(1, -1)) for effect, params in acting])
-    return [replace(flight, rotor_command=mean_commands(flight, model)) for flight in flights]
 
 
 def load_at(links: Sequence[Link], flights: Sequence[Flight], windows: Windows) -> Array:
@@ -205,11 +197,6 @@ def load_at(links: Sequence[Link], flights: Sequence[Flight], windows: Windows) 
         own = windows.flight == index
         load[own] = link.at(windows.row[own] / flight.rate)
     return load
-
-
-def acts_on_commands(name: str) -> bool:
-    """Return whether an effect changes what commands lead to."""
-    return EFFECTS.get(name).kind in (CommandEffect, DelayEffect)
 
 
 class Batch:
@@ -225,6 +212,7 @@ class Batch:
         row: NDArray[np.int64],
         *,
         load: Array | None = None,
+        settled: Sequence[float] | None = None,
         longest_step: float = STEP_S,
     ) -> None:
         """Take the windows.
@@ -237,8 +225,10 @@ class Batch:
             flight: Flight of each window, (W,).
             row: Where it starts, (W,).
             load: Direction and rate of the link of the load there, (W, 6); None: as if it hung still when the log begins.
+            settled: Of each model, how far soft arms have come to rest when a log begins in the air; None: all the way.
             longest_step: Of the integrator [s].
         """
+        self._settled = [1.0] * len(vehicles) if settled is None else settled
         self._flights, self._flight, self._row, self._load, self._of = flights, flight, row, load, of
         self._along: dict[
             int, list[Array | None]
@@ -338,7 +328,8 @@ class Batch:
                 chosen = np.flatnonzero((self._of == model) & (self._flight == index))
                 vehicle, one = one_row(self._model.vehicle, chosen[0]), params[chosen[:1]]
                 speed = self._speed_along(int(model), int(index))
-                along = effect.replay(track_of(self._flights[index], vehicle, speed, 1.0 / self._rate), one)
+                settled, step = self._settled[int(model)], 1.0 / self._rate
+                along = effect.replay(track_of(self._flights[index], vehicle, speed, step, settled=settled), one)
                 numbers[chosen] = along[self._row[chosen]]
             found[effect.name] = numbers
         return found

@@ -100,6 +100,32 @@ def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehi
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class Deviated:
+    """What is flown where deviations within the tolerances are given."""
+
+    vehicle: Vehicle
+    """One environment."""
+
+    command_shift: float
+    """How far the effective command lies towards the next row, in steps."""
+
+    joint_start: float
+    """Angle of soft arms when a log begins, as a share of the one at which they would rest."""
+
+
+def deviated(declared: Vehicle, tolerances: Tolerances, deviation: NDArray[np.float64] | None) -> Deviated:
+    """Return what is flown with deviations (N,), in standard deviations; None: exactly what is declared."""
+    if deviation is None:
+        return Deviated(vehicle=declared, command_shift=0.0, joint_start=1.0)
+    off = torch.from_numpy(deviation)
+    return Deviated(
+        vehicle=deviate(declared, tolerances, off),
+        command_shift=command_shift(tolerances, off),
+        joint_start=joint_start(tolerances, off),
+    )
+
+
 def sensor_biases(tolerances: Tolerances, deviation: Tensor) -> tuple[Tensor, Tensor]:
     """Return the biases of accelerometer [m/s²] and gyro [rad/s], body, each (3,)."""
     *_, acc, gyro, _, _, _, _ = _parts(deviation)

@@ -8,6 +8,7 @@ Letters: T rows, R rotors.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -15,10 +16,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.errors import DataError
-from aerial_gym.physics import Model
+from aerial_gym.physics import EFFECTS, Model, build_model
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect
 from aerial_gym.physics.rotor_lag import stop_in_dead_band
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.tolerances import Deviated
 
 Array = NDArray[np.float64]
 
@@ -50,10 +53,35 @@ def arriving_commands(flight: Flight, model: Model, *, shift: float = 0.0) -> tu
     return earlier, later, late - whole
 
 
-def mean_commands(flight: Flight, model: Model) -> Array:
-    """Return the mean over each row of the speeds to which commands lead [rad/s], (T, R)."""
-    earlier, later, share = arriving_commands(flight, model)
+def mean_commands(flight: Flight, model: Model, *, shift: float = 0.0) -> Array:
+    """Return the mean over each row of the speeds to which commands lead [rad/s], (T, R); ``shift`` as above."""
+    earlier, later, share = arriving_commands(flight, model, shift=shift)
     return (share * earlier + (1.0 - share) * later).numpy()
+
+
+def is_commanded(flights: Sequence[Flight]) -> bool:
+    """Return whether rotors can follow commands in all flights; else they turn as measured."""
+    return all(flight.rotor_command is not None for flight in flights)
+
+
+def with_arriving_commands(off: Deviated, flights: Sequence[Flight], point: ModelParams) -> list[Flight]:
+    """Return the flights with what arrives at the rotors as commands: so no window begins without those on their way."""
+    acting = [(EFFECTS.get(name), params) for name, params in point.effects.items() if acts_on_commands(name)]
+    model = build_model(off.vehicle, [(effect, torch.tensor(params).reshape(1, -1)) for effect, params in acting])
+    shift = off.command_shift
+    return [replace(flight, rotor_command=mean_commands(flight, model, shift=shift)) for flight in flights]
+
+
+def what_moves_commands(off: Deviated, point: ModelParams) -> bytes:
+    """Return what tells a model from others that do something else to commands."""
+    acting = [params.tobytes() for name, params in point.effects.items() if acts_on_commands(name)]
+    seen = off.vehicle.battery.numpy().tobytes() if acting else b""
+    return b"".join((np.float64(off.command_shift).tobytes(), seen, *acting))
+
+
+def acts_on_commands(name: str) -> bool:
+    """Return whether an effect changes what commands lead to."""
+    return EFFECTS.get(name).kind in (CommandEffect, DelayEffect)
 
 
 def _led_to(flight: Flight, model: Model, command: Tensor) -> Tensor:

@@ -93,6 +93,23 @@ def test_rollouts_begin_with_arms_as_the_log_bends_them(speeds: str) -> None:
     np.testing.assert_allclose(errors.velocity, G * (1.0 - cos(rest)) * 0.5, rtol=1e-6)
 
 
+def test_rollouts_begin_with_arms_that_are_as_far_from_rest_as_a_deviation_says() -> None:
+    """Unbent when the log begins, ``joint_rest`` off by -1 / 0.3; in hover ``h = rest (1 - exp(-t / tau))``.
+
+    Thrust falls by ``1 - cos h``; the arms of a substep of 5 ms are those of its end."""
+    flight, tau = hover("a", 1.0), 2.0
+    names = Tolerances().names(4)
+    unbent = np.zeros(len(names))
+    unbent[names.index("joint_rest")] = -1.0 / Tolerances().joint_rest
+    point = ModelParams(effects={"joint_creep": np.array([0.8, tau, 0.4])}, deviation=unbent)
+    errors = roll_out(ROBOT, [flight], point, horizons=(0.1,))
+    assert errors.velocity is not None
+    for late, sign in ((0.0, 1.0), (0.005, -1.0)):
+        time = errors.windows.row[:, None] / RATE + np.linspace(0.0, 0.1, 201) + late
+        angle = 0.8 * 0.6 * ARM * THRUST * (1.0 - np.exp(-time / tau))
+        assert (sign * (errors.velocity[:, 0] - G * (1.0 - np.cos(angle)).mean(axis=1) * 0.1) > 0.0).all()
+
+
 def test_rollouts_begin_with_arms_as_they_are_at_their_row() -> None:
     """Arms that creep up after a step of thrust at 1 s: ``1 - cos h`` of it is lost, h in the middle of each 0.1 s.
 

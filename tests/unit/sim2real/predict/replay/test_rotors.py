@@ -294,6 +294,23 @@ def test_windows_without_measured_speeds_begin_as_the_commands_have_led_the_roto
     np.testing.assert_allclose(run.measured(0).rotor_speed, np.tile(expected[:, None], 4), rtol=1e-12)
 
 
+def test_rollouts_hold_commands_as_a_deviation_says(tmp_path: Path) -> None:
+    """``command_hold`` off by 1 / 0.3: every command holds a row earlier, as if its column were moved up by one."""
+    found = commanded_flight(tmp_path, delay=0.0, gain=0.0)
+    assert found.rotor_command is not None
+    early = replace(found, rotor_command=np.concatenate((found.rotor_command[1:], found.rotor_command[-1:])))
+    names = Tolerances().names(4)
+    shifted = np.zeros(len(names))
+    shifted[names.index("command_hold")] = 1.0 / Tolerances().command_hold
+    point = declared_params(ROBOT)
+    errors = [
+        roll_out(ROBOT, [log], model, horizons=(0.5,)).velocity
+        for log, model in ((found, replace(point, deviation=shifted)), (early, point), (found, point))
+    ]
+    np.testing.assert_allclose(errors[0], errors[1], rtol=1e-9)
+    assert not np.allclose(errors[0], errors[2], rtol=1e-3)  # type: ignore[arg-type]
+
+
 def test_slew_rates_limit_the_replayed_speeds(tmp_path: Path) -> None:
     """A step of 200 rad/s: up at 1000 rad/s² until 50 are left, then exponentially; down at 500 rad/s² to the end."""
     driven = step_flight(tmp_path, rate=100.0, seconds=2.0)
