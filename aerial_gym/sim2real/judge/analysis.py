@@ -59,7 +59,7 @@ def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Prog
     before = on_test(declared.params, still)
     progress("rollouts of the corrected model", 0.85)
     named = on_test(refitted.params, still) if selection.accepted else before
-    unexplained = find_unexplained(declared.train, tested, selection, refitted.params, named, still)
+    unexplained = find_unexplained(declared.train, tested, selection, (declared.params, refitted.params), named, still)
     progress("what each effect is worth", 0.93)
     effects = judged_effects(refitted, before, named, unexplained.floor, seed=seed)
     learned = None
@@ -78,7 +78,7 @@ def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Prog
     if effects or gusts or (learned is not None and learned.cfg is not None):
         models, least = (declared.params, params), selection.criteria.material
         became = outcomes(tested, models, (before, after), least=least)
-    manoeuvre, fly_next = what_to_fly(declared, selection)
+    manoeuvre, fly_next = what_to_fly(declared, selection, unexplained.open_to)
     spectra = whiteness(tested.times, unexplained.left, declared.channels, declared.bandwidth)
     verdict = Verdict(
         verdict=kind,
@@ -137,7 +137,8 @@ def decision(
 ) -> tuple[str, str, tuple[str, ...]]:
     """Return verdict, reason and candidates."""
     declared = refitted.declared
-    made = decide(refitted.selection, unexplained.channels, unexplained.floor is not None)
+    known = unexplained.floor is not None
+    made = decide(refitted.selection, unexplained.channels, known, open_to=unexplained.open_to)
     kind, reason, candidates = unexplained.wind.decision(made) if gusts else made
     if judges_forces(declared.flights) or all(channel.kind != "specific_force" for channel in declared.channels):
         return kind, reason, candidates
@@ -155,6 +156,7 @@ def notes(refitted: Refitted, unexplained: Unexplained, effects: Sequence[NamedE
         *refitted.refit.contradictions,
         *declared.tolerances.strained(unexplained.deviation),
         *surrogate_notes(refitted.selection),
+        *open_notes(unexplained),
     )
 
 
@@ -178,15 +180,31 @@ def surrogate_notes(selection: Selection) -> list[str]:
     ]
 
 
-def what_to_fly(declared: Declared, selection: Selection) -> tuple[Advice | None, dict[str, Advice]]:
-    """Return the manoeuvre that tells tied candidates apart, and those that show what the flights do not."""
+def open_notes(unexplained: Unexplained) -> list[str]:
+    """Return a note on the channels in which the test flights ask for more than the training flights can tell."""
+    if not unexplained.left_open:
+        return []
+    return [
+        f"not shown: more than noise remains in {', '.join(unexplained.left_open)} of the test flights, and no more than the "
+        "training flights leave open within the tolerances and named effects; train on flights that move as the test flights do"
+    ]
+
+
+def what_to_fly(
+    declared: Declared, selection: Selection, open_to: Sequence[str]
+) -> tuple[Advice | None, dict[str, Advice]]:
+    """Return the manoeuvre that tells tied candidates apart, and those that show what the flights do not.
+
+    ``open_to`` names effects that the test flights ask for and the training flights do not show.
+    """
     train = declared.train
     tied = {name: tied_rivals(name, selection) for name in selection.accepted}
-    hidden = showable(selection, train.robot, train.flights)
+    hidden = list(dict.fromkeys((*showable(selection, train.robot, train.flights), *open_to)))
     if not any(tied.values()) and not hidden:
         return None, {}
     catalogue = Catalogue(train, selection)
-    return what_tells(catalogue, selection, tied), what_shows(catalogue, selection, declared.params, hidden)
+    tells, shows = what_tells(catalogue, selection, tied), what_shows(catalogue, selection, declared.params, hidden)
+    return tells or next((shows[name] for name in open_to), None), shows
 
 
 def not_testable(selection: Selection, unexplained: Unexplained) -> dict[str, str]:

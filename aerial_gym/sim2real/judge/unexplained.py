@@ -13,6 +13,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, best_st
 from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.identify.selection.structure import Structure, find_structure
 from aerial_gym.sim2real.judge.evaluation import Evaluation
+from aerial_gym.sim2real.judge.predictive import left_open, names_of, open_effects
 from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, declared_wind, find_random_wind
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import KINEMATIC
@@ -41,6 +42,12 @@ class Unexplained:
     channels: tuple[str, ...]
     """In which more than noise and tolerances remains."""
 
+    left_open: tuple[str, ...]
+    """In which more than noise remains, and no more than training flights leave open of the tolerances and named effects."""
+
+    open_to: tuple[str, ...]
+    """Effects that would make what remains in ``channels`` and that training flights do not show well enough to tell."""
+
     floor: Array | None
     """Noise floor of each channel, random wind included, (C,); None where the logs show none."""
 
@@ -64,7 +71,7 @@ def find_unexplained(
     train: Predictor,
     test: Predictor,
     selection: Selection,
-    params: ModelParams,
+    models: tuple[ModelParams, ModelParams],
     after: Evaluation,
     floor: Array | None,
 ) -> Unexplained:
@@ -74,33 +81,52 @@ def find_unexplained(
         train: Training flights.
         test: Test flights.
         selection: The selection.
-        params: The final model, as the robot file holds it.
+        models: The declared and the final one, as the robot files hold them.
         after: What the corrected model leaves of the test flights, without deviations.
         floor: Noise floor of each channel, (C,).
     """
+    declared, params = models
     flights = [*train.flights, *test.flights]
     within = with_best_deviations(params, selection.final.fit, selection.weights.weight)
     left, tolerated = test.residuals(within), selection.left_out.tolerated
     rms = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
     rms = np.minimum(rms, [channel.value for channel in after.residual])  # tolerances only ever explain
     judged = np.array([channel.kind not in not_judged(flights) for channel in test.channels])
-    remaining = judged & material_excess(rms, floor, tolerated)
-    wind = declared_wind(train.robot)
+    suspected = judged & material_excess(rms, floor, tolerated)
+    limit = left_open(test, params, selection) if suspected.any() else np.zeros(rms.size)
+
+    def remains(floor: Array | None) -> NDArray[np.bool_]:
+        return suspected & material_excess(rms, floor, tolerated) & (excess_over(rms, floor) > limit)
+
+    remaining, wind = remains(floor), declared_wind(train.robot)
     if not wind.accepted:
         wind = find_random_wind(
             train, within, selection.criteria, floor=floor, tolerated=tolerated, remaining=remaining
         )
         if wind.accepted and floor is not None:
             floor = np.hypot(floor, wind.adds(test, params))
-            remaining = judged & material_excess(rms, floor, tolerated)
-    structure = Structure()
+            remaining = remains(floor)
+    structure, could = Structure(), ()
     if remaining.any():
         seen, places = train.residuals(within), np.flatnonzero(remaining).tolist()
         structure = find_structure(flights, [*train.times, *test.times], [*seen, *left], test.channels, places)
         if structure.kind == "none":  # test flights may be elsewhere, where what the others agree on does not reach
             structure = find_structure(train.flights, train.times, seen, test.channels, places)
-    names = tuple(channel.name for channel, some in zip(test.channels, remaining, strict=True) if some)
-    return Unexplained(within=within, left=left, channels=names, floor=floor, wind=wind, structure=structure)
+        could = open_effects(
+            train, test, (declared, params), selection, np.where(remaining, excess_over(rms, floor), 0.0)
+        )
+    names = [channel.name for channel in test.channels]
+    open_channels = suspected & material_excess(rms, floor, tolerated) & ~remaining
+    return Unexplained(
+        within=within,
+        left=left,
+        channels=names_of(names, remaining),
+        left_open=names_of(names, open_channels),
+        open_to=could,
+        floor=floor,
+        wind=wind,
+        structure=structure,
+    )
 
 
 def with_best_deviations(params: ModelParams, fit: Fit, weight: Array) -> ModelParams:
@@ -126,8 +152,12 @@ def material_excess(rms: Array, floor: Array | None, tolerated: Array) -> NDArra
     """
     if floor is None:
         return np.zeros(rms.size, dtype=bool)
-    excess = np.sqrt(np.maximum(rms**2 - floor**2, 0.0))
-    return (rms**2 > NEAR_FLOOR * floor**2) & (excess > TOLERATED * tolerated)
+    return (rms**2 > NEAR_FLOOR * floor**2) & (np.sqrt(excess_over(rms, floor)) > TOLERATED * tolerated)
+
+
+def excess_over(rms: Array, floor: Array | None) -> Array:
+    """Return the mean square above the noise floor, (C,); zeros where none is known."""
+    return np.zeros(rms.size) if floor is None else np.maximum(rms**2 - floor**2, 0.0)
 
 
 def judges_forces(flights: Sequence[Flight]) -> bool:

@@ -246,8 +246,10 @@ def tied_rivals(name: str, selection: Selection) -> list[str]:
     return [trial.effect for trial in rivals if not told_apart(trial, selection)]
 
 
-def decide(selection: Selection, unexplained: tuple[str, ...], floor_known: bool) -> tuple[str, str, tuple[str, ...]]:
-    """Return verdict, reason and candidates."""
+def decide(
+    selection: Selection, unexplained: tuple[str, ...], floor_known: bool, *, open_to: Sequence[str] = ()
+) -> tuple[str, str, tuple[str, ...]]:
+    """Return verdict, reason and candidates; ``open_to`` would make what remains, and training flights do not show it."""
     tied = {name: tied_rivals(name, selection) for name in selection.accepted}
     candidates = list(selection.accepted)
     for name in selection.accepted:
@@ -257,6 +259,11 @@ def decide(selection: Selection, unexplained: tuple[str, ...], floor_known: bool
     if any(tied.values()):
         rivals = ", ".join(rival for rivals in tied.values() for rival in rivals)
         return "ambiguous", f"{names} cannot be told from {rivals} on flights left out", unique
+    if unexplained and open_to:
+        start = f"{names} found, but more" if names else "more"
+        rest = f"{start} than noise and tolerances remains in {', '.join(unexplained)} of the test flights"
+        would = f"{' or '.join(open_to)} would make it, which the training flights do not show"
+        return "ambiguous", f"{rest}; {would}", tuple(dict.fromkeys((*unique, *open_to)))
     if unexplained:
         start = f"{names} found, but" if names else "no registered effect explains it:"
         return "unexplained", f"{start} more than noise and tolerances remains in {', '.join(unexplained)}", unique

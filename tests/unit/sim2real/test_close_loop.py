@@ -227,7 +227,7 @@ def test_the_command_prints(run: tuple[Path, str]) -> None:
     record = json.loads((out / "run.json").read_text())
     assert (record["config"]["tolerances"]["mass"], record["config"]["tolerances"]["com"]) == (0.002, 0.0003)
     assert "rotor_drag: dx = 0.2" in printed
-    assert "The correction helps in specific force x" in printed.replace("\n", " ")
+    assert "The correction helps in specific force x" in " ".join(printed.split())
 
 
 def test_a_flight_that_cannot_be_used_is_said_to_be_left_out(run: tuple[Path, str]) -> None:
