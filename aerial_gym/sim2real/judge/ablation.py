@@ -88,10 +88,13 @@ class Ablation:
     """It takes that share away up to this frequency [Hz], and less above; None where it takes it nowhere."""
 
     @property
-    def material(self) -> bool:
-        """Return whether a residual or a rollout error rises by the share that is material."""
+    def material(self) -> bool | None:
+        """Return whether the interval of a rise, of a residual or a rollout error, lies at what is material; None: not shown."""
         rollouts = [rise for quantities in self.rollout.values() for rise in quantities.values()]
-        return any(rise.value >= self.least for rise in (*self.residual.values(), *rollouts))
+        rises = [*self.residual.values(), *rollouts]
+        if any(rise.low >= self.least for rise in rises):
+            return True
+        return None if any(rise.high >= self.least for rise in rises) else False
 
     @property
     def most(self) -> tuple[str, Rise]:

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.effects import RotorEffect, WrenchEffect
 from aerial_gym.sim2real.identify.learned import judge_on_test, train_residual
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import FARTHEST_DEVIATION
 from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.identify.stages import Declared, Refitted
 from aerial_gym.sim2real.judge.ablation import ablations
@@ -154,10 +156,29 @@ def notes(refitted: Refitted, unexplained: Unexplained, effects: Sequence[NamedE
         *about_logs(declared),
         *immaterial(effects),
         *refitted.refit.contradictions,
-        *declared.tolerances.strained(unexplained.deviation),
+        *declared.tolerances.strained(
+            unexplained.deviation, absent=absent_tolerances(declared, refitted.params), farthest=FARTHEST_DEVIATION
+        ),
         *surrogate_notes(refitted.selection),
         *open_notes(unexplained),
     )
+
+
+def absent_tolerances(declared: Declared, params: ModelParams) -> set[str]:
+    """Return the tolerances of what the vehicle, or its logs, do not have: a deviation there is no finding about it."""
+    flights = declared.train.flights
+    soft = any(
+        effect.kind in (RotorEffect, WrenchEffect) and effect.remembers for effect in map(EFFECTS.get, params.effects)
+    )
+    has = {
+        "nominal_voltage": declared.stated.battery is not None,
+        "joint_rest": soft,
+        "time_constant": any(flight.rotor_command is not None for flight in flights),
+        "command_hold": any(flight.rotor_command is not None for flight in flights),
+        **{f"acc_bias_{axis}": any(flight.accelerometer for flight in flights) for axis in "xyz"},
+        **{f"gyro_bias_{axis}": any(flight.gyro for flight in flights) for axis in "xyz"},
+    }
+    return {name for name, present in has.items() if not present}
 
 
 def about_logs(declared: Declared) -> list[str]:

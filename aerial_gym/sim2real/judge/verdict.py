@@ -214,14 +214,21 @@ def named_effects(
 
 
 def immaterial(effects: Sequence[NamedEffect]) -> list[str]:
-    """Return a note for each effect whose absence is hardly seen on the test flights."""
-    found = [(effect.name, effect.ablation) for effect in effects if effect.ablation is not None]
-    return [
-        f"{name} is real but immaterial: without it no residual and no rollout error of the test flights rises by "
-        f"{worth.least:.0%}; it may be left out of the robot file"
-        for name, worth in found
-        if not worth.material
-    ]
+    """Return a note for each effect whose absence is hardly seen on the test flights, or not for certain."""
+    notes = []
+    for effect in effects:
+        if (worth := effect.ablation) is None or worth.material:
+            continue
+        channel, rise = worth.most
+        most = f"{channel} rises most, by {rise.value:.1%} [{rise.low:+.1%}, {rise.high:+.1%}]"
+        if worth.material is None:
+            notes.append(f"whether {effect.name} is material is not shown by the test flights: without it {most}")
+        else:
+            notes.append(
+                f"{effect.name} is immaterial: without it no residual and no rollout error of the test flights rises by "
+                f"{worth.least:.0%}, by its interval ({most}); it may be left out of the robot file"
+            )
+    return notes
 
 
 def serious_rivals(name: str, selection: Selection) -> list[Trial]:

@@ -4,6 +4,7 @@ A number of a robot file was weighed or measured once, with the standard deviati
 called an effect, and the intervals of the effects carry them. Letters: E environments, R rotors, N tolerances.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -62,15 +63,38 @@ class Tolerances:
         axes = [f"{name}_{axis}" for name in ("inertia", "com", "acc_bias", "gyro_bias") for axis in "xyz"]
         return ("mass", *rotors, *axes, "time_constant", "nominal_voltage", "command_hold", "joint_rest")
 
-    def strained(self, deviation: NDArray[np.float64]) -> list[str]:
-        """Return a note for each of the (N,) deviations, in standard deviations, that a careful declaration would not have."""
+    def strained(
+        self, deviation: NDArray[np.float64], *, absent: Collection[str] = (), farthest: float = np.inf
+    ) -> list[str]:
+        """Return a note for each of the (N,) deviations, in standard deviations, that a careful declaration would not have.
+
+        Args:
+            deviation: In standard deviations.
+            absent: Tolerances of what the vehicle or its logs do not have.
+            farthest: Where deviations are cut off: what lies there was not measured.
+        """
         names = self.names(deviation.size - len(self.names(0)))
-        return [
-            f"beside the named effects the flights ask for a {name} that is off by {size:+.1f} standard deviations of its "
-            "tolerance: declare it anew, or give the tolerance that it has (--tolerances)"
-            for name, size in zip(names, deviation, strict=True)
-            if abs(size) > STRAINED
+        pairs = [
+            (n, s) for n, s in zip(names, deviation.tolist(), strict=True) if abs(s) > STRAINED and n not in absent
         ]
+        notes = [
+            f"beside the named effects the flights ask for a {name} that is off by {size:+.1f} standard deviations of its "
+            f"tolerance: {self._way_out(name)}"
+            for name, size in pairs
+            if abs(size) < farthest
+        ]
+        if cut := [name for name, size in pairs if abs(size) >= farthest]:
+            notes.append(
+                f"{', '.join(cut)}: cut off at {farthest:g} standard deviations of the tolerance, and so no measurement: "
+                "something else is missing, or noise of the inputs looks like it"
+            )
+        return notes
+
+    def _way_out(self, name: str) -> str:
+        known = "give the tolerance that it has (--tolerances)"
+        if name.startswith(("acc_bias", "gyro_bias")):
+            return f"calibrate it, or {known}"
+        return known if name in ("command_hold", "joint_rest") else f"declare it anew, or {known}"
 
 
 def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehicle:

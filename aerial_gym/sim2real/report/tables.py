@@ -129,7 +129,7 @@ def worth_rows(verdict: Verdict) -> list[dict[str, object]]:
                     f"{horizon:g} s": {quantity: risen(rise) for quantity, rise in quantities.items()}
                     for horizon, quantities in found.rollout.items()
                 },
-                "material": "yes" if found.material else "no",
+                "material": {True: "yes", False: "no", None: "not shown"}[found.material],
                 "octaves": [f"{taken:.0%}" for taken in found.octaves],
                 "solid_below": found.solid_below_hz,
             }

@@ -7,6 +7,7 @@ import pytest
 
 from aerial_gym.sim2real.judge.ablation import Ablation, rejection, solid_below
 from aerial_gym.sim2real.judge.evaluation import gap_closed
+from aerial_gym.sim2real.judge.verdict import immaterial
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
 
@@ -35,25 +36,47 @@ def test_a_rise_is_exact_where_both_are_proportional_and_its_interval_covers_whe
     assert 0.91 * 400 <= inside <= 0.98 * 400
 
 
-@pytest.mark.parametrize(
-    ("residual", "rollout", "material"), [(0.06, 0.0, True), (0.0, 0.06, True), (0.04, 0.04, False)]
-)
-def test_an_effect_is_material_if_a_residual_or_a_rollout_misses_it(
-    residual: float, rollout: float, material: bool
-) -> None:
-    def rise(value: float) -> Rise:
-        return Rise(value=value, low=value, high=value)
+def worth(residual: tuple[float, float, float], rollout: tuple[float, float, float]) -> Ablation:
+    def rise(value: float, low: float, high: float) -> Rise:
+        return Rise(value=value, low=low, high=high)
 
-    found = Ablation(
-        residual={"specific_force.x": rise(-0.5), "specific_force.y": rise(residual)},
-        rollout={0.5: {"velocity": rise(rollout)}, 1.0: {"velocity": rise(0.01)}},
+    return Ablation(
+        residual={"specific_force.x": rise(-0.5, -0.6, -0.4), "specific_force.y": rise(*residual)},
+        rollout={0.5: {"velocity": rise(*rollout)}, 1.0: {"velocity": rise(0.01, 0.0, 0.02)}},
         least=0.05,
         rivals=(),
     )
+
+
+@pytest.mark.parametrize(
+    ("residual", "rollout", "material"),
+    [
+        ((0.08, 0.06, 0.1), (0.0, 0.0, 0.0), True),
+        ((0.0, 0.0, 0.0), (0.08, 0.05, 0.1), True),
+        ((0.03, 0.02, 0.04), (0.03, 0.02, 0.04), False),
+        ((0.09, -0.16, 0.37), (0.0, 0.0, 0.0), None),
+        ((0.02, -0.1, 0.2), (0.0, 0.0, 0.0), None),
+    ],
+)
+def test_an_effect_is_material_if_the_interval_of_a_rise_shows_it(
+    residual: tuple, rollout: tuple, material: bool | None
+) -> None:
+    found = worth(residual, rollout)
     assert found.material is material
-    assert found.as_mapping()["residual"] == {
-        "channel": "specific_force.y", "rises": residual, "interval": [residual, residual]
-    }  # fmt: skip
+    value, low, high = residual
+    assert found.as_mapping()["residual"] == {"channel": "specific_force.y", "rises": value, "interval": [low, high]}
+
+
+def test_the_note_of_an_effect_that_is_not_material_states_the_interval() -> None:
+    def notes(material: Ablation) -> list[str]:
+        return immaterial([SimpleNamespace(name="rotor_drag", ablation=material)])  # type: ignore[list-item]
+
+    assert notes(worth((0.08, 0.06, 0.1), (0.0, 0.0, 0.0))) == []
+    (note,) = notes(worth((0.09, -0.16, 0.37), (0.0, 0.0, 0.0)))
+    assert note.startswith("whether rotor_drag is material is not shown by the test flights")
+    assert "specific_force.y rises most, by 9.0% [-16.0%, +37.0%]" in note
+    (note,) = notes(worth((0.03, 0.02, 0.04), (0.0, 0.0, 0.0)))
+    assert note.startswith("rotor_drag is immaterial")
 
 
 @pytest.mark.parametrize(
