@@ -89,7 +89,7 @@ class Ablation:
 
     @property
     def material(self) -> bool | None:
-        """Return whether the interval of a rise, of a residual or a rollout error, lies at what is material; None: not shown."""
+        """Return whether the interval of a rise, of residual or rollout error, shows that it is material; None: not shown."""
         rollouts = [rise for quantities in self.rollout.values() for rise in quantities.values()]
         rises = [*self.residual.values(), *rollouts]
         if any(rise.low >= self.least for rise in rises):

@@ -6,7 +6,8 @@ effect that has no name yet. ``r = J d + noise`` on the test flights, with d nor
 Letters: C channels, K parameters (those of effects in units of their scale, then the tolerances in deviations).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,18 +15,24 @@ from scipy import stats
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    WEAK_PRIOR,
     effect_jacobian,
     is_number,
     normal_equations,
     prior_precision,
     tolerance_jacobian,
 )
-from aerial_gym.sim2real.identify.selection.library import Library, build_library
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.selection.library import Candidate, Library, build_library
+from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import Selection, lacks
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
+
+PASSES = 3
+"""Of weighing the test flights by what is left of them."""
 
 
 def left_open(test: Predictor, params: ModelParams, selection: Selection) -> Array:
@@ -71,62 +78,133 @@ def quantile_of_squares(product: Array, covariance: Array, significance: float) 
     return mean * stats.chi2.isf(significance, freedom) / freedom
 
 
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """What remains on the test flights."""
+
+    remaining: NDArray[np.bool_]
+    """In which channels, (C,)."""
+
+    enough: Callable[[Array], NDArray[np.bool_]]
+    """Whether an rms of each channel, (C,), is near the noise floor or within the tolerances, (C,)."""
+
+
 def open_effects(
     train: Predictor,
     test: Predictor,
     models: tuple[ModelParams, ModelParams],
     selection: Selection,
-    excess: Array,
+    asked: Asked,
 ) -> tuple[str, ...]:
-    """Return the effects that would make what remains, as far as training flights show them; the likeliest first.
+    """Return the effects that would make what remains and that training flights do not rule out, the best first.
 
-    Each is taken alone, beside the named ones and the tolerances, with a prior at its scale.
+    Each is taken alone, beside the named ones and the tolerances.
 
     Args:
         train: Training flights.
         test: Test flights.
         models: The declared and the final one.
         selection: With what is accepted.
-        excess: Mean square above the noise floor of the channels in which something remains, 0 in the others, (C,).
+        asked: What remains.
     """
     declared, final = models
     names = [name for name in EFFECTS if not EFFECTS.get(name).random]
     skipped = [name for name in names if lacks(name, train.robot, train.flights, test.flights)]
     skipped += [*selection.surrogates]
     frozen = selection.final.fit.frozen
-    seen, asked = (
+    libraries = [
         build_library(flights, declared, final, selection.accepted, frozen=frozen, skipped=skipped)
         for flights in (train, test)
-    )
-    return covering(seen, asked, selection.weights.weight, excess, selection.criteria.significance)
+    ]
+    return covering(libraries[0], libraries[1], selection.weights, asked, selection.criteria.significance)
 
 
-def covering(seen: Library, asked: Library, weight: Array, excess: Array, significance: float) -> tuple[str, ...]:
-    """Return the effects whose posterior predictive holds an excess (C,) in every channel, the least stretched first.
+def covering(seen: Library, tested: Library, weights: Weighting, asked: Asked, significance: float) -> tuple[str, ...]:
+    """Return the effects that all flights together would put where training does not rule them out, and that then suffice.
+
+    With ``A d = g`` of the training flights and ``B, h`` of the test flights, ``d = (A + B)^-1 (g + h)`` is ruled out if the
+    effect's part of ``d - A^-1 g`` is larger than chance makes it, with its covariance ``A^-1``. It suffices if it brings every
+    channel in which something remains near its floor. Where other values of named effects and tolerances would do,
+    it must make clearly smaller deviations do. No parameter is taken from this: it says what the test flights ask for.
 
     Args:
         seen: About the final model on the training flights.
-        asked: The same on the test flights.
-        weight: Of one row of each channel, (C,).
-        excess: Mean square above the noise floor, 0 where nothing is asked, (C,).
-        significance: Probability with which larger ones would be met.
+        tested: The same on the test flights.
+        weights: What a row of each channel counts.
+        asked: What remains.
+        significance: Probability with which chance would put it as far.
     """
-    product = np.einsum("c,bckl->kl", weight, seen.moments.product)
-    mean_product = asked.moments.product.sum(axis=0) / asked.moments.count.sum()
+    product, gradient = _sums(seen, weights.weight)
     named = [candidate.columns for candidate in seen.candidates if candidate.named]
     beside = np.concatenate([*named, seen.tolerances]).astype(int)
-    places = np.flatnonzero(excess > 0.0)
-    stretched: dict[str, float] = {}
+    left: dict[str, float] = {}
+    prior = np.where(np.isin(beside, seen.tolerances), 1.0, WEAK_PRIOR**-2)
+    a, g = product[np.ix_(beside, beside)] + np.diag(prior), gradient[beside]
+    step, squares = _of_all_flights(a, g, tested, None, beside, weights)
+    alone = _cost(step, seen) if asked.enough(np.sqrt(squares))[asked.remaining].all() else np.inf
     for candidate in seen.candidates:
         if candidate.named or not candidate.columns.size:
             continue
         columns = np.concatenate((candidate.columns, beside))
-        both = np.ix_(columns, columns)
-        covariance = np.linalg.inv(product[both] + np.eye(columns.size))
-        limit = quantile_of_squares(mean_product[places][:, columns[:, None], columns], covariance, significance)
-        need = float((excess[places] / limit).max())
-        stretched[candidate.name] = min(need, stretched.get(candidate.name, np.inf))
-    return tuple(sorted((name for name, need in stretched.items() if need <= 1.0), key=lambda name: stretched[name]))
+        prior = np.where(np.isin(columns, seen.tolerances), 1.0, WEAK_PRIOR**-2)
+        a, g = product[np.ix_(columns, columns)] + np.diag(prior), gradient[columns]
+        step, squares = _of_all_flights(a, g, tested, candidate, columns, weights)
+        spread, own = np.linalg.inv(a), candidate.columns.size
+        away = (step - spread @ g)[:own]
+        likely = away @ np.linalg.solve(spread[:own, :own], away) <= stats.chi2.isf(significance, own)
+        pays = alone - _cost(step, seen) > LEAST_SCORE  # else other values of what has a name already would do
+        if likely and pays and asked.enough(np.sqrt(squares))[asked.remaining].all():
+            cost = float((weights.weight * squares)[asked.remaining].sum())
+            left[candidate.name] = min(cost, left.get(candidate.name, np.inf))
+    return tuple(sorted(left, key=lambda name: left[name]))
+
+
+def _cost(step: Array, library: Library) -> float:
+    """Return what the deviations at the end of a step cost in log likelihood."""
+    return 0.5 * float(np.square(step[step.size - library.tolerances.size :]).sum())
+
+
+def _of_all_flights(
+    a: Array, g: Array, tested: Library, candidate: Candidate | None, columns: NDArray[np.int64], weights: Weighting
+) -> tuple[Array, Array]:
+    """Return the step that all flights ask for (``a``, ``g``: training), and what mean squares it leaves of the tested, (C,).
+
+    A channel of the test flights weighs no more than what is left of it allows.
+    """
+    weight, whole = weights.weight, np.zeros(tested.moments.gradient.shape[2])
+    rows, blocks = tested.moments.count.sum(), tested.moments.count.size
+    for _ in range(PASSES):
+        product, gradient = _sums(tested, weight)
+        joint, pull = a + product[np.ix_(columns, columns)], g + gradient[columns]
+        step = np.linalg.solve(joint, pull) if candidate is None else _within(joint, pull, candidate)
+        whole[columns] = step
+        squares = tested.moments.squares_after(np.tile(whole, (blocks, 1))).sum(axis=0) / rows
+        squares = np.maximum(squares, 0.0)
+        weight = weights.effective / np.maximum(weights.variance, squares)
+    return step, squares
+
+
+def _sums(library: Library, weight: Array) -> tuple[Array, Array]:
+    moments = library.moments
+    return np.einsum("c,bckl->kl", weight, moments.product), np.einsum("c,bck->k", weight, moments.gradient)
+
+
+def _within(a: Array, g: Array, candidate: Candidate) -> Array:
+    """Return the solution of ``a d = g`` whose first parameters, those of a candidate, are held at bounds that they pass."""
+    low, high = (np.concatenate((end, np.full(g.size - end.size, side))) for end, side in _ends(candidate))
+    step, free = np.linalg.solve(a, g), np.ones(g.size, dtype=bool)
+    for _ in range(candidate.columns.size):
+        beyond = (step < low) | (step > high)
+        if not beyond.any():
+            break
+        free &= ~beyond
+        step = np.clip(step, low, high)
+        step[free] = np.linalg.solve(a[np.ix_(free, free)], g[free] - a[np.ix_(free, ~free)] @ step[~free])
+    return step
+
+
+def _ends(candidate: Candidate) -> tuple[tuple[Array, float], tuple[Array, float]]:
+    return (candidate.low, -np.inf), (candidate.high, np.inf)
 
 
 def names_of(channels: Sequence[str], chosen: NDArray[np.bool_]) -> tuple[str, ...]:

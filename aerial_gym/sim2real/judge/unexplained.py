@@ -13,7 +13,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, best_st
 from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.identify.selection.structure import Structure, find_structure
 from aerial_gym.sim2real.judge.evaluation import Evaluation
-from aerial_gym.sim2real.judge.predictive import left_open, names_of, open_effects
+from aerial_gym.sim2real.judge.predictive import Asked, left_open, names_of, open_effects
 from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, declared_wind, find_random_wind
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import KINEMATIC
@@ -85,7 +85,7 @@ def find_unexplained(
         after: What the corrected model leaves of the test flights, without deviations.
         floor: Noise floor of each channel, (C,).
     """
-    declared, params = models
+    _, params = models
     flights = [*train.flights, *test.flights]
     within = with_best_deviations(params, selection.final.fit, selection.weights.weight)
     left, tolerated = test.residuals(within), selection.left_out.tolerated
@@ -112,9 +112,9 @@ def find_unexplained(
         structure = find_structure(flights, [*train.times, *test.times], [*seen, *left], test.channels, places)
         if structure.kind == "none":  # test flights may be elsewhere, where what the others agree on does not reach
             structure = find_structure(train.flights, train.times, seen, test.channels, places)
-        could = open_effects(
-            train, test, (declared, params), selection, np.where(remaining, excess_over(rms, floor), 0.0)
-        )
+        level = floor  # of the noise, random wind included
+        asked = Asked(remaining=remaining, enough=lambda rms: ~material_excess(rms, level, tolerated))
+        could = open_effects(train, test, models, selection, asked)
     names = [channel.name for channel in test.channels]
     open_channels = suspected & material_excess(rms, floor, tolerated) & ~remaining
     return Unexplained(

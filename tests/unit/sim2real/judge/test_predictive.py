@@ -40,13 +40,13 @@ def test_the_quantile_is_exact_for_one_direction_and_for_equal_ones_and_near_it_
     assert between[0] == pytest.approx(np.quantile((draws**2).sum(axis=1), 0.99), rel=0.05)
 
 
-def judged(folder, inertia: float, *, still: bool) -> Unexplained:
-    """Return what is left of a flight of ``ROBOT`` whose declared inertia is off by a factor, after flights at rest or not."""
+def judged(folder, inertia: float, *, still: bool, drag: float = 0.0) -> Unexplained:
+    """Return what is left of a flight whose inertia is declared wrongly by a factor, with a drag, after flights without it."""
     body = replace(ROBOT.body, inertia=tuple(tuple(inertia * value for value in row) for row in ROBOT.body.inertia))
     robot: RobotCfg = replace(ROBOT, body=body)
     rng, flights = np.random.default_rng(0), []
     for seed in range(4):
-        table = flight(60 + seed, noise=0.1, seconds=8.0, rate=100.0)
+        table = flight(60 + seed, drag=drag * (seed == 3), noise=0.1, seconds=8.0, rate=100.0)
         flown = complete_flight(uniform_log(read_flight_log(write(table, folder / f"{seed}.csv"))))
         if still and seed < 3:
             rest = hover(f"{seed}", 5.0)
@@ -99,3 +99,14 @@ def test_what_no_tolerance_covers_is_open_to_the_effect_that_training_does_not_s
         found = judged(tmp_path, 1.25, still=True)
     assert set(found.channels) & INERTIA
     assert found.open_to[0] == "inertia_error"
+
+
+def test_what_training_shows_is_not_open(tmp_path) -> None:
+    """A drag of the test flights alone, 1 N s/m, after training that moves without any: training rules every effect out."""
+    with one_thread():
+        found = judged(tmp_path, 1.0, still=False, drag=1.0)
+    assert "specific_force.x" in found.channels
+    assert found.open_to == ()
+    with one_thread():
+        rested = judged(tmp_path, 1.0, still=True, drag=1.0)
+    assert "rotor_drag" in rested.open_to
