@@ -137,23 +137,22 @@ def controller_for(name: str, robot_name: str, num_envs: int) -> Controller:
     return make_controller(CONTROLLERS.get(name), vehicle, 9.81, dt=0.01)
 
 
-@pytest.mark.parametrize("robot", ["base_quadrotor", "tinyprop"])
-@pytest.mark.parametrize("num_envs", [1, 2, 5])
+@pytest.mark.parametrize(("robot", "num_envs"), [("base_quadrotor", 1), ("tinyprop", 2), ("tinyprop", 5)])
 @pytest.mark.parametrize(
-    ("name", "action", "field", "expected"),
+    ("name", "span", "action", "field", "expected"),
     [
-        ("lee_position_control", [0.5, -0.4, 0.3, 0.6], "position", [0.5, -0.4, 0.3]),
-        ("lee_velocity_control", [0.5, 0.0, -0.3, 0.0], "lin_vel", None),
-        ("lee_acceleration_control", [0.0, 0.0, 0.0, 0.5], "ang_vel", [0.0, 0.0, 0.5]),
-        ("lee_attitude_control", [0.0, 0.2, -0.1, 0.0], "attitude", None),
-        ("lee_rates_control", [0.0, 0.0, 0.0, 0.7], "ang_vel", [0.0, 0.0, 0.7]),
+        ("lee_position_control", 12.0, [0.5, -0.4, 0.3, 0.6], "position", [0.5, -0.4, 0.3]),
+        ("lee_velocity_control", 12.0, [0.5, 0.0, -0.3, 0.0], "lin_vel", None),
+        ("lee_acceleration_control", 4.0, [0.0, 0.0, 0.0, 0.5], "ang_vel", [0.0, 0.0, 0.5]),
+        ("lee_attitude_control", 4.0, [0.0, 0.2, -0.1, 0.0], "attitude", None),
+        ("lee_rates_control", 4.0, [0.0, 0.0, 0.0, 0.7], "ang_vel", [0.0, 0.0, 0.7]),
     ],
 )
 def test_every_controller_reaches_its_command(
-    robot: str, num_envs: int, name: str, action: list[float], field: str, expected: list[float] | None
+    robot: str, num_envs: int, name: str, span: float, action: list[float], field: str, expected: list[float] | None
 ) -> None:
-    """After 12 s every environment sits at the fixed point that the command describes, within 0.1 % of a unit."""
-    end = fly(controller_for(name, robot, num_envs), robot, num_envs, action, 12.0)
+    """After the span [s] every environment sits at the fixed point that the command describes, within 0.1 % of a unit."""
+    end = fly(controller_for(name, robot, num_envs), robot, num_envs, action, span)
     euler = euler_from_quat(end.attitude)
     found = getattr(end, field)
     if name == "lee_velocity_control":  # vehicle frame: forward along the heading
