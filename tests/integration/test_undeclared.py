@@ -27,6 +27,13 @@ CAUSES = ("unknown_position",)
 MORE_CAUSES = ("unknown_periodic", "unknown_time", "unknown_heading")
 
 
+@pytest.fixture(autouse=True)
+def coarser_plant(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps of 1.25 ms in place of 0.5 ms move no flight by 1e-7 mm; a delay is rounded to steps, and keeps the short ones."""
+    if "delay" not in request.node.name:
+        monkeypatch.setattr("benchmarks.undeclared.simulate.SUBSTEPS", 2)
+
+
 def slow(names: tuple[str, ...]) -> list[ParameterSet]:
     return [pytest.param(name, marks=pytest.mark.slow) for name in names]
 
