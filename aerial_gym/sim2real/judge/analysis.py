@@ -38,6 +38,9 @@ class Judged:
     params: ModelParams
     """The final model, with what was learned."""
 
+    within: ModelParams
+    """The final model with the deviations within the tolerances that fit the training flights best."""
+
     corrected: RobotCfg
     verdict: Verdict
 
@@ -107,6 +110,7 @@ def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Prog
         declared=declared,
         selection=selection,
         params=params,
+        within=unexplained.within,
         corrected=corrected_robot(declared, with_random(params, unexplained.wind), accepted),
         verdict=verdict,
     )
@@ -149,18 +153,18 @@ def decision(
 
 
 def notes(refitted: Refitted, unexplained: Unexplained, effects: Sequence[NamedEffect]) -> tuple[str, ...]:
-    """Return what was done to the logs, and what else a reader must know."""
+    """Return what else a reader must know, what matters most first, and what was done to the logs."""
     declared = refitted.declared
     return (
+        *open_notes(unexplained),
         *unexplained.wind.notes,
-        *about_logs(declared),
         *immaterial(effects),
         *refitted.refit.contradictions,
         *declared.tolerances.strained(
             unexplained.deviation, absent=absent_tolerances(declared, refitted.params), farthest=FARTHEST_DEVIATION
         ),
         *surrogate_notes(refitted.selection),
-        *open_notes(unexplained),
+        *about_logs(declared),
     )
 
 

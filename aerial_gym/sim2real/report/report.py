@@ -12,12 +12,14 @@ from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.identify.selection.structure import world_forces
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.evaluation import Evaluation
+from aerial_gym.sim2real.judge.unexplained import with_best_deviations
 from aerial_gym.sim2real.judge.whiteness import octave_names
 from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.report import plots
 from aerial_gym.sim2real.report.tables import (
+    became_rows,
     channel_rows,
     flight_rows,
     number,
@@ -28,6 +30,9 @@ from aerial_gym.sim2real.report.tables import (
     trial_rows,
     worth_rows,
 )
+
+SHOWN_NOTES = 5
+"""The others are folded away."""
 
 SHOWN_RIVALS = 3
 """The others are folded away."""
@@ -95,6 +100,8 @@ def report_context(judged: Judged) -> dict[str, object]:
         "resamples": verdict.inclusion.resamples,
         "least": selection.criteria.material,
         "shown_rivals": SHOWN_RIVALS,
+        "shown_notes": SHOWN_NOTES,
+        "became": became_rows(verdict),
         "rollouts": [
             {"title": text, "driven_by": verdict.before.rollouts[name].driven_by, "rows": rollout_rows(verdict, name)}
             for name, text in VARIANTS.items()
@@ -159,16 +166,20 @@ def remaining(judged: Judged) -> list[tuple[Channel, list[plots.Rest]]]:
 
 
 def evidence_point(selection: Selection, effect: str, judged: Judged) -> tuple[ModelParams, np.ndarray]:
-    """Return the model that has the effect, and the effect's neutral parameters."""
+    """Return the model that has the effect, and the effect's neutral parameters.
+
+    With the deviations that were fitted beside it: without them the line of the fitted value misses what is left.
+    """
     if effect in judged.declared.params.effects:
         neutral = judged.declared.params.effects[effect]
     else:
         neutral = np.array(EFFECTS.get(effect).neutral(judged.declared.stated))
     if effect in selection.accepted:
-        return judged.params, neutral
+        return judged.within, neutral
     trial = next(trial for trial in selection.rounds[0] if trial.effect == effect)
     assert trial.scored is not None
-    return trial.scored.fit.point, neutral
+    fit = trial.scored.fit
+    return with_best_deviations(fit.point, fit, selection.weights.weight), neutral
 
 
 def write_residuals(

@@ -9,7 +9,7 @@ from aerial_gym.sim2real.identify.selection.select import Trial
 from aerial_gym.sim2real.judge.ablation import explained
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.evaluation import Evaluation
-from aerial_gym.sim2real.judge.outcome import Outcome
+from aerial_gym.sim2real.judge.outcome import BETTER, NOT_SHOWN, SAME, WORSE, Outcome
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
@@ -68,6 +68,15 @@ def channel_rows(
             }
         )
     return rows
+
+
+def became_rows(verdict: Verdict) -> dict[str, list[str]]:
+    """Return the channels that the correction makes better, leaves, makes worse, or of which this is not shown."""
+    found: dict[str, list[str]] = {}
+    for state in (WORSE, BETTER, SAME, NOT_SHOWN):
+        if names := [one.about for one in verdict.outcomes if one.state == state and not one.where]:
+            found[state] = names
+    return found
 
 
 def rollout_rows(verdict: Verdict, variant: str) -> list[dict[str, str]]:

@@ -213,6 +213,8 @@ def test_the_reports_stand_alone(result: Path) -> None:
     places = [page.index(f'id="{part}"') for part in SECTIONS]
     assert places == sorted(places)
     assert "gap closed" in page
+    assert "<li>better: specific force x" in page
+    assert page.index("over time") < page.index("Residuals (rms)")
     assert "What remains of the" in page
     assert "rotor_drag" in (result / "report.md").read_text()
     table = pd.read_csv(result / "residuals.csv")

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     Fit,
     best_step,
@@ -155,9 +157,17 @@ def what_tells(catalogue: Catalogue, selection: Selection, tied: dict[str, list[
 
 
 def showable(selection: Selection, robot: RobotCfg, flights: Sequence[Flight]) -> list[str]:
-    """Return the effects that the flights do not show and that others of this vehicle could."""
+    """Return the effects that the flights do not show and that others of this vehicle could.
+
+    Nobody is sent to fly for joints of a vehicle that neither its file nor the flights give any.
+    """
+    soft = any(isinstance(EFFECTS.get(name), ArmJoint) for name in (*robot.effects, *selection.accepted))
     return [
-        name for name in selection.not_testable if name not in selection.accepted and not lacks(name, robot, flights)
+        name
+        for name in selection.not_testable
+        if name not in selection.accepted
+        and not lacks(name, robot, flights)
+        and (soft or not isinstance(EFFECTS.get(name), ArmJoint))
     ]
 
 

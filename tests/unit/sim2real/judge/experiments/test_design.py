@@ -135,6 +135,10 @@ def test_what_has_not_shown_is_shown_by_what_excites_it(catalogue: Catalogue) ->
     hidden = SimpleNamespace(not_testable={"ground_effect": ""}, accepted=())
     assert showable(hidden, robot, []) == ["ground_effect"]  # type: ignore[arg-type]
     assert showable(hidden, ROBOT, []) == []  # type: ignore[arg-type]
+    arms = SimpleNamespace(not_testable={"joint_creep": ""}, accepted=())
+    assert showable(arms, ROBOT, []) == []  # type: ignore[arg-type]
+    bent = SimpleNamespace(not_testable={"joint_creep": ""}, accepted=("joint_spring",))
+    assert showable(bent, ROBOT, []) == ["joint_creep"]  # type: ignore[arg-type]
     selection = SimpleNamespace(final=SimpleNamespace(fit=SimpleNamespace(point=ModelParams()), effects=()), rivals={})
     names = ["quadratic_drag", "rotor_inertia", "translational_lift"]
     advice = what_shows(catalogue, selection, ModelParams(), names)  # type: ignore[arg-type]
