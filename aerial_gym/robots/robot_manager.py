@@ -3,17 +3,14 @@
 Letters: E environments, R rotors, P parameters of an effect, U entries of an action.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from math import inf
 
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import Scene
 from aerial_gym.assets.body_shapes import contact_points
-from aerial_gym.assets.obstacles import Obstacles
-from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
@@ -24,7 +21,6 @@ from aerial_gym.interop.rows import MaskedRows
 from aerial_gym.math.random import Randomness, take_mask
 from aerial_gym.physics import (
     PhysicsBackend,
-    SubstepHook,
     Vehicle,
     build_model,
     vehicle_from_config,
@@ -44,35 +40,7 @@ from aerial_gym.robots.parameter_draws import drawing
 from aerial_gym.robots.randomized import Followed, Randomized, with_drawn_effects
 from aerial_gym.robots.scene_contact import PushedRobot, SceneContact
 from aerial_gym.robots.state_keys import RobotTensors, declare_robot_tensors
-
-
-@dataclass(frozen=True, kw_only=True)
-class Surroundings:
-    """What is around the robots of all environments."""
-
-    bounds: tuple[Tensor, Tensor]
-    """Lower and upper corner of the environments [m], world, each (E, 3)."""
-
-    crashes: Tensor
-    """Set by the physics where the robot touches the ground, and with ``contact`` where it touches an obstacle, bool (E,)."""
-
-    ground_height: float | None = None
-    """Height of the ground plane [m], world; None where there is none."""
-
-    ceiling_height: float | None = None
-    """Height of the ceiling [m], world; None where there is none."""
-
-    contact: ContactCfg | None = None
-    """How ground and obstacles push back; None if they do not."""
-
-    scene: Scene | None = None
-    """The obstacles; only needed with ``contact``, which moves them between the substeps."""
-
-    moving: "Obstacles | None" = None
-    """Its instances as they move; None if nothing moves."""
-
-    hook: SubstepHook | None = None
-    """Follows the robot from substep to substep, where there is no contact with obstacles."""
+from aerial_gym.robots.surroundings import Surroundings
 
 
 class RobotManager:
