@@ -106,11 +106,6 @@ class DifferentiableBackend:
         pairs = zip(vars(self._shown).items(), self.state.tensors(), strict=True)
         self.state = BodyState(**{name: torch.where(rows, new.to(self._dtype), old) for (name, new), old in pairs})
 
-    def mark_written(self) -> None:
-        """Tell torch that parameters were written by a kernel: a graph that reads the old ones then refuses to go back."""
-        for rows in self._inner.parameter_targets():
-            rows.add_(0.0)
-
     def detach(self) -> None:
         """Let gradients end at this instant."""
         self.state = _map(self.state, torch.Tensor.detach)

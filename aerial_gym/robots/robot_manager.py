@@ -366,7 +366,7 @@ class RobotManager:
         take_mask(self._random.mask, mask)
         (self._update or self._initial)()
         if self._update is not None and self.differentiable is not None:
-            self.differentiable.mark_written()
+            self._update.mark_written()
         self.backend.reset(mask)
 
 

@@ -63,3 +63,8 @@ class MaskedRows:
         with torch.no_grad():
             for target, rows in zip(self._targets, self._function(*self._sources), strict=True):
                 target.copy_(torch.where(self._mask.view(-1, *[1] * (target.ndim - 1)), rows, target))
+
+    def mark_written(self) -> None:
+        """Tell torch that a kernel wrote the rows: a graph that reads the old ones then refuses to go back."""
+        for target in self._targets:
+            target.add_(0.0)

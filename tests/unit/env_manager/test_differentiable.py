@@ -127,6 +127,18 @@ def test_drawn_parameters_are_flown_and_never_overwrite_a_graph_in_silence() -> 
         loss.backward()
 
 
+def test_drawn_gains_never_overwrite_a_graph_in_silence() -> None:
+    """Torch does not see a kernel write: it must be told of whatever was drawn, gains alone too."""
+    drawn = {"gains.rate": RandomizeCfg(low=0.8, high=1.2)}
+    env = build(robot_name=replace(ROBOTS.get("base_quadrotor"), randomize=drawn))
+    for _ in range(2):
+        env.step(torch.full((NUM_ENVS, 4), 0.1, dtype=F64, requires_grad=True))
+    loss = env.traced["robot_body_angvel"][1].sum()
+    env.reset(torch.tensor([True, False]))
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        loss.backward()
+
+
 def test_a_plain_robot_has_no_slew_rate_to_draw() -> None:
     drawn = {"rotor.slew_rate": RandomizeCfg(low=0.8, high=1.2)}
     with pytest.raises(ConfigError, match=r"randomize: rotor.slew_rate: the rotors of this robot have none"):
