@@ -13,6 +13,9 @@ _DRAWN_BY_NAME = (
     "name, randomize: {gains.position: {how: value, low: [2.0, 2.0, 1.0], high: [3.0, 3.0, 2.0]}} (docs/randomisation.md)"
 )
 
+EFFECTIVENESS = ("nominal", "actual")
+"""Of which vehicle an allocation inverts the control effectiveness."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class LeeGainsCfg:
@@ -91,10 +94,19 @@ class ControlCfg:
     gains: LeeGainsCfg | None = None
     """Explicit gains in place of all of the above, as identified or published for this robot."""
 
+    effectiveness: str = "nominal"
+    """``nominal`` or ``actual``: which control effectiveness matrix the allocation inverts, and with which thrust maps it goes
+    on to the rotors. With ``nominal`` those of the robot file, one for all; with ``actual`` those of each environment's own
+    vehicle, with what a reset has drawn and the effects on its parameters. Gains are those of the robot file in either case."""
+
     source: str = "Derived: aerial_gym.control.gains"
     """Where the numbers come from."""
 
     def __post_init__(self) -> None:
+        if self.effectiveness not in EFFECTIVENESS:
+            raise ConfigError(
+                f"ControlCfg.effectiveness = {self.effectiveness!r}: must be one of {', '.join(EFFECTIVENESS)}"
+            )
         if not 0.0 < self.phase_margin < pi / 2:
             raise ConfigError(f"ControlCfg.phase_margin = {self.phase_margin!r}: must be > 0 and < pi/2 rad")
         for name in ("attitude_frequency", "attitude_damping", "position_frequency", "position_damping"):

@@ -1,45 +1,30 @@
 """From a wanted body wrench to rotor commands.
 
-The matrix is derived from the rotors of the *declared* vehicle: an autopilot does not know the effects it lacks.
+The matrix is derived from the rotors of the *declared* vehicle, as an autopilot does not know the effects it lacks; or, where
+it is told, from those of the vehicle in each environment (``control.effectiveness``).
 Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
 from torch import Tensor
 
+from aerial_gym.control.effectiveness import Actuation, actuation_of, allocation_matrix, pseudo_inverse, right_inverse
 from aerial_gym.physics.fused.allocation import NEGLIGIBLE, UNLIMITED
-from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, state_for_thrust
-from aerial_gym.physics.vehicle import Vehicle, is_shared, share_row
+from aerial_gym.physics.rotors import rotor_thrust, state_for_thrust
+from aerial_gym.physics.vehicle import Vehicle, is_shared, own_rows, share_row
 
 Saturation = Literal["prioritised", "clamp"]
 
+MAP_FIELDS = ("thrust_map", "reverse_thrust_map")
+"""Fields of ``Vehicle`` that lead from thrusts to states, and from the limits of states to those of thrusts."""
 
-def allocation_matrix(vehicle: Vehicle, gravity: float) -> Tensor:
-    """Return the matrix that maps rotor thrusts to force and torque about the centre of mass, (E, 6, R).
-
-    A column is ``[a; (r - c) x a - s k a]`` with axis a, hub r, centre of mass c, spin s and torque per thrust k, taken
-    at the hover thrust ``m g / R`` where the two polynomials are not proportional, and at the largest one without weight.
-
-    Source:
-        Mahony, Kumar, Corke (2012), Multirotor Aerial Vehicles, eq. 8, for arbitrary axes.
-    """
-    hover = (vehicle.mass * gravity / vehicle.num_rotors).unsqueeze(-1).expand(-1, vehicle.num_rotors)
-    state = state_for_thrust(vehicle, torch.where(hover > 0.0, hover, rotor_thrust(vehicle, vehicle.speed_high)))
-    torque_ratio = rotor_torque(vehicle, state) / rotor_thrust(vehicle, state)
-    lever = vehicle.rotor_position - vehicle.com.unsqueeze(1)
-    reaction = (vehicle.rotor_spin * torque_ratio).unsqueeze(-1) * vehicle.rotor_axis
-    torque = torch.linalg.cross(lever, vehicle.rotor_axis) - reaction
-    return torch.cat((vehicle.rotor_axis, torque), dim=-1).transpose(1, 2)
-
-
-def _inverse(matrix: Tensor) -> Tensor:
-    """Return the pseudo-inverse (..., R, 6) without its round-off: a rotor that has no part in something is told so exactly."""
-    inverse = torch.linalg.pinv(matrix)
-    part = inverse.detach().abs() * matrix.detach().abs().amax(-1).unsqueeze(-2)
-    return torch.where(part > NEGLIGIBLE, inverse, 0.0)
+MATRIX_FIELDS = frozenset(
+    ("mass", "com", "rotor_position", "rotor_axis", "rotor_spin", "torque_map", "reverse_torque_map", *MAP_FIELDS)
+)
+"""Fields of ``Vehicle`` on which the effectiveness matrix depends."""
 
 
 @dataclass(frozen=True)
@@ -147,17 +132,62 @@ def _highest(ceiling: Tensor, twist: Tensor, most: Tensor) -> Tensor:
 class Allocation:
     """Pseudo-inverse allocation within the rotors' limits."""
 
-    def __init__(self, vehicle: Vehicle, gravity: float, *, saturation: Saturation = "prioritised") -> None:
-        """Take the declared vehicle, gravity [m/s²] and what gives way where rotors are at their limits."""
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        gravity: float,
+        *,
+        saturation: Saturation = "prioritised",
+        effectiveness: str = "nominal",
+    ) -> None:
+        """Take the declared vehicle, gravity [m/s²], what gives way where rotors are at their limits, and whose matrix counts.
+
+        With an ``actual`` effectiveness it is that of the declared vehicle until ``follow`` is called.
+        """
         matrix = allocation_matrix(vehicle, gravity)
-        limits = (rotor_thrust(vehicle, state) for state in (vehicle.speed_low, vehicle.speed_high))
-        self.vehicle, self.saturation = vehicle, saturation
+        low, high = _thrust_limits(vehicle)
+        self.vehicle, self.saturation, self.effectiveness = vehicle, saturation, effectiveness
         if is_shared(vehicle.mass):  # a declared vehicle is the same everywhere
-            self.inverse = share_row(_inverse(matrix[0]), vehicle.num_envs)  # (E, R, 6)
-            self.low, self.high = (share_row(limit[0], vehicle.num_envs) for limit in limits)
+            self.inverse = share_row(pseudo_inverse(matrix[0]), vehicle.num_envs)  # (E, R, 6)
+            self.low, self.high = (share_row(limit[0], vehicle.num_envs) for limit in (low, high))
         else:
-            self.inverse, (self.low, self.high) = _inverse(matrix), limits
-        self._matrix = matrix[0].detach()
+            self.inverse, self.low, self.high = pseudo_inverse(matrix), low, high
+        self._matrix, self._gravity, self._dtype = matrix[0].detach(), gravity, matrix.dtype
+        self._actuation: Actuation | None = None
+        self._own: tuple[str, ...] = ()
+
+    def follow(self, vehicle: Vehicle) -> None:
+        """Give each environment rows of its own, to be written in place, of what follows from rows of its own in a vehicle.
+
+        Without an ``actual`` effectiveness nothing does. Call it before ``fused``; a second call changes nothing.
+        """
+        if self.effectiveness != "actual" or self._own:
+            return
+        own = {name for name, rows in vehicle.rows().items() if not is_shared(rows)}
+        if own & MATRIX_FIELDS:
+            self._own += ("allocation",)
+            self._actuation, self.inverse = actuation_of(self._matrix), own_rows(self.inverse)
+        if own & set(MAP_FIELDS):
+            names = MAP_FIELDS if "reversible" in vehicle.traits else MAP_FIELDS[:1]
+            self._own += ("low", "high", *names)
+            self.low, self.high = own_rows(self.low), own_rows(self.high)
+            self.vehicle = replace(self.vehicle, **{name: own_rows(getattr(self.vehicle, name)) for name in names})
+
+    @property
+    def rows(self) -> dict[str, Tensor]:
+        """What each environment has of its own, by the fields of ``FusedLaw``, (E, ...)."""
+        limits = {"allocation": self.inverse, "low": self.low, "high": self.high}
+        return {name: limits[name] if name in limits else getattr(self.vehicle, name) for name in self._own}
+
+    def rows_for(self, vehicle: Vehicle) -> dict[str, Tensor]:
+        """Return what belongs into ``rows`` with a vehicle: plain torch on its rows, as in ``interop.rows``."""
+        vehicle = vehicle if vehicle.mass.dtype == self._dtype else vehicle.to(self._dtype)
+        found = {name: rows for name, rows in vehicle.rows().items() if name in self._own}
+        if "low" in self._own:
+            found["low"], found["high"] = _thrust_limits(vehicle)
+        if self._actuation is not None:
+            found["allocation"] = right_inverse(allocation_matrix(vehicle, self._gravity), self._actuation)
+        return {name: found[name] for name in self._own}
 
     def thrust(self, wrench: Tensor) -> Tensor:
         """Return unclamped rotor thrusts [N], (E, R), of least norm for a wrench [N, N m], body, (E, 6)."""
@@ -194,10 +224,15 @@ class Allocation:
 
     @property
     def idle(self) -> bool:
-        """Whether any rotor has no part in the force along body z."""
-        return bool((self.inverse[:, :, 2] == 0.0).any())
+        """Whether any rotor has no part in the force along body z, or may come to have none."""
+        return "allocation" in self._own or bool((self.inverse[:, :, 2] == 0.0).any())
 
     def largest_thrust(self) -> float:
         """Return the largest thrust along body z without torque [N], of the first environment."""
         lift, high = self.inverse[0, :, 2].detach(), self.high[0]
         return float(torch.where(lift > 0.0, high / torch.where(lift > 0.0, lift, 1.0), torch.inf).amin())
+
+
+def _thrust_limits(vehicle: Vehicle) -> tuple[Tensor, Tensor]:
+    """Return the lowest and highest thrusts [N], (E, R) each."""
+    return rotor_thrust(vehicle, vehicle.speed_low), rotor_thrust(vehicle, vehicle.speed_high)

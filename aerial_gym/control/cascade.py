@@ -117,16 +117,16 @@ class CascadeController:
         law, loop = LAWS[cfg.law], cfg.rate_loop
         self.timing = timing = timing_of(cfg, dt)
         self.action_names, self._law = law.action, law
-        self._allocation = Allocation(vehicle, gravity, saturation=cfg.allocation)
+        self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
         base = gains_for(
-            cfg, control, vehicle, self._allocation, gravity=gravity, dt=timing.loop * dt, extra_lag=timing.extra_lag
+            cfg, control, vehicle, self.allocation, gravity=gravity, dt=timing.loop * dt, extra_lag=timing.extra_lag
         )
         self._inertia = vehicle.inertia
         self.gains = base if loop is None else setpoint_gains(base)
         self.rate_gains: RateGains | None = None
         if loop is not None:
             margin, span = control.phase_margin, timing.loop * dt
-            self.rate_gains = rate_gains(loop, base, vehicle, self._allocation, phase_margin=margin, dt=span)
+            self.rate_gains = rate_gains(loop, base, vehicle, self.allocation, phase_margin=margin, dt=span)
         self._layout = layout_of(
             timing, has_loop=loop is not None, num_rotors=vehicle.num_rotors, num_actions=len(law.action)
         )
@@ -145,7 +145,7 @@ class CascadeController:
         """Return what the first environment remembers at rest under thrusts [N], (R,): numbers and wishes of the law."""
         numbers, sent = thrust.new_zeros(self._layout.width), thrust.new_zeros(self._layout.actions)
         if self.timing.loop > 1:
-            numbers[self._layout.held :] = self._allocation.speed(
+            numbers[self._layout.held :] = self.allocation.speed(
                 thrust.to(self._inertia).expand(len(self._inertia), -1)
             )[0]
         sent[::4] = self.gains.mass[0].to(thrust) * self.gains.gravity
@@ -196,7 +196,7 @@ class CascadeController:
         wanted = self._law.wrench(state, action, self.gains)
         gains = self.rate_gains
         if gains is None:
-            command, numbers = self._allocation.speed_for_wrench(wanted), memory.numbers
+            command, numbers = self.allocation.speed_for_wrench(wanted), memory.numbers
         else:
             setpoint = torch.cat((wanted[:, 2:3], wanted[:, 3:] + state.ang_vel), dim=-1)
             setpoint, setpoints = self._pass_on(setpoint, setpoints, since)
@@ -231,13 +231,13 @@ class CascadeController:
         wanted = gains.proportional * error + integral - gains.derivative * slope
         torque = (self._inertia * wanted.unsqueeze(1)).sum(-1)
         torque = torque + torch.linalg.cross(ang_vel, (self._inertia * ang_vel.unsqueeze(1)).sum(-1))
-        allotted = self._allocation.allot(wrench_from(setpoint[:, 0], torque))
+        allotted = self.allocation.allot(wrench_from(setpoint[:, 0], torque))
         given = torch.cat((allotted.turn, allotted.turn, allotted.rest), dim=-1)
         grows = (given >= 1.0) | (error * wanted <= 0.0)  # no further where the rotors give less than was asked
         integral = integral + torch.where(grows, gains.integral * span * error, 0.0)
         integral = torch.minimum(torch.maximum(integral, -gains.integral_limit), gains.integral_limit)
         numbers = torch.cat((integral, slope, ang_vel, memory.numbers[:, 9:]), dim=-1)
-        return self._allocation.speed(allotted.thrust), numbers
+        return self.allocation.speed(allotted.thrust), numbers
 
     @property
     def named_gains(self) -> dict[str, Tensor]:
@@ -256,7 +256,7 @@ class CascadeController:
         """Return the twin in Warp."""
         if self._law.fused is None:
             return None
-        has_loop, allocation = self.rate_gains is not None, self._allocation
+        has_loop, allocation = self.rate_gains is not None, self.allocation
         return FusedLaw(
             output="wrench",
             num_actions=len(self.action_names),
@@ -265,6 +265,7 @@ class CascadeController:
             thrust_map=allocation.vehicle.thrust_map,
             reverse_thrust_map=allocation.vehicle.reverse_thrust_map,
             allocation=allocation.inverse,
+            follow=allocation.rows_for if allocation.rows else None,
             saturation=allocation.saturation,
             lateral=False,
             idle=allocation.idle,

@@ -51,19 +51,19 @@ class ThrustController:
     named_gains: Mapping[str, Tensor] = MappingProxyType({})
     """It has none."""
 
-    def __init__(self, vehicle: Vehicle, gravity: float) -> None:
-        """Take the declared vehicle."""
+    def __init__(self, vehicle: Vehicle, gravity: float, control: ControlCfg) -> None:
+        """Take the declared vehicle, gravity [m/s²] and the robot's own settings."""
         self.action_names = tuple(f"thrust {i + 1} [N]" for i in range(vehicle.num_rotors))
-        self._allocation = Allocation(vehicle, gravity)
+        self.allocation = Allocation(vehicle, gravity, effectiveness=control.effectiveness)
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
         """Return the speeds of the thrusts."""
         del state
-        return self._allocation.speed(action)
+        return self.allocation.speed(action)
 
     def fused(self) -> FusedLaw:
         """Return the clamp and the thrust map."""
-        return _fused("thrust", self._allocation, len(self.action_names))
+        return _fused("thrust", self.allocation, len(self.action_names))
 
 
 class RotorSpeedController:
@@ -102,8 +102,8 @@ class LeeController:
         """Take the configuration, the declared vehicle, gravity [m/s²], the time step [s] and the robot's own settings."""
         law = LAWS[cfg.law]
         self.action_names, self._law = law.action, law
-        self._allocation = Allocation(vehicle, gravity, saturation=cfg.allocation)
-        self.gains = gains_for(cfg, control, vehicle, self._allocation, gravity=gravity, dt=dt)
+        self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
+        self.gains = gains_for(cfg, control, vehicle, self.allocation, gravity=gravity, dt=dt)
 
     @property
     def named_gains(self) -> dict[str, Tensor]:
@@ -116,7 +116,7 @@ class LeeController:
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
         """Return the speeds that give the wrench of the law, within the rotors' limits."""
-        return self._allocation.speed_for_wrench(self._law.wrench(state, action, self.gains))
+        return self.allocation.speed_for_wrench(self._law.wrench(state, action, self.gains))
 
     def fused(self) -> FusedLaw | None:
         """Return the law's twin in Warp with these gains and the allocation."""
@@ -124,11 +124,11 @@ class LeeController:
             return None
         return _fused(
             "wrench",
-            self._allocation,
+            self.allocation,
             len(self.action_names),
-            saturation=self._allocation.saturation,
+            saturation=self.allocation.saturation,
             lateral=False,
-            idle=self._allocation.idle,
+            idle=self.allocation.idle,
             wrench=self._law.fused,
             prepare=self._law.prepare,
             gains_type=lee_fused.Gains,
@@ -145,7 +145,8 @@ def _fused(output: Literal["thrust", "wrench"], allocation: Allocation, num_acti
         high=allocation.high,
         thrust_map=allocation.vehicle.thrust_map,
         reverse_thrust_map=allocation.vehicle.reverse_thrust_map,
-        allocation=allocation.inverse,
+        allocation=allocation.inverse if output == "wrench" else None,
+        follow=allocation.rows_for if allocation.rows else None,
         **law,
     )
 
@@ -170,8 +171,9 @@ def make_controller(
     Raises:
         ConfigError: If the law is unknown or needs a weight, or gains must be derived and there is no time step.
     """
+    control = ControlCfg() if control is None else control
     if cfg.law == "thrust":
-        return ThrustController(vehicle, gravity)
+        return ThrustController(vehicle, gravity, control)
     if cfg.law == "rotor_speed":
         return RotorSpeedController(vehicle)
     if cfg.law in LAWS and gravity == 0.0:
@@ -179,7 +181,6 @@ def make_controller(
             f"gravity = {gravity!r}: the law {cfg.law!r} holds a vehicle against its weight; without weight use no_control or "
             "rotor_speed_control"
         )
-    control = ControlCfg() if control is None else control
     if cfg.law in LAWS and not remembers(cfg):
         return LeeController(cfg, vehicle, gravity, dt=dt, control=control)
     if cfg.law in LAWS:

@@ -243,14 +243,17 @@ class WarpBackend:
         return found
 
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
-        """Return the packed numbers of the vehicle, (E, n), and the parameters of the effects, (E, m)."""
-        numbers = numbers_of(model, self._law, STAGES[self._integrator] * self._dt)
-        return parameter_rows(self._packing, numbers)
+        """Return the packed numbers of the vehicle and of a law that follows it, (E, n), and of the effects, (E, m)."""
+        follow = self._law.follow
+        law = self._law if follow is None else replace(self._law, **follow(model.vehicle))
+        numbers = numbers_of(model, law, STAGES[self._integrator] * self._dt)
+        return parameter_rows(self._packing, numbers, command=follow is not None)
 
     def parameter_targets(self) -> tuple[Tensor, ...]:
         """Return their places in the packed tensor (N, E)."""
         width = sum(rows.shape[1] for rows in self._numbers(self._dt).effects)
-        first = self._packing.behind_vehicle
+        packing = self._packing
+        first = packing.behind_vehicle if self._law.follow is None else packing.behind_command
         return tuple(
             rows.T for rows in (self._packed[:first], self._packed[self._packing.effects :][:width]) if len(rows)
         )

@@ -16,6 +16,7 @@ from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import Controller, make_controller
+from aerial_gym.control.allocation import Allocation
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.interop.rows import MaskedRows
 from aerial_gym.math.random import Randomness, take_mask
@@ -260,7 +261,10 @@ class RobotManager:
     def _build_model(self) -> Model:
         """Return the model of all environments with tensors of its own, and write what is known of it elsewhere."""
         model, followed = self._model_of(*self._sources(), declared=self.declared)
-        self._write(followed, self._everywhere)
+        if self._allocation is not None:
+            self._allocation.follow(model.vehicle)
+        for target, rows in zip(self._targets(), self._rows(model, followed), strict=True):
+            target.copy_(rows)
         effects = EffectsByKind(self._effects)  # which the model keeps reading
         if self._randomized is not None:
             declared = self.declared.rows()
@@ -276,26 +280,25 @@ class RobotManager:
         return self.model
 
     @property
-    def _everywhere(self) -> Tensor:
-        return torch.ones(self._num_envs, dtype=torch.bool, device=self._gtd.device)
+    def _allocation(self) -> Allocation | None:
+        """The allocation of the controller, if it has one."""
+        return getattr(self.controller, "allocation", None)
 
-    def _write(self, followed: Followed, mask: Tensor) -> None:
-        """Write parameters of effects and gains that follow from draws into the environments of a mask, bool (E,)."""
-        for target, rows in zip(self._targets(), self._rows(followed), strict=True):
-            target.copy_(torch.where(mask.unsqueeze(-1), rows, target))
-
-    def _rows(self, followed: Followed) -> list[Tensor]:
-        if self._randomized is None:
-            return []
-        params = [followed.params[i] for i in self._randomized.drawn_effects]
-        return params + [followed.gains[name] for name in self._randomized.drawn_gains]
+    def _rows(self, model: Model, followed: Followed) -> list[Tensor]:
+        """Return parameters of effects, gains and allocation that follow from draws."""
+        found = [] if self._allocation is None else [*self._allocation.rows_for(model.vehicle).values()]
+        if self._randomized is not None:
+            found += [followed.params[i] for i in self._randomized.drawn_effects]
+            found += [followed.gains[name] for name in self._randomized.drawn_gains]
+        return found
 
     def _targets(self) -> list[Tensor]:
-        if self._randomized is None:
-            return []
-        gains = getattr(self.controller, "gains", None)
-        params = [self._effects[i][1] for i in self._randomized.drawn_effects]
-        return params + [getattr(gains, name) for name in self._randomized.drawn_gains]
+        """Return where they are kept."""
+        found = [] if self._allocation is None else [*self._allocation.rows.values()]
+        if self._randomized is not None:
+            found += [self._effects[i][1] for i in self._randomized.drawn_effects]
+            found += [self.controller.named_gains[name] for name in self._randomized.drawn_gains]
+        return found
 
     def _make_update(self) -> MaskedRows | None:
         """Return what draws parameters and initial state of the environments of a mask in one launch; None if no parameter."""
@@ -305,7 +308,7 @@ class RobotManager:
         def rows(*sources: Tensor, declared: Vehicle | None = None) -> tuple[Tensor, ...]:
             model, followed = self._model_of(*sources, declared=declared)
             shown = (getattr(model.vehicle, name) for name in own)
-            follows = (rows.to(dtype) for rows, dtype in zip(self._rows(followed), types, strict=True))
+            follows = (rows.to(dtype) for rows, dtype in zip(self._rows(model, followed), types, strict=True))
             return (*shown, *follows, *self.backend.parameter_rows(model))
 
         types = [target.dtype for target in self._targets()]
@@ -333,10 +336,11 @@ class RobotManager:
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return what must be kept to go on beside the GTD, by name."""
-        gains = getattr(self.controller, "gains", None)
         drawn = [] if self._randomized is None else self._randomized.drawn_gains
-        kept = {name: getattr(gains, name) for name in drawn}
-        return {"com": self._com} | below("gains", kept) | below("backend", self.backend.state_tensors())
+        kept = {name: self.controller.named_gains[name] for name in drawn}
+        rows = {} if self._allocation is None else self._allocation.rows
+        found = {"com": self._com} | below("gains", kept) | below("allocation", rows)
+        return found | below("backend", self.backend.state_tensors())
 
     def act(self, actions: Tensor) -> None:
         """Begin a step: store its action, (E, U), keep the one before, count the step, and clear what ends an episode."""

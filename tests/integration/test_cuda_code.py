@@ -1,6 +1,7 @@
 """The kernels that only a GPU runs are at least compiled for one, on any machine: Warp brings the compiler along."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from aerial_gym import SimBuilder
 from aerial_gym.assets import clearance, motion, placement
 from aerial_gym.assets.collision import make_walk
 from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.images import IMAGES
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.shape import ShapeCfg
@@ -121,6 +123,28 @@ def test_the_kernel_of_a_randomised_robot_compiles() -> None:
     assert update is not None
     assert update._rows is not None
     compile_for_gpu(update._rows.kernel.module)
+
+
+@pytest.mark.parametrize("robot", ["base_quadrotor", "omnidirectional_octarotor"])
+def test_the_kernels_of_an_allocation_in_each_environment_compile(robot: str) -> None:
+    env = SimBuilder().build_env(
+        sim_name="base_sim",
+        env_name="empty_env",
+        robot_name=replace(ROBOTS.get(robot), control=ControlCfg(effectiveness="actual")),
+        controller_name="lee_attitude_control",
+        num_envs=2,
+        device="cpu",
+        randomize={
+            "rotor.thrust_map": RandomizeCfg(each_rotor=True, low=0.9, high=1.1),
+            "mounts.*.axis": RandomizeCfg(each_rotor=True, how="offset", low=-0.1, high=0.1),
+        },
+    )
+    manager = env.robot_manager
+    assert manager._update is not None
+    assert manager._update._rows is not None
+    compile_for_gpu(manager._update._rows.kernel.module)
+    assert isinstance(manager.backend, WarpBackend)
+    compile_for_gpu(manager.backend.kernel.module)
 
 
 def test_row_kernels_compile() -> None:

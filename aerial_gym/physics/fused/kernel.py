@@ -80,7 +80,7 @@ def make_kernel(
         make_command(law, num_rotors, general, differentiable=differentiable),
     )
     read_vehicle = make_vehicle_reader(types, packing.vehicle, packing.entries)
-    read_command = make_command_reader(types, packing.command)
+    read_command = make_command_reader(types, packing.command, packing.command_entries)
     read_gains = make_gains_reader(law, packing.gains)
     read_params = make_reader(params_type, num_params, 0)
     first_param = packing.effects

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from aerial_gym.physics.fused.types import vector_of
 from aerial_gym.physics.law_memory import LawNeeds
+from aerial_gym.physics.vehicle import Vehicle
 
 
 @wp.struct
@@ -49,6 +50,10 @@ class FusedLaw:
 
     allocation: Tensor | None = None
     """From the wrench to thrusts, (E, R, 6); not needed for a speed."""
+
+    follow: Callable[[Vehicle], Mapping[str, Tensor]] | None = None
+    """From the vehicle of each environment to the fields among those above that are to follow from it, (E, ...): plain torch on
+    rows; None where nothing does."""
 
     saturation: Literal["prioritised", "clamp"] = "clamp"
     """What gives way where the thrusts of a wrench are beyond the limits (``control.allocation``)."""

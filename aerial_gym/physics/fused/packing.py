@@ -128,6 +128,9 @@ class Numbers:
     gains: list[Field]
     """All of them differ between environments, or none."""
 
+    lateral: bool
+    """Whether the law asks for a force beside body z."""
+
     effects: list[Tensor]
     """Parameters (E, P) of the effects that act in a step, in the order of ``EffectsByKind.forces``; always packed."""
 
@@ -136,11 +139,15 @@ def numbers_of(model: Model, law: FusedLaw, stage: float) -> Numbers:
     """Return all numbers; ``stage`` [s] is the span over which a rotor is followed at once."""
     gains = [Field(name, (rows,), _same) for name, rows in law.gains.items()]
     effects = [params for _, params in model.effects.forces]
-    return Numbers(_vehicle_fields(model, stage), _command_fields(law, model.vehicle.plain), gains, effects)
+    command = _command_fields(law, model.vehicle.plain)
+    return Numbers(_vehicle_fields(model, stage), command, gains, law.lateral, effects)
 
 
 SYMMETRIC = (0, 1, 2, 4, 5, 8)
 """Entries of a symmetric 3 x 3 matrix from which the others follow."""
+
+COMMAND_COLUMNS = {"allocation": range(2, 6), "speed_map": range(1, 2)}
+"""Columns of a field of the command, beside which there may be zeros alone."""
 
 
 @dataclass(frozen=True)
@@ -155,6 +162,9 @@ class Packing:
     """Fields of the vehicle whose rows are those of an earlier field."""
 
     command: Mapping[str, int]
+    command_entries: Mapping[str, tuple[int, ...]]
+    """Likewise of a field of the command."""
+
     gains: int | None
     """Of the first gain; None where all environments have the same."""
 
@@ -165,22 +175,29 @@ class Packing:
     @property
     def behind_vehicle(self) -> int:
         """The first row that is not of the vehicle."""
-        gains = [] if self.gains is None else [self.gains]
-        return min([*self.command.values(), *gains, self.effects])
+        return min([*self.command.values(), self.behind_command])
+
+    @property
+    def behind_command(self) -> int:
+        """The first row that is neither of the vehicle nor of the command."""
+        return self.effects if self.gains is None else self.gains
 
     def fits(self, numbers: Numbers) -> bool:
         """Return whether what is packed of each field still says all of it."""
         return (
-            self.entries.keys() <= entries_of(numbers.vehicle).keys() and self.twins <= twins_of(numbers.vehicle).keys()
+            self.entries.keys() <= entries_of(numbers.vehicle).keys()
+            and self.twins <= twins_of(numbers.vehicle).keys()
+            and self.command_entries.keys() <= command_entries_of(numbers).keys()
         )
 
 
 def arrange(numbers: Numbers, *, all_packed: bool) -> Packing:
     """Return a row for every number that differs between environments; with ``all_packed`` for every number."""
     first, few = 0, {} if all_packed else entries_of(numbers.vehicle)
+    few_of_command = {} if all_packed else command_entries_of(numbers)
     twins = {} if all_packed else twins_of(numbers.vehicle)
 
-    def place(fields: list[Field]) -> dict[str, int]:
+    def place(fields: list[Field], few: Mapping[str, tuple[int, ...]], twins: Mapping[str, str]) -> dict[str, int]:
         nonlocal first
         rows: dict[str, int] = {}
         for field in fields:
@@ -191,14 +208,15 @@ def arrange(numbers: Numbers, *, all_packed: bool) -> Packing:
                 first += len(few.get(field.name, field.row()))
         return rows
 
-    vehicle, command, gains = place(numbers.vehicle), place(numbers.command), None
+    vehicle, command, gains = place(numbers.vehicle, few, twins), place(numbers.command, few_of_command, {}), None
     if numbers.gains and (all_packed or not all(field.shared for field in numbers.gains)):
         gains = first
         first += sum(len(field.row()) for field in numbers.gains)
     few = {name: entries for name, entries in few.items() if name in vehicle}
+    few_of_command = {name: entries for name, entries in few_of_command.items() if name in command}
     written = frozenset(twins) & vehicle.keys()
     last = first + sum(params.shape[1] for params in numbers.effects)
-    return Packing(vehicle, few, written, command, gains, first, last)
+    return Packing(vehicle, few, written, command, few_of_command, gains, first, last)
 
 
 def entries_of(vehicle: list[Field]) -> dict[str, tuple[int, ...]]:
@@ -220,6 +238,17 @@ def twins_of(vehicle: list[Field]) -> dict[str, str]:
     return {name: other for name, other in found.items() if name != other}
 
 
+def command_entries_of(numbers: Numbers) -> dict[str, tuple[int, ...]]:
+    """Return the entries of the command that are needed: of the allocation not those for lateral force, where no law asks for
+    it, and of a speed map ``1 / c2`` alone, where thrusts have squares of the speed alone."""
+    found = {}
+    for field in numbers.command:
+        if (field.name == "allocation" and not numbers.lateral) or (field.name == "speed_map" and only_squares(field)):
+            columns, width = COMMAND_COLUMNS[field.name], len(field.row()) // field.sources[0].shape[1]
+            found[field.name] = tuple(i for i in range(len(field.row())) if i % width in columns)
+    return found
+
+
 def only_squares(field: Field) -> bool:
     """Return whether a field of maps (E, R, 3) has squares of the speed alone."""
     return not bool(field.sources[0][..., :2].any())
@@ -227,8 +256,7 @@ def only_squares(field: Field) -> bool:
 
 def packed_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
     """Return the packed numbers, each (E, n), in the order of their rows."""
-    packed = vehicle_rows(packing, numbers)
-    packed += [field.rows() for field in numbers.command if field.name in packing.command]
+    packed = vehicle_rows(packing, numbers) + command_rows(packing, numbers)
     if packing.gains is not None:
         packed += [field.rows() for field in numbers.gains]
     return packed + numbers.effects
@@ -240,9 +268,17 @@ def vehicle_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
     return [field.rows(packing.entries.get(field.name)) for field in packed]
 
 
-def parameter_rows(packing: Packing, numbers: Numbers) -> tuple[Tensor, ...]:
-    """Return the packed numbers of the vehicle, (E, n), and the parameters of the effects, (E, m); without what is empty."""
-    return tuple(torch.cat(rows, dim=1) for rows in (vehicle_rows(packing, numbers), numbers.effects) if rows)
+def command_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
+    """Return those of the command."""
+    packed = (field for field in numbers.command if field.name in packing.command)
+    return [field.rows(packing.command_entries.get(field.name)) for field in packed]
+
+
+def parameter_rows(packing: Packing, numbers: Numbers, *, command: bool = False) -> tuple[Tensor, ...]:
+    """Return the packed numbers of the vehicle, and with ``command`` those of the command behind them, (E, n), and the
+    parameters of the effects, (E, m); without what is empty."""
+    drawn = vehicle_rows(packing, numbers) + (command_rows(packing, numbers) if command else [])
+    return tuple(torch.cat(rows, dim=1) for rows in (drawn, numbers.effects) if rows)
 
 
 def shared_structs(packing: Packing, numbers: Numbers, law: FusedLaw, types: RotorTypes) -> list[Any]:

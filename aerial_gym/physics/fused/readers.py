@@ -10,6 +10,7 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.physics.fused.law import FusedLaw, NoGains
+from aerial_gym.physics.fused.packing import COMMAND_COLUMNS
 from aerial_gym.physics.fused.types import RotorTypes, vector_of
 
 
@@ -44,17 +45,18 @@ def read_symmetric(source: wp.array2d[float], first: int, env: int) -> wp.mat33:
 
 
 @cache
-def make_square_reader(kind: Any, height: int) -> wp.Function:
-    """Return a function that reads the maps (R, 3) of one environment that have squares of the speed alone."""
+def make_column_reader(kind: Any, height: int, first_column: int, width: int) -> wp.Function:
+    """Return a function that reads a matrix of one environment of which some columns are packed and the others are zero."""
 
     @wp.func
-    def read_squares(source: wp.array2d[float], first: int, env: int) -> kind:
+    def read_columns(source: wp.array2d[float], first: int, env: int) -> kind:
         value = kind()
         for i in range(wp.static(height)):
-            value[i, 2] = source[first + i, env]
+            for j in range(wp.static(width)):
+                value[i, wp.static(first_column) + j] = source[first + i * wp.static(width) + j, env]
         return value
 
-    return read_squares
+    return read_columns
 
 
 def make_vehicle_reader(
@@ -65,7 +67,7 @@ def make_vehicle_reader(
     vehicle_type = types.vehicle
     vec3, mat33 = make_reader(wp.vec3, 3, 0), read_symmetric if "inertia" in entries else make_reader(wp.mat33, 3, 3)
     vector, rows = make_reader(types.vector, num_rotors, 0), make_reader(types.rows, num_rotors, 3)
-    squares = make_square_reader(types.rows, num_rotors)
+    squares = make_column_reader(types.rows, num_rotors, 2, 1)
     thrust_maps, torque_maps = (squares if name in entries else rows for name in ("thrust_map", "torque_map"))
     battery = make_reader(vector_of(6), 6, 0)
 
@@ -120,12 +122,18 @@ def make_vehicle_reader(
     return read
 
 
-def make_command_reader(types: RotorTypes, packed: Mapping[str, int]) -> wp.Function:
+def make_command_reader(
+    types: RotorTypes, packed: Mapping[str, int], entries: Mapping[str, tuple[int, ...]]
+) -> wp.Function:
     """Return a function that completes the shared command parameters with what is per environment."""
     at, num_rotors = packed.get, types.vector._length_
     command_type = types.command
     vector, rows = make_reader(types.vector, num_rotors, 0), make_reader(types.rows, num_rotors, 3)
-    matrix = make_reader(types.allocation, num_rotors, 6)
+    matrix, speed_map = make_reader(types.allocation, num_rotors, 6), rows
+    if "allocation" in entries:
+        matrix = make_column_reader(types.allocation, num_rotors, *_ends(COMMAND_COLUMNS["allocation"]))
+    if "speed_map" in entries:
+        speed_map = make_column_reader(types.rows, num_rotors, *_ends(COMMAND_COLUMNS["speed_map"]))
 
     @wp.func
     def read(shared: command_type, source: wp.array2d[float], env: int) -> command_type:
@@ -139,12 +147,16 @@ def make_command_reader(types: RotorTypes, packed: Mapping[str, int]) -> wp.Func
         if wp.static("reverse_thrust_map" in packed):
             command.reverse_thrust_map = rows(source, wp.static(at("reverse_thrust_map", 0)), env)
         if wp.static("speed_map" in packed):
-            command.speed_map = rows(source, wp.static(at("speed_map", 0)), env)
+            command.speed_map = speed_map(source, wp.static(at("speed_map", 0)), env)
         if wp.static("allocation" in packed):
             command.allocation = matrix(source, wp.static(at("allocation", 0)), env)
         return command
 
     return read
+
+
+def _ends(columns: range) -> tuple[int, int]:
+    return columns.start, len(columns)
 
 
 def make_gains_reader(law: FusedLaw, first: int | None) -> wp.Function:

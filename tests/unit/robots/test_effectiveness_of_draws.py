@@ -1,0 +1,312 @@
+"""Allocation with the effectiveness of each environment's own vehicle: against numpy's pseudo-inverses of what was drawn."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from math import cos, sin
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config.controller import ControlCfg
+from aerial_gym.config.randomize import RandomizeCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.control.effectiveness import allocation_matrix
+from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.physics.rotors import rotor_thrust
+from aerial_gym.robots import ROBOTS
+from tests.physics.mixed_rotors import mixed_robot
+
+QUAD = ROBOTS.get("base_quadrotor")
+DRAWN: dict[str, RandomizeCfg] = {
+    "body.mass": RandomizeCfg(low=0.8, high=1.2),
+    "body.com": RandomizeCfg(how="offset", low=(-0.01, -0.01, 0.0), high=(0.01, 0.01, 0.0)),
+    "rotor.thrust_map": RandomizeCfg(each_rotor=True, low=0.9, high=1.1),
+    "rotor.torque_map": RandomizeCfg(each_rotor=True, low=0.8, high=1.2),
+    "mounts.*.position": RandomizeCfg(how="offset", low=-0.02, high=0.02, each_rotor=True),
+    "mounts.2.axis": RandomizeCfg(how="offset", low=(-0.1, -0.1, 0.0), high=(0.1, 0.1, 0.0)),
+    "effects.com_offset.x": RandomizeCfg(how="value", low=-0.01, high=0.01),
+    "effects.motor_tilt.roll": RandomizeCfg(how="value", low=-0.1, high=0.1),
+    "effects.thrust_coefficient.scale": RandomizeCfg(how="value", low=0.9, high=1.1),
+    "effects.torque_ratio.scale": RandomizeCfg(how="value", low=0.9, high=1.1),
+}
+MASK = torch.tensor([True, False, True, False, False, True])
+
+
+def make(
+    randomize: Mapping[str, RandomizeCfg],
+    num_envs: int = 6,
+    *,
+    backend: str = "warp",
+    effectiveness: str = "actual",
+    controller: str = "lee_attitude_control",
+    robot: RobotCfg = QUAD,
+    allocation: str = "prioritised",
+    **options,
+) -> EnvManager:
+    env = EnvManager(
+        sim=replace(SIMS.get("base_sim"), backend=backend),
+        env=ENVIRONMENTS.get("empty_env"),
+        robot=replace(robot, control=ControlCfg(effectiveness=effectiveness)),
+        controller=replace(CONTROLLERS.get(controller), allocation=allocation),
+        num_envs=num_envs,
+        device=torch.device("cpu"),
+        seed=4,
+        randomize=randomize,
+        **options,
+    )
+    env.reset()
+    return env
+
+
+@pytest.fixture(scope="module", params=["warp", "torch"])
+def drawn(request: pytest.FixtureRequest) -> EnvManager:
+    return make(DRAWN, backend=request.param)
+
+
+def effectiveness(env: EnvManager, i: int, robot: RobotCfg = QUAD) -> np.ndarray:
+    """Return the matrix (6, R) of an environment of ``DRAWN`` in float64, from the robot file and ``draws()`` alone."""
+    draws = {name: values[i].double().numpy() for name, values in env.draws().items()}
+    com = np.array(robot.body.com) + draws["body.com"] + np.array([draws["effects.com_offset.x"], 0.0, 0.0])
+    columns = []
+    for number, mount in enumerate(robot.mounts.layout):
+        hub = np.array(mount.position) + draws["mounts.*.position"][number] - com
+        axis = np.array(mount.axis, dtype=float)
+        if number == 1:
+            axis = axis + draws["mounts.2.axis"]
+            axis /= np.linalg.norm(axis)
+        if number == 0:
+            roll = draws["effects.motor_tilt.roll"]
+            axis = np.array([[1, 0, 0], [0, cos(roll), -sin(roll)], [0, sin(roll), cos(roll)]]) @ axis
+        ratio = robot.rotor.torque_ratio * draws["rotor.torque_map"][number] * draws["effects.torque_ratio.scale"]
+        columns.append(np.concatenate((axis, np.cross(hub, axis) - mount.spin * ratio * axis)))
+    return np.stack(columns, axis=1)
+
+
+def maps(env: EnvManager) -> Tensor:
+    """Return the thrust per squared speed of each rotor, (E, R), from the robot file and ``draws()`` alone, float64."""
+    draws = env.draws()
+    factor = draws["rotor.thrust_map"].double() * draws["effects.thrust_coefficient.scale"].double().unsqueeze(-1)
+    return QUAD.rotor.thrust_map[2] * factor
+
+
+def expected_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Return the pseudo-inverse of thrust and torques with no column for lateral force, which the declared vehicle lacks."""
+    return np.concatenate((np.zeros((matrix.shape[1], 2)), np.linalg.pinv(matrix[2:])), axis=1)
+
+
+def test_each_environment_has_the_pseudo_inverse_of_its_own_matrix(drawn: EnvManager) -> None:
+    """To round-off of float32: the condition of the matrix with rows of length 1 times a few roundings of its entries."""
+    manager = drawn.robot_manager
+    assert manager._update is not None
+    assert manager._update.why_slow == ""
+    for i, inverse in enumerate(manager.controller.allocation.inverse.double().numpy()):
+        matrix = effectiveness(drawn, i)
+        scaled = matrix[2:] / np.linalg.norm(matrix[2:], axis=1, keepdims=True)
+        expected = expected_inverse(matrix)
+        error = np.abs(inverse - expected)[:, 2:].max(0) / np.abs(expected)[:, 2:].max(0)
+        assert error.max() < 8 * np.finfo(np.float32).eps * np.linalg.cond(scaled) ** 2
+    torch.testing.assert_close(
+        manager.controller.allocation.high.double(), maps(drawn) * 2.0 / QUAD.rotor.thrust_map[2]
+    )
+
+
+def test_what_is_commanded_is_what_the_rotors_make(drawn: EnvManager) -> None:
+    """Thrust and torques about hover, no rotor at a limit: exact with the actual effectiveness, and off by what is drawn
+    without."""
+    g = torch.Generator().manual_seed(0)
+    wanted = torch.zeros(6, 6)
+    wanted[:, 2] = QUAD.body.mass * 9.81
+    wanted[:, 3:] = torch.tensor([0.03, 0.03, 0.003]) * (2.0 * torch.rand(6, 3, generator=g) - 1.0)
+
+    def made(env: EnvManager) -> np.ndarray:
+        speed = env.robot_manager.controller.allocation.speed_for_wrench(wanted).double()
+        thrust = (maps(env) * speed.square()).numpy()
+        return np.stack([effectiveness(env, i) @ thrust[i] for i in range(6)])
+
+    error = (made(drawn) - wanted.double().numpy())[:, 2:]
+    assert np.abs(error).max() < 1e-5
+    nominal = make(DRAWN, backend=drawn.sim_cfg.backend, effectiveness="nominal")
+    assert nominal.robot_manager.controller.allocation.rows == {}
+    error = (made(nominal) - wanted.double().numpy())[:, 2:]
+    assert np.abs(error).max(0).min() > 1e-3
+    thrust = (
+        torch.linalg.pinv(torch.tensor([[1.0] * 4, *_declared_arms()], dtype=torch.float64)) @ wanted[:, 2:].double().T
+    )
+    thrust = maps(nominal) / QUAD.rotor.thrust_map[2] * thrust.T
+    predicted = np.stack([effectiveness(nominal, i) @ thrust[i].numpy() for i in range(6)])
+    torch.testing.assert_close(made(nominal), predicted, atol=1e-5, rtol=1e-5)
+
+
+def _declared_arms() -> list[list[float]]:
+    layout, ratio = QUAD.mounts.layout, QUAD.rotor.torque_ratio
+    x, y, spin = [m.position[0] for m in layout], [m.position[1] for m in layout], [m.spin for m in layout]
+    return [y, [-a for a in x], [-ratio * s for s in spin]]
+
+
+def test_a_reset_writes_the_rows_of_its_mask_alone(drawn: EnvManager) -> None:
+    """Here and in the backend; afterwards all is what building it anew gives, but for round-off of float32."""
+    manager = drawn.robot_manager
+    targets = [*manager.controller.allocation.rows.values(), *manager.backend.parameter_targets()]
+    before = [target.clone() for target in targets]
+    drawn.reset(MASK)
+    for old, new in zip(before, targets, strict=True):
+        assert torch.equal(old[~MASK], new[~MASK])
+    assert (before[0][MASK] != targets[0][MASK]).flatten(1).any(1).all()
+    after = [target.clone() for target in targets]
+    manager.refresh_model()
+    for written, built in zip(after, targets, strict=True):
+        torch.testing.assert_close(written, built, rtol=2e-5, atol=1e-6 * float(built.abs().max()))
+
+
+def test_the_kernel_reads_no_number_that_is_zero_anyway() -> None:
+    """Of each rotor: four numbers of the allocation, two limits, one of the thrust map. Geometry alone takes the first four."""
+    more = {}
+    for name, cfg in (("all", DRAWN), ("arms", {"mounts.*.position": DRAWN["mounts.*.position"]})):
+        width = [
+            make(cfg, effectiveness=each).robot_manager.backend.parameter_targets()[0].shape[1]
+            for each in ("actual", "nominal")
+        ]
+        more[name] = width[0] - width[1]
+    assert more == {"all": 4 * (4 + 2 + 1), "arms": 4 * 4}
+
+
+@pytest.mark.parametrize("what", ["rotor.time_constant", "battery"])
+def test_nothing_is_kept_where_nothing_differs(what: str) -> None:
+    cfg = {what: RandomizeCfg(low=0.9, high=1.1)} if what != "battery" else {}
+    assert make(cfg).robot_manager.controller.allocation.rows == {}
+
+
+def fly(env: EnvManager, *, hard: bool = False) -> Tensor:
+    """Return the end of a flight with resets on the way, (E, 13)."""
+    number = torch.arange(env.num_envs, dtype=torch.float32).unsqueeze(-1)
+    action = torch.sin(number + torch.arange(4.0)) * torch.tensor([1.0, 0.4, 0.4, 0.5])
+    for step in range(12):
+        env.step(3.0 * action if hard else 0.3 * action)
+        env.reset((torch.arange(env.num_envs) + step) % 3 == 0)
+    for _ in range(3):
+        env.step(action)
+    return env.gtd["robot_state_tensor"].clone()
+
+
+@pytest.mark.parametrize(
+    ("controller", "allocation"),
+    [
+        ("lee_attitude_control", "prioritised"),
+        ("lee_attitude_control", "clamp"),
+        ("pid_rates_control", "prioritised"),
+        ("no_control", "prioritised"),
+    ],
+)
+def test_the_fused_kernel_flies_as_torch(controller: str, allocation: str) -> None:
+    """With rotors at their limits on the way; float32 over 15 steps."""
+    ends = [
+        fly(make(DRAWN, backend=backend, controller=controller, allocation=allocation), hard=True)
+        for backend in ("warp", "torch")
+    ]
+    torch.testing.assert_close(ends[0], ends[1], rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("backend", ["warp", "torch"])
+def test_an_environment_is_the_same_among_few_and_many(backend: str) -> None:
+    few, many = make(DRAWN, 4, backend=backend), make(DRAWN, 64, backend=backend)
+    assert torch.equal(fly(few), fly(many)[:4])
+    for name, rows in few.robot_manager.controller.allocation.rows.items():
+        assert torch.equal(rows, many.robot_manager.controller.allocation.rows[name][:4])
+
+
+@pytest.mark.parametrize("backend", ["warp", "torch"])
+def test_a_loaded_state_has_the_allocation_that_was_saved(backend: str) -> None:
+    flown = make(DRAWN, backend=backend)
+    fly(flown)
+    state = {name: rows.clone() for name, rows in flown.save_state().items()}
+    other = make(DRAWN, backend=backend)
+    other.load_state(state)
+    for name, rows in flown.robot_manager.controller.allocation.rows.items():
+        assert torch.equal(rows, other.robot_manager.controller.allocation.rows[name])
+    for _ in range(3):
+        other.step(torch.full((6, 4), 0.2))
+        flown.step(torch.full((6, 4), 0.2))
+    assert torch.equal(other.gtd["robot_state_tensor"], flown.gtd["robot_state_tensor"])
+
+
+def test_rotors_of_any_kind_make_what_is_commanded() -> None:
+    """Plain, reversible and in force mode, of a lopsided vehicle: what its declared rotors can give of a wrench is made exactly
+    by the drawn ones, as the physics has them; and the fused kernel keeps the numbers of torch."""
+    cfg = {
+        "rotor.thrust_map": RandomizeCfg(each_rotor=True, low=0.9, high=1.1),
+        "mounts.*.position": RandomizeCfg(how="offset", low=-0.02, high=0.02, each_rotor=True),
+    }
+    options = {"robot": mixed_robot(), "controller": "lee_rates_control"}
+    env, fused = make(cfg, backend="torch", **options), make(cfg, backend="warp", **options)
+    manager = env.robot_manager
+    assert manager._update.why_slow == ""
+    vehicle, allocation = manager.model.vehicle.to(torch.float64), manager.controller.allocation
+    declared = allocation_matrix(manager.declared, 9.81)[0].double().numpy()
+    span = np.linalg.svd(declared)[0][:, : np.linalg.matrix_rank(declared, tol=1e-4)]
+    wanted = torch.tensor([[0.0, 0.0, 9.0, 0.05, -0.05, 0.01]]).expand(6, -1)
+    state = allocation.speed_for_wrench(wanted).double()
+    assert ((state > vehicle.speed_low) & (state < vehicle.speed_high)).all()
+    thrust = rotor_thrust(vehicle, state)
+    made = (allocation_matrix(vehicle, 9.81) @ thrust.unsqueeze(-1)).squeeze(-1)
+    torch.testing.assert_close(made.numpy() @ span, wanted.double().numpy() @ span, rtol=0, atol=1e-4)
+    assert {"allocation", "low", "high", "thrust_map", "reverse_thrust_map"} == allocation.rows.keys()
+    for name, rows in fused.robot_manager.controller.allocation.rows.items():
+        assert torch.equal(rows, allocation.rows[name])
+    torch.testing.assert_close(fly(env), fly(fused), rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("backend", ["warp", "torch"])
+def test_without_arms_along_x_nothing_is_asked_of_pitch(backend: str) -> None:
+    """A draw that leaves the matrix without rank: roll, thrust and yaw are those of numpy's pseudo-inverse, pitch is let be."""
+    flat = {"mounts.*.position": RandomizeCfg(low=(0.0, 0.9, 1.0), high=(0.0, 1.1, 1.0))}
+    env = make(flat, backend=backend)
+    hubs = np.array([mount.position for mount in QUAD.mounts.layout])
+    spins = np.array([mount.spin for mount in QUAD.mounts.layout])
+    for i, inverse in enumerate(env.robot_manager.controller.allocation.inverse.double().numpy()):
+        arms = env.draws()["mounts.*.position"].view(6, -1)[i, 1].double().numpy() * hubs[:, 1]
+        matrix = np.stack((0 * arms, 0 * arms, 1 + 0 * arms, arms, 0 * arms, -QUAD.rotor.torque_ratio * spins))
+        assert not inverse[:, 4].any()
+        torch.testing.assert_close(inverse, np.linalg.pinv(matrix), rtol=1e-6, atol=1e-6)
+    assert fly(env).isfinite().all()
+
+
+def test_an_effect_of_the_robot_file_counts_without_draws() -> None:
+    """And so does what is written to its parameters later."""
+    robot = replace(QUAD, effects={"com_offset": {"x": 0.02, "y": 0.0, "z": 0.0}}, effects_source="test")
+    env = make({}, robot=robot)
+    for x in (0.02, -0.01):
+        env.gtd["effect_com_offset"][:, 0] = x
+        env.robot_manager.refresh_model()
+        arms = np.array(_declared_arms())
+        matrix = np.stack((np.ones(4), arms[0], arms[1] + x, arms[2]))
+        found = env.robot_manager.controller.allocation.inverse[3, :, 2:]
+        torch.testing.assert_close(found.double().numpy(), np.linalg.inv(matrix), rtol=1e-5, atol=1e-5)
+
+
+def test_gradients_in_float64_flow_through_it_and_are_those_of_differences() -> None:
+    env = make(DRAWN, 2, backend="auto", differentiable=True, dtype=torch.float64)
+    allocation = env.robot_manager.controller.allocation
+    assert {rows.dtype for rows in allocation.rows.values()} == {torch.float64}
+    for i, inverse in enumerate(allocation.inverse.numpy()):
+        found = effectiveness(env, i)[2:] @ inverse[:, 2:]
+        torch.testing.assert_close(found, np.eye(4), atol=2e-5, rtol=0)
+    vehicle = env.robot_manager.backend._inner._model.vehicle
+    torch.testing.assert_close(allocation.rows_for(vehicle)["allocation"], allocation.inverse, rtol=1e-12, atol=1e-12)
+
+    def loss(action: Tensor) -> Tensor:
+        env.restart(4)
+        env.reset()
+        for _ in range(3):
+            env.step(action)
+        return env.traced["robot_linvel"].cos().sum() + env.traced["robot_body_angvel"].sin().sum()
+
+    action = 0.1 * torch.rand(2, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    (found,) = torch.autograd.grad(loss(action.requires_grad_()), action)
+    nudges = 1e-6 * torch.eye(8, dtype=torch.float64).view(8, 2, 4)
+    with torch.no_grad():
+        differences = torch.stack([loss(action + each) - loss(action - each) for each in nudges]).view(2, 4) / 2e-6
+    torch.testing.assert_close(found, differences, atol=1e-8, rtol=1e-6)
