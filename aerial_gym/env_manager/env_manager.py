@@ -23,7 +23,6 @@ from aerial_gym.control import CONTROLLERS, check_closed_loop
 from aerial_gym.errors import ClosedError, ConfigError
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import Trajectory
-from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
 from aerial_gym.registry.state import below, check_state, identity, restore, saved
 from aerial_gym.robots import ROBOTS, RobotManager, Surroundings
@@ -156,7 +155,7 @@ class EnvManager:
             dt=self.dt,
             gravity=sim.gravity,
             random=self.random,
-            errors=self.robot_manager.model.effects[ImuEffect],
+            errors=self.robot_manager.imu_errors,
         )
         self._collision = CollisionTest(
             scene,

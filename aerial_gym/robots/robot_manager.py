@@ -27,7 +27,8 @@ from aerial_gym.physics import (
     vehicle_from_config,
 )
 from aerial_gym.physics.capabilities import choose_backend, needs_of
-from aerial_gym.physics.effects import EffectsByKind
+from aerial_gym.physics.effects import EffectsByKind, ImuEffect
+from aerial_gym.physics.effects.imu_errors import WIDTH, imu_errors
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model, check_effects, robot_effects
 from aerial_gym.physics.rotors import state_for_thrust
@@ -153,6 +154,13 @@ class RobotManager:
             stored = gtd.declare(spec)
             stored.copy_(params)
             self._effects[i] = (effect, stored)
+        self.imu_errors: Tensor | None = None
+        """What effects on the inertial sensors come to, (E, 24), as ``physics.effects.imu_errors`` says; None without such."""
+        if any(effect.kind is ImuEffect for effect, _ in self._effects):
+            self.imu_errors = gtd.declare(TensorSpec(
+                key="robot_imu_errors", shape=("E", WIDTH), unit="m/s², rad/s, -", frame="body", owner="robot",
+                meaning="measured = A true + b of specific force and angular velocity: b and columns of A of each",
+            ))  # fmt: skip
         self._other_position: Tensor | None = None
         if any("other_position" in effect.needs for effect, _ in self._effects):
             self._other_position = gtd.declare(TensorSpec(
@@ -265,6 +273,9 @@ class RobotManager:
             self._allocation.follow(model.vehicle)
         for target, rows in zip(self._targets(), self._rows(model, followed), strict=True):
             target.copy_(rows)
+        if self.imu_errors is not None:
+            exact = [(effect, params.double()) for effect, params in model.effects[ImuEffect]]
+            self.imu_errors.copy_(imu_errors(exact))
         effects = EffectsByKind(self._effects)  # which the model keeps reading
         if self._randomized is not None:
             declared = self.declared.rows()
@@ -284,12 +295,19 @@ class RobotManager:
         """The allocation of the controller, if it has one."""
         return getattr(self.controller, "allocation", None)
 
+    @property
+    def _draws_imu_errors(self) -> bool:
+        drawn = [] if self._randomized is None else self._randomized.drawn_effects
+        return any(isinstance(self._effects[i][0], ImuEffect) for i in drawn)
+
     def _rows(self, model: Model, followed: Followed) -> list[Tensor]:
-        """Return parameters of effects, gains and allocation that follow from draws."""
+        """Return allocation, parameters of effects, gains and errors of inertial sensors that follow from draws."""
         found = [] if self._allocation is None else [*self._allocation.rows_for(model.vehicle).values()]
         if self._randomized is not None:
             found += [followed.params[i] for i in self._randomized.drawn_effects]
             found += [followed.gains[name] for name in self._randomized.drawn_gains]
+        if self._draws_imu_errors:
+            found.append(imu_errors(model.effects[ImuEffect]))
         return found
 
     def _targets(self) -> list[Tensor]:
@@ -298,6 +316,8 @@ class RobotManager:
         if self._randomized is not None:
             found += [self._effects[i][1] for i in self._randomized.drawn_effects]
             found += [self.controller.named_gains[name] for name in self._randomized.drawn_gains]
+        if self.imu_errors is not None and self._draws_imu_errors:
+            found.append(self.imu_errors)
         return found
 
     def _make_update(self) -> MaskedRows | None:

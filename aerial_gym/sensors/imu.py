@@ -19,7 +19,6 @@ Then, per axis: bias, white noise ``sigma N / sqrt(dt)``, saturation; the bias w
 Frames: world z up; body x forward, y left, z up. Letters: E environments.
 """
 
-from collections.abc import Sequence
 from math import inf, radians, sqrt
 
 import torch
@@ -33,7 +32,7 @@ from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
 from aerial_gym.math.random import Purpose, Randomness, take_mask
-from aerial_gym.physics.effects import ImuEffect
+from aerial_gym.physics.effects.imu_errors import WIDTH
 from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn
 from aerial_gym.sensors.delay import CLOCK_MARGIN, steps_of
 from aerial_gym.sensors.mounts import Pose, nominal_pose
@@ -59,10 +58,7 @@ class Unit:
     period: wp.float32  # between two samples [s]; dt if there is one in every step
     due: wp.float32  # age of the last sample from which the next one is due [s]
     latency: wp.int32  # [steps]
-    accel_gain: wp.mat33  # of the robot's own effects on inertial sensors, body axes
-    accel_offset: wp.vec3  # [m/s²]
-    gyro_gain: wp.mat33
-    gyro_offset: wp.vec3  # [rad/s]
+    errs: wp.bool  # whether the robot has effects on inertial sensors
 
 
 @wp.struct
@@ -72,6 +68,9 @@ class Motion:
     attitude: wp.array[wp.quat]  # (E,) body to world, xyzw
     lin_vel: wp.array[wp.vec3]  # (E,) of the body origin, world [m/s]
     ang_vel: wp.array[wp.vec3]  # (E,) body [rad/s]
+    errors: wp.array2d[
+        wp.vec3
+    ]  # (E, 8) of the effects on inertial sensors, see physics.effects.imu_errors; not read without
 
 
 @wp.struct
@@ -129,7 +128,17 @@ def _point_velocity(motion: Motion, position: wp.vec3, e: int) -> wp.vec3:
 
 
 @wp.func
+def _felt(motion: Motion, unit: Unit, e: int, first: int, true: wp.vec3) -> wp.vec3:
+    """Return what effects of the robot make of a vector in body axes; their offset and columns begin at ``first``."""
+    if not unit.errs:
+        return true
+    gain = wp.matrix_from_cols(motion.errors[e, first + 1], motion.errors[e, first + 2], motion.errors[e, first + 3])
+    return gain * true + motion.errors[e, first]
+
+
+@wp.func
 def _write(
+    motion: Motion,
     unit: Unit,
     out: Outputs,
     e: int,
@@ -147,12 +156,12 @@ def _write(
     """
     share = 1.0 / wp.sqrt(steps)
     accel = (
-        rotate_inverse(mount, unit.accel_gain * force + unit.accel_offset)
+        rotate_inverse(mount, _felt(motion, unit, e, 0, force))
         + accel_bias
         + _normal(random, 0, share * unit.accel_noise)
     )
     gyro = (
-        rotate_inverse(mount, unit.gyro_gain * ang_vel + unit.gyro_offset)
+        rotate_inverse(mount, _felt(motion, unit, e, 4, ang_vel))
         + gyro_bias
         + _normal(random, 1, share * unit.gyro_noise)
     )
@@ -193,7 +202,7 @@ def _measure(motion: Motion, unit: Unit, random: RandomArrays, number: int, out:
         state = _count(random, number, e, out)
         accel_bias = out.bias[e, 0] + _normal(state, 2, wp.sqrt(count) * unit.accel_walk)
         gyro_bias = out.bias[e, 1] + _normal(state, 3, wp.sqrt(count) * unit.gyro_walk)
-        _write(unit, out, e, state, out.mount[e], force / count, ang_vel, accel_bias, gyro_bias, count)
+        _write(motion, unit, out, e, state, out.mount[e], force / count, ang_vel, accel_bias, gyro_bias, count)
         clock -= unit.period
         steps = 0
         force = wp.vec3()
@@ -221,7 +230,7 @@ def _reset(mask: wp.array[wp.bool], motion: Motion, unit: Unit, random: RandomAr
     out.position[e] = position
     out.mount[e] = mount
     out.point_vel[e] = _point_velocity(motion, position, e)
-    _write(unit, out, e, state, mount, force, motion.ang_vel[e], accel_bias, gyro_bias, 1.0)
+    _write(motion, unit, out, e, state, mount, force, motion.ang_vel[e], accel_bias, gyro_bias, 1.0)
     out.clock[e] = 0.0
     out.steps[e] = 0
     out.force_sum[e] = wp.vec3()
@@ -247,7 +256,7 @@ class Imu:
         gravity: float,
         random: Randomness | None = None,
         number: int = 0,
-        errors: Sequence[tuple[ImuEffect, Tensor]] = (),
+        errors: Tensor | None = None,
         pose: Pose | None = None,
     ) -> None:
         """Take views of the tensors, which must stay where they are, and load the kernels; then ``reset`` all rows.
@@ -262,7 +271,8 @@ class Imu:
             gravity: Downward acceleration of free fall [m/s²].
             random: Of the draws; that of seed 0 if not given.
             number: Of the IMU on its robot: two IMUs are drawn apart.
-            errors: Effects of the robot on its inertial sensors with their parameters, (E, P), the same in every environment.
+            errors: What effects of the robot on its inertial sensors come to, (E, 24), as ``imu_errors`` gives it; read at
+                every sample and reset. None where it has none.
             pose: Of its mount in the body frame, instead of its own placement; what is drawn deviates from there.
 
         Raises:
@@ -296,14 +306,17 @@ class Imu:
         self._line = torch.zeros(latency, envs, 6, device=device)
         self._random = random or Randomness(envs, device=device)
         self._mask = self._random.mask
-        unit = _make_unit(cfg, pose, dt, gravity, errors)
-        unit.latency = latency
+        unit = _make_unit(cfg, pose, dt, gravity)
+        unit.latency, unit.errs = latency, errors is not None
         self.is_drawn = bool(unit.mount.is_drawn)
         """Whether its place differs between episodes."""
         motion = Motion()
         motion.attitude = vector_view("attitude", attitude, (envs, 4), device=device)
         motion.lin_vel = vector_view("lin_vel", lin_vel, (envs, 3), device=device)
         motion.ang_vel = vector_view("ang_vel", ang_vel, (envs, 3), device=device)
+        if errors is not None:
+            check_tensor("errors", errors, (envs, WIDTH), device=device)
+            motion.errors = wp.from_torch(errors.view(envs, -1, 3), dtype=wp.vec3)
         inputs = [motion, unit, random_arrays(self._random), number, self._make_outputs()]
         launch = {"dim": envs, "device": wp.device_from_torch(device), "block_dim": BLOCK_DIM}
         self._measure_command = RecordedLaunch(_measure, inputs=inputs, **launch)
@@ -359,20 +372,8 @@ class Imu:
             self._reset_command.launch()
 
 
-def _affine(errors: Sequence[tuple[ImuEffect, Tensor]]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return gain (3, 3) and offset (3,) of the specific force, and those of the angular velocity: the effects are affine."""
-    rows = torch.cat((torch.zeros(1, 3, dtype=torch.float64), torch.eye(3, dtype=torch.float64)))
-    force = ang_vel = rows
-    for effect, params in errors:
-        force, ang_vel = effect.measure(force, ang_vel, params[:1].cpu().double().expand(4, -1))
-    return (force[1:] - force[0]).T, force[0], (ang_vel[1:] - ang_vel[0]).T, ang_vel[0]
-
-
-def _make_unit(cfg: ImuCfg, pose: Pose, dt: float, gravity: float, errors: Sequence[tuple[ImuEffect, Tensor]]) -> Unit:
+def _make_unit(cfg: ImuCfg, pose: Pose, dt: float, gravity: float) -> Unit:
     unit = Unit()
-    accel_gain, accel_offset, gyro_gain, gyro_offset = _affine(errors)
-    unit.accel_gain, unit.accel_offset = wp.mat33(*accel_gain.flatten().tolist()), wp.vec3(*accel_offset.tolist())
-    unit.gyro_gain, unit.gyro_offset = wp.mat33(*gyro_gain.flatten().tolist()), wp.vec3(*gyro_offset.tolist())
     unit.dt, unit.gravity = dt, gravity
     unit.period = dt if cfg.rate_hz is None else 1.0 / cfg.rate_hz
     unit.due = (1.0 - CLOCK_MARGIN) * unit.period

@@ -3,13 +3,12 @@
 Letters: E environments.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from torch import Tensor
 
 from aerial_gym.config.imu import ImuCfg
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import below
 from aerial_gym.sensors.imu import Imu
@@ -30,7 +29,7 @@ class ImuSet:
         dt: float,
         gravity: float,
         random: Randomness,
-        errors: Sequence[tuple[ImuEffect, Tensor]] = (),
+        errors: Tensor | None = None,
     ) -> None:
         """Declare the measurements and make an ``Imu`` for each.
 
@@ -43,7 +42,7 @@ class ImuSet:
             dt: Time between two calls of ``measure`` [s]: the environment step.
             gravity: Downward acceleration of free fall [m/s²].
             random: Of the draws.
-            errors: Effects of the robot on its inertial sensors with their parameters, (E, P).
+            errors: What effects of the robot on its inertial sensors come to, (E, 24); None where it has none.
 
         Raises:
             ConfigError: If an IMU measures more often than ``dt`` allows.

@@ -41,7 +41,7 @@ class Rig:
     """An IMU on a body that is moved by hand. Everything it writes is NaN beforehand."""
 
     def __init__(
-        self, cfg: ImuCfg, num_envs: int = 1, *, dt: float = 0.01, seed: int = 0, errors=(), pose=None
+        self, cfg: ImuCfg, num_envs: int = 1, *, dt: float = 0.01, seed: int = 0, errors=None, pose=None
     ) -> None:
         self.attitude = torch.zeros(num_envs, 4)
         self.attitude[:, 3] = 1.0

@@ -37,6 +37,7 @@ from aerial_gym.physics import (
     state_at_rest,
     vehicle_from_config,
 )
+from aerial_gym.physics.effects.imu_errors import imu_errors
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.derived import DerivedStates
 from aerial_gym.robots.initial_state import InitialState
@@ -350,7 +351,7 @@ def test_effects_of_the_robot_act_in_body_axes_before_the_mount() -> None:
         device=torch.device("cpu"),
         dtype=torch.float32,
     )
-    rig = Rig(replace(IDEAL, euler=(0.0, 0.0, pi / 2)), 2, errors=errors)
+    rig = Rig(replace(IDEAL, euler=(0.0, 0.0, pi / 2)), 2, errors=imu_errors(errors))
     sample = rig.reset()[1]
     in_body = (0.0, G * sin(0.1) + 0.2, G * cos(0.1))
     expected = torch.tensor([in_body[1], -in_body[0], in_body[2], 0.0, -0.03, 0.0])
