@@ -76,6 +76,7 @@ class RegisteredTask(gymnasium.Env):
             given.get("device", "auto"),
             num_envs=cfg.num_envs,
             seed=int(given.get("seed", 0)),
+            randomize=cfg.randomize,
         )
         self.task = Task(cfg, self.sim_env.env)
         self._pre_reset = bool(given.get("return_state_before_reset", False))

@@ -15,6 +15,7 @@ from aerial_gym.compat.registries import (
     robot_registry,
     sim_config_registry,
 )
+from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.env_manager import SIMS
 from aerial_gym.env_manager import SimBuilder as Builder
@@ -39,6 +40,7 @@ class SimBuilder:
         headless: bool | None = None,
         *,
         seed: int | None = None,
+        randomize: Randomize | None = None,
     ) -> EnvManager:
         """Return a simulation, built and not yet reset.
 
@@ -53,6 +55,8 @@ class SimBuilder:
             use_warp: Not used: sensors always are Warp's.
             headless: Not used: there is no viewer window.
             seed: Seed of every random number of the simulation; if not given that of ``torch.manual_seed``, which scripts call.
+            randomize: What resets draw, by the names of quantities, beside what the gains of the controller say; the same names
+                replace it.
 
         Raises:
             UnknownNameError: If a name is not registered; the message lists what is.
@@ -70,7 +74,7 @@ class SimBuilder:
             env_name=env_config_registry.resolve(env_name),
             robot_name=robot_registry.resolve(robot_name),
             controller_name=controller_registry.resolve(controller_name),
-            randomize=controller_registry.drawn_gains(controller_name),
+            randomize={**controller_registry.drawn_gains(controller_name), **(randomize or {})},
             num_envs=default_envs if num_envs is None else num_envs,
             device=device,
             seed=torch.initial_seed() % 2**31 if seed is None else seed,

@@ -1,12 +1,15 @@
 """Tasks of this package with the interface of that simulator's."""
 
+from dataclasses import replace
+
 import gymnasium
 import pytest
 import torch
 
 from aerial_gym import task_registry as TASKS  # noqa: N812
-from aerial_gym.compat import task_registry
+from aerial_gym.compat import controller_registry, task_registry
 from aerial_gym.compat.registered_task import PositionSetpointTask, RegisteredTask, task_class
+from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.errors import CapabilityError, ConfigError
 
 NAME = "position_setpoint_task"
@@ -56,6 +59,32 @@ def test_a_configuration_class_changes_it() -> None:
     assert flags == [[False, False], [False, False], [True, True]]
     assert torch.equal(obs["observations"], infos["final_observation"])
     assert task.sim_env.sim_steps.tolist() == [0, 0]
+
+
+def test_it_draws_what_the_task_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """``randomize`` of a task of ours, beside the gains that a class of the script draws; the same draws as with us."""
+
+    class Drawn(controller_registry.get_controller_config("lee_velocity_control")):
+        randomize_params = True
+
+    drawn = {"body.mass": RandomizeCfg(low=0.8, high=1.2)}
+    cfg = replace(TASKS.get(NAME), randomize=drawn)
+    monkeypatch.setitem(TASKS._entries, "drawn_task", cfg)
+    theirs = task_registry.make_task("drawn_task", num_envs=3, device="cpu", seed=4)
+    ours = TASKS.make_task("drawn_task", num_envs=3, device="cpu", seed=4)
+    theirs.reset(), ours.reset()
+    assert torch.equal(theirs.sim_env.env.draws()["body.mass"], ours.env.draws()["body.mass"])
+    assert theirs.sim_env.env.gtd["robot_mass"].std() > 0.0
+    controller_registry.register_controller(
+        "drawn_gains", controller_registry.get_controller_class(cfg.controller), Drawn
+    )
+
+    class Both(task_registry.get_task_config("drawn_task")):
+        controller_name = "drawn_gains"
+
+    both = task_class("drawn_task")(Both, num_envs=3, device="cpu", seed=4)
+    both.reset()
+    assert {"body.mass", "gains.velocity"} <= both.sim_env.env.draws().keys()
 
 
 def test_a_reward_that_would_not_be_called_is_refused() -> None:
