@@ -191,6 +191,8 @@ RANDOMIZE = {
     "rotor.time_constant": RandomizeCfg(low=0.8, high=1.2, each_rotor=True),
     "effects.rotor_drag.dx": RandomizeCfg(how="value", distribution="log_uniform", low=0.05, high=0.2),
     "effects.gusts.std": RandomizeCfg(how="value", low=0.5, high=1.0),
+    "effects.imu_bias.az": RandomizeCfg(how="value", low=-1.0, high=1.0),
+    "effects.imu_misalignment.roll": RandomizeCfg(how="value", low=-0.1, high=0.1),
     "gains.position": RandomizeCfg(low=0.9, high=1.1),
 }
 
@@ -200,7 +202,7 @@ def randomised_task(num_envs: int, *, capture: bool, **numbers: int) -> Task:
     env = SimBuilder().build_env(
         sim_name=cfg.sim,
         env_name=cfg.env,
-        robot_name=cfg.robot,
+        robot_name="base_quadrotor_with_imu",
         controller_name=cfg.controller,
         num_envs=num_envs,
         device="cuda:0",
@@ -220,7 +222,15 @@ def roll_out(task: Task, first: int = 0, steps: int = 12) -> list[dict[str, torc
     for step in range(steps):
         task.env.gtd["sim_steps"].masked_fill_((number + step) % 3 == 0, task.cfg.episode_len_steps)
         obs, reward, *_ = task.step(actions)
-        keys = ("robot_position", "robot_linvel", "robot_mass", "drawn_parameters", "episodes", "rotor_speed")
+        keys = (
+            "robot_position",
+            "robot_linvel",
+            "robot_mass",
+            "drawn_parameters",
+            "episodes",
+            "rotor_speed",
+            "robot_imu_errors",
+        )
         row = {"observations": obs["observations"], "reward": reward} | {key: task.env.gtd[key] for key in keys}
         found.append({key: value.clone() for key, value in row.items()})
     return found

@@ -117,6 +117,7 @@ def test_the_kernel_of_a_randomised_robot_compiles() -> None:
         randomize={
             "body.mass": RandomizeCfg(low=0.8, high=1.2),
             "effects.com_offset.x": RandomizeCfg(how="value", low=0.0, high=0.01),
+            "effects.imu_misalignment.yaw": RandomizeCfg(how="value", low=0.0, high=0.01),
         },
     )
     update = env.robot_manager._update
