@@ -111,7 +111,7 @@ def score(job: Job) -> dict[str, object]:
             return {**row, "error": f"{type(error).__name__}: {error}", "verdict": "error", "named": [], "right": False}
         truth = json.loads(files.truth.read_text())["effects"]
         times = {"fly_s": flown - start, "loop_s": judged - flown, "evidence_s": time.monotonic() - judged}
-    return {**row, **judge(verdict, truth), **times, "by_evidence": chosen}
+    return {**row, **judge(verdict, truth), "truth": truth, **times, "by_evidence": chosen}
 
 
 def by_evidence(robot, train, test) -> dict[str, object]:
@@ -135,7 +135,10 @@ def by_evidence(robot, train, test) -> dict[str, object]:
         "probability": chosen.probability,
         "sets": [["+".join(names), share] for names, share in list(chosen.sets.items())[:5]],
         "inclusion": {name: share for name, share in chosen.inclusion.items() if share > 0.01},
-        "predictive": {name: [found.gain, found.error] for name, found in chosen.predictive.items()},
+        "structures": list(chosen.structures),
+        "surrogates": chosen.surrogates,
+        "predictive": {n: [found.by_flight.tolist(), found.relief] for n, found in chosen.predictive.items()},
+        "refused": {n: [found.by_flight.tolist(), found.relief] for n, found in chosen.refused.items()},
         "params": {
             name: {
                 parameter.name: [float(value), float(std)]

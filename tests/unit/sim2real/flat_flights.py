@@ -56,7 +56,9 @@ def flight(
     drag: float = 0.0,
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
     cubic: float = 0.0,
+    spring: float = 0.0,
     thrust_scale: float = 1.0,
+    fading: float = 0.0,
     noise: float = 0.0,
     seconds: float = 12.0,
     rate: float = 200.0,
@@ -65,7 +67,8 @@ def flight(
 
     In the columns of the contract, without commands.
 
-    ``cubic`` is a drag ``-c |v|² v`` [N s³/m³], which no effect has.
+    ``cubic`` is a drag ``-c |v|² v`` [N s³/m³], ``spring`` a pull ``-k x`` along the world's x [N/m], ``fading`` the share of
+    their thrust that rotors lose evenly up to the end of the flight: no effect has them.
     ``noise`` scales: accelerometer 0.05 m/s², gyro 0.003 rad/s, rotors 0.3 %.
     """
     rng, body = np.random.default_rng(seed), ROBOT.body
@@ -75,6 +78,7 @@ def flight(
     # What the rotors give, world: drag is isotropic.
     force = body.mass * (acceleration + GRAVITY) + drag * (velocity - wind)
     force += cubic * (velocity**2).sum(axis=1, keepdims=True) * velocity
+    force[:, 0] += spring * place[:, 0]
     up = force / np.linalg.norm(force, axis=1, keepdims=True)
     ahead = np.stack((np.cos(heading), np.sin(heading), np.zeros_like(heading)), axis=1)
     left = np.cross(up, ahead)
@@ -89,6 +93,7 @@ def flight(
     spin = np.array([mount.spin for mount in ROBOT.mounts.layout])
     mix = np.stack((np.ones(4), hubs[:, 1], -hubs[:, 0], -spin * 0.015))
     thrust = np.linalg.solve(mix, np.column_stack((lift, torque)).T).T / thrust_scale
+    thrust /= 1.0 - fading * time[:, None] / seconds
     speed = np.sqrt(thrust / 1.2e-6)
     specific = attitude.apply(acceleration + GRAVITY, inverse=True)
     specific += noise * 0.05 * rng.standard_normal(specific.shape)

@@ -14,7 +14,8 @@ Sources:
     Jeffreys (1961), Theory of Probability, section 5.2 (Cauchy priors).
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,11 @@ MOST_STEPS = 30
 CONVERGED = 1e-6
 """Relative to a parameter's scale."""
 
+AT_ONCE = 512
+"""Sets whose evidence is worked out together."""
+
+LOG_2PI = float(np.log(2.0 * np.pi))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Normal:
@@ -42,9 +48,25 @@ class Normal:
     gradient: Array
     """``sum w J r``, (K,)."""
 
+    constant: float = 0.0
+    """Of the log likelihood."""
+
     def __sub__(self, other: "Normal") -> "Normal":
         """Return the sums without those of some flights."""
         return Normal(product=self.product - other.product, gradient=self.gradient - other.gradient)
+
+    def marginal(self, columns: Indices) -> "Normal":
+        """Return the sums with some columns integrated out over their normal priors, exactly; those columns are zero.
+
+        What is in every set is so taken care of once.
+        """
+        inner = self.product[np.ix_(columns, columns)] + np.eye(columns.size)
+        across, right = self.product[columns], self.gradient[columns]
+        solved = np.linalg.solve(inner, np.column_stack((across, right)))
+        product, gradient = self.product - across.T @ solved[:, :-1], self.gradient - across.T @ solved[:, -1]
+        product[columns] = product[:, columns] = gradient[columns] = 0.0
+        found = 0.5 * float(right @ solved[:, -1]) - 0.5 * np.linalg.slogdet(inner)[1]
+        return Normal(product=product, gradient=gradient, constant=self.constant + found)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,11 +104,22 @@ class Candidates:
     exclusive: tuple[str, ...]
     """Name of each candidate; a set has no two of one name: one effect from several starts, or on several rotors."""
 
+    apart: frozenset[frozenset[str]] = frozenset()
+    """Pairs of names of which a set has one at most: a wide case, and what it contains."""
+
+    structures: frozenset[int] = frozenset()
+    """Candidates that are no effects: their columns have normal priors, as tolerances have."""
+
     def columns_of(self, model: Model) -> tuple[Indices, int]:
-        """Return the columns of a set, the tolerances behind, and how many of them belong to effects."""
-        own = [self.columns[k] for k in model]
+        """Return the columns of a set, effects in front and tolerances behind, and how many belong to effects."""
+        own = [self.columns[k] for k in model if k not in self.structures]
+        rest = [self.columns[k] for k in model if k in self.structures]
         count = sum(columns.size for columns in own)
-        return np.concatenate([*own, self.tolerances]).astype(np.int64), count
+        return np.concatenate([*own, *rest, self.tolerances]).astype(np.int64), count
+
+    def without_tolerances(self) -> "Candidates":
+        """Return the candidates beside tolerances that have been integrated out."""
+        return replace(self, tolerances=self.tolerances[:0])
 
 
 def posterior(candidates: Candidates, normal: Normal, model: Model) -> Posterior:
@@ -98,27 +131,60 @@ def posterior(candidates: Candidates, normal: Normal, model: Model) -> Posterior
     Of a parameter that nothing shows it is 0.56 in place of 1, the share of a Cauchy density that its normal one covers.
     """
     columns, count = candidates.columns_of(model)
-    product, gradient = normal.product[np.ix_(columns, columns)], normal.gradient[columns]
-    precision, step = np.ones(columns.size), np.zeros(columns.size)
+    step, covariance, log_evidence = _laplace(candidates, normal, columns[None], np.arange(columns.size)[None] < count)
+    return Posterior(columns=columns, step=step[0], covariance=covariance[0], log_evidence=float(log_evidence[0]))
+
+
+def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model]) -> Array:
+    """Return the log evidence of each of some sets, (M,), as ``posterior`` has it.
+
+    Sets of about the same number of columns are worked out together; those with fewer are filled up with a column that does
+    nothing.
+    """
+    nothing = Normal(
+        product=np.pad(normal.product, (0, 1)), gradient=np.pad(normal.gradient, (0, 1)), constant=normal.constant
+    )
+    free = replace(candidates, low=np.append(candidates.low, -np.inf), high=np.append(candidates.high, np.inf))
+    parts = [candidates.columns_of(model) for model in models]
+    widths, found = np.array([columns.size for columns, _ in parts]), np.empty(len(models))
+    order = np.argsort(widths, kind="stable")
+    for chunk in np.array_split(order, -(-len(models) // AT_ONCE)):
+        columns = np.full((chunk.size, widths[chunk[-1]]), normal.gradient.size)
+        effects = np.zeros(columns.shape, dtype=bool)
+        for row, k in enumerate(chunk):
+            own, count = parts[k]
+            columns[row, : own.size], effects[row, :count] = own, True
+        found[chunk] = _laplace(free, nothing, columns, effects)[2]
+    return found
+
+
+def _laplace(
+    candidates: Candidates, normal: Normal, columns: Indices, effects: NDArray[np.bool_]
+) -> tuple[Array, Array, Array]:
+    """Return steps (M, k), covariances (M, k, k) and log evidences (M,) of sets with some columns (M, k).
+
+    ``effects`` (M, k) says which columns have Cauchy priors and bounds; the others have normal ones.
+    """
+    product, gradient = normal.product[columns[:, :, None], columns[:, None, :]], normal.gradient[columns]
+    precision, step, unit = np.ones(columns.shape), np.zeros(columns.shape), np.eye(columns.shape[1])
     for _ in range(MOST_STEPS):
-        before, step = step, np.linalg.solve(product + np.diag(precision), gradient)
-        precision[:count] = 2.0 / (1.0 + step[:count] ** 2)
+        before, step = step, np.linalg.solve(product + precision[..., None] * unit, gradient[..., None])[..., 0]
+        precision = np.where(effects, 2.0 / (1.0 + step**2), 1.0)
         if np.max(np.abs(step - before), initial=0.0) < CONVERGED:
             break
-    covariance = np.linalg.inv(product + np.diag(precision))
-    effects, deviations = step[:count], step[count:]
-    log_prior = -np.log(np.pi * (1.0 + effects**2)).sum() - 0.5 * (deviations**2 + np.log(2.0 * np.pi)).sum()
-    log_likelihood = gradient @ step - 0.5 * step @ product @ step
-    log_volume = 0.5 * (columns.size * np.log(2.0 * np.pi) + np.linalg.slogdet(covariance)[1])
-    low, high = candidates.low[columns[:count]], candidates.high[columns[:count]]
-    std = np.sqrt(np.diag(covariance)[:count])
-    within = _log_normal_between((low - effects) / std, (high - effects) / std) - _log_cauchy_between(low, high)
-    return Posterior(
-        columns=columns,
-        step=step,
-        covariance=covariance,
-        log_evidence=float(log_likelihood + log_prior + log_volume + within.sum()),
-    )
+    inner = product + precision[..., None] * unit
+    covariance = np.linalg.inv(inner)
+    log_prior = np.where(effects, -np.log(np.pi * (1.0 + step**2)), -0.5 * (step**2 + LOG_2PI)).sum(axis=1)
+    log_likelihood = (gradient * step).sum(axis=1) - 0.5 * np.einsum("mk,mkl,ml->m", step, product, step)
+    log_volume = 0.5 * (columns.shape[1] * LOG_2PI - np.linalg.slogdet(inner)[1])
+    bounded = effects & (np.isfinite(candidates.low) | np.isfinite(candidates.high))[columns]
+    within = np.zeros(columns.shape)
+    if bounded.any():
+        low, high = candidates.low[columns[bounded]], candidates.high[columns[bounded]]
+        std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[bounded])
+        away = step[bounded]
+        within[bounded] = _log_normal_between((low - away) / std, (high - away) / std) - _log_cauchy_between(low, high)
+    return step, covariance, normal.constant + log_likelihood + log_prior + log_volume + within.sum(axis=1)
 
 
 def _log_normal_between(low: Array, high: Array) -> Array:

@@ -7,13 +7,18 @@ Source: Scott, Berger (2010), Bayes and empirical-Bayes multiplicity adjustment 
 Statistics 38 (why the prior of a set depends on how many effects there are to choose from).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal, posterior
+from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal, log_evidences
+
+Array = NDArray[np.float64]
 
 
 @dataclass
@@ -29,21 +34,25 @@ class Sets:
     log_posterior: dict[Model, float] = field(default_factory=dict)
     """Up to a constant."""
 
-    @property
+    @cached_property
     def log_names(self) -> float:
         """Return what one more effect costs before the flights are seen."""
-        return float(np.log(len(set(self.candidates.exclusive))))
+        names = {name for k, name in enumerate(self.candidates.exclusive) if k not in self.candidates.structures}
+        return float(np.log(len(names)))
 
-    def look(self, model: Sequence[int]) -> float:
-        """Return the log posterior of a set up to a constant; minus infinity for two candidates of one name."""
-        key = tuple(sorted(model))
-        if key not in self.log_posterior:
-            names = [self.candidates.exclusive[k] for k in key]
-            if len(set(names)) < len(names):
-                return -np.inf
-            found = posterior(self.candidates, self.normal, key).log_evidence
-            self.log_posterior[key] = found - self.log_names * len(key)
-        return self.log_posterior[key]
+    def look(self, models: Iterable[Model]) -> Array:
+        """Return the log posterior of sets up to a constant, (M,); minus infinity for two candidates of one name."""
+        keys = [tuple(sorted(model)) for model in models]
+        new = [key for key in dict.fromkeys(keys) if key not in self.log_posterior and self._possible(key)]
+        if new:
+            found = log_evidences(self.candidates, self.normal, new)
+            for key, value in zip(new, found.tolist(), strict=True):
+                self.log_posterior[key] = value - self.log_names * len(key)
+        return np.array([self.log_posterior.get(key, -np.inf) for key in keys])
+
+    def _possible(self, model: Model) -> bool:
+        names = {self.candidates.exclusive[k] for k in model}
+        return len(names) == len(model) and not any(pair <= names for pair in self.candidates.apart)
 
     @property
     def best(self) -> Model:
@@ -75,12 +84,9 @@ def search(candidates: Candidates, normal: Normal, *, starts: Sequence[Model] = 
     All singles and all pairs are looked at, so that two effects of which each alone would do harm are found; from the best
     of these, and from ``starts``, the search climbs by adding, removing and swapping effects until none helps.
     """
-    sets, places = Sets(candidates=candidates, normal=normal), range(len(candidates.columns))
-    sets.look(())
-    for one in places:
-        sets.look((one,))
-        for other in range(one):
-            sets.look((other, one))
+    reduced, once = candidates.without_tolerances(), normal.marginal(candidates.tolerances)
+    sets, places = Sets(candidates=reduced, normal=once), range(len(candidates.columns))
+    sets.look([(), *combinations(places, 1), *combinations(places, 2)])
     first = sorted(sets.log_posterior, key=sets.log_posterior.__getitem__, reverse=True)[:MOST_STARTS]
     for start in (*starts, *first):
         _climb(sets, tuple(sorted(start)))
@@ -90,10 +96,12 @@ def search(candidates: Candidates, normal: Normal, *, starts: Sequence[Model] = 
 def _climb(sets: Sets, model: Model) -> None:
     """Look at neighbours of a set, and of the best of these, until none is more probable."""
     while True:
-        best = max(neighbours(model, len(sets.candidates.columns)), key=sets.look)
-        if sets.look(best) <= sets.look(model):
+        around = neighbours(model, len(sets.candidates.columns))
+        values = sets.look([model, *around])
+        best = int(values[1:].argmax())
+        if values[1 + best] <= values[0]:
             return
-        model = best
+        model = around[best]
 
 
 def neighbours(model: Model, count: int) -> list[Model]:

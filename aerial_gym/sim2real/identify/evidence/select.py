@@ -6,26 +6,34 @@ Then every effect must have predicted flights that its fit has not seen.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal, Posterior, posterior
+from aerial_gym.sim2real.identify.evidence.guard import Guard, Predictive, part_length
+from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior, posterior
+from aerial_gym.sim2real.identify.evidence.linear import candidates_of, evidence_at, labels, normal_of, with_structures
 from aerial_gym.sim2real.identify.evidence.search import Sets, search
+from aerial_gym.sim2real.identify.evidence.structure import (
+    Structure,
+    beyond_structures,
+    functions_of,
+    structures_of,
+)
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
-    Fit,
+    effect_jacobian,
+    fit_at,
     fit_effects,
     is_number,
-    normal_equations,
     params_of,
     scales,
     tolerance_jacobian,
     weighting,
     with_params,
 )
-from aerial_gym.sim2real.identify.least_squares.moments import Weighting, folds
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.selection.library import (
     Library,
     build_library,
@@ -42,26 +50,13 @@ Progress = Callable[[str, float], None]
 WORTH_A_FIT = 0.01
 """Probability in the linear model from which on a set is fitted as it is: a less probable one hardly wins by its curvature."""
 
+STEADY = 0.2
+"""Share of its mean by which an effect's size may follow a structure (rms) and still be called that effect."""
+
 MOST_ROUNDS = 8
 MOST_WEIGHINGS = 3
 SETTLED = 0.3
 """The weights of the channels are taken anew until none changes by more than this on the scale of the logarithm."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Predictive:
-    """What an effect adds to the log density of flights that are left out, each predicted by the posterior of the others."""
-
-    gain: float
-    """Sum over the flights."""
-
-    error: float
-    """Standard error of the sum, from the scatter of the flights."""
-
-    @property
-    def ratio(self) -> float:
-        """Return the gain in standard errors."""
-        return self.gain / max(self.error, 1e-12)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,17 +67,26 @@ class Chosen:
     """The fitted model."""
 
     effects: tuple[str, ...]
+    structures: tuple[str, ...]
+    """What remains and no effect has, by kind and channel."""
+
     probability: float
-    """Of exactly this set."""
+    """Of exactly these effects."""
 
     sets: dict[tuple[str, ...], float]
-    """Probability of each set, the most probable first."""
+    """Probability of each set of effects, the most probable first, whatever the structure beside them."""
 
     inclusion: dict[str, float]
     """Probability of each effect: that of all sets that hold it."""
 
     predictive: dict[str, Predictive]
     """Of each effect of the set."""
+
+    surrogates: dict[str, str]
+    """Effects that only stand in for what remains, and what their size follows."""
+
+    refused: dict[str, Predictive]
+    """Effects that were probable and predicted the flights of others no better: their law or their parameter is not theirs."""
 
     std: dict[str, Array]
     """Standard deviation of each parameter of each effect, 0 where it was not fitted."""
@@ -112,6 +116,7 @@ class _Present:
     """A set of effects, fitted."""
 
     effects: tuple[str, ...]
+    structures: tuple[Structure, ...]
     params: ModelParams
     log_posterior: float
     parameters: Posterior
@@ -127,52 +132,99 @@ class _Chooser:
         self.skipped = [name for name in EFFECTS if name not in names]
         self.progress = progress or (lambda _stage, _share: None)
         self.tolerance: list[Array] = []
+        self.missed = predictor.residuals(declared)
 
     def run(self) -> Chosen:
         """Choose with the weights that the best model leaves, until these no longer change."""
-        params, effects = self.declared, ()
+        params, effects, structures = self.declared, (), ()
         weights = self.weigh(params)
         for _ in range(MOST_WEIGHINGS):
-            present = self.climb(params, effects, weights)
-            params, effects = present.params, present.effects
+            present = self.climb(params, effects, structures, weights)
+            params, effects, structures = present.params, present.effects, present.structures
             before, weights = weights, self.weigh(params)
             if np.all(np.abs(np.log(weights.weight / before.weight)) < SETTLED):
                 break
         return self.chosen(present, before)
 
+    def varying(self, present: _Present, weights: Weighting) -> dict[str, str]:
+        """Return the effects whose size follows a structure that remains, and what it follows: they only stand in for it.
+
+        Never an effect that by its nature follows the same: its law may be off, but its name is right.
+        """
+        predictor, found = self.predictor, {}
+        predicted = predictor.predict(present.params)
+        residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
+        own = effect_jacobian(predictor, present.params, present.effects, predicted)
+        neutral = {name: neutral_of(name, self.declared, predictor.robot) for name in present.effects}
+
+        def log_posterior(*more: list[Array], structures: Sequence[Structure]) -> tuple[float, Posterior]:
+            nuisance = with_structures(self.tolerance, structures)
+            jacobians = [np.concatenate(parts, axis=2) for parts in zip(own, nuisance, *more, strict=True)]
+            fit = fit_at(predictor, present.effects, present.params, residuals, jacobians, length=np.inf)
+            constant, parameters = evidence_at(fit, list(neutral.values()), weights)
+            return constant + parameters.log_evidence - len(structures) * float(np.log(len(self.names))), parameters
+
+        kinds = {structure.kind for structure in present.structures} - {"periodic"}
+        for name, kind in ((name, kind) for name in present.effects for kind in sorted(kinds)):
+            if kind in EFFECTS.get(name).follows or name in found:
+                continue
+            without = predictor.predict(present.params.with_effect(name, neutral[name]))
+            functions = functions_of(kind, predictor.flights, predictor.times)
+            columns = [(p - w)[..., None] * f[:, None] for p, w, f in zip(predicted, without, functions, strict=True)]
+            rest = [structure for structure in present.structures if structure.kind != kind]
+            steady, _ = log_posterior(structures=present.structures)
+            for beside in (present.structures, rest):
+                varied, parameters = log_posterior(columns, structures=beside)
+                share = float(np.sqrt((parameters.step[-columns[0].shape[2] :] ** 2).sum()))
+                if varied - np.log(len(self.names)) > steady and share > STEADY:
+                    found[name] = kind
+        return found
+
     def weigh(self, params: ModelParams) -> Weighting:
-        """Return the weights of the channels from what all candidates together leave over."""
+        """Return the weights of the channels from what all effects and structures together leave over."""
         common = tuple(name for name in self.names if not has_starts(name, self.predictor.robot))
         several = [name for name in self.names if name not in common and name not in params.effects]
         tolerance = tolerance_jacobian(self.predictor, params, self.predictor.predict(params))
-        return weighting(
-            self.predictor, params, common, columns_of_starts(self.predictor, params, self.declared, several, tolerance)
-        )
+        flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
 
-    def climb(self, params: ModelParams, effects: tuple[str, ...], weights: Weighting) -> _Present:
+        def beyond(residuals: list[Array], weights: Weighting) -> list[Array]:
+            structures = structures_of(flights, times, channels, self.missed, residuals, {})
+            return beyond_structures(structures, residuals, weights)
+
+        columns = columns_of_starts(self.predictor, params, self.declared, several, tolerance)
+        return weighting(self.predictor, params, common, columns, beyond=beyond)
+
+    def climb(
+        self, params: ModelParams, effects: tuple[str, ...], structures: tuple[Structure, ...], weights: Weighting
+    ) -> _Present:
         """Return the best set that fits lead to from a present one."""
         self.tolerance = tolerance_jacobian(self.predictor, params, self.predictor.predict(params))
-        present = self.fit(effects, params, weights)
+        present = self.fit(effects, structures, params, weights)
         for count in range(MOST_ROUNDS):
             self.progress(f"sets of effects, round {count + 1}", count / MOST_ROUNDS)
-            library, sets = self.look_around(present, weights)
-            here, best = place_of(library), present
-            fitted = {labels(library, here)}  # anew in each round: another model bends the tolerances otherwise
-            for model, probability in sets.probabilities().items():
+            library, sets, structures = self.look_around(present, weights)
+            guard = Guard(library, sets, weights)
+            here = place_of(library, present)
+            best = present if guard.passes(here) else None
+            fitted = (
+                {labels(library, here)} if best else set()
+            )  # anew in each round: another model bends the tolerances
+            for model in [*worth_a_fit(sets, guard), *worth_a_fit(sets, guard, structures=False)]:
                 label = labels(library, model)
-                if probability < WORTH_A_FIT or sets.look(model) < sets.look(here):
-                    break
                 if label in fitted:
                     continue
                 fitted.add(label)
-                names = tuple(library.candidates[k].name for k in model)
-                found = self.fit(names, self.start_of(library, sets, model), weights)
-                best = max(best, found, key=lambda one: one.log_posterior)
+                chosen = {library.candidates[k].name for k in model if library.candidates[k].structure}
+                names = tuple(library.candidates[k].name for k in model if not library.candidates[k].structure)
+                beside = tuple(structure for structure in structures if structure.name in chosen)
+                found = self.fit(names, beside, self.start_of(library, sets, model), weights)
+                best = found if best is None else max(best, found, key=lambda one: one.log_posterior)
+            assert best is not None  # the set of no effects passes
             best = self.narrower(best, weights)
             if best is present:
                 break
             self.tolerance = tolerance_jacobian(self.predictor, best.params, self.predictor.predict(best.params))
-            present = self.fit(best.effects, best.params, weights)
+            present = self.fit(best.effects, best.structures, best.params, weights)
         return present
 
     def narrower(self, present: _Present, weights: Weighting) -> _Present:
@@ -189,19 +241,36 @@ class _Chooser:
                     start = ModelParams(effects=kept, learned=self.declared.learned)
                     start = start.with_effect(name, neutral_of(name, self.declared, self.predictor.robot))
                     effects = tuple(name if other == wide else other for other in present.effects)
-                    best = max(best, self.fit(effects, start, weights), key=lambda one: one.log_posterior)
+                    found = self.fit(effects, present.structures, start, weights)
+                    best = max(best, found, key=lambda one: one.log_posterior)
         return best
 
-    def look_around(self, present: _Present, weights: Weighting) -> tuple[Library, Sets]:
-        """Return all candidates about a model, and the posterior over their sets."""
-        library = build_library(self.predictor, self.declared, present.params, present.effects, skipped=self.skipped)
+    def look_around(self, present: _Present, weights: Weighting) -> tuple[Library, Sets, list[Structure]]:
+        """Return all candidates about a model, the posterior over their sets, and the structures among them."""
+        flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
+        structures: list[Structure] = []
+
+        def of_residuals(residuals: list[Array], effects: dict[str, list[Array]]) -> list[Structure]:
+            structures.extend(structures_of(flights, times, channels, self.missed, residuals, effects))
+            return structures
+
+        library = build_library(
+            self.predictor,
+            self.declared,
+            present.params,
+            present.effects,
+            skipped=self.skipped,
+            structures=of_residuals,
+            length=part_length(times),
+        )
         normal = normal_of(library, weights)
-        return library, search(candidates_of(library), normal, starts=[place_of(library)])
+        sets = search(candidates_of(library), normal, starts=[place_of(library, present)])
+        return library, sets, structures
 
     def start_of(self, library: Library, sets: Sets, model: Model) -> ModelParams:
         """Return the model with the most probable parameters of a set in the linear model."""
         found, step, params = posterior(sets.candidates, sets.normal, model), 0, self.declared
-        for candidate in (library.candidates[k] for k in model):
+        for candidate in (library.candidates[k] for k in model if not library.candidates[k].structure):
             values, numbers = (
                 candidate.start.copy(),
                 [k for k in range(candidate.start.size) if is_number(candidate.name, k)],
@@ -210,29 +279,40 @@ class _Chooser:
             values[numbers] = neutral[numbers] + scale[numbers] * found.step[step : step + len(numbers)]
             step += len(numbers)
             params = params.with_effect(candidate.name, values)
-        names = tuple(library.candidates[k].name for k in model)
+        names = tuple(library.candidates[k].name for k in model if not library.candidates[k].structure)
         return with_params(self.predictor.robot, params, names, params_of(params, names))
 
-    def fit(self, effects: tuple[str, ...], start: ModelParams, weights: Weighting) -> _Present:
+    def fit(
+        self, effects: tuple[str, ...], structures: tuple[Structure, ...], start: ModelParams, weights: Weighting
+    ) -> _Present:
         """Return a set fitted from a start, with its log posterior: evidence at the fit, and prior of the set."""
-        found = fit_effects(self.predictor, effects, start, self.tolerance, weights.weight)
+        nuisance = with_structures(self.tolerance, structures)
+        found = fit_effects(self.predictor, effects, start, nuisance, weights.weight)
         neutral = [neutral_of(name, self.declared, self.predictor.robot) for name in effects]
         constant, parameters = evidence_at(found, neutral, weights)
         return _Present(
             effects=effects,
+            structures=structures,
             params=found.point,
-            log_posterior=constant + parameters.log_evidence - len(effects) * float(np.log(len(self.names))),
+            log_posterior=constant
+            + parameters.log_evidence
+            - (len(effects) + len(structures)) * float(np.log(len(self.names))),
             parameters=parameters,
         )
 
     def chosen(self, present: _Present, weights: Weighting) -> Chosen:
         """Return the result about the last model."""
-        library, sets = self.look_around(present, weights)
-        here = place_of(library)
+        library, sets, _ = self.look_around(present, weights)
+        here, guard = place_of(library, present), Guard(library, sets, weights)
+        refused = {} if guard.passes(sets.best) else guard.of(sets.best)
+        guard.leave_out_what_fails()
         probabilities: dict[tuple[str, ...], float] = {}
         for model, probability in sets.probabilities().items():
-            key = tuple(sorted(library.candidates[k].name for k in model))
+            key = tuple(sorted(library.candidates[k].name for k in model if not library.candidates[k].structure))
             probabilities[key] = probabilities.get(key, 0.0) + probability
+        surrogates = self.varying(present, weights)
+        kept = {name: values for name, values in present.params.effects.items() if name not in surrogates}
+        kept |= {name: self.declared.effects[name] for name in surrogates if name in self.declared.effects}
         std, start = {}, 0
         spread = np.sqrt(np.diag(present.parameters.covariance))
         for name in present.effects:
@@ -241,97 +321,44 @@ class _Chooser:
             std[name][numbers] = spread[start : start + len(numbers)] * scales((name,))[numbers]
             start += len(numbers)
         return Chosen(
-            params=present.params,
-            effects=present.effects,
-            probability=probabilities[tuple(sorted(present.effects))],
+            params=replace(present.params, effects=kept),
+            effects=tuple(name for name in present.effects if name not in surrogates),
+            structures=tuple(structure.name for structure in present.structures),
+            probability=probabilities.get(tuple(sorted(present.effects)), 0.0),
             sets=dict(sorted(probabilities.items(), key=lambda item: -item[1])),
-            inclusion=dict(sorted(sets.inclusion().items(), key=lambda item: -item[1])),
-            predictive=predictive(library, sets, here, weights),
+            inclusion={
+                name: share
+                for name, share in sorted(sets.inclusion().items(), key=lambda item: -item[1])
+                if name in EFFECTS
+            },
+            predictive={name: found for name, found in guard.of(here).items() if name not in surrogates},
+            surrogates=surrogates,
+            refused={name: found for name, found in refused.items() if name not in present.effects},
             std=std,
-            deviation=present.parameters.step[start:],
+            deviation=present.parameters.step[start : start + self.predictor.num_tolerances],
             weights=weights,
         )
 
 
-def candidates_of(library: Library) -> Candidates:
-    """Return what sets are made of."""
-    width = int(library.tolerances[-1]) + 1
-    low, high = np.full(width, -np.inf), np.full(width, np.inf)
-    for candidate in library.candidates:
-        low[candidate.columns], high[candidate.columns] = candidate.low, candidate.high
-    return Candidates(
-        columns=tuple(candidate.columns for candidate in library.candidates),
-        tolerances=library.tolerances,
-        low=low,
-        high=high,
-        exclusive=tuple(candidate.name for candidate in library.candidates),
-    )
-
-
-def normal_of(library: Library, weights: Weighting, blocks: NDArray[np.int64] | None = None) -> Normal:
-    """Return the weighted sums over some blocks, all if None."""
-    chosen = slice(None) if blocks is None else blocks
-    return Normal(
-        product=np.einsum("c,bckl->kl", weights.weight, library.moments.product[chosen]),
-        gradient=np.einsum("c,bck->k", weights.weight, library.moments.gradient[chosen]),
-    )
-
-
-def place_of(library: Library) -> Model:
+def place_of(library: Library, present: _Present) -> Model:
     """Return the set of the candidates that the present model holds."""
-    return tuple(k for k, candidate in enumerate(library.candidates) if candidate.named)
-
-
-def labels(library: Library, model: Model) -> tuple[str, ...]:
-    """Return what tells a set from others, whatever the model about which its candidates are linear."""
-    found = []
-    for candidate in (library.candidates[k] for k in model):
-        rotor = EFFECTS.get(candidate.name).parameters[0].kind == "rotor"
-        found.append(f"{candidate.name} {candidate.start[0]:.0f}" if rotor else candidate.name)
-    return tuple(sorted(found))
-
-
-def evidence_at(fit: Fit, neutral: Sequence[Array], weights: Weighting) -> tuple[float, Posterior]:
-    """Return a constant and the posterior of a fitted set; with the constant evidences of one weighting are comparable."""
-    free = fit.free_all
-    product, gradient = normal_equations(fit, weights.weight)
-    product, gradient = product[np.ix_(free, free)], gradient[free]
-    away = np.zeros(fit.low.size)
-    if fit.effects:
-        away[: fit.num_effect_params] = (params_of(fit.point, fit.effects) - np.concatenate(neutral)) / scales(
-            fit.effects
-        )
-    here = away[free]
-    square = float((fit.moments.square.sum(axis=0) * weights.weight).sum())
-    constant = -0.5 * square - float(gradient @ here) - 0.5 * float(here @ product @ here)
-    count = fit.free_effects.size
-    width = free.size
-    low, high = (fit.low + away)[free], (fit.high + away)[free]
-    low[count:], high[count:] = -np.inf, np.inf
-    candidates = Candidates(
-        columns=(np.arange(count),), tolerances=np.arange(count, width), low=low, high=high, exclusive=("all",)
+    beside = {structure.name for structure in present.structures}
+    return tuple(
+        k for k, found in enumerate(library.candidates) if found.named or (found.structure and found.name in beside)
     )
-    normal = Normal(product=product, gradient=gradient + product @ here)
-    return constant, posterior(candidates, normal, (0,))
 
 
-def predictive(library: Library, sets: Sets, model: Model, weights: Weighting) -> dict[str, Predictive]:
-    """Return what each effect of a set adds to the log density of flights left out.
+def worth_a_fit(sets: Sets, guard: Guard, *, structures: bool = True) -> list[Model]:
+    """Return the probable sets that pass the guard, the most probable first; without ``structures`` those that have none.
 
-    The density of a flight given the others is the evidence of all flights over that of the others.
-    Source: Vehtari, Gelman, Gabry (2017), Practical Bayesian model evaluation, Statistics and Computing 27, section 2
-    (difference of log predictive densities, and its standard error).
+    Several structures together can make what an effect with a memory or a range makes, better than the effect where it is
+    linear: therefore sets without them have their own turn.
     """
-    fold = folds(library.moments.flight)
-    rest = [sets.normal - normal_of(library, weights, np.flatnonzero(fold == label)) for label in np.unique(fold)]
-
-    def densities(of: Model) -> Array:
-        whole = posterior(sets.candidates, sets.normal, of).log_evidence
-        return np.array([whole - posterior(sets.candidates, part, of).log_evidence for part in rest])
-
-    full, found = densities(model), {}
-    for k in model:
-        gains = full - densities(tuple(other for other in model if other != k))
-        error = float(gains.std(ddof=1) * np.sqrt(gains.size)) if gains.size > 1 else np.inf
-        found[library.candidates[k].name] = Predictive(gain=float(gains.sum()), error=error)
+    top, found = 0.0, []
+    for model, probability in sets.probabilities().items():
+        if probability < WORTH_A_FIT * top:
+            break
+        if (structures or not sets.candidates.structures.intersection(model)) and guard.passes(model):
+            top = max(top, probability)
+            found.append(model)
     return found

@@ -5,7 +5,7 @@ The residual of a model is linearised in its parameters by differences of whole 
 Letters: B blocks, C channels, K parameters (those of effects in units of their scale, then N tolerances in deviations).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -336,10 +336,18 @@ def misfit(predictor: Predictor, residuals: list[Array], tolerance: list[Array],
     return float(left.sum(axis=0) @ weight + step @ step)
 
 
-def weighting(predictor: Predictor, start: ModelParams, effects: tuple[str, ...], tolerance: list[Array]) -> Weighting:
+def weighting(
+    predictor: Predictor,
+    start: ModelParams,
+    effects: tuple[str, ...],
+    tolerance: list[Array],
+    *,
+    beyond: Callable[[list[Array], Weighting], list[Array]] | None = None,
+) -> Weighting:
     """Return the weights of the channels from what no candidate effect explains.
 
-    All effects and tolerances are fitted together, three times, each time weighted by what the fit before left over.
+    All effects and tolerances are fitted together, three times, each time weighted by what the fit before left over; with
+    ``beyond``, by what that makes of it.
     """
     point = start
     for name in effects:
@@ -347,16 +355,17 @@ def weighting(predictor: Predictor, start: ModelParams, effects: tuple[str, ...]
             point = point.with_effect(name, np.array(EFFECTS.get(name).neutral(predictor.robot)))
     found = weights_from(predictor.residuals(start))
     for _ in range(3):
-        found, point = _weigh_again(predictor, found, point, effects, tolerance)
+        left, point = _left_over(predictor, found, point, effects, tolerance)
+        found = weights_from(left if beyond is None else beyond(left, found))
     return found
 
 
-def _weigh_again(
+def _left_over(
     predictor: Predictor, weights: Weighting, point: ModelParams, effects: tuple[str, ...], tolerance: list[Array]
-) -> tuple[Weighting, ModelParams]:
-    """Return the weights from what one more step of a fit leaves over, and the model after it."""
+) -> tuple[list[Array], ModelParams]:
+    """Return what one more step of a fit leaves over, (rows, C) each, and the model after it."""
     fit, residuals, jacobians = linearise(predictor, effects, point, tolerance, length=np.inf)
     step = best_step(fit, weights.weight, fit.free_all)
     left = [r - j @ step for r, j in zip(residuals, jacobians, strict=True)]
     values = params_of(point, effects) + scales(effects) * step[: fit.num_effect_params]
-    return weights_from(left), with_params(predictor.robot, point, effects, values)
+    return left, with_params(predictor.robot, point, effects, values)

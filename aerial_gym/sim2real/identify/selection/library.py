@@ -3,7 +3,7 @@
 Letters: B blocks, C channels, K columns (parameters of the candidates in units of their scale, then the tolerances).
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.evidence.structure import Structure
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     WEAK_PRIOR,
     Frozen,
@@ -27,6 +28,7 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Structures = Callable[[list[Array], dict[str, list[Array]]], Sequence[Structure]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +54,9 @@ class Candidate:
 
     start: Array = field(default_factory=lambda: np.zeros(0))
     """Its parameters where it is linearised, conventions and the number of its rotor among them."""
+
+    structure: bool = False
+    """Whether it is no effect but a structure that none has."""
 
     @property
     def complexity(self) -> int:
@@ -79,6 +84,8 @@ def build_library(
     *,
     frozen: Frozen = frozenset(),
     skipped: Collection[str] = (),
+    structures: Structures | None = None,
+    length: float | None = None,
 ) -> Library:
     """Return every candidate about a model that holds some of them.
 
@@ -92,10 +99,14 @@ def build_library(
         accepted: Effects that were fitted in it.
         frozen: Parameters of accepted effects that the flights do not show; they stay as they are.
         skipped: Effects that these flights cannot show.
+        structures: Gives the structures that compete with the effects, for the residuals of the present model and the
+            derivatives by each effect, (rows, C, any).
+        length: Of a block [s]; None: as ``block_moments``.
     """
     base = predictor.predict(present)
-    residuals = [m - p for m, p in zip(predictor.measured, base, strict=True)]
+    residuals = here = [m - p for m, p in zip(predictor.measured, base, strict=True)]
     candidates, parts, width = [], [], 0
+    own: dict[str, list[Array]] = {}
     for name, point in origins(declared, present, accepted, skipped, predictor.robot):
         named, neutral, scale = point is present, neutral_of(name, declared, predictor.robot), scales((name,))
         columns = effect_jacobian(predictor, point, (name,), base if named else predictor.predict(point))
@@ -121,11 +132,21 @@ def build_library(
         )
         parts.append(columns)
         width += scale.size
+        before = own.get(name)
+        own[name] = columns if before is None else [np.dstack(both) for both in zip(before, columns, strict=True)]
+    for structure in () if structures is None else structures(here, own):
+        places = np.arange(structure.columns[0].shape[2]) + width
+        open_end = np.full(places.size, np.inf)
+        candidates.append(
+            Candidate(name=structure.name, named=False, columns=places, low=-open_end, high=open_end, structure=True)
+        )
+        parts.append(structure.columns)
+        width += places.size
     parts.append(tolerance_jacobian(predictor, present, base))
     jacobians = [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)]
     return Library(
         candidates=tuple(candidates),
-        moments=block_moments(predictor.times, residuals, jacobians),
+        moments=block_moments(predictor.times, residuals, jacobians, length=length),
         tolerances=np.arange(width, jacobians[0].shape[2]),
     )
 

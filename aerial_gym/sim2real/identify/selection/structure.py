@@ -65,14 +65,14 @@ def find_structure(
     if len(flights) < 2 or not chosen:
         return Structure()
     found = [Structure()]
-    for kind, columns in _features(flights, times).items():
-        left, total = _left_out_squares(columns, _seen(kind, flights, times, residuals, channels))
+    for kind, columns in features_of(flights, times).items():
+        left, total = _left_out_squares(columns, in_axes_of(kind, flights, times, residuals, channels))
         shares = 1.0 - left / np.maximum(total, 1e-300)
         best = max(chosen, key=lambda index: shares[index])
         found.append(Structure(kind=kind, channel=channels[best].name, share=float(shares[best])))
-    motion = [_motion(f, t) for f, t in zip(flights, times, strict=True)]
+    motion = [motion_of(f, t) for f, t in zip(flights, times, strict=True)]
     for index in chosen:
-        line = _common_line(times, [r[:, index] for r in residuals], motion)
+        line = common_line(times, [r[:, index] for r in residuals], motion)
         if line is not None:
             found.append(Structure(kind="periodic", channel=channels[index].name, freq_hz=line[0], share=line[1]))
     best = max(found, key=lambda structure: structure.share)
@@ -90,9 +90,9 @@ def squares_beside(
 
     The phase of a line is each flight's own, so that it is fitted in every flight.
     """
-    seen = _seen(structure.kind, flights, times, residuals, channels)
+    seen = in_axes_of(structure.kind, flights, times, residuals, channels)
     if structure.kind != "periodic":
-        return _left_out_squares(_features(flights, times)[structure.kind], seen)[0]
+        return _left_out_squares(features_of(flights, times)[structure.kind], seen)[0]
     assert structure.freq_hz is not None
     left = np.zeros(len(channels))
     for time, values in zip(times, seen, strict=True):
@@ -111,15 +111,15 @@ def structure_values(
 ) -> list[Array]:
     """Return the part of the residual that a structure other than a line makes in its channel, (T,) of each flight."""
     place = [channel.name for channel in channels].index(structure.channel or "")
-    seen = [part[:, place] for part in _seen(structure.kind, flights, times, residuals, channels)]
-    features = _features(flights, times)[structure.kind]
+    seen = [part[:, place] for part in in_axes_of(structure.kind, flights, times, residuals, channels)]
+    features = features_of(flights, times)[structure.kind]
     x = np.concatenate(features)
     columns = np.column_stack((np.ones(len(x)), (x - x.mean(axis=0)) / np.maximum(x.std(axis=0), 1e-12)))
     fitted = columns @ np.linalg.lstsq(columns, np.concatenate(seen), rcond=1e-6)[0]
     return np.split(fitted, np.cumsum([len(part) for part in features])[:-1])
 
 
-def _seen(
+def in_axes_of(
     kind: str,
     flights: Sequence[Flight],
     times: Sequence[Array],
@@ -138,17 +138,18 @@ def world_forces(flight: Flight, time: Array, residual: Array, channels: Sequenc
     if len(force) != 3:
         return residual
     turned = residual.copy()
-    turned[:, force] = Rotation.from_quat(flight.attitude[_rows(flight, time)]).apply(residual[:, force])
+    turned[:, force] = Rotation.from_quat(flight.attitude[rows_of(flight, time)]).apply(residual[:, force])
     return turned
 
 
-def _rows(flight: Flight, time: Array) -> NDArray[np.int64]:
+def rows_of(flight: Flight, time: Array) -> NDArray[np.int64]:
+    """Return the rows of a flight at some times [s], (T,)."""
     return np.round(time * flight.rate).astype(int)
 
 
-def _features(flights: Sequence[Flight], times: Sequence[Array]) -> dict[str, list[Array]]:
+def features_of(flights: Sequence[Flight], times: Sequence[Array]) -> dict[str, list[Array]]:
     """Return functions of what a residual may follow, (T, any) of each flight, for the kinds that all flights have."""
-    pairs = [(flight, _rows(flight, time)) for flight, time in zip(flights, times, strict=True)]
+    pairs = [(flight, rows_of(flight, time)) for flight, time in zip(flights, times, strict=True)]
     found = {"time": [np.stack((time, time**2), axis=1) for time in times]}
     if all(flight.position is not None for flight in flights):
         found["position"] = _spread([flight.position[rows] for flight, rows in pairs if flight.position is not None])
@@ -200,16 +201,14 @@ def _left_out_squares(features: Sequence[Array], values: Sequence[Array]) -> tup
     return left, total
 
 
-def _motion(flight: Flight, time: Array) -> Array:
+def motion_of(flight: Flight, time: Array) -> Array:
     """Return how the vehicle moves, (T, 3 or 6): a line that is in here is the flight's own."""
-    rows = _rows(flight, time)
+    rows = rows_of(flight, time)
     parts = [part[rows] for part in (flight.ang_vel, flight.lin_vel) if part is not None]
     return np.concatenate(parts, axis=1)
 
 
-def _common_line(
-    times: Sequence[Array], values: Sequence[Array], motion: Sequence[Array]
-) -> tuple[float, float] | None:
+def common_line(times: Sequence[Array], values: Sequence[Array], motion: Sequence[Array]) -> tuple[float, float] | None:
     """Return frequency [Hz] and share of the variance of a line that every flight has and none flies; None without one."""
     rate = 1.0 / float(np.median(np.diff(times[0])))
     length = min(round(SEGMENT_S * rate), min(v.size for v in values))

@@ -1,10 +1,12 @@
 """The evidence of one set against integrals that are done otherwise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from aerial_gym.sim2real.identify.evidence.laplace import Normal, posterior
+from aerial_gym.sim2real.identify.evidence.laplace import Normal, log_evidences, posterior
 from tests.unit.sim2real.identify.evidence.linear import candidates, normal
 
 
@@ -61,3 +63,33 @@ def test_a_deviation_beyond_its_tolerance_pays_for_an_effect() -> None:
     both = candidates(1, num_tolerances=1)
     gain = posterior(both, sums, (0,)).log_evidence - posterior(both, sums, ()).log_evidence
     assert 7.0 < gain < 12.5  # half the square of 5, less what the width of the prior costs
+
+
+def test_columns_that_are_in_every_set_may_be_integrated_out_once() -> None:
+    """The same evidence with tolerances among the columns and without them."""
+    rng = np.random.default_rng(4)
+    sums, made_of = normal(rng.normal(size=(40, 5)), rng.normal(size=40)), candidates(2, 1, num_tolerances=2)
+    once = sums.marginal(made_of.tolerances)
+    for model in ((), (0,), (1,), (0, 1)):
+        reduced = posterior(made_of.without_tolerances(), once, model).log_evidence
+        assert reduced == pytest.approx(posterior(made_of, sums, model).log_evidence, abs=1e-9)
+
+
+def test_many_sets_at_once_have_the_evidence_of_each() -> None:
+    """Sets of different widths, with bounds and a structure among them."""
+    rng = np.random.default_rng(5)
+    sums = normal(rng.normal(size=(40, 7)), rng.normal(size=40))
+    made_of = replace(candidates(2, 1, 3, low=-0.1, num_tolerances=1), structures=frozenset({2}))
+    models = [(), (0,), (1,), (2,), (0, 1), (0, 2), (0, 1, 2)]
+    expected = [posterior(made_of, sums, model).log_evidence for model in models]
+    np.testing.assert_allclose(log_evidences(made_of, sums, models), expected, atol=1e-9)
+
+
+def test_a_structure_has_the_evidence_of_a_normal_prior() -> None:
+    """``log N(y; 0, I + J J^T)`` less that of no structure, exactly."""
+    rng = np.random.default_rng(6)
+    columns, measured = rng.normal(size=(12, 3)), rng.normal(size=12)
+    made_of = replace(candidates(3), structures=frozenset({0}))
+    found = posterior(made_of, normal(columns, measured), (0,)).log_evidence
+    wide = stats.multivariate_normal(cov=np.eye(12) + columns @ columns.T).logpdf(measured)
+    assert found == pytest.approx(wide - stats.multivariate_normal(cov=np.eye(12)).logpdf(measured), abs=1e-9)

@@ -1,5 +1,6 @@
 """The search against all subsets of small libraries, and what competing sets must do."""
 
+from dataclasses import replace
 from itertools import chain, combinations
 
 import numpy as np
@@ -23,8 +24,7 @@ def test_the_search_finds_what_looking_at_every_subset_finds(seed: int) -> None:
     sums = normal(columns, columns @ truth + rng.normal(size=60))
     made_of = candidates(*[1] * 7, num_tolerances=2)
     found, whole = search(made_of, sums), Sets(candidates=made_of, normal=sums)
-    for model in all_subsets(7):
-        whole.look(model)
+    whole.look(all_subsets(7))
     assert found.best == whole.best
     for name, probability in whole.inclusion().items():
         assert found.inclusion()[name] == pytest.approx(probability, abs=0.05)
@@ -38,8 +38,8 @@ def test_two_effects_that_each_alone_would_spoil_are_found_together() -> None:
     sums = normal(columns, columns @ np.array([1.0, 1.0, 0.0]) + 0.1 * rng.normal(size=200))
     sets = search(candidates(1, 1, 1), sums)
     assert sets.best == (0, 1)
-    assert sets.look((0,)) < sets.look(()) + 1.0
-    assert sets.look((1,)) < sets.look(()) + 1.0
+    assert sets.look([(0,)])[0] < sets.look([()])[0] + 1.0
+    assert sets.look([(1,)])[0] < sets.look([()])[0] + 1.0
 
 
 def test_two_effects_that_replace_each_other_share_the_probability_and_neither_goes() -> None:
@@ -71,3 +71,13 @@ def test_a_long_list_finds_nothing_in_noise_by_its_length(count: int) -> None:
         sums = normal(30.0 * rng.normal(size=(50, count)), rng.normal(size=50))
         shares.append(search(candidates(*[1] * count), sums).probabilities()[()])
     assert np.mean(shares) > 0.85
+
+
+def test_a_wide_case_and_what_it_contains_are_never_in_one_set() -> None:
+    """Two columns that only together explain the readings, and may not be together."""
+    rng = np.random.default_rng(7)
+    columns = rng.normal(size=(100, 2))
+    sums = normal(columns, columns @ np.array([1.0, 1.0]) + 0.1 * rng.normal(size=100))
+    apart = replace(candidates(1, 1), apart=frozenset({frozenset({"effect_0", "effect_1"})}))
+    assert search(candidates(1, 1), sums).best == (0, 1)
+    assert len(search(apart, sums).best) == 1

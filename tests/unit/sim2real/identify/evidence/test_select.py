@@ -23,16 +23,19 @@ NAMES = (
 )
 
 
-def chosen(folder: Path, **hidden: float) -> Chosen:
+FEW = ("rotor_drag", "thrust_coefficient", "payload_mass", "constant_wind")
+
+
+def chosen(folder: Path, names: tuple[str, ...] = NAMES, rate: float = 200.0, **hidden: float) -> Chosen:
     """Return what three flights of 8 s with sensor noise make most probable."""
     files = []
     for seed in range(3):
         files.append(folder / f"flight_{seed}.csv")
-        flight(seed, noise=1.0, seconds=8.0, **hidden).to_csv(files[-1], index=False)
+        flight(seed, noise=1.0, seconds=8.0, rate=rate, **hidden).to_csv(files[-1], index=False)
     flights = load_flights(files, ROBOT, mapping=None, bandwidth=10.0)
     channels = find_channels(flights)
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
-    return choose_effects(predictor, declared_params(ROBOT), NAMES)
+    return choose_effects(predictor, declared_params(ROBOT), names)
 
 
 @pytest.mark.parametrize(
@@ -55,3 +58,27 @@ def test_the_hidden_effects_are_the_most_probable_set(
     if parameter is not None:
         distance = found.params.effects["rotor_drag"] - parameter
         assert (abs(distance) < 4.0 * found.std["rotor_drag"]).all()
+
+
+def test_a_force_that_follows_the_place_is_a_structure_and_no_effect(tmp_path: Path) -> None:
+    """A spring of 0.05 N/m along the world's x; none of the effects has it."""
+    found = chosen(tmp_path, FEW, 100.0, spring=0.05)
+    assert found.effects == ()
+    assert found.structures == ("position in specific_force.x",)
+
+
+def test_an_effect_whose_size_follows_the_time_only_stands_in_for_what_does(tmp_path: Path) -> None:
+    """Rotors that lose 8 % of their thrust in each flight are no rotors of another thrust coefficient."""
+    found = chosen(tmp_path, FEW, 100.0, fading=0.08)
+    assert found.effects == ()
+    assert found.surrogates == {"thrust_coefficient": "time"}
+
+
+@pytest.mark.slow
+def test_an_effect_beside_a_structure_keeps_its_name(tmp_path: Path) -> None:
+    """Drag beside the spring: both are found, and the drag is right."""
+    found = chosen(tmp_path, FEW, 100.0, spring=0.05, drag=0.05)
+    assert found.effects == ("rotor_drag",)
+    assert "position in specific_force.x" in found.structures
+    distance = found.params.effects["rotor_drag"] - 0.05
+    assert (abs(distance) < 4.0 * found.std["rotor_drag"]).all()

@@ -1,0 +1,176 @@
+"""Structure that no effect has, as nuisance columns of the model: a force that follows place, heading, time, or a tone.
+
+A structure competes with effects by evidence, so that what only stands in for it loses against it; it corrects nothing and
+has no name that a robot file could hold. What an effect of the library can make is taken out of the structure that it
+would follow: there the structure is what imperfect laws leave, and not a rival of drag or of ground effect.
+
+Letters: T rows, C channels, F functions, S flights.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.selection.structure import (
+    IN_WORLD,
+    common_line,
+    features_of,
+    in_axes_of,
+    motion_of,
+    rows_of,
+)
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.channels import Channel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Structure:
+    """Columns of one kind in one channel."""
+
+    kind: str
+    """position, heading, velocity, voltage, time or periodic."""
+
+    channel: str
+    """Where; forces in world axes for position and heading."""
+
+    columns: list[Array]
+    """(T, C, F) of each flight; one unit is as large as all that the declared model misses in that channel."""
+
+    freq_hz: float | None = None
+    """Of a tone [Hz]."""
+
+    @property
+    def name(self) -> str:
+        """Return how it is called among the candidates."""
+        return f"{self.kind} in {self.channel}"
+
+
+def structures_of(
+    flights: Sequence[Flight],
+    times: Sequence[Array],
+    channels: Sequence[Channel],
+    declared: Sequence[Array],
+    present: Sequence[Array],
+    effects: dict[str, list[Array]],
+) -> list[Structure]:
+    """Return every structure that these flights can have.
+
+    Args:
+        flights: Training flights.
+        times: Of their rows [s], (T,).
+        channels: What is compared.
+        declared: What the declared model misses, (T, C): gives the sizes.
+        present: What the present model misses, (T, C): gives the frequencies of tones.
+        effects: Derivatives of the prediction by the parameters of each effect, (T, C, any).
+    """
+    found = []
+    for kind, features in features_of(flights, times).items():
+        functions = _standard(features)
+        if kind in IN_WORLD:  # the force at a place has a mean; a drift or a mean speed is what effects are for
+            functions = [np.column_stack((np.ones(len(part)), part)) for part in functions]
+        rivals = [effects[name] for name in effects if kind in EFFECTS.get(name).follows]
+        for place, channel in enumerate(channels):
+            axes = _axes(kind, place, flights, times, channels)
+            along = [
+                [np.einsum("tck,tc->tk", part, axis) for part, axis in zip(own, axes, strict=True)] for own in rivals
+            ]
+            size = _rms([part[:, place] for part in in_axes_of(kind, flights, times, declared, channels)])
+            columns = [
+                size * x[:, None, :] * axis[:, :, None] for x, axis in zip(_beyond(functions, along), axes, strict=True)
+            ]
+            found.append(Structure(kind=kind, channel=channel.name, columns=columns))
+    return [*found, *_tones(flights, times, channels, declared, present)]
+
+
+def functions_of(kind: str, flights: Sequence[Flight], times: Sequence[Array]) -> list[Array]:
+    """Return what varies with place, heading, time and so on, of mean 0 and rms 1 over all flights, (T, F)."""
+    return _standard(features_of(flights, times)[kind])
+
+
+def _standard(features: Sequence[Array]) -> list[Array]:
+    """Return independent functions of mean 0 and rms 1 over all flights that make up the same, (T, F)."""
+    whole = np.concatenate(features)
+    centred = (whole - whole.mean(axis=0)) / np.maximum(whole.std(axis=0), 1e-12)
+    directions, sizes, _ = np.linalg.svd(centred, full_matrices=False)
+    kept = directions[:, sizes > 1e-3 * sizes[0]] * np.sqrt(len(whole)) if sizes[0] > 0.0 else directions[:, :0]
+    return np.split(kept, np.cumsum([len(part) for part in features])[:-1])
+
+
+def _beyond(functions: Sequence[Array], effects: Sequence[Sequence[Array]]) -> list[Array]:
+    """Return what is left of functions (T, F) when what effects (T, any) can make of them is taken out."""
+    if not effects:
+        return list(functions)
+    whole, ends = np.concatenate(functions), np.cumsum([len(part) for part in functions])[:-1]
+    columns = np.column_stack([np.concatenate(own) for own in effects])
+    made = columns @ np.linalg.lstsq(columns, whole, rcond=1e-6)[0]
+    return np.split(whole - made, ends)
+
+
+def _axes(
+    kind: str, place: int, flights: Sequence[Flight], times: Sequence[Array], channels: Sequence[Channel]
+) -> list[Array]:
+    """Return which channels a unit of structure moves, (T, C): a world axis seen from the body, or the channel itself."""
+    force = [k for k, channel in enumerate(channels) if channel.kind == "specific_force"]
+    found = []
+    for flight, time in zip(flights, times, strict=True):
+        axis = np.zeros((time.size, len(channels)))
+        if kind in IN_WORLD and len(force) == 3 and place in force:
+            turn = Rotation.from_quat(flight.attitude[rows_of(flight, time)])
+            axis[:, force] = turn.apply(np.eye(3)[force.index(place)], inverse=True)
+        else:
+            axis[:, place] = 1.0
+        found.append(axis)
+    return found
+
+
+def _tones(
+    flights: Sequence[Flight],
+    times: Sequence[Array],
+    channels: Sequence[Channel],
+    declared: Sequence[Array],
+    present: Sequence[Array],
+) -> list[Structure]:
+    """Return the strongest common tone of each channel; its phase is each flight's own."""
+    motion = [motion_of(flight, time) for flight, time in zip(flights, times, strict=True)]
+    found = []
+    for place, channel in enumerate(channels):
+        line = common_line(times, [part[:, place] for part in present], motion)
+        if line is None:
+            continue
+        size, columns = _rms([part[:, place] for part in declared]), []
+        for number, time in enumerate(times):
+            waves = np.zeros((time.size, len(channels), 2 * len(times)))
+            turn = 2.0 * np.pi * line[0] * time
+            waves[:, place, 2 * number : 2 * number + 2] = (
+                size * np.sqrt(2.0) * np.column_stack((np.cos(turn), np.sin(turn)))
+            )
+            columns.append(waves)
+        found.append(Structure(kind="periodic", channel=channel.name, columns=columns, freq_hz=line[0]))
+    return found
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+
+
+def beyond_structures(structures: Sequence[Structure], residuals: Sequence[Array], weights: Weighting) -> list[Array]:
+    """Return what is left of residuals (T, C) when structures are fitted channel by channel, each column within its size."""
+    left = [part.copy() for part in residuals]
+    for place, weight in enumerate(weights.weight):
+        own = [s.columns for s in structures if any(part[:, place].any() for part in s.columns)]
+        if not own:
+            continue
+        columns = [np.concatenate([part[:, place] for part in parts], axis=1) for parts in zip(*own, strict=True)]
+        product = sum(part.T @ part for part in columns)
+        gradient = sum(part.T @ values[:, place] for part, values in zip(columns, residuals, strict=True))
+        step = np.linalg.solve(weight * product + np.eye(columns[0].shape[1]), weight * gradient)
+        for part, values in zip(columns, left, strict=True):
+            values[:, place] -= part @ step
+    return left
