@@ -23,15 +23,14 @@ from aerial_gym.sim2real.identify.evidence.structure import (
     structures_of,
 )
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    bounds_of,
     effect_jacobian,
     fit_at,
     fit_effects,
     is_number,
-    params_of,
     scales,
     tolerance_jacobian,
     weighting,
-    with_params,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.selection.library import (
@@ -202,7 +201,7 @@ class _Chooser:
         present = self.fit(effects, structures, params, weights)
         for count in range(MOST_ROUNDS):
             self.progress(f"sets of effects, round {count + 1}", count / MOST_ROUNDS)
-            library, sets, structures = self.look_around(present, weights)
+            library, sets, around = self.look_around(present, weights)
             guard = Guard(library, sets, weights)
             here = place_of(library, present)
             best = present if guard.passes(here) else None
@@ -216,9 +215,11 @@ class _Chooser:
                 fitted.add(label)
                 chosen = {library.candidates[k].name for k in model if library.candidates[k].structure}
                 names = tuple(library.candidates[k].name for k in model if not library.candidates[k].structure)
-                beside = tuple(structure for structure in structures if structure.name in chosen)
-                found = self.fit(names, beside, self.start_of(library, sets, model), weights)
-                best = found if best is None else max(best, found, key=lambda one: one.log_posterior)
+                beside = tuple(structure for structure in around if structure.name in chosen)
+                for start in self.starts_of(library, sets, model):
+                    found = self.fit(names, beside, start, weights)
+                    if np.isfinite(found.log_posterior) and (best is None or found.log_posterior > best.log_posterior):
+                        best = found
             assert best is not None  # the set of no effects passes
             best = self.narrower(best, weights)
             if best is present:
@@ -267,20 +268,27 @@ class _Chooser:
         sets = search(candidates_of(library), normal, starts=[place_of(library, present)])
         return library, sets, structures
 
-    def start_of(self, library: Library, sets: Sets, model: Model) -> ModelParams:
-        """Return the model with the most probable parameters of a set in the linear model."""
-        found, step, params = posterior(sets.candidates, sets.normal, model), 0, self.declared
+    def starts_of(self, library: Library, sets: Sets, model: Model) -> list[ModelParams]:
+        """Return where the fit of a set starts: at its most probable parameters in the linear model.
+
+        An effect that is linearised at several starts, a pendulum of many lengths, is far from linear: it starts there too.
+        """
+        found, step, robot = posterior(sets.candidates, sets.normal, model), 0, self.predictor.robot
+        best = plain = self.declared
         for candidate in (library.candidates[k] for k in model if not library.candidates[k].structure):
-            values, numbers = (
-                candidate.start.copy(),
-                [k for k in range(candidate.start.size) if is_number(candidate.name, k)],
-            )
-            neutral, scale = neutral_of(candidate.name, self.declared, self.predictor.robot), scales((candidate.name,))
-            values[numbers] = neutral[numbers] + scale[numbers] * found.step[step : step + len(numbers)]
+            values, name = candidate.start.copy(), candidate.name
+            numbers = [k for k in range(values.size) if is_number(name, k)]
+            if candidate.named:  # linear from neutral on; others from where they start
+                values[numbers] = neutral_of(name, self.declared, robot)[numbers]
+            values[numbers] += scales((name,))[numbers] * found.step[step : step + len(numbers)]
             step += len(numbers)
-            params = params.with_effect(candidate.name, values)
-        names = tuple(library.candidates[k].name for k in model if not library.candidates[k].structure)
-        return with_params(self.predictor.robot, params, names, params_of(params, names))
+            low, high = bounds_of(robot, (name,))
+            values = np.clip(values, low, high)
+            best = best.with_effect(name, values)
+            far = has_starts(name, robot) and not candidate.named
+            plain = plain.with_effect(name, candidate.start if far else values)
+        same = all(np.array_equal(values, plain.effects[name]) for name, values in best.effects.items())
+        return [best] if same else [best, plain]
 
     def fit(
         self, effects: tuple[str, ...], structures: tuple[Structure, ...], start: ModelParams, weights: Weighting

@@ -329,7 +329,9 @@ def fit_effects(
 
 
 def misfit(predictor: Predictor, residuals: list[Array], tolerance: list[Array], weight: Array) -> float:
-    """Return the weighted squares plus the prior, with the deviations that fit best."""
+    """Return the weighted squares plus the prior, with the deviations that fit best; infinite if a residual is not finite."""
+    if not all(np.isfinite(part).all() for part in residuals):
+        return np.inf
     fit = fit_at(predictor, (), ModelParams(effects={}), residuals, tolerance, length=np.inf)
     step = best_step(fit, weight, fit.free_all)
     left = fit.moments.squares_after(np.broadcast_to(step, (fit.moments.count.size, step.size)))

@@ -105,6 +105,8 @@ class LoadReplay:
         if key not in self._results:
             start = self._start if felt is None else self._find_start(model, felt)
             swings = swing(effect, params[0], start, self._acceleration, step=STEP_S, gravity=model.gravity)[0].numpy()
+            if not np.isfinite(swings).all():  # no pendulum of these parameters; a fit steps back from them
+                return torch.full((sum(map(len, times)), 6), torch.nan, dtype=torch.float64)
             self._results[key] = [
                 CubicHermiteSpline(self._time[::2], s[:, :3], s[:, 3:]) for s in swings.swapaxes(0, 1)
             ]

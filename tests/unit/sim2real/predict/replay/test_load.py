@@ -113,6 +113,17 @@ def test_a_load_that_does_not_show_is_taken_to_hang_still() -> None:
     assert light[:, :2].abs().max() < 0.1
 
 
+def test_a_pendulum_that_steps_cannot_follow_has_no_direction() -> None:
+    """A link of a thousandth of a millimetre: its swing diverges, and a fit is told so by numbers that are none."""
+    flight = hover("a", 1.0)
+    start = np.tile([0.5, 0.0, 0.0], (flight.time.size, 1))
+    load = LoadReplay([replace(flight, lin_vel=start * np.sin(40.0 * flight.time)[:, None])]).loads(
+        model_of(0.05, 1e-6, 0.0), [flight.time[:300]]
+    )
+    assert load.shape == (300, 6)
+    assert load.isnan().all()
+
+
 def test_swings_of_wrong_shape_and_effects_without_a_kernel_are_refused() -> None:
     params, start = torch.ones(3, dtype=F64), torch.zeros(2, 6, dtype=F64)
     for rows, origins in ((4, 2), (5, 3)):
