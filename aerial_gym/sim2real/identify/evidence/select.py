@@ -205,9 +205,8 @@ class _Chooser:
             guard = Guard(library, sets, weights)
             here = place_of(library, present)
             best = present if guard.passes(here) else None
-            fitted = (
-                {labels(library, here)} if best else set()
-            )  # anew in each round: another model bends the tolerances
+            # Anew in each round: another model bends the tolerances.
+            fitted = {labels(library, here)} if best else set()
             for model in [*worth_a_fit(sets, guard), *worth_a_fit(sets, guard, structures=False)]:
                 label = labels(library, model)
                 if label in fitted:
