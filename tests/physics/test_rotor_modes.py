@@ -8,6 +8,7 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
+from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.loader import dump_yaml
 from aerial_gym.config.robot import load_robot
 from aerial_gym.control.allocation import Allocation, allocation_matrix
@@ -146,7 +147,7 @@ def test_force_mode_follows_its_thrust_with_its_own_lag() -> None:
     robot = with_rotor(lopsided_robot(com=(0.0, 0.0, 0.0)), FORCE)
     model = build_model(vehicle_from_config(robot, num_envs=1, dtype=F64))
     state = replace(random_state(1), rotor_speed=torch.zeros(1, 4, dtype=F64))
-    control = ThrustController(model.vehicle, 9.81)
+    control = ThrustController(model.vehicle, 9.81, ControlCfg())
     dt, steps = 0.001, 30
     after = advance(model, INTEGRATORS["euler"], control, state, torch.full((1, 4), 2.0, dtype=F64), dt, steps)
     corner = (2.0 - 60.0 * 0.02) / 60.0

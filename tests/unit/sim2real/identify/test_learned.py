@@ -19,6 +19,7 @@ from aerial_gym.sim2real.identify.learned import OUTPUTS, Learned, _Trainer, jud
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments, weights_from
 from aerial_gym.sim2real.identify.selection import library, select
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut
+from aerial_gym.sim2real.judge import predictive
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import declared_params
@@ -146,7 +147,7 @@ def test_the_loop_adds_it_beside_the_verdict(tmp_path: Path, monkeypatch: pytest
     few: Registry[Effect] = Registry("effect")
     for name in ("rotor_drag", "quadratic_drag"):
         few.register(name, EFFECTS.get(name))
-    for module in (select, library):
+    for module in (select, library, predictive):
         monkeypatch.setattr(module, "EFFECTS", few)
     train, test = flown(tmp_path, CUBIC)
     (tmp_path / "robot.yaml").write_text(dump_yaml(ROBOT), encoding="utf-8")
