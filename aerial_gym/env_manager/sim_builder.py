@@ -1,13 +1,16 @@
 """From registered names, or files, to a running simulation."""
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 
 import torch
 
 from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config.checks import MAX_COUNT
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.environment import EnvironmentCfg, load_environment
 from aerial_gym.config.randomize import Randomize
@@ -22,6 +25,9 @@ from aerial_gym.robots import ROBOTS
 
 OUT_OF_MEMORY = ("allocate memory", "out of memory", "not enough memory", "overflow", "Failed to allocate", "too large")
 """What of torch's and Warp's messages says that something does not fit."""
+
+LEAST_BYTES = 100
+"""Of an environment without anything around it: pose, twist, four rotors and a target take more."""
 
 
 def robot_by_name(name: str | Path | RobotCfg) -> RobotCfg:
@@ -57,6 +63,14 @@ def told_memory(num_envs: int, device: torch.device) -> Iterator[None]:
         CapabilityError: In place of it.
         ConfigError: If numbers are so far apart that a matrix has no inverse.
     """
+    too_large = (
+        f"{num_envs:,} environments do not fit into the memory of {device} ({{}}). Take fewer, or smaller images"
+    )
+    held = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else inf
+    if (
+        device.type == "cpu" and held < num_envs * LEAST_BYTES <= MAX_COUNT * LEAST_BYTES
+    ):  # filling it first would take a minute
+        raise CapabilityError(too_large.format(f"of {held / 2**30:.0f} GiB"))
     try:
         yield
     except torch.linalg.LinAlgError:  # pyright: ignore[reportPrivateImportUsage]
@@ -70,9 +84,7 @@ def told_memory(num_envs: int, device: torch.device) -> Iterator[None]:
         reason = " ".join(text.split())[:160]
     else:
         return
-    raise CapabilityError(
-        f"{num_envs:,} environments do not fit into the memory of {device} ({reason}). Take fewer, or smaller images"
-    )
+    raise CapabilityError(too_large.format(reason))
 
 
 class SimBuilder:
