@@ -15,6 +15,7 @@ pytestmark = [
 ]
 
 
+@pytest.mark.slow
 def test_drag_learned_at_other_wind_speeds_holds_at_an_unseen_one(tmp_path: Path) -> None:
     """Trained at 0, 4.2 and 12.1 m/s, judged at 8.5 m/s; measured -83 %, -57 % and -85 %, held to 80 % of that."""
     train = ("NF_nowind", "baseline_35wind", "indi_35wind", "baseline_100wind", "NF_100wind")

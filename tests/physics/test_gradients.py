@@ -10,7 +10,9 @@ from tests.physics.test_rigid_body import SpeedControl
 from tests.physics.vehicles import CEILING, F64, lopsided_robot, random_state
 
 
-@pytest.mark.parametrize("name", list(INTEGRATORS))
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name == "euler" else pytest.mark.slow) for name in INTEGRATORS]
+)
 def test_gradients_of_a_rollout_with_every_effect(name: str) -> None:
     """gradcheck of the final state for commands, initial velocity and the parameters of all effects, in their scales."""
     robot, state = lopsided_robot(), random_state(2)

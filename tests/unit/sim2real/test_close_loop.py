@@ -146,6 +146,7 @@ def test_the_verdict_says_what_the_effect_is_worth(result: Path) -> None:
     assert parts["velocity after 1 s"]["after"] < parts["velocity after 1 s"]["before"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_pixels")
 def test_two_effects_that_only_forces_show_are_told_apart_by_no_manoeuvre(tmp_path: Path) -> None:
     """Without a gyro, thrust over mass is all that flights show: which of both it is stays open, and the verdict says so."""
