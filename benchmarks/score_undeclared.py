@@ -137,8 +137,8 @@ def by_evidence(robot, train, test) -> dict[str, object]:
         "inclusion": {name: share for name, share in chosen.inclusion.items() if share > 0.01},
         "structures": list(chosen.structures),
         "surrogates": chosen.surrogates,
-        "predictive": {n: [found.by_flight.tolist(), found.relief] for n, found in chosen.predictive.items()},
-        "refused": {n: [found.by_flight.tolist(), found.relief] for n, found in chosen.refused.items()},
+        "predictive": {n: [found.by_part.tolist(), found.relief] for n, found in chosen.predictive.items()},
+        "refused": {n: [found.by_part.tolist(), found.relief] for n, found in chosen.refused.items()},
         "params": {
             name: {
                 parameter.name: [float(value), float(std)]

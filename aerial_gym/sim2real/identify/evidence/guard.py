@@ -32,7 +32,7 @@ NEGLIGIBLE = 1e-4
 class Predictive:
     """What an effect adds to the log density of flights that are left out, each predicted by the posterior of the others."""
 
-    by_flight: Array
+    by_part: Array
     """Log density with the effect less that without it, (F,)."""
 
     relief: float
@@ -41,13 +41,13 @@ class Predictive:
     @property
     def gain(self) -> float:
         """Return the sum over flights and vehicle."""
-        return float(self.by_flight.sum()) + self.relief
+        return float(self.by_part.sum()) + self.relief
 
     @property
     def error(self) -> float:
         """Return the standard error of the sum, from the scatter of the flights; infinite for a single one."""
-        count = self.by_flight.size
-        return float(self.by_flight.std(ddof=1) * np.sqrt(count)) if count > 1 else np.inf
+        count = self.by_part.size
+        return float(self.by_part.std(ddof=1) * np.sqrt(count)) if count > 1 else np.inf
 
     @property
     def ratio(self) -> float:
@@ -87,7 +87,7 @@ class Guard:
         for k in (k for k in model if k not in self._sets.candidates.structures):
             less = tuple(other for other in model if other != k)
             found[self._library.candidates[k].name] = Predictive(
-                by_flight=self._densities(model) - self._densities(less),
+                by_part=self._densities(model) - self._densities(less),
                 relief=self._strains(less) - self._strains(model),
             )
         return found

@@ -53,7 +53,11 @@ class Normal:
 
     def __sub__(self, other: "Normal") -> "Normal":
         """Return the sums without those of some flights."""
-        return Normal(product=self.product - other.product, gradient=self.gradient - other.gradient)
+        return Normal(
+            product=self.product - other.product,
+            gradient=self.gradient - other.gradient,
+            constant=self.constant - other.constant,
+        )
 
     def marginal(self, columns: Indices) -> "Normal":
         """Return the sums with some columns integrated out over their normal priors, exactly; those columns are zero.

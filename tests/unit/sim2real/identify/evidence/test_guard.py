@@ -11,14 +11,14 @@ def test_a_single_flight_that_speaks_for_an_effect_is_just_enough() -> None:
     for count in (2, 4, 9):
         gains = np.zeros(count)
         gains[0] = 7.0
-        assert Predictive(by_flight=gains, relief=0.0).ratio == pytest.approx(LEAST_RATIO)
+        assert Predictive(by_part=gains, relief=0.0).ratio == pytest.approx(LEAST_RATIO)
 
 
 def test_gains_of_both_signs_are_not_enough_and_a_relieved_tolerance_counts() -> None:
     """Flights that contradict each other say nothing; a deviation that is no longer needed is a datum of its own."""
     gains = np.array([5.3, -12.4, 9.2, 1.7])
-    assert Predictive(by_flight=gains, relief=0.0).ratio < LEAST_RATIO
-    assert Predictive(by_flight=gains, relief=30.0).ratio > LEAST_RATIO
+    assert Predictive(by_part=gains, relief=0.0).ratio < LEAST_RATIO
+    assert Predictive(by_part=gains, relief=30.0).ratio > LEAST_RATIO
 
 
 @pytest.mark.parametrize(("flights", "seconds"), [(1, 4.0), (2, 8.0), (3, 8.0), (4, np.inf), (7, np.inf)])
