@@ -26,6 +26,8 @@ from aerial_gym.rl_training.run_folder import RunFolder
 TRAINERS = ("rl_games", "sample_factory")
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGKILL, signal.SIGINT)
 NUM_ENVS, HORIZON = 32, 16
+LONGEST_END_S = 60.0
+"""A training that was told to end saves and ends in seconds; that it does not at all is a finding [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,18 +69,37 @@ def kill_and_resume(
     ppo = replace(cfg.ppo, hidden_layers=(16,), horizon=HORIZON, num_minibatches=1)
     settings.write_text(dump_yaml(replace(cfg, ppo=ppo, num_envs=NUM_ENVS, device="cpu", checkpoint_every_s=0.2)))
     start = ["train", "--trainer", trainer, "--out", str(out), "--config", str(settings), "--max-time-s", "120"]
-    process = subprocess.Popen(command(*start), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    process = begin(command(*start))
     while not early and process.poll() is None and not RunFolder(out).checkpoints():
         time.sleep(0.02)
     time.sleep(moment)
     process.send_signal(number)
-    process.wait(timeout=60)
+    left = "checkpoint" if RunFolder(out).checkpoints() else "no checkpoint"
+    if not ended(process):
+        return left, f"had not ended {LONGEST_END_S:g} s later"
     if not (out / "config.yaml").exists():
         return "no settings", verdict(command(*start, "--max-env-steps", "1"), out, 0)
     newest = RunFolder(out).newest_whole()
     steps = 0 if newest is None else int(newest[1]["run"]["env_steps"])
     resume = command("train", "--out", str(out), "--resume", "--max-env-steps", "1", "--max-time-s", "120")
     return "no checkpoint" if newest is None else "checkpoint", verdict(resume, out, steps)
+
+
+def begin(line: list[str]) -> subprocess.Popen[bytes]:
+    """Start a process that SIGINT ends, also from a shell's background, where it is ignored and children inherit that."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    return subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def ended(process: subprocess.Popen[bytes], longest_s: float = LONGEST_END_S) -> bool:
+    """Wait for the end of a process and return whether it came; one that goes on is killed."""
+    try:
+        process.wait(timeout=longest_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+        return False
+    return True
 
 
 def command(*arguments: str) -> list[str]:
