@@ -29,10 +29,10 @@ MORE_CAUSES = ("unknown_periodic", "unknown_time", "unknown_heading")
 
 
 @pytest.fixture(autouse=True)
-def coarser_plant(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Steps of 1.25 ms in place of 0.5 ms move no flight by 1e-7 mm; a delay is rounded to steps, and keeps the short ones."""
+def plant(request: pytest.FixtureRequest) -> None:
+    """Only a delay needs the finer plant."""
     if "delay" not in request.node.name:
-        monkeypatch.setattr("benchmarks.undeclared.simulate.SUBSTEPS", 2)
+        request.getfixturevalue("coarser_plant")
 
 
 def slow(names: tuple[str, ...]) -> list[ParameterSet]:

@@ -215,13 +215,10 @@ def _record(true: Vehicle, declared: Vehicle, *, num_train: int, num_test: int, 
     return fly(true=true, declared=declared, reference=reference, sensors=sensors), reference
 
 
+@pytest.mark.usefixtures("coarser_plant")
 @pytest.mark.parametrize("effect", ["none", *list(EFFECTS)[:6]])
-def test_flights_follow_their_reference_with_each_moderate_effect(effect: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The autopilot knows the declared vehicle only: rms error within 0.15 m, tilt within 60 degrees, rotors free.
-
-    Steps of 1.25 ms in place of 0.5 ms move no flight by 1e-7 mm.
-    """
-    monkeypatch.setattr("benchmarks.undeclared.simulate.SUBSTEPS", 2)
+def test_flights_follow_their_reference_with_each_moderate_effect(effect: str) -> None:
+    """The autopilot knows the declared vehicle only: rms error within 0.15 m, tilt within 60 degrees, rotors free."""
     params = resolve({} if effect == "none" else {effect: "moderate"}, declared=DECLARED, seed=5)
     declared, true = split(DECLARED, params)
     record, reference = _record(true, declared, num_train=2, num_test=1, span=3.0, noise=Noise())
@@ -233,6 +230,7 @@ def test_flights_follow_their_reference_with_each_moderate_effect(effect: str, m
         assert flight.saturated_share < 0.01
 
 
+@pytest.mark.usefixtures("coarser_plant")
 def test_training_flights_excite_every_axis() -> None:
     """Angular acceleration of all axes and thrust per mass vary well above the noise; headings spread."""
     record, reference = _record(DECLARED, DECLARED, num_train=4, num_test=0, span=3.0, noise=NOISELESS)
@@ -293,6 +291,7 @@ def test_nuisance_is_small_and_adds_to_what_is_hidden() -> None:
     assert stated.mass == vehicle.mass
 
 
+@pytest.mark.usefixtures("coarser_plant")
 def test_case_writes_the_contract(tmp_path: Path) -> None:
     """Columns, rate, unit quaternions, the declared robot without the effect, and the truth with it."""
     effects = {"com_offset": {"x": 0.006, "y": -0.004}, "motor_time_constant": "small"}
@@ -334,6 +333,7 @@ def test_hidden_rotor_drag_is_not_declared() -> None:
     np.testing.assert_array_equal(true.linear_drag, list(params["rotor_drag"].values()))
 
 
+@pytest.mark.usefixtures("coarser_plant")
 def test_same_seed_same_files(tmp_path: Path) -> None:
     """Files repeat byte for byte; another seed changes flight and values."""
     made = {}

@@ -575,6 +575,7 @@ def test_draws_are_what_their_parameters_say(name: str) -> None:
     assert any(value != values[0] for value in values)
 
 
+@pytest.mark.usefixtures("coarser_plant")
 @pytest.mark.parametrize(
     "effects",
     [
@@ -587,14 +588,11 @@ def test_draws_are_what_their_parameters_say(name: str) -> None:
         tuple(UNKNOWN),
     ],
 )
-def test_flights_follow_their_reference_with_several_effects(
-    effects: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_flights_follow_their_reference_with_several_effects(effects: tuple[str, ...]) -> None:
     """The autopilot holds on to its reference within 0.25 m with four or more moderate effects at once.
 
-    Steps of 1.25 ms in place of 0.5 ms move no flight by a millimetre: 4e-8 mm, and 0.3 mm where a delay is rounded to them.
+    The delay among them is rounded to the coarser steps: 0.3 mm.
     """
-    monkeypatch.setattr("benchmarks.undeclared.simulate.SUBSTEPS", 2)
     case = fly_case(effects=dict.fromkeys(effects, "moderate"), seed=5, num_train=2, num_test=0, duration_s=1.5)
     first = round(2.0 * CONTROL_RATE)
     for flight in summarise(case.record, case.reference, declared=case.declared, first=first):
@@ -603,6 +601,7 @@ def test_flights_follow_their_reference_with_several_effects(
         assert flight.saturated_share < 0.01
 
 
+@pytest.mark.usefixtures("coarser_plant")
 def test_flights_have_the_features_they_need(tmp_path: Path) -> None:
     """Near the ground and below the ceiling in turn, columns of the other vehicle and the ceiling, a radius, a battery."""
     short = {"seed": 2, "num_train": 4, "num_test": 0, "duration_s": 1.0}
@@ -641,6 +640,7 @@ def test_wrong_requests_are_refused(effects: dict, features: tuple[str, ...], me
         make_case(tmp_path, effects=effects, seed=0, features=features)
 
 
+@pytest.mark.usefixtures("coarser_plant")
 def test_a_flight_into_the_ground_is_refused(tmp_path: Path) -> None:
     """A load that the rotors cannot carry near the ground: said by the name of the flight."""
     with pytest.raises(ValueError, match="train_1: came within"):
