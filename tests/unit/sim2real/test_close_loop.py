@@ -270,6 +270,7 @@ def test_the_command_refuses(folder: Path, call: list[str], capsys: pytest.Captu
     assert sorted(path.name for path in folder.iterdir()) == before
 
 
+@pytest.mark.usefixtures("no_pixels")
 def test_replay_fits_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = replay(folder / "robot.yaml", [folder / "f3.csv"], folder / "replayed")
     assert {path.name for path in (folder / "replayed").iterdir()} == {
