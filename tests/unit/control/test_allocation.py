@@ -220,7 +220,7 @@ def test_gradients_of_the_fused_twin_are_those_of_torch() -> None:
     types, twin = rotor_types(6), make_prioritised_thrust(6, idle=False, lateral=True, differentiable=True)
     command_type, vector = types.command, types.vector
 
-    @wp.kernel(module="unique", enable_backward=True)
+    @wp.kernel(module="unique", enable_backward=True, module_options={"optimization_level": 0})  # compiles in a third
     def weigh(params: command_type, wanted: wp.array[wp.spatial_vector], weight: vector, sum_out: wp.array[float]):
         env = wp.tid()
         thrust, _turn, _rest = twin(params, wanted[env])
