@@ -81,10 +81,13 @@ def test_free_tumbling_conserves_momentum_and_energy_to_the_order_of_the_method(
 
 @pytest.mark.parametrize(("name", "order"), [("euler", 1), ("rk4", 4)])
 def test_order_of_convergence_in_powered_flight(name: str, order: int) -> None:
-    """Position, attitude and rates converge with the declared order within 0.1, rotors rising and falling."""
+    """Position, attitude and rates converge with the declared order within 0.1, rotors rising and falling.
+
+    The reference makes eight steps for each of the finest of rk4: its error is 1 / 8⁴ of that one's, 4e-4 of a slope.
+    """
     model, state = model_of(8), random_state(8, seed=1)
     command = state.rotor_speed * torch.tensor([1.2, 0.8, 0.9, 1.1], dtype=F64)
-    reference = run(model, state, command, "rk4", 0.4 / 2048, 2048)
+    reference = run(model, state, command, "rk4", 0.4 / 512, 512)
     steps = (64, 128, 256) if name == "euler" else (16, 32, 64)
     errors = []
     for n in steps:
