@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, fit_effects
+from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_groups
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import Selection, Trial
-from aerial_gym.sim2real.judge.evaluation import Evaluation, flight_of_rows, time_groups
+from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.whiteness import EDGES, in_octaves, lines
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel

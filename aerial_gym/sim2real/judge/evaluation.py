@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.sim2real.identify.least_squares.moments import block_length
+from aerial_gym.sim2real.identify.least_squares.moments import time_groups
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -107,21 +107,6 @@ def gap_closed(before: float, after: float, floor: float | None) -> float | None
     if floor is None or before**2 < LEAST_GAP * floor**2:
         return None
     return (before**2 - after**2) / (before**2 - floor**2)
-
-
-def time_groups(times: Sequence[Array]) -> NDArray[np.int64]:
-    """Return a number per row that is the same within a block of a flight, all flights in a row."""
-    parts, start, length = [], 0, block_length(times)
-    for time in times:
-        part = ((time - time[0]) / length).astype(int) + start
-        parts.append(part)
-        start = int(part[-1]) + 1
-    return np.concatenate(parts)
-
-
-def flight_of_rows(times: Sequence[Array]) -> NDArray[np.int64]:
-    """Return the flight of each row, all flights in a row."""
-    return np.repeat(np.arange(len(times)), [time.size for time in times])
 
 
 def _rollout_rms(errors: RolloutErrors, seed: int) -> dict[str, dict[float, Rms]]:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aerial_gym.sim2real.judge.evaluation import Evaluation, flight_of_rows, time_groups
+from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_groups
+from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES

@@ -85,6 +85,21 @@ def block_rows(time: Array, length: float) -> list[NDArray[np.int64]]:
     return np.array_split(np.arange(time.size), blocks)
 
 
+def time_groups(times: Sequence[Array]) -> NDArray[np.int64]:
+    """Return a number per row that is the same within a block of a flight, all flights in a row."""
+    parts, start, length = [], 0, block_length(times)
+    for time in times:
+        part = ((time - time[0]) / length).astype(int) + start
+        parts.append(part)
+        start = int(part[-1]) + 1
+    return np.concatenate(parts)
+
+
+def flight_of_rows(times: Sequence[Array]) -> NDArray[np.int64]:
+    """Return the flight of each row, all flights in a row."""
+    return np.repeat(np.arange(len(times)), [time.size for time in times])
+
+
 def block_moments(
     times: Sequence[Array], residuals: Sequence[Array], jacobians: Sequence[Array], *, length: float | None = None
 ) -> Moments:
