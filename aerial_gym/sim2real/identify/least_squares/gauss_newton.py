@@ -285,12 +285,16 @@ def fit_effects(
     weight: Array,
     *,
     frozen: Frozen = frozenset(),
+    derivatives: list[Array] | None = None,
 ) -> Fit:
     """Return the model with some effects fitted by Gauss-Newton steps, until it is as good as linear.
 
     A step that overshoots is halved.
 
     Deviations within the tolerances take their share while the effects are fitted; they are not part of the model.
+
+    With ``derivatives`` at hand a step costs one prediction in place of one for each parameter: they are mended along each step
+    by what the prediction really did, and only taken anew where they lead nowhere.
 
     Args:
         predictor: Training flights.
@@ -299,9 +303,20 @@ def fit_effects(
         tolerance: Derivatives by the deviations (``tolerance_jacobian``), taken as constant.
         weight: Of one row of each channel, (C,).
         frozen: Parameters that stay as they are.
+        derivatives: Of the prediction by the effects' parameters, per scale, somewhere near the start, (rows, C, P).
+
+    Source:
+        Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
     """
-    fit, residuals, jacobians = linearise(predictor, effects, start, tolerance)
+    if derivatives is None:
+        fit, residuals, jacobians = linearise(predictor, effects, start, tolerance)
+    else:
+        residuals = predictor.residuals(start)
+        jacobians = [np.concatenate(parts, axis=2) for parts in zip(derivatives, tolerance, strict=True)]
+        fit = fit_at(predictor, effects, start, residuals, jacobians)
     cost = misfit(predictor, residuals, tolerance, weight)
+    if not np.isfinite(cost):
+        return replace(fit, frozen=frozen)
     for _ in range(MOST_STEPS):
         fit = replace(fit, frozen=frozen)
         step = best_step(fit, weight, fit.free_all)
@@ -317,14 +332,25 @@ def fit_effects(
             if new_cost <= cost * (1.0 + ROUNDING):
                 break
         else:
-            return fit
+            if derivatives is None:
+                return fit
+            derivatives = None
+            fit, residuals, jacobians = linearise(predictor, effects, fit.point, tolerance)
+            continue
         linear = [r - j[:, :, : own.size] @ own for r, j in zip(residuals, jacobians, strict=True)]
-        miss = sum(float((weight * (m - expected) ** 2).sum()) for m, expected in zip(moved, linear, strict=True))
+        missed = [expected - m for m, expected in zip(moved, linear, strict=True)]
+        miss = sum(float((weight * part**2).sum()) for part in missed)
         size = sum(float((weight * m**2).sum()) for m in moved)
+        if derivatives is not None:
+            for columns, part in zip(jacobians, missed, strict=True):
+                columns[:, :, : own.size] += part[..., None] * (own / (own @ own))
         if share == 1.0 and miss <= CONVERGED**2 * size:
             return fit_at(predictor, effects, point, moved, jacobians, frozen=frozen)
         cost = new_cost
-        fit, residuals, jacobians = linearise(predictor, effects, point, tolerance, base=predicted)
+        if derivatives is None:
+            fit, residuals, jacobians = linearise(predictor, effects, point, tolerance, base=predicted)
+        else:
+            fit, residuals = fit_at(predictor, effects, point, moved, jacobians), moved
     return replace(fit, frozen=frozen)
 
 
@@ -358,6 +384,8 @@ def weighting(
     found = weights_from(predictor.residuals(start))
     for _ in range(3):
         left, point = _left_over(predictor, found, point, effects, tolerance)
+        if not all(np.isfinite(part).all() for part in left):
+            break  # a step too far, for a pendulum: the weights of the step before stand
         found = weights_from(left if beyond is None else beyond(left, found))
     return found
 
