@@ -138,6 +138,7 @@ def by_evidence(robot, train, test) -> dict[str, object]:
         "structures": list(chosen.structures),
         "surrogates": chosen.surrogates,
         "predictive": {n: [found.by_part.tolist(), found.relief] for n, found in chosen.predictive.items()},
+        "immaterial": {n: max(rise.value for rise in rises.values()) for n, rises in chosen.immaterial.items()},
         "refused": {n: [found.by_part.tolist(), found.relief] for n, found in chosen.refused.items()},
         "params": {
             name: {

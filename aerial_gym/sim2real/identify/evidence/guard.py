@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from aerial_gym.sim2real.identify.evidence.laplace import Model, posterior
+from aerial_gym.sim2real.identify.evidence.laplace import Model, evidences_of_parts, posterior
 from aerial_gym.sim2real.identify.evidence.linear import candidates_of, normal_of
 from aerial_gym.sim2real.identify.evidence.search import Sets
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
@@ -106,10 +106,8 @@ class Guard:
 
     def _densities(self, model: Model) -> Array:
         if model not in self._density:
-            candidates = self._sets.candidates
-            total = posterior(candidates, self._sets.normal, model).log_evidence
-            rest = [posterior(candidates, part, model).log_evidence for part in self._rest]
-            self._density[model] = total - np.array(rest)
+            found = evidences_of_parts(self._sets.candidates, [self._sets.normal, *self._rest], model)
+            self._density[model] = found[0] - found[1:]
         return self._density[model]
 
     def _strains(self, model: Model) -> float:

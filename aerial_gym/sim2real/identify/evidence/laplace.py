@@ -135,8 +135,27 @@ def posterior(candidates: Candidates, normal: Normal, model: Model) -> Posterior
     Of a parameter that nothing shows it is 0.56 in place of 1, the share of a Cauchy density that its normal one covers.
     """
     columns, count = candidates.columns_of(model)
-    step, covariance, log_evidence = _laplace(candidates, normal, columns[None], np.arange(columns.size)[None] < count)
-    return Posterior(columns=columns, step=step[0], covariance=covariance[0], log_evidence=float(log_evidence[0]))
+    step, covariance, log_evidence = _laplace(
+        candidates,
+        normal.product[np.ix_(columns, columns)][None],
+        normal.gradient[columns][None],
+        columns[None],
+        np.arange(columns.size)[None] < count,
+    )
+    return Posterior(
+        columns=columns, step=step[0], covariance=covariance[0], log_evidence=normal.constant + float(log_evidence[0])
+    )
+
+
+def evidences_of_parts(candidates: Candidates, normals: Sequence[Normal], model: Model) -> Array:
+    """Return the log evidence of one set by each of some sums, (F,), as ``posterior`` has it."""
+    columns, count = candidates.columns_of(model)
+    products = np.stack([normal.product[np.ix_(columns, columns)] for normal in normals])
+    gradients = np.stack([normal.gradient[columns] for normal in normals])
+    own = np.broadcast_to(columns, gradients.shape)
+    effects = np.broadcast_to(np.arange(columns.size) < count, gradients.shape)
+    constants = np.array([normal.constant for normal in normals])
+    return constants + _laplace(candidates, products, gradients, own, effects)[2]
 
 
 def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model]) -> Array:
@@ -158,18 +177,19 @@ def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model
         for row, k in enumerate(chunk):
             own, count = parts[k]
             columns[row, : own.size], effects[row, :count] = own, True
-        found[chunk] = _laplace(free, nothing, columns, effects)[2]
-    return found
+        product = nothing.product[columns[:, :, None], columns[:, None, :]]
+        found[chunk] = _laplace(free, product, nothing.gradient[columns], columns, effects)[2]
+    return normal.constant + found
 
 
 def _laplace(
-    candidates: Candidates, normal: Normal, columns: Indices, effects: NDArray[np.bool_]
+    candidates: Candidates, product: Array, gradient: Array, columns: Indices, effects: NDArray[np.bool_]
 ) -> tuple[Array, Array, Array]:
-    """Return steps (M, k), covariances (M, k, k) and log evidences (M,) of sets with some columns (M, k).
+    """Return steps (M, k), covariances (M, k, k) and log evidences (M,), up to the constant of the likelihood.
 
-    ``effects`` (M, k) says which columns have Cauchy priors and bounds; the others have normal ones.
+    Of sums (M, k, k) and (M, k) of some columns (M, k); ``effects`` (M, k) says which of these have Cauchy priors and bounds;
+    the others have normal ones.
     """
-    product, gradient = normal.product[columns[:, :, None], columns[:, None, :]], normal.gradient[columns]
     precision, step, unit = np.ones(columns.shape), np.zeros(columns.shape), np.eye(columns.shape[1])
     for _ in range(MOST_STEPS):
         before, step = step, np.linalg.solve(product + precision[..., None] * unit, gradient[..., None])[..., 0]
@@ -188,7 +208,7 @@ def _laplace(
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[bounded])
         away = step[bounded]
         within[bounded] = _log_normal_between((low - away) / std, (high - away) / std) - _log_cauchy_between(low, high)
-    return step, covariance, normal.constant + log_likelihood + log_prior + log_volume + within.sum(axis=1)
+    return step, covariance, log_likelihood + log_prior + log_volume + within.sum(axis=1)
 
 
 def _log_normal_between(low: Array, high: Array) -> Array:

@@ -49,6 +49,7 @@ def normal_of(library: Library, weights: Weighting, blocks: NDArray[np.int64] | 
     return Normal(
         product=np.einsum("c,bckl->kl", weights.weight, library.moments.product[chosen]),
         gradient=np.einsum("c,bck->k", weights.weight, library.moments.gradient[chosen]),
+        constant=-0.5 * float(library.moments.square[chosen].sum(axis=0) @ weights.weight),
     )
 
 

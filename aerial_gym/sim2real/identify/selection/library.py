@@ -75,6 +75,9 @@ class Library:
     tolerances: Indices
     """Places of the tolerances among the K columns."""
 
+    tangents: list[list[Array]] = field(default_factory=list)
+    """Derivatives (rows, C, P) by all parameters of each candidate where it is linearised, by the tolerances last."""
+
 
 def build_library(
     predictor: Predictor,
@@ -105,11 +108,14 @@ def build_library(
     """
     base = predictor.predict(present)
     residuals = here = [m - p for m, p in zip(predictor.measured, base, strict=True)]
-    candidates, parts, width = [], [], 0
+    candidates, parts, tangents, width = [], [], [], 0
     own: dict[str, list[Array]] = {}
     for name, point in origins(declared, present, accepted, skipped, predictor.robot):
         named, neutral, scale = point is present, neutral_of(name, declared, predictor.robot), scales((name,))
         columns = effect_jacobian(predictor, point, (name,), base if named else predictor.predict(point))
+        if not all(np.isfinite(part).all() for part in columns):
+            continue  # a pendulum that goes over the top of the present model
+        tangents.append(columns)
         step = (params_of(point, (name,)) - neutral) / scale
         if named:  # back to neutral
             change = [b - n for b, n in zip(base, predictor.predict(point.with_effect(name, neutral)), strict=True)]
@@ -138,16 +144,26 @@ def build_library(
         places = np.arange(structure.columns[0].shape[2]) + width
         open_end = np.full(places.size, np.inf)
         candidates.append(
-            Candidate(name=structure.name, named=False, columns=places, low=-open_end, high=open_end, structure=True)
+            Candidate(
+                name=structure.name,
+                named=False,
+                columns=places,
+                low=-open_end,
+                high=open_end,
+                structure=True,
+            )
         )
         parts.append(structure.columns)
+        tangents.append(structure.columns)
         width += places.size
     parts.append(tolerance_jacobian(predictor, present, base))
+    tangents.append(parts[-1])
     jacobians = [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)]
     return Library(
         candidates=tuple(candidates),
         moments=block_moments(predictor.times, residuals, jacobians, length=length),
         tolerances=np.arange(width, jacobians[0].shape[2]),
+        tangents=tangents,
     )
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from aerial_gym.sim2real.identify.evidence.select import Chosen, choose_effects
+from aerial_gym.sim2real.identify.evidence.select import MATERIAL, Chosen, choose_effects
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import declared_params
@@ -26,7 +26,9 @@ NAMES = (
 FEW = ("rotor_drag", "thrust_coefficient", "payload_mass", "constant_wind")
 
 
-def chosen(folder: Path, names: tuple[str, ...] = NAMES, rate: float = 200.0, **hidden: float) -> Chosen:
+def chosen(
+    folder: Path, names: tuple[str, ...] = NAMES, rate: float = 200.0, material: float = MATERIAL, **hidden: float
+) -> Chosen:
     """Return what three flights of 8 s with sensor noise make most probable."""
     files = []
     for seed in range(3):
@@ -35,7 +37,7 @@ def chosen(folder: Path, names: tuple[str, ...] = NAMES, rate: float = 200.0, **
     flights = load_flights(files, ROBOT, mapping=None, bandwidth=10.0)
     channels = find_channels(flights)
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
-    return choose_effects(predictor, declared_params(ROBOT), names)
+    return choose_effects(predictor, declared_params(ROBOT), names, material=material)
 
 
 @pytest.mark.parametrize(
@@ -58,6 +60,16 @@ def test_the_hidden_effects_are_the_most_probable_set(
     if parameter is not None:
         distance = found.params.effects["rotor_drag"] - parameter
         assert (abs(distance) < 4.0 * found.std["rotor_drag"]).all()
+
+
+def test_what_is_worth_a_trifle_has_no_name(tmp_path: Path) -> None:
+    """A drag without which the residual is several times as large, for a user to whom less than fifty times is a trifle."""
+    found = chosen(tmp_path, FEW, 100.0, material=50.0, drag=0.05)
+    assert found.effects == ()
+    assert "rotor_drag" not in found.params.effects or not found.params.effects["rotor_drag"].any()
+    rises = found.immaterial["rotor_drag"]
+    assert max(rise.low for rise in rises.values()) > MATERIAL
+    assert found.inclusion["rotor_drag"] > 0.95  # it is there, and small
 
 
 def test_a_force_that_follows_the_place_is_a_structure_and_no_effect(tmp_path: Path) -> None:

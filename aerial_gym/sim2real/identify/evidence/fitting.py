@@ -1,0 +1,161 @@
+"""Sets of effects fitted as they are, not linearised, and the evidence there.
+
+Letters: N tolerances.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior, posterior
+from aerial_gym.sim2real.identify.evidence.linear import evidence_at, with_structures
+from aerial_gym.sim2real.identify.evidence.search import Sets
+from aerial_gym.sim2real.identify.evidence.structure import Structure
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    bounds_of,
+    effect_jacobian,
+    fit_effects,
+    is_number,
+    scales,
+    tolerance_jacobian,
+)
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.selection.library import Library, has_starts, neutral_of
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fitted:
+    """A set of effects and structures, fitted."""
+
+    effects: tuple[str, ...]
+    structures: tuple[Structure, ...]
+    params: ModelParams
+    log_posterior: float
+    """Evidence and prior of the set, up to the constant of all sets under one weighting."""
+
+    parameters: Posterior
+    """Of effects, tolerances and structures, in this order."""
+
+    def __gt__(self, other: "Fitted") -> bool:
+        """Return whether it is more probable; what could not be computed never is."""
+        return bool(np.isfinite(self.log_posterior)) and self.log_posterior > other.log_posterior
+
+
+class Fitter:
+    """Fits sets about a present model, with the tolerances linear about it."""
+
+    def __init__(
+        self, predictor: Predictor, declared: ModelParams, num_names: int, weights: Weighting, present: ModelParams
+    ) -> None:
+        """Take flights, the declared model, how many effects there are to choose from, weights, and the present model."""
+        self.predictor, self.declared, self.weights = predictor, declared, weights
+        self.log_names = float(np.log(num_names))
+        self.tolerance = tolerance_jacobian(predictor, present, predictor.predict(present))
+
+    def neutral(self, name: str) -> Array:
+        """Return the parameters with which an effect changes nothing."""
+        return neutral_of(name, self.declared, self.predictor.robot)
+
+    def fit(
+        self,
+        effects: Sequence[str],
+        structures: Sequence[Structure],
+        start: ModelParams,
+        derivatives: list[Array] | None = None,
+    ) -> Fitted:
+        """Return a set fitted from a start, by ``derivatives`` (rows, C, P) near it if there are."""
+        nuisance, effects = with_structures(self.tolerance, structures), tuple(effects)
+        found = fit_effects(self.predictor, effects, start, nuisance, self.weights.weight, derivatives=derivatives)
+        if not np.isfinite(found.moments.square).all():
+            nothing = np.zeros(0)
+            parameters = Posterior(
+                columns=np.zeros(0, dtype=int), step=nothing, covariance=np.zeros((0, 0)), log_evidence=-np.inf
+            )
+            return Fitted(
+                effects=effects,
+                structures=tuple(structures),
+                params=found.point,
+                log_posterior=-np.inf,
+                parameters=parameters,
+            )
+        constant, parameters = evidence_at(found, [self.neutral(name) for name in effects], self.weights)
+        prior = (len(effects) + len(structures)) * self.log_names
+        return Fitted(
+            effects=effects,
+            structures=tuple(structures),
+            params=found.point,
+            log_posterior=constant + parameters.log_evidence - prior,
+            parameters=parameters,
+        )
+
+    def fit_of(self, library: Library, sets: Sets, model: Model, structures: Sequence[Structure]) -> Fitted:
+        """Return a set of a library fitted from the present model, best of the starts of its new effects."""
+        chosen = [library.candidates[k] for k in model]
+        beside = {candidate.name for candidate in chosen if candidate.structure}
+        kept = [structure for structure in structures if structure.name in beside]
+        effects = [k for k in model if not library.candidates[k].structure]
+        names, found = [library.candidates[k].name for k in effects], []
+        for start in self.starts_of(library, sets, model):
+            base = self.predictor.predict(start)
+            parts = [
+                library.tangents[k]
+                if library.candidates[k].named
+                else effect_jacobian(self.predictor, start, (library.candidates[k].name,), base)
+                for k in effects
+            ]
+            derivatives = [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)] if parts else None
+            found.append(self.fit(names, kept, start, derivatives))
+        return max(found, key=lambda one: one.log_posterior)
+
+    def starts_of(self, library: Library, sets: Sets, model: Model) -> list[ModelParams]:
+        """Return where the fit of a set starts: old effects as they are, new ones at the most probable linear step.
+
+        An effect that is linearised at several starts, a pendulum of many lengths, is far from linear: it starts there too.
+        """
+        found, step, robot = posterior(sets.candidates, sets.normal, model), 0, self.predictor.robot
+        best = plain = self.declared
+        for candidate in (library.candidates[k] for k in model if not library.candidates[k].structure):
+            values, name = candidate.start.copy(), candidate.name
+            numbers = [k for k in range(values.size) if is_number(name, k)]
+            if not candidate.named:
+                values[numbers] += scales((name,))[numbers] * found.step[step : step + len(numbers)]
+                values = np.clip(values, *bounds_of(robot, (name,)))
+            step += len(numbers)
+            best = best.with_effect(name, values)
+            far = has_starts(name, robot) and not candidate.named
+            plain = plain.with_effect(name, candidate.start if far else values)
+        same = all(np.array_equal(values, plain.effects[name]) for name, values in best.effects.items())
+        return [best] if same else [best, plain]
+
+    def without(self, fitted: Fitted, names: Sequence[str]) -> Fitted:
+        """Return a set fitted again without some of its effects, which go back to what is declared."""
+        kept = {name: values for name, values in fitted.params.effects.items() if name not in names}
+        kept |= {name: self.declared.effects[name] for name in names if name in self.declared.effects}
+        start = ModelParams(effects=kept, learned=self.declared.learned)
+        effects = [name for name in fitted.effects if name not in names]
+        return self.fit(effects, fitted.structures, start)
+
+    def narrower(self, fitted: Fitted, names: Sequence[str]) -> Fitted:
+        """Return the best of a set and of those with an effect in the place of a wider case of it.
+
+        A wide case can be better only by its curvature where both are far from neutral: two lags follow a bend that one
+        cannot in a linear model.
+        """
+        best = fitted
+        for wide in fitted.effects:
+            for name in EFFECTS.get(wide).contains:
+                if name in names and name not in fitted.effects:
+                    kept = {other: values for other, values in fitted.params.effects.items() if other != wide}
+                    start = ModelParams(effects=kept, learned=self.declared.learned)
+                    start = start.with_effect(name, self.neutral(name))
+                    effects = [name if other == wide else other for other in fitted.effects]
+                    found = self.fit(effects, fitted.structures, start)
+                    best = found if found > best else best
+        return best
