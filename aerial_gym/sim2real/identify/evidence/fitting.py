@@ -29,6 +29,11 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 
+NOTHING = Posterior(
+    columns=np.zeros(0, dtype=np.int64), step=np.zeros(0), covariance=np.zeros((0, 0)), log_evidence=-np.inf
+)
+"""Of a fit that went nowhere."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Fitted:
@@ -38,14 +43,15 @@ class Fitted:
     structures: tuple[Structure, ...]
     params: ModelParams
     log_posterior: float
-    """Evidence and prior of the set, up to the constant of all sets under one weighting."""
+    """Evidence and prior of the set, up to the constant of all sets under one weighting; minus infinity where a prediction
+    is not finite."""
 
     parameters: Posterior
     """Of effects, tolerances and structures, in this order."""
 
     def __gt__(self, other: "Fitted") -> bool:
-        """Return whether it is more probable; what could not be computed never is."""
-        return bool(np.isfinite(self.log_posterior)) and self.log_posterior > other.log_posterior
+        """Return whether it is more probable."""
+        return self.log_posterior > other.log_posterior
 
 
 class Fitter:
@@ -73,25 +79,15 @@ class Fitter:
         """Return a set fitted from a start, by ``derivatives`` (rows, C, P) near it if there are."""
         nuisance, effects = with_structures(self.tolerance, structures), tuple(effects)
         found = fit_effects(self.predictor, effects, start, nuisance, self.weights.weight, derivatives=derivatives)
-        if not np.isfinite(found.moments.square).all():
-            nothing = np.zeros(0)
-            parameters = Posterior(
-                columns=np.zeros(0, dtype=int), step=nothing, covariance=np.zeros((0, 0)), log_evidence=-np.inf
-            )
-            return Fitted(
-                effects=effects,
-                structures=tuple(structures),
-                params=found.point,
-                log_posterior=-np.inf,
-                parameters=parameters,
-            )
-        constant, parameters = evidence_at(found, [self.neutral(name) for name in effects], self.weights)
-        prior = (len(effects) + len(structures)) * self.log_names
+        constant, parameters = -np.inf, NOTHING
+        if np.isfinite(found.moments.square).all():
+            constant, parameters = evidence_at(found, [self.neutral(name) for name in effects], self.weights)
+        value = constant + parameters.log_evidence - (len(effects) + len(structures)) * self.log_names
         return Fitted(
             effects=effects,
             structures=tuple(structures),
             params=found.point,
-            log_posterior=constant + parameters.log_evidence - prior,
+            log_posterior=value if np.isfinite(value) else -np.inf,
             parameters=parameters,
         )
 

@@ -76,7 +76,7 @@ class Library:
     """Places of the tolerances among the K columns."""
 
     tangents: list[list[Array]] = field(default_factory=list)
-    """Derivatives (rows, C, P) by all parameters of each candidate where it is linearised, by the tolerances last."""
+    """Derivatives (rows, C, P) by all parameters of each candidate where it is linearised."""
 
 
 def build_library(
@@ -157,7 +157,6 @@ def build_library(
         tangents.append(structure.columns)
         width += places.size
     parts.append(tolerance_jacobian(predictor, present, base))
-    tangents.append(parts[-1])
     jacobians = [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)]
     return Library(
         candidates=tuple(candidates),
