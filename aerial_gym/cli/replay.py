@@ -23,7 +23,7 @@ class ReplayCmd:
     """Flight logs."""
 
     out: Path | None = None
-    """Folder for replay.json, report.html and residuals.csv; nothing is written if not given."""
+    """Folder for replay.json, report.html, residuals.csv and profiles.csv; nothing is written if not given."""
 
     mapping: str | None = None
     """Layout of the logs: a name (idsia_nanodrone) or a mapping file (.yaml); the package's own layout if not given."""

@@ -43,7 +43,7 @@ def close_loop(
     ranges: bool = False,
     progress: Progress = silent,
 ) -> Verdict:
-    """Find what the declared robot lacks, and write verdict.json, robot.yaml, report.html, report.md, residuals.csv.
+    """Find what the declared robot lacks, and write verdict.json, robot.yaml, report.html, report.md and tables.
 
     Args:
         robot: Registered robot, or a robot file.

@@ -56,7 +56,8 @@ def replay(
     seed: int = 0,
     progress: Progress = silent,
 ) -> Replay:
-    """Return how well a robot as declared predicts flights; with ``out_dir``, write replay.json, report.html, residuals.csv.
+    """Return how well a robot as declared predicts flights; with ``out_dir``, write replay.json, report.html,
+    residuals.csv, profiles.csv.
 
     Args:
         robot: Registered robot, or a robot file.
@@ -118,19 +119,26 @@ def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: flo
 def _write(folder: Path, result: Replay) -> None:
     from aerial_gym.sim2real.predict.rollout import QUANTITIES
     from aerial_gym.sim2real.report import plots  # matplotlib is slow to import
-    from aerial_gym.sim2real.report.report import VARIANTS, render, write_residuals
+    from aerial_gym.sim2real.report.figures import VARIANTS
+    from aerial_gym.sim2real.report.profiles import profiles, write_profiles
+    from aerial_gym.sim2real.report.report import render, write_residuals
     from aerial_gym.sim2real.report.tables import channel_rows, interval
 
     text = json.dumps(result.as_mapping(), indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "replay.json").write_text(text + "\n", encoding="utf-8")
-    write_residuals(folder / "residuals.csv", {"replay": result.predictor}, result.point, None)
+    write_residuals(folder / "residuals.csv", {"replay": result.predictor}, {"declared": result.point})
+    channels, found = result.predictor.channels, profiles(result.predictor, {"declared": result.point})
+    write_profiles(folder / "profiles.csv", found, channels)
     figures = [{"title": "Residuals", "image": plots.residual_bars(result.evaluation, None)}]
     for variant, title in VARIANTS.items():
         if variant in result.evaluation.rollout:
             figures.append({"title": title, "image": plots.rollout_bars(result.evaluation, None, variant)})
-    for kind in dict.fromkeys(channel.kind for channel in result.predictor.channels):
-        image = plots.residuals_over_time(result.predictor, result.point, None, kind)
-        figures.append({"title": f"Residual of the {kind.replace('_', ' ')}", "image": image})
+    for kind in dict.fromkeys(channel.kind for channel in channels):
+        words = kind.replace("_", " ")
+        image = plots.traces(result.predictor, {"declared": result.point}, kind)
+        figures.append({"title": f"The {words} over time", "image": image})
+        image = plots.residual_profiles(found, channels, kind)
+        figures.append({"title": f"Mean residual of the {words} with its standard error", "image": image})
     rollouts = [
         {"variant": variant, "quantity": f"{name} [{QUANTITIES[name]}]", "horizon": f"{h:g}", "rms": interval(rms)}
         for variant, quantities in result.evaluation.rollout.items()

@@ -1,6 +1,6 @@
-"""Root mean squares and their ratios with 95 % intervals, from the scatter of groups of neighbouring samples and of flights.
+"""Means, root mean squares and their ratios with what is known of them, from the scatter of groups of samples and of flights.
 
-Letters: S samples, G groups, C columns, P parameters.
+Letters: S samples, G groups, B bins, C columns, P parameters.
 """
 
 from dataclasses import dataclass
@@ -101,6 +101,45 @@ def _scatter(score: Array, label: NDArray[np.int64]) -> tuple[Array, int]:
     if labels.size < 2:
         return np.full(score.shape[1], np.inf), labels.size
     return (sums**2).sum(axis=0) * labels.size / (labels.size - 1), labels.size
+
+
+@dataclass(frozen=True, kw_only=True)
+class BinnedMean:
+    """Means of samples that lie in the same bin."""
+
+    count: NDArray[np.int64]
+    """Samples of each bin, (B,)."""
+
+    mean: Array
+    """(B, C); NaN of an empty bin."""
+
+    std_error: Array
+    """Of the mean, (B, C); NaN where fewer than two groups share the bin."""
+
+
+def binned_mean(values: Array, place: NDArray[np.int64], bins: int, group: NDArray[np.int64]) -> BinnedMean:
+    """Return the mean of each bin and its standard error from the scatter of whole groups.
+
+    ``sum_g (s_g - n_g m)² G / (G - 1) / n²`` with the sums ``s_g`` of ``n_g`` samples that group g of G has in the bin.
+    Source: Cochran (1977), Sampling Techniques, section 6.3 (a ratio of sums over clusters).
+
+    Args:
+        values: Samples, (S, C).
+        place: Bin of each, (S,).
+        bins: Number of bins B.
+        group: Neighbouring samples that count as one draw, (S,).
+    """
+    labels, own = np.unique(group, return_inverse=True)
+    cell = place * labels.size + own
+    counts = np.bincount(cell, minlength=bins * labels.size).reshape(bins, labels.size)
+    sums = np.zeros((bins * labels.size, values.shape[1]))
+    np.add.at(sums, cell, values)
+    sums, total, groups = sums.reshape(bins, labels.size, -1), counts.sum(axis=1), (counts > 0).sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = sums.sum(axis=1) / total[:, None]
+        away = np.where(counts[:, :, None] > 0, sums - counts[:, :, None] * mean[:, None], 0.0)
+        variance = (away**2).sum(axis=1) / total[:, None] ** 2 * (groups / (groups - 1.0))[:, None]
+    return BinnedMean(count=total, mean=mean, std_error=np.sqrt(np.where(groups[:, None] > 1, variance, np.nan)))
 
 
 DOUBTFUL = 0.2

@@ -35,8 +35,8 @@ from aerial_gym.sim2real.report.run_folder import whole_folder
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 DRAG = 0.25
-SECTIONS = ("effects", "evidence", "rivals", "before-after", "next", "rest", "data")
-OUTPUTS = {"verdict.json", "robot.yaml", "report.html", "report.md", "residuals.csv", "run.json"}
+SECTIONS = ("flights", "effects", "evidence", "rivals", "before-after", "next", "rest", "data")
+OUTPUTS = {"verdict.json", "robot.yaml", "report.html", "report.md", "residuals.csv", "profiles.csv", "run.json"}
 
 
 @pytest.fixture(scope="module")
@@ -205,7 +205,7 @@ def test_a_robot_draws_what_was_found_from_its_intervals(result: Path) -> None:
             assert abs(drawn.std().item() / std - 1.0) < 5.0 / (2.0 * 4000) ** 0.5
 
 
-def test_the_reports_stand_alone(result: Path) -> None:
+def test_the_reports_stand_alone(result: Path, folder: Path) -> None:
     assert {path.name for path in result.iterdir()} == OUTPUTS
     page = (result / "report.html").read_text()
     assert page.count("data:image/png;base64,") >= 5
@@ -215,13 +215,18 @@ def test_the_reports_stand_alone(result: Path) -> None:
     assert places == sorted(places)
     assert "gap closed" in page
     assert "<li>better: specific force x" in page
-    assert page.index("over time") < page.index("Residuals (rms)")
+    assert page.index("What the residual depends on") < page.index('id="effects"')
     assert "What remains of the" in page
     assert "rotor_drag" in (result / "report.md").read_text()
     table = pd.read_csv(result / "residuals.csv")
     assert set(table["set"]) == {"train", "test"}
     test = table[table["set"] == "test"]
     assert test["specific_force_x_after"].std() < 0.3 * test["specific_force_x_before"].std()
+    log = pd.read_csv(folder / "f3.csv").query(f"{test['t'].min()} <= t <= {test['t'].max()}")
+    assert test["specific_force_z_measured"].mean() == pytest.approx(log["acc_z"].mean(), rel=0.01)
+    means = pd.read_csv(result / "profiles.csv")
+    assert set(means["against"]) == {"thrust [N]", "speed [m/s]", "height [m]"}
+    assert means["after"].notna().all()
     record = json.loads((result / "run.json").read_text())
     assert record["config"]["seed"] == 0
     assert {Path(path).name for path in record["inputs"]} == {"f0.csv", "f1.csv", "f2.csv", "f3.csv", "f9.csv"}
@@ -274,7 +279,7 @@ def test_the_command_refuses(folder: Path, call: list[str], capsys: pytest.Captu
 def test_replay_fits_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = replay(folder / "robot.yaml", [folder / "f3.csv"], folder / "replayed")
     assert {path.name for path in (folder / "replayed").iterdir()} == {
-        *("replay.json", "report.html", "residuals.csv", "run.json")
+        *("replay.json", "report.html", "residuals.csv", "profiles.csv", "run.json")
     }
     assert found.evaluation.residual[0].value > 0.1
     assert main(["replay", str(folder / "robot.yaml"), str(folder / "f3.csv"), "--json"]) == 0

@@ -1,0 +1,155 @@
+"""Evidence for an effect: what is measured beyond the model without it, against what it would add.
+
+All channels stand in one picture, each in units of its weight in the fit: the line of the fitted value is then the least-
+squares line through all points. One channel alone may ask for another value, which the legend says. Letters: S rows of all
+flights.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import effect_jacobian, scales
+from aerial_gym.sim2real.identify.least_squares.moments import time_groups
+from aerial_gym.sim2real.predict.channels import Channel
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.report.canvas import panels, png
+
+Array = NDArray[np.float64]
+
+MOST_CHANNELS = 4
+"""Drawn for a parameter, those that tell most of it."""
+
+LEAST_TOLD = 0.02
+"""A channel that has less than this share of what all tell of a parameter is not drawn."""
+
+MOST_POINTS = 1200
+"""Of a channel."""
+
+COLOURS = ("#b0413e", "#d99036", "#4f8f5b", "#7a5ca8")
+LINE = "#1f4e79"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cloud:
+    """What one channel tells of a parameter."""
+
+    channel: Channel
+    adds: Array
+    """What one scale of the parameter adds, weighted, (S,)."""
+
+    beyond: Array
+    """What is measured beyond the model without the parameter, weighted, (S,)."""
+
+    alone: float
+    """Value that this channel alone asks for."""
+
+    std: float
+    """Of that, from the scatter of blocks of time."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clue:
+    """What all channels tell of a parameter."""
+
+    parameter: str
+    unit: str
+    scale: float
+    neutral: float
+    fitted: float
+    clouds: tuple[Cloud, ...]
+    """Of all channels, those that tell most first."""
+
+    @property
+    def shown(self) -> tuple[Cloud, ...]:
+        """Return those that are worth drawing."""
+        told = [float(cloud.adds @ cloud.adds) for cloud in self.clouds]
+        enough = [c for c, own in zip(self.clouds, told, strict=True) if own >= LEAST_TOLD * sum(told) > 0.0]
+        return tuple(enough[:MOST_CHANNELS])
+
+
+def clues(
+    predictor: Predictor, params: ModelParams, effect: str, neutral: Array, weight: Array, untold: Collection[str] = ()
+) -> list[Clue]:
+    """Return what flights tell of each parameter of an effect.
+
+    Args:
+        predictor: The flights that the fit has seen.
+        params: The model with the effect, and with the deviations within the tolerances that fit best beside it.
+        effect: Its name.
+        neutral: Its neutral parameters.
+        weight: What a row of each channel counts in the fit, (C,).
+        untold: Parameters that these flights do not show.
+    """
+    predicted = predictor.predict(params)
+    jacobian = np.concatenate(effect_jacobian(predictor, params, (effect,), predicted)) * np.sqrt(weight)[:, None]
+    left = np.concatenate([m - p for m, p in zip(predictor.measured, predicted, strict=True)]) * np.sqrt(weight)
+    group, scale = time_groups(predictor.times), scales((effect,))
+    found = []
+    for k, parameter in enumerate(EFFECTS.get(effect).parameters):
+        if parameter.kind != "number" or parameter.name in untold:
+            continue
+        adds = jacobian[:, :, k]
+        beyond = left + adds * (params.effects[effect][k] - neutral[k]) / scale[k]
+        clouds = []
+        for place in np.argsort(-(adds**2).sum(axis=0)).tolist():
+            slope, std = _through_zero(adds[:, place], beyond[:, place], group)
+            clouds.append(
+                Cloud(
+                    channel=predictor.channels[place],
+                    adds=adds[:, place],
+                    beyond=beyond[:, place],
+                    alone=float(neutral[k] + slope * scale[k]),
+                    std=float(std * scale[k]),
+                )
+            )
+        found.append(
+            Clue(
+                parameter=parameter.name,
+                unit=parameter.unit,
+                scale=float(scale[k]),
+                neutral=float(neutral[k]),
+                fitted=float(params.effects[effect][k]),
+                clouds=tuple(clouds),
+            )
+        )
+    return found
+
+
+def _through_zero(x: Array, y: Array, group: NDArray[np.int64]) -> tuple[float, float]:
+    """Return the slope of the least-squares line through zero, and its standard deviation by the scatter of groups."""
+    square = float(x @ x)
+    if square == 0.0:
+        return 0.0, np.inf
+    slope = float(x @ y) / square
+    scores = np.bincount(group, weights=x * (y - slope * x))
+    return slope, float(np.sqrt(scores @ scores) / square)
+
+
+def evidence(effect: str, found: list[Clue]) -> str:
+    """Return a panel for each parameter."""
+    shown = [clue for clue in found if clue.shown]
+    figure, axes = panels(1, max(len(shown), 1), width=3.3, height=2.6, title=effect, gap=(0.6, 0.0))
+    for axis, clue in zip(axes[0], shown, strict=False):
+        _draw(axis, clue)
+    return png(figure)
+
+
+def _draw(axis: Axes, clue: Clue) -> None:
+    for cloud, colour in zip(clue.shown, COLOURS, strict=False):
+        step = max(1, cloud.adds.size // MOST_POINTS)
+        name = f"{cloud.channel.kind.replace('_', ' ')} {cloud.channel.axis}"
+        label = f"{name} alone: {cloud.alone:.4g} ± {1.96 * cloud.std:.2g}"
+        axis.plot(cloud.adds[::step], cloud.beyond[::step], ".", markersize=1.8, alpha=0.45, color=colour, label=label)
+    ends = np.array([min(c.adds.min() for c in clue.shown), max(c.adds.max() for c in clue.shown)])
+    unit = "" if clue.unit == "-" else f" {clue.unit}"
+    line = f"{clue.parameter} = {clue.fitted:.4g}"
+    axis.plot(ends, (clue.fitted - clue.neutral) / clue.scale * ends, color=LINE, linewidth=1.6, label=line)
+    axis.set_xlabel(f"what {clue.scale:g}{unit} of {clue.parameter} would add", fontsize=8, labelpad=1)
+    axis.set_ylabel("measured without it (units of the fit)", fontsize=8, labelpad=2)
+    axis.legend(fontsize=6.5, markerscale=4.0, borderpad=0.25, handlelength=1.0)

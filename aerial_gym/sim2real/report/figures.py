@@ -1,0 +1,128 @@
+"""Which figures a report has, and of what."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from aerial_gym.physics import EFFECTS, vehicle_from_config
+from aerial_gym.sim2real.identify.selection.select import Selection
+from aerial_gym.sim2real.identify.selection.structure import rows_of, world_forces
+from aerial_gym.sim2real.judge.analysis import Judged
+from aerial_gym.sim2real.judge.evaluation import Evaluation
+from aerial_gym.sim2real.judge.outcome import SAME
+from aerial_gym.sim2real.judge.unexplained import with_best_deviations
+from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.report import plots
+from aerial_gym.sim2real.report.evidence import clues, evidence
+from aerial_gym.sim2real.report.profiles import Profile, quantities
+
+MOST_REMAINING = 3
+"""Channels of which the rest is drawn."""
+
+VARIANTS = {
+    "free": "Everything simulated from the measured state at the start of a window",
+    "given_attitude": "Attitude and angular velocity given by the log, position and velocity simulated",
+}
+
+
+def models_of(judged: Judged) -> dict[str, ModelParams]:
+    """Return the declared model and, if it is another one, the corrected."""
+    models = {"declared": judged.declared.params}
+    return models | {"corrected": judged.params} if judged.verdict.corrects else models
+
+
+def figures(
+    judged: Judged, after: Evaluation | None, shown: Sequence[str], found: Sequence[Profile]
+) -> dict[str, list[dict[str, str]]]:
+    """Return the figures of the page, by its sections."""
+    before, test, weight = judged.verdict.before, judged.declared.test, judged.selection.weights.weight
+    untold = {effect.name: effect.frozen for effect in judged.verdict.effects}
+    clouds = []
+    for name in shown:
+        params, neutral = evidence_point(judged.selection, name, judged)
+        told = clues(judged.declared.train, params, name, neutral, weight, untold.get(name, ()))
+        clouds.append({"title": f"Evidence for {name}", "image": evidence(name, told)})
+    bars = [{"title": "Residuals before and after", "image": plots.residual_bars(before, after)}]
+    bars += [
+        {"title": title, "image": plots.rollout_bars(before, after, variant)}
+        for variant, title in VARIANTS.items()
+        if variant in before.rollout
+    ]
+    rest = [
+        {"title": f"What remains of the {channel.name.replace('_', ' ')}", "image": plots.what_remains(parts, channel)}
+        for channel, parts in remaining(judged)
+    ]
+    kinds, models = shown_kinds(judged), models_of(judged)
+    return {
+        "traces": [{"title": _words(kind), "image": plots.traces(test, models, kind)} for kind in kinds],
+        "profiles": [
+            {"title": _words(kind), "image": plots.residual_profiles(found, test.channels, kind)} for kind in kinds
+        ],
+        "evidence": clouds,
+        "bars": bars,
+        "rest": rest,
+    }
+
+
+def _words(kind: str) -> str:
+    return kind.replace("_", " ").capitalize()
+
+
+def shown_kinds(judged: Judged) -> list[str]:
+    """Return the kinds of channels that are drawn: those with dynamics, and kinematic ones that the correction changes."""
+    changed = {one.name for one in judged.verdict.outcomes if one.state != SAME}
+    drawn = [c.kind for c in judged.declared.channels if c.kind not in KINEMATIC or c.name in changed]
+    return list(dict.fromkeys(drawn))
+
+
+def remaining(judged: Judged) -> list[tuple[Channel, list[plots.Rest]]]:
+    """Return what the corrected model leaves of the channels that matter: those named, else the farthest above its floor."""
+    channels, after, found = judged.declared.channels, judged.verdict.after, []
+    dynamic = [place for place, channel in enumerate(channels) if channel.kind not in KINEMATIC]
+    named = [place for place in dynamic if channels[place].name in judged.verdict.unexplained]
+    floor = after.floor or (1.0,) * len(channels)
+    above = {place: after.residual[place].value / max(floor[place], 1e-300) for place in named or dynamic}
+    order = sorted(above, key=lambda place: -above[place])
+    left = [
+        (predictor, predictor.residuals(judged.params)) for predictor in (judged.declared.train, judged.declared.test)
+    ]
+    vehicle = vehicle_from_config(judged.declared.robot, num_envs=1, dtype=torch.float64)
+    for place in order[: MOST_REMAINING if named else 1]:
+        parts = []
+        for predictor, residuals in left:
+            for flight, time, residual in zip(predictor.flights, predictor.times, residuals, strict=True):
+                turned = world_forces(flight, time, residual, channels)
+                against = {"time [s]": time, **quantities(flight, time, vehicle, judged.declared.bandwidth)}
+                if flight.position is not None:
+                    against |= {"x [m]": flight.position[rows_of(flight, time), 0]}
+                    against |= {"y [m]": flight.position[rows_of(flight, time), 1]}
+                parts.append(
+                    plots.Rest(
+                        flight=flight,
+                        time=time,
+                        values=residual[:, place],
+                        world=turned[:, place],
+                        quantities=against,
+                    )
+                )
+        found.append((channels[place], parts))
+    return found
+
+
+def evidence_point(selection: Selection, effect: str, judged: Judged) -> tuple[ModelParams, np.ndarray]:
+    """Return the model that has the effect, and the effect's neutral parameters.
+
+    With the deviations that were fitted beside it: without them the line of the fitted value misses what is left.
+    """
+    if effect in judged.declared.params.effects:
+        neutral = judged.declared.params.effects[effect]
+    else:
+        neutral = np.array(EFFECTS.get(effect).neutral(judged.declared.stated))
+    if effect in selection.accepted:
+        return judged.within, neutral
+    trial = next(trial for trial in selection.rounds[0] if trial.effect == effect)
+    assert trial.scored is not None
+    fit = trial.scored.fit
+    return with_best_deviations(fit.point, fit, selection.weights.weight), neutral

@@ -1,0 +1,131 @@
+"""What a residual depends on: its mean over bins of thrust, speed, height and battery voltage, under each model.
+
+Letters: T rows of a flight, S rows of all flights, C channels, B bins.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from numpy.typing import NDArray
+
+from aerial_gym.physics import Vehicle, vehicle_from_config
+from aerial_gym.physics.rotors import rotor_thrust
+from aerial_gym.sim2real.identify.least_squares.moments import time_groups
+from aerial_gym.sim2real.identify.selection.structure import rows_of
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.signals import lowpass
+from aerial_gym.sim2real.predict.channels import Channel
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.statistics import BinnedMean, binned_mean
+
+Array = NDArray[np.float64]
+
+BINS = 12
+"""Of equal count."""
+
+LABELS = {"declared": "before", "corrected": "after"}
+"""Of models, in names of columns."""
+
+FEWEST_ROWS = 5
+"""A bin with fewer is not told."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """The mean residual of every channel over bins of one quantity."""
+
+    against: str
+    """Quantity and unit."""
+
+    edges: Array
+    """Of the bins, (B + 1,)."""
+
+    middle: Array
+    """Mean of the quantity in each bin, (B,)."""
+
+    residual: dict[str, BinnedMean]
+    """By model."""
+
+
+def quantities(flight: Flight, time: Array, vehicle: Vehicle, bandwidth: float) -> dict[str, Array]:
+    """Return against what a residual is drawn at some times [s] (T,), as far as the log has it, each (T,).
+
+    The thrust is that of all rotors as declared, at the measured speeds, or at the commands where speeds were not measured.
+    """
+    rows = rows_of(flight, time)
+    rotors = flight.rotor_command if flight.rotor_speed is None else flight.rotor_speed
+    assert rotors is not None
+    slow = torch.from_numpy(lowpass(rotors, flight.rate, bandwidth)[rows])
+    found = {"thrust [N]": rotor_thrust(vehicle, slow).sum(dim=1).numpy()}
+    if flight.lin_vel is not None:
+        found["speed [m/s]"] = np.linalg.norm(flight.lin_vel[rows], axis=1)
+    if flight.position is not None:
+        found["height [m]"] = flight.position[rows, 2] - flight.ground_height
+    if flight.battery is not None:
+        found["battery voltage [V]"] = flight.battery[rows]
+    return found
+
+
+def quantities_of(predictor: Predictor) -> list[dict[str, Array]]:
+    """Return against what the residuals of each flight are drawn: what all logs have."""
+    vehicle = vehicle_from_config(predictor.robot, num_envs=1, dtype=torch.float64)
+    pairs = zip(predictor.flights, predictor.times, strict=True)
+    found = [quantities(flight, time, vehicle, predictor.bandwidth) for flight, time in pairs]
+    return [{name: own[name] for name in own if all(name in other for other in found)} for own in found]
+
+
+def bin_edges(values: Array) -> Array:
+    """Return edges between bins of equal count, (B + 1,); fewer where values repeat."""
+    return np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
+
+
+def place_in(edges: Array, values: Array) -> NDArray[np.int64]:
+    """Return the bin of each value; the last one holds its upper edge."""
+    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
+
+
+def profiles(predictor: Predictor, models: Mapping[str, ModelParams]) -> list[Profile]:
+    """Return the profile of every quantity that varies in some flights, for each of some models."""
+    own, group, found = quantities_of(predictor), time_groups(predictor.times), []
+    residuals = {name: np.concatenate(predictor.residuals(params)) for name, params in models.items()}
+    for name in own[0]:
+        values = np.concatenate([part[name] for part in own])
+        edges = bin_edges(values)
+        if edges.size < 3:
+            continue
+        place = place_in(edges, values)
+        bins = edges.size - 1
+        found.append(
+            Profile(
+                against=name,
+                edges=edges,
+                middle=binned_mean(values[:, None], place, bins, group).mean[:, 0],
+                residual={model: binned_mean(rows, place, bins, group) for model, rows in residuals.items()},
+            )
+        )
+    return found
+
+
+def write_profiles(path: Path, found: list[Profile], channels: tuple[Channel, ...]) -> None:
+    """Write every bin of every channel: its edges, its rows, and the mean residual of each model with its standard error."""
+    tables = [pd.DataFrame(columns=["channel", "against", "low", "high", "middle", "rows"])]
+    for profile in found:
+        for place, channel in enumerate(channels):
+            columns: dict[str, object] = {
+                "channel": channel.name,
+                "against": profile.against,
+                "low": profile.edges[:-1],
+                "high": profile.edges[1:],
+                "middle": profile.middle,
+                "rows": next(iter(profile.residual.values())).count,
+            }
+            for model, means in profile.residual.items():
+                name = LABELS[model]
+                columns |= {name: means.mean[:, place], f"{name}_std_error": means.std_error[:, place]}
+            tables.append(pd.DataFrame(columns))
+    pd.concat(tables[1:] or tables).to_csv(path, index=False, float_format="%.6g")

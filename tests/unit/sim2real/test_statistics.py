@@ -1,0 +1,39 @@
+"""What is stated of means is checked against closed forms."""
+
+import numpy as np
+
+from aerial_gym.sim2real.statistics import binned_mean
+
+
+def test_independent_samples_have_the_textbook_standard_error() -> None:
+    """Every sample a group of its own: mean and ``s / sqrt(n)`` of each bin, exactly."""
+    rng = np.random.default_rng(0)
+    values, place = rng.standard_normal((90, 2)), rng.integers(0, 3, 90)
+    found = binned_mean(values, place, 4, np.arange(90))
+    for b in range(3):
+        own = values[place == b]
+        assert found.count[b] == len(own)
+        np.testing.assert_allclose(found.mean[b], own.mean(axis=0), rtol=1e-12)
+        np.testing.assert_allclose(found.std_error[b], own.std(axis=0, ddof=1) / np.sqrt(len(own)), rtol=1e-12)
+    assert found.count[3] == 0
+    assert np.isnan(found.mean[3]).all()
+    assert np.isnan(found.std_error[3]).all()
+
+
+def test_the_standard_error_holds_where_neighbours_are_alike() -> None:
+    """Groups with an offset of 0.5 and noise of 1: the variance of a mean of G groups of m is 0.25 / G + 1 / (G m), here 11
+    times what independent samples would have. 3000 trials of 20 groups know it to 3 %."""
+    rng, groups, size = np.random.default_rng(1), 20, 40
+    group, place = np.repeat(np.arange(groups), size), np.zeros(groups * size, dtype=int)
+    variances = []
+    for _ in range(3000):
+        values = rng.standard_normal((groups * size, 1)) + 0.5 * rng.standard_normal(groups)[group][:, None]
+        variances.append(binned_mean(values, place, 1, group).std_error[0, 0] ** 2)
+    truth = 0.25 / groups + 1.0 / (groups * size)
+    assert abs(np.mean(variances) / truth - 1.0) < 0.03
+
+
+def test_one_group_has_no_standard_error() -> None:
+    found = binned_mean(np.ones((5, 1)), np.zeros(5, dtype=int), 1, np.zeros(5, dtype=int))
+    assert found.mean[0, 0] == 1.0
+    assert np.isnan(found.std_error[0, 0])
