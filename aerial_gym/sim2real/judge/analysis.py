@@ -17,7 +17,7 @@ from aerial_gym.sim2real.judge.ablation import ablations
 from aerial_gym.sim2real.judge.breakdown import by_flight, where_it_acts
 from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate
 from aerial_gym.sim2real.judge.experiments.design import Advice, Catalogue, showable, what_shows, what_tells
-from aerial_gym.sim2real.judge.noise_floor import noise_floor
+from aerial_gym.sim2real.judge.noise_floor import floor_of_flight, of_all_flights
 from aerial_gym.sim2real.judge.outcome import Outcome, outcomes, said_first
 from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, with_random
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained, judges_forces
@@ -60,7 +60,8 @@ def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Prog
         return evaluate(declared.robot, tested.flights, tested, params, floor=floor, seed=seed)
 
     progress("rollouts of the declared and the corrected model", 0.7)
-    still = floor_in_declared_wind(declared, refitted.params)
+    floors = floors_in_declared_wind(declared, refitted.params)
+    still = of_all_flights(floors)
     before = on_test(declared.params, still)
     progress("rollouts of the corrected model", 0.85)
     named = on_test(refitted.params, still) if selection.accepted else before
@@ -80,9 +81,9 @@ def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Prog
     gusts = () if NAME in declared.robot.effects or not unexplained.wind.accepted else (unexplained.wind.named(),)
     kind, reason, candidates = decision(refitted, unexplained, gusts)
     became: tuple[Outcome, ...] = ()
+    models, both, least = (declared.params, params), (before, after), selection.criteria.material
     if effects or gusts or (learned is not None and learned.cfg is not None):
-        models, least = (declared.params, params), selection.criteria.material
-        became = outcomes(tested, models, (before, after), least=least)
+        became = outcomes(tested, models, both, least=least)
     manoeuvre, fly_next = what_to_fly(declared, selection, unexplained.open_to)
     spectra = whiteness(tested.times, unexplained.left, declared.channels, declared.bandwidth)
     verdict = Verdict(
@@ -99,7 +100,7 @@ def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Prog
         before=before,
         after=after,
         outcomes=became,
-        flights=by_flight(tested, declared.params, params, before, after, seed=seed),
+        flights=by_flight(tested, models, both, floors_with_gusts(floors, unexplained), least=least, seed=seed),
         unexplained=unexplained.channels,
         whiteness=dict(zip((channel.name for channel in declared.channels), spectra, strict=True)),
         learned=learned,
@@ -116,11 +117,21 @@ def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Prog
     )
 
 
-def floor_in_declared_wind(declared: Declared, params: ModelParams) -> Array | None:
-    """Return the noise floor of each channel on the test flights, declared random wind included, (C,); None: not shown."""
+def floors_in_declared_wind(declared: Declared, params: ModelParams) -> list[Array | None]:
+    """Return the noise floor of each channel on each test flight, declared random wind included, (C,); None: not shown."""
     test = declared.test
-    floor = noise_floor(declared.robot, test.flights, params, test.channels, bandwidth=test.bandwidth)
-    return None if floor is None else np.hypot(floor, declared_wind(declared.robot).adds(test, params))
+    wind = declared_wind(declared.robot).adds(test, params)
+    floors = [floor_of_flight(declared.robot, f, params, test.channels, test.bandwidth) for f in test.flights]
+    return [None if floor is None else np.hypot(floor, wind) for floor in floors]
+
+
+def floors_with_gusts(floors: Sequence[Array | None], unexplained: Unexplained) -> list[Array | None]:
+    """Return the noise floors of flights, (C,) each, with the random wind that was found in them."""
+    still = of_all_flights(floors)
+    if still is None or unexplained.floor is None:
+        return list(floors)
+    wind = np.sqrt(np.maximum(unexplained.floor**2 - still**2, 0.0))
+    return [None if floor is None else np.hypot(floor, wind) for floor in floors]
 
 
 def judged_effects(

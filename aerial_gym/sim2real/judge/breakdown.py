@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from aerial_gym.sim2real.identify.least_squares.moments import time_groups
 from aerial_gym.sim2real.identify.selection.library import neutral_of
 from aerial_gym.sim2real.judge.evaluation import Evaluation, gap_closed
+from aerial_gym.sim2real.judge.outcome import Outcome, rollout_outcome
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.channels import KINEMATIC, UNITS
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
-from aerial_gym.sim2real.statistics import Rms, rms_with_interval
+from aerial_gym.sim2real.statistics import Rise, Rms, rise_with_interval, rms_with_interval
 
 Array = NDArray[np.float64]
 
@@ -30,12 +30,21 @@ ROLLOUT_S = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """One quantity before and after."""
+    """One quantity of one flight, before and after."""
 
-    quantity: str
     unit: str
     before: Rms
     after: Rms
+    floor: float | None
+    """Noise floor (rms) of a channel on this flight; None where it is not known."""
+
+    became: Outcome
+    """What it is, and what became of it on this flight."""
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        found = {"before": self.before.value, "after": self.after.value, "noise_floor": self.floor}
+        return {**found, **self.became.as_mapping()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,37 +74,63 @@ class Regime:
 
 
 def by_flight(
-    predictor: Predictor, declared: ModelParams, final: ModelParams, before: Evaluation, after: Evaluation, *, seed: int
+    predictor: Predictor,
+    models: tuple[ModelParams, ModelParams],
+    evaluations: tuple[Evaluation, Evaluation],
+    floors: Sequence[Array | None],
+    *,
+    least: float,
+    seed: int,
 ) -> dict[str, list[Part]]:
-    """Return the residual of each kind of channel (rms of its vector) and the rollout at 1 s, of each flight."""
-    kinds = [kind for kind in dict.fromkeys(c.kind for c in predictor.channels) if kind not in KINEMATIC]
-    residuals = predictor.residuals(declared), predictor.residuals(final)
+    """Return the residual of each channel and the free rollout at 1 s, flight by flight.
+
+    Args:
+        predictor: The flights.
+        models: The declared and the corrected one.
+        evaluations: Of both.
+        floors: Noise floor of each flight, each (C,); None: not known.
+        least: Share from which on a change is material.
+        seed: Of the bootstrap.
+    """
+    before, after = (predictor.residuals(model) for model in models)
     found: dict[str, list[Part]] = {}
     for index, flight in enumerate(predictor.flights):
-        group, parts = time_groups([predictor.times[index]]), []
-        for kind in kinds:
-            places = [place for place, channel in enumerate(predictor.channels) if channel.kind == kind]
-            lengths = [np.linalg.norm(part[index][:, places], axis=1)[:, None] for part in residuals]
-            rms = [rms_with_interval(length, group, seed=seed)[0] for length in lengths]
-            parts.append(Part(quantity=kind.replace("_", " "), unit=UNITS[kind], before=rms[0], after=rms[1]))
-        found[flight.name] = parts + _rollout_parts(index, before, after, seed)
+        floor = floors[index]
+        level = [None] * len(predictor.channels) if floor is None else floor.tolist()
+        changes = _changes(before[index], after[index], time_groups([predictor.times[index]]), seed)
+        found[flight.name] = [
+            Part(
+                unit=channel.unit,
+                before=rms[0],
+                after=rms[1],
+                floor=own,
+                became=Outcome(name=channel.name, about=channel.words, where="", rise=rise, least=least),
+            )
+            for channel, own, (rms, rise) in zip(predictor.channels, level, changes, strict=True)
+        ] + _rollout_parts(index, evaluations, least, seed)
     return found
 
 
-def _rollout_parts(index: int, before: Evaluation, after: Evaluation, seed: int) -> list[Part]:
-    parts = []
-    if "free" not in before.rollouts or ROLLOUT_S not in before.rollouts["free"].horizons:
+def _changes(before: Array, after: Array, group: NDArray[np.int64], seed: int) -> list[tuple[tuple[Rms, Rms], Rise]]:
+    """Return the rms of both (S, C), and by how much it rises, of each column."""
+    rms = zip(*(rms_with_interval(values, group, seed=seed) for values in (before, after)), strict=True)
+    rises = rise_with_interval(after, before, group, np.zeros(len(before), dtype=np.int64))
+    return list(zip(rms, rises, strict=True))
+
+
+def _rollout_parts(index: int, evaluations: tuple[Evaluation, Evaluation], least: float, seed: int) -> list[Part]:
+    if "free" not in evaluations[0].rollouts or ROLLOUT_S not in evaluations[0].rollouts["free"].horizons:
         return []
-    errors = before.rollouts["free"], after.rollouts["free"]
-    own = errors[0].windows.flight == index
-    column = errors[0].horizons.index(ROLLOUT_S)
+    before, after = (evaluation.rollouts["free"] for evaluation in evaluations)
+    own, column, parts = before.windows.flight == index, before.horizons.index(ROLLOUT_S), []
     for quantity, unit in QUANTITIES.items():
-        values = [getattr(error, quantity) for error in errors]
-        if values[0] is not None and own.any():
-            cluster = errors[0].windows.cluster[own]
-            rms = [rms_with_interval(v[own][:, column : column + 1], cluster, seed=seed)[0] for v in values]
-            title = f"{quantity} after {ROLLOUT_S:g} s"
-            parts.append(Part(quantity=title, unit=unit, before=rms[0], after=rms[1]))
+        old, new = getattr(before, quantity), getattr(after, quantity)
+        if old is None or not own.any():
+            continue
+        at = slice(column, column + 1)
+        ((rms, rise),) = _changes(old[own, at], new[own, at], before.windows.cluster[own], seed)
+        became = rollout_outcome("free", quantity, ROLLOUT_S, rise, least)
+        parts.append(Part(unit=unit, before=rms[0], after=rms[1], floor=None, became=became))
     return parts
 
 

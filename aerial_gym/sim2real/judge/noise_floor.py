@@ -62,15 +62,20 @@ FEWEST_LINES = 4
 def noise_floor(
     robot: RobotCfg, flights: Sequence[Flight], point: ModelParams, channels: Sequence[Channel], *, bandwidth: float
 ) -> Array | None:
-    """Return the floor (rms) of each channel below ``bandwidth`` [Hz], (C,); None where a log is too slow to tell."""
-    found = [_floor_of(robot, flight, point, channels, bandwidth) for flight in flights]
-    known = [floor for floor in found if floor is not None]
+    """Return the floor (rms) of each channel below ``bandwidth`` [Hz], (C,); None where every log is too slow to tell."""
+    return of_all_flights([floor_of_flight(robot, flight, point, channels, bandwidth) for flight in flights])
+
+
+def of_all_flights(floors: Sequence[Array | None]) -> Array | None:
+    """Return the floor of flights whose own ones are known, each (C,); None if there are none."""
+    known = [floor for floor in floors if floor is not None]
     return np.sqrt(np.mean(np.square(known), axis=0)) if known else None
 
 
-def _floor_of(
+def floor_of_flight(
     robot: RobotCfg, flight: Flight, point: ModelParams, channels: Sequence[Channel], bandwidth: float
 ) -> Array | None:
+    """Return the floor (rms) of each channel of one flight, (C,); None where its log is too slow to tell."""
     wide = WIDE_BAND * flight.rate
     predictor = Predictor(robot, [flight], bandwidth=wide, channels=channels, tolerances=Tolerances(), every_row=True)
     residual = predictor.residuals(point)[0][longest_flight(flight, predictor.times[0], bandwidth)]

@@ -93,8 +93,7 @@ def _channels(predictor: Predictor, models: tuple[ModelParams, ModelParams], lea
     before, after = (np.concatenate(predictor.residuals(model)) for model in models)
     rises = rise_with_interval(after, before, time_groups(predictor.times), flight_of_rows(predictor.times))
     for channel, rise in zip(predictor.channels, rises, strict=True):
-        about = f"{channel.kind.replace('_', ' ')} {channel.axis}"
-        yield Outcome(name=channel.name, about=about, where="", rise=rise, least=least)
+        yield Outcome(name=channel.name, about=channel.words, where="", rise=rise, least=least)
 
 
 def _rollouts(evaluations: tuple[Evaluation, Evaluation], least: float) -> Iterator[Outcome]:
@@ -106,13 +105,18 @@ def _rollouts(evaluations: tuple[Evaluation, Evaluation], least: float) -> Itera
                 continue
             rises = rise_with_interval(new, old, errors.windows.cluster, errors.windows.flight)
             for horizon, rise in zip(errors.horizons, rises, strict=True):
-                yield Outcome(
-                    name=f"{variant}.{quantity}.{horizon:g}",
-                    about=f"{quantity} of the {ROLLOUTS[variant]}",
-                    where=f" after {horizon:g} s",
-                    rise=rise,
-                    least=least,
-                )
+                yield rollout_outcome(variant, quantity, horizon, rise, least)
+
+
+def rollout_outcome(variant: str, quantity: str, horizon: float, rise: Rise, least: float) -> Outcome:
+    """Return what became of one quantity of a rollout at a horizon [s]."""
+    return Outcome(
+        name=f"{variant}.{quantity}.{horizon:g}",
+        about=f"{quantity} of the {ROLLOUTS[variant]}",
+        where=f" after {horizon:g} s",
+        rise=rise,
+        least=least,
+    )
 
 
 def said_first(found: Sequence[Outcome]) -> str:

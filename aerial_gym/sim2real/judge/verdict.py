@@ -171,8 +171,7 @@ class Verdict:
             "before": self.before.as_mapping(),
             "after": self.after.as_mapping(before=self.before),
             "flights": {
-                name: {part.quantity: {"before": part.before.value, "after": part.after.value} for part in parts}
-                for name, parts in self.flights.items()
+                name: {part.became.name: part.as_mapping() for part in parts} for name, parts in self.flights.items()
             },
             "notes": list(self.notes),
         }

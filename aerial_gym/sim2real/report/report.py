@@ -10,12 +10,12 @@ from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.whiteness import octave_names
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.report.figures import VARIANTS, figures, models_of
+from aerial_gym.sim2real.report.figures import VARIANTS, figures, models_of, shown_kinds
 from aerial_gym.sim2real.report.profiles import LABELS, Profile, profiles, write_profiles
 from aerial_gym.sim2real.report.tables import (
     became_rows,
     channel_rows,
-    flight_rows,
+    flight_table,
     number,
     parameter_rows,
     regime_rows,
@@ -78,7 +78,7 @@ def report_context(judged: Judged, found: Sequence[Profile]) -> dict[str, object
         "worth": worth_rows(verdict),
         "octaves": octave_names(judged.declared.bandwidth),
         "regimes": regime_rows(verdict),
-        "flights": flight_rows(verdict) if after else [],
+        "flights": flight_table(verdict, shown_kinds(judged)),
         "models": list(verdict.inclusion.models.items())[:MOST_MODELS],
         "resamples": verdict.inclusion.resamples,
         "least": selection.criteria.material,

@@ -1,6 +1,6 @@
 """The tables of a report, as text for its templates."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -191,19 +191,31 @@ def regime_rows(verdict: Verdict) -> list[dict[str, object]]:
     ]
 
 
-def flight_rows(verdict: Verdict) -> list[dict[str, str]]:
-    """Return one row per test flight and quantity."""
-    return [
-        {
-            "flight": name,
-            "quantity": f"{part.quantity} [{part.unit}]",
-            "before": interval(part.before),
-            "after": interval(part.after),
-            "change": f"{100.0 * (part.after.value / max(part.before.value, 1e-300) - 1.0):+.0f} %",
-        }
-        for name, parts in verdict.flights.items()
-        for part in parts
-    ]
+def flight_table(verdict: Verdict, kinds: Collection[str]) -> dict[str, list]:
+    """Return one row per axis, and per quantity of a rollout, with one cell per test flight; and what got worse in which.
+
+    Channels of other ``kinds`` are left out.
+    """
+    rows: dict[str, dict[str, object]] = {}
+    worse = []
+    for name, parts in verdict.flights.items():
+        for part in parts:
+            found = part.became
+            if found.state == WORSE:
+                worse.append(f"{found.text} on {name}")
+            if not found.where and found.name.split(".")[0] not in kinds:
+                continue
+            row = rows.setdefault(found.name, {"quantity": f"{found.about}{found.where} [{part.unit}]", "cells": {}})
+            cells = row["cells"]
+            assert isinstance(cells, dict)
+            cells[name] = {
+                "before": number(part.before.value),
+                "after": number(part.after.value) if verdict.corrects else None,
+                "floor": None if part.floor is None else number(part.floor),
+                "state": found.state,
+                "change": risen(found.rise),
+            }
+    return {"names": list(verdict.flights), "rows": list(rows.values()), "worse": worse}
 
 
 def number(value: float, digits: int = 3) -> str:
