@@ -1,9 +1,10 @@
 """Zero-phase low-pass, derivatives and uniform time.
 
-Everything here uses future samples: it is for logs, not for flight. Letters: T rows.
+Everything here uses future samples: it is for logs, not for flight. Letters: T rows, K columns.
 """
 
 from dataclasses import fields, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,8 @@ def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = 
     """Return ``values`` low-passed without phase, or their time derivative in the same band.
 
     The ends are continued by point reflection about the line through the last half period, so that a level or a slope does
-    not ring and noise in the last row does not bend the end; rows within ``edge_rows`` should not be used all the same.
+    not ring and noise in the last row does not bend the end; rows within ``edge_rows`` should not be used all the same. A
+    column comes out the same beside any others, bit for bit.
 
     Args:
         values: Samples at equal steps, (T, ...).
@@ -51,28 +53,35 @@ def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = 
         derivative: Whether to multiply by ``2 pi i f``.
     """
     rows = values.shape[0]
+    columns = np.ascontiguousarray(values.reshape(rows, -1).T)
     pad = min(rows - 1, 3 * edge_rows(rate, bandwidth))
     span = min(rows, max(2, round(0.5 * rate / bandwidth)))
-    head = 2.0 * _end_value(values[:span]) - values[pad:0:-1]
-    tail = 2.0 * _end_value(values[: -span - 1 : -1]) - values[-2 : -pad - 2 : -1]
-    longer = np.concatenate((head, values, tail))
-    size = int(fft.next_fast_len(longer.shape[0] + pad, real=True) or 0)
+    head = 2.0 * _end_value(columns[:, :span]) - columns[:, pad:0:-1]
+    tail = 2.0 * _end_value(columns[:, : -span - 1 : -1]) - columns[:, -2 : -pad - 2 : -1]
+    longer = np.concatenate((head, columns, tail), axis=1)
+    size = int(fft.next_fast_len(longer.shape[1] + pad, real=True) or 0)
     # The remaining gap of the circle is closed by a straight line, so that it adds no jump.
-    blend = np.linspace(0.0, 1.0, size - longer.shape[0] + 2)[1:-1].reshape(-1, *(1,) * (values.ndim - 1))
-    circle = np.concatenate((longer, longer[-1:] * (1.0 - blend) + longer[:1] * blend))
+    blend = np.linspace(0.0, 1.0, size - longer.shape[1] + 2)[1:-1]
+    circle = np.concatenate((longer, longer[:, -1:] * (1.0 - blend) + longer[:, :1] * blend), axis=1)
+    gain, slow = _gain(size, rate, bandwidth, derivative), np.empty((rows, columns.shape[0]))
+    for place, line in enumerate(circle):
+        slow[:, place] = np.asarray(fft.irfft(np.asarray(fft.rfft(line)) * gain, n=size))[pad : pad + rows]
+    return slow.reshape(values.shape)
+
+
+@lru_cache(maxsize=32)
+def _gain(size: int, rate: float, bandwidth: float, derivative: bool) -> NDArray[np.complex128]:
+    """Return the factors of the lines of a spectrum of so many rows; not to be written to."""
     frequency = fft.rfftfreq(size, 1.0 / rate)
     gain = lowpass_gain(frequency, bandwidth).astype(complex)
-    if derivative:
-        gain *= 2j * np.pi * frequency
-    spectrum = np.asarray(fft.rfft(circle, axis=0)) * gain.reshape(-1, *(1,) * (values.ndim - 1))
-    return np.asarray(fft.irfft(spectrum, n=size, axis=0))[pad : pad + rows]
+    return gain * (2j * np.pi * frequency) if derivative else gain
 
 
-def _end_value(values: Array) -> Array:
-    """Return the value at the first row of the line fitted through some rows, (1, ...)."""
-    place = np.arange(values.shape[0]) - 0.5 * (values.shape[0] - 1)
-    slope = np.tensordot(place, values, axes=(0, 0)) / (place @ place)
-    return (values.mean(axis=0) + place[0] * slope)[None]
+def _end_value(columns: Array) -> Array:
+    """Return the value at the first row of the line fitted through some rows of each column (K, rows), (K, 1)."""
+    place = np.arange(columns.shape[1]) - 0.5 * (columns.shape[1] - 1)
+    slope = (columns * place).sum(axis=1) / (place @ place)
+    return (columns.mean(axis=1) + place[0] * slope)[:, None]
 
 
 def edge_rows(rate: float, bandwidth: float) -> int:
