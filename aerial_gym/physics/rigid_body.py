@@ -4,7 +4,7 @@ Pure functions of tensors. Frames: body is x forward, y left, z up; world is z u
 Letters: E environments, R rotors. Subscripts: o body origin, c centre of mass.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import nan
 
@@ -15,6 +15,7 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse, quat_to_matrix
 from aerial_gym.math.rows import times
 from aerial_gym.math.short import dot
+from aerial_gym.physics.answers import Answers
 from aerial_gym.physics.effects import (
     Condition,
     Effect,
@@ -74,10 +75,15 @@ def body_wrench(
     return _wrench_in(model, _condition_in(model, position, attitude, com_vel, ang_vel, rotor_speed, rotor_acc))
 
 
+SEEN_OF_VEHICLE = ("com", "rotor_position", "rotor_axis", "thrust_map", "reverse_thrust_map")
+"""What of the vehicle a condition is worked out from; the rest of it can only be read there."""
+
+
 def condition_in(model: Model, state: BodyState, rotor_acc: Tensor) -> Condition:
     """Return what effects see in a state, in which the rotors accelerate by ``rotor_acc`` [rad/s²], (E, R).
 
-    Of the model it holds vehicle, wind and surroundings: it is the same for models that differ in other effects alone.
+    Of the model it holds vehicle, wind and surroundings: it is the same for models that differ in other effects alone. Models
+    whose vehicles differ in nothing of ``SEEN_OF_VEHICLE`` have the same but for ``Condition.of_vehicle``.
     """
     com, turn = model.vehicle.com, state.attitude
     position = state.position + quat_rotate(turn, com)
@@ -110,15 +116,19 @@ def _condition_in(
     )
 
 
-def _wrench_in(model: Model, condition: Condition) -> tuple[Tensor, Tensor]:
+def _wrench_in(model: Model, condition: Condition, answers: Answers[Condition] | None = None) -> tuple[Tensor, Tensor]:
     """Return all force but gravity [N] and torque about the centre of mass [N m], body, each (E, 3)."""
+
+    def asked(law: Callable[[Condition, Tensor], Tensor], source: Condition, params: Tensor) -> Tensor:
+        return law(source, params) if answers is None else answers.ask(law, source, params)
+
     vehicle, drag = model.vehicle, rotor_torque(model.vehicle, condition.rotor_speed)
-    more = [effect.thrust(condition, params) for effect, params in model.effects[RotorEffect]]
+    more = [asked(effect.thrust, condition, params) for effect, params in model.effects[RotorEffect]]
     thrust = sum(more, condition.rotor_thrust)
     force, torque = rotor_wrench(vehicle, thrust, drag)
     condition = condition.with_thrust(thrust)
     for effect, params in model.effects[WrenchEffect]:
-        wrench = effect.wrench(condition, params)
+        wrench = asked(effect.wrench, condition, params)
         force, torque = force + wrench[:, :3], torque + wrench[:, 3:]
     return force, torque
 
@@ -207,13 +217,15 @@ def accelerations(
     load: Tensor | None = None,
     remembered: Mapping[str, Tensor] | None = None,
     condition: Condition | None = None,
+    answers: Answers[Condition] | None = None,
 ) -> Accelerations:
     """Return specific force and angular acceleration in a state; each row may be a moment of a flight log.
 
     ``rotor_acc`` are the angular accelerations of the rotors [rad/s²], (E, R); none if not given. ``load`` is direction and
     rate of the link of a load that hangs on the vehicle, world, (E, 6). ``remembered`` is what effects on wind, rotors or the
     body remember, by name, (E, M). ``condition`` is that of ``condition_in`` for this
-    state, where it is at hand from a model with the same vehicle and wind.
+    state, where it is at hand from a model with the same vehicle and wind. ``answers`` are those of effects in this state under
+    other models.
 
     ``f_o = F / m - alpha x c - w x (w x c)`` with c from the origin to the centre of mass.
 
@@ -235,7 +247,7 @@ def accelerations(
     if condition is None:
         spin_up = torch.zeros_like(state.rotor_speed) if rotor_acc is None else rotor_acc
         condition = condition_in(model, state, spin_up)
-    force, torque = _wrench_in(model, condition)
+    force, torque = _wrench_in(model, condition, answers)
     ang_acc = angular_acceleration(model, ang_vel, torque)
     felt = force / model.vehicle.mass.unsqueeze(-1)
     if load is not None:

@@ -166,7 +166,14 @@ class Condition:
 
     def with_thrust(self, thrust: Tensor) -> "Condition":
         """Return the condition with other thrusts [N], (E, R); what follows from the motion is not worked out again."""
-        other = replace(self, rotor_thrust=thrust)
+        return self._with(replace(self, rotor_thrust=thrust))
+
+    def of_vehicle(self, vehicle: Vehicle) -> "Condition":
+        """Return the condition of a vehicle of the same centre of mass, hubs and thrusts, whatever else it differs in."""
+        return self if vehicle is self.vehicle else self._with(replace(self, vehicle=vehicle))
+
+    def _with(self, other: "Condition") -> "Condition":
+        """Return another condition of the same motion, with what was worked out of it here."""
         for name in _FROM_MOTION & vars(self).keys():
             vars(other)[name] = vars(self)[name]
         return other

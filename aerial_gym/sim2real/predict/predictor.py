@@ -11,7 +11,8 @@ rate x, y, z. Letters: E rows, C channels, R rotors.
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -22,6 +23,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.math.quaternion import quat_rotate
+from aerial_gym.math.rows import times
 from aerial_gym.physics import (
     EFFECTS,
     BodyState,
@@ -31,6 +33,7 @@ from aerial_gym.physics import (
     condition_in,
     vehicle_from_config,
 )
+from aerial_gym.physics.answers import Answers
 from aerial_gym.physics.effects import (
     Condition,
     ImuEffect,
@@ -40,8 +43,11 @@ from aerial_gym.physics.effects import (
     WindEffect,
     WrenchEffect,
 )
+from aerial_gym.physics.effects.imu_errors import imu_errors
 from aerial_gym.physics.effects.learned_residual import felt_inputs
+from aerial_gym.physics.effects.track import Track
 from aerial_gym.physics.model import Model
+from aerial_gym.physics.rigid_body import SEEN_OF_VEHICLE
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
@@ -51,12 +57,10 @@ from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
 from aerial_gym.sim2real.predict.replay.memory import remembering, track_of
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows import expand_model, one_row, with_known_wind
+from aerial_gym.sim2real.predict.slow_columns import SlowColumns
 from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_biases
 
 Array = NDArray[np.float64]
-
-FORCES = (RotorEffect, WrenchEffect, LoadEffect, ImuEffect)
-"""Effects of these kinds change neither vehicle nor wind nor rotor speeds: what others see stays the same."""
 
 ADDED = (RotorEffect, WrenchEffect, WindEffect)
 """Effects of these kinds add thrust, force or wind; at neutral parameters a model is the same without them."""
@@ -79,7 +83,9 @@ class _Together:
         self._declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         self._replay = RotorReplay(data.flights)
         self._load_replay = LoadReplay(data.flights)
-        self._conditions: OrderedDict[tuple[object, ...], Condition] = OrderedDict()
+        self._forces, self._memories = Answers[Condition](), Answers[Track]()
+        self._slow = [SlowColumns(partial(data.slow, index)) for index in range(len(data.flights))]
+        self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
 
     def predict(self, point: ModelParams) -> list[Array]:
         """Return the predicted channels of each flight, (rows kept, C)."""
@@ -137,25 +143,19 @@ class _Together:
         state = BodyState(rotor_speed=condition.rotor_speed, **self.data.state)
         load = self._swing(model, state, condition, deviation) if model.effects[LoadEffect] else None
         remembered = self._remembered(model, condition, deviation)
-        found = accelerations(model, state, load=load, remembered=remembered, condition=condition)
+        found = accelerations(model, state, load=load, remembered=remembered, condition=condition, answers=self._forces)
         # The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
         force = found.specific_force + torch.linalg.cross(found.ang_acc - self.data.ang_acc, model.vehicle.com)
         force_bias, rate_bias = sensor_biases(self.tolerances, deviation)
         force_bias = force_bias * self.data.felt_force  # (E, 3)
         if not model.effects[ImuEffect]:
             return {"specific_force": (force + force_bias).numpy(), "angular_acceleration": found.ang_acc.numpy()}
-        turning, rate, still = found.ang_acc, self.data.kinematic_rate, torch.zeros_like(force)
-        kinematic_force = self.data.kinematic_force
-        for effect, params in model.effects[ImuEffect]:
-            read, rate = effect.measure(force, rate, params)
-            force = torch.where(self.data.felt_force, read, force)
-            kinematic_force, moved = effect.measure(kinematic_force, turning, params)
-            turning = moved - effect.measure(still, still, params)[1]  # a constant error has no derivative
+        of_force, of_rate = _read(model)
         return {
-            "specific_force": (force + force_bias).numpy(),
-            "angular_acceleration": turning.numpy(),
-            "kinematic_force": (kinematic_force + force_bias).numpy(),
-            "kinematic_rate": (rate + rate_bias).numpy(),
+            "specific_force": (torch.where(self.data.felt_force, of_force.of(force), force) + force_bias).numpy(),
+            "angular_acceleration": times(found.ang_acc, of_rate.turn).numpy(),  # a constant error has no derivative
+            "kinematic_force": (of_force.of(self.data.kinematic_force) + force_bias).numpy(),
+            "kinematic_rate": (of_rate.of(self.data.kinematic_rate) + rate_bias).numpy(),
         }
 
     def _swing(self, model: Model, state: BodyState, condition: Condition, deviation: Tensor) -> Tensor:
@@ -164,12 +164,15 @@ class _Together:
             return self._load_replay.loads(model, self.data.row_times)
         remembered = self._remembered(model, condition, deviation)
         found = accelerations(
-            replace(model, effects=model.effects.without(LoadEffect)), state, remembered=remembered, condition=condition
+            replace(model, effects=model.effects.without(LoadEffect)),
+            state,
+            remembered=remembered,
+            condition=condition,
+            answers=self._forces,
         )
         force = found.specific_force
-        for effect, params in model.effects[ImuEffect]:
-            read, _ = effect.measure(force, self.data.kinematic_rate, params)
-            force = torch.where(self.data.felt_force, read, force)
+        if model.effects[ImuEffect]:
+            force = torch.where(self.data.felt_force, _read(model)[0].of(force), force)
         force = self.data.force - force - sensor_biases(self.tolerances, deviation)[0] * self.data.felt_force
         missed = quat_rotate(self.data.state["attitude"], force).numpy()
         return self._load_replay.loads(model, self.data.row_times, [missed[span] for span in self.data.spans])
@@ -182,7 +185,9 @@ class _Together:
             for span, stride, flight in zip(self.data.spans, self.data.stride, self.data.flights, strict=True)
         ]
         return {
-            effect.name: torch.cat([effect.replay(track, params[:1]) for track in tracks])
+            effect.name: torch.cat(
+                [self._memories.ask(effect.replay, track, params[:1], place=k) for k, track in enumerate(tracks)]
+            )
             for effect, params in remembering(model.effects)
         }
 
@@ -192,15 +197,16 @@ class _Together:
         """Return the model in every row, and what its effects see there."""
         model = expand_model(self._model(point, vehicle), self.data.state["attitude"].shape[0])
         model = with_known_wind(model, self.data.flights, self.data.flight)
-        seen = {name: params for name, params in point.effects.items() if EFFECTS.get(name).kind not in FORCES}
-        key = key_of(replace(point, effects=seen))
-        if key not in self._conditions:
+        key = _seen_by_condition(model)
+        known = self._conditions.get(key)
+        if known is None or known[0] is not speeds:
             speed, spin_up = self._turning(model, speeds)
-            self._conditions[key] = condition_in(model, BodyState(rotor_speed=speed, **self.data.state), spin_up)
+            known = speeds, condition_in(model, BodyState(rotor_speed=speed, **self.data.state), spin_up)
+            self._conditions[key] = known
             while len(self._conditions) > CONDITIONS:
                 self._conditions.popitem(last=False)
         self._conditions.move_to_end(key)
-        return model, self._conditions[key]
+        return model, known[1].of_vehicle(model.vehicle)
 
     def _turning(self, model: Model, speeds: list[Array | None] | None) -> tuple[Tensor, Tensor]:
         """Return true rotor speeds [rad/s] and their accelerations [rad/s²] in every row, (E, R)."""
@@ -227,7 +233,8 @@ class _Together:
         parts = {kind: self.data.implied[index][kind] + implied[kind] for kind in kinds if kind in KINEMATIC}
         thin = [kind for kind in kinds if kind in rows]
         if thin:
-            slow = self.data.slow(index, np.concatenate([rows[kind][self.data.spans[index]] for kind in thin], axis=1))
+            own = np.concatenate([rows[kind][self.data.spans[index]] for kind in thin], axis=1)
+            slow = self._slow[index].of(own)
             parts |= dict(zip(thin, np.split(slow, len(thin), axis=1), strict=True))
         if "rotor_speed" in kinds:
             assert speeds is not None
@@ -235,6 +242,32 @@ class _Together:
             assert speed is not None
             parts["rotor_speed"] = lowpass(speed, flight.rate, self.data.bandwidth)[self.data.kept[index]]
         return np.concatenate([parts[kind] for kind in kinds], axis=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Reading:
+    """What a sensor reads of true vectors: ``turn^T v + offset``."""
+
+    offset: Tensor
+    turn: Tensor
+
+    def of(self, rows: Tensor) -> Tensor:
+        """Return what is read of rows (E, 3)."""
+        return times(rows, self.turn) + self.offset
+
+
+def _read(model: Model) -> tuple[_Reading, _Reading]:
+    """Return what accelerometer and gyroscope read under the errors of a model, which are the same in all rows."""
+    numbers = imu_errors([(effect, params[:1]) for effect, params in model.effects[ImuEffect]]).view(2, 4, 3)
+    accelerometer, gyro = (_Reading(offset=part[0], turn=part[1:]) for part in numbers)
+    return accelerometer, gyro
+
+
+def _seen_by_condition(model: Model) -> tuple[object, ...]:
+    """Return what of a model changes what its effects see, rotor speeds that follow commands aside."""
+    of_vehicle = [getattr(model.vehicle, name)[0].numpy().tobytes() for name in SEEN_OF_VEHICLE]
+    effects = [*model.effects[WindEffect], *model.effects[RotorSensorEffect]]
+    return (*of_vehicle, *((effect.name, params[0].numpy().tobytes()) for effect, params in effects))
 
 
 def together(rows: Sequence[int]) -> list[slice]:

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from aerial_gym.errors import DataError
-from aerial_gym.physics import build_model, vehicle_from_config
+from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
+from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import effect_jacobian
 from aerial_gym.sim2real.identify.selection.select import lacks
 from aerial_gym.sim2real.judge.noise_floor import noise_floor
@@ -459,3 +460,28 @@ def test_forces_derived_from_the_velocity_have_no_errors_of_an_accelerometer(tmp
     without = replace(found, gyro=False)
     assert "no inertial sensor" in lacks("imu_bias", ROBOT, [without])
     assert "no inertial sensor" in lacks("imu_misalignment", ROBOT, [without])
+
+
+def test_a_prediction_does_not_depend_on_those_before_it(tmp_path: Path) -> None:
+    """Every parameter of every effect and every tolerance, one after the other, each as a predictor of its own says: 1e-9."""
+    found = load(tmp_path, drag=0.25)
+    channels = find_channels([found])
+    robot = replace(ROBOT, battery=BATTERY)
+
+    def fresh() -> Predictor:
+        return Predictor(robot, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances())
+
+    names = [n for n in EFFECTS if not EFFECTS.get(n).random and EFFECTS.get(n).kind is not LoadEffect]
+    names = [n for n in names if not lacks(n, robot, [found])]
+    point = declared_params(robot)
+    for name in names:
+        scale = np.array([p.scale if p.kind == "number" else 0.0 for p in EFFECTS.get(name).parameters])
+        low, high = np.array(EFFECTS.get(name).bounds(robot)).T
+        point = point.with_effect(name, np.clip(np.array(EFFECTS.get(name).neutral(robot)) + 0.2 * scale, low, high))
+    asked, points = fresh(), [point]
+    for name in names:
+        scale = np.array([p.scale if p.kind == "number" else 0.0 for p in EFFECTS.get(name).parameters])
+        points += [point.with_effect(name, point.effects[name] + 0.05 * row) for row in np.diag(scale) if row.any()]
+    points += [replace(point, deviation=row) for row in 0.5 * np.eye(asked.num_tolerances)]
+    for there in (*points, point):
+        np.testing.assert_allclose(asked.predict(there)[0], fresh().predict(there)[0], rtol=0, atol=1e-9)

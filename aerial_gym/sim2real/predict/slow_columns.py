@@ -1,0 +1,44 @@
+"""Columns that are brought into the band: those that have not changed are not filtered again.
+
+Letters: E rows, T rows kept, K columns.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+KEPT = 3
+"""Results kept of each column: first the one asked for most, that of the model about which others differ."""
+
+
+class SlowColumns:
+    """A filter that works on each column by itself, with its last results."""
+
+    def __init__(self, slow: Callable[[Array], Array]) -> None:
+        """Take the filter, (E, any) to (T, any)."""
+        self._slow = slow
+        self._known: dict[int, list[tuple[Array, Array]]] = {}
+
+    def of(self, rows: Array) -> Array:
+        """Return the rows (E, K) in the band, (T, K)."""
+        columns = np.ascontiguousarray(rows.T)
+        found = {place: self._recalled(place, column) for place, column in enumerate(columns)}
+        new = [place for place, column in found.items() if column is None]
+        if new:
+            for place, column in zip(new, np.ascontiguousarray(self._slow(rows[:, new]).T), strict=True):
+                kept = self._known.setdefault(place, [])
+                kept.insert(1, (columns[place], column))
+                del kept[KEPT:]
+                found[place] = column
+        return np.stack([column for column in found.values() if column is not None], axis=1)
+
+    def _recalled(self, place: int, column: Array) -> Array | None:
+        kept = self._known.get(place, [])
+        for number, (before, found) in enumerate(kept):
+            if np.array_equal(column, before):
+                kept.insert(0, kept.pop(number))
+                return found
+        return None
