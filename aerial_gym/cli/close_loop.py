@@ -85,36 +85,40 @@ class CloseLoopCmd:
 
 def _print_verdict(verdict: "Verdict", out: Path) -> None:
     from aerial_gym.sim2real.logs.inputs import LEFT_OUT
-    from aerial_gym.sim2real.report.tables import channel_rows, rollout_rows
+    from aerial_gym.sim2real.report.tables import SHOWN_NOTES, became_rows, channel_rows, named_rows, rollout_rows
 
     console = Console(markup=False)
     console.print(f"{verdict.verdict}: {verdict.reason}")
-    for note in verdict.notes:
+    shown = verdict.notes[:SHOWN_NOTES]
+    for note in shown:
         if note.startswith(LEFT_OUT):
             console.print(f"  {note}")
     console.print(verdict.meaning)
-    for effect in verdict.effects:
-        parts = [
-            f"{key} = {value:.4g}" + (f" ± {1.96 * effect.std[key]:.2g}" if key in effect.std else " (not shown)")
-            for key, value in effect.params.items()
-        ]
-        chosen = "" if effect.inclusion is None else f", inclusion {effect.inclusion:.0%}"
-        console.print(f"  {effect.name}: {', '.join(parts)}; confidence {effect.confidence:.4g}{chosen}")
+    for effect in named_rows(verdict):
+        console.print(f"  {effect['name']}: {effect['parameters']}; {effect['sure']}")
+    for state, channels in became_rows(verdict).items():
+        console.print(f"  {state}: {channels}")
     if verdict.learned is not None:
         console.print(f"  {verdict.learned.sentence}")
+    for note in shown:
+        if not note.startswith(LEFT_OUT):
+            console.print(f"  note: {note}")
+    if (more := len(verdict.notes) - len(shown)) > 0:
+        console.print(f"  {more} more notes in the report")
     after = verdict.after if verdict.corrects else None
-    table = Table(title="residual on the test flights (rms, 95 % interval)", box=None, pad_edge=False)
+    table = Table(title="residual on the test flights (rms)", box=None, pad_edge=False)
     for head in ("channel", "declared", "corrected", "change", "became", "noise floor"):
         table.add_column(head)
-    for row in channel_rows(verdict.before, after, verdict.outcomes):
+    for row in channel_rows(verdict.before, after, verdict.outcomes, intervals=False):
         table.add_row(*(str(row[key]) for key in ("name", "before", "after", "change", "became", "floor")))
     console.print(table)
     for variant in verdict.before.rollout:
-        table = Table(title=f"open-loop error, {variant.replace('_', ' ')}", box=None, pad_edge=False)
-        for head in ("quantity", "after [s]", "declared", "corrected", "became"):
+        table = Table(title=f"open-loop error, {variant.replace('_', ' ')} (rms)", box=None, pad_edge=False)
+        for head in ("quantity", "after [s]", "declared", "corrected", "change", "became"):
             table.add_column(head)
-        for row in rollout_rows(verdict, variant):
-            table.add_row(row["quantity"], row["horizon"], row["before"], row["after"], row["became"])
+        for row in rollout_rows(verdict, variant, intervals=False):
+            keys = ("quantity", "horizon", "before", "after", "change", "became")
+            table.add_row(*(row[key] for key in keys))
         console.print(table)
     if verdict.manoeuvre is not None:
         console.print(f"what would tell: {verdict.manoeuvre.text}")

@@ -16,13 +16,21 @@ from aerial_gym.sim2real.identify.stages import Declared, Refitted
 from aerial_gym.sim2real.judge.ablation import ablations
 from aerial_gym.sim2real.judge.breakdown import by_flight, where_it_acts
 from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate
-from aerial_gym.sim2real.judge.experiments.design import Advice, Catalogue, showable, what_shows, what_tells
+from aerial_gym.sim2real.judge.experiments.design import (
+    Advice,
+    Catalogue,
+    fits_vehicle,
+    showable,
+    what_shows,
+    what_tells,
+)
 from aerial_gym.sim2real.judge.noise_floor import floor_of_flight, of_all_flights
 from aerial_gym.sim2real.judge.outcome import Outcome, outcomes, said_first
 from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, with_random
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained, judges_forces
 from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, decide, immaterial, named_effects, tied_rivals
 from aerial_gym.sim2real.judge.whiteness import whiteness
+from aerial_gym.sim2real.logs.flights import names_of
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.progress import Progress
 
@@ -91,7 +99,7 @@ def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Prog
         reason="; ".join(part for part in (said_first(became), reason) if part),
         effects=(*effects, *gusts),
         candidates=candidates,
-        not_testable=not_testable(selection, unexplained),
+        not_testable=not_testable(selection, declared.stated, unexplained),
         manoeuvre=manoeuvre,
         fly_next=fly_next,
         inclusion=refitted.inclusion,
@@ -199,7 +207,8 @@ def absent_tolerances(declared: Declared, params: ModelParams) -> set[str]:
 def about_logs(declared: Declared) -> list[str]:
     """Return notes on the logs, and on what they are too slow or too few for."""
     flights, band = declared.flights, declared.bandwidth
-    found = [f"{flight.name}: {note}" for flight in flights for note in flight.notes]
+    told = dict.fromkeys(note for flight in flights for note in flight.notes)
+    found = [f"{names_of([f for f in flights if note in f.notes], flights)}: {note}" for note in told]
     if band < declared.asked_bandwidth:
         slowest = min(flight.rate for flight in flights)
         found.append(f"compared below {band:.3g} Hz: the slowest log has {slowest:.4g} rows per second")
@@ -243,9 +252,15 @@ def what_to_fly(
     return tells or next((shows[name] for name in open_to), None), shows
 
 
-def not_testable(selection: Selection, unexplained: Unexplained) -> dict[str, str]:
-    """Return what the flights cannot show: registered effects without excitation, and look-alikes without a model."""
+def not_testable(selection: Selection, robot: RobotCfg, unexplained: Unexplained) -> dict[str, str]:
+    """Return what the flights cannot show: registered effects without excitation, and look-alikes without a model.
+
+    Nobody is told what to fly for soft arms of a vehicle that has none.
+    """
     found = dict(selection.not_testable)
+    for name in found:
+        if not fits_vehicle(name, selection, robot):
+            found[name] = "its file gives the vehicle no soft arms, and these flights show none"
     for name in selection.accepted:
         for other in EFFECTS.get(name).confused_with:
             if other not in EFFECTS:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.identify.least_squares.moments import time_groups
-from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.flights import Flight, names_of
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -81,7 +81,7 @@ def evaluate(
     residuals = predictor.residuals(point)
     group = time_groups(predictor.times)
     rollouts: dict[str, RolloutErrors] = {}
-    if any(flight.lin_vel is not None for flight in flights):
+    if not missing_for_rollouts(flights):
         links, sizes = predictor.links(point), predictor.tolerances
         rollouts = {
             "free": roll_out(robot, flights, point, links=links, tolerances=sizes),
@@ -94,6 +94,15 @@ def evaluate(
         rollouts=rollouts,
         rollout={name: _rollout_rms(errors, seed) for name, errors in rollouts.items()},
     )
+
+
+def missing_for_rollouts(flights: Sequence[Flight]) -> str:
+    """Return what logs lack for a rollout, which begins at a measured velocity and attitude; empty if nothing."""
+    blind = [flight for flight in flights if flight.lin_vel is None]
+    if blind:
+        return f"{names_of(blind, flights)}: without velocity or position"
+    turning = [flight for flight in flights if flight.attitude_integrated]
+    return f"{names_of(turning, flights)}: without attitude, which the gyro alone does not give" if turning else ""
 
 
 def gap_closed(before: float, after: float, floor: float | None) -> float | None:

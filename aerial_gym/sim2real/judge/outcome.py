@@ -3,7 +3,7 @@
 Letters: T rows, C channels, W windows, H horizons.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -148,15 +148,35 @@ TRUSTED = {
         "The flights hold more than the vehicle makes, of a kind that no registered effect has: do not trust the simulator in "
         "the channels named here"
     ),
-    "ambiguous": "Several effects would do equally well on these flights; fly what tells them apart",
+    "ambiguous": "What remains on the test flights may be an effect that the training flights do not show; fly what shows it",
 }
 """What each verdict tells its reader of the model."""
 
 
-def meaning(kind: str, found: Sequence[Outcome]) -> str:
-    """Return what a verdict tells its reader, and what the correction does to the test flights; ``found`` may be empty."""
+def doubted(ties: Mapping[str, Sequence[str]]) -> str:
+    """Return which named effect may as well be another one, and which are not touched by that; empty if none may.
+
+    Args:
+        ties: Effects that would do equally well in the place of each named one.
+    """
+    parts = [f"{name} may as well be {' or '.join(others)}" for name, others in ties.items() if others]
+    if not parts:
+        return ""
+    sure = [name for name, others in ties.items() if not others]
+    return f"{', '.join(parts)}: fly what tells" + (f". Not touched by this doubt: {', '.join(sure)}" if sure else "")
+
+
+def meaning(kind: str, found: Sequence[Outcome], ties: Mapping[str, Sequence[str]] | None = None) -> str:
+    """Return what a verdict tells its reader, and what the correction does to the test flights.
+
+    Args:
+        kind: The verdict.
+        found: What became of the test flights; empty where nothing is corrected.
+        ties: Effects that would do equally well in the place of each named one.
+    """
+    told = doubted(ties or {}) or TRUSTED[kind]
     if not found:
-        return f"{TRUSTED[kind]}."
+        return f"{told}."
     better = dict.fromkeys(one.about for one in found if one.state == BETTER)
     worse = dict.fromkeys(one.about for one in found if one.state == WORSE)
     helps = (
@@ -165,4 +185,4 @@ def meaning(kind: str, found: Sequence[Outcome]) -> str:
         else "The correction is not seen to help in any channel"
     )
     harms = f", and makes {', '.join(worse)} worse: keep the declared vehicle where these matter" if worse else ""
-    return f"{TRUSTED[kind]}. {helps}{harms}."
+    return f"{told}. {helps}{harms}."

@@ -55,6 +55,9 @@ class NamedEffect:
     regime: Regime | None = None
     """Before and after where it acts; None likewise."""
 
+    ties: tuple[str, ...] = ()
+    """Effects that would do equally well in its place."""
+
     correlation: dict[str, dict[str, float]] = field(default_factory=dict)
     """How a parameter is correlated with those that stand before it, by ``name.parameter``."""
 
@@ -75,6 +78,7 @@ class NamedEffect:
             "frozen": list(self.frozen),
             "confidence": self.confidence,
             "inclusion": self.inclusion,
+            "ties": list(self.ties),
             "material": worth is None or worth.material,
             "without_it": worth and worth.as_mapping(),
             "where_it_acts": regime and regime.as_mapping(),
@@ -143,7 +147,7 @@ class Verdict:
     @property
     def meaning(self) -> str:
         """What it tells its reader."""
-        return meaning(self.verdict, self.outcomes)
+        return meaning(self.verdict, self.outcomes, {effect.name: effect.ties for effect in self.effects})
 
     def as_mapping(self) -> dict[str, object]:
         """Return the contract for JSON."""
@@ -202,6 +206,7 @@ def named_effects(
                 inclusion=included.effects.get(name, 0.0),
                 ablation=ablations[name],
                 regime=regimes[name],
+                ties=tuple(dict.fromkeys(tied_rivals(name, selection))),
                 correlation={
                     key: dict(zip(numbers[:i], correlation[i, :i].tolist(), strict=True))
                     for key in own
@@ -263,8 +268,9 @@ def decide(
     names = ", ".join(selection.accepted)
     unique = tuple(dict.fromkeys(candidates))
     if any(tied.values()):
-        rivals = ", ".join(rival for rivals in tied.values() for rival in rivals)
-        return "ambiguous", f"{names} cannot be told from {rivals} on flights left out", unique
+        doubts = [f"{name} cannot be told from {' or '.join(rivals)}" for name, rivals in tied.items() if rivals]
+        rest = f"; more than noise and tolerances remains in {', '.join(unexplained)}" if unexplained else ""
+        return "ambiguous", f"{'; '.join(doubts)} on flights left out{rest}", unique
     if unexplained and open_to:
         start = f"{names} found, but more" if names else "more"
         rest = f"{start} than noise and tolerances remains in {', '.join(unexplained)} of the test flights"

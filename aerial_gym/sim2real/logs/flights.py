@@ -74,6 +74,11 @@ class Flight(Recording):
         return rotors.shape[1]
 
 
+def names_of(some: Sequence[Flight], flights: Sequence[Flight]) -> str:
+    """Return the names of some flights; where they are all of several, that."""
+    return "all logs" if len(some) == len(flights) > 1 else ", ".join(flight.name for flight in some)
+
+
 def load_flights(
     paths: Sequence[str | Path],
     robot: RobotCfg,

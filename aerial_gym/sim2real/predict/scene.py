@@ -15,7 +15,7 @@ from torch import Tensor
 from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import LoadEffect
-from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.flights import Flight, names_of
 
 NEEDED = {
     "position": "a position (columns p_x, p_y, p_z)",
@@ -37,9 +37,9 @@ def lacks_of_scene(name: str, flights: Sequence[Flight]) -> str:
     """Return what of its scene the flights lack for an effect; empty if nothing."""
     effect = EFFECTS.get(name)
     for need in (*effect.needs, *(("lin_vel",) if effect.kind is LoadEffect else ())):
-        without = [flight.name for flight in flights if getattr(flight, need) is None]
+        without = [flight for flight in flights if getattr(flight, need) is None]
         if without:
-            return f"{', '.join(without)}: without {NEEDED[need]}"
+            return f"{names_of(without, flights)}: without {NEEDED[need]}"
     return ""
 
 

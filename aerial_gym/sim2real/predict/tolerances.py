@@ -78,7 +78,7 @@ class Tolerances:
             (n, s) for n, s in zip(names, deviation.tolist(), strict=True) if abs(s) > STRAINED and n not in absent
         ]
         notes = [
-            f"beside the named effects the flights ask for a {name} that is off by {size:+.1f} standard deviations of its "
+            f"beside the named effects the flights ask for {name} to be off by {size:+.1f} standard deviations of its "
             f"tolerance: {self._way_out(name)}"
             for name, size in pairs
             if abs(size) < farthest

@@ -7,26 +7,27 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from aerial_gym.sim2real.judge.analysis import Judged
+from aerial_gym.sim2real.judge.evaluation import missing_for_rollouts
 from aerial_gym.sim2real.judge.whiteness import octave_names
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.report.figures import VARIANTS, figures, models_of, shown_kinds
 from aerial_gym.sim2real.report.profiles import LABELS, Profile, profiles, write_profiles
 from aerial_gym.sim2real.report.tables import (
+    SHOWN_NOTES,
     became_rows,
     channel_rows,
     flight_table,
+    named_rows,
     number,
     parameter_rows,
+    reason_rows,
     regime_rows,
     rival_rows,
     rollout_rows,
     trial_rows,
     worth_rows,
 )
-
-SHOWN_NOTES = 5
-"""The others are folded away."""
 
 SHOWN_RIVALS = 3
 """The others are folded away."""
@@ -85,12 +86,16 @@ def report_context(judged: Judged, found: Sequence[Profile]) -> dict[str, object
         "shown_rivals": SHOWN_RIVALS,
         "shown_notes": SHOWN_NOTES,
         "became": became_rows(verdict),
+        "named": named_rows(verdict),
+        "reasons": reason_rows(verdict.not_testable),
+        "unshowable": [name for name, advice in verdict.fly_next.items() if advice.fly is None],
+        "no_rollouts": missing_for_rollouts(judged.declared.test.flights),
         "rollouts": [
             {"title": text, "driven_by": verdict.before.rollouts[name].driven_by, "rows": rollout_rows(verdict, name)}
             for name, text in VARIANTS.items()
             if name in verdict.before.rollout
         ],
-        "rounds": [trial_rows(trials, judged.declared.channels) for trials in selection.rounds],
+        "rounds": [trial_rows(trials, judged.declared.channels, verdict.not_testable) for trials in selection.rounds],
         "rivals": rival_rows(verdict),
         "criteria": vars(selection.criteria),
         "tolerances": vars(judged.declared.tolerances),

@@ -1,6 +1,6 @@
 """The tables of a report, as text for its templates."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 from aerial_gym.sim2real.statistics import Rise, Rms
+
+SHOWN_NOTES = 5
+"""Of the notes, those that matter most; the others are folded away."""
 
 MOST_PERCENT = 3.0
 """Rises beyond it are told as factors."""
@@ -47,9 +50,10 @@ def parameter_rows(judged: Judged) -> list[dict[str, object]]:
 
 
 def channel_rows(
-    before: Evaluation, after: Evaluation | None, became: Sequence[Outcome] = ()
+    before: Evaluation, after: Evaluation | None, became: Sequence[Outcome] = (), *, intervals: bool = True
 ) -> list[dict[str, object]]:
     """Return one row per channel; ``became`` says what became of each."""
+    text = interval if intervals else value_alone
     rows, states = [], {found.name: found for found in became}
     closed = [None] * len(before.channels) if after is None else after.gaps_closed(before)
     for place, channel in enumerate(before.channels):
@@ -59,8 +63,8 @@ def channel_rows(
         rows.append(
             {
                 "name": f"{channel.kind.replace('_', ' ')} {channel.axis} [{channel.unit}]",
-                "before": interval(first),
-                "after": "–" if second is None else interval(second),
+                "before": text(first),
+                "after": "–" if second is None else text(second),
                 "change": "–" if found is None else risen(found.rise),
                 "became": "–" if found is None else found.state,
                 "closed": "–" if (share := closed[place]) is None else f"{share:.1%}",
@@ -70,17 +74,54 @@ def channel_rows(
     return rows
 
 
-def became_rows(verdict: Verdict) -> dict[str, list[str]]:
-    """Return the channels that the correction makes better, leaves, makes worse, or of which this is not shown."""
-    found: dict[str, list[str]] = {}
+def became_rows(verdict: Verdict) -> dict[str, str]:
+    """Return the channels that the correction makes worse, better, leaves, or of which this is not shown, by how much."""
+    found: dict[str, str] = {}
     for state in (WORSE, BETTER, SAME, NOT_SHOWN):
-        if names := [one.about for one in verdict.outcomes if one.state == state and not one.where]:
-            found[state] = names
+        kinds: dict[str, list[str]] = {}
+        for one in verdict.outcomes:
+            if one.state == state and not one.where:
+                kind, _, axis = one.about.rpartition(" ")
+                kinds.setdefault(kind, []).append(axis if state == SAME else f"{axis} ({one.rise.value:+.0%})")
+        if kinds:
+            found[state] = "; ".join(f"{kind} {', '.join(axes)}" for kind, axes in kinds.items())
     return found
 
 
-def rollout_rows(verdict: Verdict, variant: str) -> list[dict[str, str]]:
+def named_rows(verdict: Verdict) -> list[dict[str, str]]:
+    """Return one row per named effect: its parameters, and how sure it is."""
+    rows = []
+    for effect in verdict.effects:
+        unit = {p.name: "" if p.unit == "-" else f" {p.unit}" for p in EFFECTS.get(effect.name).parameters}
+        values = [
+            f"{key} = {number(value, 4)}"
+            + (f" ± {number(1.96 * effect.std[key], 2)}" if key in effect.std else "")
+            + unit[key]
+            for key, value in effect.params.items()
+            if key not in effect.frozen
+        ]
+        sure = [f"confidence {number(effect.confidence, 4)}"]
+        if effect.inclusion is not None:
+            sure.append(f"chosen in {number(100.0 * effect.inclusion)} % of the draws")
+        if effect.ties:
+            sure.append(f"may as well be {' or '.join(effect.ties)}")
+        if effect.ablation is not None and not effect.ablation.material:
+            sure.append("immaterial" if effect.ablation.material is False else "whether it is material is not shown")
+        rows.append({"name": effect.name, "parameters": ", ".join(values), "sure": ", ".join(sure)})
+    return rows
+
+
+def reason_rows(reasons: Mapping[str, str]) -> dict[str, list[str]]:
+    """Return the names that share a reason, by reason."""
+    found: dict[str, list[str]] = {}
+    for name, reason in reasons.items():
+        found.setdefault(reason, []).append(name)
+    return found
+
+
+def rollout_rows(verdict: Verdict, variant: str, *, intervals: bool = True) -> list[dict[str, str]]:
     """Return one row per quantity and horizon."""
+    text = interval if intervals else value_alone
     before, after = verdict.before.rollout[variant], verdict.after.rollout[variant]
     states = {found.name: found for found in verdict.outcomes}
     rows = []
@@ -91,8 +132,8 @@ def rollout_rows(verdict: Verdict, variant: str) -> list[dict[str, str]]:
                 {
                     "quantity": f"{quantity} [{QUANTITIES[quantity]}]",
                     "horizon": f"{horizon:g}",
-                    "before": interval(rms),
-                    "after": interval(after[quantity][horizon]),
+                    "before": text(rms),
+                    "after": text(after[quantity][horizon]),
                     "change": "–" if found is None else risen(found.rise),
                     "became": "–" if found is None else found.state,
                 }
@@ -100,13 +141,17 @@ def rollout_rows(verdict: Verdict, variant: str) -> list[dict[str, str]]:
     return rows
 
 
-def trial_rows(trials: Sequence[Trial], channels: Sequence[Channel]) -> list[dict[str, str]]:
+def trial_rows(
+    trials: Sequence[Trial], channels: Sequence[Channel], not_testable: Mapping[str, str]
+) -> list[dict[str, str]]:
     """Return one row per trial: what it explained of which residual, and why it was or was not accepted."""
     rows = []
     passed = next((trial.effect for trial in trials if not trial.objections), None)
     for trial in trials:
         gain = trial.gain
         outcome = "; ".join(trial.objections) or ("best" if trial.effect == passed else "passes, but scores less")
+        if gain is None:
+            outcome = not_testable.get(trial.effect, outcome)
         best = None if gain is None else int(np.argmax(gain.falls))
         rows.append(
             {
@@ -221,6 +266,11 @@ def flight_table(verdict: Verdict, kinds: Collection[str]) -> dict[str, list]:
 def number(value: float, digits: int = 3) -> str:
     """Return a number for people: three significant digits."""
     return "–" if not np.isfinite(value) else f"{value:.{digits}g}"
+
+
+def value_alone(rms: Rms) -> str:
+    """Return a value without its interval."""
+    return number(rms.value)
 
 
 def interval(rms: Rms) -> str:

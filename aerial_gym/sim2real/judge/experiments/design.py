@@ -157,18 +157,19 @@ def what_tells(catalogue: Catalogue, selection: Selection, tied: dict[str, list[
 
 
 def showable(selection: Selection, robot: RobotCfg, flights: Sequence[Flight]) -> list[str]:
-    """Return the effects that the flights do not show and that others of this vehicle could.
-
-    Nobody is sent to fly for joints of a vehicle that neither its file nor the flights give any.
-    """
-    soft = any(isinstance(EFFECTS.get(name), ArmJoint) for name in (*robot.effects, *selection.accepted))
+    """Return the effects that the flights do not show and that others of this vehicle could."""
     return [
         name
         for name in selection.not_testable
-        if name not in selection.accepted
-        and not lacks(name, robot, flights)
-        and (soft or not isinstance(EFFECTS.get(name), ArmJoint))
+        if name not in selection.accepted and not lacks(name, robot, flights) and fits_vehicle(name, selection, robot)
     ]
+
+
+def fits_vehicle(name: str, selection: Selection, robot: RobotCfg) -> bool:
+    """Return whether a vehicle may have an effect: soft arms only where its file or the flights give it some."""
+    if not isinstance(EFFECTS.get(name), ArmJoint):
+        return True
+    return any(isinstance(EFFECTS.get(other), ArmJoint) for other in (*robot.effects, *selection.accepted))
 
 
 def what_shows(

@@ -19,7 +19,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS, Model, build_model
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect
 from aerial_gym.physics.rotor_lag import stop_in_dead_band
-from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.flights import Flight, names_of
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.tolerances import Deviated
 
@@ -98,9 +98,9 @@ def _led_to(flight: Flight, model: Model, command: Tensor) -> Tensor:
 
 def missing_in_logs(effect: Effect, flights: Sequence[Flight]) -> str:
     """Return what the logs of flights lack for a replay of an effect, and the way out; empty if nothing."""
-    without = [flight.name for flight in flights if flight.battery is None]
+    without = [flight for flight in flights if flight.battery is None]
     if "battery" in effect.logged and without:
-        return f"no battery voltage in {', '.join(without)}; log it in volts (column vbat)"
+        return f"{names_of(without, flights)}: without battery voltage; log it in volts (column vbat)"
     return ""
 
 

@@ -149,13 +149,14 @@ def test_what_logs_lack_for_the_battery_is_said(tmp_path: Path) -> None:
     falling = replace(bare, battery=np.linspace(15.8, 15.0, bare.num_rows))
     assert "the robot file must give battery" in lacks("battery_sag", ROBOT, [falling])
     assert (
-        lacks("battery_sag", POWERED, [falling], [bare]) == "no battery voltage in 100; log it in volts (column vbat)"
+        lacks("battery_sag", POWERED, [falling], [bare])
+        == "100: without battery voltage; log it in volts (column vbat)"
     )
     assert "varies by 0.0% in these flights; needed: a long flight" in lacks("battery_sag", POWERED, [flat, flat])
     assert lacks("battery_sag", POWERED, [flat, falling], [flat]) == ""
     assert lacks("actuation_delay", ROBOT, [bare]) == ""
     declared = replace(POWERED, effects={"battery_sag": {"gain": 0.3}})
-    with pytest.raises(DataError, match="effect battery_sag: no battery voltage in 100; log it"):
+    with pytest.raises(DataError, match="effect battery_sag: 100: without battery voltage; log it"):
         replay_flights(declared, [bare], bandwidth=10.0)
 
 

@@ -1,0 +1,76 @@
+"""What a verdict says of what it does not know: doubt stays with the effect that it is about, and advice with the vehicle."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from aerial_gym.sim2real.judge import verdict
+from aerial_gym.sim2real.judge.analysis import about_logs, not_testable
+from aerial_gym.sim2real.judge.evaluation import evaluate, missing_for_rollouts
+from aerial_gym.sim2real.judge.outcome import meaning
+from aerial_gym.sim2real.logs.flights import load_flights
+from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+
+TIES = {"rotor_drag": [], "com_offset": ["motor_tilt", "weak_motor"], "imu_bias": []}
+
+
+def test_doubt_about_one_effect_is_not_put_on_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verdict, "tied_rivals", lambda name, selection: TIES[name])
+    selection = SimpleNamespace(accepted=tuple(TIES))
+    kind, reason, candidates = verdict.decide(selection, ("rotor_speed.1",), floor_known=True)  # type: ignore[arg-type]
+    assert (kind, candidates) == ("ambiguous", ("rotor_drag", "com_offset", "imu_bias", "motor_tilt", "weak_motor"))
+    assert reason == (
+        "com_offset cannot be told from motor_tilt or weak_motor on flights left out; "
+        "more than noise and tolerances remains in rotor_speed.1"
+    )
+    text = meaning("ambiguous", [], TIES)
+    assert "com_offset may as well be motor_tilt or weak_motor: fly what tells" in text
+    assert "Not touched by this doubt: rotor_drag, imu_bias." in text
+    assert "may as well" not in meaning(
+        "ambiguous", [], {"rotor_drag": []}
+    )  # what remains is in doubt, not what is named
+    assert "training flights do not show" in meaning("ambiguous", [], {"rotor_drag": []})
+
+
+def test_nobody_is_sent_to_fly_for_arms_that_a_vehicle_does_not_have() -> None:
+    wind = SimpleNamespace(wind=SimpleNamespace(untestable=""))
+    hidden = SimpleNamespace(not_testable={"joint_spring": "needed: x", "ground_effect": "needed: y"}, accepted=())
+    rigid, soft = SimpleNamespace(effects={}), SimpleNamespace(effects={"joint_creep": {}})
+    told = not_testable(hidden, rigid, wind)  # type: ignore[arg-type]
+    assert "needed" not in told["joint_spring"]
+    assert told["ground_effect"] == "needed: y"
+    assert not_testable(hidden, soft, wind)["joint_spring"] == "needed: x"  # type: ignore[arg-type]
+
+
+def test_a_note_on_several_logs_is_one_note() -> None:
+    notes = {"a": ("without velocity", "slow"), "b": ("without velocity",), "c": ("without velocity", "gap", "slow")}
+    flights = [SimpleNamespace(name=name, notes=own, rate=100.0) for name, own in notes.items()]
+    declared = SimpleNamespace(
+        flights=flights, bandwidth=10.0, asked_bandwidth=10.0, train=SimpleNamespace(flights=flights)
+    )
+    told = about_logs(declared)  # type: ignore[arg-type]
+    assert told == ["all logs: without velocity", "a, c: slow", "c: gap"]
+
+
+def test_rollouts_are_made_only_of_logs_that_hold_where_they_begin(tmp_path) -> None:
+    """One log without velocity: its windows would begin at rest, and be called errors of the model."""
+    paths = [write(flight(seed, seconds=4.0, rate=100.0), tmp_path / f"f{seed}.csv") for seed in (1, 2)]
+    whole = load_flights(paths, ROBOT, mapping=None, bandwidth=10.0)
+    blind = replace(whole[1], lin_vel=None, position=None)
+    turning = replace(whole[0], attitude_integrated=True)
+    assert missing_for_rollouts(whole) == ""
+    assert missing_for_rollouts([whole[0], blind]) == "f2: without velocity or position"
+    assert missing_for_rollouts([turning, replace(whole[1], attitude_integrated=True)]).startswith(
+        "all logs: without attitude"
+    )
+    for flights, made in (([whole[0], blind], False), ([turning, whole[1]], False), (whole, True)):
+        channels = find_channels(flights)
+        test = Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
+        found = evaluate(ROBOT, flights, test, ModelParams(), floor=np.ones(len(channels)), seed=0)
+        assert bool(found.rollouts) is made
