@@ -116,6 +116,15 @@ class BinnedMean:
     std_error: Array
     """Of the mean, (B, C); NaN where fewer than two groups share the bin."""
 
+    groups: NDArray[np.int64]
+    """Groups that have samples in each bin, (B,): few of them do not know the standard error well."""
+
+    @property
+    def half_width(self) -> Array:
+        """Return half the 68 % interval of each mean, (B, C): a standard error, more where few groups tell of it."""
+        freedom = np.maximum(self.groups - 1, 1)[:, None]
+        return stats.t.ppf(stats.norm.cdf(1.0), freedom) * self.std_error
+
 
 def binned_mean(values: Array, place: NDArray[np.int64], bins: int, group: NDArray[np.int64]) -> BinnedMean:
     """Return the mean of each bin and its standard error from the scatter of whole groups.
@@ -139,7 +148,8 @@ def binned_mean(values: Array, place: NDArray[np.int64], bins: int, group: NDArr
         mean = sums.sum(axis=1) / total[:, None]
         away = np.where(counts[:, :, None] > 0, sums - counts[:, :, None] * mean[:, None], 0.0)
         variance = (away**2).sum(axis=1) / total[:, None] ** 2 * (groups / (groups - 1.0))[:, None]
-    return BinnedMean(count=total, mean=mean, std_error=np.sqrt(np.where(groups[:, None] > 1, variance, np.nan)))
+    std_error = np.sqrt(np.where(groups[:, None] > 1, variance, np.nan))
+    return BinnedMean(count=total, mean=mean, std_error=std_error, groups=groups)
 
 
 DOUBTFUL = 0.2

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 from PIL import Image
 
 DPI = 90
@@ -65,6 +66,7 @@ def panels(
     for axis in axes.ravel():
         axis.tick_params(labelsize=7, length=2.5, pad=2)
         axis.locator_params(nbins=5)
+        axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.4g}"))
     figure.text(LEFT / wide, 1.0 - 0.08 / high, title, fontsize=9, va="top")
     return figure, axes
 

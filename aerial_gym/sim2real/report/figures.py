@@ -43,7 +43,8 @@ def figures(
     for name in shown:
         params, neutral = evidence_point(judged.selection, name, judged)
         told = clues(judged.declared.train, params, name, neutral, weight, untold.get(name, ()))
-        clouds.append({"title": f"Evidence for {name}", "image": evidence(name, told)})
+        rejected = "" if name in judged.selection.accepted else ", which is not accepted"
+        clouds.append({"title": f"Evidence for {name}{rejected}", "image": evidence(name, told)})
     bars = [{"title": "Residuals before and after", "image": plots.residual_bars(before, after)}]
     bars += [
         {"title": title, "image": plots.rollout_bars(before, after, variant)}

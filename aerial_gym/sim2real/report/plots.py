@@ -106,7 +106,7 @@ def residual_profiles(found: Sequence[Profile], channels: Sequence[Channel], kin
     for row, place in zip(axes, places, strict=True):
         for axis, profile in zip(row, found, strict=True):
             for model, means in profile.residual.items():
-                _means(axis, profile.middle, means.mean[:, place], means.std_error[:, place], COLOURS[model], model)
+                _means(axis, profile.middle, means.mean[:, place], means.half_width[:, place], COLOURS[model], model)
             zero_line(axis)
         row[0].set_ylabel(f"{channels[place].axis} [{channels[place].unit}]", fontsize=8, labelpad=2)
     for axis, profile in zip(axes[-1], found, strict=True):
@@ -115,12 +115,12 @@ def residual_profiles(found: Sequence[Profile], channels: Sequence[Channel], kin
     return png(figure)
 
 
-def _means(axis: Axes, at: Array, mean: Array, std_error: Array, colour: str, label: str | None = None) -> None:
-    known = np.isfinite(std_error)
+def _means(axis: Axes, at: Array, mean: Array, half_width: Array, colour: str, label: str) -> None:
+    known = np.isfinite(half_width)
     axis.errorbar(
         at[known],
         mean[known],
-        yerr=std_error[known],
+        yerr=half_width[known],
         color=colour,
         linewidth=0.8,
         elinewidth=0.8,

@@ -113,8 +113,9 @@ def profiles(predictor: Predictor, models: Mapping[str, ModelParams]) -> list[Pr
 
 def write_profiles(path: Path, found: list[Profile], channels: tuple[Channel, ...]) -> None:
     """Write every bin of every channel: its edges, its rows, and the mean residual of each model with its standard error."""
-    tables = [pd.DataFrame(columns=["channel", "against", "low", "high", "middle", "rows"])]
+    tables = [pd.DataFrame(columns=["channel", "against", "low", "high", "middle", "rows", "blocks"])]
     for profile in found:
+        first = next(iter(profile.residual.values()))
         for place, channel in enumerate(channels):
             columns: dict[str, object] = {
                 "channel": channel.name,
@@ -122,7 +123,8 @@ def write_profiles(path: Path, found: list[Profile], channels: tuple[Channel, ..
                 "low": profile.edges[:-1],
                 "high": profile.edges[1:],
                 "middle": profile.middle,
-                "rows": next(iter(profile.residual.values())).count,
+                "rows": first.count,
+                "blocks": first.groups,
             }
             for model, means in profile.residual.items():
                 name = LABELS[model]

@@ -33,6 +33,17 @@ def test_the_standard_error_holds_where_neighbours_are_alike() -> None:
     assert abs(np.mean(variances) / truth - 1.0) < 0.03
 
 
+def test_two_of_three_bars_hold_the_truth_however_few_groups_there_are() -> None:
+    """Half widths of one standard error by Student's t: 68.3 % of 4000 trials with 2, 3 or 12 groups, each known to 0.74 %."""
+    rng = np.random.default_rng(2)
+    for groups in (2, 3, 12):
+        group, inside = np.repeat(np.arange(groups), 10), 0
+        for _ in range(4000):
+            found = binned_mean(rng.standard_normal((groups, 1))[group], np.zeros(group.size, dtype=int), 1, group)
+            inside += abs(found.mean[0, 0]) < found.half_width[0, 0]
+        assert abs(inside / 4000 - 0.683) < 4.0 * 0.0074
+
+
 def test_one_group_has_no_standard_error() -> None:
     found = binned_mean(np.ones((5, 1)), np.zeros(5, dtype=int), 1, np.zeros(5, dtype=int))
     assert found.mean[0, 0] == 1.0
