@@ -40,6 +40,7 @@ from aerial_gym.physics.effects import (
     LoadEffect,
     RotorEffect,
     RotorSensorEffect,
+    VehicleEffect,
     WindEffect,
     WrenchEffect,
 )
@@ -58,9 +59,18 @@ from aerial_gym.sim2real.predict.replay.memory import remembering, track_of
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows import expand_model, one_row, with_known_wind
 from aerial_gym.sim2real.predict.slow_columns import SlowColumns
-from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_biases
+from aerial_gym.sim2real.predict.tolerances import (
+    Tolerances,
+    command_shift,
+    deviate,
+    deviated,
+    joint_start,
+    sensor_biases,
+)
 
 Array = NDArray[np.float64]
+Columns = list[Array]
+"""Channels of one flight, each (rows kept,): predictions that differ in some share the others."""
 
 ADDED = (RotorEffect, WrenchEffect, WindEffect)
 """Effects of these kinds add thrust, force or wind; at neutral parameters a model is the same without them."""
@@ -68,7 +78,10 @@ ADDED = (RotorEffect, WrenchEffect, WindEffect)
 CONDITIONS = 2
 """Conditions kept: that of the present model, and of one that differs from it."""
 
-MOST_ROWS = 8000
+REPLAYS = 3
+"""Rotor speeds that are kept in the band."""
+
+MOST_ROWS = 16000
 """Flights are evaluated together up to so many rows: more of them leave the processor's cache, and take longer each."""
 
 PREDICTIONS = 128
@@ -85,10 +98,12 @@ class _Together:
         self._load_replay = LoadReplay(data.flights)
         self._forces, self._memories = Answers[Condition](), Answers[Track]()
         self._slow = [SlowColumns(partial(data.slow, index)) for index in range(len(data.flights))]
+        self._biased: dict[tuple[int, str], tuple[Array, Columns]] = {}
+        self._replayed: list[tuple[list[Array | None], list[Columns]]] = []
         self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
 
-    def predict(self, point: ModelParams) -> list[Array]:
-        """Return the predicted channels of each flight, (rows kept, C)."""
+    def predict(self, point: ModelParams) -> list[Columns]:
+        """Return the predicted channels of each flight; not to be written to."""
         vehicle, deviation = self._vehicle(point)
         speeds = self._speeds(point, vehicle, deviation)
         rows = self._rows(point, vehicle, deviation, speeds)
@@ -222,26 +237,46 @@ class _Together:
         return speed, spin_up
 
     def _band(
-        self, index: int, rows: dict[str, Array], speeds: list[Array | None] | None, implied: dict[str, Array]
-    ) -> Array:
-        """Return the predicted channels of a flight in the band, (rows kept, C).
+        self, index: int, rows: dict[str, Array], speeds: list[Array | None] | None, biases: dict[str, Array]
+    ) -> Columns:
+        """Return the predicted channels of a flight in the band.
 
-        ``implied`` has the errors (3,) of kinematic channels, for those that are not among the ``rows``.
+        ``biases`` are errors (3,) of kinematic channels, for those that are not among the ``rows``.
         """
-        flight = self.data.flights[index]
         kinds = dict.fromkeys(channel.kind for channel in self.data.channels)
-        parts = {kind: self.data.implied[index][kind] + implied[kind] for kind in kinds if kind in KINEMATIC}
+        parts = {
+            kind: self._off_by(index, kind, biases[kind]) for kind in kinds if kind in KINEMATIC and kind not in rows
+        }
         thin = [kind for kind in kinds if kind in rows]
         if thin:
             own = np.concatenate([rows[kind][self.data.spans[index]] for kind in thin], axis=1)
             slow = self._slow[index].of(own)
-            parts |= dict(zip(thin, np.split(slow, len(thin), axis=1), strict=True))
+            parts |= {kind: slow[3 * place : 3 * place + 3] for place, kind in enumerate(thin)}
         if "rotor_speed" in kinds:
             assert speeds is not None
-            speed = speeds[index]
+            parts["rotor_speed"] = self._slow_speeds(speeds)[index]
+        return [column for kind in kinds for column in parts[kind]]
+
+    def _off_by(self, index: int, kind: str, bias: Array) -> Columns:
+        """Return what kinematics imply for the sensors of a flight, off by a bias (3,)."""
+        known = self._biased.get((index, kind))
+        if known is None or not np.array_equal(known[0], bias):
+            known = self._biased[index, kind] = bias, list((self.data.implied[index][kind] + bias).T.copy())
+        return known[1]
+
+    def _slow_speeds(self, speeds: list[Array | None]) -> list[Columns]:
+        """Return the rotor speeds of each flight in the band."""
+        for place, (before, found) in enumerate(self._replayed):
+            if before is speeds:
+                self._replayed.insert(0, self._replayed.pop(place))
+                return found
+        found = []
+        for flight, kept, speed in zip(self.data.flights, self.data.kept, speeds, strict=True):
             assert speed is not None
-            parts["rotor_speed"] = lowpass(speed, flight.rate, self.data.bandwidth)[self.data.kept[index]]
-        return np.concatenate([parts[kind] for kind in kinds], axis=1)
+            found.append(list(lowpass(speed, flight.rate, self.data.bandwidth)[kept].T.copy()))
+        self._replayed.insert(0, (speeds, found))
+        del self._replayed[REPLAYS:]
+        return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -309,7 +344,8 @@ class Predictor:
         ]
         self.measured = [measured for part in self._parts for measured in part.data.measured]
         self.times = [time for part in self._parts for time in part.data.times]
-        self._predictions: OrderedDict[tuple[object, ...], list[Array]] = OrderedDict()
+        self._declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+        self._predictions: OrderedDict[tuple[object, ...], list[Columns]] = OrderedDict()
 
     @property
     def num_tolerances(self) -> int:
@@ -317,16 +353,16 @@ class Predictor:
         return len(self.tolerances.names(self.robot.num_rotors))
 
     def predict(self, point: ModelParams) -> list[Array]:
-        """Return the predicted channels of each flight, (rows kept, C); not to be written to."""
+        """Return the predicted channels of each flight, (rows kept, C)."""
         changing = {name: params for name, params in point.effects.items() if not self._adds_nothing(name, params)}
         point = replace(point, effects=changing)
-        key = (*key_of(point), point.learned)
+        key = self._told_apart(point)
         if key not in self._predictions:
             self._predictions[key] = [found for part in self._parts for found in part.predict(point)]
             if len(self._predictions) > PREDICTIONS:
                 self._predictions.popitem(last=False)
         self._predictions.move_to_end(key)
-        return self._predictions[key]
+        return [np.stack(columns, axis=1) for columns in self._predictions[key]]
 
     def residuals(self, point: ModelParams) -> list[Array]:
         """Return measured minus predicted channels of each flight, (rows kept, C)."""
@@ -341,6 +377,22 @@ class Predictor:
         if not any(EFFECTS.get(name).kind is LoadEffect for name in point.effects):
             return None
         return [link for part in self._parts for link in part.links(point)]
+
+    def _told_apart(self, point: ModelParams) -> tuple[object, ...]:
+        """Return what tells the predictions of a model from those of others: the vehicle that comes out, and all else in order.
+
+        An effect on the vehicle that changes nothing, or the same as a deviation or another effect, is no other model.
+        """
+        effects = {name: EFFECTS.get(name).kind for name in point.effects}
+        on_vehicle = {name: params for name, params in point.effects.items() if effects[name] is VehicleEffect}
+        others = {name: params for name, params in point.effects.items() if name not in on_vehicle}
+        off = deviated(self._declared, self.tolerances, point.deviation)
+        vehicle = build_model(off.vehicle, effects_at(ModelParams(effects=on_vehicle), 1)).vehicle
+        biases = () if point.deviation is None else sensor_biases(self.tolerances, torch.from_numpy(point.deviation))
+        sensors = [(place, bias.numpy().tobytes()) for place, bias in enumerate(biases) if bias.any()]
+        numbers = [rows.numpy().tobytes() for rows in vehicle.rows().values()]
+        others_key = key_of(ModelParams(effects=others))
+        return (*numbers, *sensors, off.command_shift, off.joint_start, others_key, point.learned)
 
     def _adds_nothing(self, name: str, params: Array) -> bool:
         effect = EFFECTS.get(name)

@@ -22,18 +22,19 @@ class SlowColumns:
         self._slow = slow
         self._known: dict[int, list[tuple[Array, Array]]] = {}
 
-    def of(self, rows: Array) -> Array:
-        """Return the rows (E, K) in the band, (T, K)."""
+    def of(self, rows: Array) -> list[Array]:
+        """Return the columns of the rows (E, K) in the band, each (T,); not to be written to."""
         columns = np.ascontiguousarray(rows.T)
-        found = {place: self._recalled(place, column) for place, column in enumerate(columns)}
-        new = [place for place, column in found.items() if column is None]
-        if new:
-            for place, column in zip(new, np.ascontiguousarray(self._slow(rows[:, new]).T), strict=True):
-                kept = self._known.setdefault(place, [])
-                kept.insert(1, (columns[place], column))
-                del kept[KEPT:]
-                found[place] = column
-        return np.stack([column for column in found.values() if column is not None], axis=1)
+        found: list[Array | None] = [self._recalled(place, column) for place, column in enumerate(columns)]
+        new = [place for place, column in enumerate(found) if column is None]
+        slow = np.ascontiguousarray(self._slow(rows[:, new]).T) if new else ()
+        for place, column in zip(new, slow, strict=True):
+            alone = column.copy()  # it may outlive the others
+            kept = self._known.setdefault(place, [])
+            kept.insert(1, (columns[place].copy(), alone))
+            found[place] = alone
+            del kept[KEPT:]
+        return [column for column in found if column is not None]
 
     def _recalled(self, place: int, column: Array) -> Array | None:
         kept = self._known.get(place, [])

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from aerial_gym.errors import DataError
-from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
+from aerial_gym.physics import EFFECTS, Accelerations, accelerations, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import effect_jacobian
 from aerial_gym.sim2real.identify.selection.select import lacks
@@ -209,7 +209,7 @@ def test_a_prediction_does_not_depend_on_the_models_predicted_before(tmp_path: P
 
 
 def test_neighbouring_flights_are_evaluated_together_up_to_a_number_of_rows() -> None:
-    assert together([3000, 5000, 1, 9000, 100, 200]) == [slice(0, 2), slice(2, 3), slice(3, 4), slice(4, 6)]
+    assert together([6000, 10000, 1, 18000, 100, 200]) == [slice(0, 2), slice(2, 3), slice(3, 4), slice(4, 6)]
     assert together([9000]) == [slice(0, 1)]
 
 
@@ -485,3 +485,29 @@ def test_a_prediction_does_not_depend_on_those_before_it(tmp_path: Path) -> None
     points += [replace(point, deviation=row) for row in 0.5 * np.eye(asked.num_tolerances)]
     for there in (*points, point):
         np.testing.assert_allclose(asked.predict(there)[0], fresh().predict(there)[0], rtol=0, atol=1e-9)
+
+
+def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found, asked = load(tmp_path), []
+
+    def counted(*args: object, **options: object) -> Accelerations:
+        asked.append(1)
+        return accelerations(*args, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("aerial_gym.sim2real.predict.predictor.accelerations", counted)
+    predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
+    point = declared_params(ROBOT)
+    alike = [
+        point,
+        point.with_effect("inertia_error", np.ones(3)),
+        point.with_effect("motor_tilt", np.array([2.0, 0.0, 0.0])),
+    ]
+    first, *others = (predictor.predict(one)[0] for one in alike)
+    assert len(asked) == 1
+    for other in others:
+        np.testing.assert_array_equal(other, first)
+    predictor.predict(point.with_effect("inertia_error", np.array([1.0, 1.0, 1.01])))
+    predictor.predict(replace(point, deviation=np.eye(predictor.num_tolerances)[0]))
+    assert len(asked) == 3

@@ -19,5 +19,5 @@ def test_only_columns_that_changed_are_filtered() -> None:
         rows = base.copy()
         if place is not None:
             rows[:, place] += rng.normal(size=300)
-        np.testing.assert_allclose(columns.of(rows), lowpass(rows, 100.0, 10.0)[::3], rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(np.stack(columns.of(rows), axis=1), lowpass(rows, 100.0, 10.0)[::3])
     assert asked == [4, 1, 1, 1, 1]
