@@ -14,7 +14,7 @@ from scipy.optimize import lsq_linear
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting, block_moments, weights_from
+from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting, block_moments, weights_from, width_of
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -180,37 +180,10 @@ def normal_equations(fit: Fit, weight: Array, blocks: Indices | None = None) -> 
 
 def best_step(fit: Fit, weight: Array, free: Indices, blocks: Indices | None = None) -> Array:
     """Return the step (K,) that minimises the weighted squares plus the prior, within the bounds; 0 where not free."""
-    return _solve(fit, *normal_equations(fit, weight, blocks), free)
+    return solve_within(fit, *normal_equations(fit, weight, blocks), free)
 
 
-def steps_without(fit: Fit, weight: Array, free: Indices, label: Indices) -> Array:
-    """Return for each block the best step under the blocks of all other labels, (B, K); ``label`` is (B,)."""
-    labels, place = np.unique(label, return_inverse=True)
-    parts = [normal_equations(fit, weight, np.flatnonzero(place == k)) for k in range(labels.size)]
-    product, gradient = (np.sum(sums, axis=0) for sums in zip(*parts, strict=True))
-    return np.stack([_solve(fit, product - own, gradient - pull, free) for own, pull in parts])[place]
-
-
-def steps_beside(fit: Fit, weight: Array, label: Indices, deviation: Array) -> Array:
-    """Return for each block the best step of the effects under the blocks of all other labels, beside given deviations.
-
-    Args:
-        fit: The model.
-        weight: Of one row of each channel, (C,).
-        label: What is left out together, (B,).
-        deviation: Of each block, (B, N); the same for all blocks of a label.
-    """
-    _, first, place = np.unique(label, return_index=True, return_inverse=True)
-    own, steps = fit.num_effect_params, []
-    for k, block in enumerate(first):
-        product, gradient = normal_equations(fit, weight, np.flatnonzero(place != k))
-        step = _solve(fit, product, gradient - product[:, own:] @ deviation[block], fit.free_effects)
-        step[own:] = deviation[block]
-        steps.append(step)
-    return np.stack(steps)[place]
-
-
-def _solve(fit: Fit, product: Array, gradient: Array, free: Indices) -> Array:
+def solve_within(fit: Fit, product: Array, gradient: Array, free: Indices) -> Array:
     """Return the step (K,) that normal equations and the prior ask for, within the bounds; 0 where not free."""
     step = np.zeros(fit.low.size)
     if free.size == 0:
@@ -257,15 +230,18 @@ def fit_at(
     effects: tuple[str, ...],
     point: ModelParams,
     residuals: list[Array],
-    jacobians: list[Array],
+    jacobians: Sequence[Array | Sequence[Array]],
     *,
     frozen: Frozen = frozenset(),
     length: float | None = None,
 ) -> Fit:
-    """Return the model at a point from its residuals there and their derivatives (rows, C, K); ``length`` is of a block [s]."""
+    """Return the model at a point from its residuals there and their derivatives (rows, C, K), or parts of them.
+
+    ``length`` is of a block [s].
+    """
     here, scale = params_of(point, effects), scales(effects)
     lowest, highest = bounds_of(predictor.robot, effects)
-    farthest = np.full(jacobians[0].shape[2] - here.size, FARTHEST_DEVIATION)
+    farthest = np.full(width_of(jacobians[0]) - here.size, FARTHEST_DEVIATION)
     return Fit(
         effects=effects,
         point=point,
@@ -394,8 +370,12 @@ def _left_over(
     predictor: Predictor, weights: Weighting, point: ModelParams, effects: tuple[str, ...], tolerance: list[Array]
 ) -> tuple[list[Array], ModelParams]:
     """Return what one more step of a fit leaves over, (rows, C) each, and the model after it."""
-    fit, residuals, jacobians = linearise(predictor, effects, point, tolerance, length=np.inf)
+    predicted = predictor.predict(point)
+    residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
+    own = effect_jacobian(predictor, point, effects, predicted)
+    fit = fit_at(predictor, effects, point, residuals, list(zip(own, tolerance, strict=True)), length=np.inf)
     step = best_step(fit, weights.weight, fit.free_all)
-    left = [r - j @ step for r, j in zip(residuals, jacobians, strict=True)]
+    first, rest = np.split(step, [fit.num_effect_params])
+    left = [r - j @ first - t @ rest for r, j, t in zip(residuals, own, tolerance, strict=True)]
     values = params_of(point, effects) + scales(effects) * step[: fit.num_effect_params]
     return left, with_params(predictor.robot, point, effects, values)

@@ -72,7 +72,7 @@ def inclusion(predictor: Predictor, declared: ModelParams, selection: Selection,
     library = build_library(
         predictor, declared, fit.point, selection.accepted, frozen=fit.frozen, skipped=selection.not_testable
     )
-    library = replace(library, candidates=seen_candidates(library, selection.weights.weight))
+    library = replace(library, candidates=seen_candidates(library, selection.weights.weight), tangents=[])
     draws = draw_blocks(selection.left_out.fold, np.random.default_rng(seed))
     models = LinearSelector(library, selection, draws).select()
     sets = [tuple(sorted(library.candidates[k].name for k in model)) for model in models]

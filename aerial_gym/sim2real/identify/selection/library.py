@@ -22,7 +22,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     scales,
     tolerance_jacobian,
 )
-from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments
+from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments, width_of
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -157,11 +157,11 @@ def build_library(
         tangents.append(structure.columns)
         width += places.size
     parts.append(tolerance_jacobian(predictor, present, base))
-    jacobians = [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)]
+    jacobians = list(zip(*parts, strict=True))
     return Library(
         candidates=tuple(candidates),
         moments=block_moments(predictor.times, residuals, jacobians, length=length),
-        tolerances=np.arange(width, jacobians[0].shape[2]),
+        tolerances=np.arange(width, width_of(jacobians[0])),
         tangents=tangents,
     )
 

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, steps_beside, steps_without
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit
+from aerial_gym.sim2real.identify.least_squares.leave_out import steps_beside, steps_without
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting, folds
 from aerial_gym.sim2real.predict.channels import Channel
 

@@ -1,0 +1,39 @@
+"""Best steps of a fit under the flights of others, each left out once.
+
+Letters: B blocks, C channels, K parameters, N tolerances.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, normal_equations, solve_within
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+def steps_without(fit: Fit, weight: Array, free: Indices, label: Indices) -> Array:
+    """Return for each block the best step under the blocks of all other labels, (B, K); ``label`` is (B,)."""
+    labels, place = np.unique(label, return_inverse=True)
+    parts = [normal_equations(fit, weight, np.flatnonzero(place == k)) for k in range(labels.size)]
+    product, gradient = (np.sum(sums, axis=0) for sums in zip(*parts, strict=True))
+    return np.stack([solve_within(fit, product - own, gradient - pull, free) for own, pull in parts])[place]
+
+
+def steps_beside(fit: Fit, weight: Array, label: Indices, deviation: Array) -> Array:
+    """Return for each block the best step of the effects under the blocks of all other labels, beside given deviations.
+
+    Args:
+        fit: The model.
+        weight: Of one row of each channel, (C,).
+        label: What is left out together, (B,).
+        deviation: Of each block, (B, N); the same for all blocks of a label.
+    """
+    _, first, place = np.unique(label, return_index=True, return_inverse=True)
+    own, steps = fit.num_effect_params, []
+    for k, block in enumerate(first):
+        product, gradient = normal_equations(fit, weight, np.flatnonzero(place != k))
+        step = solve_within(fit, product, gradient - product[:, own:] @ deviation[block], fit.free_effects)
+        step[own:] = deviation[block]
+        steps.append(step)
+    return np.stack(steps)[place]
