@@ -28,8 +28,8 @@ class CloseLoopCmd:
     """Flight logs to judge on; nothing is fitted to them."""
 
     out: Path
-    """Folder of the results: verdict.json, robot.yaml, report.html, report.md, residuals.csv, profiles.csv. New, or of an
-    earlier run."""
+    """Folder of the results: verdict.json, robot.yaml, report.html, report.md, residuals.csv, profiles.csv, evidence.csv. New,
+    or of an earlier run."""
 
     mapping: str | None = None
     """Layout of the logs: a name (idsia_nanodrone) or a mapping file (.yaml); the package's own layout if not given."""
@@ -124,4 +124,6 @@ def _print_verdict(verdict: "Verdict", out: Path) -> None:
         console.print(f"what would tell: {verdict.manoeuvre.text}")
     if verdict.not_testable:
         console.print(f"not testable: {', '.join(verdict.not_testable)}")
-    console.print(f"written: {out}/report.html, report.md, verdict.json, robot.yaml, residuals.csv, profiles.csv")
+    console.print(
+        f"written: {out}/report.html, report.md, verdict.json, robot.yaml, residuals.csv, profiles.csv, evidence.csv"
+    )

@@ -10,9 +10,9 @@ from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics.model import check_effects
-from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate
+from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate, missing_for_rollouts
 from aerial_gym.sim2real.judge.noise_floor import noise_floor
-from aerial_gym.sim2real.logs.flights import Flight, load_flights
+from aerial_gym.sim2real.logs.flights import Flight, load_flights, notes_of
 from aerial_gym.sim2real.logs.inputs import file_digests
 from aerial_gym.sim2real.logs.mapping import find_mapping
 from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
@@ -37,12 +37,11 @@ class Replay:
 
     def as_mapping(self) -> dict[str, object]:
         """Return the figures for JSON."""
-        notes = [f"{flight.name}: {note}" for flight in self.flights for note in flight.notes]
         return {
             "flights": [flight.path for flight in self.flights],
             "bandwidth_hz": self.bandwidth,
             "replay": self.evaluation.as_mapping(),
-            "notes": notes,
+            "notes": notes_of(self.flights),
         }
 
 
@@ -122,7 +121,7 @@ def _write(folder: Path, result: Replay) -> None:
     from aerial_gym.sim2real.report.figures import VARIANTS
     from aerial_gym.sim2real.report.profiles import profiles, write_profiles
     from aerial_gym.sim2real.report.report import render, write_residuals
-    from aerial_gym.sim2real.report.tables import channel_rows, interval
+    from aerial_gym.sim2real.report.tables import SHOWN_NOTES, channel_rows, interval
 
     text = json.dumps(result.as_mapping(), indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "replay.json").write_text(text + "\n", encoding="utf-8")
@@ -152,6 +151,8 @@ def _write(folder: Path, result: Replay) -> None:
         "channels": channel_rows(result.evaluation, None),
         "rollouts": rollouts,
         "figures": figures,
-        "notes": result.as_mapping()["notes"],
+        "notes": notes_of(result.flights),
+        "shown_notes": SHOWN_NOTES,
+        "no_rollouts": missing_for_rollouts(result.flights),
     }
     (folder / "report.html").write_text(render("replay.html", context), encoding="utf-8")

@@ -30,7 +30,7 @@ from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, wit
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained, judges_forces
 from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, decide, immaterial, named_effects, tied_rivals
 from aerial_gym.sim2real.judge.whiteness import whiteness
-from aerial_gym.sim2real.logs.flights import names_of
+from aerial_gym.sim2real.logs.flights import notes_of
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.progress import Progress
 
@@ -207,8 +207,7 @@ def absent_tolerances(declared: Declared, params: ModelParams) -> set[str]:
 def about_logs(declared: Declared) -> list[str]:
     """Return notes on the logs, and on what they are too slow or too few for."""
     flights, band = declared.flights, declared.bandwidth
-    told = dict.fromkeys(note for flight in flights for note in flight.notes)
-    found = [f"{names_of([f for f in flights if note in f.notes], flights)}: {note}" for note in told]
+    found = notes_of(flights)
     if band < declared.asked_bandwidth:
         slowest = min(flight.rate for flight in flights)
         found.append(f"compared below {band:.3g} Hz: the slowest log has {slowest:.4g} rows per second")

@@ -79,6 +79,12 @@ def names_of(some: Sequence[Flight], flights: Sequence[Flight]) -> str:
     return "all logs" if len(some) == len(flights) > 1 else ", ".join(flight.name for flight in some)
 
 
+def notes_of(flights: Sequence[Flight]) -> list[str]:
+    """Return what was done to the logs, each note once with the names of its flights."""
+    told = dict.fromkeys(note for flight in flights for note in flight.notes)
+    return [f"{names_of([flight for flight in flights if note in flight.notes], flights)}: {note}" for note in told]
+
+
 def load_flights(
     paths: Sequence[str | Path],
     robot: RobotCfg,

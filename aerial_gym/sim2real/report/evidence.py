@@ -5,10 +5,12 @@ squares line through all points. One channel alone may ask for another value, wh
 flights.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
@@ -138,6 +140,21 @@ def evidence(effect: str, found: list[Clue]) -> str:
     for axis, clue in zip(axes[0], shown, strict=False):
         _draw(axis, clue)
     return png(figure)
+
+
+def write_evidence(path: Path, found: Mapping[str, Sequence[Clue]]) -> None:
+    """Write for every parameter of some effects what was fitted, and what each channel alone asks for, with what it tells."""
+    columns = ["effect", "parameter", "fitted", "channel", "alone", "std", "share_told"]
+    rows = []
+    for effect, own in found.items():
+        for clue in own:
+            told = [float(cloud.adds @ cloud.adds) for cloud in clue.clouds]
+            rows += [
+                (effect, clue.parameter, clue.fitted, cloud.channel.name, cloud.alone, cloud.std, share / sum(told))
+                for cloud, share in zip(clue.clouds, told, strict=True)
+                if share > 0.0
+            ]
+    pd.DataFrame(rows, columns=columns).to_csv(path, index=False, float_format="%.6g")
 
 
 def _draw(axis: Axes, clue: Clue) -> None:

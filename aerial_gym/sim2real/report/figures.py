@@ -1,6 +1,6 @@
 """Which figures a report has, and of what."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -9,14 +9,16 @@ from aerial_gym.physics import EFFECTS, vehicle_from_config
 from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.identify.selection.structure import rows_of, world_forces
 from aerial_gym.sim2real.judge.analysis import Judged
-from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.outcome import SAME
 from aerial_gym.sim2real.judge.unexplained import with_best_deviations
 from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.report import plots
-from aerial_gym.sim2real.report.evidence import clues, evidence
+from aerial_gym.sim2real.report.evidence import Clue, clues, evidence
 from aerial_gym.sim2real.report.profiles import Profile, quantities
+
+MOST_REJECTED = 2
+"""Effects of which evidence is drawn although none is accepted."""
 
 MOST_REMAINING = 3
 """Channels of which the rest is drawn."""
@@ -33,18 +35,28 @@ def models_of(judged: Judged) -> dict[str, ModelParams]:
     return models | {"corrected": judged.params} if judged.verdict.corrects else models
 
 
+def clues_of(judged: Judged) -> dict[str, list[Clue]]:
+    """Return what the training flights tell of the accepted effects; if there are none, of those that came closest."""
+    selection, found = judged.selection, {}
+    shown = selection.accepted or tuple(trial.effect for trial in selection.rounds[0] if trial.scored)[:MOST_REJECTED]
+    untold = {effect.name: effect.frozen for effect in judged.verdict.effects}
+    for name in shown:
+        params, neutral = evidence_point(selection, name, judged)
+        weight = selection.weights.weight
+        found[name] = clues(judged.declared.train, params, name, neutral, weight, untold.get(name, ()))
+    return found
+
+
 def figures(
-    judged: Judged, after: Evaluation | None, shown: Sequence[str], found: Sequence[Profile]
+    judged: Judged, told: Mapping[str, list[Clue]], found: Sequence[Profile]
 ) -> dict[str, list[dict[str, str]]]:
     """Return the figures of the page, by its sections."""
-    before, test, weight = judged.verdict.before, judged.declared.test, judged.selection.weights.weight
-    untold = {effect.name: effect.frozen for effect in judged.verdict.effects}
+    verdict, test = judged.verdict, judged.declared.test
+    before, after = verdict.before, verdict.after if verdict.corrects else None
     clouds = []
-    for name in shown:
-        params, neutral = evidence_point(judged.selection, name, judged)
-        told = clues(judged.declared.train, params, name, neutral, weight, untold.get(name, ()))
+    for name, own in told.items():
         rejected = "" if name in judged.selection.accepted else ", which is not accepted"
-        clouds.append({"title": f"Evidence for {name}{rejected}", "image": evidence(name, told)})
+        clouds.append({"title": f"Evidence for {name}{rejected}", "image": evidence(name, own)})
     bars = [{"title": "Residuals before and after", "image": plots.residual_bars(before, after)}]
     bars += [
         {"title": title, "image": plots.rollout_bars(before, after, variant)}

@@ -11,7 +11,8 @@ from aerial_gym.sim2real.judge.evaluation import missing_for_rollouts
 from aerial_gym.sim2real.judge.whiteness import octave_names
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.report.figures import VARIANTS, figures, models_of, shown_kinds
+from aerial_gym.sim2real.report.evidence import Clue, write_evidence
+from aerial_gym.sim2real.report.figures import VARIANTS, clues_of, figures, models_of, shown_kinds
 from aerial_gym.sim2real.report.profiles import LABELS, Profile, profiles, write_profiles
 from aerial_gym.sim2real.report.tables import (
     SHOWN_NOTES,
@@ -39,12 +40,14 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 
 def write_report(folder: Path, judged: Judged) -> None:
-    """Write report.html, report.md, residuals.csv and profiles.csv."""
+    """Write report.html, report.md, and the tables behind their figures: residuals.csv, profiles.csv, evidence.csv."""
     test, models = judged.declared.test, models_of(judged)
     found = profiles(test, models)
-    context = report_context(judged, found)
+    told = clues_of(judged)
+    context = report_context(judged, told, found)
     for name in ("report.html", "report.md"):
         (folder / name).write_text(render(name, context), encoding="utf-8")
+    write_evidence(folder / "evidence.csv", told)
     write_profiles(folder / "profiles.csv", found, test.channels)
     write_residuals(folder / "residuals.csv", {"train": judged.declared.train, "test": test}, models)
 
@@ -63,11 +66,10 @@ def render(name: str, context: dict[str, object]) -> str:
     return environment.get_template(f"{name}.j2").render(context)
 
 
-def report_context(judged: Judged, found: Sequence[Profile]) -> dict[str, object]:
+def report_context(judged: Judged, told: Mapping[str, list[Clue]], found: Sequence[Profile]) -> dict[str, object]:
     """Return everything that the templates show."""
     verdict, selection = judged.verdict, judged.selection
     after = verdict.after if verdict.corrects else None
-    shown = selection.accepted or tuple(trial.effect for trial in selection.rounds[0] if trial.scored)[:2]
     return {
         "verdict": verdict,
         "robot": judged.declared.stated,
@@ -99,7 +101,7 @@ def report_context(judged: Judged, found: Sequence[Profile]) -> dict[str, object
         "rivals": rival_rows(verdict),
         "criteria": vars(selection.criteria),
         "tolerances": vars(judged.declared.tolerances),
-        "figures": figures(judged, after, shown, found),
+        "figures": figures(judged, told, found),
     }
 
 

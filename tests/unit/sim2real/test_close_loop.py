@@ -36,7 +36,16 @@ from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 DRAG = 0.25
 SECTIONS = ("flights", "effects", "evidence", "rivals", "before-after", "next", "rest", "data")
-OUTPUTS = {"verdict.json", "robot.yaml", "report.html", "report.md", "residuals.csv", "profiles.csv", "run.json"}
+OUTPUTS = {
+    "verdict.json",
+    "robot.yaml",
+    "report.html",
+    "report.md",
+    "residuals.csv",
+    "profiles.csv",
+    "evidence.csv",
+    "run.json",
+}
 
 
 @pytest.fixture(scope="module")
@@ -234,6 +243,8 @@ def test_the_reports_stand_alone(result: Path, folder: Path) -> None:
     means = pd.read_csv(result / "profiles.csv")
     assert set(means["against"]) == {"thrust [N]", "speed [m/s]", "height [m]"}
     assert means["after"].notna().all()
+    clues = pd.read_csv(result / "evidence.csv").set_index(["parameter", "channel"])
+    assert clues.loc[("dx", "specific_force.x"), "alone"] == pytest.approx(DRAG, rel=0.1)
     record = json.loads((result / "run.json").read_text())
     assert record["config"]["seed"] == 0
     assert {Path(path).name for path in record["inputs"]} == {"f0.csv", "f1.csv", "f2.csv", "f3.csv", "f9.csv"}

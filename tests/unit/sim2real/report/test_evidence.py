@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_effects
@@ -13,7 +14,7 @@ from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-from aerial_gym.sim2real.report.evidence import clues
+from aerial_gym.sim2real.report.evidence import clues, write_evidence
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 SCALE, LIGHTER = 0.9, 0.8
@@ -49,3 +50,9 @@ def test_the_line_is_that_of_all_points_and_each_channel_says_what_it_asks_for(l
     if lighter < 1.0:
         assert SCALE * lighter + 0.01 < clue.fitted < SCALE - 0.01
     assert clues(train, params, EFFECT, np.ones(1), weight, untold=("scale",)) == []
+    write_evidence(tmp_path / "evidence.csv", {EFFECT: [clue]})
+    table = pd.read_csv(tmp_path / "evidence.csv").set_index("channel")
+    assert table["share_told"].sum() == pytest.approx(1.0, abs=1e-4)
+    assert table.loc["angular_acceleration.x", "alone"] == pytest.approx(
+        alone["angular_acceleration.x"].alone, rel=1e-5
+    )
