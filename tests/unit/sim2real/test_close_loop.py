@@ -36,16 +36,8 @@ from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 DRAG = 0.25
 SECTIONS = ("flights", "effects", "evidence", "rivals", "before-after", "next", "rest", "data")
-OUTPUTS = {
-    "verdict.json",
-    "robot.yaml",
-    "report.html",
-    "report.md",
-    "residuals.csv",
-    "profiles.csv",
-    "evidence.csv",
-    "run.json",
-}
+TABLES = {"residuals.csv", "profiles.csv", "evidence.csv"}
+OUTPUTS = {"verdict.json", "robot.yaml", "report.html", "report.md", "run.json"} | TABLES
 
 
 @pytest.fixture(scope="module")
@@ -303,6 +295,16 @@ def test_replay_fits_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -
     assert main(["replay", str(folder / "robot.yaml"), str(folder / "f3.csv"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["replay"]["specific_force"]["x"]["rms"] == pytest.approx(found.evaluation.residual[0].value)
+
+
+@pytest.mark.usefixtures("no_pixels")
+def test_a_replay_rolls_nothing_out_that_the_log_does_not_begin(folder: Path, tmp_path: Path) -> None:
+    whole = pd.read_csv(folder / "f3.csv")
+    blind = write(whole.drop(columns=[c for c in whole if c.startswith(("p_", "v_"))]), tmp_path / "blind.csv")
+    replay(folder / "robot.yaml", [blind], tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "None: blind: without velocity or position." in page
+    assert "<th>variant</th>" not in page
 
 
 def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
