@@ -28,7 +28,7 @@ MOST_CHANNELS = 4
 """Drawn for a parameter, those that tell most of it."""
 
 LEAST_TOLD = 0.02
-"""A channel that has less than this share of what all tell of a parameter is not drawn."""
+"""A channel that has less than this share of what all tell of a parameter is left out."""
 
 MOST_POINTS = 1200
 """Of a channel."""
@@ -68,11 +68,16 @@ class Clue:
     """Of all channels, those that tell most first."""
 
     @property
+    def telling(self) -> tuple[tuple[Cloud, float], ...]:
+        """Return the channels that tell something of the parameter, and their share of what all tell."""
+        told = [float(cloud.adds @ cloud.adds) for cloud in self.clouds]
+        shares = [(cloud, own / max(sum(told), 1e-300)) for cloud, own in zip(self.clouds, told, strict=True)]
+        return tuple((cloud, share) for cloud, share in shares if share >= LEAST_TOLD)
+
+    @property
     def shown(self) -> tuple[Cloud, ...]:
         """Return those that are worth drawing."""
-        told = [float(cloud.adds @ cloud.adds) for cloud in self.clouds]
-        enough = [c for c, own in zip(self.clouds, told, strict=True) if own >= LEAST_TOLD * sum(told) > 0.0]
-        return tuple(enough[:MOST_CHANNELS])
+        return tuple(cloud for cloud, _ in self.telling[:MOST_CHANNELS])
 
 
 def clues(
@@ -143,16 +148,14 @@ def evidence(effect: str, found: list[Clue]) -> str:
 
 
 def write_evidence(path: Path, found: Mapping[str, Sequence[Clue]]) -> None:
-    """Write for every parameter of some effects what was fitted, and what each channel alone asks for, with what it tells."""
+    """Write for every parameter of some effects what was fitted, and what each telling channel asks for alone."""
     columns = ["effect", "parameter", "fitted", "channel", "alone", "std", "share_told"]
     rows = []
     for effect, own in found.items():
         for clue in own:
-            told = [float(cloud.adds @ cloud.adds) for cloud in clue.clouds]
             rows += [
-                (effect, clue.parameter, clue.fitted, cloud.channel.name, cloud.alone, cloud.std, share / sum(told))
-                for cloud, share in zip(clue.clouds, told, strict=True)
-                if share > 0.0
+                (effect, clue.parameter, clue.fitted, cloud.channel.name, cloud.alone, cloud.std, share)
+                for cloud, share in clue.telling
             ]
     pd.DataFrame(rows, columns=columns).to_csv(path, index=False, float_format="%.6g")
 
