@@ -14,10 +14,9 @@ Indices = NDArray[np.int64]
 
 def steps_without(fit: Fit, weight: Array, free: Indices, label: Indices) -> Array:
     """Return for each block the best step under the blocks of all other labels, (B, K); ``label`` is (B,)."""
-    labels, place = np.unique(label, return_inverse=True)
-    parts = [normal_equations(fit, weight, np.flatnonzero(place == k)) for k in range(labels.size)]
-    product, gradient = (np.sum(sums, axis=0) for sums in zip(*parts, strict=True))
-    return np.stack([solve_within(fit, product - own, gradient - pull, free) for own, pull in parts])[place]
+    place = np.unique(label, return_inverse=True)[1]
+    steps = [solve_within(fit, product, gradient, free) for product, gradient in _sums_of_others(fit, weight, place)]
+    return np.stack(steps)[place]
 
 
 def steps_beside(fit: Fit, weight: Array, label: Indices, deviation: Array) -> Array:
@@ -31,9 +30,15 @@ def steps_beside(fit: Fit, weight: Array, label: Indices, deviation: Array) -> A
     """
     _, first, place = np.unique(label, return_index=True, return_inverse=True)
     own, steps = fit.num_effect_params, []
-    for k, block in enumerate(first):
-        product, gradient = normal_equations(fit, weight, np.flatnonzero(place != k))
+    for block, (product, gradient) in zip(first, _sums_of_others(fit, weight, place), strict=True):
         step = solve_within(fit, product, gradient - product[:, own:] @ deviation[block], fit.free_effects)
         step[own:] = deviation[block]
         steps.append(step)
     return np.stack(steps)[place]
+
+
+def _sums_of_others(fit: Fit, weight: Array, place: Indices) -> list[tuple[Array, Array]]:
+    """Return the normal equations of all blocks but those of each label 0, 1, ...; ``place`` is the label of each, (B,)."""
+    parts = [normal_equations(fit, weight, np.flatnonzero(place == k)) for k in range(int(place.max()) + 1)]
+    product, gradient = (np.sum(sums, axis=0) for sums in zip(*parts, strict=True))
+    return [(product - own, gradient - pull) for own, pull in parts]
