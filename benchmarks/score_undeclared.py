@@ -137,9 +137,9 @@ def by_evidence(robot, train, test) -> dict[str, object]:
         "inclusion": {name: share for name, share in chosen.inclusion.items() if share > 0.01},
         "structures": list(chosen.structures),
         "surrogates": chosen.surrogates,
-        "predictive": {n: [found.by_part.tolist(), found.relief] for n, found in chosen.predictive.items()},
+        "support": {n: vars(found) for n, found in chosen.support.items()},
         "immaterial": {n: max(rise.value for rise in rises.values()) for n, rises in chosen.immaterial.items()},
-        "refused": {n: [found.by_part.tolist(), found.relief] for n, found in chosen.refused.items()},
+        "refused": {n: vars(found) for n, found in chosen.refused.items()},
         "params": {
             name: {
                 parameter.name: [float(value), float(std)]

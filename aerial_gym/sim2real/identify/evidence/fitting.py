@@ -3,15 +3,16 @@
 Letters: N tolerances.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.evidence.guard import Support, parts_of, supports_of_fit
 from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior, posterior
-from aerial_gym.sim2real.identify.evidence.linear import evidence_at, with_structures
+from aerial_gym.sim2real.identify.evidence.linear import linear_about, with_structures
 from aerial_gym.sim2real.identify.evidence.search import Sets
 from aerial_gym.sim2real.identify.evidence.structure import Structure
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
@@ -28,6 +29,9 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
+
+Label = tuple[str, ...]
+"""Names of a set's effects, with their rotor, and structures, sorted."""
 
 NOTHING = Posterior(
     columns=np.zeros(0, dtype=np.int64), step=np.zeros(0), covariance=np.zeros((0, 0)), log_evidence=-np.inf
@@ -49,9 +53,28 @@ class Fitted:
     parameters: Posterior
     """Of effects, tolerances and structures, in this order."""
 
-    def __gt__(self, other: "Fitted") -> bool:
-        """Return whether it is more probable."""
-        return self.log_posterior > other.log_posterior
+    support: dict[str, Support]
+    """What speaks for each effect."""
+
+    @property
+    def holds(self) -> bool:
+        """Return whether every effect is more probable than not (guard.py), at this fit."""
+        return np.isfinite(self.log_posterior) and all(one.robust_log_odds > 0.0 for one in self.support.values())
+
+    @property
+    def overdispersion(self) -> float:
+        """Return by how much more the parameters scatter between flights than by noise, in variance, 1 at least."""
+        sizes = [scales((name,)).size for name in self.support]
+        found = [size * one.overdispersion for size, one in zip(sizes, self.support.values(), strict=True)]
+        return max(1.0, sum(found) / max(1, sum(sizes)))
+
+    @property
+    def label(self) -> Label:
+        """Return what tells the set from others."""
+        return label_of(
+            [(name, self.params.effects[name]) for name in self.effects],
+            [structure.name for structure in self.structures],
+        )
 
 
 class Fitter:
@@ -79,16 +102,20 @@ class Fitter:
         """Return a set fitted from a start, by ``derivatives`` (rows, C, P) near it if there are."""
         nuisance, effects = with_structures(self.tolerance, structures), tuple(effects)
         found = fit_effects(self.predictor, effects, start, nuisance, self.weights.weight, derivatives=derivatives)
-        constant, parameters = -np.inf, NOTHING
+        parameters, support = NOTHING, {}
         if np.isfinite(found.moments.square).all():
-            constant, parameters = evidence_at(found, [self.neutral(name) for name in effects], self.weights)
-        value = constant + parameters.log_evidence - (len(effects) + len(structures)) * self.log_names
+            neutral, part = [self.neutral(name) for name in effects], parts_of(found.moments.flight)
+            linear = linear_about(found, neutral, self.weights, part)
+            parameters = posterior(linear.candidates, linear.whole, linear.model)
+            support = supports_of_fit(linear, self.log_names)
+        value = parameters.log_evidence - (len(effects) + len(structures)) * self.log_names
         return Fitted(
             effects=effects,
             structures=tuple(structures),
             params=found.point,
             log_posterior=value if np.isfinite(value) else -np.inf,
             parameters=parameters,
+            support=support,
         )
 
     def fit_of(self, library: Library, sets: Sets, model: Model, structures: Sequence[Structure]) -> Fitted:
@@ -138,13 +165,13 @@ class Fitter:
         effects = [name for name in fitted.effects if name not in names]
         return self.fit(effects, fitted.structures, start)
 
-    def narrower(self, fitted: Fitted, names: Sequence[str]) -> Fitted:
-        """Return the best of a set and of those with an effect in the place of a wider case of it.
+    def narrower(self, fitted: Fitted, names: Sequence[str]) -> list[Fitted]:
+        """Return a set with an effect in the place of a wider case of it, fitted, for each that there is.
 
         A wide case can be better only by its curvature where both are far from neutral: two lags follow a bend that one
         cannot in a linear model.
         """
-        best = fitted
+        found = []
         for wide in fitted.effects:
             for name in EFFECTS.get(wide).contains:
                 if name in names and name not in fitted.effects:
@@ -152,6 +179,21 @@ class Fitter:
                     start = ModelParams(effects=kept, learned=self.declared.learned)
                     start = start.with_effect(name, self.neutral(name))
                     effects = [name if other == wide else other for other in fitted.effects]
-                    found = self.fit(effects, fitted.structures, start)
-                    best = found if found > best else best
-        return best
+                    found.append(self.fit(effects, fitted.structures, start))
+        return found
+
+
+def label_of(effects: Iterable[tuple[str, Array]], structures: Iterable[str]) -> Label:
+    """Return what tells a set of effects, with a parameter vector each, and structures from others."""
+    named = [
+        f"{name} {values[0]:.0f}" if EFFECTS.get(name).parameters[0].kind == "rotor" else name
+        for name, values in effects
+    ]
+    return tuple(sorted([*named, *structures]))
+
+
+def label_in(library: Library, model: Model) -> Label:
+    """Return what tells a set of a library's candidates from others."""
+    chosen = [library.candidates[k] for k in model]
+    effects = [(one.name, one.start) for one in chosen if not one.structure]
+    return label_of(effects, [one.name for one in chosen if one.structure])

@@ -147,17 +147,6 @@ def posterior(candidates: Candidates, normal: Normal, model: Model) -> Posterior
     )
 
 
-def evidences_of_parts(candidates: Candidates, normals: Sequence[Normal], model: Model) -> Array:
-    """Return the log evidence of one set by each of some sums, (F,), as ``posterior`` has it."""
-    columns, count = candidates.columns_of(model)
-    products = np.stack([normal.product[np.ix_(columns, columns)] for normal in normals])
-    gradients = np.stack([normal.gradient[columns] for normal in normals])
-    own = np.broadcast_to(columns, gradients.shape)
-    effects = np.broadcast_to(np.arange(columns.size) < count, gradients.shape)
-    constants = np.array([normal.constant for normal in normals])
-    return constants + _laplace(candidates, products, gradients, own, effects)[2]
-
-
 def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model]) -> Array:
     """Return the log evidence of each of some sets, (M,), as ``posterior`` has it.
 
@@ -190,11 +179,14 @@ def _laplace(
     Of sums (M, k, k) and (M, k) of some columns (M, k); ``effects`` (M, k) says which of these have Cauchy priors and bounds;
     the others have normal ones.
     """
-    precision, step, unit = np.ones(columns.shape), np.zeros(columns.shape), np.eye(columns.shape[1])
+    precision, step, unit = np.where(effects, 2.0, 1.0), np.zeros(columns.shape), np.eye(columns.shape[1])
+    moving = np.arange(len(columns))
     for _ in range(MOST_STEPS):
-        before, step = step, np.linalg.solve(product + precision[..., None] * unit, gradient[..., None])[..., 0]
+        inner = product[moving] + precision[moving][..., None] * unit
+        before, step[moving] = step[moving], np.linalg.solve(inner, gradient[moving][..., None])[..., 0]
         precision = np.where(effects, 2.0 / (1.0 + step**2), 1.0)
-        if np.max(np.abs(step - before), initial=0.0) < CONVERGED:
+        moving = moving[np.abs(step[moving] - before).max(axis=1, initial=0.0) >= CONVERGED]
+        if not moving.size:
             break
     inner = product + precision[..., None] * unit
     covariance = np.linalg.inv(inner)

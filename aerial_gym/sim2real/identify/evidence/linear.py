@@ -1,12 +1,13 @@
 """The linear model about a fitted one as the sums of which evidences are made, and the evidence of a nonlinear fit."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal, Posterior, posterior
+from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal
 from aerial_gym.sim2real.identify.evidence.structure import Structure
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, normal_equations, params_of, scales
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
@@ -53,34 +54,56 @@ def normal_of(library: Library, weights: Weighting, blocks: NDArray[np.int64] | 
     )
 
 
-def labels(library: Library, model: Model) -> tuple[str, ...]:
-    """Return what tells a set from others, whatever the model about which its candidates are linear."""
-    found = []
-    for candidate in (library.candidates[k] for k in model):
-        rotor = not candidate.structure and EFFECTS.get(candidate.name).parameters[0].kind == "rotor"
-        found.append(f"{candidate.name} {candidate.start[0]:.0f}" if rotor else candidate.name)
-    return tuple(sorted(found))
+@dataclass(frozen=True, kw_only=True)
+class LinearFit:
+    """The linear model about a fitted set: each effect is a candidate, and the set is all of them."""
+
+    candidates: Candidates
+    whole: Normal
+    """With the constant by which the evidences of all sets under one weighting are comparable."""
+
+    parts: tuple[Normal, ...]
+    """Those of parts of the flights."""
+
+    @property
+    def model(self) -> Model:
+        """Return the set."""
+        return tuple(range(len(self.candidates.columns)))
 
 
-def evidence_at(fit: Fit, neutral: Sequence[Array], weights: Weighting) -> tuple[float, Posterior]:
-    """Return a constant and the posterior of a fitted set; with the constant evidences of one weighting are comparable."""
-    free = fit.free_all
-    product, gradient = normal_equations(fit, weights.weight)
-    product, gradient = product[np.ix_(free, free)], gradient[free]
+def linear_about(fit: Fit, neutral: Sequence[Array], weights: Weighting, part: NDArray[np.int64]) -> LinearFit:
+    """Return the linear model about a fit, its parameters counted from neutral.
+
+    Args:
+        fit: Effects, tolerances and structures.
+        neutral: Parameters with which each effect changes nothing.
+        weights: Of the channels.
+        part: Of the flights, of each block.
+    """
+    free, count = fit.free_all, fit.free_effects.size
     away = np.zeros(fit.low.size)
     if fit.effects:
         away[: fit.num_effect_params] = (params_of(fit.point, fit.effects) - np.concatenate(neutral)) / scales(
             fit.effects
         )
-    here = away[free]
-    square = float((fit.moments.square.sum(axis=0) * weights.weight).sum())
-    constant = -0.5 * square - float(gradient @ here) - 0.5 * float(here @ product @ here)
-    count = fit.free_effects.size
-    width = free.size
+    here, moments = away[free], fit.moments.joined(part)
+    every = np.arange(moments.count.size)
+
+    def normal(own: NDArray[np.int64]) -> Normal:
+        product, gradient = normal_equations(replace(fit, moments=moments), weights.weight, own)
+        product, gradient = product[np.ix_(free, free)], gradient[free]
+        square = float(moments.square[own].sum(axis=0) @ weights.weight)
+        constant = -0.5 * square - float(gradient @ here) - 0.5 * float(here @ product @ here)
+        return Normal(product=product, gradient=gradient + product @ here, constant=constant)
+
     low, high = (fit.low + away)[free], (fit.high + away)[free]
     low[count:], high[count:] = -np.inf, np.inf
-    candidates = Candidates(
-        columns=(np.arange(count),), tolerances=np.arange(count, width), low=low, high=high, exclusive=("all",)
+    owners = [fit.owners[k][0] for k in fit.free_effects]
+    columns = tuple(np.flatnonzero([owner == name for owner in owners]) for name in fit.effects)
+    return LinearFit(
+        candidates=Candidates(
+            columns=columns, tolerances=np.arange(count, free.size), low=low, high=high, exclusive=fit.effects
+        ),
+        whole=normal(every),
+        parts=tuple(normal(every[[k]]) for k in every),
     )
-    normal = Normal(product=product, gradient=gradient + product @ here)
-    return constant, posterior(candidates, normal, (0,))

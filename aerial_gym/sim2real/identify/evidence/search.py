@@ -94,21 +94,26 @@ def search(candidates: Candidates, normal: Normal, *, starts: Sequence[Model] = 
 
 
 def _climb(sets: Sets, model: Model) -> None:
-    """Look at neighbours of a set, and of the best of these, until none is more probable."""
+    """Look at neighbours of a set, and of the best of these, until none is more probable; swap where nothing else helps."""
+    count = len(sets.candidates.columns)
+    here = float(sets.look([model])[0])
     while True:
-        around = neighbours(model, len(sets.candidates.columns))
-        values = sets.look([model, *around])
-        best = int(values[1:].argmax())
-        if values[1 + best] <= values[0]:
+        for around in (steps_from(model, count), swaps_in(model, count)):
+            values = sets.look(around)
+            if values.size and values.max() > here:
+                model, here = around[int(values.argmax())], float(values.max())
+                break
+        else:
             return
-        model = around[best]
 
 
-def neighbours(model: Model, count: int) -> list[Model]:
-    """Return the sets with one candidate more, one less, or one in the place of another."""
+def steps_from(model: Model, count: int) -> list[Model]:
+    """Return the sets with one candidate more, or one less."""
+    more = [tuple(sorted((*model, k))) for k in range(count) if k not in model]
+    return more + [tuple(k for k in model if k != gone) for gone in model]
+
+
+def swaps_in(model: Model, count: int) -> list[Model]:
+    """Return the sets with one candidate in the place of another."""
     others = [k for k in range(count) if k not in model]
-    less = [tuple(k for k in model if k != gone) for gone in model]
-    return [
-        tuple(sorted(found))
-        for found in (*((*model, k) for k in others), *less, *((*m, k) for m in less for k in others))
-    ]
+    return [tuple(sorted((*(k for k in model if k != gone), other))) for gone in model for other in others]

@@ -2,23 +2,23 @@
 
 All candidates are linearised about the present model; the posterior over sets tells which are worth a fit; each of these is
 fitted as it is, not linearised, and its evidence taken there. The best becomes the present model, until none is better.
-Every effect must predict flights that its fit has not seen, and be worth more than a trifle.
+Every effect must hold against the scatter between flights, and be worth more than a trifle.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.evidence.fitting import Fitted, Fitter
-from aerial_gym.sim2real.identify.evidence.guard import Guard, Predictive, part_length
-from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior
+from aerial_gym.sim2real.identify.evidence.fitting import Fitted, Fitter, Label, label_in
+from aerial_gym.sim2real.identify.evidence.guard import Guard, Support, part_length, parts_of
+from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior, posterior
 from aerial_gym.sim2real.identify.evidence.linear import (
     candidates_of,
-    evidence_at,
-    labels,
+    linear_about,
     normal_of,
     with_structures,
 )
@@ -52,8 +52,8 @@ from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-WORTH_A_FIT = 0.01
-"""Probability in the linear model from which on a set is fitted as it is: a less probable one hardly wins by its curvature."""
+MOST_IN_VAIN = 5
+"""Sets that are fitted one after the other without one that is better."""
 
 STEADY = 0.2
 """Share of its mean by which an effect's size may follow a structure (rms) and still be called that effect."""
@@ -87,7 +87,7 @@ class Chosen:
     inclusion: dict[str, float]
     """Probability of each effect: that of all sets that hold it."""
 
-    predictive: dict[str, Predictive]
+    support: dict[str, Support]
     """Of each effect of the set."""
 
     surrogates: dict[str, str]
@@ -96,8 +96,8 @@ class Chosen:
     immaterial: dict[str, dict[str, Rise]]
     """Effects that were probable and are worth a trifle in each channel: the rise of its residual without them."""
 
-    refused: dict[str, Predictive]
-    """Effects that were probable and predicted the flights of others no better: their law or their parameter is not theirs."""
+    refused: dict[str, Support]
+    """Effects that were probable if noise were all, and not so by the scatter between flights."""
 
     std: dict[str, Array]
     """Standard deviation of each parameter of each effect, 0 where it was not fitted."""
@@ -133,6 +133,9 @@ class _View:
     """All candidates about a fitted set."""
 
     present: Fitted
+    fits: dict[Label, Fitted]
+    """All sets that were fitted under these weights, this one among them."""
+
     fitter: Fitter
     library: Library
     structures: list[Structure]
@@ -143,6 +146,22 @@ class _View:
     def here(self) -> Model:
         """Return the set of the candidates that the present model holds."""
         return place_of(self.library, self.present)
+
+    @property
+    def best(self) -> Fitted:
+        """Return the best of the fitted sets that hold."""
+        return max((fitted for fitted in self.fits.values() if fitted.holds), key=lambda one: one.log_posterior)
+
+    def fit(self, model: Model) -> None:
+        """Fit a set, and as long as it does not hold, the same without the effect for which the least speaks."""
+        fitted = self.fitter.fit_of(self.library, self.sets, model, self.structures)
+        self.fits[fitted.label] = fitted
+        while fitted.support and not fitted.holds:
+            weakest = min(fitted.support, key=lambda name: fitted.support[name].robust_log_odds)
+            fitted = self.fitter.without(fitted, (weakest,))
+            if fitted.label in self.fits:
+                return
+            self.fits[fitted.label] = fitted
 
 
 class _Chooser:
@@ -192,45 +211,49 @@ class _Chooser:
     ) -> _View:
         """Return the best set that fits lead to from a present one, with all candidates about it."""
         fitter = Fitter(self.predictor, self.declared, len(self.names), weights, params)
-        present, known = fitter.fit(effects, structures, params), {}
+        present, nothing = fitter.fit(effects, structures, params), fitter.fit((), (), self.declared)
+        fits = {nothing.label: nothing}
         for count in range(MOST_ROUNDS):
             self.progress(f"sets of effects, round {count + 1}", count / MOST_ROUNDS)
-            view = self.look_around(present, fitter)
-            best = self.better(view, known)
+            view = self.look_around(present, fitter, fits)
+            self.fit_probable(view)
+            if view.best is present:
+                self.fit_fewer(view)
+            best = view.best
             if best is present:
-                break
+                return view
             fitter = Fitter(self.predictor, self.declared, len(self.names), weights, best.params)
             present = fitter.fit(best.effects, best.structures, best.params)
-        return view
+        return self.look_around(present, fitter, fits)
 
-    def better(self, view: _View, known: dict[tuple[str, ...], float]) -> Fitted:
-        """Return the best of the probable sets about a model, fitted, or the present one if none is better.
+    def fit_probable(self, view: _View) -> None:
+        """Fit the sets that are probable about a model.
 
-        ``known`` remembers what fits have given: a set that was far behind is not fitted again about another model.
+        A fit takes from a set what its linear model promised too much. So sets are fitted in the order of what they promise,
+        until none promises more than the best one holds, or several in a row have not held it. Several structures together
+        can make what an effect with a memory or a range makes, better than the effect where it is linear: sets without
+        structures have their own turn.
         """
-        here, guard, library, log_posterior = view.here, view.guard, view.library, view.sets.log_posterior
-        best = view.present if guard.passes(here) else None
-        seen, lost = {labels(library, here)} if best else set(), dict[Model, float]()
-        log_posterior[here] = view.present.log_posterior
-        fewer = [tuple(k for k in here if k != gone) for gone in here if not library.candidates[gone].structure]
-        probable = [*worth_a_fit(view.sets, guard), *worth_a_fit(view.sets, guard, structures=False)]
-        for model in [*probable, *(model for model in fewer if guard.passes(model))]:
-            label = labels(library, model)
-            if label in seen:
-                continue
-            seen.add(label)
-            if best is None or known.get(label, np.inf) > best.log_posterior + np.log(WORTH_A_FIT):
-                found = view.fitter.fit_of(library, view.sets, model, view.structures)
-                known[label] = found.log_posterior
-                best = found if best is None or found > best else best
-            lost[model] = log_posterior[model] - known.get(label, -np.inf)
-        common = max(0.0, float(np.median(list(lost.values())))) if lost else 0.0
-        for model in log_posterior:  # what was not fitted would lose by its curvature as well
-            log_posterior[model] -= 0.0 if model == here else lost.get(model, common)
-        assert best is not None  # the set of no effects passes
-        return view.fitter.narrower(best, self.names)
+        values = view.sets.log_posterior
+        order = sorted(values, key=values.__getitem__, reverse=True)
+        for turn in (order, [model for model in order if not view.sets.candidates.structures.intersection(model)]):
+            vain, best = 0, view.best
+            for model in turn:
+                if vain == MOST_IN_VAIN or values[model] <= best.log_posterior:
+                    break
+                if label_in(view.library, model) in view.fits or not view.guard.passes(model):
+                    continue
+                view.fit(model)
+                vain, best = (vain + 1, best) if view.best is best else (0, view.best)
 
-    def look_around(self, present: Fitted, fitter: Fitter) -> _View:
+    def fit_fewer(self, view: _View) -> None:
+        """Fit the sets with an effect less than the present one, and with a narrower case of an effect."""
+        for gone in (k for k in view.here if not view.library.candidates[k].structure):
+            view.fit(tuple(k for k in view.here if k != gone))
+        for fitted in view.fitter.narrower(view.present, self.names):
+            view.fits[fitted.label] = fitted
+
+    def look_around(self, present: Fitted, fitter: Fitter, fits: dict[Label, Fitted]) -> _View:
         """Return all candidates about a model, the posterior over their sets, and the structures among them."""
         flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
         structures: list[Structure] = []
@@ -249,9 +272,12 @@ class _Chooser:
             length=part_length(times),
         )
         normal = normal_of(library, fitter.weights)
-        sets = search(candidates_of(library), normal, starts=[place_of(library, present)])
+        here = place_of(library, present)
+        sets = search(candidates_of(library), normal, starts=[here])
+        fits[present.label] = present
         return _View(
             present=present,
+            fits=fits,
             fitter=fitter,
             library=library,
             structures=structures,
@@ -261,18 +287,18 @@ class _Chooser:
 
     def chosen(self, view: _View) -> Chosen:
         """Return the result about the last model."""
-        library, sets, guard, present = view.library, view.sets, view.guard, view.present
-        here = view.here
-        refused = {} if guard.passes(sets.best) else guard.of(sets.best)
-        guard.leave_out_what_fails()
-        probabilities: dict[tuple[str, ...], float] = {}
-        for model, probability in sets.probabilities().items():
-            key = tuple(sorted(library.candidates[k].name for k in model if not library.candidates[k].structure))
-            probabilities[key] = probabilities.get(key, 0.0) + probability
-        predictive = guard.of(here)
+        present = view.present
+        better = [
+            fitted for fitted in view.fits.values() if fitted.log_posterior > present.log_posterior and not fitted.holds
+        ]
+        refused = max(better, key=lambda one: one.log_posterior).support if better else {}
+        holding = [fitted for fitted in view.fits.values() if fitted.holds]
+        probabilities = probabilities_of(holding, overdispersion=present.overdispersion)
         surrogates = self.varying(present, view.fitter)
         named = view.fitter.without(present, tuple(surrogates)) if surrogates else present
-        named, immaterial = self.without_trifles(named, view.fitter)
+        free = view.fitter.fit(named.effects, (), named.params)  # the robot file holds no structures
+        _, immaterial = self.without_trifles(free, view.fitter)
+        named = view.fitter.without(named, tuple(immaterial)) if immaterial else named
         std, start = {}, 0
         spread = np.sqrt(np.diag(named.parameters.covariance))
         for name in named.effects:
@@ -285,13 +311,9 @@ class _Chooser:
             effects=named.effects,
             structures=tuple(structure.name for structure in named.structures),
             probability=probabilities.get(tuple(sorted(present.effects)), 0.0),
-            sets=dict(sorted(probabilities.items(), key=lambda item: -item[1])),
-            inclusion={
-                name: share
-                for name, share in sorted(sets.inclusion().items(), key=lambda item: -item[1])
-                if name in EFFECTS
-            },
-            predictive={name: predictive[name] for name in named.effects},
+            sets=probabilities,
+            inclusion=inclusion_in(probabilities),
+            support=named.support,
             surrogates=surrogates,
             immaterial=immaterial,
             refused={name: found for name, found in refused.items() if name not in present.effects},
@@ -336,8 +358,9 @@ class _Chooser:
             nuisance = with_structures(fitter.tolerance, structures)
             jacobians = [np.concatenate(parts, axis=2) for parts in zip(own, nuisance, *more, strict=True)]
             fit = fit_at(predictor, present.effects, present.params, residuals, jacobians, length=np.inf)
-            constant, parameters = evidence_at(fit, list(neutral.values()), fitter.weights)
-            return constant + parameters.log_evidence - len(structures) * fitter.log_names, parameters
+            linear = linear_about(fit, list(neutral.values()), fitter.weights, parts_of(fit.moments.flight))
+            parameters = posterior(linear.candidates, linear.whole, linear.model)
+            return parameters.log_evidence - len(structures) * fitter.log_names, parameters
 
         kinds = {structure.kind for structure in present.structures} - {"periodic"}
         for name, kind in ((name, kind) for name in present.effects for kind in sorted(kinds)):
@@ -364,17 +387,24 @@ def place_of(library: Library, present: Fitted) -> Model:
     )
 
 
-def worth_a_fit(sets: Sets, guard: Guard, *, structures: bool = True) -> list[Model]:
-    """Return the probable sets that pass the guard, the most probable first; without ``structures`` those that have none.
+def probabilities_of(fits: Iterable[Fitted], *, overdispersion: float) -> dict[tuple[str, ...], float]:
+    """Return the probability of each set of effects among fitted ones, whatever the structure beside them, best first.
 
-    Several structures together can make what an effect with a memory or a range makes, better than the effect where it is
-    linear: therefore sets without them have their own turn.
+    What one set is better than another by counts so much less as parameters scatter more than by noise (guard.py).
     """
-    top, found = 0.0, []
-    for model, probability in sets.probabilities().items():
-        if probability < WORTH_A_FIT * top:
-            break
-        if (structures or not sets.candidates.structures.intersection(model)) and guard.passes(model):
-            top = max(top, probability)
-            found.append(model)
-    return found
+    found: dict[tuple[str, ...], float] = {}
+    for fitted in fits:
+        key = tuple(sorted(fitted.effects))
+        found[key] = float(np.logaddexp(found.get(key, -np.inf), fitted.log_posterior / overdispersion))
+    logs = np.array(list(found.values()))
+    shares = np.exp(logs - logsumexp(logs)).tolist()
+    return dict(sorted(zip(found, shares, strict=True), key=lambda item: -item[1]))
+
+
+def inclusion_in(sets: Mapping[tuple[str, ...], float]) -> dict[str, float]:
+    """Return the probability of each effect, that of all sets that hold it, the most probable first."""
+    found: dict[str, float] = {}
+    for names, probability in sets.items():
+        for name in names:
+            found[name] = found.get(name, 0.0) + probability
+    return dict(sorted(found.items(), key=lambda item: -item[1]))

@@ -56,7 +56,7 @@ def test_the_hidden_effects_are_the_most_probable_set(
     assert found.probability > 0.8
     assert sum(found.sets.values()) == pytest.approx(1.0)
     assert all(found.inclusion[name] > 0.95 for name in expected)
-    assert all(found.predictive[name].gain > 0.0 for name in expected)
+    assert all(found.support[name].robust_log_odds > 0.0 for name in expected)
     if parameter is not None:
         distance = found.params.effects["rotor_drag"] - parameter
         assert (abs(distance) < 4.0 * found.std["rotor_drag"]).all()
