@@ -152,6 +152,12 @@ class _View:
         """Return the best of the fitted sets that hold."""
         return max((fitted for fitted in self.fits.values() if fitted.holds), key=lambda one: one.log_posterior)
 
+    @property
+    def best_bare(self) -> Fitted:
+        """Return the best of those without structures."""
+        bare = (fitted for fitted in self.fits.values() if fitted.holds and not fitted.structures)
+        return max(bare, key=lambda one: one.log_posterior)
+
     def fit(self, model: Model) -> None:
         """Fit a set, and as long as it does not hold, the same without the effect for which the least speaks."""
         fitted = self.fitter.fit_of(self.library, self.sets, model, self.structures)
@@ -234,17 +240,19 @@ class _Chooser:
         can make what an effect with a memory or a range makes, better than the effect where it is linear: sets without
         structures have their own turn.
         """
-        values = view.sets.log_posterior
+        values, structures = view.sets.log_posterior, view.sets.candidates.structures
         order = sorted(values, key=values.__getitem__, reverse=True)
-        for turn in (order, [model for model in order if not view.sets.candidates.structures.intersection(model)]):
-            vain, best = 0, view.best
+        bare = [model for model in order if not structures.intersection(model)]
+        for turn, best_of_turn in ((order, lambda: view.best), (bare, lambda: view.best_bare)):
+            vain, best = 0, best_of_turn()
             for model in turn:
                 if vain == MOST_IN_VAIN or values[model] <= best.log_posterior:
                     break
                 if label_in(view.library, model) in view.fits or not view.guard.passes(model):
                     continue
                 view.fit(model)
-                vain, best = (vain + 1, best) if view.best is best else (0, view.best)
+                before, best = best, best_of_turn()
+                vain = vain + 1 if best is before else 0
 
     def fit_fewer(self, view: _View) -> None:
         """Fit the sets with an effect less than the present one, and with a narrower case of an effect."""
