@@ -59,7 +59,7 @@ class Fitted:
     @property
     def holds(self) -> bool:
         """Return whether every effect is more probable than not (guard.py), at this fit."""
-        return np.isfinite(self.log_posterior) and all(one.robust_log_odds > 0.0 for one in self.support.values())
+        return np.isfinite(self.log_posterior) and all(one.holds for one in self.support.values())
 
     @property
     def overdispersion(self) -> float:

@@ -12,7 +12,7 @@ Sources:
     Racugno, Ventura (2011), Bayesian composite marginal likelihoods, Statistica Sinica 21 (a likelihood scaled by it).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,47 +49,57 @@ class Support:
         """Return the log odds with the distance over the larger of the two covariances."""
         return self.log_odds - 0.5 * self.wald * (1.0 - 1.0 / max(self.overdispersion, 1.0))
 
+    @property
+    def holds(self) -> bool:
+        """Return whether the effect is more probable than not."""
+        return self.robust_log_odds > 0.0
+
 
 class Guard:
-    """Keeps out sets with an effect that is less probable than not when parameters are as sure as flights agree on them."""
+    """Takes out of sets what is less probable than not when parameters are as sure as flights agree on them."""
 
     def __init__(self, library: Library, sets: Sets, weights: Weighting) -> None:
         """Take the posterior over sets of a library of candidates."""
-        self._library, self._sets, self._candidates = library, sets, candidates_of(library)
+        self._sets, self._candidates = sets, candidates_of(library)
         self._parts = [normal_of(library, weights, np.array([k])) for k in range(library.moments.count.size)]
         self._whole = normal_of(library, weights)
-        self._support: dict[Model, dict[str, Support]] = {}
+        self._support: dict[Model, dict[int, Support]] = {}
 
-    def passes(self, model: Model) -> bool:
-        """Return whether every effect of a set holds."""
-        return all(found.robust_log_odds > 0.0 for found in self.of(model).values())
+    def held(self, model: Model) -> Model:
+        """Return what is left of a set when that for which the least speaks goes, until all that is left holds.
 
-    def of(self, model: Model) -> dict[str, Support]:
-        """Return what speaks for each effect of a set."""
+        Structures are held to it as well: what remains in one flight as in no other has no structure.
+        """
+        while (found := self.of(model)) and not all(one.holds for one in found.values()):
+            weakest = min(found, key=lambda k: found[k].robust_log_odds)
+            model = tuple(k for k in model if k != weakest)
+        return model
+
+    def of(self, model: Model) -> dict[int, Support]:
+        """Return what speaks for each candidate of a set."""
         if model not in self._support:
-            self._support[model] = self._supports(model)
+            values = self._sets.look([model, *(tuple(k for k in model if k != gone) for gone in model)])
+            odds = dict(zip(model, (values[0] - values[1:]).tolist(), strict=True))
+            self._support[model] = supports(self._candidates, self._whole, self._parts, odds)
         return self._support[model]
-
-    def _supports(self, model: Model) -> dict[str, Support]:
-        effects = [k for k in model if k not in self._sets.candidates.structures]
-        values = self._sets.look([model, *(tuple(k for k in model if k != gone) for gone in effects)])
-        found = supports(self._candidates, self._whole, self._parts, model, values[0] - values[1:])
-        return {self._library.candidates[k].name: one for k, one in zip(effects, found, strict=True)}
 
 
 def supports_of_fit(fit: LinearFit, log_names: float) -> dict[str, Support]:
     """Return what speaks for each effect of a fitted set, about the fit."""
     whole = posterior(fit.candidates, fit.whole, fit.model).log_evidence
-    less = [tuple(k for k in fit.model if k != gone) for gone in fit.model]
-    odds = [whole - posterior(fit.candidates, fit.whole, model).log_evidence - log_names for model in less]
-    found = supports(fit.candidates, fit.whole, fit.parts, fit.model, odds)
-    return dict(zip(fit.candidates.exclusive, found, strict=True))
+    odds = {}
+    for gone in fit.model:
+        less = posterior(fit.candidates, fit.whole, tuple(k for k in fit.model if k != gone)).log_evidence
+        odds[gone] = whole - less - log_names
+    found = supports(fit.candidates, fit.whole, fit.parts, odds)
+    return {fit.candidates.exclusive[k]: one for k, one in found.items()}
 
 
 def supports(
-    candidates: Candidates, whole: Normal, parts: Sequence[Normal], model: Model, log_odds: Iterable[float]
-) -> list[Support]:
-    """Return what speaks for each effect of a set, whose log odds against the set without it are given."""
+    candidates: Candidates, whole: Normal, parts: Sequence[Normal], log_odds: Mapping[int, float]
+) -> dict[int, Support]:
+    """Return what speaks for each candidate of a set, whose log odds against the set without it are given."""
+    model = tuple(log_odds)
     columns, count = candidates.columns_of(model)
     step = posterior(candidates, whole, model).step
     precision = np.ones(columns.size)
@@ -97,17 +107,14 @@ def supports(
     covariance = np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(precision))
     scores = np.stack([part.gradient[columns] - part.product[np.ix_(columns, columns)] @ step for part in parts])
     robust = covariance @ (scatter(scores) + np.diag(precision)) @ covariance
-    found, start = [], 0
-    for k, odds in zip((k for k in model if k not in candidates.structures), log_odds, strict=True):
-        own = slice(start, start + candidates.columns[k].size)
-        start = own.stop
-        found.append(
-            Support(
-                log_odds=float(odds),
-                wald=float(step[own] @ np.linalg.solve(covariance[own, own], step[own])),
-                overdispersion=float(np.trace(np.linalg.solve(covariance[own, own], robust[own, own])))
-                / candidates.columns[k].size,
-            )
+    found = {}
+    for k, odds in log_odds.items():
+        own = np.flatnonzero(np.isin(columns, candidates.columns[k]))
+        block = np.ix_(own, own)
+        found[k] = Support(
+            log_odds=float(odds),
+            wald=float(step[own] @ np.linalg.solve(covariance[block], step[own])),
+            overdispersion=float(np.trace(np.linalg.solve(covariance[block], robust[block]))) / own.size,
         )
     return found
 

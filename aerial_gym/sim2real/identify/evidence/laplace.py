@@ -29,7 +29,7 @@ Model = tuple[int, ...]
 MOST_STEPS = 30
 """Of the search for the best parameters under the Cauchy priors."""
 
-CONVERGED = 1e-6
+CONVERGED = 1e-4
 """Relative to a parameter's scale."""
 
 AT_ONCE = 512

@@ -7,7 +7,7 @@ Source: Scott, Berger (2010), Bayes and empirical-Bayes multiplicity adjustment 
 Statistics 38 (why the prior of a set depends on how many effects there are to choose from).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
@@ -82,23 +82,26 @@ def search(candidates: Candidates, normal: Normal, *, starts: Sequence[Model] = 
     """Return the posterior over sets around the most probable ones.
 
     All singles and all pairs are looked at, so that two effects of which each alone would do harm are found; from the best
-    of these, and from ``starts``, the search climbs by adding, removing and swapping effects until none helps.
+    of these, and from ``starts``, the search climbs by adding and removing effects until none helps, and from where it came
+    highest by swapping them as well.
     """
     reduced, once = candidates.without_tolerances(), normal.marginal(candidates.tolerances)
     sets, places = Sets(candidates=reduced, normal=once), range(len(candidates.columns))
     sets.look([(), *combinations(places, 1), *combinations(places, 2)])
     first = sorted(sets.log_posterior, key=sets.log_posterior.__getitem__, reverse=True)[:MOST_STARTS]
     for start in (*starts, *first):
-        _climb(sets, tuple(sorted(start)))
+        _climb(sets, tuple(sorted(start)), (steps_from,))
+    _climb(sets, sets.best, (steps_from, swaps_in))
     return sets
 
 
-def _climb(sets: Sets, model: Model) -> None:
-    """Look at neighbours of a set, and of the best of these, until none is more probable; swap where nothing else helps."""
+def _climb(sets: Sets, model: Model, ways: Sequence[Callable[[Model, int], list[Model]]]) -> None:
+    """Look at neighbours of a set, and of the best of these, until none is more probable; try one way after the other."""
     count = len(sets.candidates.columns)
     here = float(sets.look([model])[0])
     while True:
-        for around in (steps_from(model, count), swaps_in(model, count)):
+        for way in ways:
+            around = way(model, count)
             values = sets.look(around)
             if values.size and values.max() > here:
                 model, here = around[int(values.argmax())], float(values.max())

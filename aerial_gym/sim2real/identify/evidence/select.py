@@ -242,15 +242,19 @@ class _Chooser:
         """
         values, structures = view.sets.log_posterior, view.sets.candidates.structures
         order = sorted(values, key=values.__getitem__, reverse=True)
-        bare = [model for model in order if not structures.intersection(model)]
+        bare, seen = [model for model in order if not structures.intersection(model)], set[Label]()
         for turn, best_of_turn in ((order, lambda: view.best), (bare, lambda: view.best_bare)):
             vain, best = 0, best_of_turn()
             for model in turn:
                 if vain == MOST_IN_VAIN or values[model] <= best.log_posterior:
                     break
-                if label_in(view.library, model) in view.fits or not view.guard.passes(model):
+                label = label_in(view.library, model)
+                if label in seen or label in view.fits:
                     continue
-                view.fit(model)
+                seen.add(label)
+                held = view.guard.held(model)
+                if label_in(view.library, held) not in view.fits:
+                    view.fit(held)
                 before, best = best, best_of_turn()
                 vain = vain + 1 if best is before else 0
 
