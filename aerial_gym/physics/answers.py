@@ -29,6 +29,8 @@ class _Reader:
         self.source, self.read = source, dict[str, Any]()
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):  # asked for by pickle and copy, of an object without attributes yet
+            raise AttributeError(name)
         value = getattr(self.source, name)
         return self.read.setdefault(name, _Reader(value) if isinstance(value, Vehicle) else value)
 

@@ -1,5 +1,8 @@
 """Answers of effects that are asked again and again: they stand as long as nothing that was read has changed, and no longer."""
 
+import copy
+import pickle
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -103,3 +106,12 @@ def test_what_a_condition_sees_of_the_vehicle_moves_it(field: str) -> None:
     names = ("air_velocity", "rotor_thrust", "lever", "axis")
     seen, now = condition_of(model), condition_of(replace(model, vehicle=moved))
     assert not all(torch.equal(getattr(seen, name), getattr(now, name)) for name in names)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda answers: pickle.loads(pickle.dumps(answers))])
+def test_answers_can_be_copied(copied: Callable[[Answers[Condition]], Answers[Condition]]) -> None:
+    """A judgement that somebody keeps holds answers, and what was read for them."""
+    answers, law, condition = Answers[Condition](), _Law(), condition_of(model_with({}))
+    params = torch.full((ROWS, 1), 2.0, dtype=F64)
+    found = answers.ask(law, condition, params)
+    assert torch.equal(copied(answers).ask(law, condition, params), found)

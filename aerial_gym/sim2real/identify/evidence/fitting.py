@@ -4,7 +4,7 @@ Letters: N tolerances.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -164,6 +164,18 @@ class Fitter:
         start = ModelParams(effects=kept, learned=self.declared.learned)
         effects = [name for name in fitted.effects if name not in names]
         return self.fit(effects, fitted.structures, start)
+
+    def without_weakest(self, fitted: Fitted) -> Fitted:
+        """Return a set fitted again without the effect for which the least speaks."""
+        return self.without(fitted, (min(fitted.support, key=lambda name: fitted.support[name].robust_log_odds),))
+
+    def in_file(self, fitted: Fitted, gone: Sequence[str]) -> Fitted:
+        """Return a set without some effects, fitted as a robot file holds it: beside no structure; what then fails goes."""
+        if fitted.structures or gone:
+            fitted = self.without(replace(fitted, structures=()), gone)
+        while not fitted.holds:
+            fitted = self.without_weakest(fitted)
+        return fitted
 
     def narrower(self, fitted: Fitted, names: Sequence[str]) -> list[Fitted]:
         """Return a set with an effect in the place of a wider case of it, fitted, for each that there is.

@@ -162,9 +162,8 @@ class _View:
         """Fit a set, and as long as it does not hold, the same without the effect for which the least speaks."""
         fitted = self.fitter.fit_of(self.library, self.sets, model, self.structures)
         self.fits[fitted.label] = fitted
-        while fitted.support and not fitted.holds:
-            weakest = min(fitted.support, key=lambda name: fitted.support[name].robust_log_odds)
-            fitted = self.fitter.without(fitted, (weakest,))
+        while not fitted.holds:
+            fitted = self.fitter.without_weakest(fitted)
             if fitted.label in self.fits:
                 return
             self.fits[fitted.label] = fitted
@@ -307,10 +306,7 @@ class _Chooser:
         holding = [fitted for fitted in view.fits.values() if fitted.holds]
         probabilities = probabilities_of(holding, overdispersion=present.overdispersion)
         surrogates = self.varying(present, view.fitter)
-        named = view.fitter.without(present, tuple(surrogates)) if surrogates else present
-        free = view.fitter.fit(named.effects, (), named.params)  # the robot file holds no structures
-        _, immaterial = self.without_trifles(free, view.fitter)
-        named = view.fitter.without(named, tuple(immaterial)) if immaterial else named
+        named, immaterial = self.without_trifles(view.fitter.in_file(present, tuple(surrogates)), view.fitter)
         std, start = {}, 0
         spread = np.sqrt(np.diag(named.parameters.covariance))
         for name in named.effects:
@@ -321,7 +317,7 @@ class _Chooser:
         return Chosen(
             params=named.params,
             effects=named.effects,
-            structures=tuple(structure.name for structure in named.structures),
+            structures=tuple(structure.name for structure in present.structures),
             probability=probabilities.get(tuple(sorted(present.effects)), 0.0),
             sets=probabilities,
             inclusion=inclusion_in(probabilities),

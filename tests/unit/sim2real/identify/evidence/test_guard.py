@@ -1,28 +1,92 @@
-"""What an effect must gain on flights left out."""
+"""What speaks for an effect when parameters scatter between flights."""
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from aerial_gym.sim2real.identify.evidence.guard import LEAST_RATIO, Predictive, part_length
+from aerial_gym.sim2real.identify.evidence.guard import Guard, Support, part_length, parts_of, supports
+from aerial_gym.sim2real.identify.evidence.laplace import Normal
+from aerial_gym.sim2real.identify.evidence.linear import candidates_of, normal_of
+from aerial_gym.sim2real.identify.evidence.search import search
+from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting
+from aerial_gym.sim2real.identify.selection.library import Candidate, Library
+from tests.unit.sim2real.identify.evidence.linear import candidates
+
+Array = NDArray[np.float64]
+
+ROWS = 400.0
+"""Of each flight, each with noise of one."""
 
 
-def test_a_single_flight_that_speaks_for_an_effect_is_just_enough() -> None:
-    """One gain and zeros: the sum is its own standard error, whatever the number of flights."""
-    for count in (2, 4, 9):
-        gains = np.zeros(count)
-        gains[0] = 7.0
-        assert Predictive(by_part=gains, relief=0.0).ratio == pytest.approx(LEAST_RATIO)
+def of_flights(values: Array) -> list[Normal]:
+    """Return the sums of flights that each ask for a value of one parameter, (F,)."""
+    return [Normal(product=np.full((1, 1), ROWS), gradient=np.array([ROWS * value])) for value in values]
 
 
-def test_gains_of_both_signs_are_not_enough_and_a_relieved_tolerance_counts() -> None:
-    """Flights that contradict each other say nothing; a deviation that is no longer needed is a datum of its own."""
-    gains = np.array([5.3, -12.4, 9.2, 1.7])
-    assert Predictive(by_part=gains, relief=0.0).ratio < LEAST_RATIO
-    assert Predictive(by_part=gains, relief=30.0).ratio > LEAST_RATIO
+@pytest.mark.parametrize("spread", [0.0, 0.05, 0.2])
+def test_overdispersion_is_the_variance_between_flights_over_that_of_noise(spread: float) -> None:
+    """A mean of F values with variance s²: its variance is s²/F by their scatter, 1/(rows F) by noise."""
+    values = 0.5 + spread * np.array([-1.0, 0.0, 1.0, 2.0, -2.0])
+    whole = Normal(product=np.full((1, 1), ROWS * values.size), gradient=np.array([ROWS * values.sum()]))
+    found = supports(candidates(1), whole, of_flights(values), {0: 100.0})[0]
+    assert found.overdispersion == pytest.approx(ROWS * values.var(ddof=1), rel=2e-3, abs=2e-3)
+    assert found.wald == pytest.approx(ROWS * values.size * 0.5**2, rel=2e-3)
+
+
+def test_a_distance_counts_over_the_larger_of_two_variances() -> None:
+    """Log odds of 90 of which 100 are the distance's: over four times the variance it is 25; flights never add to it."""
+    assert Support(log_odds=90.0, wald=200.0, overdispersion=4.0).robust_log_odds == pytest.approx(15.0)
+    assert Support(log_odds=90.0, wald=200.0, overdispersion=0.2).robust_log_odds == 90.0
+    assert Support(log_odds=90.0, wald=200.0, overdispersion=4.0).holds
+    assert not Support(log_odds=90.0, wald=200.0, overdispersion=20.0).holds
+
+
+def library(values: Array) -> Library:
+    """Return candidates of one parameter each, orthogonal to each other, for which flights ask for values (F, K);
+    the tolerance behind them does nothing.
+    """
+    flights, width = values.shape
+    names = ("rotor_drag", "quadratic_drag", "constant_wind")[:width]
+    product = np.pad(
+        np.broadcast_to(ROWS * np.eye(width), (flights, 1, width, width)), ((0, 0), (0, 0), (0, 1), (0, 1))
+    )
+    return Library(
+        candidates=tuple(
+            Candidate(name=name, named=False, columns=np.array([k]), low=np.array([-np.inf]), high=np.array([np.inf]))
+            for k, name in enumerate(names)
+        ),
+        moments=Moments(
+            count=np.full(flights, ROWS),
+            square=np.full((flights, 1), ROWS),
+            gradient=np.pad(ROWS * values[:, None, :], ((0, 0), (0, 0), (0, 1))),
+            product=product,
+            flight=np.arange(flights),
+        ),
+        tolerances=np.array([width], dtype=np.int64),
+    )
+
+
+def test_what_flights_contradict_goes_and_the_rest_stays() -> None:
+    """Both means are 0.3 and highly probable by noise; of one the flights ask for values between -3 and 3."""
+    agreed, contradicted = np.full(6, 0.3), 0.3 + np.array([3.0, -3.0, 2.0, -2.0, 1.0, -1.0])
+    about = library(np.column_stack((agreed, contradicted)))
+    weights = Weighting(variance=np.ones(1), effective=np.ones(1))
+    sets = search(candidates_of(about), normal_of(about, weights))
+    guard = Guard(about, sets, weights)
+    assert sets.best == (0, 1)
+    assert guard.held((0, 1)) == (0,)
+    assert guard.of((0, 1))[1].log_odds > 50.0
 
 
 @pytest.mark.parametrize(("flights", "seconds"), [(1, 4.0), (2, 8.0), (3, 8.0), (4, np.inf), (7, np.inf)])
-def test_few_flights_are_left_out_in_parts(flights: int, seconds: float) -> None:
+def test_few_flights_are_taken_in_parts(flights: int, seconds: float) -> None:
     """Four parts at least: quarters of one flight of 16 s, halves of two or three."""
     times = [np.linspace(0.0, 16.0, 1601)] * flights
     assert part_length(times) == pytest.approx(seconds)
+
+
+def test_blocks_belong_to_the_same_parts() -> None:
+    """Blocks of one flight in quarters, of two in halves, of four by flight."""
+    assert parts_of(np.zeros(8, dtype=np.int64)).tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
+    assert parts_of(np.repeat([0, 1], 4)).tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
+    assert parts_of(np.repeat([0, 1, 2, 3], 2)).tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
