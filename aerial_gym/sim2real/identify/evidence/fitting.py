@@ -175,7 +175,20 @@ class Fitter:
             fitted = self.without(replace(fitted, structures=()), gone)
         while not fitted.holds:
             fitted = self.without_weakest(fitted)
-        return fitted
+        again = self.fit(fitted.effects, fitted.structures, self.most_probable(fitted))
+        return max(fitted, again, key=lambda one: one.log_posterior)
+
+    def most_probable(self, fitted: Fitted) -> ModelParams:
+        """Return a fitted set with the most probable parameters: what flights do not show is where its prior has it."""
+        params, start = fitted.params, 0
+        for name in fitted.effects:
+            numbers = [k for k in range(scales((name,)).size) if is_number(name, k)]
+            step = fitted.parameters.step[start : start + len(numbers)]
+            start += len(numbers)
+            values = params.effects[name].copy()
+            values[numbers] = self.neutral(name)[numbers] + scales((name,))[numbers] * step
+            params = params.with_effect(name, np.clip(values, *bounds_of(self.predictor.robot, (name,))))
+        return params
 
     def narrower(self, fitted: Fitted, names: Sequence[str]) -> list[Fitted]:
         """Return a set with an effect in the place of a wider case of it, fitted, for each that there is.
