@@ -3,11 +3,12 @@
 Letters: N tolerances.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.evidence.guard import Support, parts_of, supports_of_fit
@@ -222,3 +223,26 @@ def label_in(library: Library, model: Model) -> Label:
     chosen = [library.candidates[k] for k in model]
     effects = [(one.name, one.start) for one in chosen if not one.structure]
     return label_of(effects, [one.name for one in chosen if one.structure])
+
+
+def probabilities_of(fits: Iterable[Fitted], *, overdispersion: float) -> dict[tuple[str, ...], float]:
+    """Return the probability of each set of effects among fitted ones, whatever the structure beside them, best first.
+
+    What one set is better than another by counts so much less as parameters scatter more than by noise (guard.py).
+    """
+    found: dict[tuple[str, ...], float] = {}
+    for fitted in fits:
+        key = tuple(sorted(fitted.effects))
+        found[key] = float(np.logaddexp(found.get(key, -np.inf), fitted.log_posterior / overdispersion))
+    logs = np.array(list(found.values()))
+    shares = np.exp(logs - logsumexp(logs)).tolist()
+    return dict(sorted(zip(found, shares, strict=True), key=lambda item: -item[1]))
+
+
+def inclusion_in(sets: Mapping[tuple[str, ...], float]) -> dict[str, float]:
+    """Return the probability of each effect, that of all sets that hold it, the most probable first."""
+    found: dict[str, float] = {}
+    for names, probability in sets.items():
+        for name in names:
+            found[name] = found.get(name, 0.0) + probability
+    return dict(sorted(found.items(), key=lambda item: -item[1]))

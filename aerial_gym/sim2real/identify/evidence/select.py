@@ -5,15 +5,21 @@ fitted as it is, not linearised, and its evidence taken there. The best becomes 
 Every effect must hold against the scatter between flights, and be worth more than a trifle.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.evidence.fitting import Fitted, Fitter, Label, label_in
+from aerial_gym.sim2real.identify.evidence.fitting import (
+    Fitted,
+    Fitter,
+    Label,
+    inclusion_in,
+    label_in,
+    probabilities_of,
+)
 from aerial_gym.sim2real.identify.evidence.guard import Guard, Support, part_length, parts_of
 from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior, posterior
 from aerial_gym.sim2real.identify.evidence.linear import (
@@ -299,11 +305,9 @@ class _Chooser:
     def chosen(self, view: _View) -> Chosen:
         """Return the result about the last model."""
         present = view.present
-        better = [
-            fitted for fitted in view.fits.values() if fitted.log_posterior > present.log_posterior and not fitted.holds
-        ]
-        refused = max(better, key=lambda one: one.log_posterior).support if better else {}
         holding = [fitted for fitted in view.fits.values() if fitted.holds]
+        top = max(view.fits.values(), key=lambda one: one.log_posterior)
+        refused = {} if top.holds else top.support
         probabilities = probabilities_of(holding, overdispersion=present.overdispersion)
         surrogates = self.varying(present, view.fitter)
         named, immaterial = self.without_trifles(view.fitter.in_file(present, tuple(surrogates)), view.fitter)
@@ -393,26 +397,3 @@ def place_of(library: Library, present: Fitted) -> Model:
     return tuple(
         k for k, found in enumerate(library.candidates) if found.named or (found.structure and found.name in beside)
     )
-
-
-def probabilities_of(fits: Iterable[Fitted], *, overdispersion: float) -> dict[tuple[str, ...], float]:
-    """Return the probability of each set of effects among fitted ones, whatever the structure beside them, best first.
-
-    What one set is better than another by counts so much less as parameters scatter more than by noise (guard.py).
-    """
-    found: dict[tuple[str, ...], float] = {}
-    for fitted in fits:
-        key = tuple(sorted(fitted.effects))
-        found[key] = float(np.logaddexp(found.get(key, -np.inf), fitted.log_posterior / overdispersion))
-    logs = np.array(list(found.values()))
-    shares = np.exp(logs - logsumexp(logs)).tolist()
-    return dict(sorted(zip(found, shares, strict=True), key=lambda item: -item[1]))
-
-
-def inclusion_in(sets: Mapping[tuple[str, ...], float]) -> dict[str, float]:
-    """Return the probability of each effect, that of all sets that hold it, the most probable first."""
-    found: dict[str, float] = {}
-    for names, probability in sets.items():
-        for name in names:
-            found[name] = found.get(name, 0.0) + probability
-    return dict(sorted(found.items(), key=lambda item: -item[1]))

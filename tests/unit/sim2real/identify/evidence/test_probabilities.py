@@ -4,8 +4,7 @@ from math import exp
 
 import pytest
 
-from aerial_gym.sim2real.identify.evidence.fitting import NOTHING, Fitted
-from aerial_gym.sim2real.identify.evidence.select import inclusion_in, probabilities_of
+from aerial_gym.sim2real.identify.evidence.fitting import NOTHING, Fitted, inclusion_in, probabilities_of
 from aerial_gym.sim2real.identify.evidence.structure import Structure
 from aerial_gym.sim2real.predict.model_params import ModelParams
 
