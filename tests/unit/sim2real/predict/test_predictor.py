@@ -418,7 +418,7 @@ def test_a_tolerance_that_strains_is_told_by_its_name() -> None:
     deviation[[0, 6, size - 1]] = 3.4, -4.0, 3.1
     notes = tolerances.strained(deviation)
     for name, asked, note in zip(("mass", "thrust_6", "joint_rest"), ("+3.4", "-4.0", "+3.1"), notes, strict=True):
-        assert f"a {name} that is off by {asked} standard deviations" in note
+        assert f"the flights ask for {name} to be off by {asked} standard deviations" in note
     assert "declare it anew" in notes[0]
     assert "declare it anew" not in notes[2]
 
@@ -437,7 +437,7 @@ def test_a_deviation_that_was_cut_off_or_of_what_is_not_there_is_no_finding() ->
         deviation[names.index(name)] = size
     notes = tolerances.strained(deviation, absent={"nominal_voltage", "joint_rest"}, farthest=5.0)
     assert len(notes) == 2
-    assert "a mass that is off by +3.5" in notes[0]
+    assert "the flights ask for mass to be off by +3.5" in notes[0]
     assert notes[1].startswith("inertia_x, com_y: cut off at 5 standard deviations")
     assert "declare" not in notes[1]
 

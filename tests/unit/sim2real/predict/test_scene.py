@@ -119,7 +119,7 @@ def test_what_the_logs_do_not_tell_is_said() -> None:
     assert lacks_of_scene("ceiling_effect", flights).startswith(
         "b: without the height of the ceiling (column ceiling_z"
     )
-    assert lacks_of_scene("downwash", flights).startswith("a, b: without the position of the other vehicle")
+    assert lacks_of_scene("downwash", flights).startswith("all logs: without the position of the other vehicle")
     declares = replace(NEAR, effects={"ceiling_effect": {"k": 1.0}})
     message = "declares ceiling_effect, but the flights do not tell it: b: without the height"
     with pytest.raises(DataError, match=message):
