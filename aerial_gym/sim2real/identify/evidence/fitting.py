@@ -167,8 +167,9 @@ class Fitter:
         return self.fit(effects, fitted.structures, start)
 
     def without_weakest(self, fitted: Fitted) -> Fitted:
-        """Return a set fitted again without the effect for which the least speaks."""
-        return self.without(fitted, (min(fitted.support, key=lambda name: fitted.support[name].robust_log_odds),))
+        """Return a set fitted again without the effect for which the least speaks; nothing does in a fit that went nowhere."""
+        odds = {name: one.robust_log_odds for name, one in fitted.support.items()}
+        return self.without(fitted, (min(fitted.effects, key=lambda name: odds.get(name, -np.inf)),))
 
     def in_file(self, fitted: Fitted, gone: Sequence[str]) -> Fitted:
         """Return a set without some effects, fitted as a robot file holds it: beside no structure; what then fails goes."""

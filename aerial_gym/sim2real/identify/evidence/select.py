@@ -22,12 +22,7 @@ from aerial_gym.sim2real.identify.evidence.fitting import (
 )
 from aerial_gym.sim2real.identify.evidence.guard import Guard, Support, part_length, parts_of
 from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior, posterior
-from aerial_gym.sim2real.identify.evidence.linear import (
-    candidates_of,
-    linear_about,
-    normal_of,
-    with_structures,
-)
+from aerial_gym.sim2real.identify.evidence.linear import candidates_of, linear_about, normal_of, with_structures
 from aerial_gym.sim2real.identify.evidence.search import Sets, search
 from aerial_gym.sim2real.identify.evidence.structure import (
     Structure,
@@ -85,7 +80,7 @@ class Chosen:
     """What remains and no effect has, by kind and channel."""
 
     probability: float
-    """Of exactly these effects."""
+    """Of exactly the effects found, beside structures: with surrogates, with what is immaterial and what is refused at last."""
 
     sets: dict[tuple[str, ...], float]
     """Probability of each set of effects, the most probable first, whatever the structure beside them."""
@@ -103,7 +98,7 @@ class Chosen:
     """Effects that were probable and are worth a trifle in each channel: the rise of its residual without them."""
 
     refused: dict[str, Support]
-    """Effects that were probable if noise were all, and not so by the scatter between flights."""
+    """Effects that were probable if noise were all and not by the scatter between flights, or only beside structures."""
 
     std: dict[str, Array]
     """Standard deviation of each parameter of each effect, 0 where it was not fitted."""
@@ -307,7 +302,7 @@ class _Chooser:
         present = view.present
         holding = [fitted for fitted in view.fits.values() if fitted.holds]
         top = max(view.fits.values(), key=lambda one: one.log_posterior)
-        refused = {} if top.holds else top.support
+        refused = present.support if top.holds else top.support | present.support
         probabilities = probabilities_of(holding, overdispersion=present.overdispersion)
         surrogates = self.varying(present, view.fitter)
         named, immaterial = self.without_trifles(view.fitter.in_file(present, tuple(surrogates)), view.fitter)
@@ -328,7 +323,9 @@ class _Chooser:
             support=named.support,
             surrogates=surrogates,
             immaterial=immaterial,
-            refused={name: found for name, found in refused.items() if name not in present.effects},
+            refused={
+                name: found for name, found in refused.items() if name not in (*named.effects, *surrogates, *immaterial)
+            },
             std=std,
             deviation=named.parameters.step[start : start + self.predictor.num_tolerances],
             weights=view.fitter.weights,

@@ -4,7 +4,7 @@ from math import exp
 
 import pytest
 
-from aerial_gym.sim2real.identify.evidence.fitting import NOTHING, Fitted, inclusion_in, probabilities_of
+from aerial_gym.sim2real.identify.evidence.fitting import NOTHING, Fitted, Fitter, inclusion_in, probabilities_of
 from aerial_gym.sim2real.identify.evidence.structure import Structure
 from aerial_gym.sim2real.predict.model_params import ModelParams
 
@@ -43,3 +43,11 @@ def test_the_same_effects_beside_other_structures_are_one_set() -> None:
     found = probabilities_of(sets, overdispersion=1.0)
     assert found == {("payload_mass", "rotor_drag"): pytest.approx(2 / 3), ("rotor_drag",): pytest.approx(1 / 3)}
     assert inclusion_in(found) == {"rotor_drag": pytest.approx(1.0), "payload_mass": pytest.approx(2 / 3)}
+
+
+def test_of_a_fit_that_went_nowhere_an_effect_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pendulum over the top has no evidence and no support: it is tried without an effect."""
+    monkeypatch.setattr(Fitter, "without", lambda _self, _fitted, names: names)
+    nowhere = fitted("slung_payload", "rotor_drag", log=float("-inf"))
+    assert not nowhere.holds
+    assert Fitter.without_weakest(object.__new__(Fitter), nowhere) == ("slung_payload",)
