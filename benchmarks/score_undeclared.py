@@ -118,7 +118,7 @@ def by_evidence(robot, train, test) -> dict[str, object]:
     """Return what the selection by evidence alone makes of the training flights."""
     from aerial_gym.physics import EFFECTS as LIBRARY
     from aerial_gym.sim2real.identify.battery import with_battery
-    from aerial_gym.sim2real.identify.evidence.select import choose_effects
+    from aerial_gym.sim2real.identify.selection.choose import choose_effects
     from aerial_gym.sim2real.identify.selection.select import lacks
     from aerial_gym.sim2real.predict.channels import find_channels
     from aerial_gym.sim2real.predict.model_params import declared_params

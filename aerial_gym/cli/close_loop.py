@@ -41,6 +41,9 @@ class CloseLoopCmd:
     """How well the robot is declared (.yaml): standard deviations of mass, thrust, inertia, time_constant, com, acc_bias,
     gyro_bias, nominal_voltage, command_hold, joint_rest; those that are left out stay as docs/close_loop.md says."""
 
+    effects: tuple[str, ...] | None = None
+    """Effects that are looked for; all if not given."""
+
     seed: int = 0
     """Seed of the resampling behind the 95 % intervals."""
 
@@ -72,6 +75,7 @@ class CloseLoopCmd:
                 bandwidth=self.bandwidth_hz,
                 seed=self.seed,
                 tolerances=tolerances,
+                effects=self.effects,
                 learn_residual=self.learn_residual,
                 ranges=self.ranges,
                 progress=progress,

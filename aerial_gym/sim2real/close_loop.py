@@ -39,6 +39,7 @@ def close_loop(
     seed: int = 0,
     criteria: Criteria | None = None,
     tolerances: Tolerances | None = None,
+    effects: Sequence[str] | None = None,
     learn_residual: bool = False,
     ranges: bool = False,
     progress: Progress = silent,
@@ -53,8 +54,9 @@ def close_loop(
         mapping: Name or file of a log mapping; None for logs of this package's layout.
         bandwidth: Residuals are compared below it [Hz].
         seed: Of the bootstrap.
-        criteria: When an effect is accepted.
+        criteria: When what is found counts.
         tolerances: How well the robot is declared.
+        effects: Those that are looked for; None: all that there are.
         learn_residual: Whether a small network may be added for what no named effect explains. The verdict stays as it is.
         ranges: Whether robot.yaml also draws what was found from its intervals at every reset (``randomize:``).
         progress: Told what is being done.
@@ -81,6 +83,7 @@ def close_loop(
             seed=seed,
             criteria=criteria,
             tolerances=tolerances,
+            effects=effects,
             learn_residual=learn_residual,
             progress=progress,
         )
@@ -96,6 +99,7 @@ def close_loop(
             "mapping": None if mapping is None else str(mapping),
             "bandwidth_hz": bandwidth,
             "seed": seed,
+            "effects": None if effects is None else list(effects),
             "learn_residual": learn_residual,
             "ranges": ranges,
             "criteria": vars(judged.selection.criteria),
@@ -137,6 +141,7 @@ def judge_flights(
     seed: int = 0,
     criteria: Criteria | None = None,
     tolerances: Tolerances | None = None,
+    effects: Sequence[str] | None = None,
     learn_residual: bool = False,
     progress: Progress = silent,
 ) -> Judged:
@@ -144,6 +149,6 @@ def judge_flights(
     if learn_residual:
         check_rotors(LearnedResidual, robot.rotor_traits)
     declared = declare(robot, train, test, bandwidth=bandwidth, tolerances=tolerances or Tolerances())
-    selected = select(declared, criteria or Criteria(), progress)
-    refitted = refit(selected, seed=seed, progress=progress)
+    selected = select(declared, criteria or Criteria(), progress, candidates=effects)
+    refitted = refit(selected, progress=progress)
     return judge(refitted, seed=seed, learn_residual=learn_residual, progress=progress)

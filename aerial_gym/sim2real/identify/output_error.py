@@ -17,6 +17,8 @@ from scipy import stats
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import ImuEffect, LoadEffect
+from aerial_gym.sim2real.identify.candidates.library import neutral_of
+from aerial_gym.sim2real.identify.candidates.testable import at_bounds
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty, uncertainty
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     Fit,
@@ -28,9 +30,8 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     tolerance_jacobian,
     with_params,
 )
-from aerial_gym.sim2real.identify.selection.library import neutral_of
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, Scored
-from aerial_gym.sim2real.identify.selection.select import Selection, at_bounds
+from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.identify.window_rollouts import WINDOW_S, Linear, Rollouts
 from aerial_gym.sim2real.predict.model_params import declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -232,7 +233,7 @@ def _at_bounds(predictor: Predictor, fit: Fit) -> list[str]:
     return [
         f"{name} {parameter} runs into its physical bound"
         for name in fit.effects
-        for parameter in at_bounds(name, fit, neutral_of(name, declared, robot), robot)
+        for parameter in at_bounds(name, fit.point, neutral_of(name, declared, robot), robot)
     ]
 
 

@@ -13,7 +13,6 @@ from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.identify.battery import with_battery
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import params_of, with_params
 from aerial_gym.sim2real.identify.output_error import Refit, refit_on_rollouts
-from aerial_gym.sim2real.identify.selection.inclusion import Inclusion, inclusion
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.selection.select import Selection, select_effects
 from aerial_gym.sim2real.logs.flights import Flight
@@ -70,7 +69,7 @@ class Declared:
 
 @dataclass(frozen=True, kw_only=True)
 class Selected:
-    """The effects that the training flights ask for, step by step."""
+    """The effects that the training flights ask for, one step of the log at a time."""
 
     declared: Declared
     selection: Selection
@@ -87,8 +86,6 @@ class Refitted:
     refit: Refit
     params: ModelParams
     """The final model as the robot file holds it."""
-
-    inclusion: Inclusion
 
 
 def declare(
@@ -111,29 +108,29 @@ def declare(
     return Declared(stated=robot, robot=powered, params=params, train=on_train, test=on_test, asked_bandwidth=bandwidth)
 
 
-def select(declared: Declared, criteria: Criteria, progress: Progress) -> Selected:
-    """Return the effects that the training flights ask for."""
+def select(
+    declared: Declared, criteria: Criteria, progress: Progress, *, candidates: Sequence[str] | None = None
+) -> Selected:
+    """Return the effects that the training flights ask for, among ``candidates`` if these are given."""
 
     def told(stage: str, share: float) -> None:
         progress(stage, 0.05 + 0.58 * share)
 
-    test = declared.test.flights
-    return Selected(
-        declared=declared, selection=select_effects(declared.train, declared.params, criteria, told, test=test)
+    selection = select_effects(
+        declared.train, declared.params, criteria, told, test=declared.test.flights, candidates=candidates
     )
+    return Selected(declared=declared, selection=selection)
 
 
-def refit(selected: Selected, *, seed: int, progress: Progress) -> Refitted:
-    """Return the selected effects fitted again on rollouts, and how often flights drawn again choose each."""
+def refit(selected: Selected, *, progress: Progress) -> Refitted:
+    """Return the selected effects fitted again on rollouts."""
     declared, by_steps = selected.declared, selected.selection
     progress("rollouts of the training flights", 0.63)
     tried = refit_on_rollouts(declared.train, by_steps)
     adopted = tried.adopted and tried.scored is not None
     selection = replace(by_steps, final=tried.scored) if adopted else by_steps
     params = rounded(declared.robot, selection.final.fit.point, selection.accepted)
-    progress("selections on flights drawn again", 0.65)
-    included = inclusion(declared.train, declared.params, selection, seed=seed)
-    return Refitted(declared=declared, selection=selection, refit=tried, params=params, inclusion=included)
+    return Refitted(declared=declared, selection=selection, refit=tried, params=params)
 
 
 def rounded(robot: RobotCfg, point: ModelParams, effects: Sequence[str]) -> ModelParams:

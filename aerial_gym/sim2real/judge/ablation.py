@@ -11,15 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, fit_effects
+from aerial_gym.sim2real.identify.evidence.fitting import Fitted, label_of
 from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_groups
-from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
-from aerial_gym.sim2real.identify.selection.select import Selection, Trial
+from aerial_gym.sim2real.identify.selection.select import Rival, Selection
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.whiteness import EDGES, in_octaves, lines
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out
@@ -27,12 +24,15 @@ from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
 Array = NDArray[np.float64]
 
+MOST_WEIGHED = 8
+"""Rivals of an effect that are told, the most probable."""
+
 JUDGED_S = (0.5, 1.0)
 """Horizons at which a rollout decides on what is material [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rival:
+class WeighedRival:
     """Another effect in the place of an accepted one."""
 
     label: str
@@ -43,13 +43,13 @@ class Rival:
     """Where the accepted effect explains most."""
 
     explains: float
-    """Share of the mean square there, on flights left out, that the rival takes away in its place."""
+    """Share of the mean square there, on the training flights, that the rival takes away in its place."""
 
     instead_of: float
     """Share that the accepted effect takes away."""
 
-    score: float
-    """Gain in log likelihood over the accepted effect, on flights left out; positive: better."""
+    log_odds: float
+    """Of the best set with it and without the named effect, over the most probable one."""
 
     because: str
     """Why it is not the one."""
@@ -61,7 +61,7 @@ class Rival:
             "channel": self.channel,
             "explains": self.explains,
             "instead_of": self.instead_of,
-            "score": self.score,
+            "log_odds": self.log_odds,
             "because": self.because,
         }
 
@@ -79,7 +79,7 @@ class Ablation:
     least: float
     """Share from which on a rise is material."""
 
-    rivals: tuple[Rival, ...]
+    rivals: tuple[WeighedRival, ...]
     """Best first."""
 
     octaves: tuple[float, ...] = ()
@@ -135,27 +135,27 @@ def ablations(
         selection: The selection.
     """
     train, tested = predictors
-    declared, final = points
+    _, final = points
     residuals, group, flight = tested.residuals(final), time_groups(tested.times), flight_of_rows(tested.times)
     residual = np.concatenate(residuals)
     found = {}
     for name in selection.accepted:
-        less = without_effect(train, declared, selection, name)
-        left = tested.residuals(less.point)
+        less = selection.chosen.without[name].params
+        left = tested.residuals(less)
         rises = rise_with_interval(np.concatenate(left), residual, group, flight)
         most = int(np.argmax([rise.value for rise in rises]))
         octaves = taken_from_octaves(tested, left, residuals, most)
         rollout: dict[float, dict[str, Rise]] = {}
         if "free" in evaluations[1].rollouts:
             alone = len(selection.accepted) == 1
-            links = None if alone else tested.links(less.point)
-            errors = evaluations[0].rollouts["free"] if alone else roll_out(robot, test, less.point, links=links)
+            links = None if alone else tested.links(less)
+            errors = evaluations[0].rollouts["free"] if alone else roll_out(robot, test, less, links=links)
             rollout = rollout_rises(errors, evaluations[1].rollouts["free"])
         found[name] = Ablation(
             residual={channel.name: rise for channel, rise in zip(tested.channels, rises, strict=True)},
             rollout=rollout,
             least=selection.criteria.material,
-            rivals=rivals_of(name, selection, less, tested.channels),
+            rivals=weighed_rivals(name, selection, train),
             octaves=octaves,
             solid_below_hz=solid_below(octaves, tested.bandwidth, selection.criteria.material),
         )
@@ -184,20 +184,6 @@ def solid_below(octaves: Sequence[float], bandwidth: float, least: float) -> flo
     return edge
 
 
-def without_effect(train: Predictor, declared: ModelParams, selection: Selection, name: str) -> Fit:
-    """Return the final model with one effect taken back to what is declared, and the others fitted again."""
-    fit = selection.final.fit
-    kept = tuple(effect for effect in fit.effects if effect != name)
-    if not kept:
-        return selection.declared.fit
-    effects = {other: params for other, params in fit.point.effects.items() if other != name}
-    if name in declared.effects:
-        effects[name] = declared.effects[name]
-    nothing = [np.zeros((*measured.shape, 0)) for measured in train.measured]
-    frozen = frozenset(owner for owner in fit.frozen if owner[0] != name)
-    return fit_effects(train, kept, ModelParams(effects=effects), nothing, selection.weights.weight, frozen=frozen)
-
-
 def rollout_rises(without: RolloutErrors, errors: RolloutErrors) -> dict[float, dict[str, Rise]]:
     """Return by which share the errors of the same windows rise at the judged horizons."""
     found: dict[float, dict[str, Rise]] = {horizon: {} for horizon in JUDGED_S if horizon in errors.horizons}
@@ -211,52 +197,35 @@ def rollout_rises(without: RolloutErrors, errors: RolloutErrors) -> dict[float, 
     return found
 
 
-def rivals_of(name: str, selection: Selection, less: Fit, channels: Sequence[Channel]) -> tuple[Rival, ...]:
-    """Return the others in the place of an accepted effect, best first; ``less`` is the model without it."""
-    left = selection.left_out.squares(less)
-    own = selection.left_out.gain(left, selection.final.left_out)
-    place = int(np.argmax(own.falls))
-    found = []
-    for trial in selection.rivals[name]:
-        if trial.scored is None or trial.gain is None:
-            continue
-        gain = selection.left_out.gain(left, trial.scored.left_out)
-        found.append(
-            Rival(
-                label=trial.label,
-                name=trial.effect,
-                channel=channels[place].name,
-                explains=explained(gain.falls[place]),
-                instead_of=explained(own.falls[place]),
-                score=trial.gain.score,
-                because=rejection(trial, selection, selection.acceptance[name]),
-            )
+def weighed_rivals(name: str, selection: Selection, train: Predictor) -> tuple[WeighedRival, ...]:
+    """Return the others in the place of a named effect with what they explain of the training flights, best first.
+
+    Each model with the deviations within the tolerances that fit best beside its effects.
+    """
+
+    def squares(fitted: Fitted) -> Array:
+        return np.mean(np.square(np.concatenate(train.residuals(fitted.within))), axis=0)
+
+    left, own = squares(selection.chosen.without[name]), squares(selection.chosen.named)
+    place = int(np.argmin(own / left))
+    return tuple(
+        WeighedRival(
+            label=label_of([(rival.effect, rival.fitted.params.effects[rival.effect])], ())[0],
+            name=rival.effect,
+            channel=train.channels[place].name,
+            explains=float(max(0.0, 1.0 - squares(rival.fitted)[place] / left[place])),
+            instead_of=float(max(0.0, 1.0 - own[place] / left[place])),
+            log_odds=rival.log_odds,
+            because=rejection(name, rival),
         )
-    return tuple(sorted(found, key=lambda rival: -rival.score))
+        for rival in selection.rivals_of(name)[:MOST_WEIGHED]
+    )
 
 
-def explained(fall: float) -> float:
-    """Return the share of a mean square that a relative fall of the rms takes away."""
-    return max(0.0, 1.0 - (1.0 - fall) ** 2)
-
-
-def rejection(trial: Trial, selection: Selection, accepted: Trial) -> str:
-    """Return why a rival is not the one in the place of an accepted effect."""
-    if trial.objections:
-        return "; ".join(trial.objections)
-    assert trial.gain is not None
-    if trial.effect in selection.surrogates:
-        return f"only stands in for what remains and follows {selection.surrogates[trial.effect]}"
-    if told_apart(trial, selection):
-        return f"predicts flights left out worse (p = {trial.gain.p_value:.1g})"
-    if trial.num_free > accepted.num_free:
-        return f"as good with {trial.num_free} parameters in place of {accepted.num_free}"
-    if trial.complexity > accepted.complexity:
-        return f"as good, but it is a wider case of {' or '.join(EFFECTS.get(trial.effect).contains)}"
+def rejection(name: str, rival: Rival) -> str:
+    """Return why a rival is not the one in the place of a named effect."""
+    if rival.told_apart:
+        return f"less probable (log odds {rival.log_odds:.1f})"
+    if rival.wider:
+        return f"as probable, but it is a wider case of {name}"
     return "not rejected: these flights cannot tell them apart"
-
-
-def told_apart(trial: Trial, selection: Selection) -> bool:
-    """Return whether an accepted effect is clearly better than a rival: certainly, and by more than a trifle."""
-    assert trial.gain is not None
-    return trial.gain.p_value <= selection.criteria.rival_significance and trial.gain.score < -LEAST_SCORE

@@ -28,7 +28,7 @@ from aerial_gym.sim2real.judge.noise_floor import floor_of_flight, of_all_flight
 from aerial_gym.sim2real.judge.outcome import Outcome, outcomes, said_first
 from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, with_random
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained, judges_forces
-from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, decide, immaterial, named_effects, tied_rivals
+from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, decide, immaterial, named_effects
 from aerial_gym.sim2real.judge.whiteness import whiteness
 from aerial_gym.sim2real.logs.flights import notes_of
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -102,7 +102,8 @@ def judge(refitted: Refitted, *, seed: int, learn_residual: bool, progress: Prog
         not_testable=not_testable(selection, declared.stated, unexplained),
         manoeuvre=manoeuvre,
         fly_next=fly_next,
-        inclusion=refitted.inclusion,
+        inclusion=selection.chosen.inclusion,
+        sets=selection.chosen.sets,
         output_error=refitted.refit,
         structure=unexplained.structure,
         before=before,
@@ -154,7 +155,7 @@ def judged_effects(
     worth = ablations(declared.robot, test.flights, (declared.train, test), models, (before, named), selection)
     weight = selection.weights.weight
     regimes = {name: where_it_acts(test, *models, name, weight, floor, seed=seed) for name in selection.accepted}
-    return named_effects(selection, refitted.inclusion, worth, regimes)
+    return named_effects(selection, worth, regimes)
 
 
 def decision(
@@ -242,7 +243,7 @@ def what_to_fly(
     ``open_to`` names effects that the test flights ask for and the training flights do not show.
     """
     train = declared.train
-    tied = {name: tied_rivals(name, selection) for name in selection.accepted}
+    tied = {name: selection.ties_of(name) for name in selection.accepted}
     hidden = list(dict.fromkeys((*showable(selection, train.robot, train.flights), *open_to)))
     if not any(tied.values()) and not hidden:
         return None, {}

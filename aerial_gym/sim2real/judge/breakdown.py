@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from aerial_gym.sim2real.identify.candidates.library import neutral_of
 from aerial_gym.sim2real.identify.least_squares.moments import time_groups
-from aerial_gym.sim2real.identify.selection.library import neutral_of
 from aerial_gym.sim2real.judge.evaluation import Evaluation, gap_closed
 from aerial_gym.sim2real.judge.outcome import Outcome, rollout_outcome
 from aerial_gym.sim2real.logs.flights import Flight

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.candidates.library import Candidate, Library, build_library
+from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     WEAK_PRIOR,
     effect_jacobian,
@@ -23,9 +25,8 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     tolerance_jacobian,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.selection.library import Candidate, Library, build_library
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
-from aerial_gym.sim2real.identify.selection.select import Selection, lacks
+from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 

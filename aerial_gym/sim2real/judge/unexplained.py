@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from aerial_gym.sim2real.identify.candidates.structure import Structure, find_structure
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, best_step
 from aerial_gym.sim2real.identify.selection.select import Selection
-from aerial_gym.sim2real.identify.selection.structure import Structure, find_structure
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.predictive import Asked, left_open, names_of, open_effects
 from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, declared_wind, find_random_wind

@@ -9,14 +9,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.candidates.structure import Structure
 from aerial_gym.sim2real.identify.learned import Learned
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import is_number, params_of, scales
 from aerial_gym.sim2real.identify.output_error import Refit
-from aerial_gym.sim2real.identify.selection.inclusion import LEAST_SHOWN, Inclusion
-from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
-from aerial_gym.sim2real.identify.selection.select import Selection, Trial
-from aerial_gym.sim2real.identify.selection.structure import Structure
-from aerial_gym.sim2real.judge.ablation import Ablation, told_apart
+from aerial_gym.sim2real.identify.selection.select import Selection
+from aerial_gym.sim2real.judge.ablation import Ablation
 from aerial_gym.sim2real.judge.breakdown import Part, Regime
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.experiments.design import Advice
@@ -24,6 +22,8 @@ from aerial_gym.sim2real.judge.outcome import Outcome, meaning
 from aerial_gym.sim2real.judge.whiteness import Whiteness
 
 MOST_CONFIDENT = 0.9999
+LEAST_SHOWN = 0.05
+"""Effects that were not named are told if they are at least this probable."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,13 +44,10 @@ class NamedEffect:
     """Parameters that these flights do not show; they keep their neutral value."""
 
     confidence: float
-    """Probability that it is this effect: one minus the larger chance of no effect and of the best rival."""
-
-    inclusion: float | None = None
-    """Share of resampled flights in which it is chosen; None for a random effect, which is not selected among others."""
+    """Probability that it is there: that of all sets of effects which hold it."""
 
     ablation: Ablation | None = None
-    """What becomes worse without it, and its rivals; None likewise."""
+    """What becomes worse without it, and its rivals; None for a random effect, which is not selected among others."""
 
     regime: Regime | None = None
     """Before and after where it acts; None likewise."""
@@ -77,7 +74,6 @@ class NamedEffect:
             "noise_std": self.noise_std,
             "frozen": list(self.frozen),
             "confidence": self.confidence,
-            "inclusion": self.inclusion,
             "ties": list(self.ties),
             "material": worth is None or worth.material,
             "without_it": worth and worth.as_mapping(),
@@ -111,8 +107,11 @@ class Verdict:
     fly_next: dict[str, Advice]
     """What shows effects that flights of this vehicle can show and these do not."""
 
-    inclusion: Inclusion
-    """Of every effect, on flights drawn again."""
+    inclusion: dict[str, float]
+    """Probability of every effect, by all sets that were compared."""
+
+    sets: dict[tuple[str, ...], float]
+    """Probability of each set, the most probable first."""
 
     output_error: Refit
     """The effects fitted again on whole rollouts."""
@@ -163,7 +162,7 @@ class Verdict:
             "not_testable_because": self.not_testable,
             "manoeuvre": None if self.manoeuvre is None else self.manoeuvre.as_mapping(),
             "fly_next": {name: advice.as_mapping() for name, advice in self.fly_next.items()},
-            "inclusion": {name: share for name, share in self.inclusion.effects.items() if share >= LEAST_SHOWN},
+            "inclusion": {name: share for name, share in self.inclusion.items() if share >= LEAST_SHOWN},
             "output_error": self.output_error.as_mapping(),
             "structure": self.structure.as_mapping(),
             "whiteness": {
@@ -182,10 +181,10 @@ class Verdict:
 
 
 def named_effects(
-    selection: Selection, included: Inclusion, ablations: dict[str, Ablation], regimes: dict[str, Regime]
+    selection: Selection, ablations: dict[str, Ablation], regimes: dict[str, Regime]
 ) -> tuple[NamedEffect, ...]:
     """Return the accepted effects with parameters, spread and confidence, and with what was found out about them after."""
-    fit, spread = selection.final.fit, selection.final.spread
+    fit, spread, inclusion = selection.final.fit, selection.final.spread, selection.chosen.inclusion
     values, scale = params_of(fit.point, fit.effects), scales(fit.effects)
     std = dict(zip(fit.free_effects.tolist(), spread.std, strict=True))
     noise = dict(zip(fit.free_effects.tolist(), np.sqrt(np.diag(spread.blocks)), strict=True))
@@ -202,11 +201,10 @@ def named_effects(
                 std={key: float(std[k] * scale[k]) for key, k in own.items() if k in std},
                 noise_std={key: float(noise[k] * scale[k]) for key, k in own.items() if k in noise},
                 frozen=tuple(key for key, k in own.items() if k not in std and is_number(*fit.owners[k])),
-                confidence=_confidence(name, selection),
-                inclusion=included.effects.get(name, 0.0),
+                confidence=min(inclusion[name], MOST_CONFIDENT),
                 ablation=ablations[name],
                 regime=regimes[name],
-                ties=tuple(dict.fromkeys(tied_rivals(name, selection))),
+                ties=tuple(tied_rivals(name, selection)),
                 correlation={
                     key: dict(zip(numbers[:i], correlation[i, :i].tolist(), strict=True))
                     for key in own
@@ -235,26 +233,9 @@ def immaterial(effects: Sequence[NamedEffect]) -> list[str]:
     return notes
 
 
-def serious_rivals(name: str, selection: Selection) -> list[Trial]:
-    """Return the effects that could be meant in the place of an accepted one without any objection."""
-    rivals = selection.rivals[name]
-    return [trial for trial in rivals if not trial.objections and trial.effect not in selection.surrogates]
-
-
-def _confidence(name: str, selection: Selection) -> float:
-    own = selection.acceptance[name]
-    doubts = [own.probability, own.gain.p_value if own.gain else 1.0]
-    for trial in serious_rivals(name, selection):
-        if trial.gain and trial.complexity <= own.complexity:
-            doubts.append(trial.gain.p_value if trial.gain.score < -LEAST_SCORE else max(trial.gain.p_value, 0.5))
-    return float(min(1.0 - max(doubts), MOST_CONFIDENT))
-
-
 def tied_rivals(name: str, selection: Selection) -> list[str]:
-    """Return the registered effects that cannot be told from an accepted one, and are as simple."""
-    most = selection.acceptance[name].complexity
-    rivals = [trial for trial in serious_rivals(name, selection) if trial.gain and trial.complexity <= most]
-    return [trial.effect for trial in rivals if not told_apart(trial, selection)]
+    """Return the registered effects that cannot be told from an accepted one."""
+    return [rival.effect for rival in selection.ties_of(name)]
 
 
 def decide(
@@ -270,7 +251,7 @@ def decide(
     if any(tied.values()):
         doubts = [f"{name} cannot be told from {' or '.join(rivals)}" for name, rivals in tied.items() if rivals]
         rest = f"; more than noise and tolerances remains in {', '.join(unexplained)}" if unexplained else ""
-        return "ambiguous", f"{'; '.join(doubts)} on flights left out{rest}", unique
+        return "ambiguous", f"{'; '.join(doubts)}{rest}", unique
     if unexplained and open_to:
         start = f"{names} found, but more" if names else "more"
         rest = f"{start} than noise and tolerances remains in {', '.join(unexplained)} of the test flights"

@@ -6,11 +6,11 @@ import numpy as np
 import torch
 
 from aerial_gym.physics import EFFECTS, vehicle_from_config
+from aerial_gym.sim2real.identify.candidates.structure import rows_of, world_forces
+from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.selection.select import Selection
-from aerial_gym.sim2real.identify.selection.structure import rows_of, world_forces
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.outcome import SAME
-from aerial_gym.sim2real.judge.unexplained import with_best_deviations
 from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.report import plots
@@ -38,7 +38,7 @@ def models_of(judged: Judged) -> dict[str, ModelParams]:
 def clues_of(judged: Judged) -> dict[str, list[Clue]]:
     """Return what the training flights tell of the accepted effects; if there are none, of those that came closest."""
     selection, found = judged.selection, {}
-    shown = selection.accepted or tuple(trial.effect for trial in selection.rounds[0] if trial.scored)[:MOST_REJECTED]
+    shown = selection.accepted or tuple(name for fitted in closest(selection) for name in fitted.effects)
     untold = {effect.name: effect.frozen for effect in judged.verdict.effects}
     for name in shown:
         params, neutral = evidence_point(selection, name, judged)
@@ -135,7 +135,11 @@ def evidence_point(selection: Selection, effect: str, judged: Judged) -> tuple[M
         neutral = np.array(EFFECTS.get(effect).neutral(judged.declared.stated))
     if effect in selection.accepted:
         return judged.within, neutral
-    trial = next(trial for trial in selection.rounds[0] if trial.effect == effect)
-    assert trial.scored is not None
-    fit = trial.scored.fit
-    return with_best_deviations(fit.point, fit, selection.weights.weight), neutral
+    return next(fitted for fitted in closest(selection) if effect in fitted.effects).within, neutral
+
+
+def closest(selection: Selection) -> list[Fitted]:
+    """Return the most probable fitted sets of one effect each, which were not named."""
+    return [fitted for fitted in selection.chosen.fits if len(fitted.effects) == 1 and not fitted.structures][
+        :MOST_REJECTED
+    ]

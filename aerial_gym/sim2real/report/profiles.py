@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from aerial_gym.physics import Vehicle, vehicle_from_config
 from aerial_gym.physics.rotors import rotor_thrust
+from aerial_gym.sim2real.identify.candidates.structure import rows_of
 from aerial_gym.sim2real.identify.least_squares.moments import time_groups
-from aerial_gym.sim2real.identify.selection.structure import rows_of
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.channels import Channel

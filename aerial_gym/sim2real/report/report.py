@@ -26,15 +26,15 @@ from aerial_gym.sim2real.report.tables import (
     regime_rows,
     rival_rows,
     rollout_rows,
-    trial_rows,
+    unnamed_rows,
     worth_rows,
 )
 
 SHOWN_RIVALS = 3
 """The others are folded away."""
 
-MOST_MODELS = 5
-"""Sets of effects that are told of those chosen on flights drawn again."""
+MOST_SETS = 5
+"""Sets of effects that are told, the most probable."""
 
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -82,8 +82,7 @@ def report_context(judged: Judged, told: Mapping[str, list[Clue]], found: Sequen
         "octaves": octave_names(judged.declared.bandwidth),
         "regimes": regime_rows(verdict),
         "flights": flight_table(verdict, shown_kinds(judged)),
-        "models": list(verdict.inclusion.models.items())[:MOST_MODELS],
-        "resamples": verdict.inclusion.resamples,
+        "sets": list(verdict.sets.items())[:MOST_SETS],
         "least": selection.criteria.material,
         "shown_rivals": SHOWN_RIVALS,
         "shown_notes": SHOWN_NOTES,
@@ -97,7 +96,7 @@ def report_context(judged: Judged, told: Mapping[str, list[Clue]], found: Sequen
             for name, text in VARIANTS.items()
             if name in verdict.before.rollout
         ],
-        "rounds": [trial_rows(trials, judged.declared.channels, verdict.not_testable) for trials in selection.rounds],
+        "unnamed": unnamed_rows(selection),
         "rivals": rival_rows(verdict),
         "criteria": vars(selection.criteria),
         "tolerances": vars(judged.declared.tolerances),

@@ -5,13 +5,11 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.selection.select import Trial
-from aerial_gym.sim2real.judge.ablation import explained
+from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.evaluation import Evaluation
 from aerial_gym.sim2real.judge.outcome import BETTER, NOT_SHOWN, SAME, WORSE, Outcome
 from aerial_gym.sim2real.judge.verdict import Verdict
-from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 from aerial_gym.sim2real.statistics import Rise, Rms
 
@@ -41,7 +39,6 @@ def parameter_rows(judged: Judged) -> list[dict[str, object]]:
                     "high": None if std is None else value + 1.96 * std,
                     "unknown": "not shown by these flights" if parameter.kind == "number" else "",
                     "confidence": effect.confidence,
-                    "inclusion": effect.inclusion,
                     "first": place == 0,
                     "count": len(EFFECTS.get(effect.name).parameters),
                 }
@@ -101,8 +98,6 @@ def named_rows(verdict: Verdict) -> list[dict[str, str]]:
             if key not in effect.frozen
         ]
         sure = [f"confidence {number(effect.confidence, 4)}"]
-        if effect.inclusion is not None:
-            sure.append(f"chosen in {number(100.0 * effect.inclusion)} % of the draws")
         if effect.ties:
             sure.append(f"may as well be {' or '.join(effect.ties)}")
         if effect.ablation is not None and not effect.ablation.material:
@@ -141,30 +136,30 @@ def rollout_rows(verdict: Verdict, variant: str, *, intervals: bool = True) -> l
     return rows
 
 
-def trial_rows(
-    trials: Sequence[Trial], channels: Sequence[Channel], not_testable: Mapping[str, str]
-) -> list[dict[str, str]]:
-    """Return one row per trial: what it explained of which residual, and why it was or was not accepted."""
-    rows = []
-    passed = next((trial.effect for trial in trials if not trial.objections), None)
-    for trial in trials:
-        gain = trial.gain
-        outcome = "; ".join(trial.objections) or ("best" if trial.effect == passed else "passes, but scores less")
-        if gain is None:
-            outcome = not_testable.get(trial.effect, outcome)
-        best = None if gain is None else int(np.argmax(gain.falls))
-        rows.append(
-            {
-                "effect": trial.effect,
-                "score": "–" if gain is None else f"{gain.score:.0f}",
-                "share": "–" if gain is None or best is None else f"{explained(gain.falls[best]):.0%}",
-                "channel": "–" if best is None else channels[best].name,
-                "flights": "–" if gain is None else f"{gain.flights_better:.0%}",
-                "probability": "–" if gain is None else f"{trial.probability:.1e}",
-                "objections": outcome,
-            }
+def unnamed_rows(selection: Selection) -> list[dict[str, str]]:
+    """Return one row per effect that is not named: what speaks for it, and why it is not; the most probable first."""
+    chosen, reasons = selection.chosen, dict(selection.not_testable)
+    for name in chosen.adds:
+        reasons.setdefault(
+            name, "more would be said for it than this by chance" if chosen.adds[name] > 0.0 else "not needed"
         )
-    return rows
+    for name, rises in chosen.immaterial.items():
+        most = max(rise.high for rise in rises.values())
+        reasons[name] = f"a trifle: no residual of the training flights rises by more than {most:.1%} without it"
+    for name, kind in chosen.surrogates.items():
+        reasons[name] = f"only stands in for what remains, which follows {kind}"
+    reasons |= chosen.refused
+    shown = {name: reason for name, reason in reasons.items() if name not in selection.accepted}
+    order = sorted(shown, key=lambda name: (name in selection.not_testable, -chosen.adds.get(name, np.inf)))
+    return [
+        {
+            "effect": name,
+            "log_odds": f"{chosen.adds[name]:.1f}" if name in chosen.adds else "–",
+            "probability": f"{chosen.inclusion.get(name, 0.0):.2g}" if name not in selection.not_testable else "–",
+            "because": shown[name],
+        }
+        for name in order
+    ]
 
 
 def worth_rows(verdict: Verdict) -> list[dict[str, object]]:
@@ -207,7 +202,7 @@ def rival_rows(verdict: Verdict) -> dict[str, list[dict[str, str]]]:
                 "explains": f"{rival.explains:.1%}",
                 "instead_of": f"{rival.instead_of:.1%}",
                 "channel": rival.channel,
-                "score": f"{rival.score:.0f}",
+                "log_odds": f"{rival.log_odds:.1f}",
                 "because": rival.because,
             }
             for rival in effect.ablation.rivals

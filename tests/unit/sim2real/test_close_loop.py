@@ -25,7 +25,7 @@ from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real import close_loop, replay
 from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test
-from aerial_gym.sim2real.identify.selection.structure import find_structure
+from aerial_gym.sim2real.identify.candidates.structure import find_structure
 from aerial_gym.sim2real.judge.analysis import Judged
 from aerial_gym.sim2real.judge.unexplained import material_excess
 from aerial_gym.sim2real.logs.inputs import LEFT_OUT

@@ -4,18 +4,20 @@ Letters: N tolerances.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.candidates.library import Library, has_starts, neutral_of
+from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
+from aerial_gym.sim2real.identify.candidates.testable import at_bounds
 from aerial_gym.sim2real.identify.evidence.guard import Support, parts_of, supports_of_fit
 from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior, posterior
 from aerial_gym.sim2real.identify.evidence.linear import linear_about, with_structures
 from aerial_gym.sim2real.identify.evidence.search import Sets
-from aerial_gym.sim2real.identify.evidence.structure import Structure
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     bounds_of,
     effect_jacobian,
@@ -25,7 +27,6 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     tolerance_jacobian,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.selection.library import Library, has_starts, neutral_of
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -45,7 +46,7 @@ class Fitted:
     """A set of effects and structures, fitted."""
 
     effects: tuple[str, ...]
-    structures: tuple[Structure, ...]
+    structures: tuple[Nuisance, ...]
     params: ModelParams
     log_posterior: float
     """Evidence and prior of the set, up to the constant of all sets under one weighting; minus infinity where a prediction
@@ -56,6 +57,9 @@ class Fitted:
 
     support: dict[str, Support]
     """What speaks for each effect."""
+
+    deviation: Array = field(default_factory=lambda: np.zeros(0))
+    """Most probable deviations within the tolerances, in standard deviations, (N,)."""
 
     @property
     def holds(self) -> bool:
@@ -68,6 +72,11 @@ class Fitted:
         sizes = [scales((name,)).size for name in self.support]
         found = [size * one.overdispersion for size, one in zip(sizes, self.support.values(), strict=True)]
         return max(1.0, sum(found) / max(1, sum(sizes)))
+
+    @property
+    def within(self) -> ModelParams:
+        """Return its model with those deviations."""
+        return replace(self.params, deviation=self.deviation)
 
     @property
     def label(self) -> Label:
@@ -96,7 +105,7 @@ class Fitter:
     def fit(
         self,
         effects: Sequence[str],
-        structures: Sequence[Structure],
+        structures: Sequence[Nuisance],
         start: ModelParams,
         derivatives: list[Array] | None = None,
     ) -> Fitted:
@@ -109,6 +118,7 @@ class Fitter:
             linear = linear_about(found, neutral, self.weights, part)
             parameters = posterior(linear.candidates, linear.whole, linear.model)
             support = supports_of_fit(linear, self.log_names)
+        free = found.free_effects.size
         value = parameters.log_evidence - (len(effects) + len(structures)) * self.log_names
         return Fitted(
             effects=effects,
@@ -117,9 +127,10 @@ class Fitter:
             log_posterior=value if np.isfinite(value) else -np.inf,
             parameters=parameters,
             support=support,
+            deviation=parameters.step[free : free + self.predictor.num_tolerances],
         )
 
-    def fit_of(self, library: Library, sets: Sets, model: Model, structures: Sequence[Structure]) -> Fitted:
+    def fit_of(self, library: Library, sets: Sets, model: Model, structures: Sequence[Nuisance]) -> Fitted:
         """Return a set of a library fitted from the present model, best of the starts of its new effects."""
         chosen = [library.candidates[k] for k in model]
         beside = {candidate.name for candidate in chosen if candidate.structure}
@@ -171,14 +182,28 @@ class Fitter:
         odds = {name: one.robust_log_odds for name, one in fitted.support.items()}
         return self.without(fitted, (min(fitted.effects, key=lambda name: odds.get(name, -np.inf)),))
 
-    def in_file(self, fitted: Fitted, gone: Sequence[str]) -> Fitted:
-        """Return a set without some effects, fitted as a robot file holds it: beside no structure; what then fails goes."""
+    def in_file(self, fitted: Fitted, gone: Sequence[str]) -> tuple[Fitted, dict[str, list[str]]]:
+        """Return a set without some effects, fitted as a robot file holds it, and what ran into a bound, with the parameters.
+
+        Beside no structure, and without what then does not hold or ends where physics does.
+        """
+        ends: dict[str, list[str]] = {}
         if fitted.structures or gone:
             fitted = self.without(replace(fitted, structures=()), gone)
-        while not fitted.holds:
-            fitted = self.without_weakest(fitted)
-        again = self.fit(fitted.effects, fitted.structures, self.most_probable(fitted))
-        return max(fitted, again, key=lambda one: one.log_posterior)
+        while True:
+            while not fitted.holds:
+                fitted = self.without_weakest(fitted)
+            again = self.fit(fitted.effects, fitted.structures, self.most_probable(fitted))
+            fitted = max(fitted, again, key=lambda one: one.log_posterior)
+            found = {
+                name: at_bounds(name, fitted.params, self.neutral(name), self.predictor.robot)
+                for name in fitted.effects
+            }
+            found = {name: parameters for name, parameters in found.items() if parameters}
+            if not found and fitted.holds:
+                return fitted, ends
+            ends |= found
+            fitted = self.without(fitted, tuple(found))
 
     def most_probable(self, fitted: Fitted) -> ModelParams:
         """Return a fitted set with the most probable parameters: what flights do not show is where its prior has it."""

@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from aerial_gym.sim2real.identify.candidates.library import Library
 from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal, posterior
 from aerial_gym.sim2real.identify.evidence.linear import LinearFit, candidates_of, normal_of
 from aerial_gym.sim2real.identify.evidence.search import Sets
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.selection.library import Library
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.candidates.library import Library
+from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
 from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal
-from aerial_gym.sim2real.identify.evidence.structure import Structure
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, normal_equations, params_of, scales
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.selection.library import Library
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def candidates_of(library: Library) -> Candidates:
     )
 
 
-def with_structures(tolerance: Sequence[Array], structures: Sequence[Structure]) -> list[Array]:
+def with_structures(tolerance: Sequence[Array], structures: Sequence[Nuisance]) -> list[Array]:
     """Return derivatives (rows, C, any) by the tolerances, and by structures behind them."""
     more = [structure.columns for structure in structures]
     return [np.concatenate(parts, axis=2) for parts in zip(tolerance, *more, strict=True)]

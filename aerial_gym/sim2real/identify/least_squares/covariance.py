@@ -3,7 +3,7 @@
 Letters: B blocks, F flights, C channels, K parameters, P free parameters, N tolerances.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,18 +44,6 @@ class Uncertainty:
 
     num_flights: int
     """F."""
-
-    def part(self, places: list[int]) -> "Uncertainty":
-        """Return the spread of some of the P parameters."""
-        both = np.ix_(places, places)
-        return replace(
-            self,
-            columns=self.columns[places],
-            plain=self.plain[both],
-            blocks=self.blocks[both],
-            flights=None if self.flights is None else self.flights[both],
-            tolerance=self.tolerance[both],
-        )
 
     @property
     def half_width(self) -> Array:
@@ -111,16 +99,3 @@ def uncertainty(fit: Fit, weight: Array) -> Uncertainty:
         num_blocks=count,
         num_flights=flights,
     )
-
-
-def wald_probability(distance: Array, spread: Uncertainty) -> float:
-    """Return the probability of parameters at least this far from neutral if the truth were neutral.
-
-    ``d^T V^-1 d / P`` against F(P, B - P); V is the scatter of blocks plus the tolerances.
-    Source: Cameron, Miller (2015), A practitioner's guide to cluster-robust inference, section VI.
-    """
-    if distance.size == 0:
-        return 1.0
-    variance = spread.blocks + spread.tolerance + np.diag(1e-9 * np.diag(spread.plain))  # the last keeps it regular
-    value = float(distance @ np.linalg.solve(variance, distance)) / distance.size
-    return float(stats.f.sf(value, distance.size, max(spread.num_blocks - distance.size, 1)))

@@ -19,24 +19,6 @@ def steps_without(fit: Fit, weight: Array, free: Indices, label: Indices) -> Arr
     return np.stack(steps)[place]
 
 
-def steps_beside(fit: Fit, weight: Array, label: Indices, deviation: Array) -> Array:
-    """Return for each block the best step of the effects under the blocks of all other labels, beside given deviations.
-
-    Args:
-        fit: The model.
-        weight: Of one row of each channel, (C,).
-        label: What is left out together, (B,).
-        deviation: Of each block, (B, N); the same for all blocks of a label.
-    """
-    _, first, place = np.unique(label, return_index=True, return_inverse=True)
-    own, steps = fit.num_effect_params, []
-    for block, (product, gradient) in zip(first, _sums_of_others(fit, weight, place), strict=True):
-        step = solve_within(fit, product, gradient - product[:, own:] @ deviation[block], fit.free_effects)
-        step[own:] = deviation[block]
-        steps.append(step)
-    return np.stack(steps)[place]
-
-
 def _sums_of_others(fit: Fit, weight: Array, place: Indices) -> list[tuple[Array, Array]]:
     """Return the normal equations of all blocks but those of each label 0, 1, ...; ``place`` is the label of each, (B,)."""
     parts = [normal_equations(fit, weight, np.flatnonzero(place == k)) for k in range(int(place.max()) + 1)]

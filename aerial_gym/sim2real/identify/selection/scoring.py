@@ -3,7 +3,7 @@
 Letters: B blocks of time, C channels, K parameters.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +11,7 @@ from scipy import stats
 
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit
-from aerial_gym.sim2real.identify.least_squares.leave_out import steps_beside, steps_without
+from aerial_gym.sim2real.identify.least_squares.leave_out import steps_without
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting, folds
 from aerial_gym.sim2real.predict.channels import Channel
 
@@ -27,16 +27,13 @@ Source: Kass, Raftery (1995), Bayes factors, section 3.2: strong evidence.
 
 @dataclass(frozen=True, kw_only=True)
 class Criteria:
-    """When an effect is accepted."""
+    """When what is fitted counts: in the selection, on flights left out, on rollouts."""
 
     significance: float = 0.001
     """Largest probability that noise and tolerances alone show such parameters."""
 
     left_out_significance: float = 0.01
     """Largest probability that the gain on flights left out is chance."""
-
-    relief_significance: float = 0.0001
-    """Largest probability that chance makes the deviations smaller by as much as an effect does; some 30 effects are tried."""
 
     flights_better: float = 0.75
     """Least share of flights left out that it must predict better, and that it must not harm in any channel."""
@@ -53,9 +50,6 @@ class Criteria:
     forgiven: float = 0.1
     """Share of its whole gain in log likelihood that an effect may lose in a channel, and it is no harm."""
 
-    rival_significance: float = 0.01
-    """Rivals whose left-out gain differs from the accepted effect's with less certainty cannot be told apart."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Scored:
@@ -70,18 +64,6 @@ class Scored:
     def effects(self) -> tuple[str, ...]:
         """Return the fitted effects."""
         return self.fit.effects
-
-    @property
-    def summed(self) -> "Scored":
-        """Return the model with the sums over all blocks alone: it can be shown and compared, no flight can be left out."""
-        moments = self.fit.moments
-        return replace(self, fit=replace(self.fit, moments=moments.joined(np.zeros_like(moments.flight))))
-
-    @property
-    def penalty(self) -> float:
-        """Return what the deviations within the tolerances that fit best cost in log likelihood: half their squared sum."""
-        deviations = self.spread.step[self.fit.num_effect_params :]
-        return 0.5 * float(deviations @ deviations)
 
     def rms(self) -> Array:
         """Return the left-out residual of each channel, (C,)."""
@@ -161,27 +143,6 @@ class LeftOut:
             visible=tuple((fallen > (self.criteria.visible * self.tolerated) ** 2).tolist()),
         )
 
-    def gain_beyond_tolerances(self, less: Scored, more: Scored) -> Gain:
-        """Return what one model gains over another, with equal deviations in both if it needs clearly smaller ones.
-
-        A thrust that is 2 % off looks like five tolerances that are 3 standard deviations off each: flights left out are
-        predicted as well, but the prior makes it unlikely. Then both models take the deviations that ``more`` asks for.
-        What is visible is always told with these. The score is that of both models with their own deviations, their prior
-        included.
-        """
-        own, equal = (
-            self.gain(left, more.left_out) for left in (less.left_out, self.squares_beside(less.fit, more.fit))
-        )
-        relief, added = less.penalty - more.penalty, more.fit.free_effects.size - less.fit.free_effects.size
-        gain = equal if is_relief(relief, added, self.criteria) else replace(own, visible=equal.visible)
-        return replace(gain, score=own.score + relief)
-
-    def squares_beside(self, less: Fit, more: Fit) -> Array:
-        """Return the squares (B, C) of each fold under the fit of the others, with the deviations that ``more`` asks for."""
-        weight = self.weights.weight
-        deviation = steps_without(more, weight, more.free_all, self.fold)[:, more.num_effect_params :]
-        return less.moments.squares_after(steps_beside(less, weight, self.fold, deviation))
-
     def objections(self, gain: Gain) -> list[str]:
         """Return why a gain on flights left out does not count."""
         rules, found = self.criteria, []
@@ -245,15 +206,6 @@ def rises(
         & (more - less > np.maximum(rows, 1.0) * tolerated**2)
         & (-gains > forgiven)
     )
-
-
-def is_relief(relief: ArrayLike, added: int, criteria: Criteria) -> NDArray[np.bool_]:
-    """Return whether ``added`` parameters lower half the squared sum of the deviations by more than chance does.
-
-    Twice what they lower it by is chi-square distributed if the tolerances are what they are said to be.
-    Source: Wilks (1938), The large-sample distribution of the likelihood ratio.
-    """
-    return stats.chi2.sf(2.0 * np.asarray(relief), max(added, 1)) <= criteria.relief_significance
 
 
 def _log_ratio(less: Array, more: Array) -> Array:

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects.arm_joint import ArmJoint
+from aerial_gym.sim2real.identify.candidates.library import starts
+from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     Fit,
     best_step,
@@ -26,9 +28,8 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     prior_precision,
     tolerance_jacobian,
 )
-from aerial_gym.sim2real.identify.selection.library import starts
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
-from aerial_gym.sim2real.identify.selection.select import Selection, lacks
+from aerial_gym.sim2real.identify.selection.select import Rival, Selection
 from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, SPAN_S, fly
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.dataset import ROWS_PER_BAND
@@ -140,19 +141,17 @@ class Catalogue:
         return Advice(fly=name, tells=tells, score=float(scores[best]), hover=float(scores[still]))
 
 
-def what_tells(catalogue: Catalogue, selection: Selection, tied: dict[str, list[str]]) -> Advice | None:
+def what_tells(catalogue: Catalogue, selection: Selection, tied: dict[str, list[Rival]]) -> Advice | None:
     """Return the manoeuvre that tells all tied effects apart best; None if there are none.
 
     ``tied`` has the effects that cannot be told from each accepted one.
     """
     final, scores, names = selection.final, [], []
     for name, rivals in tied.items():
-        trials = {trial.effect: trial for trial in selection.rivals[name]}
         for rival in rivals:
-            scored = trials[rival].scored
-            assert scored is not None
-            scores.append(catalogue.tell((final.fit.point, final.effects), (scored.fit.point, scored.effects)))
-            names += [name, rival]
+            other = rival.fitted
+            scores.append(catalogue.tell((final.fit.point, final.effects), (other.params, other.effects)))
+            names += [name, rival.effect]
     return catalogue.advise(np.min(scores, axis=0), tuple(dict.fromkeys(names))) if scores else None
 
 

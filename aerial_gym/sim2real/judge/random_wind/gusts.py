@@ -134,7 +134,7 @@ def find_random_wind(
     Args:
         predictor: Training flights.
         point: Model with everything that was found, and deviations within the tolerances.
-        criteria: When an effect is accepted.
+        criteria: When what is found counts.
         floor: Noise floor (rms) of each channel, (C,); None where the logs are too slow to tell.
         tolerated: Residual (rms) that the tolerances of the vehicle cause, (C,).
         remaining: Whether more than noise and tolerances remains in a channel, (C,).

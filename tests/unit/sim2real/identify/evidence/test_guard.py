@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from aerial_gym.sim2real.identify.candidates.library import Candidate, Library
 from aerial_gym.sim2real.identify.evidence.guard import Guard, Support, part_length, parts_of, supports
 from aerial_gym.sim2real.identify.evidence.laplace import Normal
 from aerial_gym.sim2real.identify.evidence.linear import candidates_of, normal_of
 from aerial_gym.sim2real.identify.evidence.search import search
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting
-from aerial_gym.sim2real.identify.selection.library import Candidate, Library
 from tests.unit.sim2real.identify.evidence.linear import candidates
 
 Array = NDArray[np.float64]

@@ -4,8 +4,8 @@ from math import exp
 
 import pytest
 
+from aerial_gym.sim2real.identify.candidates.nuisance import Structure
 from aerial_gym.sim2real.identify.evidence.fitting import NOTHING, Fitted, Fitter, inclusion_in, probabilities_of
-from aerial_gym.sim2real.identify.evidence.structure import Structure
 from aerial_gym.sim2real.predict.model_params import ModelParams
 
 PLACE = Structure(kind="position", channel="specific_force.x", columns=[])

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from aerial_gym.sim2real.identify.evidence.select import MATERIAL, Chosen, choose_effects
+from aerial_gym.sim2real.identify.selection.choose import MATERIAL, Chosen, choose_effects
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import declared_params

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from aerial_gym.sim2real.identify.selection.inclusion import RESAMPLES, draw_blocks
+from aerial_gym.sim2real.identify.selection.linear import LinearSelector
 
+from aerial_gym.sim2real.identify.candidates.library import Candidate, Library, exact_along
 from aerial_gym.sim2real.identify.least_squares.covariance import uncertainty, wald_probability
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR, Fit
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, block_moments
-from aerial_gym.sim2real.identify.selection.inclusion import RESAMPLES, draw_blocks
-from aerial_gym.sim2real.identify.selection.library import Candidate, Library, exact_along
-from aerial_gym.sim2real.identify.selection.linear import LinearSelector
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut, Scored
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams

@@ -8,15 +8,15 @@ from typing import cast
 import numpy as np
 import pandas as pd
 import pytest
+from aerial_gym.sim2real.identify.selection.surrogates import SurrogateTest
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import Effect
 from aerial_gym.registry import Registry
+from aerial_gym.sim2real.identify.candidates.structure import Structure
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit
 from aerial_gym.sim2real.identify.selection import select
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.identify.selection.structure import Structure
-from aerial_gym.sim2real.identify.selection.surrogates import SurrogateTest
 from aerial_gym.sim2real.judge.verdict import tied_rivals
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import find_channels

@@ -5,13 +5,27 @@ fitted as it is, not linearised, and its evidence taken there. The best becomes 
 Every effect must hold against the scatter between flights, and be worth more than a trifle.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.candidates.library import (
+    Library,
+    build_library,
+    columns_of_starts,
+    has_starts,
+    neutral_of,
+    seen_candidates,
+)
+from aerial_gym.sim2real.identify.candidates.nuisance import (
+    Nuisance,
+    beyond_structures,
+    functions_of,
+    structures_of,
+)
 from aerial_gym.sim2real.identify.evidence.fitting import (
     Fitted,
     Fitter,
@@ -20,38 +34,24 @@ from aerial_gym.sim2real.identify.evidence.fitting import (
     label_in,
     probabilities_of,
 )
-from aerial_gym.sim2real.identify.evidence.guard import Guard, Support, part_length, parts_of
+from aerial_gym.sim2real.identify.evidence.guard import Guard, part_length, parts_of
 from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior, posterior
 from aerial_gym.sim2real.identify.evidence.linear import candidates_of, linear_about, normal_of, with_structures
 from aerial_gym.sim2real.identify.evidence.search import Sets, search
-from aerial_gym.sim2real.identify.evidence.structure import (
-    Structure,
-    beyond_structures,
-    functions_of,
-    structures_of,
-)
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     effect_jacobian,
     fit_at,
-    is_number,
-    scales,
     tolerance_jacobian,
     weighting,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, flight_of_rows, time_groups
-from aerial_gym.sim2real.identify.selection.library import (
-    Library,
-    build_library,
-    columns_of_starts,
-    has_starts,
-    neutral_of,
-)
+from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 MOST_IN_VAIN = 5
 """Sets that are fitted one after the other without one that is better."""
@@ -59,8 +59,8 @@ MOST_IN_VAIN = 5
 STEADY = 0.2
 """Share of its mean by which an effect's size may follow a structure (rms) and still be called that effect."""
 
-MATERIAL = 0.05
-"""Least relative rise of a residual (rms) without an effect."""
+MOST_RIVALS = 3
+"""Other effects that are fitted in the place of one."""
 
 MOST_ROUNDS = 8
 MOST_WEIGHINGS = 3
@@ -72,24 +72,23 @@ SETTLED = 0.3
 class Chosen:
     """The most probable set of effects."""
 
-    params: ModelParams
-    """The fitted model."""
+    named: Fitted
+    """As a robot file holds it: without structures, surrogates and trifles."""
 
-    effects: tuple[str, ...]
-    structures: tuple[str, ...]
-    """What remains and no effect has, by kind and channel."""
+    best: Fitted
+    """The most probable set of all, as it was fitted: with them."""
 
-    probability: float
-    """Of exactly the effects found, beside structures: with surrogates, with what is immaterial and what is refused at last."""
+    fits: tuple[Fitted, ...]
+    """Every set that was fitted, the most probable first."""
 
-    sets: dict[tuple[str, ...], float]
-    """Probability of each set of effects, the most probable first, whatever the structure beside them."""
+    without: dict[str, Fitted]
+    """The named set without each of its effects."""
 
-    inclusion: dict[str, float]
-    """Probability of each effect: that of all sets that hold it."""
+    adds: dict[str, float]
+    """Log odds of each other effect on top of the best set, in the model that is linear about it, as far as flights agree."""
 
-    support: dict[str, Support]
-    """Of each effect of the set."""
+    hidden: tuple[str, ...]
+    """Effects of which these flights show no parameter."""
 
     surrogates: dict[str, str]
     """Effects that only stand in for what remains, and what their size follows."""
@@ -97,16 +96,35 @@ class Chosen:
     immaterial: dict[str, dict[str, Rise]]
     """Effects that were probable and are worth a trifle in each channel: the rise of its residual without them."""
 
-    refused: dict[str, Support]
-    """Effects that were probable if noise were all and not by the scatter between flights, or only beside structures."""
-
-    std: dict[str, Array]
-    """Standard deviation of each parameter of each effect, 0 where it was not fitted."""
-
-    deviation: Array
-    """Deviations within the tolerances, in standard deviations, (N,)."""
+    refused: dict[str, str]
+    """Effects that were probable if noise were all, and why they are not named."""
 
     weights: Weighting
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Return the named effects."""
+        return self.named.effects
+
+    @property
+    def holding(self) -> list[Fitted]:
+        """Return the fitted sets that hold, the most probable first."""
+        return [fitted for fitted in self.fits if fitted.holds]
+
+    @property
+    def structures(self) -> tuple[str, ...]:
+        """Return what remains and no effect has, by kind and channel."""
+        return tuple(structure.name for structure in self.best.structures)
+
+    @property
+    def sets(self) -> dict[tuple[str, ...], float]:
+        """Return the probability of each set of effects, the most probable first, whatever the structure beside them."""
+        return probabilities_of(self.holding, overdispersion=self.best.overdispersion)
+
+    @property
+    def inclusion(self) -> dict[str, float]:
+        """Return the probability of each effect: that of all sets that hold it."""
+        return inclusion_in(self.sets)
 
 
 def choose_effects(
@@ -114,8 +132,8 @@ def choose_effects(
     declared: ModelParams,
     names: Sequence[str],
     *,
-    material: float = MATERIAL,
-    progress: Progress | None = None,
+    material: float,
+    progress: Progress = silent,
 ) -> Chosen:
     """Return the set of effects that is most probable given the training flights.
 
@@ -139,7 +157,7 @@ class _View:
 
     fitter: Fitter
     library: Library
-    structures: list[Structure]
+    structures: list[Nuisance]
     sets: Sets
     guard: Guard
 
@@ -179,11 +197,11 @@ class _Chooser:
         declared: ModelParams,
         names: Sequence[str],
         material: float,
-        progress: Progress | None,
+        progress: Progress,
     ) -> None:
         self.predictor, self.declared, self.names, self.material = predictor, declared, tuple(names), material
         self.skipped = [name for name in EFFECTS if name not in names]
-        self.progress = progress or (lambda _stage, _share: None)
+        self.progress = progress
         self.missed = predictor.residuals(declared)
 
     def run(self) -> Chosen:
@@ -213,7 +231,7 @@ class _Chooser:
         return weighting(self.predictor, params, common, columns, beyond=beyond)
 
     def climb(
-        self, params: ModelParams, effects: tuple[str, ...], structures: tuple[Structure, ...], weights: Weighting
+        self, params: ModelParams, effects: tuple[str, ...], structures: tuple[Nuisance, ...], weights: Weighting
     ) -> _View:
         """Return the best set that fits lead to from a present one, with all candidates about it."""
         fitter = Fitter(self.predictor, self.declared, len(self.names), weights, params)
@@ -223,8 +241,9 @@ class _Chooser:
             self.progress(f"sets of effects, round {count + 1}", count / MOST_ROUNDS)
             view = self.look_around(present, fitter, fits)
             self.fit_probable(view)
-            if view.best is present:
-                self.fit_fewer(view)
+            for more in (self.fit_fewer, self.fit_rivals):
+                if view.best is present:
+                    more(view)
             best = view.best
             if best is present:
                 return view
@@ -265,12 +284,23 @@ class _Chooser:
         for fitted in view.fitter.narrower(view.present, self.names):
             view.fits[fitted.label] = fitted
 
+    def fit_rivals(self, view: _View) -> None:
+        """Fit the best sets with another effect in the place of one of the present: the best, and what may be as probable."""
+        candidates, least = view.library.candidates, view.present.log_posterior - reach_of(view.present)
+        others = [k for k, one in enumerate(candidates) if not one.structure and one.name not in view.present.effects]
+        for gone in (k for k in view.here if not candidates[k].structure):
+            swaps = [tuple(sorted((*(k for k in view.here if k != gone), other))) for other in others]
+            values = dict(zip(swaps, view.sets.look(swaps).tolist(), strict=True))
+            for place, model in enumerate(sorted(swaps, key=values.__getitem__, reverse=True)[:MOST_RIVALS]):
+                if np.isfinite(values[model]) and (place == 0 or values[model] > least):
+                    view.fit(model)
+
     def look_around(self, present: Fitted, fitter: Fitter, fits: dict[Label, Fitted]) -> _View:
         """Return all candidates about a model, the posterior over their sets, and the structures among them."""
         flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
-        structures: list[Structure] = []
+        structures: list[Nuisance] = []
 
-        def of_residuals(residuals: list[Array], effects: dict[str, list[Array]]) -> list[Structure]:
+        def of_residuals(residuals: list[Array], effects: dict[str, list[Array]]) -> list[Nuisance]:
             structures.extend(structures_of(flights, times, channels, self.missed, residuals, effects))
             return structures
 
@@ -300,57 +330,64 @@ class _Chooser:
     def chosen(self, view: _View) -> Chosen:
         """Return the result about the last model."""
         present = view.present
-        holding = [fitted for fitted in view.fits.values() if fitted.holds]
-        top = max(view.fits.values(), key=lambda one: one.log_posterior)
-        refused = present.support if top.holds else top.support | present.support
-        probabilities = probabilities_of(holding, overdispersion=present.overdispersion)
+        fits = sorted(view.fits.values(), key=lambda one: -one.log_posterior)
         surrogates = self.varying(present, view.fitter)
-        named, immaterial = self.without_trifles(view.fitter.in_file(present, tuple(surrogates)), view.fitter)
-        std, start = {}, 0
-        spread = np.sqrt(np.diag(named.parameters.covariance))
-        for name in named.effects:
-            numbers = [k for k in range(scales((name,)).size) if is_number(name, k)]
-            std[name] = np.zeros(scales((name,)).size)
-            std[name][numbers] = spread[start : start + len(numbers)] * scales((name,))[numbers]
-            start += len(numbers)
+        named, ends = view.fitter.in_file(present, tuple(surrogates))
+        named, immaterial, without = self.without_trifles(named, view.fitter)
+        refused = {
+            name: f"probable if noise were all (log odds {found.log_odds:.0f}), not as far as flights agree on it, or only "
+            "beside a structure"
+            for name, found in (present.support if fits[0].holds else fits[0].support | present.support).items()
+        } | {name: f"runs into its physical bound: {', '.join(found)}" for name, found in ends.items()}
+        away = (*named.effects, *surrogates, *immaterial)
+        shown = {candidate.name for candidate in seen_candidates(view.library, view.fitter.weights.weight)}
         return Chosen(
-            params=named.params,
-            effects=named.effects,
-            structures=tuple(structure.name for structure in present.structures),
-            probability=probabilities.get(tuple(sorted(present.effects)), 0.0),
-            sets=probabilities,
-            inclusion=inclusion_in(probabilities),
-            support=named.support,
+            named=named,
+            best=present,
+            fits=tuple(fits),
+            without=without,
+            adds=self.adds(view),
+            hidden=tuple(name for name in self.names if name not in shown),
             surrogates=surrogates,
             immaterial=immaterial,
-            refused={
-                name: found for name, found in refused.items() if name not in (*named.effects, *surrogates, *immaterial)
-            },
-            std=std,
-            deviation=named.parameters.step[start : start + self.predictor.num_tolerances],
+            refused={name: reason for name, reason in refused.items() if name not in away},
             weights=view.fitter.weights,
         )
 
-    def without_trifles(self, fitted: Fitted, fitter: Fitter) -> tuple[Fitted, dict[str, dict[str, Rise]]]:
-        """Return a set without the effects that are shown to be worth less than what is material, the least one first."""
+    def adds(self, view: _View) -> dict[str, float]:
+        """Return what speaks for each other effect on top of the present set, best of its starts."""
+        found: dict[str, float] = {}
+        for k, candidate in enumerate(view.library.candidates):
+            if candidate.structure or candidate.name in view.present.effects:
+                continue
+            model = tuple(sorted((*view.here, k)))
+            if np.isfinite(view.sets.look([model])[0]):
+                odds = view.guard.of(model)[k].robust_log_odds
+                found[candidate.name] = max(odds, found.get(candidate.name, -np.inf))
+        return found
+
+    def without_trifles(
+        self, fitted: Fitted, fitter: Fitter
+    ) -> tuple[Fitted, dict[str, dict[str, Rise]], dict[str, Fitted]]:
+        """Return a set without the effects that are shown to be worth less than what is material, the least one first.
+
+        With the rise of the residuals without each, and with the set without each of those that stay.
+        """
         found: dict[str, dict[str, Rise]] = {}
         group, flight = time_groups(self.predictor.times), flight_of_rows(self.predictor.times)
         names = [channel.name for channel in self.predictor.channels]
-        while fitted.effects:
+        while True:
             residual = np.concatenate(self.predictor.residuals(fitted.params))
-            least: tuple[float, str, Fitted, list[Rise]] | None = None
-            for name in fitted.effects:
-                less = fitter.without(fitted, (name,))
-                rises = rise_with_interval(
-                    np.concatenate(self.predictor.residuals(less.params)), residual, group, flight
-                )
-                most = max(rise.high for rise in rises)
-                if most < self.material and (least is None or most < least[0]):
-                    least = most, name, less, rises
-            if least is None:
-                return fitted, found
-            found[least[1]], fitted = dict(zip(names, least[3], strict=True)), least[2]
-        return fitted, found
+            without = {name: fitter.without(fitted, (name,)) for name in fitted.effects}
+            rises = {
+                name: rise_with_interval(np.concatenate(self.predictor.residuals(less.params)), residual, group, flight)
+                for name, less in without.items()
+            }
+            most = {name: max(rise.high for rise in of_channels) for name, of_channels in rises.items()}
+            least = min(most, key=most.__getitem__, default=None)
+            if least is None or most[least] >= self.material:
+                return fitted, found, without
+            found[least], fitted = dict(zip(names, rises[least], strict=True)), without[least]
 
     def varying(self, present: Fitted, fitter: Fitter) -> dict[str, str]:
         """Return the effects whose size follows a structure that remains, and what it follows: they only stand in for it.
@@ -363,7 +400,7 @@ class _Chooser:
         own = effect_jacobian(predictor, present.params, present.effects, predicted)
         neutral = {name: neutral_of(name, self.declared, predictor.robot) for name in present.effects}
 
-        def log_posterior(*more: list[Array], structures: Sequence[Structure]) -> tuple[float, Posterior]:
+        def log_posterior(*more: list[Array], structures: Sequence[Nuisance]) -> tuple[float, Posterior]:
             nuisance = with_structures(fitter.tolerance, structures)
             jacobians = [np.concatenate(parts, axis=2) for parts in zip(own, nuisance, *more, strict=True)]
             fit = fit_at(predictor, present.effects, present.params, residuals, jacobians, length=np.inf)
@@ -386,6 +423,11 @@ class _Chooser:
                 if varied - fitter.log_names > steady and share > STEADY:
                     found[name] = kind
         return found
+
+
+def reach_of(fitted: Fitted) -> float:
+    """Return by how much log posterior another set may be behind one and not be told from it: odds of ``LEAST_SCORE``."""
+    return LEAST_SCORE * fitted.overdispersion
 
 
 def place_of(library: Library, present: Fitted) -> Model:

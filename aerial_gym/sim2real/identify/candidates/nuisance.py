@@ -1,4 +1,4 @@
-"""Structure that no effect has, as nuisance columns of the model: a force that follows place, heading, time, or a tone.
+"""Nuisance that no effect has, as nuisance columns of the model: a force that follows place, heading, time, or a tone.
 
 A structure competes with effects by evidence, so that what only stands in for it loses against it; it corrects nothing and
 has no name that a robot file could hold. What an effect of the library can make is taken out of the structure that it
@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.selection.structure import (
+from aerial_gym.sim2real.identify.candidates.structure import (
     IN_WORLD,
     common_line,
     features_of,
@@ -24,6 +23,7 @@ from aerial_gym.sim2real.identify.selection.structure import (
     motion_of,
     rows_of,
 )
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
 
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Structure:
+class Nuisance:
     """Columns of one kind in one channel."""
 
     kind: str
@@ -59,7 +59,7 @@ def structures_of(
     declared: Sequence[Array],
     present: Sequence[Array],
     effects: dict[str, list[Array]],
-) -> list[Structure]:
+) -> list[Nuisance]:
     """Return every structure that these flights can have.
 
     Args:
@@ -85,7 +85,7 @@ def structures_of(
             columns = [
                 size * x[:, None, :] * axis[:, :, None] for x, axis in zip(_beyond(functions, along), axes, strict=True)
             ]
-            found.append(Structure(kind=kind, channel=channel.name, columns=columns))
+            found.append(Nuisance(kind=kind, channel=channel.name, columns=columns))
     return [*found, *_tones(flights, times, channels, declared, present)]
 
 
@@ -136,7 +136,7 @@ def _tones(
     channels: Sequence[Channel],
     declared: Sequence[Array],
     present: Sequence[Array],
-) -> list[Structure]:
+) -> list[Nuisance]:
     """Return the strongest common tone of each channel; its phase is each flight's own."""
     motion = [motion_of(flight, time) for flight, time in zip(flights, times, strict=True)]
     found = []
@@ -152,7 +152,7 @@ def _tones(
                 size * np.sqrt(2.0) * np.column_stack((np.cos(turn), np.sin(turn)))
             )
             columns.append(waves)
-        found.append(Structure(kind="periodic", channel=channel.name, columns=columns, freq_hz=line[0]))
+        found.append(Nuisance(kind="periodic", channel=channel.name, columns=columns, freq_hz=line[0]))
     return found
 
 
@@ -160,7 +160,7 @@ def _rms(parts: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
-def beyond_structures(structures: Sequence[Structure], residuals: Sequence[Array], weights: Weighting) -> list[Array]:
+def beyond_structures(structures: Sequence[Nuisance], residuals: Sequence[Array], weights: Weighting) -> list[Array]:
     """Return what is left of residuals (T, C) when structures are fitted channel by channel, each column within its size."""
     left = [part.copy() for part in residuals]
     for place, weight in enumerate(weights.weight):

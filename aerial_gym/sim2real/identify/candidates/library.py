@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.evidence.structure import Structure
+from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     WEAK_PRIOR,
     Frozen,
@@ -28,7 +28,7 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Structures = Callable[[list[Array], dict[str, list[Array]]], Sequence[Structure]]
+Structures = Callable[[list[Array], dict[str, list[Array]]], Sequence[Nuisance]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,19 +49,11 @@ class Candidate:
     high: Array
     """Highest."""
 
-    contained: int = 0
-    """Of how many effects it is a wider case."""
-
     start: Array = field(default_factory=lambda: np.zeros(0))
     """Its parameters where it is linearised, conventions and the number of its rotor among them."""
 
     structure: bool = False
     """Whether it is no effect but a structure that none has."""
-
-    @property
-    def complexity(self) -> int:
-        """Return by what effects are ordered that flights do not tell apart, as ``Trial.complexity``."""
-        return self.columns.size + self.contained
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +116,6 @@ def build_library(
         free = [k for k in range(scale.size) if is_number(name, k) and not (named and (name, k) in frozen)]
         low, high = (((bound - neutral) / scale)[free] for bound in bounds_of(predictor.robot, (name,)))
         places = np.array(free, dtype=int) + width
-        wider = len(EFFECTS.get(name).contains)
         candidates.append(
             Candidate(
                 name=name,
@@ -132,7 +123,6 @@ def build_library(
                 columns=places,
                 low=low,
                 high=high,
-                contained=wider,
                 start=point.effects[name],
             )
         )

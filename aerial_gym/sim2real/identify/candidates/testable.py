@@ -1,0 +1,45 @@
+"""Which effects a set of flights can test at all, and which parameters end where physics ends."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.effects import ImuEffect
+from aerial_gym.physics.model import check_rotors
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.replay.rotor_commands import missing_in_logs, too_steady
+from aerial_gym.sim2real.predict.scene import lacks_of_scene
+
+Array = NDArray[np.float64]
+
+
+def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight] = ()) -> str:
+    """Return what robot file or logs lack for an effect; empty if nothing."""
+    effect, flights = EFFECTS.get(name), [*train, *test]
+    if effect.kind is ImuEffect and not any(flight.accelerometer or flight.gyro for flight in train):
+        return "the logs hold no inertial sensor: forces are derived from the velocity"
+    if reason := missing_in_logs(effect, flights) or lacks_of_scene(name, flights) or too_steady(effect, train):
+        return reason
+    try:
+        check_rotors(effect, robot.rotor_traits)
+        effect.check(robot)
+    except ConfigError as error:
+        return str(error)
+    return ""
+
+
+def at_bounds(name: str, params: ModelParams, neutral: Array, robot: RobotCfg) -> list[str]:
+    """Return the parameters of an effect that end at a bound that is not neutral: the cause is another one."""
+    effect, found = EFFECTS.get(name), []
+    rows = zip(effect.parameters, effect.bounds(robot), params.effects[name], neutral, strict=True)
+    for parameter, bounds, value, start in rows:
+        near = 1e-3 * parameter.scale
+        ends = [bound for bound in bounds if abs(value - bound) <= near]
+        if parameter.kind == "number" and ends and abs(start - ends[0]) > near:
+            found.append(parameter.name)
+    return found
