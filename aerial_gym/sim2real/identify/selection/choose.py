@@ -234,22 +234,36 @@ class _Chooser:
         self, params: ModelParams, effects: tuple[str, ...], structures: tuple[Nuisance, ...], weights: Weighting
     ) -> _View:
         """Return the best set that fits lead to from a present one, with all candidates about it."""
-        fitter = Fitter(self.predictor, self.declared, len(self.names), weights, params)
-        present, nothing = fitter.fit(effects, structures, params), fitter.fit((), (), self.declared)
-        fits = {nothing.label: nothing}
+        own: dict[Label, Fitter] = {}
+        start = self.fitter_about(params, weights)
+        present, nothing = start.fit(effects, structures, params), start.fit((), (), self.declared)
+        fits = {nothing.label: nothing, present.label: present}
+        own[present.label] = start
         for count in range(MOST_ROUNDS):
             self.progress(f"sets of effects, round {count + 1}", count / MOST_ROUNDS)
-            view = self.look_around(present, fitter, fits)
-            self.fit_probable(view)
-            for more in (self.fit_fewer, self.fit_rivals):
-                if view.best is present:
-                    more(view)
-            best = view.best
-            if best is present:
+            view = self.look_around(present, own[present.label], fits)
+            for more in (self.fit_probable, self.fit_fewer, self.fit_rivals):
+                more(view)
+                if self.leader(view, own) is not present:
+                    break
+            else:
                 return view
-            fitter = Fitter(self.predictor, self.declared, len(self.names), weights, best.params)
-            present = fitter.fit(best.effects, best.structures, best.params)
-        return self.look_around(present, fitter, fits)
+            present = self.leader(view, own)
+        return self.look_around(present, own[present.label], fits)
+
+    def fitter_about(self, params: ModelParams, weights: Weighting) -> Fitter:
+        """Return what fits sets with the tolerances linear about a model."""
+        return Fitter(self.predictor, self.declared, len(self.names), weights, params)
+
+    def leader(self, view: _View, own: dict[Label, Fitter]) -> Fitted:
+        """Return the best fitted set, each that comes first fitted once more with the tolerances linear about itself.
+
+        ``own`` holds what fits them there. Evidences about different models are not comparable where these are far apart.
+        """
+        while (best := view.best).label not in own:
+            fitter = own[best.label] = self.fitter_about(best.params, view.fitter.weights)
+            view.fits[best.label] = fitter.fit(best.effects, best.structures, best.params)
+        return best
 
     def fit_probable(self, view: _View) -> None:
         """Fit the sets that are probable about a model.
