@@ -1,4 +1,4 @@
-"""Nuisance that no effect has, as nuisance columns of the model: a force that follows place, heading, time, or a tone.
+"""Structure that no effect has, as nuisance columns of the model: a force that follows place, heading, time, or a tone.
 
 A structure competes with effects by evidence, so that what only stands in for it loses against it; it corrects nothing and
 has no name that a robot file could hold. What an effect of the library can make is taken out of the structure that it
@@ -75,6 +75,8 @@ def structures_of(
         functions = _standard(features)
         if kind in IN_WORLD:  # the force at a place has a mean; a drift or a mean speed is what effects are for
             functions = [np.column_stack((np.ones(len(part)), part)) for part in functions]
+        if not functions[0].shape[1]:
+            continue  # a voltage that stays the same
         rivals = [effects[name] for name in effects if kind in EFFECTS.get(name).follows]
         for place, channel in enumerate(channels):
             axes = _axes(kind, place, flights, times, channels)

@@ -178,11 +178,14 @@ class _View:
         return max(bare, key=lambda one: one.log_posterior)
 
     def fit(self, model: Model) -> None:
-        """Fit a set, and as long as it does not hold, the same without the effect for which the least speaks."""
-        fitted = self.fitter.fit_of(self.library, self.sets, model, self.structures)
+        """Fit a set, from the best of its starts."""
+        self.add(self.fitter.fit_of(self.library, self.sets, model, self.structures), self.fitter)
+
+    def add(self, fitted: Fitted, fitter: Fitter) -> None:
+        """Take a fitted set, and as long as it does not hold, the same without the effect for which the least speaks."""
         self.fits[fitted.label] = fitted
         while not fitted.holds:
-            fitted = self.fitter.without_weakest(fitted)
+            fitted = fitter.without_weakest(fitted)
             if fitted.label in self.fits:
                 return
             self.fits[fitted.label] = fitted
@@ -262,7 +265,7 @@ class _Chooser:
         """
         while (best := view.best).label not in own:
             fitter = own[best.label] = self.fitter_about(best.params, view.fitter.weights)
-            view.fits[best.label] = fitter.fit(best.effects, best.structures, best.params)
+            view.add(fitter.fit(best.effects, best.structures, best.params), fitter)
         return best
 
     def fit_probable(self, view: _View) -> None:
