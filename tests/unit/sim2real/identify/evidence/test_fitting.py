@@ -1,17 +1,17 @@
-"""Probabilities of sets of effects, and of effects, from fits."""
+"""Fitted sets of effects: how probable each is, and what a robot file can hold of one."""
 
 from math import exp
 
 import pytest
 
-from aerial_gym.sim2real.identify.candidates.nuisance import Structure
+from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
 from aerial_gym.sim2real.identify.evidence.fitting import NOTHING, Fitted, Fitter, inclusion_in, probabilities_of
 from aerial_gym.sim2real.predict.model_params import ModelParams
 
-PLACE = Structure(kind="position", channel="specific_force.x", columns=[])
+PLACE = Nuisance(kind="position", channel="specific_force.x", columns=[])
 
 
-def fitted(*effects: str, log: float, structures: tuple[Structure, ...] = ()) -> Fitted:
+def fitted(*effects: str, log: float, structures: tuple[Nuisance, ...] = ()) -> Fitted:
     """Return a fitted set of a log posterior."""
     return Fitted(
         effects=effects,
