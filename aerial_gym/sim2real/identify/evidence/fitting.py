@@ -95,7 +95,7 @@ class Fitter:
     ) -> None:
         """Take flights, the declared model, how many effects there are to choose from, weights, and the present model."""
         self.predictor, self.declared, self.weights = predictor, declared, weights
-        self.log_names = float(np.log(num_names))
+        self.log_names = float(np.log(max(1, num_names)))
         self.tolerance = tolerance_jacobian(predictor, present, predictor.predict(present))
 
     def neutral(self, name: str) -> Array:
