@@ -19,6 +19,7 @@ from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
+from tests.unit.sim2real.fitted_sets import PLACE, chosen_of, fitted, selection_of
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 ROTORS = ["rotor_1", "rotor_2", "rotor_3", "rotor_4"]
@@ -109,6 +110,35 @@ def test_a_steady_wind_is_not_called_a_shear_that_hardly_grows(tmp_path: Path) -
     (rival,) = found.rivals_of("constant_wind")
     assert (rival.effect, rival.wider, rival.told_apart) == ("wind_shear", True, False)
     assert found.chosen.inclusion["constant_wind"] > 0.99  # the shear is this wind as well
+
+
+def test_rivals_are_the_best_sets_with_another_effect_in_the_place_of_a_named_one() -> None:
+    """Odds count over the overdispersion, here 2: 4 behind are 2, not told apart; 8 behind are 4, told apart."""
+    best = fitted("rotor_drag", "com_offset", log=-100.0, overdispersion=2.0)
+    others = [
+        fitted("quadratic_drag", "com_offset", log=-104.0),
+        fitted("quadratic_drag", "com_offset", log=-106.0, structures=(PLACE,)),  # a worse set with the same
+        fitted("rotor_drag", "motor_tilt", log=-108.0),
+        fitted("constant_wind", log=-101.0, odds={"constant_wind": -1.0}),  # does not hold
+        fitted("com_offset", log=-130.0),  # without it, and nothing in its place
+    ]
+    found = selection_of(chosen_of(best, *others))
+    (drag,), (offset,) = found.rivals_of("rotor_drag"), found.rivals_of("com_offset")
+    assert (drag.effect, drag.log_odds, drag.told_apart) == ("quadratic_drag", -2.0, False)
+    assert drag.fitted is others[0]
+    assert (offset.effect, offset.log_odds, offset.told_apart) == ("motor_tilt", -4.0, True)
+    assert [rival.effect for rival in found.ties_of("rotor_drag")] == ["quadratic_drag"]
+    assert found.ties_of("com_offset") == []
+
+
+def test_a_wider_case_is_a_rival_and_no_tie() -> None:
+    best, wide = fitted("constant_wind", log=-10.0), fitted("wind_shear", log=-9.5)
+    found = selection_of(chosen_of(best, wide))
+    (rival,) = found.rivals_of("constant_wind")
+    assert (rival.effect, rival.wider, rival.told_apart) == ("wind_shear", True, False)
+    assert found.ties_of("constant_wind") == []
+    (narrow,) = selection_of(chosen_of(wide, best)).ties_of("wind_shear")
+    assert (narrow.effect, narrow.wider) == ("constant_wind", False)
 
 
 def test_only_effects_that_can_be_looked_for_are(tmp_path: Path) -> None:
