@@ -68,9 +68,6 @@ class Job:
     num_test: int = 3
     duration_s: float = 16.0
 
-    evidence: bool = False
-    """Whether the selection by evidence alone is scored beside the loop."""
-
     @property
     def key(self) -> str:
         """Name of its result file: what it is, and a digest of all its fields and of the code that is judged."""
@@ -105,52 +102,11 @@ def score(job: Job) -> dict[str, object]:
             with one_thread():
                 flights = load_train_and_test(robot, files.train, files.test, None, BANDWIDTH_HZ, silent)
                 verdict = judge_flights(robot, *flights, bandwidth=BANDWIDTH_HZ).verdict.as_mapping()
-                judged = time.monotonic()
-                chosen = by_evidence(robot, *flights) if job.evidence else None
         except Exception as error:  # one bad case must not end a run of hours; it is counted, and not kept
             return {**row, "error": f"{type(error).__name__}: {error}", "verdict": "error", "named": [], "right": False}
         truth = json.loads(files.truth.read_text())["effects"]
-        times = {"fly_s": flown - start, "loop_s": judged - flown, "evidence_s": time.monotonic() - judged}
-    return {**row, **judge(verdict, truth), "truth": truth, **times, "by_evidence": chosen}
-
-
-def by_evidence(robot, train, test) -> dict[str, object]:
-    """Return what the selection by evidence alone makes of the training flights."""
-    from aerial_gym.physics import EFFECTS as LIBRARY
-    from aerial_gym.sim2real.identify.battery import with_battery
-    from aerial_gym.sim2real.identify.selection.choose import choose_effects
-    from aerial_gym.sim2real.identify.selection.select import lacks
-    from aerial_gym.sim2real.predict.channels import find_channels
-    from aerial_gym.sim2real.predict.model_params import declared_params
-    from aerial_gym.sim2real.predict.predictor import Predictor
-    from aerial_gym.sim2real.predict.tolerances import Tolerances
-
-    robot = with_battery(robot, train)
-    channels = find_channels([*train, *test])
-    predictor = Predictor(robot, train, bandwidth=BANDWIDTH_HZ, channels=channels, tolerances=Tolerances())
-    names = [n for n in LIBRARY if not LIBRARY.get(n).random and not lacks(n, robot, train, test)]
-    chosen = choose_effects(predictor, declared_params(robot), names)
-    return {
-        "named": list(chosen.effects),
-        "probability": chosen.probability,
-        "sets": [["+".join(names), share] for names, share in list(chosen.sets.items())[:5]],
-        "inclusion": {name: share for name, share in chosen.inclusion.items() if share > 0.01},
-        "structures": list(chosen.structures),
-        "surrogates": chosen.surrogates,
-        "support": {n: vars(found) for n, found in chosen.support.items()},
-        "immaterial": {n: max(rise.value for rise in rises.values()) for n, rises in chosen.immaterial.items()},
-        "refused": {n: vars(found) for n, found in chosen.refused.items()},
-        "params": {
-            name: {
-                parameter.name: [float(value), float(std)]
-                for parameter, value, std in zip(
-                    LIBRARY.get(name).parameters, chosen.params.effects[name], chosen.std[name], strict=True
-                )
-            }
-            for name in chosen.effects
-        },
-        "deviation": [round(float(size), 2) for size in chosen.deviation],
-    }
+        times = {"fly_s": flown - start, "loop_s": time.monotonic() - flown}
+    return {**row, **judge(verdict, truth), "truth": truth, **times}
 
 
 def judge(verdict: dict, truth: dict[str, dict[str, float]]) -> dict[str, object]:
@@ -248,8 +204,7 @@ def plan_jobs(args: argparse.Namespace) -> list[Job]:
     if missing := sorted({name for case in cases for name in case} - set(known)):
         raise ValueError(f"no effect {missing}. Known: all, {', '.join(known)}")
     flights = sorted({tuple(sorted({f for name in case for f in known[name].needs})) for case in cases} | {()})
-    base = {"nuisance": args.nuisance, "num_train": args.num_train, "num_test": args.num_test}
-    base["duration_s"], base["evidence"] = args.duration_s, args.evidence
+    base = {name: getattr(args, name) for name in ("nuisance", "num_train", "num_test", "duration_s")}
     jobs = []
     for seed in args.seeds:
         jobs += [Job(hidden=(), size="moderate", seed=seed, features=f, **base) for f in flights]
@@ -300,7 +255,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--pairs", nargs="+", default=[], metavar="A+B", help="two effects at once")
     parser.add_argument("--unknown", action="store_true", help="also causes outside the package")
     parser.add_argument("--nuisance", action="store_true", help="small errors everywhere, as real vehicles have")
-    parser.add_argument("--evidence", action="store_true", help="also the selection by evidence alone, beside the loop")
     parser.add_argument("--num-train", type=int, default=4)
     parser.add_argument("--num-test", type=int, default=3)
     parser.add_argument("--duration-s", type=float, default=16.0)

@@ -38,7 +38,7 @@ class Sets:
     def log_names(self) -> float:
         """Return what one more effect costs before the flights are seen."""
         names = {name for k, name in enumerate(self.candidates.exclusive) if k not in self.candidates.structures}
-        return float(np.log(len(names)))
+        return float(np.log(max(1, len(names))))
 
     def look(self, models: Iterable[Model]) -> Array:
         """Return the log posterior of sets up to a constant, (M,); minus infinity for two candidates of one name."""

@@ -6,7 +6,7 @@ Every effect must hold against the scatter between flights, and be worth more th
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ from aerial_gym.sim2real.identify.evidence.fitting import (
     Label,
     inclusion_in,
     label_in,
+    narrowest,
     probabilities_of,
 )
 from aerial_gym.sim2real.identify.evidence.guard import Guard, part_length, parts_of
@@ -118,8 +119,13 @@ class Chosen:
 
     @property
     def sets(self) -> dict[tuple[str, ...], float]:
-        """Return the probability of each set of effects, the most probable first, whatever the structure beside them."""
-        return probabilities_of(self.holding, overdispersion=self.best.overdispersion)
+        """Return the probability of each set of effects, the most probable first, whatever the structure beside them.
+
+        A wider case of an effect of the most probable set counts for that effect: beside it, it is what is meant.
+        """
+        meant = {wide: name for name in self.best.effects for wide in EFFECTS if name in EFFECTS.get(wide).contains}
+        fits = [replace(one, effects=tuple(meant.get(name, name) for name in one.effects)) for one in self.holding]
+        return probabilities_of(fits, overdispersion=self.best.overdispersion)
 
     @property
     def inclusion(self) -> dict[str, float]:
@@ -346,7 +352,7 @@ class _Chooser:
 
     def chosen(self, view: _View) -> Chosen:
         """Return the result about the last model."""
-        present = view.present
+        present = narrowest(view.present, view.fits.values(), reach_of(view.present))
         fits = sorted(view.fits.values(), key=lambda one: -one.log_posterior)
         surrogates = self.varying(present, view.fitter)
         named, ends = view.fitter.in_file(present, tuple(surrogates))

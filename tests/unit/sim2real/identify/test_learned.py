@@ -10,16 +10,11 @@ import pytest
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import load_robot
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics import EFFECTS
-from aerial_gym.physics.effects import Effect
-from aerial_gym.registry import Registry
 from aerial_gym.sim2real import close_loop
 from aerial_gym.sim2real.close_loop import load_train_and_test
 from aerial_gym.sim2real.identify.learned import OUTPUTS, Learned, _Trainer, judge_on_test, train_residual
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments, weights_from
-from aerial_gym.sim2real.identify.selection import library, select
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut
-from aerial_gym.sim2real.judge import predictive
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import declared_params
@@ -139,20 +134,16 @@ def test_flights_without_velocity_and_a_robot_that_has_one_are_refused(tmp_path:
 
 
 @pytest.mark.usefixtures("no_pixels")
-def test_the_loop_adds_it_beside_the_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_loop_adds_it_beside_the_verdict(tmp_path: Path) -> None:
     """Named effects come first; the verdict stays unexplained, and the corrected robot is replayed with the network.
 
     Only drag is looked for, to save time.
     """
-    few: Registry[Effect] = Registry("effect")
-    for name in ("rotor_drag", "quadratic_drag"):
-        few.register(name, EFFECTS.get(name))
-    for module in (select, library, predictive):
-        monkeypatch.setattr(module, "EFFECTS", few)
     train, test = flown(tmp_path, CUBIC)
     (tmp_path / "robot.yaml").write_text(dump_yaml(ROBOT), encoding="utf-8")
     out = tmp_path / "out"
-    found = close_loop(tmp_path / "robot.yaml", train, [test], out, learn_residual=True)
+    effects = ("rotor_drag", "quadratic_drag")
+    found = close_loop(tmp_path / "robot.yaml", train, [test], out, effects=effects, learn_residual=True)
     verdict = json.loads((out / "verdict.json").read_text())
     assert verdict["verdict"] == "unexplained"
     *named, last = verdict["effects"]

@@ -1,7 +1,5 @@
 """The effects fitted on whole rollouts, on exact flights whose drag is known."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,7 +7,7 @@ import pytest
 from aerial_gym.interop import one_thread
 from aerial_gym.sim2real.identify.output_error import Refit, refit_on_rollouts
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.identify.selection.select import _Selector
+from aerial_gym.sim2real.identify.selection.select import select_effects
 from aerial_gym.sim2real.identify.window_rollouts import eliminated
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import find_channels
@@ -23,7 +21,7 @@ AXES = ("dx", "dy")
 
 
 def refit(folder, effect: str, tables: list[pd.DataFrame]) -> Refit:
-    """Return the refit of one effect, fitted without a selection."""
+    """Return the refit of one effect, the only one that is looked for."""
     with one_thread():
         return _refit(folder, effect, tables)
 
@@ -32,12 +30,9 @@ def _refit(folder, effect: str, tables: list[pd.DataFrame]) -> Refit:
     paths = [write(table, folder / f"f{number}.csv") for number, table in enumerate(tables)]
     flights = load_flights(paths, ROBOT, mapping=None, bandwidth=10.0)
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
-    chosen = _Selector(predictor, declared_params(ROBOT), Criteria(), lambda stage, share: None, ())
-    start = chosen.points(effect, declared_params(ROBOT))[0]
-    selection = SimpleNamespace(
-        final=chosen.score((effect,), start), accepted=(effect,), left_out=chosen.left_out, criteria=chosen.criteria
-    )
-    return refit_on_rollouts(predictor, selection)  # type: ignore[arg-type]
+    selection = select_effects(predictor, declared_params(ROBOT), Criteria(), candidates=(effect,))
+    assert selection.accepted == (effect,)
+    return refit_on_rollouts(predictor, selection)
 
 
 def flights_with_drag(noise: float) -> list[pd.DataFrame]:

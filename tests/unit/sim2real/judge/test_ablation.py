@@ -5,10 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from aerial_gym.sim2real.identify.selection.select import Rival
 from aerial_gym.sim2real.judge.ablation import Ablation, rejection, solid_below
 from aerial_gym.sim2real.judge.evaluation import gap_closed
 from aerial_gym.sim2real.judge.verdict import immaterial
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
+from tests.unit.sim2real.fitted_sets import fitted
 
 
 def test_the_gap_closed_is_the_share_of_what_lies_above_the_floor() -> None:
@@ -89,23 +91,14 @@ def test_an_effect_is_solid_up_to_the_first_octave_that_it_leaves_as_it_is(octav
 
 
 @pytest.mark.parametrize(
-    ("effect", "num_free", "surrogates", "p_value", "because"),
+    ("log_odds", "wider", "because"),
     [
-        ("wind_shear", 3, {}, 0.5, "wider case of constant_wind"),
-        ("rotor_drag", 4, {}, 0.5, "as good with 4 parameters in place of 3"),
-        ("rotor_drag", 3, {"rotor_drag": "position"}, 0.5, "only stands in for what remains and follows position"),
-        ("rotor_drag", 3, {}, 1e-6, "predicts flights left out worse"),
-        ("rotor_drag", 3, {}, 0.5, "cannot tell them apart"),
+        (-3.5, False, "less probable (log odds -3.5)"),
+        (-3.5, True, "less probable (log odds -3.5)"),
+        (1.0, True, "as probable, but it is a wider case of constant_wind"),
+        (-2.5, False, "not rejected: these flights cannot tell them apart"),
     ],
 )
-def test_why_a_rival_is_not_the_one_is_said(
-    effect: str, num_free: int, surrogates: dict[str, str], p_value: float, because: str
-) -> None:
-    def trial(name: str, free: int) -> SimpleNamespace:
-        gain = SimpleNamespace(p_value=p_value, score=-10.0)
-        complexity = free + (name == "wind_shear")
-        return SimpleNamespace(effect=name, objections=(), gain=gain, num_free=free, complexity=complexity)
-
-    selection = SimpleNamespace(surrogates=surrogates, criteria=SimpleNamespace(rival_significance=0.01))
-    said = rejection(trial(effect, num_free), selection, trial("constant_wind", 3))  # type: ignore[arg-type]
-    assert because in said
+def test_why_a_rival_is_not_the_one_is_said(log_odds: float, wider: bool, because: str) -> None:
+    rival = Rival(effect="wind_shear", fitted=fitted("wind_shear"), log_odds=log_odds, wider=wider)
+    assert rejection("constant_wind", rival) == because

@@ -26,7 +26,7 @@ def test_doubt_about_one_effect_is_not_put_on_the_others(monkeypatch: pytest.Mon
     kind, reason, candidates = verdict.decide(selection, ("rotor_speed.1",), floor_known=True)  # type: ignore[arg-type]
     assert (kind, candidates) == ("ambiguous", ("rotor_drag", "com_offset", "imu_bias", "motor_tilt", "weak_motor"))
     assert reason == (
-        "com_offset cannot be told from motor_tilt or weak_motor on flights left out; "
+        "com_offset cannot be told from motor_tilt or weak_motor; "
         "more than noise and tolerances remains in rotor_speed.1"
     )
     text = meaning("ambiguous", [], TIES)

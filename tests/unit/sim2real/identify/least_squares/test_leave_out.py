@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, best_step, normal_equations, solve_within
-from aerial_gym.sim2real.identify.least_squares.leave_out import steps_beside, steps_without
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, best_step
+from aerial_gym.sim2real.identify.least_squares.leave_out import steps_without
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments
 from aerial_gym.sim2real.predict.model_params import ModelParams
 
@@ -32,17 +32,4 @@ def test_each_flight_is_left_out_of_its_own_step() -> None:
     for flight in range(3):
         expected = best_step(fit, weight, fit.free_all, np.flatnonzero(fit.moments.flight != flight))
         own = found[fit.moments.flight == flight]
-        np.testing.assert_allclose(own, np.tile(expected, (len(own), 1)), atol=1e-12)
-
-
-def test_steps_beside_given_deviations_fit_the_effects_alone() -> None:
-    fit, weight = fit_of_noise(), np.array([1.0, 4.0])
-    flight = fit.moments.flight
-    given = np.array([[0.3, -0.2], [0.0, 0.1], [-0.4, 0.2]])
-    found = steps_beside(fit, weight, flight, given[flight])
-    for one in range(3):
-        product, gradient = normal_equations(fit, weight, np.flatnonzero(flight != one))
-        expected = solve_within(fit, product, gradient - product[:, OWN:] @ given[one], fit.free_effects)
-        expected[OWN:] = given[one]
-        own = found[flight == one]
         np.testing.assert_allclose(own, np.tile(expected, (len(own), 1)), atol=1e-12)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.judge.ablation import LEAST_SCORE
+from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.judge.experiments.design import Catalogue, showable, what_shows, what_tells
 from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, fly
 from aerial_gym.sim2real.logs.flights import load_flights
@@ -139,7 +139,7 @@ def test_what_has_not_shown_is_shown_by_what_excites_it(catalogue: Catalogue) ->
     assert showable(arms, ROBOT, []) == []  # type: ignore[arg-type]
     bent = SimpleNamespace(not_testable={"joint_creep": ""}, accepted=("joint_spring",))
     assert showable(bent, ROBOT, []) == ["joint_creep"]  # type: ignore[arg-type]
-    selection = SimpleNamespace(final=SimpleNamespace(fit=SimpleNamespace(point=ModelParams()), effects=()), rivals={})
+    selection = SimpleNamespace(final=SimpleNamespace(fit=SimpleNamespace(point=ModelParams()), effects=()))
     names = ["quadratic_drag", "rotor_inertia", "translational_lift"]
     advice = what_shows(catalogue, selection, ModelParams(), names)  # type: ignore[arg-type]
     assert list(advice) == names

@@ -2,9 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from aerial_gym.sim2real.identify.selection.choose import MATERIAL, Chosen, choose_effects
+from aerial_gym.sim2real.identify.evidence.fitting import Fitted
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import scales
+from aerial_gym.sim2real.identify.selection.choose import Chosen, choose_effects
+from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import declared_params
@@ -21,9 +25,8 @@ NAMES = (
     "com_offset",
     "weak_motor",
 )
-
-
 FEW = ("rotor_drag", "thrust_coefficient", "payload_mass", "constant_wind")
+MATERIAL = Criteria().material
 
 
 def chosen(
@@ -40,6 +43,14 @@ def chosen(
     return choose_effects(predictor, declared_params(ROBOT), names, material=material)
 
 
+def away(fitted: Fitted, name: str, truth: float) -> np.ndarray:
+    """Return how far the parameters of an effect, its first ones in a set, are from a truth, in standard deviations."""
+    assert fitted.effects[0] == name
+    scale = scales((name,))
+    std = scale * np.sqrt(np.diag(fitted.parameters.covariance)[: scale.size])
+    return np.abs(fitted.params.effects[name] - truth) / std
+
+
 @pytest.mark.parametrize(
     ("hidden", "expected", "parameter"),
     [
@@ -53,20 +64,19 @@ def test_the_hidden_effects_are_the_most_probable_set(
     """The path's forces are exact; nothing, and a drag beside stronger rotors."""
     found = chosen(tmp_path, **hidden)
     assert set(found.effects) == set(expected)
-    assert found.probability > 0.8
+    assert found.sets[tuple(sorted(expected))] > 0.8
     assert sum(found.sets.values()) == pytest.approx(1.0)
     assert all(found.inclusion[name] > 0.95 for name in expected)
-    assert all(found.support[name].robust_log_odds > 0.0 for name in expected)
+    assert found.named.holds
     if parameter is not None:
-        distance = found.params.effects["rotor_drag"] - parameter
-        assert (abs(distance) < 4.0 * found.std["rotor_drag"]).all()
+        assert (away(found.named, "rotor_drag", parameter) < 4.0).all()
 
 
 def test_what_is_worth_a_trifle_has_no_name(tmp_path: Path) -> None:
     """A drag without which the residual is several times as large, for a user to whom less than fifty times is a trifle."""
     found = chosen(tmp_path, FEW, 100.0, material=50.0, drag=0.05)
     assert found.effects == ()
-    assert "rotor_drag" not in found.params.effects or not found.params.effects["rotor_drag"].any()
+    assert "rotor_drag" not in found.named.params.effects
     rises = found.immaterial["rotor_drag"]
     assert max(rise.low for rise in rises.values()) > MATERIAL
     assert found.inclusion["rotor_drag"] > 0.95  # it is there, and small
@@ -92,5 +102,4 @@ def test_an_effect_beside_a_structure_keeps_its_name(tmp_path: Path) -> None:
     found = chosen(tmp_path, FEW, 100.0, spring=0.05, drag=0.05)
     assert found.effects == ("rotor_drag",)
     assert "position in specific_force.x" in found.structures
-    distance = found.params.effects["rotor_drag"] - 0.05
-    assert (abs(distance) < 4.0 * found.std["rotor_drag"]).all()
+    assert (away(found.named, "rotor_drag", 0.05) < 4.0).all()

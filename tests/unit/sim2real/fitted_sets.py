@@ -1,0 +1,70 @@
+"""Fitted sets of effects, and selections made of them, without flights: evidence as a test wants it."""
+
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
+from aerial_gym.sim2real.identify.evidence.fitting import Fitted
+from aerial_gym.sim2real.identify.evidence.guard import Support
+from aerial_gym.sim2real.identify.evidence.laplace import Posterior
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.selection.choose import Chosen
+from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut, Scored
+from aerial_gym.sim2real.identify.selection.select import Selection
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from tests.unit.sim2real.flat_flights import ROBOT
+
+PLACE = Nuisance(kind="position", channel="specific_force.x", columns=[])
+
+
+def fitted(
+    *effects: str,
+    log: float = 0.0,
+    structures: tuple[Nuisance, ...] = (),
+    overdispersion: float = 1.0,
+    odds: Mapping[str, float] | None = None,
+    params: Mapping[str, Sequence[float]] | None = None,
+) -> Fitted:
+    """Return a fitted set of a log posterior, at neutral but for ``params``; each effect holds by 10, or by its ``odds``."""
+    values = {name: np.array((params or {}).get(name, EFFECTS.get(name).neutral(ROBOT)), float) for name in effects}
+    size = sum(own.size for own in values.values())
+    return Fitted(
+        effects=effects,
+        structures=structures,
+        params=ModelParams(effects=values),
+        log_posterior=log,
+        parameters=Posterior(columns=np.arange(size), step=np.zeros(size), covariance=np.eye(size), log_evidence=log),
+        support={
+            name: Support(log_odds=(odds or {}).get(name, 10.0), wald=0.0, overdispersion=overdispersion)
+            for name in effects
+        },
+    )
+
+
+def chosen_of(best: Fitted, *others: Fitted, named: Fitted | None = None, **found: Any) -> Chosen:
+    """Return the choice of one set among others, in which nothing else was found."""
+    none: dict[str, Any] = {"without": {}, "adds": {}, "hidden": (), "surrogates": {}, "immaterial": {}, "refused": {}}
+    return Chosen(
+        named=named or best,
+        best=best,
+        fits=tuple(sorted((best, *others), key=lambda one: -one.log_posterior)),
+        weights=Weighting(variance=np.ones(1), effective=np.ones(1)),
+        **none | found,
+    )
+
+
+def selection_of(chosen: Chosen, final: Scored | None = None, not_testable: dict[str, str] | None = None) -> Selection:
+    """Return the selection with a choice."""
+    scored = final or cast("Scored", SimpleNamespace(effects=chosen.effects))
+    return Selection(
+        declared=scored,
+        final=scored,
+        chosen=chosen,
+        not_testable=not_testable or {},
+        left_out=cast("LeftOut", None),
+        criteria=Criteria(),
+    )

@@ -1,0 +1,16 @@
+"""Derivatives of candidates about a model that holds some of them."""
+
+import numpy as np
+
+from aerial_gym.sim2real.identify.candidates.library import exact_along
+
+
+def test_derivatives_are_made_exact_along_a_step_and_kept_across_it() -> None:
+    rng = np.random.default_rng(0)
+    columns, change, step = rng.standard_normal((20, 2, 3)), rng.standard_normal((20, 2)), np.array([0.3, 0.0, -1.2])
+    (exact,) = exact_along([columns], step, [change])
+    np.testing.assert_allclose(exact @ step, change, atol=1e-12)
+    for across in ([1.2, 0.0, 0.3], [0.0, 1.0, 0.0]):
+        np.testing.assert_allclose(exact @ across, columns @ across, atol=1e-12)
+    (kept,) = exact_along([columns], np.zeros(3), [change])
+    np.testing.assert_array_equal(kept, columns)

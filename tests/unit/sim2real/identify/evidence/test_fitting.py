@@ -1,0 +1,98 @@
+"""Fitted sets of effects: how probable each is, and what a robot file can hold of one."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import exp
+from types import SimpleNamespace
+
+import pytest
+
+from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
+from aerial_gym.sim2real.identify.evidence.fitting import (
+    Fitted,
+    Fitter,
+    inclusion_in,
+    narrowest,
+    probabilities_of,
+)
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from tests.unit.sim2real.fitted_sets import PLACE, fitted
+from tests.unit.sim2real.flat_flights import ROBOT
+
+
+@pytest.mark.parametrize("overdispersion", [1.0, 4.0])
+def test_odds_are_those_of_evidence_over_the_overdispersion(overdispersion: float) -> None:
+    """Two sets 3 apart: odds of e³, and of e^(3/4) where parameters scatter twice as far as by noise."""
+    sets = [fitted("rotor_drag", log=-100.0), fitted("quadratic_drag", log=-103.0)]
+    found = probabilities_of(sets, overdispersion=overdispersion)
+    assert list(found) == [("rotor_drag",), ("quadratic_drag",)]
+    assert found["rotor_drag",] / found["quadratic_drag",] == pytest.approx(exp(3.0 / overdispersion))
+    assert sum(found.values()) == pytest.approx(1.0)
+
+
+def test_the_same_effects_beside_other_structures_are_one_set() -> None:
+    """Two of the same evidence beside another: two thirds; an effect has the probability of all sets that hold it."""
+    sets = [
+        fitted("payload_mass", "rotor_drag", log=-5.0),
+        fitted("rotor_drag", "payload_mass", log=-5.0, structures=(PLACE,)),
+        fitted("rotor_drag", log=-5.0),
+    ]
+    found = probabilities_of(sets, overdispersion=1.0)
+    assert found == {("payload_mass", "rotor_drag"): pytest.approx(2 / 3), ("rotor_drag",): pytest.approx(1 / 3)}
+    assert inclusion_in(found) == {"rotor_drag": pytest.approx(1.0), "payload_mass": pytest.approx(2 / 3)}
+
+
+def test_of_a_fit_that_went_nowhere_an_effect_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pendulum over the top has no evidence and no support: it is tried without an effect."""
+    monkeypatch.setattr(Fitter, "without", lambda _self, _fitted, names: names)
+    nowhere = replace(fitted("slung_payload", "rotor_drag", log=float("-inf")), support={})
+    assert not nowhere.holds
+    assert Fitter.without_weakest(object.__new__(Fitter), nowhere) == ("slung_payload",)
+
+
+class Made(Fitter):
+    """Fits that are given, by their effects, and by whether there is a structure beside them."""
+
+    def __init__(self, *sets: Fitted) -> None:
+        self.sets = {(one.effects, bool(one.structures)): one for one in sets}
+        self.predictor, self.declared = SimpleNamespace(robot=ROBOT), ModelParams()  # type: ignore[assignment]
+
+    def fit(self, effects: Sequence[str], structures: Sequence[Nuisance], start: ModelParams, _=None) -> Fitted:
+        """Return the set; its start has its effects and no others."""
+        assert set(start.effects) == set(effects)
+        return self.sets[tuple(effects), bool(structures)]
+
+
+def test_a_robot_file_holds_no_structure_and_no_effect_that_holds_only_beside_one() -> None:
+    """Drag alone is left of drag and a mass that only beside the structure is more probable than not."""
+    whole = fitted("rotor_drag", "payload_mass", structures=(PLACE,))
+    bare, drag = fitted("rotor_drag", "payload_mass", odds={"payload_mass": -1.0}), fitted("rotor_drag")
+    found, ends = Made(bare, drag).in_file(whole, ())
+    assert found is drag
+    assert ends == {}
+    nothing = fitted()
+    found, ends = Made(nothing, drag).in_file(replace(drag, structures=(PLACE,)), ("rotor_drag",))
+    assert found is nothing
+    assert ends == {}
+
+
+def test_a_robot_file_holds_nothing_that_ends_where_physics_does() -> None:
+    """A drag at the largest number that is possible; at 0, where it is neutral too, the other axes stay."""
+    end, thrust = [10.0, 0.0, 0.3], fitted("thrust_coefficient")
+    both = fitted("rotor_drag", "thrust_coefficient", params={"rotor_drag": end, "thrust_coefficient": [0.9]})
+    found, ends = Made(both, thrust).in_file(both, ())
+    assert found is thrust
+    assert ends == {"rotor_drag": ["dx"]}
+    kept = fitted("rotor_drag", params={"rotor_drag": [0.2, 0.0, 0.3]})
+    found, ends = Made(kept).in_file(kept, ())
+    assert found is kept
+    assert ends == {}
+
+
+@pytest.mark.parametrize(("behind", "expected"), [(1.0, "constant_wind"), (5.0, "wind_shear")])
+def test_of_a_case_and_a_wider_one_that_are_not_told_apart_the_narrower_is_meant(behind: float, expected: str) -> None:
+    """A wind that grows with height contains a steady one; beside another structure it is another set, and so is drag."""
+    wide = fitted("wind_shear", log=0.0)
+    others = [fitted("rotor_drag", log=-0.1), fitted(log=-0.2), fitted("constant_wind", log=0.0, structures=(PLACE,))]
+    assert narrowest(wide, [wide, *others], 3.0) is wide
+    assert narrowest(wide, [wide, *others, fitted("constant_wind", log=-behind)], 3.0).effects == (expected,)

@@ -1,0 +1,159 @@
+"""Which names hold on exact flights with a known cause, which only stand in for something, and which cannot be told apart."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.sim2real.identify.selection.scoring import Criteria
+from aerial_gym.sim2real.identify.selection.select import Selection, select_effects
+from aerial_gym.sim2real.judge.verdict import tied_rivals
+from aerial_gym.sim2real.logs.flights import load_flights
+from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+from tests.unit.sim2real.fitted_sets import PLACE, chosen_of, fitted, selection_of
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+
+ROTORS = ["rotor_1", "rotor_2", "rotor_3", "rotor_4"]
+
+
+def selected(
+    folder: Path,
+    candidates: tuple[str, ...],
+    *,
+    change: Callable[[pd.DataFrame], pd.DataFrame] = lambda table: table,
+    robot: RobotCfg = ROBOT,
+    seconds: float = 12.0,
+    **hidden: Any,
+) -> Selection:
+    """Return what four flights with sensor noise ask for, when only some effects are looked for."""
+    logs = [flight(seed, seconds=seconds, rate=100.0, noise=1.0, **hidden) for seed in range(4)]
+    predictor = predictor_of(folder, [change(log) for log in logs], robot)
+    return select_effects(predictor, declared_params(robot), Criteria(), candidates=candidates)
+
+
+def predictor_of(folder: Path, logs: Sequence[pd.DataFrame], robot: RobotCfg = ROBOT) -> Predictor:
+    paths = [write(log, folder / f"f{n}.csv") for n, log in enumerate(logs)]
+    flights = load_flights(paths, robot, mapping=None, bandwidth=10.0)
+    return Predictor(robot, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+
+
+def fading(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a flight whose thrust falls from 4 to 14 % below the declared one: rotors turn faster for it.
+
+    About the mean of 9 % that is a third of it (rms).
+    """
+    table[ROTORS] = table[ROTORS].div(np.sqrt(0.96 - 0.1 * table["t"] / table["t"].max()), axis=0)
+    return table
+
+
+def lifted_below(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a flight on which something pushes up where it is low, by 0.4 m/s² per metre."""
+    push = 0.4 * (table["p_z"] - 5.0)
+    table[ROTORS] = table[ROTORS].mul(np.sqrt(1.0 + push / 9.81), axis=0)
+    return table
+
+
+@pytest.mark.parametrize(
+    ("scale", "change", "named", "surrogates"),
+    [
+        (1.0, fading, (), {"thrust_coefficient": "time"}),
+        (0.9, lifted_below, ("thrust_coefficient",), {}),
+        (0.9, lambda table: table, ("thrust_coefficient",), {}),
+    ],
+)
+def test_a_name_holds_or_only_stands_in(
+    scale: float,
+    change: Callable[[pd.DataFrame], pd.DataFrame],
+    named: tuple[str, ...],
+    surrogates: dict[str, str],
+    tmp_path: Path,
+) -> None:
+    found = selected(tmp_path, ("thrust_coefficient", "rotor_drag"), change=change, thrust_scale=scale)
+    assert found.accepted == named
+    assert found.surrogates == surrogates
+
+
+@pytest.mark.parametrize(
+    ("gyro", "candidates"), [(True, {"thrust_coefficient"}), (False, {"thrust_coefficient", "payload_mass"})]
+)
+def test_thrust_and_mass_are_told_by_torques_as_far_as_the_inertia_is_known(
+    gyro: bool, candidates: set[str], tmp_path: Path
+) -> None:
+    """5 % less thrust: a mass in its place needs an inertia off by 2.6 deviations about all axes; forces alone do not tell."""
+
+    def logged(table: pd.DataFrame) -> pd.DataFrame:
+        return table if gyro else table.drop(columns=["omega_x", "omega_y", "omega_z"])
+
+    found = selected(tmp_path, ("thrust_coefficient", "payload_mass"), change=logged, thrust_scale=0.95)
+    (named,) = found.accepted
+    assert {named, *tied_rivals(named, found)} == candidates
+
+
+def test_a_steady_wind_is_not_called_a_shear_that_hardly_grows(tmp_path: Path) -> None:
+    """Between 4 and 6 m a shear with a small power is a constant wind; the wider of two cases is no rival."""
+    drag = {"dx": 0.3, "dy": 0.3, "dz": 0.3}
+    robot = replace(ROBOT, effects={"rotor_drag": drag}, effects_source="flown with it")
+    found = selected(
+        tmp_path, ("constant_wind", "wind_shear", "rotor_drag"), robot=robot, drag=0.3, wind=(0.4, -0.3, 0.0)
+    )
+    assert found.accepted == ("constant_wind",)
+    assert tied_rivals("constant_wind", found) == []
+    (rival,) = found.rivals_of("constant_wind")
+    assert (rival.effect, rival.wider, rival.told_apart) == ("wind_shear", True, False)
+    assert found.chosen.inclusion["constant_wind"] > 0.99  # the shear is this wind as well
+
+
+def test_rivals_are_the_best_sets_with_another_effect_in_the_place_of_a_named_one() -> None:
+    """Odds count over the overdispersion, here 2: 4 behind are 2, not told apart; 8 behind are 4, told apart."""
+    best = fitted("rotor_drag", "com_offset", log=-100.0, overdispersion=2.0)
+    others = [
+        fitted("quadratic_drag", "com_offset", log=-104.0),
+        fitted("quadratic_drag", "com_offset", log=-106.0, structures=(PLACE,)),  # a worse set with the same
+        fitted("rotor_drag", "motor_tilt", log=-108.0),
+        fitted("constant_wind", log=-101.0, odds={"constant_wind": -1.0}),  # does not hold
+        fitted("com_offset", log=-130.0),  # without it, and nothing in its place
+    ]
+    found = selection_of(chosen_of(best, *others))
+    (drag,), (offset,) = found.rivals_of("rotor_drag"), found.rivals_of("com_offset")
+    assert (drag.effect, drag.log_odds, drag.told_apart) == ("quadratic_drag", -2.0, False)
+    assert drag.fitted is others[0]
+    assert (offset.effect, offset.log_odds, offset.told_apart) == ("motor_tilt", -4.0, True)
+    assert [rival.effect for rival in found.ties_of("rotor_drag")] == ["quadratic_drag"]
+    assert found.ties_of("com_offset") == []
+
+
+def test_a_wider_case_is_a_rival_and_no_tie() -> None:
+    best, wide = fitted("constant_wind", log=-10.0), fitted("wind_shear", log=-9.5)
+    found = selection_of(chosen_of(best, wide))
+    (rival,) = found.rivals_of("constant_wind")
+    assert (rival.effect, rival.wider, rival.told_apart) == ("wind_shear", True, False)
+    assert found.ties_of("constant_wind") == []
+    (narrow,) = selection_of(chosen_of(wide, best)).ties_of("wind_shear")
+    assert (narrow.effect, narrow.wider) == ("constant_wind", False)
+
+
+def test_only_effects_that_can_be_looked_for_are(tmp_path: Path) -> None:
+    """An unknown one and a random one are refused, before anything is fitted; gusts are found in what remains."""
+    predictor = predictor_of(tmp_path, [flight(1, seconds=4.0, rate=100.0)])
+    for name, error, message in (
+        ("rotor_dragg", UnknownNameError, "Did you mean 'rotor_drag'"),
+        ("gusts", ConfigError, "gusts is random and predicts no row"),
+    ):
+        with pytest.raises(error, match=message):
+            select_effects(predictor, declared_params(ROBOT), Criteria(), candidates=("rotor_drag", name))
+
+
+def test_an_effect_that_flights_cannot_show_is_told_when_it_is_asked_for(tmp_path: Path) -> None:
+    """Nothing else is looked for: nothing is named, and why is said."""
+    found = selected(tmp_path, ("ceiling_effect",), seconds=4.0, drag=0.25)
+    assert found.accepted == ()
+    assert set(found.not_testable) == {"ceiling_effect"}
