@@ -182,17 +182,17 @@ class Fitter:
         odds = {name: one.robust_log_odds for name, one in fitted.support.items()}
         return self.without(fitted, (min(fitted.effects, key=lambda name: odds.get(name, -np.inf)),))
 
-    def in_file(self, fitted: Fitted, gone: Sequence[str]) -> tuple[Fitted, dict[str, list[str]]]:
-        """Return a set without some effects, fitted as a robot file holds it, and what ran into a bound, with the parameters.
+    def held(self, fitted: Fitted) -> Fitted:
+        """Return a set without what does not hold, the effect for which the least speaks first."""
+        while not fitted.holds:
+            fitted = self.without_weakest(fitted)
+        return fitted
 
-        Beside no structure, and without what then does not hold or ends where physics does.
-        """
+    def in_file(self, fitted: Fitted) -> tuple[Fitted, dict[str, list[str]]]:
+        """Return a set without what does not hold or ends where physics does, and what ended so, with the parameters."""
         ends: dict[str, list[str]] = {}
-        if fitted.structures or gone:
-            fitted = self.without(replace(fitted, structures=()), gone)
         while True:
-            while not fitted.holds:
-                fitted = self.without_weakest(fitted)
+            fitted = self.held(fitted)
             again = self.fit(fitted.effects, fitted.structures, self.most_probable(fitted))
             fitted = max(fitted, again, key=lambda one: one.log_posterior)
             found = {

@@ -5,7 +5,7 @@ fitted as it is, not linearised, and its evidence taken there. The best becomes 
 Every effect must hold against the scatter between flights, and be worth more than a trifle.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -355,7 +355,7 @@ class _Chooser:
         present = narrowest(view.present, view.fits.values(), reach_of(view.present))
         fits = sorted(view.fits.values(), key=lambda one: -one.log_posterior)
         surrogates = self.varying(present, view.fitter)
-        named, ends = view.fitter.in_file(present, tuple(surrogates))
+        named, ends = view.fitter.in_file(self.bare(present, surrogates, view))
         named, immaterial, without = self.without_trifles(named, view.fitter)
         refused = {
             name: f"probable if noise were all (log odds {found.log_odds:.0f}), not as far as flights agree on it, or only "
@@ -376,6 +376,15 @@ class _Chooser:
             refused={name: reason for name, reason in refused.items() if name not in away},
             weights=view.fitter.weights,
         )
+
+    def bare(self, present: Fitted, gone: Collection[str], view: _View) -> Fitted:
+        """Return the best set without structures that holds only present effects, none of ``gone``, and that holds."""
+        kept = set(present.effects).difference(gone)
+        whole = (
+            view.fitter.without(replace(present, structures=()), tuple(gone)) if present.structures or gone else present
+        )
+        fits = [one for one in view.fits.values() if one.holds and not one.structures and kept.issuperset(one.effects)]
+        return max([view.fitter.held(whole), *fits], key=lambda one: one.log_posterior)
 
     def adds(self, view: _View) -> dict[str, float]:
         """Return what speaks for each other effect on top of the present set, best of its starts."""
