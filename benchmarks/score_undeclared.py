@@ -38,6 +38,16 @@ CLASSIC = tuple(EFFECTS)[:6]
 BANDWIDTH_HZ = 10.0
 """Residuals are compared below it: the default of ``close-loop``, whose page is not drawn here."""
 
+HOVER: tuple[tuple[str, ...], ...] = (
+    (),
+    ("com_offset",),
+    ("thrust_coefficient",),
+    ("payload_mass",),
+    ("weak_motor",),
+    ("rotor_drag",),
+)
+"""What is hidden in cases whose training flights only hover, nothing among them; test flights move."""
+
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -62,7 +72,7 @@ class Job:
     seed: int
     nuisance: bool
     features: tuple[str, ...] = ()
-    """Of the flights of a control."""
+    """Of the flights, beside those that the effects need."""
 
     num_train: int = 4
     num_test: int = 3
@@ -71,7 +81,7 @@ class Job:
     @property
     def key(self) -> str:
         """Name of its result file: what it is, and a digest of all its fields and of the code that is judged."""
-        what = "+".join(self.hidden) or "-".join(("nothing", *self.features))
+        what = "-".join(("+".join(self.hidden) or "nothing", *self.features))
         digest = sha256((json.dumps(asdict(self), sort_keys=True) + code_digest()).encode()).hexdigest()[:8]
         return f"{what}_{self.size if self.hidden else 'none'}_{self.seed}_{digest}"
 
@@ -209,6 +219,8 @@ def plan_jobs(args: argparse.Namespace) -> list[Job]:
     for seed in args.seeds:
         jobs += [Job(hidden=(), size="moderate", seed=seed, features=f, **base) for f in flights]
         jobs += [Job(hidden=case, size=size, seed=seed, **base) for case in cases for size in args.sizes]
+        if args.hover:
+            jobs += [Job(hidden=case, size="moderate", seed=seed, features=("hover",), **base) for case in HOVER]
     return jobs
 
 
@@ -255,6 +267,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--pairs", nargs="+", default=[], metavar="A+B", help="two effects at once")
     parser.add_argument("--unknown", action="store_true", help="also causes outside the package")
     parser.add_argument("--nuisance", action="store_true", help="small errors everywhere, as real vehicles have")
+    parser.add_argument("--hover", action="store_true", help="also cases whose training flights only hover")
     parser.add_argument("--num-train", type=int, default=4)
     parser.add_argument("--num-test", type=int, default=3)
     parser.add_argument("--duration-s", type=float, default=16.0)

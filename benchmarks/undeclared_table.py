@@ -40,12 +40,15 @@ def right_line(rows: list[Row]) -> str:
 
 def markdown(rows: list[Row]) -> str:
     """Return all tables that have a row."""
+    hover = [r for r in rows if "hover" in r["features"]]
+    rows = [r for r in rows if r not in hover]
     hidden = [r for r in rows if r["effects"] and not _unknown(r)]
     parts = [
         _names("## Names, by effect and size", hidden, lambda r: (r["hidden"], r["size"])),
         _names("## Names, by size", hidden, lambda r: ("all", r["size"])),
         _parameters(hidden),
         _controls([r for r in rows if not r["effects"]]),
+        _hover(hover),
         _unknown_table([r for r in rows if _unknown(r)]),
         _time(rows),
     ]
@@ -112,6 +115,21 @@ def _parameters(rows: list[Row]) -> str:
 
 def _inside(parameter: dict) -> bool:
     return abs(parameter["value"] - parameter["true"]) < 1.96 * parameter["std"]
+
+
+def _hover(rows: list[Row]) -> str:
+    if not rows:
+        return ""
+    lines = [
+        "## Training flights that only hover, test flights that move",
+        "",
+        "| hidden | seed | verdict | named | candidates |",
+    ]
+    lines.append("| --- | --- | --- | --- | --- |")
+    for r in rows:
+        names = [", ".join(r.get(key, [])) or "-" for key in ("named", "candidates")]
+        lines.append(f"| {r['hidden']} | {r['seed']} | {r['verdict']} | {names[0]} | {names[1]} |")
+    return "\n".join(lines)
 
 
 def _controls(rows: list[Row]) -> str:
