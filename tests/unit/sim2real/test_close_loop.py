@@ -260,6 +260,25 @@ def test_a_flight_that_cannot_be_used_is_said_to_be_left_out(run: tuple[Path, st
     assert "ang_vel 2 is 0 in every row" in (out / "report.html").read_text()
 
 
+@pytest.mark.usefixtures("no_pixels")
+def test_only_what_is_asked_for_is_looked_for(tmp_path: Path) -> None:
+    """Drag and weaker rotors are hidden: with one of them asked for, the other is not named and not weighed."""
+    (tmp_path / "robot.yaml").write_text(dump_yaml(ROBOT))
+    for seed in range(3):
+        write(
+            flight(60 + seed, drag=DRAG, thrust_scale=0.9, seconds=4.0, rate=100.0, noise=1.0),
+            tmp_path / f"f{seed}.csv",
+        )
+    logs = [str(tmp_path / f"f{seed}.csv") for seed in range(3)]
+    arguments = ["--train", *logs[:2], "--test", logs[2], "--out", str(tmp_path / "out"), "--effects", "rotor_drag"]
+    assert main(["close-loop", "--robot", str(tmp_path / "robot.yaml"), *arguments]) == 0
+    verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
+    assert [effect["name"] for effect in verdict["effects"]] == ["rotor_drag"]
+    assert set(verdict["inclusion"]) == {"rotor_drag"}
+    assert verdict["verdict"] != "explained"
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["config"]["effects"] == ["rotor_drag"]
+
+
 def test_the_command_refuses(folder: Path, call: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     """Status 2 and one sentence for a wrong request, and nothing half-written."""
     test, robot, train, known = call[-1], call[2], call[4:7], folder.parent / "wrong_tolerances.yaml"
@@ -276,6 +295,8 @@ def test_the_command_refuses(folder: Path, call: list[str], capsys: pytest.Captu
         ([*call, "--out", str(folder / "new"), "--mapping", "px4"], "no log mapping 'px4'"),
         (["close-loop", "--robot", "nobody", *call[3:], "--out", str(folder / "new")], "no robot 'nobody'"),
         ([*call, "--out", str(folder / "new"), "--tolerances", str(known)], "mas"),
+        ([*call, "--out", str(folder / "new"), "--effects", "rotor_dragg"], "Did you mean 'rotor_drag'"),
+        ([*call, "--out", str(folder / "new"), "--effects", "gusts"], "gusts is random"),
         (["replay", robot, str(folder / "none.csv")], "none.csv: no such file"),
     ):
         assert main(arguments) == 2, arguments

@@ -6,6 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from aerial_gym.sim2real.identify.least_squares.covariance import uncertainty
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit
+from aerial_gym.sim2real.identify.least_squares.moments import block_moments
 from aerial_gym.sim2real.judge import verdict
 from aerial_gym.sim2real.judge.analysis import about_logs, not_testable
 from aerial_gym.sim2real.judge.evaluation import evaluate, missing_for_rollouts
@@ -15,6 +18,7 @@ from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
+from tests.unit.sim2real.fitted_sets import chosen_of, fitted, selection_of
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 TIES = {"rotor_drag": [], "com_offset": ["motor_tilt", "weak_motor"], "imu_bias": []}
@@ -74,3 +78,24 @@ def test_rollouts_are_made_only_of_logs_that_hold_where_they_begin(tmp_path) -> 
         test = Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
         found = evaluate(ROBOT, flights, test, ModelParams(), floor=np.ones(len(channels)), seed=0)
         assert bool(found.rollouts) is made
+
+
+@pytest.mark.parametrize(("behind", "confidence"), [(np.log(4.0), 0.8), (40.0, verdict.MOST_CONFIDENT)])
+def test_an_effect_is_as_sure_as_the_sets_that_hold_it_are_probable(behind: float, confidence: float) -> None:
+    """Odds of 4 to 1 are 80 %; nothing is certain."""
+    rng = np.random.default_rng(0)
+    times, best = [np.arange(240) / 30.0] * 3, fitted("rotor_drag")
+    fit = Fit(
+        effects=("rotor_drag",),
+        point=best.params,
+        moments=block_moments(times, list(rng.normal(size=(3, 240, 1))), list(rng.normal(size=(3, 240, 1, 3)))),
+        low=np.full(3, -np.inf),
+        high=np.full(3, np.inf),
+        num_effect_params=3,
+    )
+    final = SimpleNamespace(effects=fit.effects, fit=fit, spread=uncertainty(fit, np.ones(1)))
+    selection = selection_of(chosen_of(best, fitted(log=-behind)), final=final)  # type: ignore[arg-type]
+    (named,) = verdict.named_effects(selection, {"rotor_drag": None}, {"rotor_drag": None})  # type: ignore[dict-item]
+    assert named.confidence == pytest.approx(confidence)
+    assert named.confidence == min(selection.chosen.inclusion["rotor_drag"], verdict.MOST_CONFIDENT)
+    assert list(named.std) == ["dx", "dy", "dz"]

@@ -2,10 +2,13 @@
 
 from types import SimpleNamespace
 
+import numpy as np
+
 from aerial_gym.sim2real.judge.outcome import Outcome
 from aerial_gym.sim2real.judge.verdict import NamedEffect
-from aerial_gym.sim2real.report.tables import became_rows, named_rows, reason_rows
+from aerial_gym.sim2real.report.tables import became_rows, named_rows, reason_rows, unnamed_rows
 from aerial_gym.sim2real.statistics import Rise
+from tests.unit.sim2real.fitted_sets import chosen_of, fitted, selection_of
 
 
 def outcome(about: str, value: float, low: float, high: float, where: str = "") -> Outcome:
@@ -53,3 +56,33 @@ def test_names_that_share_a_reason_share_a_line() -> None:
         "no position": ["a", "c"],
         "no voltage": ["b"],
     }
+
+
+def test_every_effect_that_is_not_named_has_a_reason() -> None:
+    """The most probable first, what could not be tested last; the named one is not among them."""
+    rise = Rise(value=0.01, low=0.0, high=0.02)
+    chosen = chosen_of(
+        fitted("rotor_drag", log=0.0),
+        fitted("rotor_drag", "com_offset", log=float(np.log(0.25))),
+        adds={"com_offset": 1.24, "payload_mass": -3.0, "weak_motor": 9.0, "motor_tilt": 5.0, "imu_bias": -1.0},
+        surrogates={"weak_motor": "time"},
+        immaterial={"motor_tilt": {"specific_force.x": rise}},
+        refused={"imu_bias": "runs into its physical bound: x"},
+    )
+    rows = unnamed_rows(selection_of(chosen, not_testable={"downwash": "no position of another"}))
+    assert [(row["effect"], row["log_odds"], row["probability"]) for row in rows] == [
+        ("weak_motor", "9.0", "0"),
+        ("motor_tilt", "5.0", "0"),
+        ("com_offset", "1.2", "0.2"),
+        ("imu_bias", "-1.0", "0"),
+        ("payload_mass", "-3.0", "0"),
+        ("downwash", "–", "–"),
+    ]
+    assert [row["because"] for row in rows] == [
+        "only stands in for what remains, which follows time",
+        "a trifle: no residual of the training flights rises by more than 2.0% without it",
+        "more would be said for it than this by chance",
+        "runs into its physical bound: x",
+        "not needed",
+        "no position of another",
+    ]

@@ -1,19 +1,21 @@
 """The most probable set of effects of exact flights with a known cause."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.identify.evidence.fitting import Fitted
+from aerial_gym.sim2real.identify.evidence.fitting import Fitted, Fitter
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import scales
-from aerial_gym.sim2real.identify.selection.choose import Chosen, choose_effects
+from aerial_gym.sim2real.identify.selection.choose import Chosen, _Chooser, choose_effects
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.logs.flights import load_flights
-from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.channels import Channel, find_channels
 from aerial_gym.sim2real.predict.model_params import declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
+from tests.unit.sim2real.fitted_sets import fitted
 from tests.unit.sim2real.flat_flights import ROBOT, flight
 
 NAMES = (
@@ -103,3 +105,41 @@ def test_an_effect_beside_a_structure_keeps_its_name(tmp_path: Path) -> None:
     assert found.effects == ("rotor_drag",)
     assert "position in specific_force.x" in found.structures
     assert (away(found.named, "rotor_drag", 0.05) < 4.0).all()
+
+
+SIZES = {
+    ("rotor_drag", "payload_mass", "thrust_coefficient"): 1.0,
+    ("payload_mass", "thrust_coefficient"): 1.5,
+    ("rotor_drag", "thrust_coefficient"): 1.02,
+    ("rotor_drag", "payload_mass"): 1.01,
+    ("rotor_drag",): 1.4,
+    ("payload_mass",): 1.6,
+}
+"""How large a residual sets of effects leave."""
+
+
+@pytest.mark.parametrize(
+    ("material", "kept", "trifles"),
+    [(0.05, ("rotor_drag", "payload_mass"), 1.01), (0.005, tuple(max(SIZES, key=len)), None)],
+)
+def test_of_two_trifles_that_replace_each_other_the_lesser_one_goes(
+    material: float, kept: tuple[str, ...], trifles: float | None
+) -> None:
+    """Without mass or without thrust hardly anything rises, without both everything: only the thrust goes, worth 1 %."""
+    noise = np.random.default_rng(0).normal(size=(600, 1))
+    chooser, fitter = object.__new__(_Chooser), object.__new__(Fitter)
+    chooser.material = material
+    chooser.predictor = SimpleNamespace(  # type: ignore[assignment]
+        times=[np.arange(600) / 50.0],
+        channels=[Channel(kind="specific_force", axis="x")],
+        residuals=lambda params: [SIZES[tuple(params.effects)] * noise],
+    )
+    fitter.without = lambda one, gone: fitted(*(name for name in one.effects if name not in gone))  # type: ignore[method-assign]
+    whole = fitted(*max(SIZES, key=len))
+    found, immaterial, without = chooser.without_trifles(whole, fitter)
+    assert found.effects == kept
+    assert set(without) == set(kept)
+    assert all(name not in less.effects and set(less.effects) < set(kept) for name, less in without.items())
+    assert list(immaterial) == [name for name in whole.effects if name not in kept]
+    for rises in immaterial.values():
+        assert rises["specific_force.x"].value == pytest.approx(trifles - 1.0)

@@ -3,7 +3,8 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -11,12 +12,14 @@ import pytest
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
-from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.identify.selection.select import Selection, select_effects
+from aerial_gym.sim2real.identify.evidence.fitting import Fitted
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen
+from aerial_gym.sim2real.identify.selection.scoring import Criteria, Scored
+from aerial_gym.sim2real.identify.selection.select import Selection, _Scorer, select_effects
 from aerial_gym.sim2real.judge.verdict import tied_rivals
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import find_channels
-from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.fitted_sets import PLACE, chosen_of, fitted, selection_of
@@ -157,3 +160,33 @@ def test_an_effect_that_flights_cannot_show_is_told_when_it_is_asked_for(tmp_pat
     found = selected(tmp_path, ("ceiling_effect",), seconds=4.0, drag=0.25)
     assert found.accepted == ()
     assert set(found.not_testable) == {"ceiling_effect"}
+
+
+class Given(_Scorer):
+    """Parameters known to a given variance, in units of their scale, with what was asked for."""
+
+    def __init__(self, named: Fitted, variance: Sequence[float]) -> None:
+        self.chosen, self.declared = chosen_of(named), ModelParams()
+        self.predictor = SimpleNamespace(robot=ROBOT)  # type: ignore[assignment]
+        self.variance = np.diag(variance)
+
+    def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> Scored:
+        """Return a fit with parameters of all effects, one after the other."""
+        owners = [(name, k) for name in effects for k in range(start.effects[name].size)]
+        fit = SimpleNamespace(owners=owners, free_effects=np.arange(len(owners)), point=start, frozen=frozen)
+        return cast("Scored", SimpleNamespace(fit=fit, spread=SimpleNamespace(plain=self.variance)))
+
+
+def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
+    """A drag along z and the offset along y are unknown by more than their scale: they change nothing, and are not fitted."""
+    named = fitted(
+        "rotor_drag", "com_offset", params={"rotor_drag": [0.2, 0.3, 0.4], "com_offset": [0.004, 0.005, 0.006]}
+    )
+    fit = Given(named, [0.1, 0.9, 1.1, 0.2, 7.0, 0.2]).final().fit
+    assert fit.frozen == {("rotor_drag", 2), ("com_offset", 1)}
+    assert {name: values.tolist() for name, values in fit.point.effects.items()} == {
+        "rotor_drag": [0.2, 0.3, 0.0],
+        "com_offset": [0.004, 0.0, 0.006],
+    }
+    shown = Given(named, [0.9] * 6).final().fit
+    assert (shown.frozen, shown.point) == (frozenset(), named.params)
