@@ -150,25 +150,35 @@ def posterior(candidates: Candidates, normal: Normal, model: Model) -> Posterior
 def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model]) -> Array:
     """Return the log evidence of each of some sets, (M,), as ``posterior`` has it.
 
-    Sets of about the same number of columns are worked out together; those with fewer are filled up with a column that does
+    Structures and tolerances have normal priors and are integrated out first, once for all sets with the same ones. Sets of
+    about the same number of columns are then worked out together; those with fewer are filled up with a column that does
     nothing.
     """
-    nothing = Normal(
-        product=np.pad(normal.product, (0, 1)), gradient=np.pad(normal.gradient, (0, 1)), constant=normal.constant
-    )
+    places = [candidates.columns_of(tuple(k for k in model if k not in candidates.structures))[0] for model in models]
+    places = [columns[: columns.size - candidates.tolerances.size] for columns in places]
+    widths, found = np.array([columns.size for columns in places]), np.empty(len(models))
+    beside: dict[Model, list[int]] = {}
+    for row, model in enumerate(models):
+        beside.setdefault(tuple(k for k in model if k in candidates.structures), []).append(row)
+    products, gradients = {}, {}
+    for structures, rows in beside.items():
+        rest = np.concatenate([*(candidates.columns[k] for k in structures), candidates.tolerances]).astype(np.int64)
+        reduced = normal.marginal(rest) if rest.size else normal
+        for row in rows:
+            own = places[row]
+            products[row], gradients[row] = reduced.product[np.ix_(own, own)], reduced.gradient[own]
+            found[row] = reduced.constant
     free = replace(candidates, low=np.append(candidates.low, -np.inf), high=np.append(candidates.high, np.inf))
-    parts = [candidates.columns_of(model) for model in models]
-    widths, found = np.array([columns.size for columns, _ in parts]), np.empty(len(models))
-    order = np.argsort(widths, kind="stable")
-    for chunk in np.array_split(order, -(-len(models) // AT_ONCE)):
-        columns = np.full((chunk.size, widths[chunk[-1]]), normal.gradient.size)
-        effects = np.zeros(columns.shape, dtype=bool)
-        for row, k in enumerate(chunk):
-            own, count = parts[k]
-            columns[row, : own.size], effects[row, :count] = own, True
-        product = nothing.product[columns[:, :, None], columns[:, None, :]]
-        found[chunk] = _laplace(free, product, nothing.gradient[columns], columns, effects)[2]
-    return normal.constant + found
+    for chunk in np.array_split(np.argsort(widths, kind="stable"), -(-len(models) // AT_ONCE)):
+        width = int(widths[chunk[-1]])
+        product, gradient = np.zeros((chunk.size, width, width)), np.zeros((chunk.size, width))
+        which = np.full((chunk.size, width), normal.gradient.size)
+        for place, row in enumerate(chunk.tolist()):
+            size = int(widths[row])
+            product[place, :size, :size], gradient[place, :size] = products[row], gradients[row]
+            which[place, :size] = places[row]
+        found[chunk] += _laplace(free, product, gradient, which, which < normal.gradient.size)[2]
+    return found
 
 
 def _laplace(
