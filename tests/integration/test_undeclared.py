@@ -13,6 +13,7 @@ from _pytest.mark import ParameterSet
 from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real import close_loop
+from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from benchmarks.undeclared import make_case
 
 pytestmark = pytest.mark.usefixtures("no_pixels")
@@ -161,12 +162,12 @@ def test_two_effects_are_each_worth_something_and_where_they_should(tmp_path: Pa
     for name, kind in (("com_offset", "angular_acceleration"), ("constant_wind", "specific_force")):
         effect = found[name]
         assert effect["material"] is True
-        assert effect["inclusion"] > 0.9
+        assert effect["confidence"] > 0.9
         assert effect["without_it"]["residual"]["channel"].startswith(kind)
         assert effect["without_it"]["rollout"]["1"]["velocity"]["rises"] > 0.5
         assert effect["where_it_acts"]["channel"].startswith(kind)
         assert effect["where_it_acts"]["gap_closed"] > 0.9
-        assert effect["rival"]["score"] < 0.0
+        assert effect["rival"]["log_odds"] < -LEAST_SCORE
         assert effect["rival"]["name"] not in found
     assert verdict["after"]["specific_force"]["x"]["gap_closed"] > 0.9
     assert verdict["manoeuvre"] is None
