@@ -8,7 +8,7 @@ import numpy as np
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
-from aerial_gym.sim2real.identify.evidence.fitting import Fitted
+from aerial_gym.sim2real.identify.evidence.fitting import Fitted, Fitter
 from aerial_gym.sim2real.identify.evidence.guard import Support
 from aerial_gym.sim2real.identify.evidence.laplace import Posterior
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
@@ -43,6 +43,19 @@ def fitted(
             for name in effects
         },
     )
+
+
+class Made(Fitter):
+    """Fits that are given, by their effects, and by whether there is a structure beside them."""
+
+    def __init__(self, *sets: Fitted) -> None:
+        self.sets = {(one.effects, bool(one.structures)): one for one in sets}
+        self.predictor, self.declared = SimpleNamespace(robot=ROBOT), ModelParams()  # type: ignore[assignment]
+
+    def fit(self, effects: Sequence[str], structures: Sequence[Nuisance], start: ModelParams, _=None) -> Fitted:
+        """Return the set; its start has its effects and no others."""
+        assert set(start.effects) == set(effects)
+        return self.sets[tuple(effects), bool(structures)]
 
 
 def chosen_of(best: Fitted, *others: Fitted, named: Fitted | None = None, **found: Any) -> Chosen:

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.spatial.transform import Rotation
 
 from aerial_gym import SimBuilder
 from aerial_gym.cli.main import main
@@ -25,13 +24,10 @@ from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real import close_loop, replay
 from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test
-from aerial_gym.sim2real.identify.candidates.structure import find_structure
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.judge.analysis import Judged
-from aerial_gym.sim2real.judge.unexplained import material_excess
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT
 from aerial_gym.sim2real.logs.inputs import LEFT_OUT
-from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.progress import silent
 from aerial_gym.sim2real.report.run_folder import whole_folder
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
@@ -383,49 +379,6 @@ def test_training_and_testing_need_a_flight_each(folder: Path, tmp_path: Path) -
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match="is a file; give a folder"):
         close_loop(folder / "robot.yaml", [folder / "f0.csv"], [folder / "f3.csv"], tmp_path / "file")
-
-
-@pytest.mark.parametrize("kind", ["position", "time", "periodic", "heading", "velocity", "none"])
-def test_the_kind_of_a_remaining_structure(kind: str, folder: Path) -> None:
-    from aerial_gym.sim2real.logs.flights import load_flights
-
-    rng = np.random.default_rng(0)
-    flights = load_flights([folder / f"f{n}.csv" for n in range(4)], ROBOT, mapping=None, bandwidth=10.0)
-    channels = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
-    times, residuals = [], []
-    for one in flights:
-        assert one.position is not None
-        assert one.lin_vel is not None
-        turn = Rotation.from_quat(one.attitude[20:-20:3])
-        ahead, forward = turn.apply([1.0, 0.0, 0.0]), turn.apply(one.lin_vel[20:-20:3], inverse=True)[:, 0]
-        time = one.time[20:-20:3]
-        height = one.position[20:-20:3, 2]
-        left = 0.02 * rng.standard_normal((time.size, 3))
-        left[:, 2] += {
-            "position": 0.3 * np.exp(-(height - height.min()) / 0.3),
-            "time": -0.03 * time,
-            "periodic": 0.1 * np.sin(2.0 * np.pi * 7.0 * time + rng.uniform(0.0, 6.0)),
-            "heading": 0.1 * ahead[:, 0] / np.hypot(ahead[:, 0], ahead[:, 1]),
-            "velocity": 0.2 * forward * np.abs(forward),
-            "none": 0.0,
-        }[kind]
-        times.append(time)
-        residuals.append(left)
-    found = find_structure(flights, times, residuals, channels, [2])
-    assert found.kind == kind
-    assert (found.freq_hz is None) == (kind != "periodic")
-    if kind == "heading":  # an attitude that is the integral of a gyro has none
-        drifting = [replace(one, attitude_integrated=True) for one in flights]
-        assert find_structure(drifting, times, residuals, channels, [2]).kind != "heading"
-    if kind == "periodic":
-        assert found.freq_hz == pytest.approx(7.0, abs=0.3)
-
-
-def test_what_remains_is_material_above_noise_and_tolerances() -> None:
-    floor, tolerated = np.array([0.02, 0.02, 0.02]), np.array([0.02, 0.02, 0.2])
-    rms = np.array([0.024, 0.06, 0.06])  # near the floor; above both; hidden by the tolerances
-    assert material_excess(rms, floor, tolerated).tolist() == [False, True, False]
-    assert material_excess(rms, None, tolerated).tolist() == [False, False, False]
 
 
 def test_forces_at_an_unknown_airspeed_are_not_called_unexplained(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments
-from aerial_gym.sim2real.judge.unexplained import with_best_deviations
+from aerial_gym.sim2real.judge.unexplained import material_excess, with_best_deviations
 from aerial_gym.sim2real.predict.model_params import ModelParams
 
 
@@ -34,3 +34,10 @@ def test_the_model_that_is_judged_has_the_parameters_of_the_robot_file() -> None
     columns, values = (jacobian[:, :, 3:] * root).reshape(-1, 4), (residual * root[:, :, 0]).reshape(-1)
     expected = np.linalg.solve(columns.T @ columns + np.eye(4), columns.T @ values)
     np.testing.assert_allclose(found.deviation, expected, rtol=1e-10)
+
+
+def test_what_remains_is_material_above_noise_and_tolerances() -> None:
+    floor, tolerated = np.array([0.02, 0.02, 0.02]), np.array([0.02, 0.02, 0.2])
+    rms = np.array([0.024, 0.06, 0.06])  # near the floor; above both; hidden by the tolerances
+    assert material_excess(rms, floor, tolerated).tolist() == [False, True, False]
+    assert material_excess(rms, None, tolerated).tolist() == [False, False, False]

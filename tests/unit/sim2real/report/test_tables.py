@@ -64,7 +64,14 @@ def test_every_effect_that_is_not_named_has_a_reason() -> None:
     chosen = chosen_of(
         fitted("rotor_drag", log=0.0),
         fitted("rotor_drag", "com_offset", log=float(np.log(0.25))),
-        adds={"com_offset": 1.24, "payload_mass": -3.0, "weak_motor": 9.0, "motor_tilt": 5.0, "imu_bias": -1.0},
+        adds={
+            "rotor_drag": 50.0,
+            "com_offset": 1.24,
+            "payload_mass": -3.0,
+            "weak_motor": 9.0,
+            "motor_tilt": 5.0,
+            "imu_bias": -1.0,
+        },
         surrogates={"weak_motor": "time"},
         immaterial={"motor_tilt": {"specific_force.x": rise}},
         refused={"imu_bias": "runs into its physical bound: x"},

@@ -1,23 +1,17 @@
 """Fitted sets of effects: how probable each is, and what a robot file can hold of one."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from math import exp
-from types import SimpleNamespace
 
 import pytest
 
-from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
 from aerial_gym.sim2real.identify.evidence.fitting import (
-    Fitted,
     Fitter,
     inclusion_in,
     narrowest,
     probabilities_of,
 )
-from aerial_gym.sim2real.predict.model_params import ModelParams
-from tests.unit.sim2real.fitted_sets import PLACE, fitted
-from tests.unit.sim2real.flat_flights import ROBOT
+from tests.unit.sim2real.fitted_sets import PLACE, Made, fitted
 
 
 @pytest.mark.parametrize("overdispersion", [1.0, 4.0])
@@ -50,29 +44,15 @@ def test_of_a_fit_that_went_nowhere_an_effect_goes(monkeypatch: pytest.MonkeyPat
     assert Fitter.without_weakest(object.__new__(Fitter), nowhere) == ("slung_payload",)
 
 
-class Made(Fitter):
-    """Fits that are given, by their effects, and by whether there is a structure beside them."""
-
-    def __init__(self, *sets: Fitted) -> None:
-        self.sets = {(one.effects, bool(one.structures)): one for one in sets}
-        self.predictor, self.declared = SimpleNamespace(robot=ROBOT), ModelParams()  # type: ignore[assignment]
-
-    def fit(self, effects: Sequence[str], structures: Sequence[Nuisance], start: ModelParams, _=None) -> Fitted:
-        """Return the set; its start has its effects and no others."""
-        assert set(start.effects) == set(effects)
-        return self.sets[tuple(effects), bool(structures)]
-
-
-def test_a_robot_file_holds_no_structure_and_no_effect_that_holds_only_beside_one() -> None:
-    """Drag alone is left of drag and a mass that only beside the structure is more probable than not."""
-    whole = fitted("rotor_drag", "payload_mass", structures=(PLACE,))
-    bare, drag = fitted("rotor_drag", "payload_mass", odds={"payload_mass": -1.0}), fitted("rotor_drag")
-    found, ends = Made(bare, drag).in_file(whole, ())
+def test_what_does_not_hold_goes_until_all_that_is_left_holds() -> None:
+    """The mass goes first, for which the least speaks, and then the wind as well, which held only beside it."""
+    odds = {"payload_mass": -2.0, "constant_wind": -1.0}
+    whole = fitted("rotor_drag", "payload_mass", "constant_wind", odds=odds)
+    pair, drag = fitted("rotor_drag", "constant_wind", odds=odds), fitted("rotor_drag")
+    assert Made(pair, drag).held(whole) is drag
+    assert Made().held(drag) is drag
+    found, ends = Made(pair, drag).in_file(whole)
     assert found is drag
-    assert ends == {}
-    nothing = fitted()
-    found, ends = Made(nothing, drag).in_file(replace(drag, structures=(PLACE,)), ("rotor_drag",))
-    assert found is nothing
     assert ends == {}
 
 
@@ -80,11 +60,11 @@ def test_a_robot_file_holds_nothing_that_ends_where_physics_does() -> None:
     """A drag at the largest number that is possible; at 0, where it is neutral too, the other axes stay."""
     end, thrust = [10.0, 0.0, 0.3], fitted("thrust_coefficient")
     both = fitted("rotor_drag", "thrust_coefficient", params={"rotor_drag": end, "thrust_coefficient": [0.9]})
-    found, ends = Made(both, thrust).in_file(both, ())
+    found, ends = Made(both, thrust).in_file(both)
     assert found is thrust
     assert ends == {"rotor_drag": ["dx"]}
     kept = fitted("rotor_drag", params={"rotor_drag": [0.2, 0.0, 0.3]})
-    found, ends = Made(kept).in_file(kept, ())
+    found, ends = Made(kept).in_file(kept)
     assert found is kept
     assert ends == {}
 

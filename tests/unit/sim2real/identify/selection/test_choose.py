@@ -15,7 +15,7 @@ from aerial_gym.sim2real.predict.channels import Channel, find_channels
 from aerial_gym.sim2real.predict.model_params import declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-from tests.unit.sim2real.fitted_sets import fitted
+from tests.unit.sim2real.fitted_sets import PLACE, Made, fitted
 from tests.unit.sim2real.flat_flights import ROBOT, flight
 
 NAMES = (
@@ -143,3 +143,16 @@ def test_of_two_trifles_that_replace_each_other_the_lesser_one_goes(
     assert list(immaterial) == [name for name in whole.effects if name not in kept]
     for rises in immaterial.values():
         assert rises["specific_force.x"].value == pytest.approx(trifles - 1.0)
+
+
+def test_a_robot_file_holds_no_structure_and_no_effect_that_holds_only_beside_one() -> None:
+    """Without the structure drag and mass do not both hold: the better of both is left, and nothing that was not named."""
+    whole = fitted("rotor_drag", "payload_mass", structures=(PLACE,))
+    both = fitted("rotor_drag", "payload_mass", odds={"payload_mass": -1.0})
+    drag, mass, more = fitted("rotor_drag", log=-5.0), fitted("payload_mass", log=-3.0), fitted("imu_bias", log=-1.0)
+    beside = fitted("rotor_drag", log=-0.5, structures=(PLACE,))
+    fits = {str(place): one for place, one in enumerate((whole, drag, mass, more, beside))}
+    view, chooser = SimpleNamespace(fitter=Made(both, drag, fitted()), fits=fits), object.__new__(_Chooser)
+    assert chooser.bare(whole, (), view) is mass  # type: ignore[arg-type]
+    assert chooser.bare(whole, ("payload_mass",), view) is drag  # type: ignore[arg-type]
+    assert chooser.bare(drag, (), view) is drag  # type: ignore[arg-type]
