@@ -139,7 +139,6 @@ def evidence_point(selection: Selection, effect: str, judged: Judged) -> tuple[M
 
 
 def closest(selection: Selection) -> list[Fitted]:
-    """Return the most probable fitted sets of one effect each, which were not named."""
-    return [fitted for fitted in selection.chosen.fits if len(fitted.effects) == 1 and not fitted.structures][
-        :MOST_REJECTED
-    ]
+    """Return the most probable fitted sets of one effect each, which were not named; none whose fit went nowhere."""
+    fits = [one for one in selection.chosen.fits if len(one.effects) == 1 and not one.structures]
+    return [one for one in fits if np.isfinite(one.log_posterior)][:MOST_REJECTED]
