@@ -161,6 +161,12 @@ class _View:
     fits: dict[Label, Fitted]
     """All sets that were fitted under these weights, this one among them."""
 
+    own: dict[Label, Fitter]
+    """Of the sets that were fitted with the tolerances linear about themselves: what fits them there."""
+
+    fresh: set[Label]
+    """Sets that were fitted with the tolerances linear about the present one."""
+
     fitter: Fitter
     library: Library
     structures: list[Nuisance]
@@ -183,18 +189,31 @@ class _View:
         bare = (fitted for fitted in self.fits.values() if fitted.holds and not fitted.structures)
         return max(bare, key=lambda one: one.log_posterior)
 
-    def fit(self, model: Model) -> None:
-        """Fit a set, from the best of its starts."""
-        self.add(self.fitter.fit_of(self.library, self.sets, model, self.structures), self.fitter)
+    def known(self, label: Label) -> bool:
+        """Return whether a set was fitted with the tolerances linear about the present model or about itself.
 
-    def add(self, fitted: Fitted, fitter: Fitter) -> None:
+        Evidences with the tolerances linear about models that are far apart are not comparable.
+        """
+        return label in self.fresh or label in self.own
+
+    def fit(self, model: Model) -> None:
+        """Fit a set that is not known, from the best of its starts."""
+        if not self.known(label_in(self.library, model)):
+            self.add(self.fitter.fit_of(self.library, self.sets, model, self.structures))
+
+    def add(self, fitted: Fitted) -> None:
         """Take a fitted set, and as long as it does not hold, the same without the effect for which the least speaks."""
-        self.fits[fitted.label] = fitted
-        while not fitted.holds:
-            fitted = fitter.without_weakest(fitted)
-            if fitted.label in self.fits:
-                return
+        while not self.known(fitted.label):
             self.fits[fitted.label] = fitted
+            self.fresh.add(fitted.label)
+            if not fitted.holds:
+                fitted = self.fitter.without_weakest(fitted)
+
+    def settle(self, fitted: Fitted, fitter: Fitter) -> None:
+        """Take a set fitted about itself, and where it does not hold, the same without what does not, fitted as any other."""
+        self.own[fitted.label], self.fits[fitted.label] = fitter, fitted
+        if not fitted.holds:
+            self.add(self.fitter.without_weakest(fitted))
 
 
 class _Chooser:
@@ -250,28 +269,27 @@ class _Chooser:
         own[present.label] = start
         for count in range(MOST_ROUNDS):
             self.progress(f"sets of effects, round {count + 1}", count / MOST_ROUNDS)
-            view = self.look_around(present, own[present.label], fits)
+            view = self.look_around(present, own, fits)
             for more in (self.fit_probable, self.fit_fewer, self.fit_rivals):
-                more(view)
-                if self.leader(view, own) is not present:
-                    break
-            else:
+                settled = -1
+                while settled != len(own) and self.leader(view) is present:  # else what looked best was not
+                    settled = len(own)
+                    more(view)
+                    self.leader(view)
+            if (leader := self.leader(view)) is present:
                 return view
-            present = self.leader(view, own)
-        return self.look_around(present, own[present.label], fits)
+            present = leader
+        return self.look_around(present, own, fits)
 
     def fitter_about(self, params: ModelParams, weights: Weighting) -> Fitter:
         """Return what fits sets with the tolerances linear about a model."""
         return Fitter(self.predictor, self.declared, len(self.names), weights, params)
 
-    def leader(self, view: _View, own: dict[Label, Fitter]) -> Fitted:
-        """Return the best fitted set, each that comes first fitted once more with the tolerances linear about itself.
-
-        ``own`` holds what fits them there. Evidences about different models are not comparable where these are far apart.
-        """
-        while (best := view.best).label not in own:
-            fitter = own[best.label] = self.fitter_about(best.params, view.fitter.weights)
-            view.add(fitter.fit(best.effects, best.structures, best.params), fitter)
+    def leader(self, view: _View) -> Fitted:
+        """Return the best fitted set, each that comes first fitted once more with the tolerances linear about itself."""
+        while (best := view.best).label not in view.own:
+            fitter = self.fitter_about(best.params, view.fitter.weights)
+            view.settle(fitter.fit(best.effects, best.structures, best.params), fitter)
         return best
 
     def fit_probable(self, view: _View) -> None:
@@ -291,12 +309,10 @@ class _Chooser:
                 if vain == MOST_IN_VAIN or values[model] <= best.log_posterior:
                     break
                 label = label_in(view.library, model)
-                if label in seen or label in view.fits:
+                if label in seen or view.known(label):
                     continue
                 seen.add(label)
-                held = view.guard.held(model)
-                if label_in(view.library, held) not in view.fits:
-                    view.fit(held)
+                view.fit(view.guard.held(model))
                 before, best = best, best_of_turn()
                 vain = vain + 1 if best is before else 0
 
@@ -305,7 +321,7 @@ class _Chooser:
         for gone in (k for k in view.here if not view.library.candidates[k].structure):
             view.fit(tuple(k for k in view.here if k != gone))
         for fitted in view.fitter.narrower(view.present, self.names):
-            view.fits[fitted.label] = fitted
+            view.add(fitted)
 
     def fit_rivals(self, view: _View) -> None:
         """Fit the best sets with another effect in the place of one of the present: the best, and what may be as probable."""
@@ -318,7 +334,7 @@ class _Chooser:
                 if np.isfinite(values[model]) and (place == 0 or values[model] > least):
                     view.fit(model)
 
-    def look_around(self, present: Fitted, fitter: Fitter, fits: dict[Label, Fitted]) -> _View:
+    def look_around(self, present: Fitted, own: dict[Label, Fitter], fits: dict[Label, Fitted]) -> _View:
         """Return all candidates about a model, the posterior over their sets, and the structures among them."""
         flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
         structures: list[Nuisance] = []
@@ -336,6 +352,7 @@ class _Chooser:
             structures=of_residuals,
             length=part_length(times),
         )
+        fitter = own[present.label]
         normal = normal_of(library, fitter.weights)
         here = place_of(library, present)
         sets = search(candidates_of(library), normal, starts=[here])
@@ -343,6 +360,8 @@ class _Chooser:
         return _View(
             present=present,
             fits=fits,
+            own=own,
+            fresh=set(),
             fitter=fitter,
             library=library,
             structures=structures,
@@ -353,7 +372,8 @@ class _Chooser:
     def chosen(self, view: _View) -> Chosen:
         """Return the result about the last model."""
         present = narrowest(view.present, view.fits.values(), reach_of(view.present))
-        fits = sorted(view.fits.values(), key=lambda one: -one.log_posterior)
+        known = (fitted for label, fitted in view.fits.items() if view.known(label))
+        fits = sorted(known, key=lambda one: -one.log_posterior)
         surrogates = self.varying(present, view.fitter)
         named, ends = view.fitter.in_file(self.bare(present, surrogates, view))
         named, immaterial, without = self.without_trifles(named, view.fitter)
