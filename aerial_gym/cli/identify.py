@@ -103,8 +103,8 @@ class HoverCmd:
     sum, and which of payload_mass, com_offset and weak_motor explains the change."""
 
     test: tuple[Path, ...] = ()
-    """With --baseline: further hovers like the flights, on which the candidates are judged; without them each flight is left
-    out in turn."""
+    """With --baseline: further hovers like the flights. They count for what is named, and the parameters, which come from the
+    flights alone, are judged on them; without them each flight is left out in turn."""
 
     repeats: tuple[Path, ...] = ()
     """With --baseline: hovers under any conditions. Names that differ only in the number at the end are one condition, and

@@ -89,7 +89,7 @@ def test_a_propeller_cut_by_3_mm_is_named(pairs: dict[str, list[HoverEffort]]) -
         found = judged(pairs, "cut_propeller_M3_3mm_E8", first=first)
         assert (found.verdict, found.candidates) == ("explained", ("weak_motor 3",))
     found = judged(pairs, "cut_propeller_M3_3mm_E9")
-    assert (found.verdict, found.candidates) == ("none", ())
+    assert (found.verdict, found.candidates) == ("unexplained", ())
     assert max(found.fits[:-1], key=lambda fit: fit.probability).cause.name == "weak_motor 3 + torque_ratio"
 
 

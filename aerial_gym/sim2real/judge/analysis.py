@@ -24,7 +24,7 @@ from aerial_gym.sim2real.judge.experiments.design import (
     what_shows,
     what_tells,
 )
-from aerial_gym.sim2real.judge.noise_floor import floor_of_flight, of_all_flights
+from aerial_gym.sim2real.predict.noise_floor import floor_of_flight, of_all_flights
 from aerial_gym.sim2real.judge.outcome import Outcome, outcomes, said_first
 from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, with_random
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained, judges_forces

@@ -12,20 +12,20 @@ from math import exp, inf
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special, stats
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.logs.flight_log import FlightLog
-from aerial_gym.sim2real.teststand.causes import ROTORS, Cause, causes
+from aerial_gym.sim2real.teststand.causes import OTHER, ROTORS, Cause, causes, priors, tell_apart
 from aerial_gym.sim2real.teststand.hover import FEWEST_WINDOWS, hovering_rows
-from aerial_gym.sim2real.teststand.scatter import Scatter, ScatterFit, fit_scatter, pooled_scatter
+from aerial_gym.sim2real.teststand.scatter import Scatter, ScatterFit, fit_scatter, log_evidence, pooled_scatter
 from aerial_gym.sim2real.teststand.statistics import Estimate, rms
 
 Array = NDArray[np.float64]
 
 SIGNIFICANCE = 0.01
-"""A candidate is refused where scatter alone would leave as much in fewer cases than this."""
+"""What remains holds the cause but for this probability; logs differ where scatter alone would part them less often."""
 
 SAME_HEIGHT = 0.15
 """Windows further than this [m] from the median height are take-off, landing and moves."""
@@ -85,6 +85,9 @@ class CauseFit:
     cause: Cause
     fit: ScatterFit
     params: dict[str, Estimate]
+    probability: float = 0.0
+    """After all logs of the condition."""
+
     place: tuple[Estimate, Estimate] | None = None
     """Of a payload with a place, x and y from the declared centre of mass [m]; None where its mass may be 0."""
 
@@ -94,11 +97,6 @@ class CauseFit:
     held_out: float | None = None
     """Rms over rotors of measured over predicted effort less 1, in the logs left out."""
 
-    @property
-    def fits(self) -> bool:
-        """Whether scatter explains what is left, and would not explain what was gained."""
-        return self.fit.misfit >= SIGNIFICANCE and (self.cause.name == "none" or self.fit.gain < SIGNIFICANCE)
-
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
         return {
@@ -107,8 +105,7 @@ class CauseFit:
             "params": {name: value.as_mapping() for name, value in self.params.items()},
             "place": None if self.place is None else [axis.as_mapping() for axis in self.place],
             "misfit_p": self.fit.misfit,
-            "gain_p": self.fit.gain,
-            "fits": self.fits,
+            "probability": self.probability,
             "judged_p": self.judged,
             "held_out_rms": self.held_out,
         }
@@ -197,7 +194,8 @@ def judge_balance(
         baseline: Hovers of the airframe as it is declared.
         flights: Hovers of the same airframe in the condition to be explained.
         robot: Declared vehicle: places and spin of its four rotors, mass, centre of mass.
-        test: Further hovers in that condition, which no fit sees; without them each of two or more flights is left out in turn.
+        test: Further hovers in that condition: they count for the probabilities, and parameters of the flights are judged on
+            them; without them each of two or more flights is left out in turn.
         repeats: Hovers under any other condition, which show how much logs of one condition (names that differ only in the
             number at the end) scatter.
         added_mass: Mass of the flights less that of the baseline [kg], where it was weighed: candidates are then compared at
@@ -230,6 +228,7 @@ def judge_balance(
     if scatter.freedom >= ROTORS:
         fits = tuple(_fit(cause, logs[1], usual, scatter, len(baseline)) for cause in possible)
         fits = tuple(_judged(fit, flights, test, usual, scatter, len(baseline)) for fit in fits)
+        fits = _weighed(fits, [logs[0], np.log([hover.effort for hover in (*flights, *test)]), *logs[2:]], usual)
     verdict, candidates = _decide(fits, possible)
     (total,) = _change([np.log([[hover.effort.sum()] for hover in group]) for group in filled], share)
     return Balance(
@@ -250,14 +249,18 @@ def judge_balance(
         scatter=scatter.std,
         notes=(
             *_notes(baseline, flights, test, scatter, added_mass),
-            *(NOT_REPEATED for fit in fits[:1] if fit.fits and verdict == "unexplained"),
+            *(NOT_REPEATED for fit in fits[-1:] if not _repeated(fit)),
+            *(f"{OTHER.name}: probability {fit.probability:.2g}" for fit in fits[-1:] if candidates),
         ),
     )
 
 
-NOT_REPEATED = (
-    "the flights differ from the baseline by no more than scatter, and the logs that they are judged on by more"
-)
+NOT_REPEATED = "the flights differ from the logs that they are judged on by more than scatter"
+
+
+def _repeated(other: CauseFit) -> bool:
+    """Return whether logs left out are as the flights were, whatever the cause."""
+    return other.judged is None or other.judged >= SIGNIFICANCE
 
 
 def _fit(cause: Cause, efforts: Array, usual: Array, scatter: Scatter, count: int) -> CauseFit:
@@ -310,22 +313,39 @@ def _judged(
     return replace(found, judged=p_value, held_out=rms(np.array(errors)))
 
 
+def _weighed(fits: Sequence[CauseFit], groups: Sequence[Array], usual: Array) -> tuple[CauseFit, ...]:
+    """Return the candidates with their probabilities, from groups (L, R) of logs: baseline, condition, others."""
+    scatter, share = pooled_scatter(groups), 1.0 / len(groups[0]) + 1.0 / len(groups[1])
+    ratio = np.exp(groups[1].mean(axis=0)) / usual
+    evidence = [log_evidence(1.0 - 1.0 / ratio, fit.cause.columns / ratio[:, None], scatter, share) for fit in fits]
+    probability = special.softmax(np.array(evidence) + np.log(priors([fit.cause for fit in fits])))
+    return tuple(replace(fit, probability=float(p)) for fit, p in zip(fits, probability, strict=True))
+
+
 def _decide(fits: Sequence[CauseFit], possible: Sequence[Cause]) -> tuple[str, tuple[str, ...]]:
-    """Return the verdict and what remains possible: the simplest of nested candidates that fit and hold."""
+    """Return the verdict and what remains possible, one name for each part.
+
+    What remains is the smallest set of candidates that holds the cause with the probability 1 - `SIGNIFICANCE`. Nothing is
+    named while "none" is in it, or while "something else" is more probable than any one part.
+    """
     if not fits:
-        return "ambiguous", tuple(cause.name for cause in possible)
-    fitting = {fit.cause.name: fit for fit in fits if fit.fits}
-    simplest = {
-        n: fit for n, fit in fitting.items() if "none" not in fitting and not set(fit.cause.within) & set(fitting)
-    }
-    if "none" in fitting:
-        simplest = {"none": fitting["none"]}
-    held = tuple(n for n, fit in simplest.items() if fit.judged is None or fit.judged >= SIGNIFICANCE)
-    if not held:
+        return "ambiguous", tuple(cause.name for cause in possible if cause is not OTHER)
+    if not _repeated(fits[-1]):
         return "unexplained", ()
-    if held == ("none",):
+    if fits[0].probability >= SIGNIFICANCE:
         return "none", ()
-    return ("explained" if len(held) == 1 else "ambiguous"), held
+    probability = np.array([fit.probability for fit in fits])
+    ranked = np.argsort(-probability)
+    count = 1 + int(np.searchsorted(np.cumsum(probability[ranked]), 1.0 - SIGNIFICANCE))
+    parts: dict[str, list[CauseFit]] = {}
+    for n in sorted(ranked[:count]):
+        parts.setdefault(fits[n].cause.part, []).append(fits[n])
+    parts.pop(OTHER.part, None)
+    if "none" in parts or not any(
+        sum(fit.probability for fit in part) > fits[-1].probability for part in parts.values()
+    ):
+        return "unexplained", ()
+    return ("explained" if len(parts) == 1 else "ambiguous"), tuple(part[0].cause.name for part in parts.values())
 
 
 def _change(values: Sequence[Array], share: float) -> list[Change]:
@@ -347,23 +367,6 @@ def _change(values: Sequence[Array], share: float) -> list[Change]:
 
 def _exponential(found: Estimate, less: float = 0.0) -> Estimate:
     return Estimate(value=exp(found.value) - less, low=exp(found.low) - less, high=exp(found.high) - less)
-
-
-def tell_apart(candidates: Sequence[str]) -> list[str]:
-    """Return what would tell candidates apart, one sentence each."""
-    if len(candidates) < 2:
-        return []
-    weak = [name for name in candidates if name.startswith("weak_motor")]
-    payload = [name for name in candidates if name.startswith("payload_mass")]
-    found = []
-    if payload and len(payload) < len(candidates):
-        found.append("the mass: weigh the vehicle and give --added-mass-kg, for only a payload adds any")
-        found.append("the total thrust at a known voltage, on a bench: a weak propeller loses some, a payload none")
-    if weak and len(weak) < len(candidates):
-        found.append("rotations with a gyro: a weight adds to the inertia, a weak propeller turns its arm more slowly")
-    if weak:
-        found.append("another propeller on that motor: what a weak propeller does goes with it")
-    return found
 
 
 def _notes(

@@ -5,7 +5,7 @@ the squared speed of a rotor; its thrust is a factor of its own times that.
 Body is x forward, y left, z up. Letters: R rotors (four), P parameters.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -31,11 +31,16 @@ class Cause:
     physical: Callable[[Array], dict[str, float]] = field(repr=False)
     """Parameters of the effects from those of the columns."""
 
+    kind: str
+    """What a person would look for: none, weight, propeller, other."""
+
     motor: int | None = None
     """Rotor concerned, from 1."""
 
-    within: tuple[str, ...] = ()
-    """Candidates that are this one with fewer parameters."""
+    @property
+    def part(self) -> str:
+        """What is at fault: a propeller, whatever its drag does; else the candidate itself."""
+        return self.name if self.motor is None else f"{self.kind} {self.motor}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +87,7 @@ def layout_of(robot: RobotCfg) -> Layout:
 
 
 def causes(robot: RobotCfg) -> list[Cause]:
-    """Return the candidates for a declared vehicle, "none" first.
+    """Return the candidates for a declared vehicle, "none" first and "something else" last.
 
     Source:
         Derived: sums of thrust, of thrust times place about the centre of mass, and of drag torques are weight, zero and zero.
@@ -97,22 +102,42 @@ def causes(robot: RobotCfg) -> list[Cause]:
         return {"dm": float(mass * params[0]), "x": float(params[1] / whole), "y": float(params[2] / whole)}
 
     return [
-        Cause(name="none", columns=np.empty((ROTORS, 0)), physical=lambda _: {}),
-        Cause(name="payload_mass", columns=heavier, physical=lambda p: {"dm": float(mass * p[0])}, within=("none",)),
+        Cause(name="none", columns=np.empty((ROTORS, 0)), physical=lambda _: {}, kind="none"),
+        Cause(name="payload_mass", columns=heavier, physical=lambda p: {"dm": float(mass * p[0])}, kind="weight"),
         Cause(
             name="com_offset",
             columns=layout.shift,
             physical=lambda p: {"x": float(p[0]), "y": float(p[1])},
-            within=("none",),
+            kind="weight",
         ),
         Cause(
             name="payload_mass + com_offset",
             columns=np.column_stack((heavier, layout.shift)),
             physical=placed,
-            within=("none", "payload_mass", "com_offset"),
+            kind="weight",
         ),
         *(cause for rotor in range(ROTORS) for cause in _weak(layout, rotor)),
+        OTHER,
     ]
+
+
+OTHER = Cause(name="something else", columns=np.eye(ROTORS), physical=lambda _: {}, kind="other")
+"""Any change at all: two causes at once, or one that is not listed."""
+
+
+def priors(possible: Sequence[Cause]) -> Array:
+    """Return the probability of each candidate before any log is seen.
+
+    One half is for none. The other kinds share the other half equally, and the candidates of a kind share what it has.
+
+    Source:
+        Jeffreys (1961), Theory of probability, section 5.0: one half for no change. Scott, Berger (2010), Bayes and
+        empirical-Bayes multiplicity adjustment in the variable-selection problem, Annals of Statistics 38: what candidates
+        share out among them accounts for how many were tried.
+    """
+    kinds = [cause.kind for cause in possible]
+    others = len(set(kinds)) - 1
+    return np.array([0.5 if kind == "none" else 0.5 / (others * kinds.count(kind)) for kind in kinds])
 
 
 def _weak(layout: Layout, rotor: int) -> list[Cause]:
@@ -129,14 +154,31 @@ def _weak(layout: Layout, rotor: int) -> list[Cause]:
             name=name,
             columns=one,
             physical=lambda p: {"scale": float(1.0 / (1.0 + p[0]))},
+            kind="propeller",
             motor=rotor + 1,
-            within=("none",),
         ),
         Cause(
             name=f"{name} + torque_ratio",
             columns=np.column_stack((one, layout.twist)),
             physical=with_yaw,
+            kind="propeller",
             motor=rotor + 1,
-            within=("none", name),
         ),
     ]
+
+
+def tell_apart(candidates: Sequence[str]) -> list[str]:
+    """Return what would tell candidates apart, one sentence each."""
+    if len(candidates) < 2:
+        return []
+    weak = [name for name in candidates if name.startswith("weak_motor")]
+    payload = [name for name in candidates if name.startswith("payload_mass")]
+    found = []
+    if payload and len(payload) < len(candidates):
+        found.append("the mass: weigh the vehicle and give --added-mass-kg, for only a payload adds any")
+        found.append("the total thrust at a known voltage, on a bench: a weak propeller loses some, a payload none")
+    if weak and len(weak) < len(candidates):
+        found.append("rotations with a gyro: a weight adds to the inertia, a weak propeller turns its arm more slowly")
+    if weak:
+        found.append("another propeller on that motor: what a weak propeller does goes with it")
+    return found

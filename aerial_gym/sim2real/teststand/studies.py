@@ -338,12 +338,12 @@ def _balance_tables(found: Balance) -> list[Table]:
             numbers += "; weight at " + ", ".join(interval(axis) for axis in fit.place)
         mark = " (possible)" * (fit.cause.name in found.candidates)
         judged = ("", "") if fit.judged is None else (f"{fit.judged:.2g}", f"{fit.held_out:.3g}")
-        rows.append((fit.cause.name + mark, numbers, f"{fit.fit.misfit:.2g}", f"{fit.fit.gain:.2g}", *judged))
+        rows.append((fit.cause.name + mark, numbers, f"{fit.probability:.2g}", f"{fit.fit.misfit:.2g}", *judged))
     head = (
         "candidate",
         "dm [kg]; x, y [m] of the centre of mass; place of the weight [m]; scale, torque_ratio of the rotor",
+        "probability",
         "chance of what it leaves",
-        "chance of what it gains",
         "chance of its error on logs left out",
         "that error, relative",
     )

@@ -11,7 +11,7 @@ from aerial_gym.interop import one_thread
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_effects, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.moments import weights_from
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.judge.noise_floor import noise_floor
+from aerial_gym.sim2real.predict.noise_floor import noise_floor
 from aerial_gym.sim2real.judge.predictive import quantile_of_squares
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained
 from aerial_gym.sim2real.logs.flight_log import read_flight_log
