@@ -24,7 +24,6 @@ from aerial_gym.sim2real.judge.experiments.design import (
     what_shows,
     what_tells,
 )
-from aerial_gym.sim2real.predict.noise_floor import floor_of_flight, of_all_flights
 from aerial_gym.sim2real.judge.outcome import Outcome, outcomes, said_first
 from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, with_random
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained, judges_forces
@@ -32,6 +31,7 @@ from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, decide, imma
 from aerial_gym.sim2real.judge.whiteness import whiteness
 from aerial_gym.sim2real.logs.flights import notes_of
 from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.noise_floor import floor_of_flight, of_all_flights
 from aerial_gym.sim2real.progress import Progress
 
 Array = NDArray[np.float64]

@@ -76,15 +76,33 @@ def floor_of_flight(
     robot: RobotCfg, flight: Flight, point: ModelParams, channels: Sequence[Channel], bandwidth: float
 ) -> Array | None:
     """Return the floor (rms) of each channel of one flight, (C,); None where its log is too slow to tell."""
-    wide = WIDE_BAND * flight.rate
-    predictor = Predictor(robot, [flight], bandwidth=wide, channels=channels, tolerances=Tolerances(), every_row=True)
+    predictor = wide_predictor(robot, flight, channels)
     residual = predictor.residuals(point)[0][longest_flight(flight, predictor.times[0], bandwidth)]
-    length = min(residual.shape[0], round(SEGMENT_S * flight.rate))
+    readings = [is_reading(channel, flight) for channel in channels]
+    return floor_of_columns(residual, flight.rate, bandwidth, readings)
+
+
+def wide_predictor(robot: RobotCfg, flight: Flight, channels: Sequence[Channel]) -> Predictor:
+    """Return what predicts every row of a flight up to frequencies above the band of a comparison."""
+    wide = WIDE_BAND * flight.rate
+    return Predictor(robot, [flight], bandwidth=wide, channels=channels, tolerances=Tolerances(), every_row=True)
+
+
+def floor_of_columns(values: Array, rate: float, bandwidth: float, readings: Sequence[bool]) -> Array | None:
+    """Return how large (rms) the noise of columns is below a bandwidth [Hz], (K,); None where the log is too slow to tell.
+
+    Args:
+        values: Every row, below ``WIDE_BAND`` of the rate, (T, K).
+        rate: Rows per second.
+        bandwidth: Of the comparison [Hz].
+        readings: Whether each is what a sensor reads itself, whose noise does not grow with frequency.
+    """
+    wide, length = WIDE_BAND * rate, min(values.shape[0], round(SEGMENT_S * rate))
     if length < 2:
         return None
-    frequency, density = signal.welch(residual, flight.rate, nperseg=length, detrend="linear", axis=0)
-    low = max(min(FIT_FROM * bandwidth, FIT_FROM_AT_LATEST * FIT_TO * flight.rate), CLEAR_OF_BAND * bandwidth)
-    chosen = (frequency >= low) & (frequency <= FIT_TO * flight.rate)
+    frequency, density = signal.welch(values, rate, nperseg=length, detrend="linear", axis=0)
+    low = max(min(FIT_FROM * bandwidth, FIT_FROM_AT_LATEST * FIT_TO * rate), CLEAR_OF_BAND * bandwidth)
+    chosen = (frequency >= low) & (frequency <= FIT_TO * rate)
     if chosen.sum() < FEWEST_LINES:
         return None
     flat = density[chosen] / lowpass_gain(frequency[chosen], wide)[:, None] ** 2
@@ -92,10 +110,10 @@ def floor_of_flight(
     below = lowpass_gain(frequency, bandwidth) ** 2
     spacing = frequency[1] - frequency[0]
     floors = []
-    for channel, line in zip(channels, flat.T, strict=True):
+    for reading, line in zip(readings, flat.T, strict=True):
         own = slice(_unfiltered(frequency[chosen], line))
         lines = frequency[chosen][own]
-        narrow = lines[-1] < (NARROW_READING if is_reading(channel, flight) else NARROW) * lines[0]
+        narrow = lines[-1] < (NARROW_READING if reading else NARROW) * lines[0]
         level, growth = (line[own].mean(), 0.0) if narrow else _level_and_growth(line[own], square[chosen][own])
         floors.append(np.sqrt((below * (level + growth * square)).sum() * spacing))
     return np.array(floors)

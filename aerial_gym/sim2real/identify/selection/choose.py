@@ -26,6 +26,7 @@ from aerial_gym.sim2real.identify.candidates.nuisance import (
     functions_of,
     structures_of,
 )
+from aerial_gym.sim2real.identify.candidates.testable import noise_shares
 from aerial_gym.sim2real.identify.evidence.fitting import (
     Fitted,
     Fitter,
@@ -60,6 +61,9 @@ MOST_IN_VAIN = 5
 STEADY = 0.2
 """Share of its mean by which an effect's size may follow a structure (rms) and still be called that effect."""
 
+MOST_NOISE = 0.5
+"""Share of what would show an effect that may be noise of the logs: with more, a fit makes more of noise than of motion."""
+
 MOST_RIVALS = 3
 """Other effects that are fitted in the place of one."""
 
@@ -90,6 +94,9 @@ class Chosen:
 
     hidden: tuple[str, ...]
     """Effects of which these flights show no parameter."""
+
+    drowned: tuple[str, ...]
+    """Effects that they show less than noise of the logs does."""
 
     surrogates: dict[str, str]
     """Effects that only stand in for what remains, and what their size follows."""
@@ -228,7 +235,7 @@ class _Chooser:
         progress: Progress,
     ) -> None:
         self.predictor, self.declared, self.names, self.material = predictor, declared, tuple(names), material
-        self.skipped = [name for name in EFFECTS if name not in names]
+        self.skipped = tuple(name for name in EFFECTS if name not in names)
         self.progress = progress
         self.missed = predictor.residuals(declared)
 
@@ -236,6 +243,11 @@ class _Chooser:
         """Choose with the weights that the best model leaves, until these no longer change."""
         params, effects, structures = self.declared, (), ()
         weights = self.weigh(params)
+        tolerance = tolerance_jacobian(self.predictor, params, self.predictor.predict(params))
+        shares = noise_shares(self.predictor, params, self.names, tolerance, weights.weight)
+        self.drowned = tuple(name for name, share in shares.items() if share > MOST_NOISE)
+        self.names = tuple(name for name in self.names if name not in self.drowned)
+        self.skipped += self.drowned
         for _ in range(MOST_WEIGHINGS):
             view = self.climb(params, effects, structures, weights)
             params, effects, structures = view.present.params, view.present.effects, view.present.structures
@@ -391,6 +403,7 @@ class _Chooser:
             without=without,
             adds=self.adds(view),
             hidden=tuple(name for name in self.names if name not in shown),
+            drowned=self.drowned,
             surrogates=surrogates,
             immaterial=immaterial,
             refused={name: reason for name, reason in refused.items() if name not in away},

@@ -11,7 +11,6 @@ from aerial_gym.interop import one_thread
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_effects, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.moments import weights_from
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.predict.noise_floor import noise_floor
 from aerial_gym.sim2real.judge.predictive import quantile_of_squares
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained
 from aerial_gym.sim2real.logs.flight_log import read_flight_log
@@ -19,6 +18,7 @@ from aerial_gym.sim2real.logs.flights import complete_flight
 from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.noise_floor import noise_floor
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write

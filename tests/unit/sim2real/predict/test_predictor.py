@@ -12,12 +12,12 @@ from aerial_gym.physics import EFFECTS, Accelerations, accelerations, build_mode
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import effect_jacobian
 from aerial_gym.sim2real.identify.selection.select import lacks
-from aerial_gym.sim2real.predict.noise_floor import noise_floor
 from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_flights
 from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
 from aerial_gym.sim2real.predict.channels import Channel, find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
+from aerial_gym.sim2real.predict.noise_floor import noise_floor
 from aerial_gym.sim2real.predict.predictor import Predictor, together
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rollout import find_windows, roll_out
