@@ -111,6 +111,9 @@ def floor_of_columns(values: Array, rate: float, bandwidth: float, readings: Seq
     spacing = frequency[1] - frequency[0]
     floors = []
     for reading, line in zip(readings, flat.T, strict=True):
+        if not line.any():
+            floors.append(0.0)
+            continue
         own = slice(_unfiltered(frequency[chosen], line))
         lines = frequency[chosen][own]
         narrow = lines[-1] < (NARROW_READING if reading else NARROW) * lines[0]

@@ -1,0 +1,287 @@
+"""The way to the most probable set of effects.
+
+All candidates are linearised about the present model; the posterior over sets tells which are worth a fit; each of these is
+fitted as it is, not linearised, and its evidence taken there. The best becomes the present model, until none is better.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.candidates.library import (
+    Library,
+    build_library,
+    columns_of_starts,
+    has_starts,
+)
+from aerial_gym.sim2real.identify.candidates.nuisance import (
+    Nuisance,
+    beyond_structures,
+    structures_of,
+)
+from aerial_gym.sim2real.identify.candidates.testable import noise_shares
+from aerial_gym.sim2real.identify.evidence.fitting import (
+    Fitted,
+    Fitter,
+    Label,
+    label_in,
+)
+from aerial_gym.sim2real.identify.evidence.guard import Guard, part_length
+from aerial_gym.sim2real.identify.evidence.laplace import Model
+from aerial_gym.sim2real.identify.evidence.linear import candidates_of, normal_of
+from aerial_gym.sim2real.identify.evidence.search import Sets, search
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    tolerance_jacobian,
+    weighting,
+)
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.progress import Progress
+
+Array = NDArray[np.float64]
+
+MOST_IN_VAIN = 5
+"""Sets that are fitted one after the other without one that is better."""
+
+MOST_NOISE = 0.5
+"""Share of what would show an effect that may be noise of the logs: with more, a fit makes more of noise than of motion."""
+
+MOST_RIVALS = 3
+"""Other effects that are fitted in the place of one."""
+
+MOST_ROUNDS = 8
+MOST_WEIGHINGS = 3
+SETTLED = 0.3
+"""The weights of the channels are taken anew until none changes by more than this on the scale of the logarithm."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """All candidates about a fitted set."""
+
+    present: Fitted
+    fits: dict[Label, Fitted]
+    """All sets that were fitted under these weights, this one among them."""
+
+    own: dict[Label, Fitter]
+    """Of the sets that were fitted with the tolerances linear about themselves: what fits them there."""
+
+    fresh: set[Label]
+    """Sets that were fitted with the tolerances linear about the present one."""
+
+    fitter: Fitter
+    library: Library
+    structures: list[Nuisance]
+    sets: Sets
+    guard: Guard
+
+    @property
+    def here(self) -> Model:
+        """Return the set of the candidates that the present model holds."""
+        return place_of(self.library, self.present)
+
+    @property
+    def best(self) -> Fitted:
+        """Return the best of the fitted sets that hold."""
+        return max((fitted for fitted in self.fits.values() if fitted.holds), key=lambda one: one.log_posterior)
+
+    @property
+    def best_bare(self) -> Fitted:
+        """Return the best of those without structures."""
+        bare = (fitted for fitted in self.fits.values() if fitted.holds and not fitted.structures)
+        return max(bare, key=lambda one: one.log_posterior)
+
+    def known(self, label: Label) -> bool:
+        """Return whether a set was fitted with the tolerances linear about the present model or about itself.
+
+        Evidences with the tolerances linear about models that are far apart are not comparable.
+        """
+        return label in self.fresh or label in self.own
+
+    def fit(self, model: Model) -> None:
+        """Fit a set that is not known, from the best of its starts."""
+        if not self.known(label_in(self.library, model)):
+            self.add(self.fitter.fit_of(self.library, self.sets, model, self.structures))
+
+    def add(self, fitted: Fitted) -> None:
+        """Take a fitted set, and as long as it does not hold, the same without the effect for which the least speaks."""
+        while not self.known(fitted.label):
+            self.fits[fitted.label] = fitted
+            self.fresh.add(fitted.label)
+            if not fitted.holds:
+                fitted = self.fitter.without_weakest(fitted)
+
+    def settle(self, fitted: Fitted, fitter: Fitter) -> None:
+        """Take a set fitted about itself, and where it does not hold, the same without what does not, fitted as any other."""
+        self.own[fitted.label], self.fits[fitted.label] = fitter, fitted
+        if not fitted.holds:
+            self.add(self.fitter.without_weakest(fitted))
+
+
+class Climber:
+    """Goes from set to set until none is better."""
+
+    def __init__(self, predictor: Predictor, declared: ModelParams, names: Sequence[str], progress: Progress) -> None:
+        """Take training flights, the declared model, and the effects that may be in a set."""
+        self.predictor, self.declared, self.names, self.progress = predictor, declared, tuple(names), progress
+        self.missed = predictor.residuals(declared)
+        self.weights = self.weigh(declared)
+        tolerance = tolerance_jacobian(predictor, declared, predictor.predict(declared))
+        shares = noise_shares(predictor, declared, self.names, tolerance, self.weights.weight)
+        self.drowned = tuple(name for name, share in shares.items() if share > MOST_NOISE)
+        self.names = tuple(name for name in self.names if name not in self.drowned)
+        self.skipped = tuple(name for name in EFFECTS if name not in self.names)
+
+    def run(self) -> View:
+        """Climb with the weights that the best model leaves, until these no longer change."""
+        params, effects, structures, weights = self.declared, (), (), self.weights
+        for _ in range(MOST_WEIGHINGS):
+            view = self.climb(params, effects, structures, weights)
+            params, effects, structures = view.present.params, view.present.effects, view.present.structures
+            before, weights = weights, self.weigh(params)
+            if np.all(np.abs(np.log(weights.weight / before.weight)) < SETTLED):
+                break
+        return view
+
+    def weigh(self, params: ModelParams) -> Weighting:
+        """Return the weights of the channels from what all effects and structures together leave over."""
+        common = tuple(name for name in self.names if not has_starts(name, self.predictor.robot))
+        several = [name for name in self.names if name not in common and name not in params.effects]
+        tolerance = tolerance_jacobian(self.predictor, params, self.predictor.predict(params))
+        flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
+
+        def beyond(residuals: list[Array], weights: Weighting) -> list[Array]:
+            structures = structures_of(flights, times, channels, self.missed, residuals, {})
+            return beyond_structures(structures, residuals, weights)
+
+        columns = columns_of_starts(self.predictor, params, self.declared, several, tolerance)
+        return weighting(self.predictor, params, common, columns, beyond=beyond)
+
+    def climb(
+        self, params: ModelParams, effects: tuple[str, ...], structures: tuple[Nuisance, ...], weights: Weighting
+    ) -> View:
+        """Return the best set that fits lead to from a present one, with all candidates about it."""
+        own: dict[Label, Fitter] = {}
+        start = self.fitter_about(params, weights)
+        present, nothing = start.fit(effects, structures, params), start.fit((), (), self.declared)
+        fits = {nothing.label: nothing, present.label: present}
+        own[present.label] = start
+        for count in range(MOST_ROUNDS):
+            self.progress(f"sets of effects, round {count + 1}", count / MOST_ROUNDS)
+            view = self.look_around(present, own, fits)
+            for more in (self.fit_probable, self.fit_fewer, self.fit_rivals):
+                settled = -1
+                while settled != len(own) and self.leader(view) is present:  # else what looked best was not
+                    settled = len(own)
+                    more(view)
+                    self.leader(view)
+            if (leader := self.leader(view)) is present:
+                return view
+            present = leader
+        return self.look_around(present, own, fits)
+
+    def fitter_about(self, params: ModelParams, weights: Weighting) -> Fitter:
+        """Return what fits sets with the tolerances linear about a model."""
+        return Fitter(self.predictor, self.declared, len(self.names), weights, params)
+
+    def leader(self, view: View) -> Fitted:
+        """Return the best fitted set, each that comes first fitted once more with the tolerances linear about itself."""
+        while (best := view.best).label not in view.own:
+            fitter = self.fitter_about(best.params, view.fitter.weights)
+            view.settle(fitter.fit(best.effects, best.structures, best.params), fitter)
+        return best
+
+    def fit_probable(self, view: View) -> None:
+        """Fit the sets that are probable about a model.
+
+        A fit takes from a set what its linear model promised too much. So sets are fitted in the order of what they promise,
+        until none promises more than the best one holds, or several in a row have not held it. Several structures together
+        can make what an effect with a memory or a range makes, better than the effect where it is linear: sets without
+        structures have their own turn.
+        """
+        values, structures = view.sets.log_posterior, view.sets.candidates.structures
+        order = sorted(values, key=values.__getitem__, reverse=True)
+        bare, seen = [model for model in order if not structures.intersection(model)], set[Label]()
+        for turn, best_of_turn in ((order, lambda: view.best), (bare, lambda: view.best_bare)):
+            vain, best = 0, best_of_turn()
+            for model in turn:
+                if vain == MOST_IN_VAIN or values[model] <= best.log_posterior:
+                    break
+                label = label_in(view.library, model)
+                if label in seen or view.known(label):
+                    continue
+                seen.add(label)
+                view.fit(view.guard.held(model))
+                before, best = best, best_of_turn()
+                vain = vain + 1 if best is before else 0
+
+    def fit_fewer(self, view: View) -> None:
+        """Fit the sets with an effect less than the present one, and with a narrower case of an effect."""
+        for gone in (k for k in view.here if not view.library.candidates[k].structure):
+            view.fit(tuple(k for k in view.here if k != gone))
+        for fitted in view.fitter.narrower(view.present, self.names):
+            view.add(fitted)
+
+    def fit_rivals(self, view: View) -> None:
+        """Fit the best sets with another effect in the place of one of the present: the best, and what may be as probable."""
+        candidates, least = view.library.candidates, view.present.log_posterior - reach_of(view.present)
+        others = [k for k, one in enumerate(candidates) if not one.structure and one.name not in view.present.effects]
+        for gone in (k for k in view.here if not candidates[k].structure):
+            swaps = [tuple(sorted((*(k for k in view.here if k != gone), other))) for other in others]
+            values = dict(zip(swaps, view.sets.look(swaps).tolist(), strict=True))
+            for place, model in enumerate(sorted(swaps, key=values.__getitem__, reverse=True)[:MOST_RIVALS]):
+                if np.isfinite(values[model]) and (place == 0 or values[model] > least):
+                    view.fit(model)
+
+    def look_around(self, present: Fitted, own: dict[Label, Fitter], fits: dict[Label, Fitted]) -> View:
+        """Return all candidates about a model, the posterior over their sets, and the structures among them."""
+        flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
+        structures: list[Nuisance] = []
+
+        def of_residuals(residuals: list[Array], effects: dict[str, list[Array]]) -> list[Nuisance]:
+            structures.extend(structures_of(flights, times, channels, self.missed, residuals, effects))
+            return structures
+
+        library = build_library(
+            self.predictor,
+            self.declared,
+            present.params,
+            present.effects,
+            skipped=self.skipped,
+            structures=of_residuals,
+            length=part_length(times),
+        )
+        fitter = own[present.label]
+        normal = normal_of(library, fitter.weights)
+        here = place_of(library, present)
+        sets = search(candidates_of(library), normal, starts=[here])
+        fits[present.label] = present
+        return View(
+            present=present,
+            fits=fits,
+            own=own,
+            fresh=set(),
+            fitter=fitter,
+            library=library,
+            structures=structures,
+            sets=sets,
+            guard=Guard(library, sets, fitter.weights),
+        )
+
+
+def reach_of(fitted: Fitted) -> float:
+    """Return by how much log posterior another set may be behind one and not be told from it: odds of ``LEAST_SCORE``."""
+    return LEAST_SCORE * fitted.overdispersion
+
+
+def place_of(library: Library, present: Fitted) -> Model:
+    """Return the set of the candidates that the present model holds."""
+    beside = {structure.name for structure in present.structures}
+    return tuple(
+        k for k, found in enumerate(library.candidates) if found.named or (found.structure and found.name in beside)
+    )
