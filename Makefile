@@ -36,9 +36,10 @@ fuzz: setup
 SEEDS ?= 301 302 303
 JOBS ?= $(shell nproc)
 PAIRS := com_offset+constant_wind thrust_coefficient+motor_time_constant weak_motor+rotor_drag payload_mass+actuation_delay \
-	ground_effect+battery_sag imu_bias+quadratic_drag
+	ground_effect+battery_sag imu_bias+quadratic_drag rotor_inertia+motor_time_constant torque_ratio+rotor_drag+com_offset \
+	thrust_coefficient+rotor_drag+com_offset+motor_time_constant
 undeclared: setup
-	$(BIN)/python -m benchmarks.score_undeclared --effects all --sizes small moderate large --unknown --pairs $(PAIRS) \
+	$(BIN)/python -m benchmarks.score_undeclared --effects all --sizes small moderate large --unknown --hover --pairs $(PAIRS) \
 		--seeds $(SEEDS) --jobs $(JOBS) --out out/undeclared $(ARGS)
 
 lint: setup

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 from scipy.special import log_ndtr
 
 Array = NDArray[np.float64]
@@ -59,18 +60,32 @@ class Normal:
             constant=self.constant - other.constant,
         )
 
+    def beside(self, columns: Indices, kept: Indices) -> "Normal":
+        """Return the sums of some ``kept`` columns with others integrated out over their normal priors, exactly."""
+        product, gradient = self.product[np.ix_(kept, kept)], self.gradient[kept]
+        if not columns.size:
+            return Normal(product=product, gradient=gradient, constant=self.constant)
+        inner = self.product[np.ix_(columns, columns)] + np.eye(columns.size)
+        across, right = self.product[np.ix_(columns, kept)], self.gradient[columns]
+        root = np.linalg.cholesky(inner)
+        solved = solve_triangular(root, np.column_stack((across, right)), lower=True, check_finite=False)
+        across, right = solved[:, :-1], solved[:, -1]
+        constant = self.constant + 0.5 * float(right @ right) - float(np.log(np.diag(root)).sum())
+        return Normal(product=product - across.T @ across, gradient=gradient - across.T @ right, constant=constant)
+
     def marginal(self, columns: Indices) -> "Normal":
-        """Return the sums with some columns integrated out over their normal priors, exactly; those columns are zero.
+        """Return all sums with some columns integrated out; those columns are zero.
 
         What is in every set is so taken care of once.
         """
-        inner = self.product[np.ix_(columns, columns)] + np.eye(columns.size)
-        across, right = self.product[columns], self.gradient[columns]
-        solved = np.linalg.solve(inner, np.column_stack((across, right)))
-        product, gradient = self.product - across.T @ solved[:, :-1], self.gradient - across.T @ solved[:, -1]
-        product[columns] = product[:, columns] = gradient[columns] = 0.0
-        found = 0.5 * float(right @ solved[:, -1]) - 0.5 * np.linalg.slogdet(inner)[1]
-        return Normal(product=product, gradient=gradient, constant=self.constant + found)
+        kept = np.setdiff1d(np.arange(self.gradient.size), columns)
+        reduced, product, gradient = (
+            self.beside(columns, kept),
+            np.zeros_like(self.product),
+            np.zeros_like(self.gradient),
+        )
+        product[np.ix_(kept, kept)], gradient[kept] = reduced.product, reduced.gradient
+        return Normal(product=product, gradient=gradient, constant=reduced.constant)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,9 +178,10 @@ def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model
     products, gradients = {}, {}
     for structures, rows in beside.items():
         rest = np.concatenate([*(candidates.columns[k] for k in structures), candidates.tolerances]).astype(np.int64)
-        reduced = normal.marginal(rest) if rest.size else normal
+        kept = np.unique(np.concatenate([places[row] for row in rows])).astype(np.int64)
+        reduced = normal.beside(rest, kept)
         for row in rows:
-            own = places[row]
+            own = np.searchsorted(kept, places[row])
             products[row], gradients[row] = reduced.product[np.ix_(own, own)], reduced.gradient[own]
             found[row] = reduced.constant
     free = replace(candidates, low=np.append(candidates.low, -np.inf), high=np.append(candidates.high, np.inf))
