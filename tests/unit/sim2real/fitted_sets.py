@@ -60,7 +60,15 @@ class Made(Fitter):
 
 def chosen_of(best: Fitted, *others: Fitted, named: Fitted | None = None, **found: Any) -> Chosen:
     """Return the choice of one set among others, in which nothing else was found."""
-    none: dict[str, Any] = {"without": {}, "adds": {}, "hidden": (), "surrogates": {}, "immaterial": {}, "refused": {}}
+    none: dict[str, Any] = {
+        "without": {},
+        "adds": {},
+        "hidden": (),
+        "drowned": (),
+        "surrogates": {},
+        "immaterial": {},
+        "refused": {},
+    }
     return Chosen(
         named=named or best,
         best=best,
