@@ -139,9 +139,9 @@ def rollout_rows(verdict: Verdict, variant: str, *, intervals: bool = True) -> l
 def unnamed_rows(selection: Selection) -> list[dict[str, str]]:
     """Return one row per effect that is not named: what speaks for it, and why it is not; the most probable first."""
     chosen, reasons = selection.chosen, dict(selection.not_testable)
-    for name in chosen.adds:
+    for name, odds in chosen.adds.items():
         reasons.setdefault(
-            name, "more would be said for it than this by chance" if chosen.adds[name] > 0.0 else "not needed"
+            name, "promised where it is linear, not held when fitted" if odds > 0.0 else "less probable than not"
         )
     for name, rises in chosen.immaterial.items():
         most = max(rise.high for rise in rises.values())
@@ -155,7 +155,7 @@ def unnamed_rows(selection: Selection) -> list[dict[str, str]]:
         {
             "effect": name,
             "log_odds": f"{chosen.adds[name]:.1f}" if name in chosen.adds else "–",
-            "probability": f"{chosen.inclusion.get(name, 0.0):.2g}" if name not in selection.not_testable else "–",
+            "probability": f"{chosen.inclusion[name]:.2g}" if name in chosen.inclusion else "–",
             "because": shown[name],
         }
         for name in order

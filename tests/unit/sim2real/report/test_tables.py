@@ -78,18 +78,18 @@ def test_every_effect_that_is_not_named_has_a_reason() -> None:
     )
     rows = unnamed_rows(selection_of(chosen, not_testable={"downwash": "no position of another"}))
     assert [(row["effect"], row["log_odds"], row["probability"]) for row in rows] == [
-        ("weak_motor", "9.0", "0"),
-        ("motor_tilt", "5.0", "0"),
+        ("weak_motor", "9.0", "–"),
+        ("motor_tilt", "5.0", "–"),
         ("com_offset", "1.2", "0.2"),
-        ("imu_bias", "-1.0", "0"),
-        ("payload_mass", "-3.0", "0"),
+        ("imu_bias", "-1.0", "–"),
+        ("payload_mass", "-3.0", "–"),
         ("downwash", "–", "–"),
     ]
     assert [row["because"] for row in rows] == [
         "only stands in for what remains, which follows time",
         "a trifle: no residual of the training flights rises by more than 2.0% without it",
-        "more would be said for it than this by chance",
+        "promised where it is linear, not held when fitted",
         "runs into its physical bound: x",
-        "not needed",
+        "less probable than not",
         "no position of another",
     ]
