@@ -10,8 +10,8 @@ import torch
 from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS, Accelerations, accelerations, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LoadEffect
+from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import effect_jacobian
-from aerial_gym.sim2real.identify.selection.select import lacks
 from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_flights
 from aerial_gym.sim2real.logs.signals import lowpass, uniform_log

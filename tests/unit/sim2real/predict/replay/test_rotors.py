@@ -12,8 +12,8 @@ from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.errors import DataError, ShapeError
 from aerial_gym.physics import EFFECTS, Model, build_model, vehicle_from_config
 from aerial_gym.sim2real.identify.battery import with_battery
+from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_effects, tolerance_jacobian
-from aerial_gym.sim2real.identify.selection.select import lacks
 from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight
 from aerial_gym.sim2real.logs.signals import uniform_log
