@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special, stats
+from scipy import stats
 
 from aerial_gym.sim2real.teststand.statistics import Estimate
 
@@ -152,7 +152,7 @@ def log_evidence(target: Array, columns: Array, scatter: Scatter, share: float) 
     size = np.exp(2.0 * least * middle)
     variance = np.exp(-log_w)[:, None, None] + size[:, None] * np.maximum(effect, 0.0)
     fit = -0.5 * (np.log(variance) + rows**2 / variance).sum(axis=2)
-    whole = special.logsumexp(fit + weight[:, None]) - special.logsumexp(weight) - np.log(NODES)
+    whole = np.logaddexp.reduce((fit + weight[:, None]).ravel()) - np.logaddexp.reduce(weight) - np.log(NODES)
     return float(whole - np.log(np.diag(root)).sum())
 
 
