@@ -70,9 +70,7 @@ def noise_shares(
     if flight.rotor_speed is None:
         return {}
     wide, band = wide_predictor(predictor.robot, flight, predictor.channels), predictor.bandwidth
-    predicted = np.array(
-        [channel.kind != "rotor_speed" for channel in predictor.channels]
-    )  # that is made from commands
+    predicted = [channel.kind != "rotor_speed" for channel in predictor.channels]  # these come from commands
     root = np.sqrt(np.where(predicted, weight, 0.0))[:, None]
     rows, found = sum(time.size for time in predictor.times), dict[str, float]()
 

@@ -142,11 +142,11 @@ class _Chooser:
 
     def chosen(self, view: View) -> Chosen:
         """Return the result about the last model."""
-        present = narrowest(view.present, view.fits.values(), reach_of(view.present))
         known = (fitted for label, fitted in view.fits.items() if view.known(label))
         fits = sorted(known, key=lambda one: -one.log_posterior)
+        present = narrowest(view.present, fits, reach_of(view.present))
         surrogates = self.varying(present, view.fitter)
-        named, ends = view.fitter.in_file(self.bare(present, surrogates, view))
+        named, ends = view.fitter.in_file(self.bare(present, surrogates, fits, view.fitter))
         named, immaterial, without = self.without_trifles(named, view.fitter)
         refused = {
             name: f"probable if noise were all (log odds {found.log_odds:.0f}), not as far as flights agree on it, or only "
@@ -169,14 +169,12 @@ class _Chooser:
             weights=view.fitter.weights,
         )
 
-    def bare(self, present: Fitted, gone: Collection[str], view: View) -> Fitted:
+    def bare(self, present: Fitted, gone: Collection[str], fits: Sequence[Fitted], fitter: Fitter) -> Fitted:
         """Return the best set without structures that holds only present effects, none of ``gone``, and that holds."""
         kept = set(present.effects).difference(gone)
-        whole = (
-            view.fitter.without(replace(present, structures=()), tuple(gone)) if present.structures or gone else present
-        )
-        fits = [one for one in view.fits.values() if one.holds and not one.structures and kept.issuperset(one.effects)]
-        return max([view.fitter.held(whole), *fits], key=lambda one: one.log_posterior)
+        whole = fitter.without(replace(present, structures=()), tuple(gone)) if present.structures or gone else present
+        cases = [one for one in fits if one.holds and not one.structures and kept.issuperset(one.effects)]
+        return max([fitter.held(whole), *cases], key=lambda one: one.log_posterior)
 
     def adds(self, view: View) -> dict[str, float]:
         """Return what speaks for each other effect on top of the present set, best of its starts."""

@@ -151,8 +151,8 @@ def test_a_robot_file_holds_no_structure_and_no_effect_that_holds_only_beside_on
     both = fitted("rotor_drag", "payload_mass", odds={"payload_mass": -1.0})
     drag, mass, more = fitted("rotor_drag", log=-5.0), fitted("payload_mass", log=-3.0), fitted("imu_bias", log=-1.0)
     beside = fitted("rotor_drag", log=-0.5, structures=(PLACE,))
-    fits = {str(place): one for place, one in enumerate((whole, drag, mass, more, beside))}
-    view, chooser = SimpleNamespace(fitter=Made(both, drag, fitted()), fits=fits), object.__new__(_Chooser)
-    assert chooser.bare(whole, (), view) is mass  # type: ignore[arg-type]
-    assert chooser.bare(whole, ("payload_mass",), view) is drag  # type: ignore[arg-type]
-    assert chooser.bare(drag, (), view) is drag  # type: ignore[arg-type]
+    fits = (whole, drag, mass, more, beside)
+    fitter, chooser = Made(both, drag, fitted()), object.__new__(_Chooser)
+    assert chooser.bare(whole, (), fits, fitter) is mass
+    assert chooser.bare(whole, ("payload_mass",), fits, fitter) is drag
+    assert chooser.bare(drag, (), fits, fitter) is drag
