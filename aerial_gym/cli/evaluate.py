@@ -48,7 +48,7 @@ class EvaluateCmd:
         """Fly one episode from every start and print the figures; return the exit status."""
         from aerial_gym.interop import one_thread
         from aerial_gym.rl_training.evaluate import evaluate
-        from aerial_gym.rl_training.policy import check_fits, load_policy
+        from aerial_gym.rl_training.policies.load import check_fits, load_policy
         from aerial_gym.task import task_registry
 
         policy, cfg = load_policy(self.policy, device=self.device)

@@ -66,7 +66,7 @@ class PlayCmd:
             return self._show(self.replay)
         assert self.policy is not None
         from aerial_gym.interop import one_thread
-        from aerial_gym.rl_training.policy import check_fits, load_policy
+        from aerial_gym.rl_training.policies.load import check_fits, load_policy
         from aerial_gym.task import task_registry
 
         policy, cfg = load_policy(self.policy)

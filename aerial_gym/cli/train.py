@@ -61,7 +61,7 @@ class TrainCmd:
 
     def run(self) -> int:
         """Train and print where the policy lies; return the exit status, 1 if it was interrupted."""
-        from aerial_gym.rl_training.run_folder import RunFolder
+        from aerial_gym.rl_training.run.run_folder import RunFolder
         from aerial_gym.rl_training.settings import load_settings, settings_for
         from aerial_gym.rl_training.training import train
         from aerial_gym.task import task_registry

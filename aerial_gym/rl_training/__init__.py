@@ -2,7 +2,7 @@
 
 from aerial_gym.rl_training.evaluate import Evaluation, evaluate
 from aerial_gym.rl_training.gymnasium import GymnasiumVectorEnv
-from aerial_gym.rl_training.policy import Policy, load_policy
+from aerial_gym.rl_training.policies.load import Policy, load_policy
 from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg, load_settings, settings_for
 from aerial_gym.rl_training.training import TrainingResult, train
 

@@ -20,10 +20,10 @@ from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import robot_by_name
 from aerial_gym.errors import MissingDependencyError
 from aerial_gym.physics import BACKENDS
-from aerial_gym.rl_training.interruption import Interruption, interruptible
-from aerial_gym.rl_training.keeper import Keeper, steps_of
-from aerial_gym.rl_training.progress import Progress
-from aerial_gym.rl_training.run_folder import RunFolder
+from aerial_gym.rl_training.run.interruption import Interruption, interruptible
+from aerial_gym.rl_training.run.keeper import Keeper, steps_of
+from aerial_gym.rl_training.run.progress import Progress
+from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import task_registry
 
@@ -142,7 +142,7 @@ def _run(
     *,
     watch: bool,
 ) -> bool:
-    adapter = importlib.import_module(f"aerial_gym.rl_training.{cfg.trainer}")
+    adapter = importlib.import_module(f"aerial_gym.rl_training.trainers.{cfg.trainer}")
     interruption.check()  # an import may have swallowed it
     torch.manual_seed(cfg.seed)
     np.random.seed(cfg.seed)

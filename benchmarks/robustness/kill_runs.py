@@ -20,8 +20,9 @@ from pathlib import Path
 import tyro
 
 from aerial_gym.config import dump_yaml
-from aerial_gym.rl_training import checkpoint, load_settings, settings_for
-from aerial_gym.rl_training.run_folder import RunFolder
+from aerial_gym.rl_training import load_settings, settings_for
+from aerial_gym.rl_training.run import checkpoint
+from aerial_gym.rl_training.run.run_folder import RunFolder
 
 TRAINERS = ("rl_games", "sample_factory")
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGKILL, signal.SIGINT)

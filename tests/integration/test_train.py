@@ -12,10 +12,11 @@ import pytest
 
 from aerial_gym.cli.main import main
 from aerial_gym.config import dump_yaml
-from aerial_gym.rl_training import checkpoint, load_settings, settings_for
-from aerial_gym.rl_training.keeper import Keeper
-from aerial_gym.rl_training.progress import Progress, Report
-from aerial_gym.rl_training.run_folder import RunFolder
+from aerial_gym.rl_training import load_settings, settings_for
+from aerial_gym.rl_training.run import checkpoint
+from aerial_gym.rl_training.run.keeper import Keeper
+from aerial_gym.rl_training.run.progress import Progress, Report
+from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.robots import ROBOTS
 
 pytest.importorskip("rl_games", reason="rl-games is not installed: pip install 'aerial-gym[rl]'")

@@ -18,7 +18,7 @@ from aerial_gym.config.task import TaskCfg
 from aerial_gym.env_manager import EnvManager, SimBuilder
 from aerial_gym.env_manager.catalog import SIMS
 from aerial_gym.rl_training import load_policy, load_settings, settings_for
-from aerial_gym.rl_training.run_folder import RunFolder
+from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.logs.mapping import MAPPING_DIR, find_mapping
 from aerial_gym.task import Task

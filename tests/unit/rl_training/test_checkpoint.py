@@ -14,13 +14,13 @@ import pytest
 import torch
 
 from aerial_gym.errors import ConfigError, StorageError, TrainingError
-from aerial_gym.rl_training import checkpoint
-from aerial_gym.rl_training.interruption import interruptible
-from aerial_gym.rl_training.keeper import Keeper
-from aerial_gym.rl_training.progress import CURVE_COLUMNS, Progress
-from aerial_gym.rl_training.run_folder import RunFolder
+from aerial_gym.rl_training.run import checkpoint
+from aerial_gym.rl_training.run.interruption import interruptible
+from aerial_gym.rl_training.run.keeper import Keeper
+from aerial_gym.rl_training.run.progress import CURVE_COLUMNS, Progress
+from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import load_settings, settings_for
-from aerial_gym.rl_training.summaries import GuardedEvents
+from aerial_gym.rl_training.trainers.summaries import GuardedEvents
 
 
 def payload() -> dict[str, Any]:

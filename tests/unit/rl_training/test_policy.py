@@ -10,7 +10,7 @@ from gymnasium.spaces import Box
 
 from aerial_gym.errors import ConfigError, MissingDependencyError, UnknownNameError
 from aerial_gym.rl_training import evaluate, load_policy, load_settings, settings_for
-from aerial_gym.rl_training.policy import check_fits, policy_from_state
+from aerial_gym.rl_training.policies.load import check_fits, policy_from_state
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.training import require_trainer
 from aerial_gym.task import task_registry
@@ -43,7 +43,7 @@ def test_policy_is_the_mean_action_of_the_rl_games_network(separate: bool, norma
     pytest.importorskip("rl_games", reason="rl-games is not installed")
     from rl_games.algos_torch.model_builder import ModelBuilder
 
-    from aerial_gym.rl_training.rl_games import TaskVecEnv, library_params
+    from aerial_gym.rl_training.trainers.rl_games import TaskVecEnv, library_params
 
     cfg = settings("rl_games", separate=separate, normalize=normalize)
     with task_registry.make_task(cfg.task, num_envs=8, device="cpu") as task:
@@ -78,7 +78,7 @@ def test_policy_is_the_mean_action_of_the_sample_factory_network(
     from sample_factory.algo.utils.rl_utils import prepare_and_normalize_obs
     from sample_factory.model.actor_critic import create_actor_critic
 
-    from aerial_gym.rl_training.sample_factory import TaskBatchedEnv, library_config
+    from aerial_gym.rl_training.trainers.sample_factory import TaskBatchedEnv, library_config
 
     cfg = settings("sample_factory", separate=separate, normalize=normalize)
     with task_registry.make_task(cfg.task, num_envs=8, device="cpu") as task:

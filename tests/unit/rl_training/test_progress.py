@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from aerial_gym.rl_training import load_settings, settings_for
-from aerial_gym.rl_training.progress import Progress, Report
+from aerial_gym.rl_training.run.progress import Progress, Report
 
 
 @pytest.mark.parametrize("show", [True, False])

@@ -29,7 +29,7 @@ from typing import Any
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.storage import told_storage, write_whole
 from aerial_gym.errors import ConfigError, StorageError
-from aerial_gym.rl_training import checkpoint
+from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.settings import TrainingCfg, load_settings
 
 KEPT_CHECKPOINTS = 2

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.rl_training import checkpoint
-from aerial_gym.rl_training.run_folder import RunFolder, run_folder_of
+from aerial_gym.rl_training.run import checkpoint
+from aerial_gym.rl_training.run.run_folder import RunFolder, run_folder_of
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
 

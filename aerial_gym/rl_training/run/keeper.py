@@ -8,8 +8,8 @@ from typing import Any
 
 from aerial_gym.config import to_mapping
 from aerial_gym.errors import ConfigError, TrainingError
-from aerial_gym.rl_training import checkpoint
-from aerial_gym.rl_training.run_folder import RunFolder
+from aerial_gym.rl_training.run import checkpoint
+from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
 

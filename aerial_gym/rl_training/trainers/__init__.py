@@ -1,0 +1,1 @@
+"""One module a trainer, named as a user names it; each has ``run``."""
