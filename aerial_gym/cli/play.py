@@ -109,10 +109,12 @@ class PlayCmd:
 def _fly(policy, task, num_steps: int) -> list[list[float]]:
     gtd, rows = task.env.gtd, []
     observation, _ = task.reset()
+    policy.reset()
     for step in range(num_steps + 1):
         keys = ("robot_position", "robot_orientation", "robot_linvel", "robot_body_angvel")
         motion = torch.cat([gtd[key] for key in keys], dim=-1).tolist()
         rows += [[round(step * task.env.dt, 6), env, *values] for env, values in enumerate(motion)]
         if step < num_steps:
-            observation, *_ = task.step(policy(observation["observations"]))
+            observation, _, terminated, truncated, _ = task.step(policy(observation))
+            policy.reset(terminated | truncated)
     return rows

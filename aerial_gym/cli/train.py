@@ -11,13 +11,13 @@ from aerial_gym.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class TrainCmd:
-    """Train a policy with rl-games or Sample Factory."""
+    """Train a policy with the learner of this package, with rl-games or with Sample Factory."""
 
     task: str = "position_setpoint_task"
     """Registered task, a task file (.yaml), or module:Name of a TaskCfg or a Task of your own."""
 
     trainer: str = "rl_games"
-    """rl_games or sample_factory."""
+    """ppo (of this package; all in one graph on a GPU), rl_games or sample_factory."""
 
     out: Path = Path("runs/train")
     """Run folder: settings, checkpoints, TensorBoard files, learning curve. New, unless --resume."""
@@ -71,7 +71,10 @@ class TrainCmd:
             cfg = RunFolder(self.out).config()
             self._refuse_changes()
         else:
-            cfg = replace(load_settings(self.config or settings_for(self.trainer, self.task)), task=self._task())
+            cfg = replace(
+                load_settings(self.config or settings_for(self.trainer, self.task, device=self.device or "auto")),
+                task=self._task(),
+            )
         names = ("num_envs", "device", "seed", "robot", "controller", "backend", "max_time_s", "max_env_steps")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         result = train(replace(cfg, **given), self.out, resume=self.resume, watch=self.watch)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from aerial_gym.rl_training.policies.policy import Pilot
 from aerial_gym.task import Task
 
 SUCCESS_RADIUS_M = 0.1
@@ -66,7 +67,7 @@ class Evaluation:
 
 @torch.no_grad()
 def evaluate(
-    policy: Callable[[Tensor], Tensor],
+    policy: Pilot,
     task: Task,
     *,
     success_radius: float | None = None,
@@ -75,7 +76,7 @@ def evaluate(
     """Return the figures of one episode in every environment of ``task``, which is reset first.
 
     Args:
-        policy: Observations (E, O) to actions (E, U).
+        policy: What flies; it forgets at the start, and where an episode ends.
         task: Where to fly; its seed decides the starts.
         success_radius: Distance that counts as there [m]; the task's own, or ``SUCCESS_RADIUS_M``, if not given.
         on_step: Called with the number of the step and of all steps.
@@ -85,13 +86,15 @@ def evaluate(
     ends_count = success_radius is None and task.cfg.success_radius is not None
     radius = success_radius or task.cfg.success_radius or SUCCESS_RADIUS_M
     observation, _ = task.reset()
+    policy.reset()
     flying = torch.ones(task.num_envs, dtype=torch.bool, device=task.device)
     crashed = torch.zeros_like(flying)
     total, error_sum = torch.zeros(task.num_envs, device=task.device), torch.zeros(task.num_envs, device=task.device)
     succeeded = torch.zeros_like(flying)
     outside_until = torch.zeros(task.num_envs, dtype=torch.int64, device=task.device)
     for step in range(1, steps + 1):
-        observation, reward, terminated, _, info = task.step(policy(observation["observations"]))
+        observation, reward, terminated, truncated, info = task.step(policy(observation))
+        policy.reset(terminated | truncated)
         distance = info["distance"]
         total += torch.where(flying, reward, 0.0)
         crashed |= flying & terminated

@@ -1,6 +1,6 @@
-"""What a training needs to know: task, trainer, limits, and the numbers of PPO that both trainers share.
+"""What a training needs to know: task, trainer, limits, and the numbers of PPO that all trainers share.
 
-One set of names for both libraries; ``rl_games.py`` and ``sample_factory.py`` translate them. Letters: E environments.
+One set of names for all; ``trainers/rl_games.py`` and ``trainers/sample_factory.py`` translate them. Letters: E environments.
 """
 
 from dataclasses import dataclass
@@ -10,17 +10,19 @@ from pathlib import Path
 from aerial_gym.config import CONFIG_DIR, load
 from aerial_gym.config.checks import MAX_MADE, require_count, require_positive
 from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.interop import resolve_device
 
-TRAINERS = ("rl_games", "sample_factory")
-"""Libraries that can train, by the name a user chooses."""
+TRAINERS = ("ppo", "rl_games", "sample_factory")
+"""Our own, and libraries that can train, by the name a user chooses."""
 
 TRAINING_CONFIGS = CONFIG_DIR / "training"
-"""Folder of the settings that come with the package: ``TRAINER_TASK.yaml``, the task without its ``_task``."""
+"""Folder of the settings that come with the package: ``TRAINER_TASK.yaml``, the task without its ``_task``;
+``TRAINER_TASK_cpu.yaml`` where a CPU asks for others."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PpoCfg:
-    """Numbers of Proximal Policy Optimisation and of its network, a multi-layer perceptron."""
+    """Numbers of Proximal Policy Optimisation and of its networks."""
 
     hidden_layers: tuple[int, ...]
     """Widths of the hidden layers, each >= 1."""
@@ -30,6 +32,15 @@ class PpoCfg:
 
     activation: str = "elu"
     """``elu``, ``relu`` or ``tanh``."""
+
+    memory: int = 0
+    """Numbers of a gated recurrent unit behind the hidden layers; 0: none. ``ppo`` only."""
+
+    policy_keys: tuple[str, ...] = ("observations",)
+    """Keys of the observation that the policy sees: vectors, images (C, H, W); others than ``observations`` with ``ppo``."""
+
+    critic_keys: tuple[str, ...] = ()
+    """Keys that the value sees; empty: those of the policy. ``ppo`` with ``separate_value_network`` only."""
 
     initial_std: float = 1.0
     """Standard deviation of the actions before learning, in units of the action, > 0."""
@@ -61,7 +72,8 @@ class PpoCfg:
     """Step of Adam at first, > 0; it adapts to ``kl_threshold``, up to the following."""
 
     max_learning_rate: float
-    """Largest learning rate at first, > 0; it falls linearly with the share of the time or steps that is used."""
+    """Largest learning rate at first, > 0; it falls linearly with the share of the time or steps that is used, whichever is
+    larger. Trainings with ``max_env_steps`` alone repeat bit for bit on a CPU; time does not."""
 
     end_learning_rate: float
     """Largest learning rate at the end, > 0."""
@@ -76,13 +88,13 @@ class PpoCfg:
     """Whether the change of the value is clipped to ``clip_range`` as well."""
 
     value_coef: float
-    """Weight of the value loss as the library defines it, > 0."""
+    """Weight of the value loss as the library defines it, > 0; in ``ppo`` the loss is half the mean squared error."""
 
     entropy_coef: float = 0.0
     """Weight of the entropy bonus, >= 0."""
 
     bound_coef: float = 0.0
-    """Weight of the penalty on action means outside [-1.1, 1.1]; rl-games only, >= 0."""
+    """Weight of the penalty on action means outside [-1.1, 1.1]; not with Sample Factory, >= 0."""
 
     max_grad_norm: float = 1.0
     """Largest norm of the gradient, > 0."""
@@ -120,6 +132,13 @@ class PpoCfg:
             raise ConfigError(f"PpoCfg.gae_lambda = {self.gae_lambda!r}: must be from 0 to 1")
         if self.activation not in ("elu", "relu", "tanh"):
             raise ConfigError(f"PpoCfg.activation = {self.activation!r}: must be elu, relu or tanh")
+        if not 0 <= self.memory <= MAX_MADE:
+            raise ConfigError(f"PpoCfg.memory = {self.memory!r}: must be >= 0 and at most {MAX_MADE:,}")
+        if not self.policy_keys or (self.critic_keys and not self.separate_value_network):
+            raise ConfigError(
+                f"PpoCfg: policy_keys = {self.policy_keys!r}, critic_keys = {self.critic_keys!r}: the policy must see "
+                "something; a critic with keys of its own needs separate_value_network"
+            )
         if not self.hidden_layers or not all(1 <= width <= MAX_MADE for width in self.hidden_layers):
             raise ConfigError(
                 f"PpoCfg.hidden_layers = {self.hidden_layers!r}: needs widths >= 1 and at most {MAX_MADE:,}"
@@ -141,7 +160,7 @@ class TrainingCfg:
     """Registered task."""
 
     trainer: str
-    """``rl_games`` or ``sample_factory``."""
+    """``ppo``, ``rl_games`` or ``sample_factory``."""
 
     num_envs: int
     """Environments side by side, >= 1."""
@@ -192,6 +211,9 @@ class TrainingCfg:
         require_count(self, "num_envs")
         if not 0 <= self.seed < 2**32:  # NumPy takes no larger one
             raise ConfigError(f"TrainingCfg.seed = {self.seed!r}: must be >= 0 and less than 2**32")
+        special = self.ppo.memory or self.ppo.critic_keys or self.ppo.policy_keys != ("observations",)
+        if special and self.trainer != "ppo":
+            raise ConfigError(f"TrainingCfg: memory, policy_keys and critic_keys need trainer ppo, not {self.trainer}")
         samples, parts = self.num_envs * self.ppo.horizon, self.ppo.num_minibatches
         if samples % parts:
             raise ConfigError(
@@ -199,8 +221,8 @@ class TrainingCfg:
             )
 
 
-def settings_for(trainer: str, task: str) -> Path:
-    """Return the file of settings that come with the package for a trainer and a task.
+def settings_for(trainer: str, task: str, *, device: str = "auto") -> Path:
+    """Return the file of settings that come with the package for a trainer, a task and a kind of device.
 
     A task without settings of its own gets those of the position task; the file's name is printed with the run.
 
@@ -209,8 +231,10 @@ def settings_for(trainer: str, task: str) -> Path:
     """
     if trainer not in TRAINERS:
         raise UnknownNameError(f"no trainer {trainer!r}. Known: {', '.join(TRAINERS)}")
-    own = TRAINING_CONFIGS / f"{trainer}_{task.removesuffix('_task')}.yaml"
-    return own if own.exists() else TRAINING_CONFIGS / f"{trainer}_position_setpoint.yaml"
+    found = [TRAINING_CONFIGS / f"{trainer}_{name}.yaml" for name in (task.removesuffix("_task"), "position_setpoint")]
+    own = found[0] if found[0].exists() else found[1]
+    on_cpu = own.with_name(f"{own.stem}_cpu.yaml")
+    return on_cpu if on_cpu.exists() and resolve_device(device).type == "cpu" else own
 
 
 def load_settings(path: str | Path) -> TrainingCfg:

@@ -1,4 +1,4 @@
-"""Training: settings to a run folder, by either trainer. The libraries' global settings are put back afterwards."""
+"""Training: settings to a run folder, by any trainer. The libraries' global settings are put back afterwards."""
 
 import contextlib
 import importlib
@@ -30,7 +30,10 @@ from aerial_gym.task import task_registry
 _log = logging.getLogger(__name__)
 
 NEEDED = {"rl_games": "rl_games", "sample_factory": "sample_factory"}
-"""Package that each trainer needs."""
+"""Package that a trainer needs."""
+
+CAPTURING = ("ppo",)
+"""Trainers that hold the steps of a task in a graph of their own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,6 +158,7 @@ def _run(
         robot=cfg.robot,
         controller=cfg.controller,
         backend=cfg.backend,
+        capture=False if cfg.trainer in CAPTURING else None,
     ) as task:
         interruption.check()
         folder.add_session(cfg, str(task.device))
@@ -170,8 +174,8 @@ def _run(
 
 def require_trainer(trainer: str) -> None:
     """Raise ``MissingDependencyError`` if the package of a trainer is not installed."""
-    package = NEEDED[trainer]
-    if importlib.util.find_spec(package) is None:
+    package = NEEDED.get(trainer)
+    if package is not None and importlib.util.find_spec(package) is None:
         raise MissingDependencyError(f"trainer {trainer!r} needs the package {package!r}: pip install 'aerial-gym[rl]'")
 
 

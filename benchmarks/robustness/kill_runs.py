@@ -1,6 +1,6 @@
 """Kill trainings at random moments and go on with each: ``python -m benchmarks.robustness.kill_runs --count 50``.
 
-Both trainers in turn, half of the kills with SIGKILL, a quarter each with SIGTERM and SIGINT. A third of the moments counts
+All trainers in turn, half of the kills with SIGKILL, a quarter each with SIGTERM and SIGINT. A third of the moments counts
 from the start of the process, and so falls into its start-up; the others from the first checkpoint, and the settings save every
 0.2 s, so that many fall into a save. A run has resumed if ``train --resume`` ends well, has gone on from the newest checkpoint
 and not from an earlier one, and if one signal that can be caught left a checkpoint of the moment. A run that was killed
@@ -24,7 +24,7 @@ from aerial_gym.rl_training import load_settings, settings_for
 from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.run_folder import RunFolder
 
-TRAINERS = ("rl_games", "sample_factory")
+TRAINERS = ("ppo", "rl_games", "sample_factory")
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGKILL, signal.SIGINT)
 NUM_ENVS, HORIZON = 32, 16
 LONGEST_END_S = 60.0
@@ -49,7 +49,7 @@ class KillRuns:
         draw, bad, seen = random.Random(self.seed), 0, dict.fromkeys(("no settings", "no checkpoint", "checkpoint"), 0)
         with tempfile.TemporaryDirectory() as folder:
             for index in range(self.count):
-                trainer, number = TRAINERS[index % 2], SIGNALS[index // 2 % 4]
+                trainer, number = TRAINERS[index % len(TRAINERS)], SIGNALS[index // len(TRAINERS) % len(SIGNALS)]
                 early = draw.random() < 1 / 3
                 moment = draw.uniform(0.2, self.longest_s) if early else draw.uniform(0.0, 0.5 * self.longest_s)
                 found, told = kill_and_resume(Path(folder), index, trainer, number, moment, early=early)

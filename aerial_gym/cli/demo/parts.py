@@ -77,10 +77,12 @@ def learn(out: Path, seed: int, time_s: float, backend: str | None = None) -> di
 def _fly(policy: Any, task: Any) -> Any:
     """Return the errors (T, n, 3) [m] of some flights of one episode."""
     observation, _ = task.reset()
+    policy.reset()
     rows = []
     for _ in range(task.cfg.episode_len_steps - 1):
         rows.append(-observation["observations"][:NUM_DRAWN_FLIGHTS, :3].double().numpy())
-        observation, *_ = task.step(policy(observation["observations"]))
+        observation, _, terminated, truncated, _ = task.step(policy(observation))
+        policy.reset(terminated | truncated)
     return np.stack(rows)
 
 

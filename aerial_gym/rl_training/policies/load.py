@@ -1,73 +1,41 @@
-"""A trained policy as a plain function: observation normaliser, multi-layer perceptron, clamp to the action space.
+"""Reading trained policies: from checkpoints of our own, of rl-games and of Sample Factory; none of these needs be installed.
 
-It needs neither trainer installed and is an ordinary ``torch.nn.Module``, so that it can be exported.
-Letters: E environments, O entries of an observation, U entries of an action.
+Letters: O entries of an observation.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
+from aerial_gym.rl_training.policies.body import BodyCfg
+from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
+from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.run_folder import RunFolder, run_folder_of
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
 
-NORMALIZER_EPSILON = 1e-5
-"""Added to the variance by both libraries (``RunningMeanStd``, ``RunningMeanStdInPlace``)."""
 
-NORMALIZER_LIMIT = 5.0
-"""Both libraries clamp the normalised observation to this."""
-
-ACTIVATIONS = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
-"""By the name in the settings."""
-
-
-def check_fits(policy: "Policy", task: Task, cfg: TrainingCfg) -> None:
+def check_fits(policy: Policy, task: Task, cfg: TrainingCfg) -> None:
     """Raise ``ConfigError`` if a policy does not take the observations of a task, or does not give its actions."""
-    space, actions = task.observation_space["observations"], task.action_space
-    assert space.shape is not None
+    spaces, actions = task.observation_space, task.action_space
     assert actions.shape is not None
-    if (policy.num_observations, policy.num_actions) != (space.shape[0], actions.shape[0]):
+    has = {key: tuple(spaces[key].shape or ()) for key in spaces.spaces}
+    if any(has.get(key) != shape for key, shape in policy.shapes.items()) or policy.num_actions != actions.shape[0]:
         raise ConfigError(
-            f"policy of {cfg.task}: takes {policy.num_observations} observations and gives {policy.num_actions} actions; this "
-            f"task has {space.shape[0]} and {actions.shape[0]}. Give it the task, robot and controller of its training"
+            f"policy of {cfg.task}: takes {told_shapes(policy.shapes)} and gives {policy.num_actions} actions; this "
+            f"task has {told_shapes(has)} and {actions.shape[0]}. Give it the task, robot and controller of its training"
         )
 
 
-class Policy(nn.Module):
-    """The mean action of a trained policy, ``clamp(W_n ... f(W_1 n(o) + b_1) ... + b_n)``, deterministic."""
-
-    mean: Tensor
-    std: Tensor
-
-    def __init__(
-        self, layers: list[tuple[Tensor, Tensor]], *, mean: Tensor, std: Tensor, limit: float, activation: str
-    ) -> None:
-        """Take weights (out, in) and biases (out,) of all layers and the normaliser ``clamp((o - mean) / std, +-limit)``."""
-        super().__init__()
-        parts: list[nn.Module] = []
-        for weight, bias in layers:
-            linear = nn.Linear(weight.shape[1], weight.shape[0])
-            linear.weight.data.copy_(weight)
-            linear.bias.data.copy_(bias)
-            parts += [linear, ACTIVATIONS[activation]()]
-        self.network = nn.Sequential(*parts[:-1])
-        self.register_buffer("mean", mean.float())
-        self.register_buffer("std", std.float())
-        self.limit = limit
-        self.num_observations, self.num_actions = mean.shape[0], layers[-1][1].shape[0]
-        self.requires_grad_(False)
-        self.eval()
-
-    def forward(self, observation: Tensor) -> Tensor:
-        """Return actions (E, U) in [-1, 1] for observations (E, O)."""
-        normal = ((observation - self.mean) / self.std).clamp(-self.limit, self.limit)
-        return self.network(normal).clamp(-1.0, 1.0)
+def told_shapes(shapes: Mapping[str, tuple[int, ...]]) -> str:
+    """Return keys and shapes for a sentence."""
+    return ", ".join(f"{' x '.join(str(n) for n in shape)} {key}" for key, shape in sorted(shapes.items()))
 
 
 def load_policy(source: str | Path, *, device: str | torch.device = "cpu") -> tuple[Policy, TrainingCfg]:
@@ -80,12 +48,63 @@ def load_policy(source: str | Path, *, device: str | torch.device = "cpu") -> tu
     folder = RunFolder(source) if source.is_dir() else run_folder_of(source)
     file = folder.last_checkpoint() if source.is_dir() else source
     cfg = folder.config()
-    policy = policy_from_state(_read(file), cfg, where=str(file))
-    return policy.to(device), cfg
+    payload = checkpoint.load(file)
+    return policy_from_payload(payload, cfg, where=str(file)).to(device), cfg
+
+
+def policy_from_payload(payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str) -> Policy:
+    """Return the policy in what a checkpoint of any trainer holds; ``where`` is named in errors."""
+    model = payload.get("model")
+    if not isinstance(model, Mapping) or not all(isinstance(value, Tensor) for value in model.values()):
+        raise ConfigError(f"checkpoint {where}: holds no network")
+    if cfg.trainer == "ppo":
+        return _own_policy(model, payload.get("network"), cfg, where=where)
+    return policy_from_state(model, cfg, where=where)
+
+
+def _own_policy(model: Mapping[str, Tensor], network: Any, cfg: TrainingCfg, *, where: str) -> Policy:
+    """Return the policy of a checkpoint of our own trainer."""
+    state = {name.removeprefix("actor."): value for name, value in model.items() if name.startswith("actor.")}
+    _check_finite(state.items(), where)
+    try:
+        shapes = {str(key): tuple(int(size) for size in network["shapes"][key]) for key in cfg.ppo.policy_keys}
+        policy = Policy(body_cfg(cfg, shapes), int(network["num_actions"]))
+        policy.load_state_dict(state)
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        reason = str(error).strip().splitlines()[-1].strip()
+        raise ConfigError(f"{where}: does not hold the network of its settings ({reason})") from None
+    return _to_fly(policy)
+
+
+def body_cfg(cfg: TrainingCfg, shapes: Mapping[str, tuple[int, ...]]) -> BodyCfg:
+    """Return the body of the settings over observations of these shapes."""
+    ppo = cfg.ppo
+    return BodyCfg(
+        shapes=shapes,
+        hidden_layers=ppo.hidden_layers,
+        activation=ppo.activation,
+        memory=ppo.memory,
+        normalize=ppo.normalize_observation,
+    )
+
+
+def _to_fly(policy: Policy) -> Policy:
+    policy.requires_grad_(False)
+    return policy.eval()
+
+
+def _check_finite(tensors: Iterable[tuple[str, Tensor]], where: str) -> None:
+    for name, tensor in tensors:
+        if not bool(tensor.isfinite().all()):
+            bad = int((~tensor.isfinite()).sum())
+            raise ConfigError(
+                f"{where}: {name} holds {bad} numbers that are NaN or infinite: the training diverged. "
+                "Take an earlier checkpoint"
+            )
 
 
 def policy_from_state(state: Mapping[str, Tensor], cfg: TrainingCfg, *, where: str) -> Policy:
-    """Return the policy in the model state of either trainer; ``where`` is named in errors."""
+    """Return the policy in the model state of rl-games or Sample Factory; ``where`` is named in errors."""
     reader = _read_rl_games if cfg.trainer == "rl_games" else _read_sample_factory
     try:
         layers, mean, var = reader(state, len(cfg.ppo.hidden_layers))
@@ -93,27 +112,25 @@ def policy_from_state(state: Mapping[str, Tensor], cfg: TrainingCfg, *, where: s
         raise ConfigError(
             f"{where}: no {error} in it; it is no {cfg.trainer} checkpoint of {cfg.ppo.hidden_layers}"
         ) from None
-    for kind, tensor in [
-        *((f"layer {i}", t) for i, pair in enumerate(layers) for t in pair),
-        ("mean", mean),
-        ("var", var),
-    ]:
-        if tensor is not None and not bool(tensor.isfinite().all()):
-            bad = int((~tensor.isfinite()).sum())
-            raise ConfigError(
-                f"{where}: {kind} holds {bad} numbers that are NaN or infinite: the training diverged. "
-                "Take an earlier checkpoint"
-            )
-    num_in = layers[0][0].shape[1]
-    if mean is None or var is None:
-        mean, std = torch.zeros(num_in), torch.ones(num_in)
-    else:
-        std = (var.double() + NORMALIZER_EPSILON).sqrt()
+    told = [(f"layer {i}", tensor) for i, pair in enumerate(layers) for tensor in pair]
+    _check_finite([*told, *(() if mean is None or var is None else (("mean", mean), ("var", var)))], where)
     for (_, bias), (weight, _) in pairwise(layers):
         if bias.shape[0] != weight.shape[1]:
             raise ConfigError(f"{where}: layers of widths {bias.shape[0]} and {weight.shape[1]} do not fit together")
-    limit = NORMALIZER_LIMIT if cfg.ppo.normalize_observation else float("inf")
-    return Policy(layers, mean=mean, std=std, limit=limit, activation=cfg.ppo.activation)
+    shapes = {"observations": (layers[0][0].shape[1],)}
+    hidden = tuple(bias.shape[0] for _, bias in layers[:-1])
+    known = mean is not None and var is not None
+    body = BodyCfg(shapes=shapes, hidden_layers=hidden, activation=cfg.ppo.activation, normalize=known)
+    policy = Policy(body, layers[-1][1].shape[0])
+    for linear, (weight, bias) in zip([*list(policy.body.layers)[::2], policy.head], layers, strict=True):
+        assert isinstance(linear, nn.Linear)
+        linear.weight.data.copy_(weight)
+        linear.bias.data.copy_(bias)
+    if mean is not None and var is not None:
+        normalizer = policy.body.normalizers["observations"]
+        assert isinstance(normalizer, RunningNormalizer)
+        normalizer.set(mean, var)
+    return _to_fly(policy)
 
 
 Weights = tuple[list[tuple[Tensor, Tensor]], Tensor | None, Tensor | None]
@@ -137,10 +154,3 @@ def _read_sample_factory(state: Mapping[str, Tensor], num_hidden: int) -> Weight
     normalizer = "obs_normalizer.running_mean_std.running_mean_std.obs.running_"
     head = _layer(state, "action_parameterization.distribution_linear")
     return [*layers, head], state.get(f"{normalizer}mean"), state.get(f"{normalizer}var")
-
-
-def _read(path: Path) -> Mapping[str, Tensor]:
-    model = checkpoint.load(path).get("model")
-    if not isinstance(model, Mapping) or not all(isinstance(value, Tensor) for value in model.values()):
-        raise ConfigError(f"checkpoint {path}: holds no network")
-    return model

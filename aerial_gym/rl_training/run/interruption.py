@@ -13,7 +13,17 @@ class Interruption:
     """Whether somebody asked the training to end. A library may swallow the exception; this is remembered."""
 
     def __init__(self) -> None:
-        self.asked = False
+        self.asked, self._waits = False, False
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Let what is inside end first, as it cannot be left half done; then raise."""
+        self._waits = True
+        try:
+            yield
+        finally:
+            self._waits = False
+        self.check()
 
     def check(self) -> None:
         """Raise ``KeyboardInterrupt`` if the training was asked to end."""
@@ -23,7 +33,8 @@ class Interruption:
     def _ask(self, number: int, frame: FrameType | None) -> None:
         del number, frame
         self.asked = True
-        raise KeyboardInterrupt
+        if not self._waits:
+            raise KeyboardInterrupt
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """Progress of a training: a bar on stderr, or lines where stderr is no terminal; the learning curve, and the decision to end.
 
-Both trainers call ``Progress.update`` after each of their updates. Time counts from the start of the command.
+All trainers call ``Progress.update`` after each of their updates. Time counts from the start of the command.
 """
 
 import csv

@@ -1,5 +1,6 @@
 """A loaded policy against the networks of the libraries, and the figures of an evaluation against a scripted flight."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -66,7 +67,7 @@ def test_policy_is_the_mean_action_of_the_rl_games_network(separate: bool, norma
     observation = 3.0 * torch.randn(32, 13, generator=torch.Generator().manual_seed(0))
     expected = model({"is_train": False, "obs": observation.clone()})["mus"].clamp(-1.0, 1.0)
     policy = policy_from_state(model.state_dict(), cfg, where="test")
-    torch.testing.assert_close(policy(observation), expected.detach(), atol=1e-6, rtol=1e-6)
+    torch.testing.assert_close(policy({"observations": observation}), expected.detach(), atol=1e-6, rtol=1e-6)
     assert 0.01 < float((expected.abs() == 1.0).float().mean()) < 0.99  # some are clamped and some are not
 
 
@@ -93,7 +94,20 @@ def test_policy_is_the_mean_action_of_the_sample_factory_network(
     model(normalized, torch.zeros(32, 1 + separate))
     expected = model.action_distribution().means.clamp(-1.0, 1.0)
     policy = policy_from_state(model.state_dict(), cfg, where="test")
-    torch.testing.assert_close(policy(observation), expected.detach(), atol=1e-6, rtol=1e-6)
+    torch.testing.assert_close(policy({"observations": observation}), expected.detach(), atol=1e-6, rtol=1e-6)
+
+
+class Scripted:
+    """A function that flies, and what it was told to forget."""
+
+    def __init__(self, function: Callable[[Mapping[str, torch.Tensor]], torch.Tensor]) -> None:
+        self.function, self.forgot = function, []
+
+    def __call__(self, observation: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        return self.function(observation)
+
+    def reset(self, mask: torch.Tensor | None = None) -> None:
+        self.forgot.append(None if mask is None else int(mask.sum()))
 
 
 class ScriptedTask:
@@ -130,7 +144,9 @@ class ScriptedTask:
 
 def test_evaluation_of_known_flights() -> None:
     seen = []
-    found = evaluate(lambda obs: obs[:, :1], ScriptedTask(), on_step=lambda step, steps: seen.append((step, steps)))  # type: ignore[arg-type]
+    pilot = Scripted(lambda obs: obs["observations"][:, :1])
+    found = evaluate(pilot, ScriptedTask(), on_step=lambda step, steps: seen.append((step, steps)))  # type: ignore[arg-type]
+    assert pilot.forgot == [None, 0, 1, 0, 0, 0, 0]  # all at the start, then the row that crashed
     assert seen == [(i, 6) for i in range(1, 7)]
     assert (found.num_starts, found.episode_s) == (4, 3.0)
     assert found.crash_rate == pytest.approx(1 / 4)
@@ -157,7 +173,7 @@ def test_a_policy_that_is_not_there_is_refused(tmp_path: Path) -> None:
 
 def test_settings_refuse_impossible_numbers_and_names() -> None:
     cfg = settings("rl_games", separate=True, normalize=False)
-    with pytest.raises(UnknownNameError, match="no trainer 'cleanrl'. Known: rl_games, sample_factory"):
+    with pytest.raises(UnknownNameError, match="no trainer 'cleanrl'. Known: ppo, rl_games, sample_factory"):
         settings_for("cleanrl", "position_setpoint_task")
     with pytest.raises(ConfigError, match="or the training never ends"):
         replace(cfg, max_time_s=None, max_env_steps=None)
@@ -191,7 +207,9 @@ def test_a_policy_that_diverged_or_was_trained_for_another_task_is_refused() -> 
     with task_registry.make_task(cfg.task, num_envs=2, device="cpu") as task:
         check_fits(policy, task, cfg)
         task.observation_space["observations"] = Box(-1.0, 1.0, (78,))
-        with pytest.raises(ConfigError, match="takes 13 observations and gives 4 actions; this task has 78 and 4"):
+        with pytest.raises(
+            ConfigError, match="takes 13 observations and gives 4 actions; this task has 78 observations and 4"
+        ):
             check_fits(policy, task, cfg)
     state["a2c_network.mu.bias"] = torch.tensor([0.0, float("nan"), 0.0, 0.0])
     with pytest.raises(

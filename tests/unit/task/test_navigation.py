@@ -1,5 +1,6 @@
 """The navigation task: its action, reward and observation by hand, its goals and starts, and how its episodes end."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from math import cos, exp, pi, radians, sin, sqrt
 
@@ -273,15 +274,28 @@ def test_the_same_seed_gives_the_same_episodes() -> None:
     assert torch.equal(*(torch.stack(each) for each in rows))
 
 
+class Always:
+    """Flies one action."""
+
+    def __init__(self, action: torch.Tensor) -> None:
+        self.action = action
+
+    def __call__(self, observation: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        return self.action.expand(len(observation["observations"]), 4)
+
+    def reset(self, mask: torch.Tensor | None = None) -> None:
+        """Nothing is remembered."""
+
+
 def test_evaluation_tells_successes_crashes_and_timeouts_apart() -> None:
     """Robots that stay time out, unless everywhere is near enough; what flies full speed ahead meets the far wall."""
-    stay, ahead = (torch.tensor([speed, 0.0, 0.0, 0.0]) for speed in (-1.0, 1.0))
-    short = evaluate(lambda obs: stay.expand(len(obs), 4), make(6, episode_len_steps=4))
+    stay, ahead = (Always(torch.tensor([speed, 0.0, 0.0, 0.0])) for speed in (-1.0, 1.0))
+    short = evaluate(stay, make(6, episode_len_steps=4))
     assert (short.success_rate, short.crash_rate, short.timeout_rate) == (0.0, 0.0, 1.0)
     assert short.success_radius_m == 1.0
-    near = evaluate(lambda obs: stay.expand(len(obs), 4), make(6, episode_len_steps=4, success_radius=100.0))
+    near = evaluate(stay, make(6, episode_len_steps=4, success_radius=100.0))
     assert (near.success_rate, near.crash_rate, near.timeout_rate) == (1.0, 0.0, 0.0)
-    long = evaluate(lambda obs: ahead.expand(len(obs), 4), make(6))
+    long = evaluate(ahead, make(6))
     assert long.crash_rate > 0.5
     assert long.success_rate + long.crash_rate + long.timeout_rate == pytest.approx(1.0)
 

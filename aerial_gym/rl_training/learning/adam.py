@@ -1,0 +1,61 @@
+"""Adam on one tensor that holds all weights, with its rate and its steps on the device: a handful of launches.
+
+Letters: P weights.
+"""
+
+import torch
+from torch import Tensor, nn
+
+BETAS, EPSILON = (0.9, 0.999), 1e-8
+"""Kingma, Ba (2015), Adam: a method for stochastic optimization, algorithm 1."""
+
+
+class FlatAdam:
+    """Moves the weights of a network by their gradients, whose norm it limits."""
+
+    def __init__(self, network: nn.Module, *, max_norm: float) -> None:
+        """Put all weights of ``network`` side by side into one tensor, of which they are views from now on."""
+        self._parameters, self._max_norm = [p for p in network.parameters() if p.requires_grad], max_norm
+        self.weights = torch.cat([p.detach().reshape(-1) for p in self._parameters])
+        """(P,)."""
+        self._point_into(self.weights)
+        self._mean, self._square = torch.zeros_like(self.weights), torch.zeros_like(self.weights)
+        self._steps = torch.zeros((), device=self.weights.device)
+
+    def _point_into(self, flat: Tensor) -> None:
+        start = 0
+        for parameter in self._parameters:
+            parameter.data = flat[start : start + parameter.numel()].view_as(parameter)
+            start += parameter.numel()
+
+    def gradient(self, loss: Tensor) -> Tensor:
+        """Return the gradient of ``loss`` with respect to all weights, (P,)."""
+        return torch.cat([g.reshape(-1) for g in torch.autograd.grad(loss, self._parameters)])
+
+    @torch.no_grad()
+    def step(self, gradient: Tensor, rate: Tensor) -> None:
+        """Move the weights against ``gradient``, (P,), with a rate that stands on the device, ()."""
+        # The kernel divides the gradient by grad_scale.
+        excess = (torch.linalg.vector_norm(gradient) / self._max_norm).clamp_min(1.0)
+        self._steps.add_(1.0)
+        torch._fused_adam_(  # pyright: ignore[reportPrivateImportUsage]
+            [self.weights],
+            [gradient],
+            [self._mean],
+            [self._square],
+            [],
+            [self._steps],
+            lr=rate,
+            beta1=BETAS[0],
+            beta2=BETAS[1],
+            weight_decay=0.0,
+            eps=EPSILON,
+            amsgrad=False,
+            maximize=False,
+            grad_scale=excess,
+            found_inf=None,
+        )
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return what must be kept to go on, besides the weights: tensors that keep their places."""
+        return {"mean": self._mean, "square": self._square, "steps": self._steps}

@@ -1,0 +1,63 @@
+"""An iteration of a learner as one CUDA graph, simulation and update together; on a CPU it runs as it is."""
+
+import logging
+from collections.abc import Callable
+
+import torch
+
+from aerial_gym.errors import CapabilityError
+
+WARM_UP_ITERATIONS = 2
+"""Iterations before the recording, in which kernels are compiled and memory is taken; they count as all others do."""
+
+_log = logging.getLogger(__name__)
+
+
+class Repeated:
+    """Calls a function that waits for nothing and keeps all it needs in tensors that stay; on CUDA it records it once."""
+
+    def __init__(self, iterate: Callable[[], None], device: torch.device, *, generator: torch.Generator) -> None:
+        """Take the function, and the generator that it draws from."""
+        self._iterate, self._device, self._generator = iterate, device, generator
+        self._graph: torch.cuda.CUDAGraph | None = None
+        self._warm = 0
+        self._stream = torch.cuda.Stream(device) if device.type == "cuda" else None
+
+    @property
+    def captured(self) -> bool:
+        """Whether an iteration is the replay of a graph by now."""
+        return self._graph is not None
+
+    def __call__(self) -> None:
+        """Run it once; on a GPU not waited for."""
+        if self._stream is None:
+            self._iterate()
+        elif self._warm < WARM_UP_ITERATIONS:
+            self._warm += 1
+            self._stream.wait_stream(torch.cuda.current_stream(self._device))
+            with torch.cuda.stream(self._stream):
+                self._iterate()
+            torch.cuda.current_stream(self._device).wait_stream(self._stream)
+        else:
+            self._recorded().replay()
+
+    def _recorded(self) -> torch.cuda.CUDAGraph:
+        """Return the graph.
+
+        Raises:
+            CapabilityError: If something in an iteration waits for the GPU.
+        """
+        if self._graph is None:
+            graph = torch.cuda.CUDAGraph()
+            graph.register_generator_state(self._generator)
+            try:
+                with torch.cuda.graph(graph):
+                    self._iterate()
+            except RuntimeError as error:
+                reason = str(error).strip().splitlines()[0]
+                raise CapabilityError(
+                    f"this training cannot be held in a CUDA graph: {reason}. Terms and rewards must not use .item(), print "
+                    "or branch on tensors; or train on the CPU"
+                ) from error
+            self._graph = graph
+        return self._graph

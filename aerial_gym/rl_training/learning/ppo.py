@@ -1,0 +1,318 @@
+"""Proximal policy optimisation: roll the simulation out, estimate advantages, follow the clipped objective.
+
+Everything stands on the device and nothing waits for it: ``Ppo.iterate`` can be held in one CUDA graph, simulation included,
+and the same code runs step by step on a CPU.
+
+Letters: T steps of a segment, E environments, U entries of an action, M numbers of memory.
+
+Source:
+    Schulman, Wolski, Dhariwal, Radford, Klimov (2017), Proximal policy optimization algorithms, arXiv 1707.06347.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import log
+
+import torch
+from torch import Tensor
+
+from aerial_gym.registry.state import below
+from aerial_gym.rl_training.learning.adam import FlatAdam
+from aerial_gym.rl_training.policies.actor_critic import ActorCritic
+from aerial_gym.rl_training.policies.distribution import Gaussian
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.task import Task
+
+RATE_STEP = 1.5
+"""Factor by which the learning rate adapts to the divergence: up below half of the threshold, down above twice of it, as in
+rl-games."""
+
+LOWEST_RATE = 1e-6
+"""Least learning rate, as in rl-games."""
+
+BOUND = 1.1
+"""Means of actions beyond it are pulled back, as in rl-games; the simulation clamps actions at 1."""
+
+SUMS = ("env_steps", "episodes", "episode_return", "episode_length")
+"""Steps, and number, returns and lengths of the episodes that ended, since the start of the training."""
+
+TINY = 1e-8
+"""Keeps advantages that are all alike from being divided by 0."""
+
+GAUGES = ("learning_rate", "divergence", "std", "policy_loss", "value_loss")
+"""Numbers of the last update."""
+
+
+def generalized_advantages(
+    reward: Tensor,
+    value: Tensor,
+    next_value: Tensor,
+    terminated: Tensor,
+    ended: Tensor,
+    *,
+    discount: float,
+    decay: float,
+) -> Tensor:
+    """Return ``A_t = d_t + discount decay A_(t+1)`` with ``d_t = r_t + discount V_next - V_t``.
+
+    Args:
+        reward: r, (T, E).
+        value: V_t of the observation before each step, (T, E).
+        next_value: V of the observation after it and before a reset, (T, E): a truncated episode is worth that. Not counted
+            where the episode terminated.
+        terminated: Whether the episode ended for good, bool, (T, E).
+        ended: Whether it ended, by termination or truncation, bool, (T, E): nothing of what follows counts.
+        discount: gamma.
+        decay: lambda.
+
+    Source:
+        Schulman, Moritz, Levine, Jordan, Abbeel (2016), High-dimensional continuous control using generalized advantage
+        estimation, eq. 16; truncation: Pardo, Tavakoli, Levdik, Kormushev (2018), Time limits in reinforcement learning, eq. 6.
+    """
+    delta = reward + discount * next_value.masked_fill(terminated, 0.0) - value
+    carry = (~ended).to(delta.dtype) * (discount * decay)
+    advantage = torch.empty_like(delta)
+    advantage[-1] = delta[-1]
+    for t in reversed(range(len(delta) - 1)):
+        torch.addcmul(delta[t], carry[t], advantage[t + 1], out=advantage[t])
+    return advantage
+
+
+def clipped_objective(log_ratio: Tensor, advantage: Tensor, *, clip_range: float) -> Tensor:
+    """Return ``min(r A, clip(r, 1 - e, 1 + e) A)`` of each sample, with r the probability ratio; eq. 7 of the source."""
+    ratio = log_ratio.exp()
+    return torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip_range, 1.0 + clip_range) * advantage)
+
+
+def squared_error(value: Tensor, target: Tensor, old_value: Tensor, *, clip_range: float | None) -> Tensor:
+    """Return ``(V - R)²`` of each sample, or the larger one of it and that of a value clipped about the old one."""
+    error = (value - target) ** 2
+    if clip_range is None:
+        return error
+    clipped = old_value + (value - old_value).clamp(-clip_range, clip_range)
+    return torch.maximum(error, (clipped - target) ** 2)
+
+
+def beyond_bounds(mean: Tensor) -> Tensor:
+    """Return the sum over entries of ``max(|mean| - 1.1, 0)²`` of each sample."""
+    return ((mean.abs() - BOUND).clamp_min(0.0) ** 2).sum(-1)
+
+
+def adapted_rate(rate: Tensor, divergence: Tensor, *, threshold: float, highest: Tensor) -> Tensor:
+    """Return the learning rate after a look at the divergence between the policies before and after, all of them ()."""
+    rate = torch.where(divergence > 2.0 * threshold, rate / RATE_STEP, rate)
+    rate = torch.where(divergence < 0.5 * threshold, rate * RATE_STEP, rate)
+    return torch.minimum(rate.clamp_min(LOWEST_RATE), highest)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flown:
+    """One segment of every environment, in time, (T, E, ...), but for the memory."""
+
+    observation: Mapping[str, Tensor]
+    """By key, (T + 1, E, ...): the last one is where the next segment begins."""
+
+    final: Mapping[str, Tensor]
+    """After each step and before a reset, (T, E, ...), by key; the image of a row that ended is the one before."""
+
+    begins: Tensor
+    """Whether an episode begins with the observation, bool, (T + 1, E)."""
+
+    memory: Tensor
+    """What was remembered before the first step, (E, M)."""
+
+    acting: Tensor
+    """What the policy remembers after the last step, (E, M')."""
+
+    action: Tensor
+    mean: Tensor
+    """Of the distribution that the action was drawn from."""
+
+    reward: Tensor
+    terminated: Tensor
+    """Bool."""
+
+    episode_return: Tensor
+    episode_length: Tensor
+    """Of the episodes so far; counted where they end."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """What is learned from."""
+
+    in_time: Mapping[str, Tensor]
+    """(T, E, ...): prepared keys of the observation, and ``begins``, ``action``, ``mean``, ``log_prob``, ``advantage``, and
+    normalised ``value`` (before learning) and ``target`` (what it is to become)."""
+
+    memory: Tensor
+    """What was remembered before the first step, (E, M)."""
+
+    def of(self, environments: Tensor) -> "Samples":
+        """Return those of some environments, int64 (E',)."""
+        chosen = {name: value.index_select(1, environments) for name, value in self.in_time.items()}
+        return Samples(in_time=chosen, memory=self.memory.index_select(0, environments))
+
+
+class Ppo:
+    """A learner: the network, its optimiser, and where the simulation stands."""
+
+    def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic) -> None:
+        """Take settings, a task that holds no graph of its own, and a network on its device."""
+        self._cfg, self._ppo, self._task, self.network = cfg, cfg.ppo, task, network
+        self._adam = FlatAdam(network, max_norm=cfg.ppo.max_grad_norm)
+        device = task.device
+        self.generator = torch.Generator(device).manual_seed(cfg.seed)
+        """Of exploration and of the order of samples."""
+        self._memory = network.empty_memory(task.num_envs)
+        self._begins = torch.ones(task.num_envs, dtype=torch.bool, device=device)
+        self._observation: dict[str, Tensor] = {}
+        self._rate = torch.full((), cfg.ppo.learning_rate, device=device)
+        self.time_share = torch.zeros((), dtype=torch.float64, device=device)
+        """Share of the time that is used, written by the host; 0 where steps alone limit the training."""
+        self.sums = torch.zeros(len(SUMS), dtype=torch.float64, device=device)
+        """``SUMS`` since the start."""
+        self.gauges = torch.zeros(len(GAUGES), dtype=torch.float64, device=device)
+        """``GAUGES`` of the last update."""
+
+    def begin(self) -> None:
+        """Start every episode anew, at random ages."""
+        observation, _ = self._task.reset()
+        self._task.stagger()
+        self._observation = {key: observation[key].clone() for key in self.network.shapes}
+
+    def iterate(self) -> None:
+        """Fly one segment and learn from it."""
+        with torch.no_grad():
+            flown = self._fly()
+            samples = self._judge(flown)
+            old_log_std, highest = self.network.actor.log_std.clone(), self._highest_rate()
+        for _ in range(self._ppo.num_epochs):
+            self._learn(samples, old_log_std, highest)
+        self.network.count({key: value[:-1] for key, value in flown.observation.items()})
+
+    def _fly(self) -> Flown:
+        """Fly T steps with exploration, and remember where the next segment begins."""
+        actor, task, keys = self.network.actor, self._task, self.network.shapes
+        noise = torch.randn(
+            (self._ppo.horizon, task.num_envs, task.num_actions), generator=self.generator, device=task.device
+        )
+        memory = self._memory.clone()
+        acting, _ = memory.split(self.network.memory_sizes, dim=-1)
+        seen, begins, finals, steps = [dict(self._observation)], [self._begins], [], []
+        for t in range(self._ppo.horizon):
+            mean, acting = actor.explore(seen[-1], acting, begins[-1])
+            action = Gaussian(mean, actor.log_std).sample(noise[t])
+            observation, reward, terminated, truncated, info = task.step(action.clamp(-1.0, 1.0))
+            finals.append(_by_key(info["final_observation"]))
+            begins.append(terminated | truncated)
+            steps.append((action, mean, reward, terminated, info["episode_return"], info["episode_length"]))
+            seen.append({key: observation[key] for key in keys})
+        action, mean, reward, terminated, total, length = (torch.stack(column) for column in zip(*steps, strict=True))
+        flown = Flown(
+            observation={key: torch.stack([each[key] for each in seen]) for key in keys},
+            final={key: torch.stack([each[key] for each in finals]) for key in keys if key in finals[0]},
+            begins=torch.stack(begins),
+            memory=memory,
+            acting=acting,
+            action=action,
+            mean=mean,
+            reward=reward,
+            terminated=terminated,
+            episode_return=total,
+            episode_length=length,
+        )
+        for key, value in self._observation.items():
+            value.copy_(seen[-1][key])
+        self._begins.copy_(begins[-1])
+        return flown
+
+    def _judge(self, flown: Flown) -> Samples:
+        """Estimate advantages and returns of a segment, and count it."""
+        ppo, network, ended = self._ppo, self.network, flown.begins[1:]
+        prepared = network.prepare(flown.observation)
+        before = {key: value[:-1] for key, value in prepared.items()}
+        values, remembered = network.values(prepared, flown.memory, flown.begins)
+        final = network.next_values(before | network.prepare(flown.final), remembered[:-1])
+        advantage = generalized_advantages(
+            ppo.reward_scale * flown.reward,
+            values[:-1],
+            torch.where(ended, final, values[1:]),
+            flown.terminated,
+            ended,
+            discount=ppo.discount,
+            decay=ppo.gae_lambda,
+        )
+        value = values[:-1]
+        if ppo.normalize_value:
+            network.scale.update((advantage + value).flatten())
+        self._memory.copy_(network.joined(flown.acting, remembered[-2]))
+        self._count(flown)
+        spread, mean = torch.std_mean(advantage)
+        return Samples(
+            memory=flown.memory,
+            in_time=before
+            | {
+                "begins": flown.begins[:-1],
+                "action": flown.action,
+                "mean": flown.mean,
+                "log_prob": Gaussian(flown.mean, network.actor.log_std).log_prob(flown.action),
+                "advantage": (advantage - mean) / (spread + TINY),
+                "value": network.scale(value),
+                "target": network.scale(advantage + value),
+            },
+        )
+
+    def _count(self, flown: Flown) -> None:
+        """Add steps, and the episodes that ended, to the sums."""
+        ended = flown.begins[1:]
+        of_ended = [ended, flown.episode_return * ended, flown.episode_length * ended]
+        self.sums[0].add_(ended.numel())
+        self.sums[1:].add_(torch.stack([values.sum(dtype=torch.float64) for values in of_ended]))
+
+    def _highest_rate(self) -> Tensor:
+        """Return the largest learning rate at this share of the training."""
+        share = self.time_share
+        if self._cfg.max_env_steps is not None:
+            share = torch.maximum(share, self.sums[0] / self._cfg.max_env_steps)
+        first, last = self._ppo.max_learning_rate, self._ppo.end_learning_rate
+        return (first + (last - first) * share.clamp(0.0, 1.0)).to(self._rate.dtype)
+
+    def _learn(self, samples: Samples, old_log_std: Tensor, highest: Tensor) -> None:
+        """Go through all samples once, in a random order of environments, and adapt the learning rate."""
+        ppo, actor = self._ppo, self.network.actor
+        order = torch.rand(self._task.num_envs, generator=self.generator, device=self._task.device).argsort()
+        for chosen in order.tensor_split(ppo.num_minibatches):
+            part = samples.of(chosen)
+            distribution, loss, losses = self._loss(part)
+            self._adam.step(self._adam.gradient(loss), self._rate)
+            with torch.no_grad():
+                actor.log_std.clamp_(min=log(ppo.min_std))
+        with torch.no_grad():
+            divergence = distribution.divergence_from(part.in_time["mean"], old_log_std).mean()
+            self._rate.copy_(adapted_rate(self._rate, divergence, threshold=ppo.kl_threshold, highest=highest))
+            self.gauges.copy_(torch.stack((self._rate, divergence, actor.log_std.exp().mean(), *losses)))
+
+    def _loss(self, part: Samples) -> tuple[Gaussian, Tensor, tuple[Tensor, Tensor]]:
+        """Return the distribution of actions, the loss, and those of policy and value."""
+        ppo, old = self._ppo, part.in_time
+        distribution, value = self.network.sequence(old, part.memory, old["begins"])
+        log_ratio = distribution.log_prob(old["action"]) - old["log_prob"]
+        policy_loss = -clipped_objective(log_ratio, old["advantage"], clip_range=ppo.clip_range).mean()
+        limit = ppo.clip_range if ppo.clip_value else None
+        value_loss = 0.5 * squared_error(value, old["target"], old["value"], clip_range=limit).mean()
+        loss = policy_loss + ppo.value_coef * value_loss
+        if ppo.bound_coef:
+            loss = loss + ppo.bound_coef * beyond_bounds(distribution.mean).mean()
+        if ppo.entropy_coef:
+            loss = loss - ppo.entropy_coef * distribution.entropy()
+        return distribution, loss, (policy_loss, value_loss)
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return what must be kept to go on, besides network and task: tensors that keep their places."""
+        own = {"memory": self._memory, "begins": self._begins, "rate": self._rate, "sums": self.sums}
+        return own | below("observation", self._observation) | below("adam", self._adam.state_tensors())
+
+
+def _by_key(final: Tensor | Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+    return {"observations": final} if isinstance(final, Tensor) else final

@@ -1,0 +1,90 @@
+"""A policy and its critic, which may see more than the policy does.
+
+Letters: T steps, E environments, M numbers of memory.
+"""
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor, nn
+
+from aerial_gym.rl_training.policies.body import Body, BodyCfg
+from aerial_gym.rl_training.policies.distribution import Gaussian
+from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
+from aerial_gym.rl_training.policies.policy import Policy
+
+
+class ActorCritic(nn.Module):
+    """A policy, and the value of what a body of its own, or that of the policy, makes of an observation.
+
+    Values are as normalised as the returns that they are learned from: ``scale`` counts these.
+    """
+
+    def __init__(self, actor: Policy, critic: BodyCfg | None) -> None:
+        """Take a policy and what the critic sees; None: both share the body, memory included. The first values are 0."""
+        super().__init__()
+        self.actor = actor
+        self.own_body = None if critic is None else Body(critic, beside=actor.body)
+        self.value_head = nn.Linear((self.own_body or actor.body).num_features, 1)
+        nn.init.zeros_(self.value_head.weight)
+        nn.init.zeros_(self.value_head.bias)
+        self.scale = RunningNormalizer(limit=float("inf"))
+        self.memory_sizes = (actor.body.memory_size, 0 if self.own_body is None else self.own_body.memory_size)
+        """Numbers of memory of policy and critic; the memory (E, M) of both stands side by side."""
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """What both see of an environment, by key of the observation."""
+        return {**({} if self.own_body is None else self.own_body.cfg.shapes), **self.actor.shapes}
+
+    def empty_memory(self, num_envs: int) -> Tensor:
+        """Return the memory (E, M) of environments in which nothing was seen yet."""
+        return self.value_head.weight.new_zeros(num_envs, sum(self.memory_sizes))
+
+    def prepare(self, observation: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return the keys that both see, vectors normalised."""
+        prepared = self.actor.body.prepare(observation)
+        if self.own_body is not None:
+            more = {key: value for key, value in observation.items() if key not in prepared}
+            prepared |= self.own_body.prepare(more)
+        return prepared
+
+    def count(self, observation: Mapping[str, Tensor]) -> None:
+        """Let the normalisers count observations (..., O) in."""
+        bodies = (self.actor.body,) if self.own_body is None else (self.actor.body, self.own_body)
+        for key, normalizer in {key: value for body in bodies for key, value in body.normalizers.items()}.items():
+            assert isinstance(normalizer, RunningNormalizer)
+            normalizer.update(observation[key].flatten(0, -2))
+
+    def sequence(self, prepared: Mapping[str, Tensor], memory: Tensor, begins: Tensor) -> tuple[Gaussian, Tensor]:
+        """Return the distributions of actions (T, E, U) and the normalised values (T, E) along a sequence.
+
+        Args:
+            prepared: Keys, (T, E, ...).
+            memory: What both remembered before the sequence, (E, M).
+            begins: Whether an episode begins with this observation, bool, (T, E): the memory is then empty.
+        """
+        acting, judging = memory.split(self.memory_sizes, dim=-1)
+        features, _ = self.actor.body.sequence(prepared, acting, begins)
+        distribution = Gaussian(self.actor.head(features), self.actor.log_std)
+        if self.own_body is not None:
+            features, _ = self.own_body.sequence(prepared, judging, begins)
+        return distribution, self.value_head(features).squeeze(-1)
+
+    def values(self, prepared: Mapping[str, Tensor], memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
+        """Return values in units of the return (T, E) along a sequence, and the memory of the critic after each step."""
+        acting, judging = memory.split(self.memory_sizes, dim=-1)
+        body, own = (self.actor.body, acting) if self.own_body is None else (self.own_body, judging)
+        features, after = body.sequence(prepared, own, begins)
+        return self.scale.inverse(self.value_head(features).squeeze(-1)), after
+
+    def next_values(self, prepared: Mapping[str, Tensor], memory: Tensor) -> Tensor:
+        """Return values in units of the return, (T, E), of one observation each, seen with the critic's memory (T, E, M)."""
+        body = self.own_body or self.actor.body
+        flat = {key: value.flatten(0, 1) for key, value in prepared.items()}
+        features, _ = body(flat, memory.flatten(0, 1))
+        return self.scale.inverse(self.value_head(features).squeeze(-1)).unflatten(0, memory.shape[:2])
+
+    def joined(self, acting: Tensor, judging: Tensor) -> Tensor:
+        """Return the memory (E, M) of both, of that of the policy and that of the critic."""
+        return acting if self.own_body is None else torch.cat((acting, judging), dim=-1)

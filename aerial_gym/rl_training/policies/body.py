@@ -1,0 +1,147 @@
+"""What all networks share: an encoder for every observation key, layers, and a memory if they have one.
+
+Letters: T steps, E environments, O entries of a vector, C x H x W an image, F features, M numbers of memory.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
+
+ACTIVATIONS = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
+"""By the name in the settings."""
+
+IMAGE_CHANNELS = (16, 32, 64, 64)
+"""Channels of the layers that look at an image, each of which halves it."""
+
+SMALLEST_IMAGE = 4
+"""Layers end where an image would have fewer rows or columns."""
+
+IMAGE_FEATURES = 128
+"""Numbers that stand for an image."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyCfg:
+    """Shape of a body."""
+
+    shapes: Mapping[str, tuple[int, ...]]
+    """What it sees, by key of the observation: (O,) a vector, (C, H, W) an image."""
+
+    hidden_layers: tuple[int, ...]
+    """Widths of the layers behind the encoders."""
+
+    activation: str = "elu"
+    """``elu``, ``relu`` or ``tanh``."""
+
+    memory: int = 0
+    """Numbers of a gated recurrent unit behind the layers; 0: none."""
+
+    normalize: bool = True
+    """Whether vectors are normalised by their running mean and deviation."""
+
+
+class Body(nn.Module):
+    """Observations to features; what it remembers is given and returned, so that it has no state of its own."""
+
+    def __init__(self, cfg: BodyCfg, *, beside: "Body | None" = None) -> None:
+        """Make the layers, with torch's own first weights; what ``beside`` normalises as well is normalised alike.
+
+        Raises:
+            ConfigError: If a key is neither a vector nor an image.
+        """
+        super().__init__()
+        self.cfg, self.memory_size = cfg, cfg.memory
+        self.normalizers, self.encoders = nn.ModuleDict(), nn.ModuleDict()
+        width = 0
+        for key, shape in cfg.shapes.items():
+            if len(shape) == 3:
+                self.encoders[key] = image_encoder(shape, cfg.activation)
+                width += IMAGE_FEATURES
+            elif len(shape) == 1:
+                if cfg.normalize:
+                    known = None if beside is None or key not in beside.normalizers else beside.normalizers[key]
+                    self.normalizers[key] = known or RunningNormalizer(shape)
+                width += shape[0]
+            else:
+                raise ConfigError(f"observation {key!r} has shape {shape}: must be a vector (O,) or an image (C, H, W)")
+        self.layers = layers((width, *cfg.hidden_layers), cfg.activation)
+        self.cell = nn.GRUCell(cfg.hidden_layers[-1], cfg.memory) if cfg.memory else None
+        self.num_features = cfg.memory or cfg.hidden_layers[-1]
+
+    def prepare(self, observation: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return the keys that it sees, vectors normalised: what does not change while weights are learned."""
+        return {
+            key: self.normalizers[key](observation[key]) if key in self.normalizers else observation[key]
+            for key in self.cfg.shapes
+            if key in observation
+        }
+
+    def forward(self, prepared: Mapping[str, Tensor], memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Return features (E, F) and memory (E, M) after one step, from prepared keys (E, ...) and memory (E, M)."""
+        features = self._encoded(prepared)
+        if self.cell is None:
+            return features, memory
+        memory = self.cell(features, memory)
+        return memory, memory
+
+    def sequence(self, prepared: Mapping[str, Tensor], memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
+        """Return features (T, E, F) of a sequence, and the memory (T, E, M) after each of its steps.
+
+        Args:
+            prepared: Keys, (T, E, ...).
+            memory: What was remembered before the sequence, (E, M).
+            begins: Whether an episode begins with this observation, bool, (T, E): the memory is then empty.
+        """
+        features = self._encoded(prepared)
+        if self.cell is None:
+            return features, memory.expand(len(features), *memory.shape)
+        after = []
+        for step, keep in zip(features, (~begins).to(features.dtype).unsqueeze(-1), strict=True):
+            memory = self.cell(step, memory * keep)
+            after.append(memory)
+        remembered = torch.stack(after)
+        return remembered, remembered
+
+    def _encoded(self, prepared: Mapping[str, Tensor]) -> Tensor:
+        parts = [
+            self.encoders[key](prepared[key]) if key in self.encoders else prepared[key] for key in self.cfg.shapes
+        ]
+        return self.layers(torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0])
+
+
+def layers(widths: tuple[int, ...], activation: str) -> nn.Sequential:
+    """Return fully connected layers, an activation behind each."""
+    parts = [(nn.Linear(before, after), ACTIVATIONS[activation]()) for before, after in pairwise(widths)]
+    return nn.Sequential(*(part for pair in parts for part in pair))
+
+
+class _Pixels(nn.Module):
+    """Images of any leading dimensions and type as one batch of floats: 8 bits as 0 to 1."""
+
+    def __init__(self, shape: tuple[int, ...], network: nn.Module) -> None:
+        super().__init__()
+        self._shape, self.network = shape, network
+
+    def forward(self, images: Tensor) -> Tensor:
+        flat = images.reshape(-1, *self._shape)
+        pixels = flat.float() / 255.0 if flat.dtype == torch.uint8 else flat.float()
+        return self.network(pixels).reshape(*images.shape[:-3], -1)
+
+
+def image_encoder(shape: tuple[int, ...], activation: str) -> nn.Module:
+    """Return a convolutional network from images (..., C, H, W) to ``IMAGE_FEATURES`` numbers."""
+    channels, rows, columns = shape
+    parts: list[nn.Module] = []
+    for wide in IMAGE_CHANNELS:
+        if min(rows, columns) < 2 * SMALLEST_IMAGE:
+            break
+        parts += [nn.Conv2d(channels, wide, kernel_size=3, stride=2, padding=1), ACTIVATIONS[activation]()]
+        channels, rows, columns = wide, (rows + 1) // 2, (columns + 1) // 2
+    parts += [nn.Flatten(), nn.Linear(channels * rows * columns, IMAGE_FEATURES), ACTIVATIONS[activation]()]
+    return _Pixels(shape, nn.Sequential(*parts))

@@ -1,0 +1,65 @@
+"""Running mean and variance of what a network sees or is asked to predict, kept on the device.
+
+Letters: N samples, O entries of a sample.
+"""
+
+import torch
+from torch import Tensor, nn
+
+EPSILON = 1e-5
+"""Added to the variance, as rl-games and Sample Factory do (``RunningMeanStd``, ``RunningMeanStdInPlace``)."""
+
+LIMIT = 5.0
+"""Normalised numbers are clamped to this, as both libraries do."""
+
+
+class RunningNormalizer(nn.Module):
+    """``clamp((x - mean) / sqrt(var + epsilon), +-limit)`` with the mean and variance of all samples so far."""
+
+    mean: Tensor
+    var: Tensor
+    count: Tensor
+    std: Tensor
+
+    def __init__(self, shape: tuple[int, ...] = (), *, limit: float = LIMIT) -> None:
+        """Take the shape of a sample; before the first update nothing is changed but clamped."""
+        super().__init__()
+        self.limit = limit
+        self.register_buffer("mean", torch.zeros(shape))
+        self.register_buffer("var", torch.ones(shape))
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+        self.register_buffer("std", torch.ones(shape), persistent=False)
+        self.register_load_state_dict_post_hook(lambda module, _: module._refresh())
+
+    def forward(self, samples: Tensor) -> Tensor:
+        """Return samples (..., O) normalised and clamped."""
+        return ((samples - self.mean) / self.std).clamp(-self.limit, self.limit)
+
+    def inverse(self, normal: Tensor) -> Tensor:
+        """Return what ``forward`` normalised, but for what it clamped."""
+        return normal * self.std + self.mean
+
+    @torch.no_grad()
+    def update(self, samples: Tensor) -> None:
+        """Count samples, (N, O), in; waits for nothing.
+
+        Source:
+            Chan, Golub, LeVeque (1979), Updating formulae and a pairwise algorithm for computing sample variances, eq. 2.1.
+        """
+        var, mean = torch.var_mean(samples, dim=0, correction=0)
+        total = self.count + samples.shape[0]
+        share = (samples.shape[0] / total).to(mean.dtype)
+        delta = mean - self.mean
+        self.var.copy_((1.0 - share) * self.var + share * var + share * (1.0 - share) * delta * delta)
+        self.mean.add_(share * delta)
+        self.count.copy_(total)
+        self._refresh()
+
+    def set(self, mean: Tensor, var: Tensor) -> None:
+        """Take the mean and variance that another library counted."""
+        self.mean.copy_(mean)
+        self.var.copy_(var)
+        self._refresh()
+
+    def _refresh(self) -> None:
+        self.std.copy_((self.var + EPSILON).sqrt())

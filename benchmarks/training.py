@@ -1,0 +1,148 @@
+"""How fast a policy learns: ``python -m benchmarks.training --device cuda --json``.
+
+Trains with ``ppo``, stops the clock from time to time, and flies the policy from fresh starts: figures are over the training
+alone (its iterations; not start-up, recording and evaluation, which are told apart) and from the start of the process.
+"""
+
+import json
+import platform
+import sys
+import time
+from dataclasses import dataclass, replace
+
+STARTED = time.perf_counter()
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchTraining:
+    """One training from scratch."""
+
+    task: str = "position_setpoint_task"
+    """Registered task."""
+
+    device: str = "auto"
+    """Torch device."""
+
+    seed: int = 1
+    """Of the training; starts of the evaluation have another."""
+
+    num_envs: int | None = None
+    """Environments; that of the settings if not given."""
+
+    config: str | None = None
+    """Settings file; that of the package if not given."""
+
+    set: tuple[str, ...] = ()
+    """Numbers of PPO in place of those of the settings, as NAME=VALUE."""
+
+    train_s: float = 5.0
+    """Length of the training [s]: the learning rate falls over it."""
+
+    every_s: float = 0.5
+    """Training between two evaluations [s]."""
+
+    num_starts: int = 1000
+    """Fresh episodes of an evaluation."""
+
+    threads: int | None = None
+    """Threads of torch on a CPU."""
+
+    json: bool = False
+    """One object a line, keys end in their unit."""
+
+    def run(self) -> int:
+        """Train, evaluate, print; return the exit status."""
+        import torch
+
+        from aerial_gym.rl_training import evaluate, load_settings, settings_for
+        from aerial_gym.rl_training.trainers.ppo import Training
+        from aerial_gym.task import task_registry
+
+        if self.threads is not None:
+            torch.set_num_threads(self.threads)
+        cfg = load_settings(self.config or settings_for("ppo", self.task, device=self.device))
+        changes = {name: json.loads(value) for name, value in (entry.split("=", 1) for entry in self.set)}
+        changes = {name: tuple(value) if isinstance(value, list) else value for name, value in changes.items()}
+        cfg = replace(
+            cfg,
+            task=self.task,
+            seed=self.seed,
+            device=self.device,
+            num_envs=self.num_envs or cfg.num_envs,
+            max_time_s=self.train_s,
+            ppo=replace(cfg.ppo, **changes),
+        )
+        with (
+            task_registry.make_task(
+                cfg.task, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed, capture=False
+            ) as task,
+            task_registry.make_task(
+                cfg.task, num_envs=self.num_starts, device=cfg.device, seed=1_000_003 + cfg.seed
+            ) as fresh,
+        ):
+            cuda = task.device.type == "cuda"
+            wait = torch.cuda.synchronize if cuda else (lambda: None)
+            training = Training(cfg, task)
+            trained_s, evaluated_s = 0.0, 0.0
+            while True:
+                wait()
+                begun = time.perf_counter()
+                found = evaluate(training.learner.network.actor, fresh)
+                wait()
+                evaluated_s += time.perf_counter() - begun
+                now = time.perf_counter() - STARTED - evaluated_s
+                told = {
+                    "training_s": trained_s,
+                    "since_process_start_s": now,
+                    "env_steps": training.env_steps,
+                    "final_error_mean_m": found.final_error_mean_m,
+                    "final_error_p95_m": found.final_error_p95_m,
+                    "success_rate": found.success_rate,
+                    "crash_rate": found.crash_rate,
+                    **training.gauges(),
+                }
+                self._print(told)
+                if trained_s >= self.train_s:
+                    break
+                due = min(trained_s + self.every_s, self.train_s)
+                while trained_s < due:
+                    training.learner.time_share.fill_(trained_s / self.train_s)
+                    wait()
+                    begun = time.perf_counter()
+                    training.advance()
+                    wait()
+                    trained_s += time.perf_counter() - begun
+            wait()
+            begun, first = time.perf_counter(), training.env_steps
+            for _ in range(4):
+                training.advance()
+            wait()
+            rate = (training.env_steps - first) / (time.perf_counter() - begun)
+            name = torch.cuda.get_device_name() if cuda else platform.processor() or platform.machine()
+            self._print(
+                {
+                    "steps_per_s": rate,
+                    "training_steps_per_s": first / max(trained_s, 1e-9),
+                    "num_envs": cfg.num_envs,
+                    "horizon": cfg.ppo.horizon,
+                    "seed": cfg.seed,
+                    "device": name,
+                    "torch": torch.__version__,
+                }
+            )
+        return 0
+
+    def _print(self, told: dict[str, object]) -> None:
+        if self.json:
+            print(json.dumps(told), flush=True)
+        else:
+            shown = (
+                f"{key} {value:,.4g}" if isinstance(value, float) else f"{key} {value}" for key, value in told.items()
+            )
+            print("  ".join(shown), flush=True)
+
+
+if __name__ == "__main__":
+    import tyro
+
+    sys.exit(tyro.cli(BenchTraining).run())

@@ -1,0 +1,145 @@
+"""Normaliser, distribution, memory and encoders of policies, against numpy, torch's own and each other."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.distributions import Independent, Normal, kl_divergence
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.rl_training.policies.actor_critic import ActorCritic
+from aerial_gym.rl_training.policies.body import Body, BodyCfg
+from aerial_gym.rl_training.policies.distribution import Gaussian
+from aerial_gym.rl_training.policies.normalizer import EPSILON, RunningNormalizer
+from aerial_gym.rl_training.policies.policy import Policy
+
+
+def randn(*shape: int, seed: int = 0) -> Tensor:
+    return torch.randn(shape, generator=torch.Generator().manual_seed(seed))
+
+
+def test_the_normaliser_knows_mean_and_variance_of_all_batches_together() -> None:
+    """Of batches of different size, mean and spread, against numpy on all of them at once."""
+    normalizer, batches = RunningNormalizer((3,)), []
+    for size, spread, middle in ((1, 1.0, 0.0), (40, 2.0, 5.0), (700, 0.1, -3.0), (2, 30.0, 1.0)):
+        batches.append(middle + spread * randn(size, 3, seed=size))
+        normalizer.update(batches[-1])
+    together = torch.cat(batches).double().numpy()
+    np.testing.assert_allclose(normalizer.mean.numpy(), together.mean(0), rtol=1e-5)
+    np.testing.assert_allclose(normalizer.var.numpy(), together.var(0), rtol=1e-5)
+    assert float(normalizer.count) == 743
+    sample = randn(5, 3)
+    expected = (sample.numpy() - together.mean(0)) / np.sqrt(together.var(0) + EPSILON)
+    np.testing.assert_allclose(normalizer(sample).numpy(), expected.clip(-5.0, 5.0), rtol=1e-4)
+    torch.testing.assert_close(normalizer.inverse(normalizer(sample)), sample)
+
+
+def test_a_normaliser_is_the_same_after_it_was_saved_and_loaded() -> None:
+    normalizer, other = RunningNormalizer((3,)), RunningNormalizer((3,))
+    normalizer.update(4.0 + randn(50, 3))
+    other.load_state_dict(normalizer.state_dict())
+    assert torch.equal(normalizer(randn(5, 3)), other(randn(5, 3)))
+
+
+def test_the_distribution_is_that_of_torch() -> None:
+    mean, log_std, action, noise = randn(6, 4), 0.3 * randn(4, seed=1), randn(6, 4, seed=2), randn(6, 4, seed=3)
+    ours, theirs = Gaussian(mean, log_std), Independent(Normal(mean, log_std.exp()), 1)
+    torch.testing.assert_close(ours.log_prob(action), theirs.log_prob(action))
+    torch.testing.assert_close(ours.entropy().expand(6), theirs.entropy())
+    torch.testing.assert_close(ours.sample(noise), mean + log_std.exp() * noise)
+    old_mean, old_log_std = randn(6, 4, seed=4), 0.3 * randn(4, seed=5)
+    expected = kl_divergence(Independent(Normal(old_mean, old_log_std.exp()), 1), theirs)
+    torch.testing.assert_close(ours.divergence_from(old_mean, old_log_std), expected)
+
+
+def recurrent() -> BodyCfg:
+    return BodyCfg(shapes={"observations": (5,)}, hidden_layers=(8,), memory=6)
+
+
+def test_a_sequence_is_its_steps_one_by_one_with_the_memory_emptied_where_episodes_begin() -> None:
+    policy = Policy(recurrent(), 2)
+    seen, begins = randn(7, 10, 5), torch.rand(7, 10, generator=torch.Generator().manual_seed(1)) < 0.3
+    first = randn(10, 6, seed=2)
+    features, after = policy.body.sequence(policy.body.prepare({"observations": seen}), first, begins)
+    memory = first
+    for t in range(7):
+        memory = torch.where(begins[t].unsqueeze(-1), 0.0, memory)
+        mean, memory = policy.step({"observations": seen[t]}, memory)
+        torch.testing.assert_close(policy.head(features[t]), mean)
+        torch.testing.assert_close(after[t], memory)
+
+
+def test_a_policy_forgets_where_it_is_told_to_and_nowhere_else() -> None:
+    policy = Policy(recurrent(), 2)
+    seen = {"observations": randn(3, 5)}
+    fresh, later = policy(seen), policy(seen)
+    assert (fresh != later).any(dim=-1).all()
+    policy.reset()
+    policy(seen)
+    policy.reset(torch.tensor([False, True, False]))
+    mixed = policy(seen)
+    assert torch.equal(mixed[1], fresh[1])
+    assert torch.equal(mixed[::2], later[::2])
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_memories_of_policy_and_critic_stand_apart(shared: bool) -> None:
+    """Values of a whole sequence are those of its halves, with the memory handed on."""
+    network = ActorCritic(Policy(recurrent(), 2), None if shared else recurrent())
+    torch.nn.init.normal_(network.value_head.weight)
+    assert network.empty_memory(3).shape == (3, 6 if shared else 12)
+    prepared, begins = network.prepare({"observations": randn(6, 3, 5)}), torch.zeros(6, 3, dtype=torch.bool)
+    first = randn(3, sum(network.memory_sizes), seed=1)
+    whole, remembered = network.values(prepared, first, begins)
+    acting = network.actor.body.sequence(prepared, first[:, :6], begins)[1][2]
+    second = network.joined(acting, remembered[2])
+    half, _ = network.values({key: value[3:] for key, value in prepared.items()}, second, begins[3:])
+    torch.testing.assert_close(half, whole[3:])
+    one = network.next_values({key: value[3:4] for key, value in prepared.items()}, remembered[2:3])
+    torch.testing.assert_close(one, whole[3:4])
+
+
+def test_a_critic_sees_its_own_keys_and_what_both_see_is_normalised_alike() -> None:
+    both, more = {"observations": (5,)}, {"observations": (5,), "critic": (3,)}
+    network = ActorCritic(Policy(BodyCfg(shapes=both, hidden_layers=(8,)), 2), BodyCfg(shapes=more, hidden_layers=(8,)))
+    torch.nn.init.normal_(network.value_head.weight)
+    observation = {"observations": 3.0 + randn(4, 6, 5), "critic": randn(4, 6, 3, seed=1)}
+    network.count(observation)
+    normalizer = network.actor.body.normalizers["observations"]
+    assert isinstance(normalizer, RunningNormalizer)
+    assert float(normalizer.count) == 24.0
+    torch.testing.assert_close(normalizer.mean, observation["observations"].mean((0, 1)))
+
+    def look(seen: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        begins = torch.zeros(4, 6, dtype=torch.bool)
+        distribution, value = network.sequence(network.prepare(seen), network.empty_memory(6), begins)
+        return distribution.mean, value
+
+    mean, value = look(observation)
+    other_mean, other_value = look(observation | {"critic": randn(4, 6, 3, seed=2)})
+    assert torch.equal(mean, other_mean)
+    assert (value != other_value).all()
+
+
+def test_images_are_encoded_with_any_leading_dimensions_and_bytes_stand_for_0_to_1() -> None:
+    shapes = {"observations": (3,), "depth": (1, 24, 40)}
+    body = Body(BodyCfg(shapes=shapes, hidden_layers=(8,)))
+    images = torch.randint(0, 256, (2, 5, 1, 24, 40), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+    seen, empty, begins = randn(2, 5, 3), torch.zeros(5, 0), torch.zeros(2, 5, dtype=torch.bool)
+    features, _ = body.sequence({"observations": seen, "depth": images}, empty, begins)
+    assert features.shape == (2, 5, 8)
+    as_floats, _ = body.sequence({"observations": seen, "depth": images / 255.0}, empty, begins)
+    torch.testing.assert_close(features, as_floats)
+    other = images.clone()
+    other[1, 2] = 255 - other[1, 2]
+    changed, _ = body.sequence({"observations": seen, "depth": other}, empty, begins)
+    assert torch.equal(
+        (changed != features).any(dim=-1), torch.tensor([[False] * 5, [False, False, True, False, False]])
+    )
+
+
+def test_keys_that_are_neither_vectors_nor_images_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"observation 'grid' has shape \(2, 3\): must be a vector"):
+        Body(BodyCfg(shapes={"grid": (2, 3)}, hidden_layers=(8,)))
