@@ -47,6 +47,12 @@ class BenchTraining:
     threads: int | None = None
     """Threads of torch on a CPU."""
 
+    processor_time: bool = False
+    """Count the processor time of this process in place of the time on the wall: for a busy machine, with one thread."""
+
+    plain: bool = False
+    """On a GPU, networks as torch operations in place of kernels of their own."""
+
     json: bool = False
     """One object a line, keys end in their unit."""
 
@@ -82,7 +88,8 @@ class BenchTraining:
         ):
             cuda = task.device.type == "cuda"
             wait = torch.cuda.synchronize if cuda else (lambda: None)
-            training = Training(cfg, task)
+            clock = time.process_time if self.processor_time else time.perf_counter
+            training = Training(cfg, task, fused=not self.plain)
             trained_s, evaluated_s = 0.0, 0.0
             while True:
                 wait()
@@ -108,16 +115,16 @@ class BenchTraining:
                 while trained_s < due:
                     training.learner.time_share.fill_(trained_s / self.train_s)
                     wait()
-                    begun = time.perf_counter()
+                    begun = clock()
                     training.advance()
                     wait()
-                    trained_s += time.perf_counter() - begun
+                    trained_s += clock() - begun
             wait()
-            begun, first = time.perf_counter(), training.env_steps
+            begun, first = clock(), training.env_steps
             for _ in range(4):
                 training.advance()
             wait()
-            rate = (training.env_steps - first) / (time.perf_counter() - begun)
+            rate = (training.env_steps - first) / (clock() - begun)
             name = torch.cuda.get_device_name() if cuda else platform.processor() or platform.machine()
             self._print(
                 {
@@ -125,6 +132,7 @@ class BenchTraining:
                     "training_steps_per_s": first / max(trained_s, 1e-9),
                     "num_envs": cfg.num_envs,
                     "horizon": cfg.ppo.horizon,
+                    "learner": type(training.learner).__name__,
                     "seed": cfg.seed,
                     "device": name,
                     "torch": torch.__version__,

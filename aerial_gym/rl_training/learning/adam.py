@@ -28,6 +28,10 @@ class FlatAdam:
             parameter.data = flat[start : start + parameter.numel()].view_as(parameter)
             start += parameter.numel()
 
+    def place_of(self, parameter: Tensor) -> int:
+        """Return where the weights of a parameter of the network begin."""
+        return (parameter.data_ptr() - self.weights.data_ptr()) // self.weights.element_size()
+
     def gradient(self, loss: Tensor) -> Tensor:
         """Return the gradient of ``loss`` with respect to all weights, (P,)."""
         return torch.cat([g.reshape(-1) for g in torch.autograd.grad(loss, self._parameters)])

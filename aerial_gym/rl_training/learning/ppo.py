@@ -9,7 +9,7 @@ Source:
     Schulman, Wolski, Dhariwal, Radford, Klimov (2017), Proximal policy optimization algorithms, arXiv 1707.06347.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import log
 
@@ -39,8 +39,8 @@ SUMS = ("env_steps", "episodes", "episode_return", "episode_length")
 TINY = 1e-8
 """Keeps advantages that are all alike from being divided by 0."""
 
-GAUGES = ("learning_rate", "divergence", "std", "policy_loss", "value_loss")
-"""Numbers of the last update."""
+GAUGES = ("learning_rate", "std", "divergence", "policy_loss", "value_loss")
+"""Numbers of the last pass over the samples; the last three are means over its minibatches."""
 
 
 def generalized_advantages(
@@ -193,7 +193,7 @@ class Ppo:
 
     def _fly(self) -> Flown:
         """Fly T steps with exploration, and remember where the next segment begins."""
-        actor, task, keys = self.network.actor, self._task, self.network.shapes
+        task, keys = self._task, self.network.shapes
         noise = torch.randn(
             (self._ppo.horizon, task.num_envs, task.num_actions), generator=self.generator, device=task.device
         )
@@ -201,17 +201,16 @@ class Ppo:
         acting, _ = memory.split(self.network.memory_sizes, dim=-1)
         seen, begins, finals, steps = [dict(self._observation)], [self._begins], [], []
         for t in range(self._ppo.horizon):
-            mean, acting = actor.explore(seen[-1], acting, begins[-1])
-            action = Gaussian(mean, actor.log_std).sample(noise[t])
-            observation, reward, terminated, truncated, info = task.step(action.clamp(-1.0, 1.0))
-            finals.append(_by_key(info["final_observation"]))
+            mean, action, command, acting = self._act(seen[-1], acting, begins[-1], noise[t])
+            observation, reward, terminated, truncated, info = task.step(command)
+            finals.append(_finals(info, keys))
             begins.append(terminated | truncated)
             steps.append((action, mean, reward, terminated, info["episode_return"], info["episode_length"]))
             seen.append({key: observation[key] for key in keys})
         action, mean, reward, terminated, total, length = (torch.stack(column) for column in zip(*steps, strict=True))
         flown = Flown(
             observation={key: torch.stack([each[key] for each in seen]) for key in keys},
-            final={key: torch.stack([each[key] for each in finals]) for key in keys if key in finals[0]},
+            final={key: torch.stack([each[key] for each in finals]) for key in finals[0]},
             begins=torch.stack(begins),
             memory=memory,
             acting=acting,
@@ -227,13 +226,21 @@ class Ppo:
         self._begins.copy_(begins[-1])
         return flown
 
+    def _act(
+        self, seen: Mapping[str, Tensor], memory: Tensor, begins: Tensor, noise: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return the mean action, one drawn about it, that as the simulation takes it, and the policy's memory."""
+        actor = self.network.actor
+        mean, memory = actor.explore(seen, memory, begins)
+        action = Gaussian(mean, actor.log_std).sample(noise)
+        return mean, action, action.clamp(-1.0, 1.0), memory
+
     def _judge(self, flown: Flown) -> Samples:
         """Estimate advantages and returns of a segment, and count it."""
         ppo, network, ended = self._ppo, self.network, flown.begins[1:]
         prepared = network.prepare(flown.observation)
         before = {key: value[:-1] for key, value in prepared.items()}
-        values, remembered = network.values(prepared, flown.memory, flown.begins)
-        final = network.next_values(before | network.prepare(flown.final), remembered[:-1])
+        values, final, remembered = self._values(prepared, before | network.prepare(flown.final), flown)
         advantage = generalized_advantages(
             ppo.reward_scale * flown.reward,
             values[:-1],
@@ -263,6 +270,13 @@ class Ppo:
             },
         )
 
+    def _values(
+        self, prepared: Mapping[str, Tensor], final: Mapping[str, Tensor], flown: Flown
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the values of observations (T + 1, E) and of final ones (T, E), and the critic's memory after each (T + 1, E, M)."""
+        values, remembered = self.network.values(prepared, flown.memory, flown.begins)
+        return values, self.network.next_values(final, remembered[:-1]), remembered
+
     def _count(self, flown: Flown) -> None:
         """Add steps, and the episodes that ended, to the sums."""
         ended = flown.begins[1:]
@@ -280,22 +294,21 @@ class Ppo:
 
     def _learn(self, samples: Samples, old_log_std: Tensor, highest: Tensor) -> None:
         """Go through all samples once, in a random order of environments, and adapt the learning rate."""
-        ppo, actor = self._ppo, self.network.actor
+        ppo, log_std, told = self._ppo, self.network.actor.log_std, []
         order = torch.rand(self._task.num_envs, generator=self.generator, device=self._task.device).argsort()
         for chosen in order.tensor_split(ppo.num_minibatches):
-            part = samples.of(chosen)
-            distribution, loss, losses = self._loss(part)
-            self._adam.step(self._adam.gradient(loss), self._rate)
-            with torch.no_grad():
-                actor.log_std.clamp_(min=log(ppo.min_std))
-        with torch.no_grad():
-            divergence = distribution.divergence_from(part.in_time["mean"], old_log_std).mean()
-            self._rate.copy_(adapted_rate(self._rate, divergence, threshold=ppo.kl_threshold, highest=highest))
-            self.gauges.copy_(torch.stack((self._rate, divergence, actor.log_std.exp().mean(), *losses)))
+            gradient, numbers = self._gradient(samples, chosen, old_log_std)
+            told.append(numbers)
+            self._adam.step(gradient, self._rate)
+            log_std.data.clamp_(min=log(ppo.min_std))
+        numbers = torch.stack(told).mean(0)
+        self._rate.copy_(adapted_rate(self._rate, numbers[0], threshold=ppo.kl_threshold, highest=highest))
+        self.gauges.copy_(torch.cat((torch.stack((self._rate, log_std.data.exp().mean())), numbers)))
 
-    def _loss(self, part: Samples) -> tuple[Gaussian, Tensor, tuple[Tensor, Tensor]]:
-        """Return the distribution of actions, the loss, and those of policy and value."""
-        ppo, old = self._ppo, part.in_time
+    def _gradient(self, samples: Samples, chosen: Tensor, old_log_std: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the gradient of the loss (P,) over the samples of some environments, (E',); divergence and losses, (3,)."""
+        ppo, part = self._ppo, samples.of(chosen)
+        old = part.in_time
         distribution, value = self.network.sequence(old, part.memory, old["begins"])
         log_ratio = distribution.log_prob(old["action"]) - old["log_prob"]
         policy_loss = -clipped_objective(log_ratio, old["advantage"], clip_range=ppo.clip_range).mean()
@@ -306,7 +319,10 @@ class Ppo:
             loss = loss + ppo.bound_coef * beyond_bounds(distribution.mean).mean()
         if ppo.entropy_coef:
             loss = loss - ppo.entropy_coef * distribution.entropy()
-        return distribution, loss, (policy_loss, value_loss)
+        with torch.no_grad():
+            divergence = distribution.divergence_from(old["mean"], old_log_std).mean()
+            numbers = torch.stack((divergence, policy_loss, value_loss))
+        return self._adam.gradient(loss), numbers
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return what must be kept to go on, besides network and task: tensors that keep their places."""
@@ -314,5 +330,7 @@ class Ppo:
         return own | below("observation", self._observation) | below("adam", self._adam.state_tensors())
 
 
-def _by_key(final: Tensor | Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-    return {"observations": final} if isinstance(final, Tensor) else final
+def _finals(info: Mapping[str, Tensor], keys: Iterable[str]) -> dict[str, Tensor]:
+    """Return the observations before a reset, by key, as far as the task gives them."""
+    named = {"observations": "final_observation"} | {key: f"final_{key}" for key in keys if key != "observations"}
+    return {key: info[name] for key, name in named.items() if name in info and key in keys}

@@ -1,5 +1,6 @@
 """Training with our own learner: simulation and updates in one CUDA graph, or step by step on a CPU."""
 
+import logging
 from collections import deque
 from collections.abc import Mapping
 from typing import Any
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.registry.state import check_state, restore, saved
+from aerial_gym.rl_training.learning.fused import FusedPpo, why_not_fused
 from aerial_gym.rl_training.learning.graph import Repeated
 from aerial_gym.rl_training.learning.ppo import GAUGES, SUMS, Ppo
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
@@ -20,6 +22,8 @@ from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
+
+_log = logging.getLogger(__name__)
 
 LOOK_EVERY = 8
 """Iterations on a GPU between two looks of the host, which is one look behind."""
@@ -92,10 +96,14 @@ def make_network(cfg: TrainingCfg, task: Task) -> ActorCritic:
 class Training:
     """A learner, repeated, and what the host knows of it."""
 
-    def __init__(self, cfg: TrainingCfg, task: Task) -> None:
-        """Make network and learner, and start all episodes."""
+    def __init__(self, cfg: TrainingCfg, task: Task, *, fused: bool = True) -> None:
+        """Make network and learner, and start all episodes; where it can, and unless not ``fused``, in kernels of its own."""
         self._cfg, self._task = cfg, task
-        self.learner = Ppo(cfg, task, make_network(cfg, task))
+        network = make_network(cfg, task)
+        reason = why_not_fused(cfg.ppo, network, task.device) if fused else "asked for"
+        if reason is not None and task.device.type == "cuda":
+            _log.info("the networks run as torch operations: %s", reason)
+        self.learner = (FusedPpo if reason is None else Ppo)(cfg, task, network)
         self.learner.begin()
         self._repeat = Repeated(self.learner.iterate, task.device, generator=self.learner.generator)
         self.env_steps = 0

@@ -1,0 +1,127 @@
+"""The learner with networks in kernels of their own, for two small multi-layer perceptrons on a GPU: the same formulas.
+
+Letters: T steps, E environments, O entries of an observation, U entries of an action, P weights, B blocks.
+"""
+
+import importlib.util
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from aerial_gym.rl_training.learning.ppo import BOUND, Flown, Ppo, Samples
+from aerial_gym.rl_training.policies.actor_critic import ActorCritic
+from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg
+from aerial_gym.task import Task
+
+WIDTHS = (16, 32, 64, 128)
+"""Widths of the hidden layers for which a tile of samples stays in registers."""
+
+MOST_INPUTS = 64
+"""Entries of an observation, likewise."""
+
+MOST_ACTIONS = 16
+
+FORWARD_TILE, GRADIENT_TILE = {"tile": 64, "num_warps": 4}, {"tile": 32, "num_warps": 8}
+"""Samples that a block takes at a time, and its warps: the most at which nothing spills from registers (sm_90, width 64)."""
+
+PRECISION, BACKWARD_PRECISION = "tf32x3", "tf32"
+"""Of products: the probability ratio compares two passes forward, so that these are as exact as float32."""
+
+
+def why_not_fused(ppo: PpoCfg, network: ActorCritic, device: torch.device) -> str | None:
+    """Return why a network cannot be learned in kernels of its own, or None if it can."""
+    shapes = network.actor.shapes
+    if device.type != "cuda":
+        return "no GPU"
+    if importlib.util.find_spec("triton") is None:
+        return "the package triton is not installed"
+    if len(shapes) != 1 or network.shapes != shapes or len(next(iter(shapes.values()))) != 1:
+        return "policy and critic do not see one vector"
+    if ppo.memory or not ppo.separate_value_network:
+        return "the networks have a memory, or share layers"
+    if len(ppo.hidden_layers) != 2 or len(set(ppo.hidden_layers)) != 1 or ppo.hidden_layers[0] not in WIDTHS:
+        return f"the hidden layers are not two of one width among {', '.join(str(width) for width in WIDTHS)}"
+    if next(iter(shapes.values()))[0] > MOST_INPUTS or network.actor.num_actions > MOST_ACTIONS:
+        return f"there are more than {MOST_INPUTS} observations or {MOST_ACTIONS} actions"
+    return None
+
+
+class FusedPpo(Ppo):
+    """Proximal policy optimisation whose passes through both networks are single launches."""
+
+    def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic) -> None:
+        """Take what ``Ppo`` takes, where ``why_not_fused`` finds no reason against it."""
+        super().__init__(cfg, task, network)
+        from aerial_gym.rl_training.learning import kernels
+
+        self._kernels, ppo = kernels, cfg.ppo
+        (self._key, (num_in,)) = next(iter(network.actor.shapes.items()))
+        assert network.own_body is not None
+        self._places = [
+            [self._adam.place_of(tensor) for linear in linears for tensor in (linear.weight, linear.bias)]
+            for linears in (
+                _linears(network.actor.body.layers, network.actor.head),
+                _linears(network.own_body.layers, network.value_head),
+            )
+        ]
+        self._log_std = self._adam.place_of(network.actor.log_std)
+        self._sizes: dict[str, Any] = {
+            "num_in": num_in,
+            "wide_in": max(16, 1 << (num_in - 1).bit_length()),
+            "hidden": ppo.hidden_layers[0],
+            "wide_out": MOST_ACTIONS,
+            "kind": {"elu": kernels.ELU, "relu": kernels.RELU, "tanh": kernels.TANH}[ppo.activation],
+            "precision": PRECISION,
+        }
+        device = task.device
+        blocks = torch.cuda.get_device_properties(device).multi_processor_count if device.type == "cuda" else 3
+        self._partial = torch.zeros(blocks, self._adam.weights.numel() + 3, device=device)
+
+    def _forward(self, seen: Tensor, network: int, noise: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        """Return what network 0 or 1 makes of observations (..., O), and with noise, (..., U), actions and commands."""
+        seen = seen.contiguous()
+        width = self._task.num_actions if network == 0 else 1
+        out = seen.new_empty(*seen.shape[:-1], width)
+        action, command = (out, out) if noise is None else (torch.empty_like(out), torch.empty_like(out))
+        samples = out.numel() // width
+        grid = (-(-samples // FORWARD_TILE["tile"]),)
+        self._kernels.forward[grid](
+            self._adam.weights, seen, out if noise is None else noise, samples, *self._places[network], self._log_std,
+            out, action, command, num_out=width, draws=noise is not None, **self._sizes, **FORWARD_TILE,
+        )  # fmt: skip
+        return out, action, command
+
+    def _act(
+        self, seen: Mapping[str, Tensor], memory: Tensor, begins: Tensor, noise: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        del begins
+        mean, action, command = self._forward(self.network.actor.body.prepare(seen)[self._key], 0, noise)
+        return mean, action, command, memory
+
+    def _values(
+        self, prepared: Mapping[str, Tensor], final: Mapping[str, Tensor], flown: Flown
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        values, finals = (self._forward(seen[self._key], 1)[0].squeeze(-1) for seen in (prepared, final))
+        scale = self.network.scale
+        return scale.inverse(values), scale.inverse(finals), flown.memory.expand(len(values), *flown.memory.shape)
+
+    def _gradient(self, samples: Samples, chosen: Tensor, old_log_std: Tensor) -> tuple[Tensor, Tensor]:
+        ppo, old, partial = self._ppo, samples.in_time, self._partial
+        steps, envs = old["log_prob"].shape
+        number, width = steps * chosen.numel(), partial.shape[1]
+        self._kernels.gradient[(partial.shape[0], 2)](
+            self._adam.weights, chosen.contiguous(), old[self._key], old["action"], old["mean"], old_log_std,
+            old["log_prob"], old["advantage"], old["value"], old["target"],
+            chosen.numel(), envs, number, *self._places[0], self._log_std, *self._places[1],
+            ppo.clip_range, ppo.value_coef, ppo.bound_coef, ppo.entropy_coef, BOUND, width,
+            partial, num_actions=self._task.num_actions, clip_value=ppo.clip_value,
+            backward_precision=BACKWARD_PRECISION, **self._sizes, **GRADIENT_TILE,
+        )  # fmt: skip
+        whole = partial.sum(0)
+        return whole[:-3], whole[-3:] / number
+
+
+def _linears(layers: nn.Module, head: nn.Linear) -> list[nn.Linear]:
+    return [*(layer for layer in layers.children() if isinstance(layer, nn.Linear)), head]
