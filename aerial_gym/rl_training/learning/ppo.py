@@ -273,7 +273,7 @@ class Ppo:
     def _values(
         self, prepared: Mapping[str, Tensor], final: Mapping[str, Tensor], flown: Flown
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the values of observations (T + 1, E) and of final ones (T, E), and the critic's memory after each (T + 1, E, M)."""
+        """Return the values of observations (T + 1, E), of final ones (T, E), and what the critic remembers after each."""
         values, remembered = self.network.values(prepared, flown.memory, flown.begins)
         return values, self.network.next_values(final, remembered[:-1]), remembered
 
