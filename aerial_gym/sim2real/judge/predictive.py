@@ -114,7 +114,16 @@ def open_effects(
     skipped += [*selection.surrogates]
     frozen = selection.final.fit.frozen
     libraries = [
-        build_library(flights, declared, final, selection.accepted, frozen=frozen, skipped=skipped)
+        build_library(
+            flights,
+            declared,
+            final,
+            selection.accepted,
+            selection.weights.weight,
+            frozen=frozen,
+            skipped=skipped,
+            by_channel=True,
+        )
         for flights in (train, test)
     ]
     return covering(libraries[0], libraries[1], selection.weights, asked, selection.criteria.significance)

@@ -51,6 +51,7 @@ class Made(Fitter):
     def __init__(self, *sets: Fitted) -> None:
         self.sets = {(one.effects, bool(one.structures)): one for one in sets}
         self.predictor, self.declared = SimpleNamespace(robot=ROBOT), ModelParams()  # type: ignore[assignment]
+        self._derivatives = {}
 
     def fit(self, effects: Sequence[str], structures: Sequence[Nuisance], start: ModelParams, _=None) -> Fitted:
         """Return the set; its start has its effects and no others."""

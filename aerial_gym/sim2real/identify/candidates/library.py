@@ -13,22 +13,25 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    UNIT,
     WEAK_PRIOR,
     Frozen,
     bounds_of,
     effect_jacobian,
+    exact_along,
     is_number,
     params_of,
     scales,
     tolerance_jacobian,
 )
-from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments, width_of
+from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments
+from aerial_gym.sim2real.identify.least_squares.weighted import Part, weighted_moments, width_of
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Structures = Callable[[list[Array], dict[str, list[Array]]], Sequence[Nuisance]]
+Structures = Callable[[list[Array], dict[str, list[list[Array]]]], Sequence[Nuisance]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,11 +67,15 @@ class Library:
     moments: Moments
     """Of the residual with every candidate at neutral."""
 
+    weight: Array
+    """What a row of each channel of the moments counts."""
+
     tolerances: Indices
     """Places of the tolerances among the K columns."""
 
-    tangents: list[list[Array]] = field(default_factory=list)
-    """Derivatives (rows, C, P) by all parameters of each candidate where it is linearised."""
+    tangents: dict[int, list[Array]] = field(default_factory=dict)
+    """Derivatives (rows, C, P) by all parameters of an effect where it is linearised, by the number of the candidate; not of
+    those that are linearised at several starts."""
 
 
 def build_library(
@@ -76,11 +83,13 @@ def build_library(
     declared: ModelParams,
     present: ModelParams,
     accepted: Sequence[str],
+    weight: Array,
     *,
     frozen: Frozen = frozenset(),
     skipped: Collection[str] = (),
     structures: Structures | None = None,
-    length: float | None = None,
+    by_channel: bool = False,
+    parts: int = 1,
 ) -> Library:
     """Return every candidate about a model that holds some of them.
 
@@ -92,22 +101,25 @@ def build_library(
         declared: The declared model.
         present: The model about which the candidates are linear.
         accepted: Effects that were fitted in it.
+        weight: Of one row of each channel, (C,).
         frozen: Parameters of accepted effects that the flights do not show; they stay as they are.
         skipped: Effects that these flights cannot show.
         structures: Gives the structures that compete with the effects, for the residuals of the present model and the
-            derivatives by each effect, (rows, C, any).
-        length: Of a block [s]; None: as ``block_moments``.
+            derivatives by each effect, (rows, C, any), at each of its starts.
+        by_channel: Whether the moments are those of each channel and flight, without the weights; not with structures.
+        parts: In how many parts each flight is.
     """
     base = predictor.predict(present)
     residuals = here = [m - p for m, p in zip(predictor.measured, base, strict=True)]
-    candidates, parts, tangents, width = [], [], [], 0
-    own: dict[str, list[Array]] = {}
+    candidates, width, tangents = [], 0, dict[int, list[Array]]()
+    parts, own = list[Sequence[Part]](), dict[str, list[list[Array]]]()
     for name, point in origins(declared, present, accepted, skipped, predictor.robot):
         named, neutral, scale = point is present, neutral_of(name, declared, predictor.robot), scales((name,))
         columns = effect_jacobian(predictor, point, (name,), base if named else predictor.predict(point))
         if not all(np.isfinite(part).all() for part in columns):
             continue  # a pendulum that goes over the top of the present model
-        tangents.append(columns)
+        if named or not has_starts(name, predictor.robot):
+            tangents[len(candidates)] = columns
         step = (params_of(point, (name,)) - neutral) / scale
         if named:  # back to neutral
             change = [b - n for b, n in zip(base, predictor.predict(point.with_effect(name, neutral)), strict=True)]
@@ -128,10 +140,9 @@ def build_library(
         )
         parts.append(columns)
         width += scale.size
-        before = own.get(name)
-        own[name] = columns if before is None else [np.dstack(both) for both in zip(before, columns, strict=True)]
+        own.setdefault(name, []).append(columns)
     for structure in () if structures is None else structures(here, own):
-        places = np.arange(structure.columns[0].shape[2]) + width
+        places = np.arange(structure.columns[0].width) + width
         open_end = np.full(places.size, np.inf)
         candidates.append(
             Candidate(
@@ -144,30 +155,21 @@ def build_library(
             )
         )
         parts.append(structure.columns)
-        tangents.append(structure.columns)
         width += places.size
     parts.append(tolerance_jacobian(predictor, present, base))
-    jacobians = list(zip(*parts, strict=True))
+    flights = list(zip(*parts, strict=True))
+    if by_channel:
+        jacobians = [np.concatenate(own, axis=2) for own in flights]
+        moments = block_moments(predictor.times, residuals, jacobians, length=np.inf)
+    else:
+        moments = weighted_moments(predictor.times, residuals, flights, weight, parts=parts)
     return Library(
         candidates=tuple(candidates),
-        moments=block_moments(predictor.times, residuals, jacobians, length=length),
-        tolerances=np.arange(width, width_of(jacobians[0])),
+        moments=moments,
+        weight=weight if by_channel else UNIT,
+        tolerances=np.arange(width, width_of(flights[0])),
         tangents=tangents,
     )
-
-
-def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) -> list[Array]:
-    """Return derivatives (rows, C, k), changed as little as gives exactly the ``change`` (rows, C) over a ``step`` (k).
-
-    A lag of 0 and one of 0.06 s differ by much more or less than what the derivative at 0.06 s says.
-
-    Source:
-        Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
-    """
-    if not np.any(step):
-        return list(columns)
-    along = step / (step @ step)
-    return [c + (d - c @ step)[..., None] * along for c, d in zip(columns, change, strict=True)]
 
 
 def origins(
@@ -221,9 +223,9 @@ def neutral_of(name: str, declared: ModelParams, robot: RobotCfg) -> Array:
     return np.array(EFFECTS.get(name).neutral(robot), dtype=float)
 
 
-def seen_candidates(library: Library, weight: Array) -> tuple[Candidate, ...]:
+def seen_candidates(library: Library) -> tuple[Candidate, ...]:
     """Return the candidates without parameters that the flights leave unknown by more than their scale, accepted ones whole."""
-    product = np.einsum("c,bckl->kl", weight, library.moments.product)
+    product = np.einsum("c,bckl->kl", library.weight, library.moments.product)
     found = []
     for candidate in library.candidates:
         if candidate.named or not candidate.columns.size:

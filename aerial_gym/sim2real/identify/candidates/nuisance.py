@@ -7,7 +7,7 @@ would follow: there the structure is what imperfect laws leave, and not a rival 
 Letters: T rows, C channels, F functions, S flights.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,13 +24,14 @@ from aerial_gym.sim2real.identify.candidates.structure import (
     rows_of,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.least_squares.weighted import InChannels
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Nuisance:
     """Columns of one kind in one channel."""
 
@@ -40,7 +41,7 @@ class Nuisance:
     channel: str
     """Where; forces in world axes for position and heading."""
 
-    columns: list[Array]
+    columns: list[InChannels]
     """(T, C, F) of each flight; one unit is as large as all that the declared model misses in that channel."""
 
     freq_hz: float | None = None
@@ -58,7 +59,7 @@ def structures_of(
     channels: Sequence[Channel],
     declared: Sequence[Array],
     present: Sequence[Array],
-    effects: dict[str, list[Array]],
+    effects: Mapping[str, Sequence[Sequence[Array]]],
 ) -> list[Nuisance]:
     """Return every structure that these flights can have.
 
@@ -68,7 +69,7 @@ def structures_of(
         channels: What is compared.
         declared: What the declared model misses, (T, C): gives the sizes.
         present: What the present model misses, (T, C): gives the frequencies of tones.
-        effects: Derivatives of the prediction by the parameters of each effect, (T, C, any).
+        effects: Derivatives of the prediction by the parameters of each effect, (T, C, any), at each of its starts.
     """
     found = []
     for kind, features in features_of(flights, times).items():
@@ -77,15 +78,17 @@ def structures_of(
             functions = [np.column_stack((np.ones(len(part)), part)) for part in functions]
         if not functions[0].shape[1]:
             continue  # a voltage that stays the same
-        rivals = [effects[name] for name in effects if kind in EFFECTS.get(name).follows]
+        rivals = [part for name in effects if kind in EFFECTS.get(name).follows for part in effects[name]]
         for place, channel in enumerate(channels):
-            axes = _axes(kind, place, flights, times, channels)
+            moved, axes = _axes(kind, place, flights, times, channels)
             along = [
-                [np.einsum("tck,tc->tk", part, axis) for part, axis in zip(own, axes, strict=True)] for own in rivals
+                [np.einsum("tck,tc->tk", part[:, moved], axis) for part, axis in zip(own, axes, strict=True)]
+                for own in rivals
             ]
             size = _rms([part[:, place] for part in in_axes_of(kind, flights, times, declared, channels)])
             columns = [
-                size * x[:, None, :] * axis[:, :, None] for x, axis in zip(_beyond(functions, along), axes, strict=True)
+                InChannels(values=size * x[:, None, :] * axis[:, :, None], channels=moved)
+                for x, axis in zip(_beyond(functions, along), axes, strict=True)
             ]
             found.append(Nuisance(kind=kind, channel=channel.name, columns=columns))
     return [*found, *_tones(flights, times, channels, declared, present)]
@@ -117,19 +120,13 @@ def _beyond(functions: Sequence[Array], effects: Sequence[Sequence[Array]]) -> l
 
 def _axes(
     kind: str, place: int, flights: Sequence[Flight], times: Sequence[Array], channels: Sequence[Channel]
-) -> list[Array]:
-    """Return which channels a unit of structure moves, (T, C): a world axis seen from the body, or the channel itself."""
-    force = [k for k, channel in enumerate(channels) if channel.kind == "specific_force"]
-    found = []
-    for flight, time in zip(flights, times, strict=True):
-        axis = np.zeros((time.size, len(channels)))
-        if kind in IN_WORLD and len(force) == 3 and place in force:
-            turn = Rotation.from_quat(flight.attitude[rows_of(flight, time)])
-            axis[:, force] = turn.apply(np.eye(3)[force.index(place)], inverse=True)
-        else:
-            axis[:, place] = 1.0
-        found.append(axis)
-    return found
+) -> tuple[tuple[int, ...], list[Array]]:
+    """Return the channels that a unit of structure moves and by how much, (T, c): a world axis seen from the body, or one."""
+    force = tuple(k for k, channel in enumerate(channels) if channel.kind == "specific_force")
+    if kind not in IN_WORLD or len(force) != 3 or place not in force:
+        return (place,), [np.ones((time.size, 1)) for time in times]
+    turns = [Rotation.from_quat(f.attitude[rows_of(f, time)]) for f, time in zip(flights, times, strict=True)]
+    return force, [turn.apply(np.eye(3)[force.index(place)], inverse=True) for turn in turns]
 
 
 def _tones(
@@ -148,12 +145,12 @@ def _tones(
             continue
         size, columns = _rms([part[:, place] for part in declared]), []
         for number, time in enumerate(times):
-            waves = np.zeros((time.size, len(channels), 2 * len(times)))
+            waves = np.zeros((time.size, 1, 2 * len(times)))
             turn = 2.0 * np.pi * line[0] * time
-            waves[:, place, 2 * number : 2 * number + 2] = (
+            waves[:, 0, 2 * number : 2 * number + 2] = (
                 size * np.sqrt(2.0) * np.column_stack((np.cos(turn), np.sin(turn)))
             )
-            columns.append(waves)
+            columns.append(InChannels(values=waves, channels=(place,)))
         found.append(Nuisance(kind="periodic", channel=channel.name, columns=columns, freq_hz=line[0]))
     return found
 
@@ -166,10 +163,12 @@ def beyond_structures(structures: Sequence[Nuisance], residuals: Sequence[Array]
     """Return what is left of residuals (T, C) when structures are fitted channel by channel, each column within its size."""
     left = [part.copy() for part in residuals]
     for place, weight in enumerate(weights.weight):
-        own = [s.columns for s in structures if any(part[:, place].any() for part in s.columns)]
+        own = [s.columns for s in structures if place in s.columns[0].channels]
         if not own:
             continue
-        columns = [np.concatenate([part[:, place] for part in parts], axis=1) for parts in zip(*own, strict=True)]
+        columns = [
+            np.concatenate([part.in_channel(place) for part in parts], axis=1) for parts in zip(*own, strict=True)
+        ]
         product = sum(part.T @ part for part in columns)
         gradient = sum(part.T @ values[:, place] for part, values in zip(columns, residuals, strict=True))
         step = np.linalg.solve(weight * product + np.eye(columns[0].shape[1]), weight * gradient)

@@ -14,9 +14,9 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import Library, has_starts, neutral_of
 from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
 from aerial_gym.sim2real.identify.candidates.testable import at_bounds
-from aerial_gym.sim2real.identify.evidence.guard import Support, parts_of, supports_of_fit
+from aerial_gym.sim2real.identify.evidence.guard import Support, parts_of_a_flight, supports_of_fit
 from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior, posterior
-from aerial_gym.sim2real.identify.evidence.linear import linear_about, with_structures
+from aerial_gym.sim2real.identify.evidence.linear import linear_about
 from aerial_gym.sim2real.identify.evidence.search import Sets
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     bounds_of,
@@ -27,6 +27,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     tolerance_jacobian,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.least_squares.weighted import Beside, Part
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -34,6 +35,9 @@ Array = NDArray[np.float64]
 
 Label = tuple[str, ...]
 """Names of a set's effects, with their rotor, and structures, sorted."""
+
+KEPT = 4
+"""Sets of structures, and derivatives of fitted sets, that are kept for the next fit."""
 
 NOTHING = Posterior(
     columns=np.zeros(0, dtype=np.int64), step=np.zeros(0), covariance=np.zeros((0, 0)), log_evidence=-np.inf
@@ -95,8 +99,33 @@ class Fitter:
     ) -> None:
         """Take flights, the declared model, how many effects there are to choose from, weights, and the present model."""
         self.predictor, self.declared, self.weights = predictor, declared, weights
-        self.log_names = float(np.log(max(1, num_names)))
-        self.tolerance = tolerance_jacobian(predictor, present, predictor.predict(present))
+        self.log_names, self._present = float(np.log(max(1, num_names))), present
+        self._tolerance: list[Array] | None = None
+        self._beside: dict[tuple[Nuisance, ...], Beside] = {}
+        self._derivatives: dict[Label, list[Array]] = {}
+
+    def forget(self) -> None:
+        """Let go of what takes memory; it is worked out again when it is needed."""
+        self._tolerance = None
+        self._beside.clear()
+        self._derivatives.clear()
+
+    def beside(self, structures: Sequence[Nuisance], more: Sequence[Array] | None = None) -> Beside:
+        """Return the tolerances, structures behind them, and ``more`` columns (rows, C, any)."""
+        key = tuple(structures)
+        if more is None and key in self._beside:
+            return self._beside[key]
+        if self._tolerance is None:
+            self._tolerance = tolerance_jacobian(self.predictor, self._present, self.predictor.predict(self._present))
+        parts: list[Sequence[Part]] = [self._tolerance, *(structure.columns for structure in structures)]
+        flights = list(zip(*parts, *([] if more is None else [more]), strict=True))
+        times = self.predictor.times
+        found = Beside(times, flights, self.weights.weight, parts=parts_of_a_flight(len(times)))
+        if more is None:
+            self._beside[key] = found
+            if len(self._beside) > KEPT:
+                del self._beside[next(iter(self._beside))]
+        return found
 
     def neutral(self, name: str) -> Array:
         """Return the parameters with which an effect changes nothing."""
@@ -110,17 +139,16 @@ class Fitter:
         derivatives: list[Array] | None = None,
     ) -> Fitted:
         """Return a set fitted from a start, by ``derivatives`` (rows, C, P) near it if there are."""
-        nuisance, effects = with_structures(self.tolerance, structures), tuple(effects)
-        found = fit_effects(self.predictor, effects, start, nuisance, self.weights.weight, derivatives=derivatives)
+        beside, effects = self.beside(structures), tuple(effects)
+        found, last = fit_effects(self.predictor, effects, start, beside, derivatives=derivatives)
         parameters, support = NOTHING, {}
         if np.isfinite(found.moments.square).all():
-            neutral, part = [self.neutral(name) for name in effects], parts_of(found.moments.flight)
-            linear = linear_about(found, neutral, self.weights, part)
+            linear = linear_about(found, [self.neutral(name) for name in effects])
             parameters = posterior(linear.candidates, linear.whole, linear.model)
             support = supports_of_fit(linear, self.log_names)
         free = found.free_effects.size
         value = parameters.log_evidence - (len(effects) + len(structures)) * self.log_names
-        return Fitted(
+        fitted = Fitted(
             effects=effects,
             structures=tuple(structures),
             params=found.point,
@@ -129,6 +157,10 @@ class Fitter:
             support=support,
             deviation=parameters.step[free : free + self.predictor.num_tolerances],
         )
+        self._derivatives[fitted.label] = last
+        if len(self._derivatives) > KEPT:
+            del self._derivatives[next(iter(self._derivatives))]
+        return fitted
 
     def fit_of(self, library: Library, sets: Sets, model: Model, structures: Sequence[Nuisance]) -> Fitted:
         """Return a set of a library fitted from the present model, best of the starts of its new effects."""
@@ -141,7 +173,7 @@ class Fitter:
             base = self.predictor.predict(start)
             parts = [
                 library.tangents[k]
-                if library.candidates[k].named
+                if k in library.tangents
                 else effect_jacobian(self.predictor, start, (library.candidates[k].name,), base)
                 for k in effects
             ]
@@ -175,7 +207,13 @@ class Fitter:
         kept |= {name: self.declared.effects[name] for name in names if name in self.declared.effects}
         start = ModelParams(effects=kept, learned=self.declared.learned)
         effects = [name for name in fitted.effects if name not in names]
-        return self.fit(effects, fitted.structures, start)
+        derivatives = self._derivatives.get(fitted.label)
+        if derivatives is not None:
+            rest = np.repeat(
+                [name not in names for name in fitted.effects], [scales((name,)).size for name in fitted.effects]
+            )
+            derivatives = [part[:, :, rest] for part in derivatives]
+        return self.fit(effects, fitted.structures, start, derivatives)
 
     def without_weakest(self, fitted: Fitted) -> Fitted:
         """Return a set fitted again without the effect for which the least speaks; nothing does in a fit that went nowhere."""

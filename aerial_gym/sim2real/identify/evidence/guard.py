@@ -22,7 +22,6 @@ from aerial_gym.sim2real.identify.candidates.library import Library
 from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal, posterior
 from aerial_gym.sim2real.identify.evidence.linear import LinearFit, candidates_of, normal_of
 from aerial_gym.sim2real.identify.evidence.search import Sets
-from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -58,11 +57,11 @@ class Support:
 class Guard:
     """Takes out of sets what is less probable than not when parameters are as sure as flights agree on them."""
 
-    def __init__(self, library: Library, sets: Sets, weights: Weighting) -> None:
+    def __init__(self, library: Library, sets: Sets) -> None:
         """Take the posterior over sets of a library of candidates."""
         self._sets, self._candidates = sets, candidates_of(library)
-        self._parts = [normal_of(library, weights, np.array([k])) for k in range(library.moments.count.size)]
-        self._whole = normal_of(library, weights)
+        self._parts = [normal_of(library, np.array([k])) for k in range(library.moments.count.size)]
+        self._whole = normal_of(library)
         self._support: dict[Model, dict[int, Support]] = {}
 
     def held(self, model: Model) -> Model:
@@ -125,21 +124,6 @@ def scatter(scores: Array) -> Array:
     return away.T @ away * (len(scores) / (len(scores) - 1))
 
 
-def part_length(times: Sequence[Array]) -> float:
-    """Return how long the parts are that are taken as independent [s]: whole flights, or parts of them if flights are few."""
-    if len(times) >= FEWEST_PARTS:
-        return np.inf
-    shortest = min(float(time[-1] - time[0]) for time in times)
-    return shortest / -(-FEWEST_PARTS // len(times))
-
-
-def parts_of(flight: Indices) -> Indices:
-    """Return the part of each block, (B,): its flight, or its place in it where flights are few; ``flight`` is (B,)."""
-    labels, place = np.unique(flight, return_inverse=True)
-    if labels.size >= FEWEST_PARTS:
-        return place
-    each, found = -(-FEWEST_PARTS // labels.size), np.zeros_like(place)
-    for k in range(labels.size):
-        own = np.flatnonzero(place == k)
-        found[own] = k * each + np.arange(own.size) * each // own.size
-    return found
+def parts_of_a_flight(num_flights: int) -> int:
+    """Return in how many parts each flight is, that are taken as independent: one, or several if flights are few."""
+    return -(-FEWEST_PARTS // num_flights)

@@ -1,17 +1,15 @@
 """The linear model about a fitted one as the sums of which evidences are made, and the evidence of a nonlinear fit."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import Library
-from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
 from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, normal_equations, params_of, scales
-from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, Fit, normal_equations, params_of, scales
 
 Array = NDArray[np.float64]
 
@@ -38,19 +36,13 @@ def candidates_of(library: Library) -> Candidates:
     )
 
 
-def with_structures(tolerance: Sequence[Array], structures: Sequence[Nuisance]) -> list[Array]:
-    """Return derivatives (rows, C, any) by the tolerances, and by structures behind them."""
-    more = [structure.columns for structure in structures]
-    return [np.concatenate(parts, axis=2) for parts in zip(tolerance, *more, strict=True)]
-
-
-def normal_of(library: Library, weights: Weighting, blocks: NDArray[np.int64] | None = None) -> Normal:
+def normal_of(library: Library, blocks: NDArray[np.int64] | None = None) -> Normal:
     """Return the weighted sums over some blocks, all if None."""
     chosen = slice(None) if blocks is None else blocks
     return Normal(
-        product=np.einsum("c,bckl->kl", weights.weight, library.moments.product[chosen]),
-        gradient=np.einsum("c,bck->k", weights.weight, library.moments.gradient[chosen]),
-        constant=-0.5 * float(library.moments.square[chosen].sum(axis=0) @ weights.weight),
+        product=np.einsum("c,bckl->kl", library.weight, library.moments.product[chosen]),
+        gradient=np.einsum("c,bck->k", library.weight, library.moments.gradient[chosen]),
+        constant=-0.5 * float(library.moments.square[chosen].sum(axis=0) @ library.weight),
     )
 
 
@@ -71,14 +63,12 @@ class LinearFit:
         return tuple(range(len(self.candidates.columns)))
 
 
-def linear_about(fit: Fit, neutral: Sequence[Array], weights: Weighting, part: NDArray[np.int64]) -> LinearFit:
+def linear_about(fit: Fit, neutral: Sequence[Array]) -> LinearFit:
     """Return the linear model about a fit, its parameters counted from neutral.
 
     Args:
-        fit: Effects, tolerances and structures.
+        fit: Effects, tolerances and structures, with the weights in its moments; its blocks are the parts.
         neutral: Parameters with which each effect changes nothing.
-        weights: Of the channels.
-        part: Of the flights, of each block.
     """
     free, count = fit.free_all, fit.free_effects.size
     away = np.zeros(fit.low.size)
@@ -86,13 +76,12 @@ def linear_about(fit: Fit, neutral: Sequence[Array], weights: Weighting, part: N
         away[: fit.num_effect_params] = (params_of(fit.point, fit.effects) - np.concatenate(neutral)) / scales(
             fit.effects
         )
-    here, moments = away[free], fit.moments.joined(part)
-    every = np.arange(moments.count.size)
+    here, every = away[free], np.arange(fit.moments.count.size)
 
     def normal(own: NDArray[np.int64]) -> Normal:
-        product, gradient = normal_equations(replace(fit, moments=moments), weights.weight, own)
+        product, gradient = normal_equations(fit, UNIT, own)
         product, gradient = product[np.ix_(free, free)], gradient[free]
-        square = float(moments.square[own].sum(axis=0) @ weights.weight)
+        square = float(fit.moments.square[own].sum())
         constant = -0.5 * square - float(gradient @ here) - 0.5 * float(here @ product @ here)
         return Normal(product=product, gradient=gradient + product @ here, constant=constant)
 

@@ -14,12 +14,16 @@ from scipy.optimize import lsq_linear
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting, block_moments, weights_from, width_of
+from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting, block_moments, weights_from
+from aerial_gym.sim2real.identify.least_squares.weighted import Beside, Weighted
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+UNIT = np.ones(1)
+"""Weight of the moments of a fit that have the weights of the channels in them (``Beside.moments``)."""
+
 Frozen = frozenset[tuple[str, int]]
 """Parameters that stay as they are: effect, and place among its parameters."""
 
@@ -41,6 +45,9 @@ ROUNDING = 1e-6
 
 CONVERGED = 0.02
 """A step is the last one if the linear model misses by less than this share of the residual."""
+
+NOTHING_LEFT = 0.05
+"""A step is not taken that promises less log likelihood than this: it would change no choice."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,20 +193,20 @@ def best_step(fit: Fit, weight: Array, free: Indices, blocks: Indices | None = N
 def solve_within(fit: Fit, product: Array, gradient: Array, free: Indices) -> Array:
     """Return the step (K,) that normal equations and the prior ask for, within the bounds; 0 where not free."""
     step = np.zeros(fit.low.size)
-    if free.size == 0:
-        return step
-    a = product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free])
-    b = gradient[free]
-    found = np.linalg.solve(a, b)
-    low, high = fit.low[free], fit.high[free]
-    if np.any(found < low) or np.any(found > high):
-        root = np.linalg.cholesky(a).T
-        open_low, open_high = np.minimum(low, -1e-12), np.maximum(high, 1e-12)
-        found = lsq_linear(
-            root, np.linalg.solve(root.T, b), bounds=(open_low, open_high), method="bvls", max_iter=10 * b.size
-        ).x
-    step[free] = found
+    if free.size:
+        a = product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free])
+        step[free] = _solved(a, gradient[free], fit.low[free], fit.high[free])
     return step
+
+
+def _solved(a: Array, b: Array, low: Array, high: Array) -> Array:
+    """Return the minimum of ``x a x / 2 - b x`` within bounds."""
+    found = np.linalg.solve(a, b)
+    if np.all(found >= low) and np.all(found <= high):
+        return found
+    root = np.linalg.cholesky(a).T
+    bounds = np.minimum(low, -1e-12), np.maximum(high, 1e-12)
+    return lsq_linear(root, np.linalg.solve(root.T, b), bounds=bounds, method="bvls", max_iter=10 * b.size).x
 
 
 def best_within_tolerances(robot: RobotCfg, fit: Fit, weight: Array) -> ModelParams:
@@ -230,22 +237,33 @@ def fit_at(
     effects: tuple[str, ...],
     point: ModelParams,
     residuals: list[Array],
-    jacobians: Sequence[Array | Sequence[Array]],
+    jacobians: Sequence[Array],
     *,
-    frozen: Frozen = frozenset(),
     length: float | None = None,
 ) -> Fit:
-    """Return the model at a point from its residuals there and their derivatives (rows, C, K), or parts of them.
+    """Return the model at a point from its residuals there and their derivatives (rows, C, K).
 
     ``length`` is of a block [s].
     """
+    moments = block_moments(predictor.times, residuals, jacobians, length=length)
+    return fit_of_moments(predictor.robot, effects, point, moments)
+
+
+def fit_of_moments(
+    robot: RobotCfg,
+    effects: tuple[str, ...],
+    point: ModelParams,
+    moments: Moments,
+    frozen: Frozen = frozenset(),
+) -> Fit:
+    """Return the model at a point from the moments there, tolerances and structures behind the parameters of effects."""
     here, scale = params_of(point, effects), scales(effects)
-    lowest, highest = bounds_of(predictor.robot, effects)
-    farthest = np.full(width_of(jacobians[0]) - here.size, FARTHEST_DEVIATION)
+    lowest, highest = bounds_of(robot, effects)
+    farthest = np.full(moments.gradient.shape[2] - here.size, FARTHEST_DEVIATION)
     return Fit(
         effects=effects,
         point=point,
-        moments=block_moments(predictor.times, residuals, jacobians, length=length),
+        moments=moments,
         low=np.concatenate(((lowest - here) / scale, -farthest)),
         high=np.concatenate(((highest - here) / scale, farthest)),
         num_effect_params=here.size,
@@ -257,17 +275,15 @@ def fit_effects(
     predictor: Predictor,
     effects: tuple[str, ...],
     start: ModelParams,
-    tolerance: list[Array],
-    weight: Array,
+    beside: Beside,
     *,
     frozen: Frozen = frozenset(),
-    derivatives: list[Array] | None = None,
-) -> Fit:
-    """Return the model with some effects fitted by Gauss-Newton steps, until it is as good as linear.
+    derivatives: Sequence[Array] | None = None,
+) -> tuple[Fit, list[Array]]:
+    """Return the model with some effects fitted by Gauss-Newton steps, until it is as good as linear, and its derivatives.
 
-    A step that overshoots is halved.
-
-    Deviations within the tolerances take their share while the effects are fitted; they are not part of the model.
+    A step that overshoots is halved. Tolerances and structures take their share while the effects are fitted; they are not part
+    of the model. The moments of the fit have the weights of the channels in them (``UNIT``).
 
     With ``derivatives`` at hand a step costs one prediction in place of one for each parameter: they are mended along each step
     by what the prediction really did, and only taken anew where they lead nowhere.
@@ -276,68 +292,74 @@ def fit_effects(
         predictor: Training flights.
         effects: Effects whose parameters are free; all must be in ``start``.
         start: First guess.
-        tolerance: Derivatives by the deviations (``tolerance_jacobian``), taken as constant.
-        weight: Of one row of each channel, (C,).
+        beside: What is fitted beside them, linear, and what a row of each channel counts.
         frozen: Parameters that stay as they are.
         derivatives: Of the prediction by the effects' parameters, per scale, somewhere near the start, (rows, C, P).
 
     Source:
         Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
     """
-    if derivatives is None:
-        fit, residuals, jacobians = linearise(predictor, effects, start, tolerance)
+    weight, point, predicted = beside.weight, start, predictor.predict(start)
+    residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
+    if exact := derivatives is None:
+        own = effect_jacobian(predictor, start, effects, predicted)
     else:
-        residuals = predictor.residuals(start)
-        jacobians = [np.concatenate(parts, axis=2) for parts in zip(derivatives, tolerance, strict=True)]
-        fit = fit_at(predictor, effects, start, residuals, jacobians)
-    cost = misfit(predictor, residuals, tolerance, weight)
-    if not np.isfinite(cost):
-        return replace(fit, frozen=frozen)
+        own = [part.copy() for part in derivatives]
+    cost = misfit(beside, residuals)
     for _ in range(MOST_STEPS):
-        fit = replace(fit, frozen=frozen)
-        step = best_step(fit, weight, fit.free_all)
-        whole, here = step[: fit.num_effect_params], params_of(fit.point, effects)
-        if not np.any(whole):
-            return fit
+        fit = fit_of_moments(predictor.robot, effects, point, beside.moments(residuals, own), frozen)
+        if not np.isfinite(cost):
+            return fit, own
+        whole = best_step(fit, UNIT, fit.free_all)
+        step, here = whole[: fit.num_effect_params], params_of(point, effects)
+        if 0.5 * cost - _left_after(fit, whole) < NOTHING_LEFT:
+            return fit, own
         for share in SHARES:
-            own = share * whole
-            point = with_params(predictor.robot, fit.point, effects, here + scales(effects) * own)
-            predicted = predictor.predict(point)
+            gone = share * step
+            there = with_params(predictor.robot, point, effects, here + scales(effects) * gone)
+            predicted = predictor.predict(there)
             moved = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
-            new_cost = misfit(predictor, moved, tolerance, weight)
-            if new_cost <= cost * (1.0 + ROUNDING):
+            if (new_cost := misfit(beside, moved)) <= cost * (1.0 + ROUNDING):
                 break
         else:
-            if derivatives is None:
-                return fit
-            derivatives = None
-            fit, residuals, jacobians = linearise(predictor, effects, fit.point, tolerance)
+            if exact:
+                return fit, own
+            exact, own = True, effect_jacobian(predictor, point, effects, predictor.predict(point))
             continue
-        linear = [r - j[:, :, : own.size] @ own for r, j in zip(residuals, jacobians, strict=True)]
-        missed = [expected - m for m, expected in zip(moved, linear, strict=True)]
-        miss = sum(float((weight * part**2).sum()) for part in missed)
-        size = sum(float((weight * m**2).sum()) for m in moved)
-        if derivatives is not None:
-            for columns, part in zip(jacobians, missed, strict=True):
-                columns[:, :, : own.size] += part[..., None] * (own / (own @ own))
-        if share == 1.0 and miss <= CONVERGED**2 * size:
-            return fit_at(predictor, effects, point, moved, jacobians, frozen=frozen)
-        cost = new_cost
-        if derivatives is None:
-            fit, residuals, jacobians = linearise(predictor, effects, point, tolerance, base=predicted)
-        else:
-            fit, residuals = fit_at(predictor, effects, point, moved, jacobians), moved
-    return replace(fit, frozen=frozen)
+        missed = [r - j @ gone - m for r, j, m in zip(residuals, own, moved, strict=True)]
+        miss, size = (sum(float(((part**2).sum(axis=0) * weight).sum()) for part in parts) for parts in (missed, moved))
+        done = share == 1.0 and miss <= CONVERGED**2 * size
+        if not exact:
+            own = exact_along(own, gone, [r - m for r, m in zip(residuals, moved, strict=True)])
+        elif not done:
+            own = effect_jacobian(predictor, there, effects, predicted)
+        point, residuals, cost = there, moved, new_cost
+        if done:
+            break
+    return fit_of_moments(predictor.robot, effects, point, beside.moments(residuals, own), frozen), own
 
 
-def misfit(predictor: Predictor, residuals: list[Array], tolerance: list[Array], weight: Array) -> float:
-    """Return the weighted squares plus the prior, with the deviations that fit best; infinite if a residual is not finite."""
+def _left_after(fit: Fit, step: Array) -> float:
+    """Return the negative log likelihood and prior of tolerances that a step (K,) would leave if the model were linear."""
+    product, gradient = normal_equations(fit, UNIT)
+    prior = float(np.square(step[fit.num_effect_params :]).sum())
+    square = float(fit.moments.square.sum()) - 2.0 * float(gradient @ step) + float(step @ product @ step)
+    return 0.5 * (square + prior)
+
+
+def misfit(beside: Beside, residuals: Sequence[Array]) -> float:
+    """Return the weighted squares plus the prior, with what is beside as it fits best; infinite if a residual is not finite."""
     if not all(np.isfinite(part).all() for part in residuals):
         return np.inf
-    fit = fit_at(predictor, (), ModelParams(effects={}), residuals, tolerance, length=np.inf)
-    step = best_step(fit, weight, fit.free_all)
-    left = fit.moments.squares_after(np.broadcast_to(step, (fit.moments.count.size, step.size)))
-    return float(left.sum(axis=0) @ weight + step @ step)
+    one = Weighted([[part[:, :, None]] for part in residuals], beside.weight)
+    square = float(beside.blocks.products(one, one).sum())
+    gradient, far = (
+        beside.blocks.products(one, beside.columns).sum(axis=0)[0],
+        np.full(beside.width, FARTHEST_DEVIATION),
+    )
+    product = beside.whole + np.eye(beside.width)
+    step = _solved(product, gradient, -far, far) if far.size else gradient
+    return square - 2.0 * float(gradient @ step) + float(step @ product @ step)
 
 
 def weighting(
@@ -358,24 +380,33 @@ def weighting(
         if name not in point.effects:
             point = point.with_effect(name, np.array(EFFECTS.get(name).neutral(predictor.robot)))
     found = weights_from(predictor.residuals(start))
+    predicted = predictor.predict(point)
+    own = effect_jacobian(predictor, point, effects, predicted)
     for _ in range(3):
-        left, point = _left_over(predictor, found, point, effects, tolerance)
+        residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
+        beside = Beside(predictor.times, [[part] for part in tolerance], found.weight)
+        fit = fit_of_moments(predictor.robot, effects, point, beside.moments(residuals, own))
+        step, rest = np.split(best_step(fit, UNIT, fit.free_all), [fit.num_effect_params])
+        left = [r - j @ step - t @ rest for r, j, t in zip(residuals, own, tolerance, strict=True)]
         if not all(np.isfinite(part).all() for part in left):
             break  # a step too far, for a pendulum: the weights of the step before stand
         found = weights_from(left if beyond is None else beyond(left, found))
+        here = params_of(point, effects)
+        point = with_params(predictor.robot, point, effects, here + scales(effects) * step)
+        before, predicted = predicted, predictor.predict(point)
+        own = exact_along(own, step, [p - b for p, b in zip(predicted, before, strict=True)])
     return found
 
 
-def _left_over(
-    predictor: Predictor, weights: Weighting, point: ModelParams, effects: tuple[str, ...], tolerance: list[Array]
-) -> tuple[list[Array], ModelParams]:
-    """Return what one more step of a fit leaves over, (rows, C) each, and the model after it."""
-    predicted = predictor.predict(point)
-    residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
-    own = effect_jacobian(predictor, point, effects, predicted)
-    fit = fit_at(predictor, effects, point, residuals, list(zip(own, tolerance, strict=True)), length=np.inf)
-    step = best_step(fit, weights.weight, fit.free_all)
-    first, rest = np.split(step, [fit.num_effect_params])
-    left = [r - j @ first - t @ rest for r, j, t in zip(residuals, own, tolerance, strict=True)]
-    values = params_of(point, effects) + scales(effects) * step[: fit.num_effect_params]
-    return left, with_params(predictor.robot, point, effects, values)
+def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) -> list[Array]:
+    """Return derivatives (rows, C, k), changed as little as gives exactly the ``change`` (rows, C) over a ``step`` (k).
+
+    A lag of 0 and one of 0.06 s differ by much more or less than what the derivative at 0.06 s says.
+
+    Source:
+        Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
+    """
+    if not np.any(step):
+        return list(columns)
+    along = step / (step @ step)
+    return [c + (d - c @ step)[..., None] * along for c, d in zip(columns, change, strict=True)]

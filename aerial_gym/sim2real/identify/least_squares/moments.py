@@ -103,7 +103,7 @@ def flight_of_rows(times: Sequence[Array]) -> NDArray[np.int64]:
 def block_moments(
     times: Sequence[Array],
     residuals: Sequence[Array],
-    jacobians: Sequence[Array | Sequence[Array]],
+    jacobians: Sequence[Array],
     *,
     length: float | None = None,
 ) -> Moments:
@@ -112,12 +112,12 @@ def block_moments(
     Args:
         times: Of each flight [s], (rows,).
         residuals: Of each flight, (rows, C).
-        jacobians: Of each flight, (rows, C, K), or parts of it that lie one behind the other in K: what is large is not joined.
+        jacobians: Of each flight, (rows, C, K).
         length: Of a block; infinite: whole flights; None: what suits the flights (``block_length``).
     """
     length = block_length(times) if length is None else length
     blocks = [(flight, rows) for flight, time in enumerate(times) for rows in block_rows(time, length)]
-    num_channels, width = residuals[0].shape[1], width_of(jacobians[0])
+    num_channels, width = residuals[0].shape[1], jacobians[0].shape[2]
     found = Moments(
         count=np.array([float(rows.size) for _, rows in blocks]),
         square=np.empty((len(blocks), num_channels)),
@@ -126,22 +126,11 @@ def block_moments(
         flight=np.array([flight for flight, _ in blocks]),
     )
     for block, (flight, rows) in enumerate(blocks):
-        r, own = residuals[flight][rows], [part[rows] for part in parts_of(jacobians[flight])]
-        j = (own[0] if len(own) == 1 else np.concatenate(own, axis=2)).transpose(1, 2, 0)  # (C, K, rows)
+        r, j = residuals[flight][rows], jacobians[flight][rows].transpose(1, 2, 0)  # (C, K, rows)
         found.square[block] = (r**2).sum(axis=0)
         found.gradient[block] = (j @ r.T[:, :, None])[:, :, 0]
         np.matmul(j, j.transpose(0, 2, 1), out=found.product[block])
     return found
-
-
-def parts_of(jacobian: Array | Sequence[Array]) -> Sequence[Array]:
-    """Return the parts of a derivative along K, (rows, C, any) each."""
-    return [jacobian] if isinstance(jacobian, np.ndarray) else jacobian
-
-
-def width_of(jacobian: Array | Sequence[Array]) -> int:
-    """Return K of a derivative, or of its parts."""
-    return sum(part.shape[2] for part in parts_of(jacobian))
 
 
 @dataclass(frozen=True, kw_only=True)

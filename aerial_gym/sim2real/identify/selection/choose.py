@@ -25,12 +25,11 @@ from aerial_gym.sim2real.identify.evidence.fitting import (
     narrowest,
     probabilities_of,
 )
-from aerial_gym.sim2real.identify.evidence.guard import parts_of
 from aerial_gym.sim2real.identify.evidence.laplace import Posterior, posterior
-from aerial_gym.sim2real.identify.evidence.linear import linear_about, with_structures
+from aerial_gym.sim2real.identify.evidence.linear import linear_about
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     effect_jacobian,
-    fit_at,
+    fit_of_moments,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, flight_of_rows, time_groups
 from aerial_gym.sim2real.identify.selection.climb import Climber, View, reach_of
@@ -154,7 +153,7 @@ class _Chooser:
             for name, found in (present.support if fits[0].holds else fits[0].support | present.support).items()
         } | {name: f"runs into its physical bound: {', '.join(found)}" for name, found in ends.items()}
         away = (*named.effects, *surrogates, *immaterial)
-        shown = {candidate.name for candidate in seen_candidates(view.library, view.fitter.weights.weight)}
+        shown = {candidate.name for candidate in seen_candidates(view.library)}
         return Chosen(
             named=named,
             best=present,
@@ -222,11 +221,10 @@ class _Chooser:
         own = effect_jacobian(predictor, present.params, present.effects, predicted)
         neutral = {name: neutral_of(name, self.declared, predictor.robot) for name in present.effects}
 
-        def log_posterior(*more: list[Array], structures: Sequence[Nuisance]) -> tuple[float, Posterior]:
-            nuisance = with_structures(fitter.tolerance, structures)
-            jacobians = [np.concatenate(parts, axis=2) for parts in zip(own, nuisance, *more, strict=True)]
-            fit = fit_at(predictor, present.effects, present.params, residuals, jacobians, length=np.inf)
-            linear = linear_about(fit, list(neutral.values()), fitter.weights, parts_of(fit.moments.flight))
+        def log_posterior(structures: Sequence[Nuisance], more: list[Array] | None = None) -> tuple[float, Posterior]:
+            moments = fitter.beside(structures, more).moments(residuals, own)
+            fit = fit_of_moments(predictor.robot, present.effects, present.params, moments)
+            linear = linear_about(fit, list(neutral.values()))
             parameters = posterior(linear.candidates, linear.whole, linear.model)
             return parameters.log_evidence - len(structures) * fitter.log_names, parameters
 
@@ -238,9 +236,9 @@ class _Chooser:
             functions = functions_of(kind, predictor.flights, predictor.times)
             columns = [(p - w)[..., None] * f[:, None] for p, w, f in zip(predicted, without, functions, strict=True)]
             rest = [structure for structure in present.structures if structure.kind != kind]
-            steady, _ = log_posterior(structures=present.structures)
+            steady, _ = log_posterior(present.structures)
             for beside in (present.structures, rest):
-                varied, parameters = log_posterior(columns, structures=beside)
+                varied, parameters = log_posterior(beside, columns)
                 share = float(np.sqrt((parameters.step[-columns[0].shape[2] :] ** 2).sum()))
                 if varied - fitter.log_names > steady and share > STEADY:
                     found[name] = kind

@@ -29,7 +29,7 @@ from aerial_gym.sim2real.identify.evidence.fitting import (
     Label,
     label_in,
 )
-from aerial_gym.sim2real.identify.evidence.guard import Guard, part_length
+from aerial_gym.sim2real.identify.evidence.guard import Guard, parts_of_a_flight
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.linear import candidates_of, normal_of
 from aerial_gym.sim2real.identify.evidence.search import Sets, search
@@ -242,8 +242,11 @@ class Climber:
         """Return all candidates about a model, the posterior over their sets, and the structures among them."""
         flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
         structures: list[Nuisance] = []
+        for label, fitter in own.items():
+            if label != present.label:
+                fitter.forget()
 
-        def of_residuals(residuals: list[Array], effects: dict[str, list[Array]]) -> list[Nuisance]:
+        def of_residuals(residuals: list[Array], effects: dict[str, list[list[Array]]]) -> list[Nuisance]:
             structures.extend(structures_of(flights, times, channels, self.missed, residuals, effects))
             return structures
 
@@ -252,12 +255,13 @@ class Climber:
             self.declared,
             present.params,
             present.effects,
+            own[present.label].weights.weight,
             skipped=self.skipped,
             structures=of_residuals,
-            length=part_length(times),
+            parts=parts_of_a_flight(len(times)),
         )
         fitter = own[present.label]
-        normal = normal_of(library, fitter.weights)
+        normal = normal_of(library)
         here = place_of(library, present)
         sets = search(candidates_of(library), normal, starts=[here])
         fits[present.label] = present
@@ -270,7 +274,7 @@ class Climber:
             library=library,
             structures=structures,
             sets=sets,
-            guard=Guard(library, sets, fitter.weights),
+            guard=Guard(library, sets),
         )
 
 

@@ -1,7 +1,7 @@
 """Which effects the flights ask for: those of the most probable set, fitted with their spread, and what speaks against them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,8 +11,15 @@ from aerial_gym.sim2real.identify.candidates.library import neutral_of
 from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.least_squares.covariance import uncertainty
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, Frozen, fit_effects, tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    Fit,
+    Frozen,
+    fit_effects,
+    linearise,
+    tolerance_jacobian,
+)
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.least_squares.weighted import Beside
 from aerial_gym.sim2real.identify.selection.choose import Chosen, choose_effects
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria, LeftOut, Scored
 from aerial_gym.sim2real.logs.flights import Flight
@@ -148,6 +155,7 @@ class _Scorer:
         self.predictor, self.declared, self.chosen, self.weights = predictor, declared, chosen, chosen.weights
         start = chosen.named.params
         self.tolerance = tolerance_jacobian(predictor, start, predictor.predict(start))
+        self.beside = Beside(predictor.times, [[part] for part in self.tolerance], self.weights.weight)
         about = tolerance_jacobian(predictor, declared, predictor.predict(declared))
         squares = np.concatenate([(part**2).sum(axis=2) for part in about])
         self.left_out = LeftOut(
@@ -159,7 +167,9 @@ class _Scorer:
         )
 
     def _fit(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen) -> Fit:
-        return fit_effects(self.predictor, effects, start, self.tolerance, self.weights.weight, frozen=frozen)
+        found, _ = fit_effects(self.predictor, effects, start, self.beside, frozen=frozen)
+        by_channel, _, _ = linearise(self.predictor, effects, found.point, self.tolerance)
+        return replace(by_channel, frozen=frozen)
 
     def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> Scored:
         """Return the model with these effects fitted, and its squares on flights left out."""

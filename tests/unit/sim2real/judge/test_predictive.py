@@ -8,7 +8,7 @@ import pytest
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.interop import one_thread
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_effects, tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.moments import weights_from
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.judge.predictive import quantile_of_squares
@@ -66,7 +66,7 @@ def judged(folder, inertia: float, *, still: bool, drag: float = 0.0) -> Unexpla
     declared = declared_params(robot)
     tolerance = tolerance_jacobian(train, declared, train.predict(declared))
     weights = weights_from(train.residuals(declared))
-    fit = fit_effects(train, (), declared, tolerance, weights.weight)
+    fit, _, _ = linearise(train, (), declared, tolerance)
     squares = np.concatenate([(part**2).sum(axis=2) for part in tolerance]).mean(axis=0)
     selection = SimpleNamespace(
         final=SimpleNamespace(fit=fit),

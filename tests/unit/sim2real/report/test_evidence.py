@@ -9,6 +9,7 @@ import pytest
 
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_effects
 from aerial_gym.sim2real.identify.least_squares.moments import weights_from
+from aerial_gym.sim2real.identify.least_squares.weighted import Beside
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -33,7 +34,8 @@ def test_the_line_is_that_of_all_points_and_each_channel_says_what_it_asks_for(l
     weight = weights_from(train.residuals(ModelParams())).weight  # then all channels count about the same
     nothing = [np.zeros((*measured.shape, 0)) for measured in train.measured]
     start = ModelParams(effects={EFFECT: np.ones(1)})
-    params = fit_effects(train, (EFFECT,), start, nothing, weight).point
+    beside = Beside(train.times, [[part] for part in nothing], weight)
+    params = fit_effects(train, (EFFECT,), start, beside)[0].point
     (clue,) = clues(train, params, EFFECT, np.ones(1), weight)
     adds, beyond = (np.concatenate([getattr(c, name) for c in clue.clouds]) for name in ("adds", "beyond"))
     slope = (clue.fitted - clue.neutral) / clue.scale

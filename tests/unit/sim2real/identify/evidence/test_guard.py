@@ -5,11 +5,11 @@ import pytest
 from numpy.typing import NDArray
 
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library
-from aerial_gym.sim2real.identify.evidence.guard import Guard, Support, part_length, parts_of, supports
+from aerial_gym.sim2real.identify.evidence.guard import Guard, Support, parts_of_a_flight, supports
 from aerial_gym.sim2real.identify.evidence.laplace import Normal
 from aerial_gym.sim2real.identify.evidence.linear import candidates_of, normal_of
 from aerial_gym.sim2real.identify.evidence.search import search
-from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting
+from aerial_gym.sim2real.identify.least_squares.moments import Moments
 from tests.unit.sim2real.identify.evidence.linear import candidates
 
 Array = NDArray[np.float64]
@@ -63,6 +63,7 @@ def library(values: Array) -> Library:
             flight=np.arange(flights),
         ),
         tolerances=np.array([width], dtype=np.int64),
+        weight=np.ones(1),
     )
 
 
@@ -70,23 +71,14 @@ def test_what_flights_contradict_goes_and_the_rest_stays() -> None:
     """Both means are 0.3 and highly probable by noise; of one the flights ask for values between -3 and 3."""
     agreed, contradicted = np.full(6, 0.3), 0.3 + np.array([3.0, -3.0, 2.0, -2.0, 1.0, -1.0])
     about = library(np.column_stack((agreed, contradicted)))
-    weights = Weighting(variance=np.ones(1), effective=np.ones(1))
-    sets = search(candidates_of(about), normal_of(about, weights))
-    guard = Guard(about, sets, weights)
+    sets = search(candidates_of(about), normal_of(about))
+    guard = Guard(about, sets)
     assert sets.best == (0, 1)
     assert guard.held((0, 1)) == (0,)
     assert guard.of((0, 1))[1].log_odds > 50.0
 
 
-@pytest.mark.parametrize(("flights", "seconds"), [(1, 4.0), (2, 8.0), (3, 8.0), (4, np.inf), (7, np.inf)])
-def test_few_flights_are_taken_in_parts(flights: int, seconds: float) -> None:
-    """Four parts at least: quarters of one flight of 16 s, halves of two or three."""
-    times = [np.linspace(0.0, 16.0, 1601)] * flights
-    assert part_length(times) == pytest.approx(seconds)
-
-
-def test_blocks_belong_to_the_same_parts() -> None:
-    """Blocks of one flight in quarters, of two in halves, of four by flight."""
-    assert parts_of(np.zeros(8, dtype=np.int64)).tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
-    assert parts_of(np.repeat([0, 1], 4)).tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
-    assert parts_of(np.repeat([0, 1, 2, 3], 2)).tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
+@pytest.mark.parametrize(("flights", "parts"), [(1, 4), (2, 2), (3, 2), (4, 1), (7, 1)])
+def test_few_flights_are_taken_in_parts(flights: int, parts: int) -> None:
+    """Four parts at least: quarters of one flight, halves of two or three."""
+    assert parts_of_a_flight(flights) == parts

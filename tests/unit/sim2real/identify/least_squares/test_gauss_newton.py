@@ -14,6 +14,7 @@ from aerial_gym.sim2real.identify.least_squares.moments import (
     effective_share,
     weights_from,
 )
+from aerial_gym.sim2real.identify.least_squares.weighted import Beside
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.statistics import rms_with_interval
@@ -170,12 +171,11 @@ def test_a_fit_that_would_overshoot_arrives() -> None:
         predict=predict,
     )
     for start in (truth, 10.0, -6.0):
-        fit = fit_effects(
+        fit, _ = fit_effects(
             predictor,  # type: ignore[arg-type]
             ("constant_wind",),
             ModelParams(effects={"constant_wind": np.array([start, 0.0, 0.0])}),
-            [np.zeros((40, 1, 0))],
-            np.full(1, 1e6),
+            Beside(predictor.times, [[np.zeros((40, 1, 0))]], np.full(1, 1e6)),
         )
         assert fit.point.effects["constant_wind"][0] == pytest.approx(truth, rel=0.01)
 
@@ -203,12 +203,11 @@ def test_a_fit_with_derivatives_at_hand_arrives_with_fewer_predictions() -> None
     found, costs = [], []
     for derivatives in (None, [0.5 * (excitation * (1.3, 0.4, 1.0))[:, None, :]]):
         calls.clear()
-        fit = fit_effects(
+        fit, _ = fit_effects(
             predictor,  # type: ignore[arg-type]
             ("constant_wind",),
             start,
-            [np.zeros((200, 1, 0))],
-            np.full(1, 1e8),
+            Beside(predictor.times, [[np.zeros((200, 1, 0))]], np.full(1, 1e8)),
             derivatives=derivatives,
         )
         found.append(fit.point.effects["constant_wind"])

@@ -14,6 +14,7 @@ from aerial_gym.physics import EFFECTS, Model, build_model, vehicle_from_config
 from aerial_gym.sim2real.identify.battery import with_battery
 from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_effects, tolerance_jacobian
+from aerial_gym.sim2real.identify.least_squares.weighted import Beside
 from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight
 from aerial_gym.sim2real.logs.signals import uniform_log
@@ -209,7 +210,8 @@ def test_a_replay_finds_delay_and_gain_under_noise_of_the_voltage(tmp_path: Path
     predictor = Predictor(POWERED, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
     start = ModelParams(effects={"actuation_delay": np.zeros(1), "battery_sag": np.zeros(1)})
     tolerance = tolerance_jacobian(predictor, start, predictor.predict(start))
-    fit = fit_effects(predictor, ("actuation_delay", "battery_sag"), start, tolerance, np.ones(4))
+    beside = Beside(predictor.times, [[part] for part in tolerance], np.ones(4))
+    fit, _ = fit_effects(predictor, ("actuation_delay", "battery_sag"), start, beside)
     assert fit.point.effects["actuation_delay"][0] == pytest.approx(0.0087, abs=2e-4)
     assert fit.point.effects["battery_sag"][0] == pytest.approx(0.5, rel=0.01)
 

@@ -1,0 +1,153 @@
+"""Derivatives times the root of the weight, channel by channel, and the sums of their products over blocks of time.
+
+Much of a derivative is zero: a structure moves one channel, a bias of a sensor too. A column is kept only in the channels that
+it moves.
+Letters: T rows of a flight, c channels of C, P parameters of a part, K of all parts, B blocks.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.sim2real.identify.least_squares.moments import Moments
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class InChannels:
+    """Derivatives of a flight that are zero in all other channels."""
+
+    values: Array
+    """(T, c, P)."""
+
+    channels: tuple[int, ...]
+    """Which c of the C channels."""
+
+    def in_channel(self, channel: int) -> Array:
+        """Return the columns of a channel, (T, P) or (T, 0)."""
+        if channel not in self.channels:
+            return self.values[:, 0, :0]
+        return self.values[:, self.channels.index(channel)]
+
+    @property
+    def width(self) -> int:
+        """Return P."""
+        return self.values.shape[2]
+
+
+Part = Array | InChannels
+"""Derivatives of a flight by some parameters, (T, C, P)."""
+
+
+def width_of(parts: Sequence[Part]) -> int:
+    """Return K."""
+    return sum(part.width if isinstance(part, InChannels) else part.shape[2] for part in parts)
+
+
+class Weighted:
+    """Derivatives of all flights by K parameters, times the root of the weight of each channel."""
+
+    def __init__(self, flights: Sequence[Sequence[Part]], weight: Array) -> None:
+        """Take the parts of each flight, that lie one behind the other in K, and the weight of one row, (C,)."""
+        self.width = width_of(flights[0])
+        root = np.sqrt(weight)
+        self.columns = [
+            [_gathered(parts, channel, root[channel]) for channel in range(weight.size)] for parts in flights
+        ]
+        """Of each flight, for each channel: which of the K, and they, (T, k)."""
+
+
+def _gathered(parts: Sequence[Part], channel: int, root: float) -> tuple[Indices, Array]:
+    """Return the columns that are not zero in a channel, and they times ``root``, (T, k)."""
+    places, found, start = [], [], 0
+    for part in parts:
+        own = part.in_channel(channel) if isinstance(part, InChannels) else part[:, channel]
+        width = width_of([part])
+        if own.shape[1]:
+            (some,) = np.nonzero(own.any(axis=0))
+            places.append(some + start)
+            found.append(own[:, some] if some.size < width else own)
+        start += width
+    if not places:
+        return np.zeros(0, dtype=np.int64), np.zeros((width_of(parts) * 0, 0))
+    return np.concatenate(places), np.concatenate(found, axis=1) * root
+
+
+class Blocks:
+    """Equal parts of flights, and sums over them."""
+
+    def __init__(self, times: Sequence[Array], parts: int = 1) -> None:
+        """Take the times of the rows of each flight [s], and in how many parts each flight is."""
+        rows = [np.array_split(np.arange(time.size), parts) for time in times]
+        self.spans = [
+            (flight, slice(int(own[0]), int(own[-1]) + 1)) for flight, each in enumerate(rows) for own in each
+        ]
+        self.flight = np.array([flight for flight, _ in self.spans])
+        self.count = np.array([float(own.size) for each in rows for own in each])
+
+    def products(self, one: Weighted, other: Weighted) -> Array:
+        """Return ``sum w J_one J_other^T`` of each block, (B, K, K')."""
+        found = np.zeros((len(self.spans), one.width, other.width))
+        for block, (flight, rows) in enumerate(self.spans):
+            for (here, a), (there, b) in zip(one.columns[flight], other.columns[flight], strict=True):
+                if here.size and there.size:
+                    found[block][np.ix_(here, there)] += a[rows].T @ b[rows]
+        return found
+
+
+class Beside:
+    """What is fitted beside effects, tolerances and structures, with the sums that are the same for all effects."""
+
+    def __init__(
+        self, times: Sequence[Array], flights: Sequence[Sequence[Part]], weight: Array, *, parts: int = 1
+    ) -> None:
+        """Take times of rows [s], the derivatives, the weight of one row (C,), and in how many parts each flight is."""
+        self.weight, self.blocks = weight, Blocks(times, parts)
+        self.columns = Weighted(flights, weight)
+        self.product = self.blocks.products(self.columns, self.columns)
+        """Of each block, (B, N, N)."""
+
+        self.whole = self.product.sum(axis=0)
+        """Of all blocks, (N, N)."""
+
+    @property
+    def width(self) -> int:
+        """Return the number N of columns."""
+        return self.columns.width
+
+    def moments(self, residuals: Sequence[Array], own: Sequence[Array]) -> Moments:
+        """Return the sums over blocks, of all channels together, for residuals (T, C) and derivatives (T, C, P) by effects.
+
+        The columns beside are behind those of the effects.
+        """
+        width = own[0].shape[2]
+        front = Weighted([(j, r[:, :, None]) for j, r in zip(own, residuals, strict=True)], self.weight)
+        inner, across = self.blocks.products(front, front), self.blocks.products(front, self.columns)
+        product = np.block(
+            [[inner[:, :width, :width], across[:, :width]], [across[:, :width].transpose(0, 2, 1), self.product]]
+        )
+        gradient = np.concatenate((inner[:, :width, width], across[:, width]), axis=1)
+        return Moments(
+            count=self.blocks.count,
+            square=inner[:, width, width, None],
+            gradient=gradient[:, None],
+            product=product[:, None],
+            flight=self.blocks.flight,
+        )
+
+
+def weighted_moments(
+    times: Sequence[Array],
+    residuals: Sequence[Array],
+    flights: Sequence[Sequence[Part]],
+    weight: Array,
+    *,
+    parts: int = 1,
+) -> Moments:
+    """Return the sums over blocks, of all channels together: as ``block_moments``, with one channel of weight one."""
+    nothing = [np.zeros((*r.shape, 0)) for r in residuals]
+    return Beside(times, flights, weight, parts=parts).moments(residuals, nothing)
