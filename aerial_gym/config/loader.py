@@ -78,7 +78,7 @@ def build(cls: type[T], data: Mapping[str, object], *, where: str) -> T:
             near = get_close_matches(str(key), known, n=1)
             hint = f" Did you mean {near[0]!r}?" if near else ""
             raise ConfigError(f"{where}: unknown field {key!r}.{hint} Known: {', '.join(known)}")
-    values = {key: _convert(hints[key], value, f"{where}: {key}") for key, value in data.items()}
+    values = {key: convert(hints[key], value, f"{where}: {key}") for key, value in data.items()}
     for name, field in known.items():
         required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
         if required and name not in values:
@@ -121,7 +121,10 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, (tuple, list)) else value
 
 
-def _convert(hint: Any, value: Any, where: str) -> Any:
+def convert(hint: Any, value: Any, where: str) -> Any:
+    """Return a value as a type hint says, as ``build`` takes it for a field; ``where`` stands in front of an error."""
+    if hint is object:
+        return _any(value, where)
     origin, args = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         return _convert_optional(args, value, where)
@@ -132,8 +135,17 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
     if origin in (dict, Mapping) or (isinstance(origin, type) and issubclass(origin, Mapping)):
         if not isinstance(value, Mapping):
             raise ConfigError(f"{where} = {shown(value)}: must be a mapping")
-        return {_convert(args[0], k, where): _convert(args[1], v, f"{where}.{k}") for k, v in value.items()}
+        return {convert(args[0], k, where): convert(args[1], v, f"{where}.{k}") for k, v in value.items()}
     return _convert_scalar(hint, value, where)
+
+
+def _any(value: Any, where: str) -> Any:
+    """Return numbers, texts, truth values and lists of them, whatever they mean: whoever knows converts them."""
+    if isinstance(value, (list, tuple)):
+        return tuple(_any(item, f"{where}[{i}]") for i, item in enumerate(value))
+    if isinstance(value, (str, int, float)):
+        return value
+    raise ConfigError(f"{where} = {shown(value)}: must be a number, a text, or a list of such")
 
 
 def _convert_optional(args: tuple[Any, ...], value: Any, where: str) -> Any:
@@ -147,17 +159,17 @@ def _convert_optional(args: tuple[Any, ...], value: Any, where: str) -> Any:
     lists = [arg for arg in rest if get_origin(arg) is tuple]
     if len(rest) > 1 and lists:  # a number or several
         rest = lists if isinstance(value, (list, tuple)) else [arg for arg in rest if arg not in lists]
-    return _convert(rest[0], value, where)
+    return convert(rest[0], value, where)
 
 
 def _convert_tuple(args: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
     if not isinstance(value, (list, tuple)):
         raise ConfigError(f"{where} = {shown(value)}: must be a list")
     if len(args) == 2 and args[1] is Ellipsis:
-        return tuple(_convert(args[0], item, f"{where}[{i}]") for i, item in enumerate(value))
+        return tuple(convert(args[0], item, f"{where}[{i}]") for i, item in enumerate(value))
     if len(value) != len(args):
         raise ConfigError(f"{where} = {shown(value)}: must have {len(args)} entries")
-    return tuple(_convert(arg, item, f"{where}[{i}]") for i, (arg, item) in enumerate(zip(args, value, strict=True)))
+    return tuple(convert(arg, item, f"{where}[{i}]") for i, (arg, item) in enumerate(zip(args, value, strict=True)))
 
 
 def _convert_scalar(hint: Any, value: Any, where: str) -> Any:

@@ -1,28 +1,31 @@
-"""What a task is made of: a simulation, observation terms, a reward, terminations, an episode length, a curriculum."""
+"""What a task is made of: a simulation, commands, actions, observations, rewards, ends of episodes, a curriculum."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf
+from typing import ClassVar
 
 from aerial_gym.config.checks import require_count
 from aerial_gym.config.randomize import RandomizeCfg
-from aerial_gym.config.robot import Vec3, require_finite
+from aerial_gym.config.task_terms import (
+    ActionCfg,
+    CommandCfg,
+    EndRewardCfg,
+    ImageCfg,
+    ObservationCfg,
+    RewardCfg,
+    TerminationCfg,
+)
 from aerial_gym.errors import ConfigError
 
+POLICY = "policy"
+"""Group of observations that the policy sees."""
 
-@dataclass(frozen=True, kw_only=True)
-class ObservationCfg:
-    """One term of the observation."""
+OBSERVATIONS = "observations"
+"""Name under which a task gives the group ``policy``; no other group or image has it."""
 
-    term: str
-    """Name in ``aerial_gym.task.observations.OBSERVATIONS``."""
-
-    noise_std: float = 0.0
-    """Standard deviation of white noise added to every entry, in the unit of the term, >= 0."""
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.noise_std < inf:
-            raise ConfigError(f"ObservationCfg.noise_std = {self.noise_std!r}: must be >= 0 and finite")
+ENDS = ("crash", "success")
+"""Names under which the rewards of ends are logged; no other reward has one of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +89,21 @@ class CurriculumCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskCfg:
-    """A task."""
+    """A task: configuration of terms (``docs/tasks.md``)."""
+
+    MOVED: ClassVar[Mapping[str, str]] = {
+        "target": "give command: {generator: point, params: {position: [x, y, z]}}",
+        "target_ratio_low": "give command: {generator: drawn_point, params: {low: [...], high: [...]}}",
+        "target_ratio_high": "give command: {generator: drawn_point, params: {low: [...], high: [...]}}",
+        "action_params": "give action: {transform: NAME, params: {...}}",
+        "reward": "give rewards: {NAME: {term: ..., weight: ..., params: {...}}, ...}, a sum of terms (docs/tasks.md)",
+        "reward_params": "each of the rewards has params of its own; that of a crash is crash_reward: {value: ...}",
+        "max_distance": "give terminations: {NAME: {term: far_from_target, kind: crash, params: {distance: ...}}}",
+        "success_radius": (
+            "give terminations: {NAME: {term: at_target, kind: success, when: at_end, params: {radius: ...}}}"
+        ),
+    }
+    """Fields that it no longer has."""
 
     summary: str
     """One line for people who choose a task."""
@@ -107,42 +124,38 @@ class TaskCfg:
     """Environments if the caller does not say, >= 1."""
 
     episode_len_steps: int
-    """Steps after which an episode is truncated, >= 1."""
+    """Steps after which an episode times out, >= 1."""
+
+    time_out_bootstraps: bool = True
+    """Whether the return is taken to go on after such an end (``truncated``), or the episode is over (``terminated``)."""
 
     randomize: Mapping[str, RandomizeCfg] = field(default_factory=dict)
     """What a reset draws anew, beside what robot and environment say; the same names replace it."""
 
-    target: Vec3 = (0.0, 0.0, 0.0)
-    """Where to fly [m], environment frame; not used where ``target_ratio_low`` is given."""
+    command: CommandCfg | None = field(default_factory=lambda: CommandCfg(generator="point"))
+    """Where to fly; None where the task has no target."""
 
-    target_ratio_low: Vec3 | None = None
-    """Lowest target as a share of the bounds, 0 to 1; given with ``target_ratio_high``, a target is drawn uniformly at every
-    reset, and obstacles whose place is drawn keep the environment's clearance from a robot there."""
+    action: ActionCfg = field(default_factory=ActionCfg)
+    """From what a policy gives to what the controller takes."""
 
-    target_ratio_high: Vec3 | None = None
-    """Highest target, likewise."""
+    observations: Mapping[str, tuple[ObservationCfg, ...]]
+    """Groups of terms in the order in which they stand side by side: ``policy``, and as many others as wanted, such as
+    ``critic`` with what only a simulation knows."""
 
-    action: str = "direct"
-    """Name in ``aerial_gym.task.actions.ACTIONS``: from what a policy gives to what the controller takes."""
+    images: Mapping[str, ImageCfg] = field(default_factory=dict)
+    """Raw images beside the groups, by the name under which they are given."""
 
-    action_params: Mapping[str, float] = field(default_factory=dict)
-    """Numbers of the action by name; every one that it has, and no other."""
+    rewards: Mapping[str, RewardCfg]
+    """Terms of the reward by a name of their own, under which each is logged; the reward is their sum."""
 
-    observations: tuple[ObservationCfg, ...]
-    """Terms in the order in which they stand in the observation."""
+    crash_reward: EndRewardCfg | None = None
+    """What a crash is worth; None: no more than the terms say."""
 
-    reward: str
-    """Name in ``aerial_gym.task.rewards.REWARDS``."""
+    success_reward: EndRewardCfg | None = None
+    """What a success is worth in the step in which it is counted, likewise."""
 
-    reward_params: Mapping[str, float] = field(default_factory=dict)
-    """Coefficients of the reward by name; every one that the reward has, and no other."""
-
-    max_distance: float
-    """The episode is terminated as a crash beyond this distance from the target [m], > 0."""
-
-    success_radius: float | None = None
-    """An episode that lasts to its end and is then closer than this to its target [m] is a success, > 0; None tells no
-    successes apart."""
+    terminations: Mapping[str, TerminationCfg]
+    """By what episodes end, beside their length, by a name of its own."""
 
     curriculum: CurriculumCfg | None = None
     """Number of obstacles by the share of successes; None has all of them from the start."""
@@ -151,26 +164,47 @@ class TaskCfg:
     """Where the numbers come from."""
 
     def __post_init__(self) -> None:
-        require_finite(self, "target", "max_distance")
-        self._check_target_ratios()
-        if self.success_radius is not None and not 0.0 < self.success_radius < inf:
-            raise ConfigError(f"TaskCfg.success_radius = {self.success_radius!r}: must be > 0 and finite")
-        if self.curriculum is not None and self.success_radius is None:
-            raise ConfigError("TaskCfg.curriculum: needs success_radius, which says what a success is")
         require_count(self, "num_envs", "episode_len_steps")
-        if self.max_distance <= 0:
-            raise ConfigError(f"TaskCfg.max_distance = {self.max_distance!r}: must be > 0")
-        if not self.observations:
-            raise ConfigError("TaskCfg.observations: needs at least one term")
+        if not self.rewards:
+            raise ConfigError("TaskCfg.rewards: needs at least one")
+        if not self.observations.get(POLICY):
+            raise ConfigError(f"TaskCfg.observations: needs a group {POLICY!r} of at least one term")
+        for name in (*self.observations, *self.images):
+            if name == OBSERVATIONS or (name in self.observations and name in self.images):
+                raise ConfigError(f"TaskCfg: observation {name!r}: the name is taken. Choose another")
+        self._check_times()
+        if self.success_reward is not None and not self._successes:
+            raise ConfigError("TaskCfg.success_reward: needs a termination of kind success")
+        if self.curriculum is not None and not self._successes:
+            raise ConfigError("TaskCfg.curriculum: needs a termination of kind success, which says what a success is")
+        radius = self.success_radius
+        if radius is not None and not 0.0 < radius < inf:
+            raise ConfigError(f"TaskCfg.terminations: radius = {radius!r}: must be > 0 and finite")
 
-    def _check_target_ratios(self) -> None:
-        low, high = self.target_ratio_low, self.target_ratio_high
-        if (low is None) != (high is None):
-            raise ConfigError("TaskCfg: give both target_ratio_low and target_ratio_high, or neither")
-        if low is None or high is None:
-            return
-        if not all(0.0 <= a <= b <= 1.0 for a, b in zip(low, high, strict=True)):
-            raise ConfigError(
-                f"TaskCfg: target_ratio_low = {low!r}, target_ratio_high = {high!r}: "
-                "needs 0 <= low <= high <= 1 on every axis. They are shares of the bounds"
-            )
+    def _check_times(self) -> None:
+        for name, reward in self.rewards.items():
+            if name in ENDS:
+                raise ConfigError(f"TaskCfg.rewards.{name}: the name is that of {name}_reward. Choose another")
+            for other in reward.times:
+                if other not in self.rewards:
+                    raise ConfigError(
+                        f"TaskCfg.rewards.{name}.times: no reward {other!r}. Known: {', '.join(self.rewards)}"
+                    )
+                if self.rewards[other].times:
+                    raise ConfigError(f"TaskCfg.rewards.{name}.times: reward {other!r} is multiplied by others itself")
+
+    @property
+    def _successes(self) -> list[TerminationCfg]:
+        return [each for each in self.terminations.values() if each.kind == "success"]
+
+    @property
+    def tells_success(self) -> bool:
+        """Whether the task says what a success is."""
+        return bool(self._successes)
+
+    @property
+    def success_radius(self) -> float | None:
+        """Distance to the target that counts as there [m]: the ``radius`` of the first success that has one."""
+        found = (each.params["radius"] for each in self._successes if "radius" in each.params)
+        radius = next(found, None)
+        return float(radius) if isinstance(radius, (int, float)) else None

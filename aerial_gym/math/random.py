@@ -47,6 +47,12 @@ class Purpose(IntEnum):
     """Noise of the last observation of an episode; indices: step, column."""
     AGE = 15
     """Age of an environment in a batch that begins staggered."""
+    OBSERVATION_DELAY = 16
+    """Steps by which what a policy observes is late; index: which of its delays."""
+    ACTION_DELAY = 17
+    """Steps by which its commands are late."""
+    COMMAND = 18
+    """What a command generator draws besides goals, such as a phase; index: quantity."""
 
 
 def _scramble(state: Word) -> Word:

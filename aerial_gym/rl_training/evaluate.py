@@ -35,7 +35,7 @@ class Evaluation:
     own, the share that ends within it."""
 
     crash_rate: float
-    """Share of flights that ended early."""
+    """Share of flights that crashed."""
 
     timeout_rate: float
     """Share of flights that did neither: they lasted to the end and were not there."""
@@ -83,7 +83,7 @@ def evaluate(
     """
     steps, dt = task.cfg.episode_len_steps, task.env.dt
     final_steps = min(steps, max(1, round(FINAL_SPAN_S / dt)))
-    ends_count = success_radius is None and task.cfg.success_radius is not None
+    ends_count = success_radius is None and task.cfg.tells_success
     radius = success_radius or task.cfg.success_radius or SUCCESS_RADIUS_M
     observation, _ = task.reset()
     policy.reset()
@@ -91,16 +91,17 @@ def evaluate(
     crashed = torch.zeros_like(flying)
     total, error_sum = torch.zeros(task.num_envs, device=task.device), torch.zeros(task.num_envs, device=task.device)
     succeeded = torch.zeros_like(flying)
+    distance = torch.zeros_like(total)
     outside_until = torch.zeros(task.num_envs, dtype=torch.int64, device=task.device)
     for step in range(1, steps + 1):
         observation, reward, terminated, truncated, info = task.step(policy(observation))
         policy.reset(terminated | truncated)
-        distance = info["distance"]
+        distance = torch.where(flying, info["distance"], distance)  # of an episode that is over, the last one
         total += torch.where(flying, reward, 0.0)
-        crashed |= flying & terminated
+        crashed |= flying & info["crashes"]
         if ends_count:
             succeeded |= flying & info["successes"]
-        flying &= ~terminated
+        flying &= ~(terminated | truncated)
         outside_until = torch.where(distance < radius, outside_until, step)
         if step > steps - final_steps:
             error_sum += distance

@@ -1,4 +1,4 @@
-"""Tasks for reinforcement learning."""
+"""Tasks for reinforcement learning: configuration of terms (``docs/tasks.md``)."""
 
 from typing import TYPE_CHECKING
 
@@ -6,8 +6,26 @@ from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
     from aerial_gym.task.catalog import TaskRegistry, task_registry
+    from aerial_gym.task.commands.catalog import COMMANDS
+    from aerial_gym.task.commands.command import Command
     from aerial_gym.task.task import Task
+    from aerial_gym.task.terms.actions import ACTIONS
+    from aerial_gym.task.terms.buffers import BUFFERS
+    from aerial_gym.task.terms.observations import OBSERVATIONS
+    from aerial_gym.task.terms.rewards import REWARDS
+    from aerial_gym.task.terms.terminations import TERMINATIONS
 
-__all__ = ["Task", "TaskRegistry", "task_registry"]
+__all__ = [
+    "ACTIONS",
+    "BUFFERS",
+    "COMMANDS",
+    "OBSERVATIONS",
+    "REWARDS",
+    "TERMINATIONS",
+    "Command",
+    "Task",
+    "TaskRegistry",
+    "task_registry",
+]
 
 __getattr__, __dir__ = exports(__name__, __file__)

@@ -11,7 +11,7 @@ from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.task import CurriculumCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.task.by_row import ByRow
+from aerial_gym.task.step.by_row import ByRow
 
 
 def next_level(level: Tensor, finished: Tensor, succeeded: Tensor, cfg: CurriculumCfg) -> tuple[Tensor, Tensor, Tensor]:
@@ -86,8 +86,8 @@ class Curriculum:
         }
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Return what must be kept to go on beside the level, by name."""
-        return {"finished": self._finished, "succeeded": self._succeeded, "difficulty": self.difficulty}
+        """Return what must be kept to go on beside level and difficulty, by name."""
+        return {"finished": self._finished, "succeeded": self._succeeded}
 
     def load(self, state: dict[str, int]) -> None:
         """Continue from a state.

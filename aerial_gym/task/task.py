@@ -1,107 +1,65 @@
 """A task: a simulation seen as a vectorised Gymnasium environment whose rows are reset where their episodes end.
 
-Letters: E environments, U entries of an action, O entries of an observation.
+Letters: E environments, V entries of an action, O entries of an observation, T terms of the reward.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from aerial_gym.config.task import TaskCfg
+from aerial_gym.config.task import OBSERVATIONS, POLICY, TaskCfg
 from aerial_gym.env_manager import EnvManager
-from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
+from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.math.random import Purpose, counted_uniform
 from aerial_gym.registry.state import below, check_state, identity, restore, saved
-from aerial_gym.robots.finite import NonFinite
 from aerial_gym.robots.watch import Watch
 from aerial_gym.sensors.cells import NearestInCells
-from aerial_gym.task.actions import ACTIONS, Action, direct
-from aerial_gym.task.by_row import ByRow, beside, side_by_side, terms_apart
+from aerial_gym.task.commands.catalog import make_command
+from aerial_gym.task.commands.command import TARGET
 from aerial_gym.task.curriculum import Curriculum
-from aerial_gym.task.draws.goals import Goals
-from aerial_gym.task.draws.noise import ObservationNoise
-from aerial_gym.task.observations import IMAGE_CELLS, OBSERVATIONS, ObservationTerm, TaskState
-from aerial_gym.task.rewards import REWARDS, Reward
-from aerial_gym.task.shapes import check_shapes
-from aerial_gym.task.step_graph import StepGraph, check_terms
+from aerial_gym.task.resolve import resolve_action, resolve_groups, resolve_rewards, resolve_terminations
+from aerial_gym.task.step.act import Actor
+from aerial_gym.task.step.images import Images, distance_scale
+from aerial_gym.task.step.judge import ARRIVED, FINAL, SUMS, Judge
+from aerial_gym.task.step.observe import Observer
+from aerial_gym.task.step.remember import make_memory
+from aerial_gym.task.step.step_graph import StepGraph, check_terms
+from aerial_gym.task.terms.observations import IMAGE_CELLS
+from aerial_gym.task.values import Values
 
 if TYPE_CHECKING:
     from gymnasium import spaces
 
 Observation = dict[str, Tensor]
-"""``observations``: (E, O) float32."""
-
+"""``observations``, (E, O) float32, is the group ``policy``; other groups and images stand under their own names."""
 
 StepResult = tuple[Observation, Tensor, Tensor, Tensor, dict[str, Tensor]]
 """Observation, reward, terminated, truncated, info."""
 
 
-class Judgement(NamedTuple):
-    """What one kernel finds of a step of every environment, (E, ...); the first six go on into the next one."""
-
-    non_finite: Tensor
-    """Bits of ``NonFinite``, for ``gtd["non_finite"]``."""
-
-    crashes: Tensor
-    """For ``gtd["crashes"]``."""
-
-    truncations: Tensor
-    """For ``gtd["truncations"]``."""
-
-    episode_return: Tensor
-    """Return with which the next step goes on."""
-
-    ended: Tensor
-    """Terminated or truncated; for ``Randomness.mask``, where a reset takes it from."""
-
-    episode: Tensor
-    """Number of the episode that the next step belongs to; for ``Randomness.episode``."""
-
-    final: Tensor
-    """Observation before the reset."""
-
-    reward: Tensor
-    terminated: Tensor
-    truncated: Tensor
-
-    distance: Tensor
-    """To the target [m]."""
-
-    total: Tensor
-    """Return of the episode so far."""
-
-    length: Tensor
-    """Steps of the episode so far."""
-
-    success: Tensor
-    timeout: Tensor
-    bad: Tensor
-    """Whether something was not finite."""
-
-
 class Task:
-    """Observation, reward and termination around an ``EnvManager``.
+    """Commands, actions, observations, rewards and terminations around an ``EnvManager``, as the configuration says.
 
     ``step`` returns the observation *after* the masked reset; the last one of a finished episode stands in
-    ``info["final_observation"]``, in the rows where ``terminated | truncated``. ``info["time_outs"]`` marks episodes that
-    ended by their length alone, for bootstrapping the value. ``episode_return``, ``episode_length`` [steps] and ``distance``
-    to the target [m] are those before the reset. Where the configuration has a success radius, ``info`` also holds
-    ``successes``, ``crashes`` and ``timeouts``, bool (E,): one of them is true where an episode ended (``timeouts``: neither
-    crashed nor there in time).
+    ``info["final_observation"]``, that of another group in ``info["final_<group>"]``, in the rows where
+    ``terminated | truncated``. ``info["time_outs"]`` marks episodes whose return is taken to go on (``truncated``), for
+    bootstrapping the value; a success ends an episode as its termination says. ``info`` also holds ``successes``, ``crashes``
+    and ``timeouts``, bool (E,): one of them is true where an episode ended. ``episode_return``, ``episode_length`` [steps],
+    ``reward_terms``, (E, T), the return term by term (``reward_names``), and ``distance`` to the target [m] are those before
+    the reset.
 
     A row in which something is not finite, NaN or infinite, ends as a crash: ``info["non_finite"]``, bool (E,), marks it. Its
-    reward is that of a crash (0 where the reward knows none), its last observation has zeros there, its state is reset with
+    reward is that of a crash (0 where the task knows none), its last observation has zeros there, its state is reset with
     those of the other rows that ended, and none of these is touched. The first such row is named in a warning, and ``watch``
     keeps what led to it.
 
-    Images are taken once a step, after the reset: those in ``final_observation`` are one step old.
+    Images are taken once a step, after the reset: what terms of ``final_observation`` see of them is one step old.
 
     On a GPU the whole step is one CUDA graph, recorded at the first ``reset``: the tensors that ``step`` returns are then
     overwritten by the next one; clone what must stay. ``captured`` says whether it is so.
@@ -111,60 +69,56 @@ class Task:
         """Take the configuration and a built simulation.
 
         Args:
-            cfg: Terms, reward, target, length of an episode.
+            cfg: Terms, commands, length of an episode.
             env: The simulation.
             capture: Whether to hold the step in a CUDA graph; if not given, on CUDA devices.
 
         Raises:
             CapabilityError: If a capture is asked for on the CPU.
-            UnknownNameError: If there is no such term, reward or action.
+            UnknownNameError: If there is no such term, generator or action, or what it reads.
             ConfigError: If these do not fit together, or not the robot or the environment.
         """
         self.cfg, self.env = cfg, env
         self.num_envs, self.device = env.num_envs, env.device
-        num_commands, command = env.robot_manager.num_actions, env.robot_manager.controller.action_names
-        self._terms = _resolve_terms(cfg, has_image=bool(env.sensor_manager.casters))
-        self._reward, self._params = _resolve_reward(cfg, command)
-        self._action, self._action_params = _resolve_action(cfg, command)
-        num_actions = num_commands if self._action.width is None else self._action.width
-        widths = [num_commands if term.width is None else term.width for term, _ in self._terms]
-        self.num_actions, self.num_observations = num_actions, sum(widths)
-        """Entries of an action and of an observation, U and O."""
-        self.target_position = torch.tensor(cfg.target, device=self.device).expand(self.num_envs, 3).clone()
-        self.episode_return = torch.zeros(self.num_envs, device=self.device)
-        stds = [std for (_, std), width in zip(self._terms, widths, strict=True) for _ in range(width)]
         self._gtd = env.gtd
-        self._noise = ObservationNoise(torch.tensor(stds, device=self.device), env.gtd["sim_steps"], env.random)
-        self._all = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        self._prev_distance = torch.zeros(self.num_envs, device=self.device)
-        self._image, self._image_scale = _first_image(env)
+        num_commands, command = env.robot_manager.num_actions, env.robot_manager.controller.action_names
+        action, params = resolve_action(cfg, command)
+        self.num_actions = num_commands if action.width is None else action.width
+        """Entries of an action, V."""
         self._cells: NearestInCells | None = None
-        if any(term.needs_image for term, _ in self._terms):
-            largest, empty = self._image_scale.tolist()
-            self._cells = NearestInCells(self._image, cells=IMAGE_CELLS, largest=largest, empty=empty)
-        self._no_cells = torch.zeros(self.num_envs, 0, device=self.device)
-        self._no_terms = torch.zeros(self.num_envs, 0, device=self.device)
-        self._goals = self._make_goals()
+        self.values = self._make_values(num_commands)
+        """What terms read, by name: keys of the GTD and the task's own buffers; ``print(task.values.own)`` shows these."""
+        self._command = make_command(cfg.command, self.values, env)
         self.curriculum = (
             None if cfg.curriculum is None else Curriculum(cfg.curriculum, env.cfg, env.asset_manager, env.gtd)
         )
         """Sets the number of obstacles; None where the task has none."""
-        self._difficulty = (
-            torch.zeros((), device=self.device) if self.curriculum is None else self.curriculum.difficulty
+        difficulty = None if self.curriculum is None else self.curriculum.difficulty
+        meaning = "how far the curriculum has come from its lowest (0) to its highest (1) level; 0 without one"
+        self.values.declare("difficulty", meaning=meaning, view=difficulty, rows=False)
+        groups = resolve_groups(cfg, self.values, num_commands=num_commands)
+        rewards = resolve_rewards(cfg, self.values, command)
+        terminations = resolve_terminations(cfg, self.values, command)
+        self._observer = Observer(groups, self.values, env.random)
+        self.num_observations = self._observer.width(POLICY)
+        """Entries of an observation of the group ``policy``, O."""
+        self._judge = Judge(
+            cfg, rewards, terminations, self.values, command=self._command, observer=self._observer, random=env.random
         )
-        self._crash_reward = self._params.get("crash", 0.0)
-        self._watch = Watch(env.gtd, env.robot_manager.noticed, num_actions=num_actions, dt=env.dt, keep=False)
-        self._widths, self._apart = widths, ()
-        check_shapes(cfg, self.state(), widths, lambda at: self._reward.value(at, self._params, at.crashed))
-        self._apart = terms_apart([(e.term, OBSERVATIONS[e.term]) for e in cfg.observations], self.state())
-        self._observe = ByRow(self._finite_observation, "the observation")
-        keys = ("non_finite", "crashes", "truncations")
-        self._written = (*(env.gtd[key] for key in keys), self.episode_return, env.random.mask, env.random.episode)
-        self._judge = ByRow(self._judgement, f"the judgement of a step, with reward {cfg.reward!r},")
-        self._command = ByRow(
-            lambda actions: self._action.value(actions, self._action_params), f"action {cfg.action!r}"
+        self._images = Images(cfg.images, self.values, env.sensor_manager)
+        self._actor = Actor(
+            cfg.action,
+            action,
+            params,
+            self.values,
+            num_actions=self.num_actions,
+            num_commands=num_commands,
+            dt=env.dt,
+            random=env.random,
         )
-        self._measure = ByRow(lambda target, position: (target - position).norm(dim=-1), "the distance to the target")
+        self._memory = make_memory(self._command, self.values)
+        self._all = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        self._watch = Watch(env.gtd, env.robot_manager.noticed, num_actions=self.num_actions, dt=env.dt, keep=False)
         self._graph: StepGraph[StepResult] | None = None
         if capture and self.device.type != "cuda":
             raise CapabilityError(f"capture needs a CUDA device; this task runs on {self.device}")
@@ -172,11 +126,19 @@ class Task:
 
     @cached_property
     def observation_space(self) -> "spaces.Dict":
-        """Space of an observation of one environment, unbounded; Gymnasium is imported when it is asked for."""
+        """Space of an observation of one environment; Gymnasium is imported when it is asked for."""
         from gymnasium import spaces
 
-        bound = np.full(self.num_observations, np.inf, dtype=np.float32)
-        return spaces.Dict({"observations": spaces.Box(-bound, bound, dtype=np.float32)})
+        found: dict[str, spaces.Space] = {}
+        for group in self._observer.groups:
+            bound = np.full(self._observer.width(group), np.inf, dtype=np.float32)
+            found[_shown(group)] = spaces.Box(-bound, bound, dtype=np.float32)
+        for name, frames in self._images.frames.items():
+            kind = self.cfg.images[name].dtype
+            found[name] = spaces.Box(
+                0, 255 if kind == "uint8" else 1, shape=tuple(frames.shape[1:]), dtype=np.dtype(kind).type
+            )
+        return spaces.Dict(found)
 
     @cached_property
     def action_space(self) -> "spaces.Box":
@@ -238,13 +200,15 @@ class Task:
 
     def _check_untraced(self) -> None:
         """Refuse what waits for the GPU; a kernel cannot, so only what runs as torch operations is asked."""
-        state = self.state()
-        self._judge(*self._judged())
-        names = {self.cfg.observations[i].term for i in self._apart}
-        terms = {f"observation term {name!r}": partial(OBSERVATIONS[name].value, state) for name in names}
-        if self._judge.reason is not None:
-            terms[f"reward {self.cfg.reward!r}"] = partial(self._reward.value, state, self._params, state.crashed)
-        check_terms(terms)
+        parts = [self._judge.rows, self._observer.rows, *([] if self._memory is None else [self._memory])]
+        for rows in parts:
+            rows()
+        asked: dict[str, Callable[[], object]] = {}
+        for rows in parts:
+            asked |= {term.label: partial(term.of, self.values) for term in rows.apart}
+            if rows.reason is not None:
+                asked[rows.what] = rows.plainly
+        check_terms(asked)
 
     def reset(self, *, seed: int | None = None) -> tuple[Observation, dict[str, Tensor]]:
         """Start every environment anew; return observation and info.
@@ -261,10 +225,10 @@ class Task:
         self._begin(self._all)
         self._watch.look()
         self._watch.forget()
-        self.episode_return.zero_()
-        self._look()
-        self._noise.draw()
-        return {"observations": self._noise.add(self._observe(*vars(self.state()).values()))}, {}
+        for name in (SUMS, ARRIVED):
+            if name in self.values.own:
+                self.values.own[name].zero_()
+        return self._observed(), {}
 
     def stagger(self) -> None:
         """Give every environment a random age, so that episodes end one by one: a batch then holds all their phases."""
@@ -272,54 +236,60 @@ class Task:
         age.copy_(counted_uniform(self.env.random.stream(Purpose.AGE), dtype=torch.float64).mul_(steps))
 
     def step(self, actions: Tensor) -> StepResult:
-        """Advance by one action, (E, U); return observation, reward (E,), terminated, truncated (E,) bool, info."""
+        """Advance by one action, (E, V); return observation, reward (E,), terminated, truncated (E,) bool, info."""
         result = self._step(actions) if self._graph is None else self._graph.replay(actions)
         self._watch.look()
         return result
 
     def _step(self, actions: Tensor) -> StepResult:
-        self.env.step(actions if self._action.value is direct else self._command(actions))
-        self._noise.draw(final=True)  # of the episode that may end now
-        judged = Judgement(*self._judge(*self._judged(), out=self._written))
-        ended, info = judged.ended, {
-            "final_observation": self._noise.add(judged.final),
-            "time_outs": judged.truncated,
-            "episode_return": judged.total,
-            "episode_length": judged.length,
-            "distance": judged.distance,
-            "non_finite": judged.bad,
-        }  # fmt: skip
-        if self.cfg.success_radius is not None:
-            info |= {"successes": judged.success, "crashes": judged.terminated, "timeouts": judged.timeout}
-            if self.curriculum is not None:
-                self.curriculum.count(ended, judged.success)
-        self._watch.keep(actions, ended)
-        self._begin(ended, counted=True)
-        self._look()
-        self._noise.draw()
-        after = self._noise.add(self._observe(*vars(self.state()).values()))
-        return {"observations": after}, judged.reward, judged.terminated, judged.truncated, info
-
-    def _judged(self) -> tuple[Tensor, ...]:
-        """Return what ``_judgement`` looks at."""
-        gtd, episode = self._gtd, self.env.random.episode
-        return (gtd["sim_steps"], self.episode_return, gtd["non_finite"], episode, *vars(self.state()).values())
+        self.env.step(self._actor(actions))
+        self._observer.draw_noise(final=True)  # of the episode that may end now
+        judged = self._judge()
+        info = {
+            "final_observation": judged[f"{FINAL}{POLICY}"],
+            **{f"{FINAL}{group}": judged[f"{FINAL}{group}"] for group in self._observer.groups if group != POLICY},
+            "time_outs": judged["truncated"],
+            "successes": judged["success"],
+            "crashes": judged["crash"],
+            "timeouts": judged["timeout"],
+            "episode_return": judged["total"],
+            "episode_length": judged["length"],
+            "reward_terms": judged["reward_terms"],
+            "non_finite": judged["bad"],
+        }
+        if "distance" in judged:
+            info["distance"] = judged["distance"]
+        if self.curriculum is not None:
+            self.curriculum.count(judged["ended"], judged["success"])
+        self._watch.keep(actions, judged["ended"])
+        self._begin(judged["ended"], counted=True)
+        return self._observed(), judged["reward"], judged["terminated"], judged["truncated"], info
 
     def _begin(self, mask: Tensor, *, counted: bool = False) -> None:
-        """Start episodes in the environments of ``mask``: robot, obstacles, goal and the room around it."""
+        """Start episodes in the environments of ``mask``: robot, obstacles, target and the room around it."""
         self.env.reset(mask, counted=counted)
         mask = self.env.random.mask
-        if self._goals is not None:
-            self._goals.draw(mask)
+        self._command.draw(mask)
+        if self._command.goal:
             self.env.clear_goal(mask, self.target_position)
-        if self._reward.needs_progress:
-            self._measure(self.target_position, self._gtd["robot_position"], out=(self._prev_distance,))
+        self._observer.draw_delays(mask)
+        self._actor.draw_delay(mask)
+        if self._memory is not None:
+            self._memory()
+
+    def _observed(self) -> Observation:
+        """Look, and return the observation of this instant."""
+        self._look()
+        self._observer.draw_noise()
+        found = {_shown(group): value for group, value in self._observer().items()}
+        return found | {name: frames.clone() for name, frames in self._images.frames.items()}
 
     def _look(self) -> None:
-        """Read the sensors, and the image's cells where a term asks for them."""
+        """Read the sensors, and what is made of their images."""
         self.env.render()
         if self._cells is not None:
             self._cells.measure()
+        self._images.take()
 
     def parts(self) -> dict[str, Callable[[], None]]:
         """Return what a step is made of, to be timed part by part: each changes the simulation as it does in a step.
@@ -331,98 +301,49 @@ class Task:
         found = {"physics": self.env.fly, "collision": self.env.collide, "reset": partial(self._begin, few)}
         return found | ({"rendering": self._look} if self.env.sensor_manager.casters else {})
 
-    def _make_goals(self) -> Goals | None:
-        low, high = self.cfg.target_ratio_low, self.cfg.target_ratio_high
-        if low is None or high is None:
-            return None
-        bounds = (self._gtd["env_bounds_min"], self._gtd["env_bounds_max"])
-        return Goals(self.target_position, bounds=bounds, ratios=(low, high), random=self.env.random)
+    @property
+    def target_position(self) -> Tensor:
+        """Where to fly [m], world, (E, 3)."""
+        return self.values.find(TARGET, "whoever asks for the target")
 
-    def state(self) -> TaskState:
-        """Return the states of this instant."""
-        gtd = self._gtd
-        state = TaskState(
-            target=self.target_position,
-            position=gtd["robot_position"],
-            attitude=gtd["robot_orientation"],
-            lin_vel=gtd["robot_linvel"],
-            lin_vel_body=gtd["robot_body_linvel"],
-            ang_vel_body=gtd["robot_body_angvel"],
-            actions=gtd["robot_actions"],
-            prev_actions=gtd["robot_prev_actions"],
-            crashed=gtd["crashes"],
-            prev_distance=self._prev_distance,
-            difficulty=self._difficulty,
-            image=self._image,
-            image_scale=self._image_scale,
-            nearest=self._no_cells if self._cells is None else self._cells.nearest,
-            apart=self._no_terms,
+    @property
+    def reward_names(self) -> tuple[str, ...]:
+        """Names of the columns of ``info["reward_terms"]``."""
+        return self._judge.reward_names
+
+    def episode_means(self) -> dict[str, float]:
+        """Return means over the episodes that ended since the last call, and begin anew. Waits for the device.
+
+        ``reward/<name>`` is the sum of a reward term over an episode, ``ended/<name>`` the share of episodes that a
+        termination ended, ``episodes`` their number; of none there is only that.
+        """
+        return self._judge.means()
+
+    def _make_values(self, num_commands: int) -> Values:
+        env = self.env
+        sizes = {"E": env.num_envs, "U": num_commands, "V": self.num_actions, "R": env.robot_manager.cfg.num_rotors}
+        values = Values(env.gtd, sizes=sizes, makers={"nearest_in_cells": self._make_cells})
+        values.declare("begun", dtype=torch.bool, meaning="its episode has just begun", view=env.random.mask)
+        return values
+
+    def _make_cells(self) -> Tensor:
+        sensors = self.env.sensor_manager
+        if not sensors.casters:
+            raise ConfigError(
+                f"observation term 'nearest_in_cells': robot {self.cfg.robot} has no camera or lidar. Choose one with a sensor"
+            )
+        largest, empty = distance_scale(sensors, next(iter(sensors.casters)))
+        self._cells = NearestInCells(self._gtd["depth_range_pixels"], cells=IMAGE_CELLS, largest=largest, empty=empty)
+        meaning = (
+            "smallest distance in each of 8 x 8 cells of the first range sensor's image, as a share of the largest"
         )
-        if not self._apart:
-            return state
-        terms = [self._terms[i][0] for i in self._apart]
-        return replace(state, apart=beside(terms, state))
-
-    def _observation(self, *state: Tensor) -> Tensor:
-        """Return the terms side by side, (E, O), without their noise."""
-        return side_by_side([term for term, _ in self._terms], self._apart, TaskState.of(state), self._widths)
-
-    def _finite_observation(self, *state: Tensor) -> Tensor:
-        """Return the terms with zeros where they are not finite; the step after ends such a row."""
-        return self._observation(*state).nan_to_num(0.0, 0.0, 0.0)
-
-    def _judgement(
-        self, steps: Tensor, episode_return: Tensor, non_finite: Tensor, episode: Tensor, *state: Tensor
-    ) -> tuple[Tensor, ...]:
-        """Return a ``Judgement``."""
-        at = TaskState.of(state)
-        distance = (at.target - at.position).norm(dim=-1)
-        terminated = at.crashed | (distance > self.cfg.max_distance)
-        reward, observation = self._reward.value(at, self._params, terminated), self._observation(*state)
-        bits = (
-            non_finite
-            + NonFinite.REWARD.value * (~reward.isfinite()).int()
-            + NonFinite.OBSERVATION.value * (~observation.isfinite()).any(dim=-1).int()
-        )
-        bad = bits != 0
-        terminated = terminated | bad
-        truncated = (steps >= self.cfg.episode_len_steps) & ~terminated
-        ended = terminated | truncated
-        reward = torch.where(bad, self._crash_reward, reward)
-        distance = torch.where(distance.isfinite(), distance, self.cfg.max_distance)
-        total = episode_return + reward
-        success = truncated & (distance < (self.cfg.success_radius or 0.0))
-        return Judgement(
-            non_finite=bits,
-            crashes=terminated,
-            truncations=truncated,
-            episode_return=total.masked_fill(ended, 0.0),
-            final=observation.nan_to_num(0.0, 0.0, 0.0),
-            reward=reward,
-            terminated=terminated.clone(),
-            truncated=truncated.clone(),
-            ended=ended,
-            episode=episode + ended,
-            distance=distance,
-            total=total,
-            length=steps.clone(),
-            success=success,
-            timeout=truncated & ~success,
-            bad=bad,
-        )
+        return self.values.declare("nearest_in_cells", (64,), meaning=meaning, view=self._cells.nearest)
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return everything on which the future depends, by name: tensors that keep their places, and digests."""
-        own = {
-            "target_position": self.target_position,
-            "episode_return": self.episode_return,
-            "prev_distance": self._prev_distance,
-        }
-        if self._cells is not None:
-            own["cells"] = self._cells.nearest
         curriculum = {} if self.curriculum is None else self.curriculum.state_tensors()
         found = identity(task=self.cfg) | self.env.state_tensors()
-        return found | below("task", own) | below("curriculum", curriculum)
+        return found | below("task", self.values.own.state_tensors()) | below("curriculum", curriculum)
 
     def save_state(self) -> dict[str, Tensor]:
         """Return a copy of everything on which the future depends, the simulation included (``EnvManager.save_state``).
@@ -456,54 +377,6 @@ class Task:
         self.close()
 
 
-def _resolve_terms(cfg: TaskCfg, *, has_image: bool) -> list[tuple[ObservationTerm, float]]:
-    for entry in cfg.observations:
-        if entry.term not in OBSERVATIONS:
-            raise UnknownNameError(f"no observation term {entry.term!r}. Known: {', '.join(sorted(OBSERVATIONS))}")
-        if OBSERVATIONS[entry.term].needs_image and not has_image:
-            raise ConfigError(
-                f"observation term {entry.term!r}: robot {cfg.robot} has no camera or lidar. Choose one with a sensor"
-            )
-    return [(OBSERVATIONS[entry.term], entry.noise_std) for entry in cfg.observations]
-
-
-def _resolve_reward(cfg: TaskCfg, command: tuple[str, ...]) -> tuple[Reward, dict[str, float]]:
-    if cfg.reward not in REWARDS:
-        raise UnknownNameError(f"no reward {cfg.reward!r}. Known: {', '.join(sorted(REWARDS))}")
-    reward = REWARDS[cfg.reward]
-    _check_names(f"reward {cfg.reward}: coefficients", cfg.reward_params, reward.params)
-    _check_command(f"reward {cfg.reward}: is about", reward.command, cfg, command)
-    return reward, dict(cfg.reward_params)
-
-
-def _resolve_action(cfg: TaskCfg, command: tuple[str, ...]) -> tuple[Action, dict[str, float]]:
-    if cfg.action not in ACTIONS:
-        raise UnknownNameError(f"no action {cfg.action!r}. Known: {', '.join(sorted(ACTIONS))}")
-    action = ACTIONS[cfg.action]
-    _check_names(f"action {cfg.action}: numbers", cfg.action_params, action.params)
-    _check_command(f"action {cfg.action}: gives", action.command, cfg, command)
-    return action, dict(cfg.action_params)
-
-
-def _check_names(what: str, given: Mapping[str, float], needed: tuple[str, ...]) -> None:
-    if set(given) != set(needed):
-        raise ConfigError(f"{what} {sorted(given)} given, needs {sorted(needed)}")
-
-
-def _check_command(what: str, needed: tuple[str, ...] | None, cfg: TaskCfg, command: tuple[str, ...]) -> None:
-    if needed is not None and needed != command:
-        raise ConfigError(f"{what} {', '.join(needed)}; controller {cfg.controller} takes {', '.join(command)}")
-
-
-def _first_image(env: EnvManager) -> tuple[Tensor, Tensor]:
-    """Return the distances of the first range sensor and ``TaskState.image_scale``; nothing and ones without a sensor.
-
-    Where a sensor marks "too far" by a distance of its own, a cell without a distance is near (0); where it marks far and
-    near alike, nothing is known, and far (1) is by much the more frequent.
-    """
-    if not env.sensor_manager.casters:
-        return torch.zeros(env.num_envs, 0, 0, 0, device=env.device), torch.ones(2, device=env.device)
-    sensor = next(iter(env.sensor_manager.casters.values())).cfg
-    largest = 1.0 if sensor.normalize else sensor.max_range
-    empty = 0.0 if sensor.far_pixel >= 0.0 else 1.0
-    return env.gtd["depth_range_pixels"], torch.tensor([largest, empty], device=env.device)
+def _shown(group: str) -> str:
+    """Return the name under which a group is given."""
+    return OBSERVATIONS if group == POLICY else group

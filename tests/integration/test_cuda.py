@@ -18,10 +18,11 @@ from aerial_gym.interop.rows.transport import FEW
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.fused.functions import inverse_root, root, unit_quat
 from aerial_gym.robots import ROBOTS
-from aerial_gym.task import Task
-from aerial_gym.task.observations import OBSERVATIONS, ObservationTerm
+from aerial_gym.task import OBSERVATIONS, Task
+from aerial_gym.task.terms.term import Term
 from tests.unit.interop.rows.test_transport import check_transport
 from tests.unit.robots.test_derived import check_derived, derived, motions
+from tests.unit.task.navigation import changed
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA GPU")
 
@@ -88,8 +89,12 @@ def test_randomness_advances_at_every_replay() -> None:
 
 
 def test_what_cannot_be_captured_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    waits = ObservationTerm(width=3, value=lambda state: state.position * state.position.sum().item())
-    monkeypatch.setitem(OBSERVATIONS, "position_error_world", waits)
+
+    def waits(robot_position: torch.Tensor) -> torch.Tensor:
+        return robot_position * robot_position.sum().item()
+
+    term = Term(name="position_error_world", value=waits, width=3)
+    monkeypatch.setitem(OBSERVATIONS._entries, "position_error_world", term)
     task = make_task()
     with pytest.raises(CapabilityError, match="observation term 'position_error_world' cannot be held in a CUDA graph"):
         task.reset()
@@ -114,12 +119,13 @@ def test_a_captured_navigation_step_is_the_eager_step() -> None:
             device="cuda:0",
             seed=0,
         )
-        cfg = replace(
+        noiseless = tuple(replace(entry, noise_std=0.0) for entry in cfg.observations["policy"])
+        cfg = changed(
             cfg,
             curriculum=limits,
             episode_len_steps=10,
             success_radius=11.0,
-            observations=tuple(replace(entry, noise_std=0.0) for entry in cfg.observations),
+            observations={"policy": noiseless},
         )
         task = Task(cfg, env, capture=capture)
         task.reset(seed=3)

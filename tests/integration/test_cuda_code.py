@@ -26,7 +26,7 @@ from aerial_gym.sensors import flow, imu, places, view
 from aerial_gym.sensors.cells import LANES, ROWS, make_pool
 from aerial_gym.sensors.pixels import Outputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
-from aerial_gym.task.draws import goals, noise
+from aerial_gym.task.kernels import goals, noise
 from tests.physics.contact_rig import InScene, obstacle, start
 from tests.physics.mixed_rotors import mixed_robot
 from tests.physics.vehicles import random_network

@@ -183,7 +183,10 @@ def changed(cfg: Any, changes: Changes) -> Any:
             nested.setdefault(head, {})[rest] = value
         else:
             flat[head] = frozen(value)
-    flat |= {head: changed(getattr(cfg, head), inner) for head, inner in nested.items()}
+    for head, inner in nested.items():
+        if isinstance(cfg, Mapping) and head not in cfg:
+            raise ConfigError(f"{head}: what this class stands for has none of that name. Known: {', '.join(cfg)}")
+        flat[head] = changed(cfg[head] if isinstance(cfg, Mapping) else getattr(cfg, head), inner)
     if isinstance(cfg, Mapping):
         return {**cfg, **flat}
     return replace(cfg, **flat) if flat else cfg  # pyright: ignore[reportArgumentType]

@@ -6,26 +6,33 @@ Only for tasks of this package: a task class of a user's own reads its configura
 from typing import Any
 
 from aerial_gym.compat.config.fields import STANDS_FOR, Changes, Table, Values, carried, derived, idle, kept
-from aerial_gym.config.task import CurriculumCfg, TaskCfg
+from aerial_gym.config.task import POLICY, CurriculumCfg, TaskCfg
+from aerial_gym.config.task_terms import CommandCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.control.laws import LAWS
 from aerial_gym.env_manager import robot_by_name
-from aerial_gym.task import task_registry
-from aerial_gym.task.actions import ACTIONS
-from aerial_gym.task.observations import OBSERVATIONS
+from aerial_gym.errors import ConfigError
+from aerial_gym.task import ACTIONS, OBSERVATIONS, task_registry
+from aerial_gym.task.terms.term import ACTION
 
 
 def _num_actions(cfg: TaskCfg) -> int:
-    width = ACTIONS[cfg.action].width
+    width = ACTIONS.get(cfg.action.transform).width
     if width is not None:
         return width
     law = CONTROLLERS.get(cfg.controller).law
     return len(LAWS[law].action) if law in LAWS else robot_by_name(cfg.robot).num_rotors
 
 
-def _num_observations(cfg: TaskCfg) -> int:
-    widths = (OBSERVATIONS[entry.term].width for entry in cfg.observations)
-    return sum(_num_actions(cfg) if width is None else width for width in widths)
+def _num_observations(cfg: TaskCfg) -> int | None:
+    """Return the entries of an observation; None where only the built task tells."""
+    total = 0
+    for entry in cfg.observations[POLICY]:
+        width = OBSERVATIONS.get(entry.term).width if entry.term in OBSERVATIONS else None
+        if width is None:
+            return None
+        total += (_num_actions(cfg) if width == ACTION else width) * entry.history
+    return total
 
 
 def _curriculum(name: str, theirs: str) -> Any:
@@ -36,8 +43,35 @@ def _curriculum(name: str, theirs: str) -> Any:
     )
 
 
-def _reward(values: Values) -> Changes:
-    return {"reward_params": {name: float(value) for name, value in values["reward_parameters"].items()}}
+def _rewards(cfg: TaskCfg) -> dict[str, float]:
+    """Return the numbers of all reward terms, ``term.number``, their weights, and what a crash is worth."""
+    found: dict[str, float] = {}
+    for name, reward in cfg.rewards.items():
+        found |= {f"{name}.{key}": value for key, value in reward.params.items() if isinstance(value, (int, float))}
+        found[f"{name}.weight"] = reward.weight
+    return found | ({} if cfg.crash_reward is None else {"crash": cfg.crash_reward.value})
+
+
+def _changed_rewards(values: Values) -> Changes:
+    found: Changes = {}
+    for key, value in values["reward_parameters"].items():
+        name, _, number = key.partition(".")
+        place = f"rewards.{name}.weight" if number == "weight" else f"rewards.{name}.params.{number}"
+        found["crash_reward.value" if key == "crash" else place] = float(value)
+    return found
+
+
+def _target(name: str) -> Any:
+    """Return the share of the bounds from or up to which targets are drawn; None where none are."""
+    return lambda cfg: None if cfg.command is None else cfg.command.params.get(name)
+
+
+def _drawn(values: Values) -> Changes:
+    low, high = values["target_min_ratio"], values["target_max_ratio"]
+    if low is None or high is None:
+        raise ConfigError("target_min_ratio and target_max_ratio: give both, or neither")
+    params = {"low": tuple(map(float, low)), "high": tuple(map(float, high))}
+    return {"command": CommandCfg(generator="drawn_point", params=params)}
 
 
 _NAMED = "the name of something registered, here or by the script"
@@ -62,10 +96,10 @@ TABLE = Table(
         carried("num_envs", "num_envs", lambda c: c.num_envs),
         carried("episode_len_steps", "episode_len_steps", lambda c: c.episode_len_steps,
                 remark="an episode has exactly as many steps; there one more"),
-        carried("reward_parameters", "reward_params", lambda c: dict(c.reward_params), _reward,
-                "the names of the YAML file; four tasks there ignored theirs"),
-        carried("target_min_ratio", "target_ratio_low", lambda c: c.target_ratio_low),
-        carried("target_max_ratio", "target_ratio_high", lambda c: c.target_ratio_high),
+        carried("reward_parameters", "rewards", _rewards, _changed_rewards,
+                "by the names of the task file, reward and number (near.height); four tasks there ignored theirs"),
+        carried("target_min_ratio", "command: low", _target("low"), _drawn, "of the generator drawn_point"),
+        carried("target_max_ratio", "command: high", _target("high"), _drawn, "likewise"),
         *(_curriculum(ours, theirs) for ours, theirs in _CURRICULUM),
         derived("observation_space_dim", _num_observations, "follows from `observations:` of a task file"),
         derived("action_space_dim", _num_actions, "follows from the action and the controller"),

@@ -113,7 +113,7 @@ class Scripted:
 class ScriptedTask:
     """Four flights of 3 s at 2 steps a second, with distances that are known."""
 
-    cfg, env = SimpleNamespace(episode_len_steps=6, success_radius=None), SimpleNamespace(dt=0.5)
+    cfg, env = SimpleNamespace(episode_len_steps=6, success_radius=None, tells_success=False), SimpleNamespace(dt=0.5)
     num_envs, device = 4, torch.device("cpu")
     distances = torch.tensor(
         [
@@ -138,7 +138,7 @@ class ScriptedTask:
             torch.ones(4),
             crash,
             torch.zeros_like(crash),
-            {"distance": distance},
+            {"distance": distance, "crashes": crash},
         )
 
 

@@ -3,16 +3,31 @@
 from dataclasses import replace
 
 from aerial_gym import SimBuilder, task_registry
+from aerial_gym.config.task import TaskCfg
 from aerial_gym.task import Task
+
+
+def changed(
+    cfg: TaskCfg,
+    *,
+    camera: bool = True,
+    success_radius: float | None = None,
+    when: str | None = None,
+    **changes: object,
+) -> TaskCfg:
+    """Return a navigation task with changes; ``success_radius`` and ``when`` are those of its success."""
+    if not camera:
+        blind = tuple(entry for entry in cfg.observations["policy"] if entry.term != "nearest_in_cells")
+        cfg = replace(cfg, robot="base_quadrotor", observations={"policy": blind})
+    goal = cfg.terminations["goal"]
+    goal = replace(goal, when=when or goal.when, params={"radius": success_radius or goal.params["radius"]})
+    cfg = replace(cfg, terminations={**cfg.terminations, "goal": goal})
+    return replace(cfg, **changes)  # type: ignore[arg-type]
 
 
 def make(num_envs: int = 6, *, seed: int = 0, camera: bool = False, **changes: object) -> Task:
     """Return it; without its camera, which takes most of its time, unless asked for."""
-    cfg = task_registry.get("navigation_task")
-    if not camera:
-        blind = tuple(entry for entry in cfg.observations if entry.term != "nearest_in_cells")
-        cfg = replace(cfg, robot="base_quadrotor", observations=blind)
-    cfg = replace(cfg, **changes)  # type: ignore[arg-type]
+    cfg = changed(task_registry.get("navigation_task"), camera=camera, **changes)  # type: ignore[arg-type]
     env = SimBuilder().build_env(
         sim_name=cfg.sim,
         env_name=cfg.env,

@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch import Tensor
 
 from aerial_gym import task_registry
 from aerial_gym.env_manager import SimBuilder
 from aerial_gym.errors import CapabilityError, ClosedError, ConfigError
 from aerial_gym.rl_training import GymnasiumVectorEnv
-from aerial_gym.task import Task
-from aerial_gym.task.observations import OBSERVATIONS
-from aerial_gym.task.rewards import REWARDS
+from aerial_gym.task import OBSERVATIONS, REWARDS, Task
 
 NAMES = {"sim_name": "base_sim", "env_name": "empty_env", "robot_name": "base_quadrotor"}
 NAMES |= {"controller_name": "lee_position_control"}
@@ -19,19 +18,32 @@ NAMES |= {"controller_name": "lee_position_control"}
 
 def test_terms_that_return_another_shape_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A reward (E, 1) would be spread to (E, E), a wider term would shift every entry after it."""
-    reward, term = REWARDS["position_setpoint"], OBSERVATIONS["position_error_world"]
-    column = replace(reward, value=lambda state, params, crashed: reward.value(state, params, crashed)[:, None])
-    whole = replace(reward, value=lambda state, _, crashed: crashed.int())
-    number = replace(reward, value=lambda state, _, crashed: 1.0)
-    wide = replace(term, value=lambda state: torch.cat((state.position, state.position), dim=-1))
-    for registry, name, entry, message in (
-        (REWARDS, "position_setpoint", column, r"reward 'position_setpoint': returns \(4, 1\) .*needs \(E,\) = \(4,\)"),
-        (REWARDS, "position_setpoint", whole, r"returns \(4,\) torch.int32, needs .* floating point"),
-        (REWARDS, "position_setpoint", number, "returns a float, needs a tensor"),
-        (OBSERVATIONS, "position_error_world", wide, r"observation term .*returns \(4, 6\) .*\(E, width\) = \(4, 3\)"),
+    reward, term = REWARDS.get("distance_bell"), OBSERVATIONS.get("position_error_world")
+
+    def column(robot_position: Tensor, *, height: float, width: float) -> Tensor:
+        return (height * width * robot_position)[:, :1]
+
+    def whole(robot_position: Tensor, *, height: float, width: float) -> Tensor:
+        return (height * width * robot_position)[:, 0].int()
+
+    def number(robot_position: Tensor, *, height: float, width: float) -> float:
+        return height * width * len(robot_position)
+
+    def wide(robot_position: Tensor) -> Tensor:
+        return torch.cat((robot_position, robot_position), dim=-1)
+
+    for registry, entry, message in (
+        (
+            REWARDS,
+            replace(reward, value=column),
+            r"reward 'near' \(distance_bell\): returns \(4, 1\) .*\(E,\) = \(4,\)",
+        ),
+        (REWARDS, replace(reward, value=whole), r"returns \(4,\) torch.int32, needs .* floating point"),
+        (REWARDS, replace(reward, value=number), "returns a float, needs a tensor"),
+        (OBSERVATIONS, replace(term, value=wide), r"observation term .*returns \(4, 6\) .*\(E, width\) = \(4, 3\)"),
     ):
         with monkeypatch.context() as patch:
-            patch.setitem(registry, name, entry)
+            patch.setitem(registry._entries, entry.name, entry)
             with pytest.raises(ConfigError, match=message):
                 task_registry.make_task("position_setpoint_task", num_envs=4, device="cpu")
 

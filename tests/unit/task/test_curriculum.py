@@ -77,10 +77,10 @@ def test_the_number_of_obstacles_follows_the_successes_from_the_reset_in_which_t
 def test_failures_lower_it_and_the_difficulty_is_the_share_of_the_way() -> None:
     task = make(curriculum=replace(CFG, check_after=6, start_level=17), episode_len_steps=2, success_radius=1e-3)
     task.reset()
-    found = [float(task.state().difficulty)]
+    found = [float(task.values["difficulty"])]
     for _ in range(6):
         task.step(HOVER.expand(6, 4))
-        found.append(float(task.state().difficulty))
+        found.append(float(task.values["difficulty"]))
     assert found == pytest.approx([0.4, 0.4, 0.2, 0.2, 0.0, 0.0, 0.0])
 
 
@@ -103,7 +103,7 @@ def test_a_state_continues_where_it_was() -> None:
     state = task.curriculum.state()
     assert state == {"level": 15, "finished": 6, "succeeded": 0}
     other.curriculum.load(state | {"level": 18})
-    assert float(other.state().difficulty) == pytest.approx(0.6)
+    assert float(other.values["difficulty"]) == pytest.approx(0.6)
     other.reset()
     assert rows_present(other) == [18] * 6
     other.step(HOVER.expand(6, 4))
@@ -149,8 +149,10 @@ def test_a_curriculum_must_fit_the_environment() -> None:
         make(curriculum=replace(CFG, max_level=50))
     with pytest.raises(ConfigError, match="min_level = 5: this environment always keeps 9 obstacle rows. Raise it"):
         make(curriculum=replace(CFG, min_level=5))
-    with pytest.raises(ConfigError, match="curriculum: needs success_radius"):
-        replace(task_registry.get("navigation_task"), success_radius=None)
+    cfg = task_registry.get("navigation_task")
+    ends = {name: end for name, end in cfg.terminations.items() if end.kind != "success"}
+    with pytest.raises(ConfigError, match="curriculum: needs a termination of kind success"):
+        replace(cfg, terminations=ends)
 
 
 def test_unknown_keys_of_a_curriculum_are_refused() -> None:

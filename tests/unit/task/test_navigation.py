@@ -11,22 +11,26 @@ from torch import Tensor
 
 from aerial_gym import task_registry
 from aerial_gym.assets import ENVIRONMENTS, CollisionTest
+from aerial_gym.config.task_terms import ActionCfg, CommandCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.rl_training import evaluate
 from aerial_gym.task import Task
-from aerial_gym.task.actions import forward_flight
-from aerial_gym.task.observations import TaskState, direction_vehicle
-from aerial_gym.task.rewards import navigation
+from aerial_gym.task.step.images import distance_scale
+from aerial_gym.task.terms.actions import forward_flight
+from aerial_gym.task.terms.observations import direction_vehicle
 from tests.unit.task.navigation import make
+from tests.unit.task.rewards import reward_of
 
 CFG = task_registry.get("navigation_task")
+assert CFG.command is not None
+RATIOS = (CFG.command.params["low"], CFG.command.params["high"])
 ROUNDING = 2e-6
 """Of distances below 20 m in float32 [m]."""
 
 
 def noiseless() -> dict[str, object]:
-    return {"observations": tuple(replace(entry, noise_std=0.0) for entry in CFG.observations)}
+    return {"observations": {"policy": tuple(replace(entry, noise_std=0.0) for entry in CFG.observations["policy"])}}
 
 
 def state_at(
@@ -37,29 +41,21 @@ def state_at(
     prev_actions: list[float] | None = None,
     difficulty: float = 0.0,
     euler: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> TaskState:
+) -> dict[str, Tensor]:
     """The target is the origin."""
 
     def row(values: list[float]) -> Tensor:
         return torch.tensor([values], dtype=torch.float64)
 
-    zero = [0.0] * 3
-    return TaskState(
-        target=row(zero),
-        position=row(position),
-        attitude=quat_from_euler(row(list(euler))),
-        lin_vel=row(zero),
-        lin_vel_body=row(zero),
-        ang_vel_body=row(zero),
-        actions=row(actions or [0.0] * 4),
-        prev_actions=row(prev_actions or actions or [0.0] * 4),
-        crashed=torch.zeros(1, dtype=torch.bool),
-        prev_distance=torch.tensor([prev_distance], dtype=torch.float64),
-        difficulty=torch.tensor(difficulty, dtype=torch.float64),
-        image=torch.zeros(1, 0, 0, 0),
-        image_scale=torch.tensor([10.0, 1.0]),
-        nearest=torch.zeros(1, 0),
-    )
+    return {
+        "target_position": row([0.0] * 3),
+        "robot_position": row(position),
+        "robot_orientation": quat_from_euler(row(list(euler))),
+        "robot_actions": row(actions or [0.0] * 4),
+        "robot_prev_actions": row(prev_actions or actions or [0.0] * 4),
+        "previous_distance": torch.tensor([prev_distance], dtype=torch.float64),
+        "difficulty": torch.tensor(difficulty, dtype=torch.float64),
+    }
 
 
 def bells(d: float) -> float:
@@ -91,10 +87,10 @@ def bells(d: float) -> float:
         ),
     ],
 )
-def test_reward_is_the_published_formula(state: TaskState, expected: float) -> None:
-    flying = navigation(state, CFG.reward_params, torch.tensor([False]))
-    assert flying.item() == pytest.approx(expected, rel=1e-6)  # 1/3.5 has 7 digits in the file
-    assert navigation(state, CFG.reward_params, torch.tensor([True])).item() == -100.0
+def test_reward_is_the_published_formula(state: dict[str, Tensor], expected: float) -> None:
+    task = make(1)
+    assert reward_of(task, state).item() == pytest.approx(expected, rel=1e-6)  # 1/3.5 has 7 digits in the file
+    assert reward_of(task, state, crash=torch.tensor([True])).item() == -100.0
 
 
 @pytest.mark.parametrize(
@@ -107,7 +103,7 @@ def test_reward_is_the_published_formula(state: TaskState, expected: float) -> N
     ],
 )
 def test_actions_are_speed_inclination_and_yaw_rate(action: list[float], command: list[float]) -> None:
-    found = forward_flight(torch.tensor([action]), CFG.action_params)
+    found = forward_flight(torch.tensor([action]), **CFG.action.params)  # type: ignore[arg-type]
     torch.testing.assert_close(found, torch.tensor([command]), rtol=1e-6, atol=1e-6)
 
 
@@ -130,8 +126,12 @@ def test_direction_is_seen_from_the_heading_alone() -> None:
     for tilt in (0.0, 0.4):
         state = state_at([3.0, 0.0, 4.0], prev_distance=0.0, euler=(tilt, -tilt, radians(90.0)))
         expected = torch.tensor([[0.0, 0.6, -0.8]], dtype=torch.float64)
-        torch.testing.assert_close(direction_vehicle(state), expected, rtol=0.0, atol=1e-9)
-    assert (direction_vehicle(state_at([0.0, 0.0, 0.0], prev_distance=0.0)) == 0.0).all()
+        torch.testing.assert_close(direction_of(state), expected, rtol=0.0, atol=1e-9)
+    assert (direction_of(state_at([0.0, 0.0, 0.0], prev_distance=0.0)) == 0.0).all()
+
+
+def direction_of(state: dict[str, Tensor]) -> Tensor:
+    return direction_vehicle(*(state[name] for name in ("target_position", "robot_position", "robot_orientation")))
 
 
 def test_the_observation_is_laid_out_as_documented() -> None:
@@ -167,8 +167,8 @@ def test_what_a_cell_without_a_distance_means_follows_from_the_sensor() -> None:
 
     camera = SENSORS.get("base_depth_camera")
     assert camera.far_pixel == camera.near_pixel == -1.0
-    assert make(1, camera=True).state().image_scale.tolist() == [10.0, 1.0]
-    assert make(1).state().image_scale.tolist() == [1.0, 1.0]
+    sensors = make(1, camera=True).env.sensor_manager
+    assert distance_scale(sensors, next(iter(sensors.casters))) == (10.0, 1.0)
 
 
 def distance_at(task: Task, points: Tensor) -> Tensor:
@@ -185,7 +185,7 @@ def distance_at(task: Task, points: Tensor) -> Tensor:
 def test_no_episode_starts_or_aims_inside_or_near_an_obstacle(name: str) -> None:
     """1000 episodes in every environment; half of them begin in a masked reset within a step."""
     task = make(250, env=name, curriculum=None, episode_len_steps=1)
-    clearance, low, high = ENVIRONMENTS.get(name).clearance, CFG.target_ratio_low, CFG.target_ratio_high
+    clearance, low, high = ENVIRONMENTS.get(name).clearance, *RATIOS
     for episode in range(4):
         if episode % 2 == 0:
             task.reset()
@@ -199,8 +199,6 @@ def test_no_episode_starts_or_aims_inside_or_near_an_obstacle(name: str) -> None
         torch.testing.assert_close(task.env.gtd["robot_clearance"], now, rtol=0.0, atol=ROUNDING)
         lower, upper = task.env.gtd["env_bounds_min"], task.env.gtd["env_bounds_max"]
         share = (goal - lower) / (upper - lower)
-        assert low is not None
-        assert high is not None
         least, most = torch.tensor(low), torch.tensor(high)
         assert ((share >= least - 1e-5) & (share <= most + 1e-5)).all()
         assert (share.std(dim=0) > 0.2 * (most - least)).all()  # uniform has 0.29
@@ -233,7 +231,7 @@ def test_progress_counts_within_an_episode_only() -> None:
     task.reset()
     for _ in range(4):
         now = (task.target_position - task.env.gtd["robot_position"]).norm(dim=-1)
-        assert torch.equal(task.state().prev_distance, now)
+        assert torch.equal(task.values["previous_distance"], now)
         _, reward, *_ = task.step(torch.tensor([0.0, 0.0, 0.0, 0.0]).expand(8, 4))
         assert (reward.abs() < 10.0).all()  # a jump of metres would weigh 10 or 20 each
 
@@ -303,24 +301,24 @@ def test_evaluation_tells_successes_crashes_and_timeouts_apart() -> None:
 def test_tasks_that_do_not_fit_together_are_refused() -> None:
     with pytest.raises(ConfigError, match="term 'nearest_in_cells': robot base_quadrotor has no camera or lidar"):
         make(1, camera=True, robot="base_quadrotor")
-    with pytest.raises(UnknownNameError, match="no action 'backward_flight'. Known: direct, forward_flight"):
-        make(1, action="backward_flight")
-    with pytest.raises(ConfigError, match="action forward_flight: numbers"):
-        make(1, action_params={"max_speed": 2.0})
-    hover = {name: getattr(task_registry.get("position_setpoint_task"), name) for name in ("reward", "reward_params")}
+    with pytest.raises(UnknownNameError, match="no action 'backward_flight'. .*Known: affine, direct, forward_flight"):
+        make(1, action=ActionCfg(transform="backward_flight"))
+    with pytest.raises(ConfigError, match="action forward_flight: parameter 'max_inclination' is missing"):
+        make(1, action=ActionCfg(transform="forward_flight", params={"max_speed": 2.0}))
     with pytest.raises(ConfigError, match=r"forward_flight: gives vx .*; controller lee_attitude_control takes thrust"):
-        make(1, controller="lee_attitude_control", **hover)
+        make(1, controller="lee_attitude_control")
     with pytest.raises(
-        ConfigError, match=r"reward navigation: is about vx .*; controller lee_attitude_control takes thrust"
+        ConfigError,
+        match=r"reward 'forward_change': term .* is about vx .*; controller lee_attitude_control takes thrust",
     ):
-        make(1, controller="lee_attitude_control", action="direct", action_params={})
-    for low, high, message in (
-        (None, CFG.target_ratio_high, "give both"),
-        ((0.95, 0.1, 0.1), CFG.target_ratio_high, "0 <= low <= high <= 1"),
-        ((-0.1, 0.1, 0.1), CFG.target_ratio_high, "0 <= low <= high <= 1"),
-        (CFG.target_ratio_low, (0.94, 0.88, float("nan")), "0 <= low <= high <= 1"),
+        make(1, controller="lee_attitude_control", action=ActionCfg())
+    for low, high in (
+        ((0.95, 0.1, 0.1), RATIOS[1]),
+        ((-0.1, 0.1, 0.1), RATIOS[1]),
+        (RATIOS[0], (0.94, 0.88, float("nan"))),
     ):
-        with pytest.raises(ConfigError, match=message):
-            replace(CFG, target_ratio_low=low, target_ratio_high=high)
-    with pytest.raises(ConfigError, match=r"success_radius = 0.0: must be > 0"):
-        replace(CFG, success_radius=0.0)
+        with pytest.raises(ConfigError, match="command drawn_point: .* 0 <= low <= high <= 1"):
+            make(1, command=CommandCfg(generator="drawn_point", params={"low": low, "high": high}))
+    goal = CFG.terminations["goal"]
+    with pytest.raises(ConfigError, match=r"radius = 0.0: must be > 0"):
+        replace(CFG, terminations={**CFG.terminations, "goal": replace(goal, params={"radius": 0.0})})

@@ -14,9 +14,7 @@ from aerial_gym.cli.main import main
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.finite import NonFinite
 from aerial_gym.robots.watch import KEPT_STEPS
-from aerial_gym.task import Task
-from aerial_gym.task.observations import OBSERVATIONS, ObservationTerm
-from aerial_gym.task.rewards import REWARDS
+from aerial_gym.task import OBSERVATIONS, REWARDS, Task
 
 BAD = 2
 """The row that is spoilt, of four."""
@@ -89,23 +87,25 @@ def test_a_bad_reward_or_observation_ends_its_row(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Both are functions of the state: here they break where a row is marked by its height."""
-    reward, term = REWARDS["position_setpoint"], OBSERVATIONS["position_error_world"]
+    reward, term = REWARDS.get("distance_bell"), OBSERVATIONS.get("position_error_world")
 
-    def spoilt(state, params, crashed):
-        return torch.where(state.position[:, 2] > 50.0, nan, reward.value(state, params, crashed))
+    def spoilt(target_position, robot_position, *, height, width):
+        worth = reward.value(target_position, robot_position, height=height, width=width)
+        return torch.where((robot_position[:, 2] > 1.0) & (robot_position[:, 2] < 7.0), nan, worth)
 
-    def broken(state):
-        return torch.where(state.position[:, 2:] > 50.0, inf, term.value(state))
+    def broken(robot_position):
+        return torch.where(robot_position[:, 2:] > 1.0, inf, robot_position)
 
-    for what, registry, name, entry in (
-        (NonFinite.REWARD, REWARDS, "position_setpoint", replace(reward, value=spoilt)),
-        (NonFinite.OBSERVATION, OBSERVATIONS, "position_error_world", ObservationTerm(width=3, value=broken)),
+    for what, registry, entry in (
+        (NonFinite.REWARD, REWARDS, replace(reward, value=spoilt)),
+        (NonFinite.OBSERVATION, OBSERVATIONS, replace(term, value=broken)),
     ):
         with monkeypatch.context() as patch, caplog.at_level(logging.WARNING):
-            patch.setitem(registry, name, entry)
+            patch.setitem(registry._entries, entry.name, entry)
             task = make()
             task.reset()
-            task.env.gtd["robot_position"][BAD, 2] = 60.0
+            task.env.gtd["robot_position"].zero_()
+            task.env.gtd["robot_position"][BAD, 2] = 4.0
             _, reward_of, terminated, _, info = task.step(torch.zeros(4, 4))
         assert info["non_finite"].tolist() == [False, False, True, False]
         assert terminated[BAD]

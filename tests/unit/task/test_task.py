@@ -7,10 +7,8 @@ import pytest
 import torch
 
 from aerial_gym import task_registry
-from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.task import Task
-from aerial_gym.task.observations import TaskState
-from aerial_gym.task.rewards import position_setpoint
+from tests.unit.task.rewards import reward_of
 
 
 def make(num_envs: int = 8, *, seed: int = 0, **changes: object) -> Task:
@@ -59,7 +57,9 @@ def test_final_observation_is_of_the_old_episode_and_the_observation_of_the_new(
 
 
 def test_flying_away_is_a_crash_with_its_penalty_and_no_time_out() -> None:
-    task = make(4, max_distance=1.5)
+    terminations = task_registry.get("position_setpoint_task").terminations
+    near = replace(terminations["far_away"], params={"distance": 1.5})
+    task = make(4, terminations={**terminations, "far_away": near})
     task.reset()
     for _ in range(200):
         _, reward, terminated, truncated, info = task.step(torch.tensor([0.0, 0.6, 0.0, 0.0]).expand(4, 4))
@@ -107,26 +107,14 @@ def test_a_step_neither_keeps_nor_changes_the_action_tensor() -> None:
     assert (task.env.gtd["robot_actions"] == 5.0).all()
 
 
-def state_at(position: list[float], *, attitude: list[float], ang_vel: list[float]) -> TaskState:
-    def row(values: list[float]) -> torch.Tensor:
-        return torch.tensor([values], dtype=torch.float64)
-
-    return TaskState(
-        target=row([0.0, 0.0, 0.0]),
-        position=row(position),
-        attitude=row(attitude),
-        lin_vel=row([0.0] * 3),
-        lin_vel_body=row([0.0] * 3),
-        ang_vel_body=row(ang_vel),
-        actions=row([0.0] * 4),
-        prev_actions=row([0.0] * 4),
-        crashed=torch.zeros(1, dtype=torch.bool),
-        prev_distance=torch.zeros(1, dtype=torch.float64),
-        difficulty=torch.zeros(()),
-        image=torch.zeros(1, 0, 0, 0),
-        image_scale=torch.ones(2),
-        nearest=torch.zeros(1, 0),
-    )
+def state_at(position: list[float], *, attitude: list[float], ang_vel: list[float]) -> dict[str, torch.Tensor]:
+    rows = {
+        "target_position": [0.0] * 3,
+        "robot_position": position,
+        "robot_orientation": attitude,
+        "robot_body_angvel": ang_vel,
+    }
+    return {name: torch.tensor([row], dtype=torch.float64) for name, row in rows.items()}
 
 
 LEVEL = [0.0, 0.0, 0.0, 1.0]
@@ -150,23 +138,9 @@ ROLLED = [0.5**0.5, 0.0, 0.0, 0.5**0.5]
 def test_reward_is_the_published_formula(
     position: list[float], attitude: list[float], ang_vel: list[float], expected: float
 ) -> None:
-    params = task_registry.get("position_setpoint_task").reward_params
-    state = state_at(position, attitude=attitude, ang_vel=ang_vel)
-    flying = position_setpoint(state, params, torch.tensor([False]))
-    assert flying.item() == pytest.approx(expected, rel=1e-12)
-    assert position_setpoint(state, params, torch.tensor([True])).item() == -20.0
-
-
-def test_wrong_tasks_are_refused_by_name() -> None:
-    with pytest.raises(UnknownNameError, match="no task 'position_task'"):
-        task_registry.make_task("position_task")
-    cfg, env = task_registry.get("position_setpoint_task"), make(1).env
-    with pytest.raises(ConfigError, match="reward position_setpoint: coefficients"):
-        Task(replace(cfg, reward_params={"crash": -1.0}), env)
-    with pytest.raises(UnknownNameError, match="no reward 'hover'"):
-        Task(replace(cfg, reward="hover"), env)
-    with pytest.raises(ConfigError, match="TaskCfg.episode_len_steps = 0: must be >= 1"):
-        replace(cfg, episode_len_steps=0)
+    task, state = make(1), state_at(position, attitude=attitude, ang_vel=ang_vel)
+    assert reward_of(task, state).item() == pytest.approx(expected, rel=1e-12)
+    assert reward_of(task, state, crash=torch.tensor([True])).item() == -20.0
 
 
 def test_leaving_the_context_releases_the_simulation() -> None:

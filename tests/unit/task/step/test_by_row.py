@@ -4,11 +4,12 @@ import logging
 
 import pytest
 import torch
+from torch import Tensor
 
 from aerial_gym import task_registry
-from aerial_gym.task import Task
-from aerial_gym.task.by_row import ByRow
-from aerial_gym.task.observations import OBSERVATIONS, ObservationTerm
+from aerial_gym.task import OBSERVATIONS, Task
+from aerial_gym.task.step.by_row import ByRow
+from aerial_gym.task.terms.term import Term
 from tests.unit.task.navigation import make
 
 
@@ -27,39 +28,38 @@ def flown(request: pytest.FixtureRequest) -> Task:
 
 def test_kernels_of_the_shipped_tasks_compute_what_torch_does(flown: Task) -> None:
     """Same types and truth values; numbers within round-off of a few operations on numbers of order one to ten."""
-    state = tuple(vars(flown.state()).values())
-    actions = torch.rand(5, 4)
-    pairs = [
-        ((flown._observe(*state),), (flown._finite_observation(*state),)),
-        (flown._judge(*flown._judged()), flown._judgement(*flown._judged())),
-        ((flown._command(actions),), (flown._action.value(actions, flown._action_params),)),
-    ]
-    for found, expected in pairs:
-        for a, b in zip(found, expected, strict=True):
-            assert a.dtype == b.dtype
-            torch.testing.assert_close(a, b, rtol=1e-5, atol=1e-5)
-    assert (flown._observe.reason, flown._judge.reason, flown._command.reason) == (None, None, None)
-
-
-def test_nothing_is_apart_in_the_shipped_tasks(flown: Task) -> None:
-    """The image is one row of nearest distances already."""
-    assert flown._apart == ()
+    parts = [flown._judge.rows, flown._observer.rows, *([] if flown._memory is None else [flown._memory])]
+    for rows in parts:
+        expected = rows.plainly()
+        found = rows()
+        assert rows.reason is None
+        assert rows.apart == ()
+        assert found.keys() == expected.keys()
+        for name, value in found.items():
+            assert value.dtype == expected[name].dtype, name
+            torch.testing.assert_close(value, expected[name], rtol=1e-5, atol=1e-5, msg=name)
+    action = torch.rand(5, 4)
+    expected = flown._actor.transform(action, **flown._actor.params)
+    torch.testing.assert_close(flown._actor(action), expected, rtol=1e-5, atol=1e-5)
 
 
 def test_a_term_that_cannot_be_traced_is_named_and_still_right(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A median sorts, which no kernel does: it runs as torch operations, in its column."""
-    middle = ObservationTerm(width=1, value=lambda state: state.position.sort(dim=-1).values[:, 1:2])
-    monkeypatch.setitem(OBSERVATIONS, "distance", middle)
+
+    def middle(robot_position: Tensor) -> Tensor:
+        return robot_position.sort(dim=-1).values[:, 1:2]
+
+    monkeypatch.setitem(OBSERVATIONS._entries, "distance", Term(name="distance", value=middle, width=1))
     with caplog.at_level(logging.WARNING):
         task = make(4)
-    assert [task.cfg.observations[i].term for i in task._apart] == ["distance"]
+    assert [term.term.name for term in task._observer.rows.apart] == ["distance"]
     assert "observation term 'distance' runs as torch operations of its own: torch.sort" in caplog.text
-    names = [entry.term for entry in task.cfg.observations]
-    column = sum(OBSERVATIONS[name].width or 4 for name in names[: names.index("distance")])
+    entries = task._observer.groups["policy"]
+    column = sum(entry.width for entry in entries[: [entry.cfg.term for entry in entries].index("distance")])
     obs, _ = task.reset()
-    expected = middle.value(task.state())[:, 0]
+    expected = middle(task.env.gtd["robot_position"])[:, 0]
     assert torch.equal(obs["observations"][:, column], expected)
 
 

@@ -1,0 +1,214 @@
+"""Entries of a task: what it observes, rewards and ends by, where its commands come from and what becomes of its actions.
+
+Each names a term of ``aerial_gym.task`` and gives its numbers; the term says which those are.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import inf, isfinite
+
+from aerial_gym.config.checks import MAX_MADE
+from aerial_gym.errors import ConfigError
+
+Params = Mapping[str, object]
+"""Numbers, texts and lists of them by name; the term that takes them says of what kind each is."""
+
+Steps = int | tuple[int, int]
+"""Steps, or the fewest and the most, of which every episode draws one number."""
+
+
+def _check_steps(config: object, name: str) -> None:
+    low, high = steps_range(getattr(config, name))
+    if not 0 <= low <= high <= MAX_MADE:
+        raise ConfigError(
+            f"{type(config).__name__}.{name} = {getattr(config, name)!r}: must be >= 0, or the fewest and the most of them"
+        )
+
+
+def steps_range(steps: Steps) -> tuple[int, int]:
+    """Return the fewest and the most."""
+    return (steps, steps) if isinstance(steps, int) else steps
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObservationCfg:
+    """One term of a group of observations: noise is added, then it is delayed, kept for some frames, and scaled."""
+
+    term: str
+    """Name in ``aerial_gym.task.OBSERVATIONS``, or a key of the GTD or a task buffer itself."""
+
+    params: Params = field(default_factory=dict)
+    """Numbers of the term by name."""
+
+    noise_std: float = 0.0
+    """Standard deviation of white noise added to every entry, in the unit of the term, >= 0."""
+
+    delay_steps: Steps = 0
+    """Environment steps by which it is late, >= 0; two numbers: each episode draws one from the first to the second. Before
+    so many steps have passed it shows the first observation of the episode."""
+
+    history: int = 1
+    """How many steps of it are shown side by side, oldest first, >= 1."""
+
+    scale: float = 1.0
+    """Factor on every entry, noise included; finite and not 0."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.noise_std < inf:
+            raise ConfigError(f"ObservationCfg.noise_std = {self.noise_std!r}: must be >= 0 and finite")
+        _check_steps(self, "delay_steps")
+        if not 1 <= self.history <= MAX_MADE:
+            raise ConfigError(f"ObservationCfg.history = {self.history!r}: must be >= 1")
+        if not isfinite(self.scale) or self.scale == 0.0:
+            raise ConfigError(f"ObservationCfg.scale = {self.scale!r}: must be finite and not 0")
+
+
+IMAGE_TYPES = ("uint8", "float16", "float32")
+"""Types in which an image can be observed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageCfg:
+    """A raw image among the observations."""
+
+    key: str = "depth_range_pixels"
+    """Of the GTD, (E, S, H, W) or (E, S, H, W, K)."""
+
+    dtype: str = "uint8"
+    """``uint8``: 0 to 255; ``float16``, ``float32``: 0 to 1."""
+
+    largest: float | None = None
+    """What counts as 255 or 1, in the unit of the image, > 0; that of its range sensor if not given."""
+
+    history: int = 1
+    """How many images are shown, oldest first, in front of the sensors, >= 1."""
+
+    def __post_init__(self) -> None:
+        if self.dtype not in IMAGE_TYPES:
+            raise ConfigError(f"ImageCfg.dtype = {self.dtype!r}: must be {', '.join(IMAGE_TYPES)}")
+        if self.largest is not None and not 0.0 < self.largest < inf:
+            raise ConfigError(f"ImageCfg.largest = {self.largest!r}: must be > 0 and finite")
+        if not 1 <= self.history <= MAX_MADE:
+            raise ConfigError(f"ImageCfg.history = {self.history!r}: must be >= 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RewardCfg:
+    """One term of the reward: ``(weight + difficulty_weight c) value (sum of the terms in times)``, c the difficulty."""
+
+    term: str
+    """Name in ``aerial_gym.task.REWARDS``."""
+
+    params: Params = field(default_factory=dict)
+    """Numbers of the term by name."""
+
+    weight: float = 1.0
+    """Finite."""
+
+    difficulty_weight: float = 0.0
+    """Added to the weight where the curriculum has come to its highest level, a share of it before; finite."""
+
+    times: tuple[str, ...] = ()
+    """Names of reward terms, without such a factor of their own, by whose sum it is multiplied; none: by 1."""
+
+    def __post_init__(self) -> None:
+        for name in ("weight", "difficulty_weight"):
+            if not isfinite(getattr(self, name)):
+                raise ConfigError(f"RewardCfg.{name} = {getattr(self, name)!r}: must be finite")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EndRewardCfg:
+    """What an end is worth."""
+
+    value: float
+    """Finite."""
+
+    how: str = "replace"
+    """``replace``: the reward of that step is this alone; ``add``: it comes on top."""
+
+    def __post_init__(self) -> None:
+        if not isfinite(self.value):
+            raise ConfigError(f"EndRewardCfg.value = {self.value!r}: must be finite")
+        if self.how not in ("replace", "add"):
+            raise ConfigError(f"EndRewardCfg.how = {self.how!r}: must be replace or add")
+
+
+KINDS = ("crash", "success", "time_out")
+"""What an end of an episode is."""
+
+WHENS = ("now", "counts", "at_end")
+"""What becomes of a condition that is true."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TerminationCfg:
+    """A condition by which episodes end, and what such an end is."""
+
+    term: str
+    """Name in ``aerial_gym.task.TERMINATIONS``."""
+
+    params: Params = field(default_factory=dict)
+    """Numbers of the term by name."""
+
+    kind: str
+    """``crash``, ``success`` or ``time_out``; a crash goes before a success in the same step."""
+
+    when: str = "now"
+    """``now``: the episode ends where it is true. Of a success also ``counts``: the episode goes on, and ends as a success
+    whenever that was, unless it crashes; and ``at_end``: only what is true at the end counts."""
+
+    bootstrap: bool | None = None
+    """Whether the return is taken to go on after such an end (``truncated``), or not (``terminated``); None: only that of
+    a ``time_out`` goes on."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise ConfigError(f"TerminationCfg.kind = {self.kind!r}: must be {', '.join(KINDS)}")
+        if self.when not in WHENS:
+            raise ConfigError(f"TerminationCfg.when = {self.when!r}: must be {', '.join(WHENS)}")
+        if self.when != "now" and self.kind != "success":
+            raise ConfigError(f"TerminationCfg.when = {self.when!r}: only for kind success; a {self.kind} ends now")
+        if self.when != "now" and self.bootstrap is not None:
+            raise ConfigError(
+                f"TerminationCfg.bootstrap = {self.bootstrap!r}: a success that {self.when} ends nothing. Leave it out"
+            )
+
+    @property
+    def bootstraps(self) -> bool:
+        """Whether the return is taken to go on after it."""
+        return self.kind == "time_out" if self.bootstrap is None else self.bootstrap
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandCfg:
+    """Where a task's commands come from: a point, points, a trajectory, gates."""
+
+    generator: str
+    """Name in ``aerial_gym.task.COMMANDS``."""
+
+    params: Params = field(default_factory=dict)
+    """Numbers of the generator by name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionCfg:
+    """From what a policy gives to what the controller takes: transformed, delayed, filtered."""
+
+    transform: str = "direct"
+    """Name in ``aerial_gym.task.ACTIONS``."""
+
+    params: Params = field(default_factory=dict)
+    """Numbers of the transform by name."""
+
+    delay_steps: Steps = 0
+    """Environment steps by which the command is late, >= 0; two numbers: each episode draws one from the first to the
+    second. Before so many steps have passed the first command of the episode holds."""
+
+    filter_time_s: float = 0.0
+    """Time constant of a first-order low pass of the delayed command [s], >= 0; 0 is none. It begins at the first command."""
+
+    def __post_init__(self) -> None:
+        _check_steps(self, "delay_steps")
+        if not 0.0 <= self.filter_time_s < inf:
+            raise ConfigError(f"ActionCfg.filter_time_s = {self.filter_time_s!r}: must be >= 0 and finite")

@@ -1,0 +1,23 @@
+"""Every command generator that comes with the package, and how a task makes one."""
+
+from aerial_gym.config.task_terms import CommandCfg
+from aerial_gym.env_manager import EnvManager
+from aerial_gym.task.commands import gates, points, trajectory
+from aerial_gym.task.commands.command import COMMANDS, Command
+from aerial_gym.task.terms.term import checked
+from aerial_gym.task.values import Values
+
+__all__ = ["COMMANDS", "gates", "make_command", "points", "trajectory"]
+
+
+def make_command(cfg: CommandCfg | None, values: Values, env: EnvManager) -> Command:
+    """Return the generator of a task, with its buffers declared; one that does nothing where the task has none.
+
+    Raises:
+        UnknownNameError: If there is no such generator.
+        ConfigError: If its numbers do not fit.
+    """
+    if cfg is None:
+        return Command(values, env)
+    cls = COMMANDS.get(cfg.generator)
+    return cls(values, env, **checked(cls, cfg.params, f"command {cfg.generator}"))

@@ -1,0 +1,75 @@
+"""What a command generator is: task buffers, pure functions that move them on, and draws at reset.
+
+Letters: E environments.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import TypeVar
+
+from torch import Tensor
+
+from aerial_gym.env_manager import EnvManager
+from aerial_gym.errors import ConfigError
+from aerial_gym.registry import Registry
+from aerial_gym.task.values import Values
+
+TARGET = "target_position"
+"""Buffer of the point to fly to [m], world, (E, 3), which most generators have."""
+
+
+class Command:
+    """Base of the generators. A subclass takes its numbers as keyword-only arguments and declares its buffers in ``values``."""
+
+    reads: tuple[str, ...] = ()
+    """What ``at`` and ``after`` read, beside ``sim_steps`` and ``begun``; its own buffers included."""
+
+    goal = False
+    """Whether obstacles that are drawn keep their distance from the target of a new episode."""
+
+    def __init__(self, values: Values, env: EnvManager) -> None:
+        """Take what it reads, and the simulation for bounds and randomness."""
+        self.values, self.env = values, env
+
+    def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return buffers of it that follow from this instant, after the physics and before rewards and ends are found."""
+        del values
+        return {}
+
+    def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return buffers of it as the next step has them; ``begun`` says whose episode has just begun."""
+        del values
+        return {}
+
+    def draw(self, mask: Tensor) -> None:
+        """Draw what belongs to the new episodes of ``mask``, bool (E,), in launches of its own."""
+        del mask
+
+    def _target(self, *, moving: bool = False) -> Tensor:
+        """Declare and return the target [m], (E, 3); that of a moving one has ``target_velocity`` [m/s] beside it."""
+        if moving:
+            self.values.declare(
+                "target_velocity", (3,), unit="m/s", frame="world", meaning="velocity of the point to fly to"
+            )
+        return self.values.declare(TARGET, (3,), unit="m", frame="world", meaning="where to fly")
+
+
+Generator = TypeVar("Generator", bound=type[Command])
+
+
+class CommandRegistry(Registry[type[Command]]):
+    """Generators by name."""
+
+    def generator(self, name: str) -> Callable[[Generator], Generator]:
+        """Register the class below."""
+
+        def add(cls: Generator) -> Generator:
+            if not (isinstance(cls, type) and issubclass(cls, Command)):
+                raise ConfigError(f"command generator {name!r}: must be a class derived from Command")
+            self.register(name, cls)
+            return cls
+
+        return add
+
+
+COMMANDS = CommandRegistry("command generator")
+"""Generators by the name that a task configuration uses."""

@@ -1,0 +1,115 @@
+"""A point, a point that is drawn, and points one after the other.
+
+Frames: world of each environment, z up. Letters: E environments.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.robot import Vec3
+from aerial_gym.env_manager import EnvManager
+from aerial_gym.errors import ConfigError
+from aerial_gym.task.commands.command import COMMANDS, TARGET, Command
+from aerial_gym.task.kernels.goals import Goals
+from aerial_gym.task.values import Values
+
+
+@COMMANDS.generator("point")
+class Point(Command):
+    """The same point in every episode."""
+
+    def __init__(self, values: Values, env: EnvManager, *, position: Vec3 = (0.0, 0.0, 0.0)) -> None:
+        """Take the point [m]."""
+        super().__init__(values, env)
+        _check_points("point", (position,))
+        self._target().copy_(torch.tensor(position))
+
+
+@COMMANDS.generator("drawn_point")
+class DrawnPoint(Command):
+    """A point that is drawn uniformly at every reset; obstacles whose place is drawn keep away from a robot there."""
+
+    goal = True
+
+    def __init__(self, values: Values, env: EnvManager, *, low: Vec3, high: Vec3) -> None:
+        """Take the lowest and the highest point as shares of the bounds, 0 <= low <= high <= 1."""
+        super().__init__(values, env)
+        if not all(0.0 <= a <= b <= 1.0 for a, b in zip(low, high, strict=True)):
+            raise ConfigError(
+                f"command drawn_point: low = {low!r}, high = {high!r}: needs 0 <= low <= high <= 1 on every axis. "
+                "They are shares of the bounds"
+            )
+        bounds = (env.gtd["env_bounds_min"], env.gtd["env_bounds_max"])
+        self._goals = Goals(self._target(), bounds=bounds, ratios=(low, high), random=env.random)
+
+    def draw(self, mask: Tensor) -> None:
+        """Draw new points."""
+        self._goals.draw(mask)
+
+
+@COMMANDS.generator("sequence")
+class PointSequence(Command):
+    """Points one after the other: the next one as soon as the robot is near, from the first one at every reset."""
+
+    def __init__(
+        self,
+        values: Values,
+        env: EnvManager,
+        *,
+        points: tuple[Vec3, ...],
+        radius: float,
+        loop: bool = False,
+    ) -> None:
+        """Take the points.
+
+        Args:
+            values: Of the task.
+            env: The simulation.
+            points: In order [m].
+            radius: Distance that counts as there [m], > 0.
+            loop: Whether the first one follows the last one; otherwise that one stays, and ``sequence_done`` is true in every
+                step in which the robot is there.
+        """
+        super().__init__(values, env)
+        _check_points("sequence", points)
+        if not radius > 0.0:
+            raise ConfigError(f"command sequence: radius = {radius!r}: must be > 0")
+        self._points, self._radius, self._loop = points, radius, loop
+        self._target()
+        values.declare("target_index", dtype=torch.int32, meaning="which point or gate is next, from 0 on")
+        values.declare("target_reached", dtype=torch.bool, meaning="the robot came to its point in this step")
+        values.declare("sequence_done", dtype=torch.bool, meaning="it came to the last one in this step")
+        self.reads = (TARGET, "robot_position", "target_index", "target_reached")
+
+    def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return whether the robot is there, and whether that was the last point."""
+        reached = (values[TARGET] - values["robot_position"]).norm(dim=-1) < self._radius
+        last = (values["target_index"] == len(self._points) - 1) & (not self._loop)
+        return {"target_reached": reached, "sequence_done": reached & last}
+
+    def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return the point of the next step."""
+        index = next_index(values, values["target_reached"], len(self._points), loop=self._loop)
+        return {"target_index": index, TARGET: chosen(index, self._points)}
+
+
+def next_index(values: Mapping[str, Tensor], passed: Tensor, count: int, *, loop: bool) -> Tensor:
+    """Return the index of the next one of ``count``, int32, (E,): the first where an episode begins, one more where passed."""
+    index = values["target_index"] + passed.int()
+    index = torch.where(index >= count, 0 if loop else count - 1, index)
+    return torch.where(values["begun"], 0, index).int()
+
+
+def chosen(index: Tensor, rows: Sequence[Sequence[float]]) -> Tensor:
+    """Return the row with each index, (E, width): written out, so that it is part of a kernel."""
+    found = [torch.full_like(index, 0, dtype=torch.float32) + value for value in rows[0]]
+    for i, row in enumerate(rows[1:], start=1):
+        found = [torch.where(index == i, value, old) for value, old in zip(row, found, strict=True)]
+    return torch.stack(found, dim=-1)
+
+
+def _check_points(name: str, points: Sequence[Vec3]) -> None:
+    if not points or not all(abs(x) < float("inf") for point in points for x in point):
+        raise ConfigError(f"command {name}: {points!r}: needs at least one point of finite coordinates")

@@ -1,1 +1,0 @@
-"""What a task draws, in kernels: goals and the noise of observations."""

@@ -1,0 +1,69 @@
+"""Noise of what a policy observes.
+
+Letters: E environments, N entries of an observation that have noise.
+"""
+
+from collections.abc import Mapping
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
+from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
+from aerial_gym.math.random import Purpose, Randomness
+
+
+@wp.kernel(enable_backward=False)
+def _draw_noise(
+    # params
+    random: RandomArrays,
+    purpose: int,
+    step: wp.array[wp.int32],  # (E,) of the episode
+    std: wp.array[float],  # (N,)
+    entry: wp.array[wp.int32],  # (N,) which of the observation each is
+    # out
+    noise_out: wp.array2d[float],  # (E, N)
+):
+    """Write normal draws of every environment at its present step."""
+    env, i = wp.tid()
+    state = substream(substream(stream_of(random, env, purpose), step[env]), entry[i])
+    noise_out[env, i] = std[i] * wp.randn(state)
+
+
+class ObservationNoise:
+    """Draws normal noise for the entries of observations that have any, with all views made at construction."""
+
+    def __init__(self, std: Mapping[int, float], step: Tensor, random: Randomness) -> None:
+        """Take what the draws depend on.
+
+        Args:
+            std: Standard deviation of each entry that has noise, by its number.
+            step: Step of the episode, int32, (E,); read at every draw.
+            random: Of the draws.
+        """
+        start_warp()
+        device = step.device
+        self.noise = torch.zeros(random.num_envs, len(std), device=device)
+        """What was drawn last, (E, N), in the order of the entries given."""
+        stds = torch.tensor(list(std.values()), device=device, dtype=torch.float32)
+        entries = torch.tensor(list(std), device=device, dtype=torch.int32)
+        self._kept_alive = (stds, entries, step, random)
+        given = [random_arrays(random), int(Purpose.OBSERVATION)]
+        given += [wp.from_torch(tensor) for tensor in (step, stds, entries)] if std else []
+        self._command = None
+        if std:
+            self._command = RecordedLaunch(
+                _draw_noise,
+                dim=tuple(self.noise.shape),
+                inputs=given,
+                outputs=[wp.from_torch(self.noise)],
+                device=wp.device_from_torch(device),
+            )
+
+    def draw(self, *, final: bool = False) -> None:
+        """Draw the noise of the present step of the present episodes; the last observation of one has noise of its own."""
+        if self._command is not None:
+            self._command.set_param_at_index(1, int(Purpose.FINAL_OBSERVATION if final else Purpose.OBSERVATION))
+            with on_torch_stream(self.noise):
+                self._command.launch()

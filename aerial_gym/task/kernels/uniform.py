@@ -1,0 +1,84 @@
+"""Numbers drawn at reset for a whole episode: delays, phases.
+
+Letters: E environments, N numbers.
+"""
+
+from collections.abc import Sequence
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
+from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
+from aerial_gym.math.random import Purpose, Randomness, take_mask
+
+
+@wp.kernel(enable_backward=False)
+def _draw_uniform(
+    mask: wp.array[wp.bool],  # (E,)
+    # params
+    random: RandomArrays,
+    purpose: int,
+    low: wp.array[float],  # (N,)
+    high: wp.array[float],  # (N,)
+    whole: int,  # 1: whole numbers from low to high, both included
+    # out
+    drawn_out: wp.array2d[float],  # (E, N)
+):
+    """Write uniform draws where the mask says so; leave every other row alone."""
+    env, i = wp.tid()
+    if not mask[env]:
+        return
+    share = wp.randf(substream(stream_of(random, env, purpose), i))
+    value = low[i] + share * (high[i] - low[i])
+    if whole == 1:
+        value = wp.min(wp.floor(low[i] + share * (high[i] - low[i] + 1.0)), high[i])
+    drawn_out[env, i] = value
+
+
+class UniformDraws:
+    """Draws numbers of masked environments, with all views made at construction."""
+
+    def __init__(
+        self,
+        drawn: Tensor,
+        ranges: Sequence[tuple[float, float]],
+        *,
+        purpose: Purpose,
+        random: Randomness,
+        whole: bool = False,
+    ) -> None:
+        """Take what is written and what it depends on.
+
+        Args:
+            drawn: Written where a mask says so, (E, N).
+            ranges: Lowest and highest of each of the N numbers.
+            purpose: Of the draws.
+            random: Of the draws.
+            whole: Whether they are whole numbers, the highest included.
+        """
+        start_warp()
+        self._mask = random.mask
+        low, high = (torch.tensor([each[i] for each in ranges], device=drawn.device).float() for i in (0, 1))
+        self._kept_alive = (drawn, low, high, random)
+        self._command = RecordedLaunch(
+            _draw_uniform,
+            dim=tuple(drawn.shape),
+            inputs=[
+                wp.from_torch(self._mask),
+                random_arrays(random),
+                int(purpose),
+                wp.from_torch(low),
+                wp.from_torch(high),
+                int(whole),
+            ],
+            outputs=[wp.from_torch(drawn)],
+            device=wp.device_from_torch(drawn.device),
+        )
+
+    def draw(self, mask: Tensor) -> None:
+        """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
+        take_mask(self._mask, mask)
+        with on_torch_stream(self._mask):
+            self._command.launch()

@@ -1,0 +1,115 @@
+"""From the configuration of a task to its terms: names are looked up, numbers and the controller are checked."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from aerial_gym.config.task import TaskCfg
+from aerial_gym.config.task_terms import ObservationCfg, RewardCfg, TerminationCfg
+from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.task.step.shapes import check_number, check_truth, width_of
+from aerial_gym.task.terms.actions import ACTIONS, Action
+from aerial_gym.task.terms.observations import OBSERVATIONS, whole
+from aerial_gym.task.terms.rewards import REWARDS
+from aerial_gym.task.terms.term import ACTION, BoundTerm, Term, TermRegistry, bind, checked
+from aerial_gym.task.terms.terminations import TERMINATIONS
+from aerial_gym.task.values import Values
+
+Observed = list[tuple[BoundTerm, ObservationCfg, int]]
+"""Terms of a group with their widths."""
+
+
+def resolve_action(cfg: TaskCfg, command: tuple[str, ...]) -> tuple[Action, dict[str, Any]]:
+    """Return the transform of the actions and its numbers.
+
+    Raises:
+        UnknownNameError: If there is no such transform.
+        ConfigError: If its numbers do not fit, or it gives what the controller does not take.
+    """
+    name = cfg.action.transform
+    action = ACTIONS.get(name)
+    _check_command(f"action {name}: gives", action.command, cfg, command)
+    return action, checked(action.value, cfg.action.params, f"action {name}")
+
+
+def resolve_groups(cfg: TaskCfg, values: Values, *, num_commands: int) -> dict[str, Observed]:
+    """Return the observation terms of each group with the entries that each returns.
+
+    Raises:
+        UnknownNameError: If there is no such term, key or buffer, or a term reads what is not there.
+        ConfigError: If numbers or shapes do not fit.
+    """
+    rows = values.gtd["sim_steps"].shape[0]
+    found: dict[str, Observed] = {}
+    for group, entries in cfg.observations.items():
+        found[group] = []
+        for number, entry in enumerate(entries):
+            term = _observation(entry.term, values)
+            label = f"observation term {entry.term!r}" + ("" if number == _first(entries, entry) else f" ({number})")
+            bound = bind(term, entry.params, label if group == "policy" else f"{label} of {group!r}")
+            values.read_by(bound)
+            said = num_commands if term.width == ACTION else term.width
+            found[group].append((bound, entry, width_of(bound, values, rows=rows, width=said)))
+    return found
+
+
+def _first(entries: tuple[ObservationCfg, ...], entry: ObservationCfg) -> int:
+    return next(i for i, other in enumerate(entries) if other.term == entry.term)
+
+
+def _observation(name: str, values: Values) -> Term:
+    if name in OBSERVATIONS:
+        return OBSERVATIONS.get(name)
+    try:
+        values.find(name, "observation term")
+    except UnknownNameError:
+        OBSERVATIONS.get(name)  # says which there are
+        raise
+    return whole(name)
+
+
+def resolve_rewards(cfg: TaskCfg, values: Values, command: tuple[str, ...]) -> dict[str, tuple[BoundTerm, RewardCfg]]:
+    """Return the reward terms by name.
+
+    Raises:
+        UnknownNameError: If there is no such term, or it reads what is not there.
+        ConfigError: If numbers, shapes or the controller do not fit.
+    """
+    found = {}
+    for name, entry in cfg.rewards.items():
+        bound = _bound(REWARDS, entry.term, entry.params, f"reward {name!r}", cfg, values, command)
+        check_number(bound, values, rows=values.gtd["sim_steps"].shape[0])
+        found[name] = (bound, entry)
+    return found
+
+
+def resolve_terminations(
+    cfg: TaskCfg, values: Values, command: tuple[str, ...]
+) -> dict[str, tuple[BoundTerm, TerminationCfg]]:
+    """Return the terminations by name; raises what ``resolve_rewards`` raises."""
+    found = {}
+    for name, entry in cfg.terminations.items():
+        bound = _bound(TERMINATIONS, entry.term, entry.params, f"termination {name!r}", cfg, values, command)
+        check_truth(bound, values, rows=values.gtd["sim_steps"].shape[0])
+        found[name] = (bound, entry)
+    return found
+
+
+def _bound(
+    registry: TermRegistry,
+    term: str,
+    params: Mapping[str, object],
+    label: str,
+    cfg: TaskCfg,
+    values: Values,
+    command: tuple[str, ...],
+) -> BoundTerm:
+    entry = registry.get(term)
+    _check_command(f"{label}: term {term} is about", entry.command, cfg, command)
+    bound = bind(entry, params, f"{label} ({term})")
+    values.read_by(bound)
+    return bound
+
+
+def _check_command(what: str, needed: tuple[str, ...] | None, cfg: TaskCfg, command: tuple[str, ...]) -> None:
+    if needed is not None and needed != command:
+        raise ConfigError(f"{what} {', '.join(needed)}; controller {cfg.controller} takes {', '.join(command)}")

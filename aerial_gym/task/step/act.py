@@ -1,0 +1,99 @@
+"""What becomes of an action on its way to the controller: transform, delay, first-order filter, one kernel.
+
+The filter is the exact low pass of a command that is held over a step, ``y += (1 - exp(-dt / tau)) (u - y)``.
+Letters: E environments, V entries of an action, U of a command.
+"""
+
+from collections.abc import Mapping
+from math import exp
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.task_terms import ActionCfg, steps_range
+from aerial_gym.math.random import Purpose, Randomness
+from aerial_gym.task.kernels.uniform import UniformDraws
+from aerial_gym.task.step.by_row import NamedRows
+from aerial_gym.task.step.lines import Line
+from aerial_gym.task.terms.actions import Action, direct
+from aerial_gym.task.values import Values
+
+LINE, DELAY, FILTERED, POLICY_ACTION = "command_line", "action_delay", "filtered_command", "policy_action"
+"""Buffers."""
+
+
+class Actor:
+    """From the actions of a policy to commands; the actions themselves where nothing is between."""
+
+    def __init__(
+        self,
+        cfg: ActionCfg,
+        action: Action,
+        params: Mapping[str, Any],
+        values: Values,
+        *,
+        num_actions: int,
+        num_commands: int,
+        dt: float,
+        random: Randomness,
+    ) -> None:
+        """Take what is between, and declare what it remembers; make it last, when everyone has said what they read.
+
+        Args:
+            cfg: Delay and filter.
+            action: The transform.
+            params: Its numbers.
+            values: Of the task.
+            num_actions: V.
+            num_commands: U.
+            dt: Length of a step [s].
+            random: Of the delays.
+        """
+        self.transform, self.params = action.value, params
+        low, high = steps_range(cfg.delay_steps)
+        self._line, self._drawn = Line(longest_delay=high), low < high
+        self._gain = 1.0 - exp(-dt / cfg.filter_time_s) if cfg.filter_time_s > 0.0 else None
+        self._draws: UniformDraws | None = None
+        writes: dict[str, Tensor] = {}
+        reads = {"begun": values.find("begun", "the action")}
+        if high:
+            writes[LINE] = values.declare(LINE, (high * num_commands,), meaning="last commands, oldest first")
+        if self._drawn:
+            reads[DELAY] = values.declare(DELAY, (1,), unit="steps", meaning="how late commands are in this episode")
+            self._draws = UniformDraws(
+                reads[DELAY], [(low, high)], purpose=Purpose.ACTION_DELAY, random=random, whole=True
+            )
+        if self._gain is not None:
+            writes[FILTERED] = values.declare(FILTERED, (num_commands,), meaning="command behind the low pass")
+        if POLICY_ACTION in values.own:
+            writes[POLICY_ACTION] = values.own[POLICY_ACTION]
+        self.passes = self.transform is direct and not writes
+        """Whether an action is the command."""
+        given = torch.zeros(random.num_envs, num_actions, device=random.mask.device)
+        self.rows = NamedRows(self._command, "the action", reads=reads | {"action": given} | writes, writes=writes)
+        """The kernel."""
+
+    def draw_delay(self, mask: Tensor) -> None:
+        """Draw the delay of new episodes."""
+        if self._draws is not None:
+            self._draws.draw(mask)
+
+    def __call__(self, actions: Tensor) -> Tensor:
+        """Return the commands (E, U) of actions (E, V), and move line and filter on."""
+        return actions if self.passes else self.rows(action=actions)["command"]
+
+    def _command(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        action, begun, found = values["action"], values["begun"], {}
+        command = self.transform(action, **self.params)
+        if self._line.length:
+            frames = self._line.frames(values[LINE], command, begun)
+            found[LINE] = self._line.kept(frames)
+            command = self._line.shown(frames, values[DELAY][:, 0] if self._drawn else None)
+        if self._gain is not None:
+            before = torch.where(begun.unsqueeze(-1), command, values[FILTERED])
+            command = before + self._gain * (command - before)
+            found[FILTERED] = command
+        if POLICY_ACTION in values:
+            found[POLICY_ACTION] = action
+        return found | {"command": command}

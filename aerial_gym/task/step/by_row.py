@@ -1,0 +1,126 @@
+"""What a task computes row by row, as few launches: torch functions traced into Warp kernels, and what cannot be traced apart.
+
+Letters: E environments.
+"""
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from typing import Generic, TypeVar, cast
+
+from torch import Tensor
+
+from aerial_gym.interop.rows import RowFunction, UntraceableError, trace
+from aerial_gym.interop.rows.tracing import LARGEST_ROW
+from aerial_gym.math.rows import on_whole_vectors
+from aerial_gym.task.terms.term import BoundTerm
+
+_log = logging.getLogger(__name__)
+Result = TypeVar("Result", Tensor, tuple[Tensor, ...])
+
+
+class ByRow(Generic[Result]):
+    """A pure function of tensors of rows as one kernel, traced at its first call; as torch operations where that fails."""
+
+    def __init__(self, function: Callable[..., Result], what: str) -> None:
+        """Take the function and what a warning calls it."""
+        self._function, self._what = function, what
+        self._rows: RowFunction | None = None
+        self._single = True
+        self.reason: str | None = None
+        """Why it runs as torch operations, or None."""
+
+    def __call__(self, *tensors: Tensor, out: Sequence[Tensor] = ()) -> Result:
+        """Return what the function returns; ``out`` receives the first results, also where they are inputs."""
+        if self._rows is None and self.reason is None:
+            self._trace(tensors)
+        if self._rows is None:
+            whole = on_whole_vectors(self._function, tensors[0].shape[0], tensors[0].device)(*tensors)
+            for target, result in zip(out, (whole,) if isinstance(whole, Tensor) else whole, strict=False):
+                target.copy_(result)
+            return whole
+        results = self._rows(*tensors, out=out)
+        return cast("Result", results[0] if self._single else results)
+
+    def _trace(self, tensors: Sequence[Tensor]) -> None:
+        def noting(*inputs: Tensor) -> Result:
+            result = self._function(*inputs)
+            self._single = isinstance(result, Tensor)
+            return result
+
+        try:
+            self._rows = RowFunction(noting, tensors)
+        except UntraceableError as error:
+            self.reason = str(error)
+            _log.warning("%s runs as many small torch operations: %s", self._what, error)
+
+
+class NamedRows:
+    """A pure function of named tensors, and named tensors it gives: one kernel, some results of which are written in place."""
+
+    def __init__(
+        self,
+        function: Callable[[Mapping[str, Tensor]], dict[str, Tensor]],
+        what: str,
+        *,
+        reads: Mapping[str, Tensor],
+        writes: Mapping[str, Tensor],
+        terms: Sequence[BoundTerm] = (),
+    ) -> None:
+        """Take the function and fixed tensors.
+
+        Args:
+            function: Pure; gives at least every name of ``writes``.
+            what: What a warning calls it.
+            reads: What it is given, by name; the first is (E, ...).
+            writes: Tensors that receive results, by name; they may be read as well.
+            terms: What the function calls. One that cannot be part of a kernel runs before it, as torch operations of its own.
+        """
+        self.what, self._function, self._reads, self._writes = what, function, dict(reads), tuple(writes)
+        self.apart = tuple(term for term in terms if not self._traces(term))
+        """The terms that run before the kernel."""
+        self._names = (*self._reads, *(term.label for term in self.apart))
+        self._results: tuple[str, ...] = ()
+        self._rows = ByRow(self._of, what)
+        self._out = tuple(writes.values())
+
+    @property
+    def reason(self) -> str | None:
+        """Why it runs as torch operations, or None."""
+        return self._rows.reason
+
+    def __call__(self, **changing: Tensor) -> dict[str, Tensor]:
+        """Return all results by name; ``changing`` stands in the place of what was given under these names."""
+        values = {**self._reads, **changing}
+        values |= {term.label: self._beside(term, values) for term in self.apart}
+        results = self._rows(*(values[name] for name in self._names), out=self._out)
+        return dict(zip(self._results, results, strict=True))
+
+    def plainly(self, **changing: Tensor) -> dict[str, Tensor]:
+        """Return all results as torch computes them; nothing is written."""
+        values = {**self._reads, **changing}
+        return self._function(values | {term.label: self._beside(term, values) for term in self.apart})
+
+    def _of(self, *tensors: Tensor) -> tuple[Tensor, ...]:
+        results = self._function(dict(zip(self._names, tensors, strict=True)))
+        self._results = (*self._writes, *(name for name in results if name not in self._writes))
+        return tuple(results[name].clone() for name in self._results)  # none is an input that is written
+
+    def _traces(self, term: BoundTerm) -> bool:
+        names, tensors = term.reads, [self._reads[name] for name in term.reads]
+        try:
+            trace(lambda *given: term.of(dict(zip(names, given, strict=True))), tensors)
+        except UntraceableError as error:
+            if all(
+                tensor[:1].numel() <= LARGEST_ROW for tensor in tensors if tensor.ndim
+            ):  # nobody expects it of an image
+                _log.warning("%s runs as torch operations of its own: %s", term.label, error)
+            return False
+        return True
+
+    def _beside(self, term: BoundTerm, values: Mapping[str, Tensor]) -> Tensor:
+        tensors = [values[name] for name in term.reads]
+        first = next(iter(self._reads.values()))
+        whole = on_whole_vectors(
+            lambda *given: term.of(dict(zip(term.reads, given, strict=True))), first.shape[0], first.device
+        )
+        return whole(*tensors)

@@ -1,0 +1,89 @@
+"""Raw images among the observations: distances, ids or colours as shares of the largest, in 8, 16 or 32 bits, some frames.
+
+Letters: E environments, S sensors, H x W pixels, P numbers of an image (S H W, and K for each of these with colours).
+"""
+
+from collections.abc import Mapping
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.task_terms import ImageCfg
+from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
+from aerial_gym.sensors import SensorManager
+from aerial_gym.task.kernels.frames import make_take
+from aerial_gym.task.values import Values
+
+TYPES = {
+    "uint8": (torch.uint8, wp.uint8),
+    "float16": (torch.float16, wp.float16),
+    "float32": (torch.float32, wp.float32),
+}
+"""Of torch and of Warp, by the name in a configuration."""
+
+
+class Images:
+    """The images that a task gives, by name, (E, history S, H, W) or with the components of a pixel behind."""
+
+    def __init__(self, cfgs: Mapping[str, ImageCfg], values: Values, sensors: SensorManager) -> None:
+        """Declare the images and make their launches.
+
+        Raises:
+            UnknownNameError: If the robot has no such image.
+        """
+        self.frames: dict[str, Tensor] = {}
+        """What is observed, by name; overwritten by every step."""
+        self._launches: list[RecordedLaunch] = []
+        begun = values.find("begun", "images")
+        self._kept_alive: list[Tensor] = [begun]
+        start_warp() if cfgs else None
+        for name, cfg in cfgs.items():
+            image = values.find(cfg.key, f"image {name!r}")
+            kind, warp_kind = TYPES[cfg.dtype]
+            envs, sensors_count, *pixels = image.shape
+            frames = values.declare(
+                f"image_{name}",
+                (cfg.history * sensors_count, *pixels),
+                dtype=kind,
+                meaning=f"image {name!r} of the task",
+            )
+            largest, empty = scale_of(image, cfg, sensors)
+            source = wp.int32 if image.dtype == torch.int32 else wp.float32
+            device = wp.device_from_torch(image.device)
+            flat, target = image.reshape(envs, -1), frames.view(envs, cfg.history, -1)
+            self._launches.append(RecordedLaunch(
+                make_take(source, warp_kind, cfg.history), dim=tuple(flat.shape),
+                inputs=[
+                    wp.from_torch(flat), wp.from_torch(begun), largest, 255.0 if cfg.dtype == "uint8" else 1.0, empty
+                ],
+                outputs=[wp.from_torch(target)], device=device,
+            ))  # fmt: skip
+            self._kept_alive += [image, frames]
+            self.frames[name] = frames
+
+    def take(self) -> None:
+        """Write the present images; launched on torch's current stream, not waited for."""
+        for launch in self._launches:
+            with on_torch_stream(self._kept_alive[0]):
+                launch.launch()
+
+
+def scale_of(image: Tensor, cfg: ImageCfg, sensors: SensorManager) -> tuple[float, float]:
+    """Return what counts as 1 in the unit of an image, and the share of a pixel that has nothing (is negative)."""
+    if "depth" in cfg.key or "disparity" in cfg.key:
+        own = [name for name in sensors.casters if cfg.key.startswith(f"{name}_")]
+        largest, empty = distance_scale(sensors, own[0] if own else next(iter(sensors.casters)))
+    else:
+        largest, empty = (255.0 if image.dtype == torch.int32 else 1.0), 0.0
+    return (largest if cfg.largest is None else cfg.largest), empty
+
+
+def distance_scale(sensors: SensorManager, name: str) -> tuple[float, float]:
+    """Return the largest distance of a range sensor in the unit of its image, and the share that stands for no distance.
+
+    Where a sensor marks "too far" by a distance of its own, a pixel without a distance is near (0); where it marks far and
+    near alike, nothing is known, and far (1) is by much the more frequent.
+    """
+    cfg = sensors.casters[name].cfg
+    return (1.0 if cfg.normalize else cfg.max_range), (0.0 if cfg.far_pixel >= 0.0 else 1.0)

@@ -1,0 +1,261 @@
+"""The judgement of a step: rewards, ends, and the observation before a reset, one kernel.
+
+Letters: E environments, T terms of the reward, K terminations.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.task import TaskCfg
+from aerial_gym.config.task_terms import RewardCfg, TerminationCfg
+from aerial_gym.math.random import Randomness
+from aerial_gym.robots.finite import NonFinite
+from aerial_gym.task.commands.command import TARGET, Command
+from aerial_gym.task.step.by_row import NamedRows
+from aerial_gym.task.step.observe import Observer
+from aerial_gym.task.terms.term import BoundTerm
+from aerial_gym.task.values import Values
+
+FINAL = "final_"
+"""In front of the name of a group: its observation before the reset."""
+
+TIME_OUT = "time_out"
+"""Name under which an end by the length of the episode is counted."""
+
+SUMS, TALLIES, ARRIVED = "episode_sums", "ended_tallies", "arrived"
+"""Buffers: what it keeps from step to step."""
+
+FLAGS = ("terminated", "truncated", "crash", "success", "timeout", "bad")
+"""Truth values of a step, side by side: every tensor that a kernel takes or gives costs the host some microseconds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ends:
+    """What a step ends by, each bool (E,)."""
+
+    crash: Tensor
+    success: Tensor
+    """Of those that end: whether the episode is one."""
+
+    terminated: Tensor
+    truncated: Tensor
+    arrived: Tensor
+    """Whether a success that counts was there in this episode."""
+
+    causes: list[Tensor]
+    """Which terminations ended it; the last one is the length of the episode."""
+
+
+class Judge:
+    """Finds what a step was worth and which episodes end."""
+
+    def __init__(
+        self,
+        cfg: TaskCfg,
+        rewards: Mapping[str, tuple[BoundTerm, RewardCfg]],
+        terminations: Mapping[str, tuple[BoundTerm, TerminationCfg]],
+        values: Values,
+        *,
+        command: Command,
+        observer: Observer,
+        random: Randomness,
+    ) -> None:
+        """Take the terms and what they read.
+
+        Args:
+            cfg: Length of an episode, what ends are worth.
+            rewards: Terms by name.
+            terminations: Likewise.
+            values: What they read; receives what is kept from step to step.
+            command: Moves the target before all else.
+            observer: Of the observation before a reset.
+            random: Receives which episodes end, and the number of the next one.
+        """
+        self._cfg, self._rewards, self._terminations = cfg, dict(rewards), dict(terminations)
+        self._command, self._observer = command, observer
+        ends = {"crash": cfg.crash_reward, "success": cfg.success_reward}
+        self.reward_names = (*rewards, *(name for name, end in ends.items() if end is not None))
+        """Columns of ``reward_terms``: the rewards in order, then what ends are worth."""
+        self.end_names = (*terminations, TIME_OUT)
+        """By what episodes end."""
+        self._has_difficulty = any(each.difficulty_weight for _, each in rewards.values())
+        count, kinds = len(self.reward_names), len(self.end_names)
+        values.declare(SUMS, (1 + count,), meaning="return of the present episode, and the same term by term")
+        meaning = (
+            "over the episodes that ended: sum of the return term by term, how many they were, and by what they ended"
+        )
+        self._tallies = values.declare(TALLIES, (count + 1 + kinds,), meaning=meaning)
+        if any(each.when == "counts" for _, each in terminations.values()):
+            values.declare(ARRIVED, dtype=torch.bool, meaning="a success that counts was there in this episode")
+        terms = [term for term, _ in (*rewards.values(), *terminations.values())]
+        kept = tuple(name for name in (SUMS, TALLIES, ARRIVED) if name in values.own)
+        names = ("sim_steps", "non_finite", "episodes", "crashes", *kept)
+        names += (*command.reads, *(("difficulty",) if self._has_difficulty else ()))
+        names += (TARGET, "robot_position") if TARGET in values.own else ()
+        reads = {name: values.find(name, "the task") for name in names} | values.read_by(*terms) | observer.reads
+        moved = {name: values[name] for name in command.at(values)}
+        gtd, own = values.gtd, values.own
+        writes = {
+            "non_finite": gtd["non_finite"],
+            "crashes": gtd["crashes"],
+            "truncations": gtd["truncations"],
+            "ended": random.mask,
+            "episodes": random.episode,
+            **{name: own[name] for name in kept},
+            **moved,
+        }
+        self.rows = NamedRows(
+            self._judgement,
+            "the judgement of a step",
+            reads=reads,
+            writes=writes,
+            terms=[*terms, *observer.terms],
+        )
+        """The kernel."""
+
+    def __call__(self) -> dict[str, Tensor]:
+        """Judge every environment; return the results by name, (E, ...); launched, not waited for."""
+        found = self.rows()
+        found |= zip(FLAGS, found["flags"].unbind(-1), strict=True)
+        return found | {"total": found["sums"][:, 0], "reward_terms": found["sums"][:, 1:]}
+
+    def means(self) -> dict[str, float]:
+        """Return ``Task.episode_means``."""
+        tallies = self._tallies.double().sum(dim=0).tolist()
+        terms, (episodes, *ended) = tallies[: len(self.reward_names)], tallies[len(self.reward_names) :]
+        self._tallies.zero_()
+        found = {"episodes": episodes}
+        if episodes:
+            found |= {f"reward/{name}": term / episodes for name, term in zip(self.reward_names, terms, strict=True)}
+            found |= {f"ended/{name}": number / episodes for name, number in zip(self.end_names, ended, strict=True)}
+        return found
+
+    def _judgement(self, given: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        moved = self._command.at(given)
+        values = {**given, **moved}
+        finite, observed, _ = self._observer.found(values, None)
+        ends = self._ends(values)
+        terms, reward = self._reward(values, ends)
+        bits = (
+            values["non_finite"]
+            + NonFinite.REWARD.value * (~reward.isfinite()).int()
+            + NonFinite.OBSERVATION.value * (~finite).int()
+        )
+        bad = bits != 0
+        ends = self._with_bad(ends, bad)
+        terms, reward = self._of_bad(terms, reward, bad)
+        ended = ends.terminated | ends.truncated
+        sums = values[SUMS] + torch.cat([reward.unsqueeze(-1), terms], dim=-1)
+        counts = torch.stack([ended, *(cause & ended for cause in ends.causes)], dim=-1).to(sums.dtype)
+        tallies = torch.cat([torch.where(ended.unsqueeze(-1), sums[:, 1:], 0.0), counts], dim=-1)
+        timeout = ended & ~ends.crash & ~ends.success
+        found = {
+            "non_finite": bits,
+            "crashes": ends.crash,
+            "truncations": ended & ~ends.crash,
+            "ended": ended,
+            "episodes": values["episodes"] + ended,
+            SUMS: torch.where(ended.unsqueeze(-1), 0.0, sums),
+            TALLIES: values[TALLIES] + tallies,
+            **moved,
+            **{f"{FINAL}{group}": value for group, value in observed.items()},
+            "reward": reward,
+            "sums": sums,
+            "length": values["sim_steps"],
+            "flags": torch.stack([ends.terminated, ends.truncated, ends.crash, ends.success, timeout, bad], dim=-1),
+        }
+        if ARRIVED in values:
+            found[ARRIVED] = ends.arrived & ~ended
+        if TARGET in values:
+            distance = (values[TARGET] - values["robot_position"]).norm(dim=-1)
+            found["distance"] = distance.nan_to_num(nan=torch.finfo(distance.dtype).max)
+        return found
+
+    def _ends(self, values: Mapping[str, Tensor]) -> Ends:
+        no = torch.zeros_like(values["crashes"])
+        flags = {name: term.of(values) for name, (term, _) in self._terminations.items()}
+        entries = {name: cfg for name, (_, cfg) in self._terminations.items()}
+
+        def any_of(kind: str | None, when: str, *, bootstraps: bool | None = None) -> Tensor:
+            found = no
+            for name, cfg in entries.items():
+                same = cfg.when == when and kind in (None, cfg.kind)
+                if same and bootstraps in (None, cfg.bootstraps):
+                    found = found | flags[name]
+            return found
+
+        time_up = values["sim_steps"] >= self._cfg.episode_len_steps
+        crash, arrived = any_of("crash", "now"), any_of("success", "counts") | values.get(ARRIVED, no)
+        now = any_of(None, "now")
+        ended = now | time_up
+        terminated = any_of(None, "now", bootstraps=False)
+        if not self._cfg.time_out_bootstraps:
+            terminated = terminated | time_up
+        at_end = any_of("success", "at_end") & (time_up | any_of("time_out", "now"))
+        success = (any_of("success", "now") | (ended & arrived) | at_end) & ~crash
+        causes = [flags[name] if cfg.when == "now" else flags[name] & success for name, cfg in entries.items()]
+        return Ends(
+            crash=crash,
+            success=success,
+            terminated=terminated,
+            truncated=ended & ~terminated,
+            arrived=arrived,
+            causes=[*causes, time_up & ~now],
+        )
+
+    @staticmethod
+    def _with_bad(ends: Ends, bad: Tensor) -> Ends:
+        """Return the ends with those of rows in which something was not finite: crashes."""
+        return Ends(
+            crash=ends.crash | bad,
+            success=ends.success & ~bad,
+            terminated=ends.terminated | bad,
+            truncated=ends.truncated & ~bad,
+            arrived=ends.arrived,
+            causes=ends.causes,
+        )
+
+    def _reward(self, values: Mapping[str, Tensor], ends: Ends) -> tuple[Tensor, Tensor]:
+        """Return the terms, (E, T), and their sum, (E,)."""
+        plain = {name: term.of(values) for name, (term, _) in self._rewards.items()}
+        no_reward = torch.zeros_like(ends.crash, dtype=next(iter(plain.values())).dtype)
+        weighed: dict[str, Tensor] = {}
+        for name, (_, cfg) in self._rewards.items():
+            if not cfg.times:
+                weighed[name] = self._weighed(plain[name], cfg, values)
+        for name, (_, cfg) in self._rewards.items():
+            if cfg.times:
+                factor = weighed[cfg.times[0]]
+                for other in cfg.times[1:]:
+                    factor = factor + weighed[other]
+                weighed[name] = factor * self._weighed(plain[name], cfg, values)
+        found = {name: weighed[name] for name in self._rewards}
+        for name, when, end in (
+            ("success", ends.success, self._cfg.success_reward),
+            ("crash", ends.crash, self._cfg.crash_reward),
+        ):
+            if end is None:
+                continue
+            if end.how == "replace":
+                found = {each: torch.where(when, 0.0, value) for each, value in found.items()}
+            found[name] = torch.where(when, end.value, no_reward)
+        columns = [found[name] for name in self.reward_names]
+        total = columns[0]
+        for column in columns[1:]:
+            total = total + column
+        return torch.stack(columns, dim=-1), total
+
+    @staticmethod
+    def _weighed(value: Tensor, cfg: RewardCfg, values: Mapping[str, Tensor]) -> Tensor:
+        if cfg.difficulty_weight:
+            return (cfg.weight + cfg.difficulty_weight * values["difficulty"]) * value
+        return value if cfg.weight == 1.0 else cfg.weight * value
+
+    def _of_bad(self, terms: Tensor, reward: Tensor, bad: Tensor) -> tuple[Tensor, Tensor]:
+        """Return terms and reward where rows that are not finite have that of a crash alone."""
+        worth = 0.0 if self._cfg.crash_reward is None else self._cfg.crash_reward.value
+        alone = torch.stack([torch.full_like(reward, worth * (name == "crash")) for name in self.reward_names], dim=-1)
+        return torch.where(bad.unsqueeze(-1), alone, terms), torch.where(bad, worth, reward)

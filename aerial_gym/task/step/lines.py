@@ -1,0 +1,59 @@
+"""Lines of the last values of a row: delay and history as pure functions, to be part of a kernel.
+
+A line of m values of width w stands in a buffer (E, m w), oldest first. Letters: E environments.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """How much of the past a value needs, and which of it is shown."""
+
+    longest_delay: int
+    """Largest delay [steps]."""
+
+    history: int = 1
+    """Values shown side by side, oldest first."""
+
+    @property
+    def length(self) -> int:
+        """Past values that must be kept, m."""
+        return self.longest_delay + self.history - 1
+
+    def frames(self, past: Tensor, value: Tensor, begun: Tensor | None) -> list[Tensor]:
+        """Return the values of this step and the m before, oldest first, each (E, w).
+
+        Args:
+            past: The line, (E, m w).
+            value: Of this step, (E, w).
+            begun: Whether an episode has just begun: then all of them are this one, bool (E,); None where none has.
+        """
+        kept = list(past.split(value.shape[1], dim=-1)) if self.length else []
+        if begun is not None:
+            kept = [torch.where(begun.unsqueeze(-1), value, old) for old in kept]
+        return [*kept, value]
+
+    def shown(self, frames: list[Tensor], delay: Tensor | None) -> Tensor:
+        """Return what is shown of the frames, (E, history w).
+
+        Args:
+            frames: Of ``frames``.
+            delay: Of each row [steps], (E,); None: the largest one in all.
+        """
+        last = len(frames) - 1
+        found = []
+        for k in reversed(range(self.history)):
+            late = frames[last - self.longest_delay - k]
+            if delay is not None:
+                for steps in range(self.longest_delay):
+                    late = torch.where((delay == float(steps)).unsqueeze(-1), frames[last - steps - k], late)
+            found.append(late)
+        return torch.cat(found, dim=-1) if len(found) > 1 else found[0]
+
+    def kept(self, frames: list[Tensor]) -> Tensor:
+        """Return the line as the next step finds it, (E, m w)."""
+        return torch.cat(frames[1:], dim=-1)

@@ -1,0 +1,163 @@
+"""What a policy observes: terms side by side in groups, with noise, delay, history and scale.
+
+Letters: E environments, O entries of a group, N of all groups that have noise.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.task_terms import ObservationCfg, steps_range
+from aerial_gym.math.random import Purpose, Randomness
+from aerial_gym.task.kernels.noise import ObservationNoise
+from aerial_gym.task.kernels.uniform import UniformDraws
+from aerial_gym.task.step.by_row import NamedRows
+from aerial_gym.task.step.lines import Line
+from aerial_gym.task.terms.term import BoundTerm
+from aerial_gym.task.values import Values
+
+NOISE, DELAYS = "observation_noise", "observation_delay"
+"""What the kernel reads beside the terms' own tensors: draws of this step, and steps drawn at reset."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """A term of a group, its numbers, and where what belongs to it stands."""
+
+    term: BoundTerm
+    cfg: ObservationCfg
+    width: int
+    noise: int | None
+    """First of its columns among the draws of noise."""
+
+    line: Line
+    past: str
+    """Buffer of its line."""
+
+    delay: int | None
+    """Its column among the drawn delays; None where it has one delay."""
+
+    def noisy(self, values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Return whether the term is finite, bool (E,), and its value with noise, zeros where it is not, (E, width)."""
+        value = self.term.of(values)
+        finite, value = value.isfinite().all(dim=-1), value.nan_to_num(0.0, 0.0, 0.0)
+        if self.noise is not None:
+            value = value + values[NOISE][:, self.noise : self.noise + self.width]
+        return finite, value
+
+    def shown(self, values: Mapping[str, Tensor], value: Tensor, begun: Tensor | None) -> tuple[Tensor, Tensor | None]:
+        """Return the observation of a value, (E, history width), and the line as the next step finds it."""
+        kept = None
+        if self.line.length:
+            frames = self.line.frames(values[self.past], value, begun)
+            kept = self.line.kept(frames)
+            value = self.line.shown(frames, None if self.delay is None else values[DELAYS][:, self.delay])
+        return value if self.cfg.scale == 1.0 else self.cfg.scale * value, kept
+
+
+class Observer:
+    """Observations by group: those of a step in one kernel, those before a reset in that of the judge."""
+
+    def __init__(
+        self,
+        groups: Mapping[str, list[tuple[BoundTerm, ObservationCfg, int]]],
+        values: Values,
+        random: Randomness,
+    ) -> None:
+        """Take the terms of each group with their widths.
+
+        Args:
+            groups: Terms in order, by the name of the group.
+            values: What they read; receives their lines.
+            random: Of noise and delays.
+        """
+        self.groups: dict[str, list[Entry]] = {}
+        """Entries in order."""
+        noise: dict[int, float] = {}
+        ranges: list[tuple[int, int]] = []
+        column = 0
+        for group, terms in groups.items():
+            self.groups[group] = []
+            for number, (term, cfg, width) in enumerate(terms):
+                low, high = steps_range(cfg.delay_steps)
+                entry = Entry(
+                    term=term, cfg=cfg, width=width, noise=len(noise) if cfg.noise_std else None,
+                    line=Line(longest_delay=high, history=cfg.history), past=f"past_{group}_{number}",
+                    delay=len(ranges) if low < high else None,
+                )  # fmt: skip
+                if cfg.noise_std:
+                    noise |= {column + i: cfg.noise_std for i in range(width)}
+                if low < high:
+                    ranges.append((low, high))
+                if entry.line.length:
+                    meaning = f"last values of {term.label}, oldest first"
+                    values.declare(entry.past, (entry.line.length * width,), meaning=meaning)
+                self.groups[group].append(entry)
+                column += width
+        self._noise = ObservationNoise(noise, values.gtd["sim_steps"], random)
+        self._delays: UniformDraws | None = None
+        delays = values.declare(DELAYS, (len(ranges),), unit="steps", meaning="how late terms are in this episode")
+        if ranges:
+            self._delays = UniformDraws(delays, ranges, purpose=Purpose.OBSERVATION_DELAY, random=random, whole=True)
+        entries = [entry for group in self.groups.values() for entry in group]
+        self.terms = [entry.term for entry in entries]
+        """Of all groups."""
+        self.writes = {entry.past: values[entry.past] for entry in entries if entry.line.length}
+        """Lines."""
+        self.reads = {NOISE: self._noise.noise, DELAYS: delays} | self.writes | values.read_by(*self.terms)
+        """What ``found`` reads."""
+        begun = {"begun": values.find("begun", "the observation")}
+        self._rows = NamedRows(
+            self._after, "the observation", reads=begun | self.reads, writes=self.writes, terms=self.terms
+        )
+
+    @property
+    def rows(self) -> NamedRows:
+        """The kernel of a step's observation."""
+        return self._rows
+
+    def width(self, group: str) -> int:
+        """Return the entries of a group, O."""
+        return sum(entry.width * entry.cfg.history for entry in self.groups[group])
+
+    def draw_delays(self, mask: Tensor) -> None:
+        """Draw the delays of new episodes."""
+        if self._delays is not None:
+            self._delays.draw(mask)
+
+    def draw_noise(self, *, final: bool = False) -> None:
+        """Draw the noise of this step; ``final``: of what is observed before a reset."""
+        self._noise.draw(final=final)
+
+    def __call__(self) -> dict[str, Tensor]:
+        """Return the observations of this instant, (E, O) by group, and move all lines on; launched, not waited for."""
+        results = self._rows()
+        return {group: results[group] for group in self.groups}
+
+    def found(
+        self, values: Mapping[str, Tensor], begun: Tensor | None
+    ) -> tuple[Tensor, dict[str, Tensor], dict[str, Tensor]]:
+        """Return whether all terms are finite, bool (E,), the observations by group, and the lines, as a pure function.
+
+        Args:
+            values: What ``reads`` names.
+            begun: Whose episode has just begun, bool (E,); None: nobody's.
+        """
+        flags, shown, lines = [], {}, {}
+        for group, entries in self.groups.items():
+            parts = []
+            for entry in entries:
+                finite, value = entry.noisy(values)
+                part, line = entry.shown(values, value, begun)
+                flags.append(finite)
+                parts.append(part)
+                if line is not None:
+                    lines[entry.past] = line
+            shown[group] = torch.cat(parts, dim=-1)
+        return torch.stack(flags, dim=-1).all(dim=-1), shown, lines
+
+    def _after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        _, shown, lines = self.found(values, values["begun"])
+        return lines | shown

@@ -1,0 +1,32 @@
+"""What is known after a step and its resets, for the next one: the command's next target, and buffers, in one kernel.
+
+Letters: E environments.
+"""
+
+from collections.abc import Mapping
+
+from torch import Tensor
+
+from aerial_gym.task.commands.command import Command
+from aerial_gym.task.step.by_row import NamedRows
+from aerial_gym.task.values import Values
+
+
+def make_memory(command: Command, values: Values) -> NamedRows | None:
+    """Return the kernel; None where nothing is remembered. Make it last, when everyone has said what they read."""
+    updates = dict(values.updates)
+
+    def remembered(given: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        found = command.after(given)
+        for name, term in updates.items():
+            found[name] = term.of({**given, **found})
+        return found
+
+    names = (*command.after(values), *updates)
+    if not names:
+        return None
+    reads = {name: values.find(name, "the command") for name in ("sim_steps", "begun", *command.reads)}
+    reads |= values.read_by(*updates.values())
+    return NamedRows(
+        remembered, "what is remembered of a step", reads=reads, writes={name: values[name] for name in names}
+    )

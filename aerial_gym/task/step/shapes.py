@@ -1,0 +1,55 @@
+"""Whether terms return what they say. Letters: E environments."""
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.task.terms.term import BoundTerm
+
+
+@torch.no_grad()
+def width_of(term: BoundTerm, values: Mapping[str, Tensor], *, rows: int, width: int | None) -> int:
+    """Return the entries that an observation term returns for each environment, found by calling it once.
+
+    Args:
+        term: Of an observation.
+        values: Any states.
+        rows: Number of environments E.
+        width: What the term says; None if it says nothing.
+
+    Raises:
+        ConfigError: If it returns another shape or whole numbers.
+    """
+    value = term.of(values)
+    if width is None:
+        if not isinstance(value, Tensor) or value.dim() != 2 or value.shape[0] != rows:
+            _check(term.label, value, (rows, -1), "(E, W)")
+        width = value.shape[1]
+    _check(term.label, value, (rows, width), "(E, width)")
+    return width
+
+
+@torch.no_grad()
+def check_number(term: BoundTerm, values: Mapping[str, Tensor], *, rows: int) -> None:
+    """Raise ``ConfigError`` unless a term returns a number for each row: (E, 1) would be spread to (E, E) in silence."""
+    _check(term.label, term.of(values), (rows,), "(E,)")
+
+
+@torch.no_grad()
+def check_truth(term: BoundTerm, values: Mapping[str, Tensor], *, rows: int) -> None:
+    """Raise ``ConfigError`` unless a term returns a truth value for each environment."""
+    value = term.of(values)
+    if not isinstance(value, Tensor) or tuple(value.shape) != (rows,) or value.dtype != torch.bool:
+        found = f"{tuple(value.shape)} {value.dtype}" if isinstance(value, Tensor) else f"a {type(value).__name__}"
+        raise ConfigError(f"{term.label}: returns {found}, needs (E,) = {(rows,)} of torch.bool")
+
+
+def _check(what: str, value: object, expected: tuple[int, ...], letters: str) -> None:
+    if not isinstance(value, Tensor):
+        raise ConfigError(f"{what}: returns a {type(value).__name__}, needs a tensor {letters}")
+    if tuple(value.shape) != expected or not value.is_floating_point():
+        raise ConfigError(
+            f"{what}: returns {tuple(value.shape)} {value.dtype}, needs {letters} = {expected} of floating point numbers"
+        )

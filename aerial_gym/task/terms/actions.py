@@ -1,0 +1,96 @@
+"""Transforms of actions: pure functions from what a policy gives, each entry -1 to 1, to what the controller takes.
+
+Letters: E environments, U entries of an action or command.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.control.laws import LAWS
+from aerial_gym.registry import Registry
+from aerial_gym.task.terms.term import Function
+
+
+@dataclass(frozen=True, kw_only=True)
+class Action:
+    """How actions become commands."""
+
+    value: Callable[..., Tensor]
+    """Of actions (E, U) and parameters by name, to commands."""
+
+    width: int | None = None
+    """Entries of an action; None is the width of the command."""
+
+    command: tuple[str, ...] | None = None
+    """What the controller must take; None fits all."""
+
+    @property
+    def summary(self) -> str:
+        """One line about it."""
+        return (self.value.__doc__ or "").partition("\n")[0]
+
+
+class ActionRegistry(Registry[Action]):
+    """Transforms by name."""
+
+    def transform(
+        self, name: str | None = None, *, width: int | None = None, command: Sequence[str] | None = None
+    ) -> Callable[[Function], Function]:
+        """Register the function below, ``(actions, *, parameters)``, under its own name or another one.
+
+        Args:
+            name: Under which a task asks for it; that of the function if not given.
+            width: Entries of an action; those of the command if not given.
+            command: What the controller must take; None fits all.
+        """
+
+        def add(function: Function) -> Function:
+            needs = None if command is None else tuple(command)
+            self.register(name or function.__name__, Action(value=function, width=width, command=needs))
+            return function
+
+        return add
+
+
+ACTIONS = ActionRegistry("action")
+"""Transforms by the name that a task configuration uses."""
+
+
+@ACTIONS.transform()
+def direct(actions: Tensor) -> Tensor:
+    """Return the action itself, (E, U)."""
+    return actions
+
+
+@ACTIONS.transform(width=4, command=LAWS["velocity"].action)
+def forward_flight(actions: Tensor, *, max_speed: float, max_inclination: float, max_yaw_rate: float) -> Tensor:
+    """Return a velocity that never points sideways or backwards, and a yaw rate: the camera sees where the robot flies.
+
+    Args:
+        actions: Speed, inclination of the velocity, yaw rate, and an entry that is not used; clamped to -1..1, (E, 4).
+        max_speed: Largest speed [m/s].
+        max_inclination: Largest angle of the velocity to the horizon [rad].
+        max_yaw_rate: Largest yaw rate [rad/s].
+
+    Returns:
+        Velocity ``(s cos i, 0, s sin i)`` [m/s], vehicle frame, with ``s`` from 0 to the largest speed, and yaw rate
+        [rad/s], (E, 4).
+
+    Source:
+        Aerial Gym Simulator 2.0.1, navigation_task.
+    """
+    speed, inclination, yaw_rate, _ = actions.clamp(-1.0, 1.0).unbind(-1)
+    speed, inclination = 0.5 * max_speed * (speed + 1.0), max_inclination * inclination
+    forward, up = speed * torch.cos(inclination), speed * torch.sin(inclination)
+    return torch.stack((forward, torch.zeros_like(forward), up, max_yaw_rate * yaw_rate), dim=-1)
+
+
+@ACTIONS.transform()
+def affine(actions: Tensor, *, low: tuple[float, ...], high: tuple[float, ...]) -> Tensor:
+    """Return the action, clamped to -1..1 and stretched so that -1 is ``low`` and 1 is ``high``, entry by entry, (E, U)."""
+    clamped = actions.clamp(-1.0, 1.0).unbind(-1)
+    stretched = [0.5 * (b - a) * (u + 1.0) + a for u, a, b in zip(clamped, low, high, strict=True)]
+    return torch.stack(stretched, dim=-1)

@@ -1,0 +1,79 @@
+"""Task buffers: what a task remembers of the step before, declared like a key of the GTD and made where a term reads it.
+
+A buffer is a pure function like a term: after every step, and after the resets in it, it is computed for all environments, and
+terms of the next step read it. It may read itself, and ``begun``, which says whose episode has just begun.
+Letters: E environments, U entries of an action.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.registry import Registry
+from aerial_gym.task.terms.term import Function, Term
+
+
+@dataclass(frozen=True, kw_only=True)
+class Buffer:
+    """What a buffer holds, and what it is after a step."""
+
+    term: Term
+    shape: tuple[int | str, ...]
+    """Of a row."""
+
+    unit: str
+    frame: str
+
+    @property
+    def summary(self) -> str:
+        """One line about it."""
+        return self.term.summary
+
+
+class BufferRegistry(Registry[Buffer]):
+    """Buffers by name."""
+
+    def buffer(
+        self, name: str | None = None, *, shape: tuple[int | str, ...] = (), unit: str = "-", frame: str = "-"
+    ) -> Callable[[Function], Function]:
+        """Register the function below as what a buffer of floating point numbers holds after a step.
+
+        Args:
+            name: Under which terms read it; that of the function if not given.
+            shape: Of a row; () for one number, letters such as ``U`` and ``R`` as in the GTD.
+            unit: SI unit.
+            frame: ``world``, ``body``, ``vehicle`` or ``-``.
+        """
+
+        def add(function: Function) -> Function:
+            known = name or function.__name__
+            term = Term(name=known, value=function)
+            _ = term.reads
+            self.register(known, Buffer(term=term, shape=shape, unit=unit, frame=frame))
+            return function
+
+        return add
+
+
+BUFFERS = BufferRegistry("task buffer")
+"""Buffers by the name under which terms read them."""
+
+
+@BUFFERS.buffer(unit="m")
+def previous_distance(target_position: Tensor, robot_position: Tensor) -> Tensor:
+    """Return the distance to the target one step before, or at the reset, (E,)."""
+    return (target_position - robot_position).norm(dim=-1)
+
+
+@BUFFERS.buffer(shape=(3,), unit="m", frame="world")
+def previous_position(robot_position: Tensor) -> Tensor:
+    """Return the position one step before, or at the reset, (E, 3)."""
+    return robot_position.clone()
+
+
+@BUFFERS.buffer(shape=("V",))
+def policy_action(policy_action: Tensor, begun: Tensor) -> Tensor:
+    """Return what the policy gave last, before transform, delay and filter; 0 where an episode has just begun, (E, V)."""
+    return torch.where(begun.unsqueeze(-1), 0.0, policy_action)

@@ -1,0 +1,126 @@
+"""Terms of observations: pure functions of tensors of one instant, (E, ...) to (E, W).
+
+Every key of the GTD and every task buffer is such a term too, by its own name: its entries side by side.
+Letters: E environments, W entries.
+"""
+
+import torch
+from torch import Tensor
+
+from aerial_gym.math.quaternion import euler_from_quat, quat_rotate_inverse, quat_yaw
+from aerial_gym.task.terms.term import ACTION, Term, TermRegistry
+
+OBSERVATIONS = TermRegistry("observation term")
+"""Terms by the name that a task configuration uses."""
+
+IMAGE_CELLS = (8, 8)
+"""Rows and columns of the smallest distances that ``nearest_in_cells`` holds of an image."""
+
+TINY = 1e-6
+"""A distance [m] below which there is no direction."""
+
+
+@OBSERVATIONS.term(width=3)
+def position_error_world(target_position: Tensor, robot_position: Tensor) -> Tensor:
+    """Return target minus position [m], world, (E, 3)."""
+    return target_position - robot_position
+
+
+@OBSERVATIONS.term(width=3)
+def position_error_body(target_position: Tensor, robot_position: Tensor, robot_orientation: Tensor) -> Tensor:
+    """Return target minus position [m], body, (E, 3)."""
+    return quat_rotate_inverse(robot_orientation, target_position - robot_position)
+
+
+@OBSERVATIONS.term(width=3)
+def velocity_error_world(target_velocity: Tensor, robot_linvel: Tensor) -> Tensor:
+    """Return velocity of the target minus velocity [m/s], world, (E, 3)."""
+    return target_velocity - robot_linvel
+
+
+@OBSERVATIONS.term(width=3)
+def direction_vehicle(target_position: Tensor, robot_position: Tensor, robot_orientation: Tensor) -> Tensor:
+    """Return the unit vector from the robot to the target, vehicle frame (world turned by the yaw), (E, 3)."""
+    error = target_position - robot_position
+    return quat_rotate_inverse(quat_yaw(robot_orientation), error / error.norm(dim=-1, keepdim=True).clamp_min(TINY))
+
+
+@OBSERVATIONS.term(width=1)
+def distance(target_position: Tensor, robot_position: Tensor) -> Tensor:
+    """Return the distance to the target [m], (E, 1)."""
+    return (target_position - robot_position).norm(dim=-1, keepdim=True)
+
+
+@OBSERVATIONS.term(width=4)
+def attitude(robot_orientation: Tensor) -> Tensor:
+    """Return the attitude, body to world, xyzw, (E, 4)."""
+    return robot_orientation
+
+
+@OBSERVATIONS.term(width=6)
+def rotation_rows(robot_orientation: Tensor) -> Tensor:
+    """Return the first two rows of the rotation matrix body to world, (E, 6)."""
+    x, y, z, w = robot_orientation.unbind(-1)
+    first = (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y))
+    second = (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x))
+    return torch.stack((*first, *second), dim=-1)
+
+
+@OBSERVATIONS.term(width=2)
+def roll_pitch(robot_orientation: Tensor) -> Tensor:
+    """Return roll and pitch [rad], (E, 2)."""
+    return euler_from_quat(robot_orientation)[:, :2]
+
+
+@OBSERVATIONS.term(width=3)
+def lin_vel_world(robot_linvel: Tensor) -> Tensor:
+    """Return the velocity [m/s], world, (E, 3)."""
+    return robot_linvel
+
+
+@OBSERVATIONS.term(width=3)
+def lin_vel_body(robot_body_linvel: Tensor) -> Tensor:
+    """Return the velocity [m/s], body, (E, 3)."""
+    return robot_body_linvel
+
+
+@OBSERVATIONS.term(width=3)
+def ang_vel_body(robot_body_angvel: Tensor) -> Tensor:
+    """Return the angular velocity [rad/s], body, (E, 3)."""
+    return robot_body_angvel
+
+
+@OBSERVATIONS.term(width=1)
+def zero(robot_position: Tensor) -> Tensor:
+    """Return nothing, 0, (E, 1)."""
+    return torch.zeros_like(robot_position[:, :1])
+
+
+@OBSERVATIONS.term(width=ACTION)
+def last_action(robot_actions: Tensor) -> Tensor:
+    """Return the last command that the controller took, (E, U)."""
+    return robot_actions
+
+
+@OBSERVATIONS.term("nearest_in_cells", width=IMAGE_CELLS[0] * IMAGE_CELLS[1])
+def nearest(nearest_in_cells: Tensor) -> Tensor:
+    """Return the smallest distance in each of 8 x 8 cells of the first sensor's image, a share of the largest, (E, 64)."""
+    return nearest_in_cells
+
+
+def whole(name: str) -> Term:
+    """Return the term that shows a tensor as it is: its entries side by side, (E, W)."""
+
+    def value(tensor: Tensor) -> Tensor:
+        return tensor.reshape(tensor.shape[0], -1).float()
+
+    return Shown(name=name, value=value)
+
+
+class Shown(Term):
+    """A tensor by its own name."""
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """Return the name."""
+        return (self.name,)

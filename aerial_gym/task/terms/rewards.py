@@ -1,0 +1,141 @@
+"""Terms of rewards: pure functions of tensors of one instant, (E, ...) to (E,). No branch on a tensor.
+
+``bell(x, h, w) = h exp(-w x²)`` is the shape of the Aerial Gym Simulator's terms; a penalty is a bell less its height.
+Letters: E environments, U entries of a command.
+"""
+
+from math import inf
+
+import torch
+from torch import Tensor
+
+from aerial_gym.control.laws import LAWS
+from aerial_gym.task.terms.term import TermRegistry
+
+REWARDS = TermRegistry("reward term")
+"""Terms by the name that a task configuration uses."""
+
+VELOCITY = LAWS["velocity"].action
+"""Command of which entries 0 to 3 are forward, left and upward velocity, and yaw rate."""
+
+
+def bell(x: Tensor, height: float, width: float) -> Tensor:
+    """Return ``height exp(-width x²)``."""
+    return height * torch.exp(-width * x * x)
+
+
+def dip(x: Tensor, height: float, width: float) -> Tensor:
+    """Return ``height (exp(-width x²) - 1)``: a penalty from 0 at x = 0 down to ``-height``."""
+    return bell(x, height, width) - height
+
+
+def body_up_component(attitude: Tensor) -> Tensor:
+    """Return the world z component of body z, ``R33 = 1 - 2 (x² + y²)``, (E,)."""
+    return 1.0 - 2.0 * (attitude[:, 0] ** 2 + attitude[:, 1] ** 2)
+
+
+def _distance(a: Tensor, b: Tensor) -> Tensor:
+    return (a - b).norm(dim=-1)
+
+
+@REWARDS.term()
+def constant(robot_position: Tensor, *, value: float = 1.0) -> Tensor:
+    """Return the same in every step, (E,): what it is worth to be alive."""
+    return torch.full_like(robot_position[:, 0], value)
+
+
+@REWARDS.term()
+def distance_bell(target_position: Tensor, robot_position: Tensor, *, height: float, width: float) -> Tensor:
+    """Return ``height exp(-width d²)``, d the distance to the target [m], (E,)."""
+    return bell(_distance(target_position, robot_position), height, width)
+
+
+@REWARDS.term()
+def distance_linear(target_position: Tensor, robot_position: Tensor, *, offset: float, scale: float) -> Tensor:
+    """Return ``(offset - d) / scale``, d the distance to the target [m], (E,)."""
+    return (offset - _distance(target_position, robot_position)) / scale
+
+
+@REWARDS.term()
+def progress(
+    target_position: Tensor,
+    robot_position: Tensor,
+    previous_distance: Tensor,
+    *,
+    closer: float,
+    further: float,
+) -> Tensor:
+    """Return the way gained in this step [m] times ``closer``, or the way lost (negative) times ``further``, (E,)."""
+    gained = previous_distance - _distance(target_position, robot_position)
+    return torch.where(gained > 0.0, closer, further) * gained
+
+
+@REWARDS.term()
+def velocity_error_bell(target_velocity: Tensor, robot_linvel: Tensor, *, height: float, width: float) -> Tensor:
+    """Return ``height exp(-width e²)``, e the difference between the target's velocity and the robot's [m/s], (E,)."""
+    return bell(_distance(target_velocity, robot_linvel), height, width)
+
+
+@REWARDS.term()
+def upright(robot_orientation: Tensor, *, height: float, offset: float) -> Tensor:
+    """Return ``height / (offset + t²)`` with t = 1 - R33, which is 0 for an upright body, (E,)."""
+    tilt = 1.0 - body_up_component(robot_orientation)
+    return height / (offset + tilt * tilt)
+
+
+@REWARDS.term()
+def still(robot_body_angvel: Tensor, *, height: float) -> Tensor:
+    """Return ``height / (1 + |w|²)``, w the angular velocity [rad/s], (E,)."""
+    return height / (1.0 + (robot_body_angvel * robot_body_angvel).sum(-1))
+
+
+@REWARDS.term()
+def slow(robot_linvel: Tensor, *, height: float, width: float) -> Tensor:
+    """Return ``height exp(-width v²)``, v the speed [m/s], (E,)."""
+    return bell(robot_linvel.norm(dim=-1), height, width)
+
+
+@REWARDS.term()
+def action_size(robot_actions: Tensor, *, entry: int, height: float, width: float) -> Tensor:
+    """Return ``height (exp(-width u²) - 1)``, u an entry of the command, (E,)."""
+    return dip(robot_actions[:, entry], height, width)
+
+
+@REWARDS.term()
+def action_change(
+    robot_actions: Tensor, robot_prev_actions: Tensor, *, entry: int, height: float, width: float
+) -> Tensor:
+    """Return ``height (exp(-width du²) - 1)``, du the change of an entry of the command since the last step, (E,)."""
+    return dip((robot_actions - robot_prev_actions)[:, entry], height, width)
+
+
+@REWARDS.term(command=VELOCITY)
+def velocity_command_size(robot_actions: Tensor, *, entry: int, height: float, width: float) -> Tensor:
+    """Return ``action_size`` of a velocity command: entry 0 forward, 1 left, 2 up [m/s], 3 yaw rate [rad/s], (E,)."""
+    return dip(robot_actions[:, entry], height, width)
+
+
+@REWARDS.term(command=VELOCITY)
+def velocity_command_change(
+    robot_actions: Tensor, robot_prev_actions: Tensor, *, entry: int, height: float, width: float
+) -> Tensor:
+    """Return ``action_change`` of a velocity command, entries as in ``velocity_command_size``, (E,)."""
+    return dip((robot_actions - robot_prev_actions)[:, entry], height, width)
+
+
+@REWARDS.term()
+def clearance_penalty(robot_clearance: Tensor, *, distance: float) -> Tensor:
+    """Return how far the clearance lies below a distance [m], as a negative share of it, (E,); 0 above."""
+    return -((distance - robot_clearance.clamp(0.0, inf)) / distance).clamp_min(0.0)
+
+
+@REWARDS.term()
+def target_reached(target_reached: Tensor, *, value: float = 1.0) -> Tensor:
+    """Return ``value`` in a step in which a point of a sequence was reached, (E,)."""
+    return value * target_reached.float()
+
+
+@REWARDS.term()
+def gate_passed(gate_passed: Tensor, *, value: float = 1.0) -> Tensor:
+    """Return ``value`` in a step in which the robot flew through its gate, (E,)."""
+    return value * gate_passed.float()

@@ -1,0 +1,130 @@
+"""A term: a pure function whose arguments say what it reads and which numbers it takes.
+
+``def near(target_position: Tensor, robot_position: Tensor, *, width: float) -> Tensor`` reads two tensors, which are keys of
+the GTD or task buffers, (E, ...), and has one parameter. Whatever is known of a term stands in its signature.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from functools import partial
+from inspect import Parameter, signature
+from typing import Any, TypeVar, get_type_hints
+
+from torch import Tensor
+
+from aerial_gym.config.loader import convert
+from aerial_gym.errors import ConfigError
+from aerial_gym.registry import Registry
+
+Function = TypeVar("Function", bound=Callable[..., Tensor])
+
+ACTION = -1
+"""Width of a term that has as many entries as a command to the controller."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Term:
+    """A function and what is known of it."""
+
+    name: str
+    value: Callable[..., Tensor]
+    """Of what it reads, in order, and of its parameters by name."""
+
+    width: int | None = None
+    """Entries per environment that it returns, ``ACTION``, or None where only a call tells."""
+
+    command: tuple[str, ...] | None = None
+    """What the controller must take (``Law.action``); None fits all."""
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """Names of the tensors that it reads."""
+        return tuple(name for name, each in _arguments(self.value) if each.kind is not Parameter.KEYWORD_ONLY)
+
+    @property
+    def summary(self) -> str:
+        """One line about it."""
+        return (self.value.__doc__ or "").partition("\n")[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoundTerm:
+    """A term with its numbers, as a task uses it."""
+
+    label: str
+    """What messages call it; of no other term in the task."""
+
+    term: Term
+    params: Mapping[str, Any]
+    reads: tuple[str, ...] = field(default=())
+
+    def of(self, values: Mapping[str, Tensor]) -> Tensor:
+        """Return its value; where one stands ready under its label, that one."""
+        ready = values.get(self.label)
+        if ready is not None:
+            return ready
+        return self.term.value(*(values[name] for name in self.reads), **self.params)
+
+
+def bind(term: Term, params: Mapping[str, object], label: str) -> BoundTerm:
+    """Return a term with its numbers.
+
+    Raises:
+        ConfigError: If a number is missing, unknown or of another kind.
+    """
+    return BoundTerm(label=label, term=term, params=checked(term.value, params, label), reads=term.reads)
+
+
+def checked(function: Callable[..., object], params: Mapping[str, object], label: str) -> dict[str, Any]:
+    """Return the keyword arguments of a function, as its hints say they are; ``label`` stands in front of errors.
+
+    Raises:
+        ConfigError: If one is missing, unknown or of another kind.
+    """
+    known = {name: each for name, each in _arguments(function) if each.kind is Parameter.KEYWORD_ONLY}
+    takes = ", ".join(known) or "none"
+    for name in params:
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            raise ConfigError(f"{label}: no parameter {name!r}.{hint} It takes {takes}")
+    missing = [name for name, each in known.items() if each.default is Parameter.empty and name not in params]
+    if missing:
+        raise ConfigError(f"{label}: parameter {missing[0]!r} is missing. It takes {takes}")
+    whole = function.func if isinstance(function, partial) else function
+    hints = get_type_hints(whole.__init__ if isinstance(whole, type) else whole)
+    return {name: convert(hints.get(name, object), value, f"{label}: {name}") for name, value in params.items()}
+
+
+def _arguments(function: Callable[..., object]) -> Iterator[tuple[str, Parameter]]:
+    for name, each in signature(function).parameters.items():
+        if each.kind in (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD):
+            raise ConfigError(
+                f"term {name!r}: *{name} says neither what it reads nor which numbers it takes. Name them"
+            )
+        yield name, each
+
+
+class TermRegistry(Registry[Term]):
+    """Terms of one kind by name."""
+
+    def term(
+        self, name: str | None = None, *, width: int | None = None, command: Sequence[str] | None = None
+    ) -> Callable[[Function], Function]:
+        """Register the function below under its own name, or another one.
+
+        Args:
+            name: Under which a task asks for it; that of the function if not given.
+            width: Entries per environment, where it is always the same; such a term is checked for it.
+            command: What the controller must take, as ``aerial_gym.control.laws.LAWS`` says it; None fits all.
+        """
+
+        def add(function: Function) -> Function:
+            known = name or function.__name__
+            term = Term(name=known, value=function, width=width, command=None if command is None else tuple(command))
+            _ = term.reads  # refuses a signature that does not say
+            self.register(known, term)
+            return function
+
+        return add

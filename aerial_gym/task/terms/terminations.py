@@ -1,0 +1,65 @@
+"""Terms of terminations: pure functions of tensors of one instant, (E, ...) to bool (E,).
+
+What an end is (a crash, a success, a time-out) and what becomes of it says the task. Letters: E environments.
+"""
+
+import torch
+from torch import Tensor
+
+from aerial_gym.task.terms.rewards import body_up_component
+from aerial_gym.task.terms.term import TermRegistry
+
+TERMINATIONS = TermRegistry("termination term")
+"""Terms by the name that a task configuration uses."""
+
+
+@TERMINATIONS.term()
+def contact(crashes: Tensor) -> Tensor:
+    """Return whether the robot touched something (``crashes`` of the GTD), (E,)."""
+    return crashes.clone()
+
+
+@TERMINATIONS.term()
+def far_from_target(target_position: Tensor, robot_position: Tensor, *, distance: float) -> Tensor:
+    """Return whether the robot is further than a distance [m] from its target, (E,)."""
+    return (target_position - robot_position).norm(dim=-1) > distance
+
+
+@TERMINATIONS.term()
+def at_target(target_position: Tensor, robot_position: Tensor, *, radius: float) -> Tensor:
+    """Return whether the robot is closer than a radius [m] to its target, (E,)."""
+    return (target_position - robot_position).norm(dim=-1) < radius
+
+
+@TERMINATIONS.term()
+def at_rest_at_target(
+    target_position: Tensor, robot_position: Tensor, robot_linvel: Tensor, *, radius: float, speed: float
+) -> Tensor:
+    """Return whether the robot is closer than a radius [m] to its target and slower than a speed [m/s], (E,)."""
+    return ((target_position - robot_position).norm(dim=-1) < radius) & (robot_linvel.norm(dim=-1) < speed)
+
+
+@TERMINATIONS.term()
+def tilted(robot_orientation: Tensor, *, angle: float) -> Tensor:
+    """Return whether the body's z axis is further than an angle [rad] from the world's, (E,)."""
+    return body_up_component(robot_orientation).clamp(-1.0, 1.0) < torch.cos(
+        torch.full_like(robot_orientation[:, 0], angle)
+    )
+
+
+@TERMINATIONS.term()
+def outside_bounds(robot_position: Tensor, env_bounds_min: Tensor, env_bounds_max: Tensor) -> Tensor:
+    """Return whether the robot is outside the bounds of its environment, (E,)."""
+    return ((robot_position < env_bounds_min) | (robot_position > env_bounds_max)).any(dim=-1)
+
+
+@TERMINATIONS.term()
+def sequence_done(sequence_done: Tensor) -> Tensor:
+    """Return whether the last point of a sequence, or the last gate, is behind the robot, (E,)."""
+    return sequence_done.clone()
+
+
+@TERMINATIONS.term()
+def gate_missed(gate_missed: Tensor) -> Tensor:
+    """Return whether the robot crossed the plane of its gate beside the opening in this step, (E,)."""
+    return gate_missed.clone()

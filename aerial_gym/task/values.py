@@ -1,0 +1,95 @@
+"""What the terms of a task read: keys of the GTD and the task's own buffers, by name.
+
+Letters: E environments, U entries of a command, V entries of an action.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from difflib import get_close_matches
+
+import torch
+from torch import Tensor
+
+from aerial_gym.errors import UnknownNameError
+from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+from aerial_gym.task.terms.buffers import BUFFERS
+from aerial_gym.task.terms.term import BoundTerm, bind
+
+
+class Values(Mapping[str, Tensor]):
+    """Finds tensors by name, and makes a buffer where it is first read; ``print(values.own)`` shows those of the task."""
+
+    def __init__(
+        self, gtd: GlobalTensorDictionary, *, sizes: Mapping[str, int], makers: Mapping[str, Callable[[], Tensor]]
+    ) -> None:
+        """Take the simulation's dictionary.
+
+        Args:
+            gtd: Of the simulation.
+            sizes: Numbers of the shape letters.
+            makers: What declares a buffer that is neither of the registry nor declared already, by its name.
+        """
+        self.gtd, self._makers = gtd, makers
+        self.own = GlobalTensorDictionary(device=gtd.device, sizes=sizes)
+        """Buffers of the task."""
+        self.updates: dict[str, BoundTerm] = {}
+        """What buffers hold after a step, by name, in the order in which that is computed."""
+
+    def declare(
+        self,
+        key: str,
+        shape: tuple[int | str, ...] = (),
+        *,
+        dtype: torch.dtype = torch.float32,
+        unit: str = "-",
+        frame: str = "-",
+        meaning: str,
+        view: Tensor | None = None,
+        rows: bool = True,
+    ) -> Tensor:
+        """Declare a buffer of the task, with a row of ``shape`` for each environment (``rows``); return it."""
+        whole = ("E", *shape) if rows else shape
+        spec = TensorSpec(key=key, shape=whole, dtype=dtype, unit=unit, frame=frame, owner="task", meaning=meaning)
+        return self.own.declare(spec, view=view)
+
+    def find(self, name: str, reader: str) -> Tensor:
+        """Return a tensor that ``reader`` reads, made if need be.
+
+        Raises:
+            UnknownNameError: If nothing has that name.
+        """
+        if name in self.gtd:
+            return self.gtd[name]
+        if name in self.own:
+            return self.own[name]
+        if name in self._makers:
+            return self._makers[name]()
+        if name in BUFFERS:
+            return self._make(name)
+        known = sorted({*self.gtd, *self.own, *self._makers, *BUFFERS})
+        near = get_close_matches(name, known, n=1)
+        hint = f" Did you mean {near[0]!r}?" if near else ""
+        raise UnknownNameError(
+            f"{reader} reads {name!r}, which is neither a key of the GTD nor a task buffer.{hint} Known: {', '.join(known)}"
+        )
+
+    def _make(self, name: str) -> Tensor:
+        entry = BUFFERS.get(name)
+        made = self.declare(name, entry.shape, unit=entry.unit, frame=entry.frame, meaning=entry.summary)
+        label = f"task buffer {name!r}"
+        for read in entry.term.reads:
+            self.find(read, label)
+        self.updates[name] = bind(entry.term, {}, label)
+        return made
+
+    def read_by(self, *terms: BoundTerm) -> dict[str, Tensor]:
+        """Return what some terms read, by name."""
+        return {name: self.find(name, term.label) for term in terms for name in term.reads}
+
+    def __getitem__(self, name: str) -> Tensor:
+        return self.gtd[name] if name in self.gtd else self.own[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter({**self.gtd, **self.own})
+
+    def __len__(self) -> int:
+        return len(self.gtd) + len(self.own)

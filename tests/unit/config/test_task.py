@@ -1,0 +1,78 @@
+"""Task files: what they say comes back, and fields of earlier versions name what takes their place."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from aerial_gym import task_registry
+from aerial_gym.config import build, dump_yaml, load
+from aerial_gym.config.loader import to_mapping
+from aerial_gym.config.task import TaskCfg
+from aerial_gym.config.task_terms import ActionCfg, CommandCfg, ImageCfg, ObservationCfg
+from aerial_gym.errors import ConfigError
+
+
+@pytest.mark.parametrize("name", task_registry.names())
+def test_a_task_is_written_and_read_again(name: str, tmp_path: Path) -> None:
+    points = CommandCfg(generator="sequence", params={"points": ((0.0, 0.0, 1.0), (1.0, 0.0, 1.0)), "radius": 0.2})
+    late = ActionCfg(delay_steps=(1, 3), filter_time_s=0.1)
+    cfg = replace(task_registry.get(name), command=points, action=late, images={"depth": ImageCfg()})
+    (tmp_path / "task.yaml").write_text(dump_yaml(cfg))
+    assert load(TaskCfg, tmp_path / "task.yaml") == cfg
+
+
+@pytest.mark.parametrize(
+    ("field", "way_out"),
+    [
+        ("reward", "give rewards: "),
+        ("reward_params", "each of the rewards has params of its own; that of a crash is crash_reward"),
+        ("max_distance", "term: far_from_target, kind: crash"),
+        ("success_radius", "term: at_target, kind: success, when: at_end"),
+        ("target", "generator: point"),
+        ("target_ratio_low", "generator: drawn_point"),
+        ("target_ratio_high", "generator: drawn_point"),
+        ("action_params", "action: {transform: NAME"),
+    ],
+)
+def test_a_field_of_an_earlier_version_names_the_way_out(field: str, way_out: str) -> None:
+    fields = to_mapping(task_registry.get("position_setpoint_task"))
+    with pytest.raises(ConfigError, match=f"my.yaml: field {field!r} is gone: .*{way_out}"):
+        build(TaskCfg, fields | {field: 1.0}, where="my.yaml")
+
+
+def test_forms_of_an_earlier_version_say_what_they_must_be() -> None:
+    fields = to_mapping(task_registry.get("position_setpoint_task"))
+    with pytest.raises(
+        ConfigError, match="my.yaml: action: must be a mapping of the fields of ActionCfg, found 'direct'"
+    ):
+        build(TaskCfg, fields | {"action": "direct"}, where="my.yaml")
+    with pytest.raises(ConfigError, match="my.yaml: observations = .*: must be a mapping"):
+        build(TaskCfg, fields | {"observations": [{"term": "attitude"}]}, where="my.yaml")
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"noise_std": -0.1}, "noise_std = -0.1: must be >= 0"),
+        ({"delay_steps": -1}, "delay_steps = -1: must be >= 0"),
+        ({"delay_steps": (3, 1)}, r"delay_steps = \(3, 1\): must be >= 0, or the fewest and the most"),
+        ({"history": 0}, "history = 0: must be >= 1"),
+        ({"scale": 0.0}, "scale = 0.0: must be finite and not 0"),
+        ({"scale": float("nan")}, "scale = nan"),
+    ],
+)
+def test_numbers_of_an_observation_are_checked(given: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        ObservationCfg(term="attitude", **given)
+
+
+def test_numbers_of_actions_and_images_are_checked() -> None:
+    with pytest.raises(ConfigError, match="ActionCfg.filter_time_s = -1.0"):
+        ActionCfg(filter_time_s=-1.0)
+    with pytest.raises(ConfigError, match="ActionCfg.delay_steps = -1"):
+        ActionCfg(delay_steps=-1)
+    with pytest.raises(ConfigError, match="ImageCfg.dtype = 'int8': must be uint8, float16, float32"):
+        ImageCfg(dtype="int8")
+    with pytest.raises(ConfigError, match="ImageCfg.largest = 0.0"):
+        ImageCfg(largest=0.0)

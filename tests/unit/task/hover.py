@@ -1,0 +1,66 @@
+"""The position task with changed settings, for tests."""
+
+from dataclasses import replace
+
+from aerial_gym import SimBuilder, task_registry
+from aerial_gym.config.task import TaskCfg
+from aerial_gym.config.task_terms import ActionCfg, CommandCfg, ObservationCfg, RewardCfg, TerminationCfg
+from aerial_gym.task import Task
+
+
+def make(num_envs: int = 4, *, seed: int = 0, first_env: int = 0, **changes: object) -> Task:
+    """Return it; ``policy`` alone is the group of that name."""
+    if "policy" in changes:
+        changes["observations"] = {"policy": changes.pop("policy")}
+    cfg = replace(task_registry.get("position_setpoint_task"), **changes)  # type: ignore[arg-type]
+    return built(cfg, num_envs, seed=seed, first_env=first_env)
+
+
+def built(cfg: TaskCfg, num_envs: int, *, seed: int = 0, first_env: int = 0) -> Task:
+    """Return a task of a configuration."""
+    env = SimBuilder().build_env(
+        sim_name=cfg.sim,
+        env_name=cfg.env,
+        robot_name=cfg.robot,
+        controller_name=cfg.controller,
+        num_envs=num_envs,
+        device="cpu",
+        seed=seed,
+        first_env=first_env,
+    )
+    return Task(cfg, env)
+
+
+def rich(num_envs: int, *, seed: int = 0, first_env: int = 0) -> Task:
+    """Return a task in which everything that remembers is used, and everything that is drawn."""
+    return make(
+        num_envs,
+        seed=seed,
+        first_env=first_env,
+        command=CommandCfg(
+            generator="trajectory",
+            params={"curve": "lemniscate", "size": (1.0, 1.0, 0.0), "period": 4.0, "random_phase": True},
+        ),
+        action=ActionCfg(delay_steps=(0, 3), filter_time_s=0.05),
+        observations={
+            "policy": (
+                ObservationCfg(term="position_error_world", noise_std=0.01, delay_steps=(0, 4), history=3, scale=0.5),
+                ObservationCfg(term="velocity_error_world", delay_steps=2),
+                ObservationCfg(term="attitude", noise_std=0.02),
+                ObservationCfg(term="policy_action"),
+            ),
+            "critic": (
+                ObservationCfg(term="position_error_world", history=2),
+                ObservationCfg(term="previous_distance"),
+                ObservationCfg(term="rotor_speed", scale=1e-3),
+            ),
+        },
+        rewards={
+            "near": RewardCfg(term="distance_bell", params={"height": 1.0, "width": 1.0}),
+            "progress": RewardCfg(term="progress", params={"closer": 1.0, "further": 1.0}, times=("near",)),
+        },
+        terminations={
+            "contact": TerminationCfg(term="contact", kind="crash"),
+            "there": TerminationCfg(term="at_target", kind="success", when="counts", params={"radius": 0.5}),
+        },
+    )

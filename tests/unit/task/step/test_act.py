@@ -1,0 +1,86 @@
+"""Delay and low pass of commands against their closed forms."""
+
+from math import exp
+
+import numpy as np
+import pytest
+import torch
+from scipy.signal import lfilter
+
+from aerial_gym.config.task_terms import ActionCfg, ObservationCfg
+from tests.unit.task.hover import make
+
+STEPS = 12
+
+
+def commands(cfg: ActionCfg, given: torch.Tensor, *, length: int = 500) -> torch.Tensor:
+    """Return what the controller took of actions (steps, E, 4)."""
+    task = make(given.shape[1], action=cfg, episode_len_steps=length)
+    task.reset()
+    found = []
+    for actions in given:
+        task.step(actions)
+        before = (
+            task.env.gtd["robot_prev_actions"] if task.env.gtd["sim_steps"][0] == 0 else task.env.gtd["robot_actions"]
+        )
+        found.append(before.clone())
+    return torch.stack(found)
+
+
+@pytest.fixture
+def given() -> torch.Tensor:
+    return 0.2 * torch.randn(STEPS, 3, 4, generator=torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_a_delayed_command_is_the_one_so_many_steps_before(steps: int, given: torch.Tensor) -> None:
+    found = commands(ActionCfg(delay_steps=steps), given)
+    times = [max(t - steps, 0) for t in range(STEPS)]
+    assert torch.equal(found, given[times])
+
+
+def test_the_filter_is_the_exact_low_pass_of_a_held_command(given: torch.Tensor) -> None:
+    """``scipy.signal.lfilter`` of y[k] = (1 - a) y[k-1] + a u[k] with a = 1 - exp(-dt / tau), begun at the first command."""
+    found = commands(ActionCfg(filter_time_s=0.03), given).double().numpy()
+    gain = 1.0 - exp(-0.01 / 0.03)  # the step of the task is 10 ms
+    u = given.double().numpy()
+    expected, _ = lfilter([gain], [1.0, gain - 1.0], u, axis=0, zi=(1.0 - gain) * u[:1])
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-6)
+
+
+def test_a_command_is_delayed_and_then_filtered(given: torch.Tensor) -> None:
+    both = commands(ActionCfg(delay_steps=2, filter_time_s=0.05), given)
+    alone = commands(ActionCfg(filter_time_s=0.05), given)
+    torch.testing.assert_close(both[2:], alone[:-2], rtol=0.0, atol=0.0)
+
+
+def test_an_episode_does_not_remember_the_one_before(given: torch.Tensor) -> None:
+    found = commands(ActionCfg(delay_steps=(2, 2), filter_time_s=0.05), given, length=4)
+    for start in (0, 4, 8):
+        fresh = commands(ActionCfg(delay_steps=2, filter_time_s=0.05), given[start : start + 3])
+        torch.testing.assert_close(found[start : start + 3], fresh, rtol=0.0, atol=0.0)
+
+
+def test_a_drawn_delay_is_that_of_its_episode() -> None:
+    given = torch.arange(1.0, 7.0).view(6, 1, 1).expand(6, 64, 4) * 0.01
+    task = make(64, action=ActionCfg(delay_steps=(0, 2)))
+    task.reset()
+    delay = task.values["action_delay"][:, 0]
+    assert sorted(set(delay.tolist())) == [0.0, 1.0, 2.0]
+    for actions in given:
+        task.step(actions)
+    torch.testing.assert_close(task.env.gtd["robot_actions"][:, 0], 0.01 * (6.0 - delay))
+
+
+def test_the_policys_own_action_can_be_observed() -> None:
+    """Before transform and delay; 0 where an episode has just begun."""
+    action = ActionCfg(transform="affine", params={"low": (0.0,) * 4, "high": (0.1,) * 4}, delay_steps=3)
+    task = make(2, action=action, policy=(ObservationCfg(term="policy_action"),), episode_len_steps=2)
+    obs, _ = task.reset()
+    assert (obs["observations"] == 0.0).all()
+    given = torch.tensor([[0.5, -0.5, 0.0, 1.0], [0.1, 0.2, 0.3, 0.4]])
+    assert torch.equal(task.step(given)[0]["observations"], given)
+    torch.testing.assert_close(task.env.gtd["robot_actions"], 0.05 * (given + 1.0))
+    obs, *_, info = task.step(-given)
+    assert (obs["observations"] == 0.0).all()
+    assert torch.equal(info["final_observation"], -given)

@@ -1,0 +1,113 @@
+"""Noise, delay, history and scale of observations against what they are by definition."""
+
+from itertools import pairwise
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym.config.task_terms import ObservationCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.task import Task
+from tests.unit.task.hover import make
+
+LENGTH = 9
+"""Steps of an episode."""
+
+
+def flown(**entry: object) -> tuple[Task, Tensor, Tensor]:
+    """Return a task, what it showed and what is true, (steps, E, ...), over two and a half episodes of two ages."""
+    entries = (ObservationCfg(term="position_error_world", **entry), ObservationCfg(term="robot_position"))  # type: ignore[arg-type]
+    task = make(3, policy=entries, episode_len_steps=LENGTH)
+    rows = [task.reset()[0]["observations"].clone()]
+    task.env.gtd["sim_steps"][1] = 4
+    for step in range(2 * LENGTH + 4):
+        rows.append(task.step(0.1 * torch.ones(3, 4) * (step % 3))[0]["observations"].clone())
+    found = torch.stack(rows)
+    return task, found[..., :-3], -found[..., -3:]  # the target is the origin
+
+
+def episodes_of(row: int) -> list[list[int]]:
+    """Return the numbers of observations of each episode of an environment: after the last step comes the next one's first."""
+    first = LENGTH - (4 if row == 1 else 0)
+    starts = [0, first, first + LENGTH, first + 2 * LENGTH, 10**6]
+    return [[t for t in range(2 * LENGTH + 5) if a <= t < b] for a, b in pairwise(starts)]
+
+
+@pytest.mark.parametrize(("delay", "history", "scale"), [(0, 1, 1.0), (2, 1, 1.0), (0, 3, 2.0), (3, 2, -0.5)])
+def test_an_entry_is_late_and_shows_its_past_within_the_episode(delay: int, history: int, scale: float) -> None:
+    """Entry h of the oldest-first history at step t is the truth at t - delay - (H - 1 - h), or that of the first step."""
+    task, shown, truth = flown(delay_steps=delay, history=history, scale=scale)
+    assert task.num_observations == 3 * history + 3
+    for row in range(3):
+        for episode in episodes_of(row):
+            for t in episode:
+                times = [max(t - delay - (history - 1 - h), episode[0]) for h in range(history)]
+                expected = scale * torch.cat([truth[time, row] for time in times])
+                torch.testing.assert_close(shown[t, row], expected, rtol=0.0, atol=0.0)
+
+
+def test_a_drawn_delay_holds_for_an_episode_and_takes_all_values() -> None:
+    entries = (ObservationCfg(term="position_error_world", delay_steps=(1, 3)), ObservationCfg(term="robot_position"))
+    task = make(64, policy=entries, episode_len_steps=8)
+    seen = [task.reset()[0]["observations"].clone()]
+    delays = task.values["observation_delay"][:, 0].clone()
+    assert sorted(set(delays.tolist())) == [1.0, 2.0, 3.0]
+    for _ in range(6):
+        seen.append(task.step(torch.full((64, 4), 0.2))[0]["observations"].clone())
+        assert torch.equal(task.values["observation_delay"][:, 0], delays)
+    rows, last = torch.arange(64), torch.stack(seen)
+    expected = -last[6 - delays.long(), rows, 3:]
+    assert torch.equal(last[6, :, :3], expected)
+    task.step(torch.zeros(64, 4))
+    task.step(torch.zeros(64, 4))  # the next episodes
+    assert (task.values["observation_delay"][:, 0] != delays).any()
+
+
+def test_the_observation_before_a_reset_is_that_of_the_old_episode() -> None:
+    task, *_ = flown(delay_steps=2, history=2)
+    for _ in range(LENGTH):
+        before = task.values["past_policy_0"].clone()
+        _, _, terminated, truncated, info = task.step(torch.zeros(3, 4))
+        ended = terminated | truncated
+        expected = torch.cat([before[:, 0:3], before[:, 3:6]], dim=-1)  # of 3 and 2 steps before
+        assert torch.equal(info["final_observation"][ended][:, :6], expected[ended])
+
+
+def test_noise_comes_before_the_delay_and_is_scaled_with_the_rest() -> None:
+    """A late noisy entry shows the same noisy number that an entry without delay showed then."""
+    now, late = (
+        ObservationCfg(term="position_error_world", noise_std=0.1, scale=2.0, history=history, delay_steps=delay)
+        for history, delay in ((4, 0), (3, 1))
+    )
+    task = make(200, policy=(now,))
+    task.reset()
+    for _ in range(3):
+        obs, *_ = task.step(torch.zeros(200, 4))
+    noise = obs["observations"].view(200, 4, 3)[:, -1] / 2.0 + task.env.gtd["robot_position"]
+    assert noise.std() == pytest.approx(0.1, rel=0.1)
+    assert noise.mean().abs() < 0.02
+    other = make(200, policy=(late,))
+    other.reset()
+    for _ in range(3):
+        also, *_ = other.step(torch.zeros(200, 4))
+    assert torch.equal(also["observations"], obs["observations"][:, :9])
+
+
+def test_groups_are_given_beside_each_other() -> None:
+    groups = {
+        "policy": (ObservationCfg(term="position_error_world", noise_std=0.1),),
+        "critic": (ObservationCfg(term="position_error_world"), ObservationCfg(term="robot_mass")),
+    }
+    task = make(3, observations=groups)
+    obs, _ = task.reset()
+    assert set(obs) == set(task.observation_space.spaces) == {"observations", "critic"}
+    assert (obs["observations"].shape, obs["critic"].shape) == ((3, 3), (3, 4))
+    assert torch.equal(obs["critic"][:, :3], -task.env.gtd["robot_position"])
+    assert torch.equal(obs["critic"][:, 3], task.env.gtd["robot_mass"])
+    *_, info = task.step(torch.zeros(3, 4))
+    assert info["final_critic"].shape == (3, 4)
+    with pytest.raises(ConfigError, match="observation 'observations': the name is taken"):
+        make(1, observations={**groups, "observations": groups["critic"]})
+    with pytest.raises(ConfigError, match="needs a group 'policy' of at least one term"):
+        make(1, observations={"critic": groups["critic"]})

@@ -1,0 +1,59 @@
+"""Whatever a task remembers or draws is the same alone and among many, and goes on from a saved state, bit for bit."""
+
+import torch
+from torch import Tensor
+
+from aerial_gym.task import Task
+from tests.unit.task.hover import rich
+
+
+def fly(task: Task, first: int = 0, *, steps: int = 9) -> list[dict[str, Tensor]]:
+    """Return all that a task gives; some episodes end on the way, by their number."""
+    found, number = [], torch.arange(first, first + task.num_envs)
+    for step in range(steps):
+        task.env.gtd["sim_steps"].masked_fill_((number + step) % 4 == 0, task.cfg.episode_len_steps)
+        actions = 0.3 * torch.sin(number.float().unsqueeze(-1) + step + torch.arange(4.0))
+        observation, reward, terminated, truncated, info = task.step(actions)
+        row = {"reward": reward, "terminated": terminated, "truncated": truncated} | info
+        row |= {f"observed {name}": value for name, value in observation.items()}
+        row |= {"command": task.env.gtd["robot_actions"], "target": task.target_position}
+        found.append({name: value.clone() for name, value in row.items()})
+    return found
+
+
+def assert_same(found: list[dict[str, Tensor]], expected: list[dict[str, Tensor]], rows: slice) -> None:
+    for a, b in zip(found, expected, strict=True):
+        assert a.keys() == b.keys()
+        assert not [name for name in a if not torch.equal(a[name], b[name][rows])]
+
+
+def test_an_environment_is_the_same_alone_among_few_and_many() -> None:
+    flights = {}
+    for num_envs, first in ((4, 0), (37, 0), (1, 2)):
+        task = rich(num_envs, seed=1, first_env=first)
+        task.reset()
+        flights[num_envs] = fly(task, first)
+    assert_same(flights[4], flights[37], slice(4))
+    assert_same(flights[1], flights[37], slice(2, 3))
+    assert (flights[37][-1]["command"].std(dim=0) > 0.01).all()
+
+
+def test_a_saved_state_goes_on_the_same_in_another_task() -> None:
+    task, other = rich(5, seed=1), rich(5, seed=2)
+    task.reset()
+    fly(task)
+    state = task.save_state()
+    expected = fly(task)
+    other.reset()
+    fly(other, steps=2)
+    other.load_state(state)
+    assert_same(fly(other), expected, slice(None))
+
+
+def test_a_reset_forgets_what_was_before() -> None:
+    """With the same seed the same flight, whatever happened before."""
+    task = rich(3, seed=1)
+    task.reset(seed=1)
+    expected = fly(task)
+    task.reset(seed=1)
+    assert_same(fly(task), expected, slice(None))
