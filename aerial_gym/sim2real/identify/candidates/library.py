@@ -112,7 +112,7 @@ def build_library(
     base = predictor.predict(present)
     residuals = here = [m - p for m, p in zip(predictor.measured, base, strict=True)]
     candidates, width, tangents = [], 0, dict[int, list[Array]]()
-    parts, own = list[Sequence[Part]](), dict[str, list[list[Array]]]()
+    derivatives, own = list[Sequence[Part]](), dict[str, list[list[Array]]]()
     for name, point in origins(declared, present, accepted, skipped, predictor.robot):
         named, neutral, scale = point is present, neutral_of(name, declared, predictor.robot), scales((name,))
         columns = effect_jacobian(predictor, point, (name,), base if named else predictor.predict(point))
@@ -138,7 +138,7 @@ def build_library(
                 start=point.effects[name],
             )
         )
-        parts.append(columns)
+        derivatives.append(columns)
         width += scale.size
         own.setdefault(name, []).append(columns)
     for structure in () if structures is None else structures(here, own):
@@ -154,10 +154,10 @@ def build_library(
                 structure=True,
             )
         )
-        parts.append(structure.columns)
+        derivatives.append(structure.columns)
         width += places.size
-    parts.append(tolerance_jacobian(predictor, present, base))
-    flights = list(zip(*parts, strict=True))
+    derivatives.append(tolerance_jacobian(predictor, present, base))
+    flights = list(zip(*derivatives, strict=True))
     if by_channel:
         jacobians = [np.concatenate(own, axis=2) for own in flights]
         moments = block_moments(predictor.times, residuals, jacobians, length=np.inf)
