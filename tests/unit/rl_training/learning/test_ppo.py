@@ -206,18 +206,22 @@ def test_a_training_repeats_bit_for_bit_and_goes_on_as_if_it_had_not_stopped(kin
             assert torch.equal(tensor, second[part][name]), name  # type: ignore[index]
 
 
-def test_seconds_of_training_raise_the_reward() -> None:
-    """Reward per step of the episodes that end late against those that end early: 6 times as much with this seed."""
+def test_seconds_of_training_raise_the_reward(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reward per step of the episodes that end late, against those of a policy that does not learn: 1.3 against 0.6."""
     cfg = settings(512, num_minibatches=8)
-    with task_registry.make_task(cfg.task, num_envs=512, device="cpu", seed=0, capture=False) as task:
-        training = Training(cfg, task)
-        sums = []
-        for _ in range(60):
-            training.advance()
-            sums.append(training.learner.sums.tolist())
-    early = sums[9][2] / sums[9][3]
-    late = (sums[59][2] - sums[39][2]) / (sums[59][3] - sums[39][3])
-    assert late > 3.0 * early > 0.0
+
+    def late_reward() -> float:
+        with task_registry.make_task(cfg.task, num_envs=512, device="cpu", seed=0, capture=False) as task:
+            training = Training(cfg, task)
+            sums = []
+            for _ in range(60):
+                training.advance()
+                sums.append(training.learner.sums.tolist())
+        return (sums[59][2] - sums[39][2]) / (sums[59][3] - sums[39][3])
+
+    learned = late_reward()
+    monkeypatch.setattr(Ppo, "_learn", lambda *_: None)
+    assert learned > 1.5 * late_reward() > 0.0
 
 
 def test_settings_that_other_trainers_do_not_know_are_refused() -> None:
