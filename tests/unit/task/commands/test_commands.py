@@ -1,0 +1,203 @@
+"""Where targets are and when they move on: against where they must be by hand or by a formula."""
+
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+import pytest
+import torch
+
+from aerial_gym.config.task_terms import CommandCfg, ObservationCfg, RewardCfg, TerminationCfg
+from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.task import COMMANDS, Command, Task
+from tests.unit.task.hover import make
+
+STAY = torch.zeros(3, 4)
+CONTACT = {"contact": TerminationCfg(term="contact", kind="crash")}
+
+
+def put(task: Task, *positions: tuple[float, float, float]) -> None:
+    """Put the robots at rest somewhere; a step of 10 ms moves them by less than a millimetre."""
+    state = task.env.robot_manager.tensors.state
+    state.position.copy_(torch.tensor(positions))
+    state.lin_vel.zero_()
+
+
+def test_a_point_is_where_it_is_said() -> None:
+    task = make(3, command=CommandCfg(generator="point", params={"position": [1.0, 2.0, 3.0]}))
+    obs, _ = task.reset()
+    assert task.target_position.tolist() == [[1.0, 2.0, 3.0]] * 3
+    torch.testing.assert_close(obs["observations"][:, :3], task.target_position - task.env.gtd["robot_position"])
+
+
+def test_a_task_without_a_target_has_no_distance() -> None:
+    task = make(
+        3,
+        command=None,
+        policy=(ObservationCfg(term="lin_vel_body"),),
+        rewards={"slow": RewardCfg(term="slow", params={"height": 1.0, "width": 1.0})},
+        terminations=CONTACT,
+    )
+    task.reset()
+    *_, info = task.step(STAY)
+    assert "distance" not in info
+    with pytest.raises(UnknownNameError, match="reads 'target_position'"):
+        _ = task.target_position
+
+
+POINTS = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0))
+
+
+@pytest.mark.parametrize("loop", [False, True])
+def test_a_sequence_moves_on_where_the_robot_is_near(loop: bool) -> None:
+    """The first robot comes to each point, the second to none, the third to the first one alone, in its second step."""
+    params = {"points": POINTS, "radius": 0.3, "loop": loop}
+    done = {"done": TerminationCfg(term="sequence_done", kind="success")}
+    rewards = {"reached": RewardCfg(term="target_reached", params={"value": 2.0})}
+    task = make(3, command=CommandCfg(generator="sequence", params=params), terminations=done, rewards=rewards)
+    task.reset()
+    away, rewarded, targets = (5.0, 5.0, 5.0), [], []
+    for step, point in enumerate(POINTS):
+        put(task, point, away, POINTS[0] if step else away)
+        obs, reward, *_, info = task.step(STAY)
+        rewarded.append(reward.tolist())
+        targets.append(task.values["target_index"].tolist())
+        torch.testing.assert_close(obs["observations"][:, :3], task.target_position - task.env.gtd["robot_position"])
+    assert rewarded == [[2.0, 0.0, 0.0], [2.0, 0.0, 2.0], [2.0, 0.0, 0.0]]
+    assert targets == [[1, 0, 0], [2, 0, 1], [0, 0, 1]]  # the last one begins anew, in a new episode or by the loop
+    assert info["successes"].tolist() == [not loop, False, False]
+    assert task.env.gtd["sim_steps"].tolist() == [3 if loop else 0, 3, 3]
+    assert task.target_position.tolist() == [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
+
+
+def test_progress_is_towards_the_target_of_the_step() -> None:
+    """Where the target moves on, the distance before is that to the new one: no jump is rewarded."""
+    command = CommandCfg(generator="sequence", params={"points": ((0.0, 0.0, 0.0), (5.0, 0.0, 0.0)), "radius": 0.3})
+    rewards = {"progress": RewardCfg(term="progress", params={"closer": 1.0, "further": 1.0})}
+    task = make(3, command=command, rewards=rewards, terminations=CONTACT)
+    task.reset()
+    put(task, *[(0.0, 0.0, 0.0)] * 3)
+    task.step(STAY)
+    assert task.values["target_index"].tolist() == [1, 1, 1]
+    _, reward, *_ = task.step(STAY)
+    assert (reward.abs() < 0.01).all()
+
+
+@pytest.mark.parametrize("curve", ["circle", "lemniscate", "helix"])
+def test_a_trajectory_is_a_function_of_the_time_in_the_episode(curve: str) -> None:
+    """At every step the place of the formula, in rewards, observations and final observations alike."""
+    params = {"curve": curve, "size": (2.0, 1.0, 0.5), "period": 3.0, "center": (0.0, 0.0, 1.0)}
+    entries = tuple(ObservationCfg(term=name) for name in ("target_position", "target_velocity"))
+    task = make(3, command=CommandCfg(generator="trajectory", params=params), policy=entries, episode_len_steps=7)
+
+    def place(time: float) -> np.ndarray:
+        a = 2.0 * pi * time / 3.0
+        x, y = np.cos(a), np.sin(a) * (np.cos(a) if curve == "lemniscate" else 1.0)
+        return np.array([2.0 * x, y, 1.0 + (0.5 * np.sin(a) if curve == "helix" else 0.0)])
+
+    def seen(time: float) -> torch.Tensor:
+        slope = (place(time + 1e-4) - place(time - 1e-4)) / 2e-4
+        return torch.tensor(np.concatenate((place(time), slope)), dtype=torch.float32).expand(3, 6)
+
+    obs, _ = task.reset()
+    torch.testing.assert_close(obs["observations"], seen(0.0), rtol=0.0, atol=1e-5)
+    for step in range(1, 17):
+        obs, *_, info = task.step(STAY)
+        torch.testing.assert_close(info["final_observation"], seen(0.01 * ((step - 1) % 7 + 1)), rtol=0.0, atol=1e-5)
+        torch.testing.assert_close(obs["observations"], seen(0.01 * (step % 7)), rtol=0.0, atol=1e-5)
+
+
+def test_a_random_phase_is_uniform_and_new_in_every_episode() -> None:
+    params = {"curve": "circle", "size": (1.0, 1.0, 0.0), "period": 3.0, "random_phase": True}
+    task = make(500, command=CommandCfg(generator="trajectory", params=params), episode_len_steps=1)
+    task.reset()
+    first = task.values["target_phase"].clone()
+    task.step(torch.zeros(500, 4))
+    assert (first != task.values["target_phase"]).all()
+    shares = torch.histc(first, bins=4, min=0.0, max=2.0 * pi) / 500.0
+    assert (shares - 0.25).abs().max() < 4.0 * (0.25 * 0.75 / 500.0) ** 0.5
+    torch.testing.assert_close(task.target_position.norm(dim=-1), torch.ones(500))
+
+
+GATES = {"centers": ((1.0, 0.0, 0.0), (1.0, 2.0, 0.0)), "yaws": (0.0, pi / 2), "width": 1.0, "height": 0.6}
+
+
+def test_gates_are_passed_in_their_direction_through_their_opening() -> None:
+    """The second gate is flown through along y. What crosses from behind, or beside the opening, does not pass."""
+    rewards = {"gate": RewardCfg(term="gate_passed")}
+    ends = {
+        "missed": TerminationCfg(term="gate_missed", kind="crash"),
+        "done": TerminationCfg(term="sequence_done", kind="success"),
+    }
+    task = make(3, command=CommandCfg(generator="gates", params=GATES), rewards=rewards, terminations=ends)
+    task.reset()
+    task.values["previous_position"].copy_(torch.tensor([[0.9, 0.4, 0.2], [0.9, 0.0, 0.0], [1.1, 0.0, 0.0]]))
+    found = []
+    for positions in (
+        [(0.9, 0.4, 0.2), (0.9, 0.0, 0.0), (1.1, 0.0, 0.0)],  # in front; in front; behind
+        [(1.1, 0.45, 0.25), (1.1, 1.2, 0.0), (0.9, 0.0, 0.0)],  # passes; crosses y = 0.6: beside; from behind
+        [(1.4, 1.9, 0.0), (0.9, 0.0, 0.0), (1.1, 0.0, 0.4)],  # in front of the next; in a new episode; crosses z = 0.2
+        [(1.4, 2.1, 0.0), (1.1, 0.0, 0.7), (1.1, 0.0, 0.0)],  # passes the last one; crosses z = 0.35: above
+    ):
+        put(task, *positions)
+        _, reward, *_, info = task.step(STAY)
+        found.append((reward.tolist(), info["crashes"].tolist(), info["successes"].tolist()))
+    no = [False] * 3
+    assert found[0] == ([0.0, 0.0, 0.0], no, no)
+    assert found[1] == ([1.0, 0.0, 0.0], [False, True, False], no)
+    assert found[2] == ([0.0, 0.0, 1.0], no, no)
+    assert found[3] == ([1.0, 0.0, 0.0], [False, True, False], [True, False, False])
+    assert task.values["target_index"].tolist() == [0, 0, 1]
+    torch.testing.assert_close(task.target_position[2], torch.tensor([1.0, 2.0, 0.0]))
+    torch.testing.assert_close(task.values["target_direction"][2], torch.tensor([0.0, 1.0]), atol=1e-6, rtol=0.0)
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (CommandCfg(generator="points"), "no command generator 'points'. Did you mean 'point'"),
+        (CommandCfg(generator="point", params={"place": 1.0}), "command point: no parameter 'place'. .*takes position"),
+        (CommandCfg(generator="point", params={"position": (1.0, 2.0)}), "position = .*: must have 3 entries"),
+        (CommandCfg(generator="sequence", params={"points": ()}), "parameter 'radius' is missing"),
+        (CommandCfg(generator="sequence", params={"points": (), "radius": 1.0}), "needs at least one point"),
+        (CommandCfg(generator="sequence", params={"points": POINTS, "radius": 0.0}), "radius = 0.0: must be > 0"),
+        (CommandCfg(generator="gates", params={**GATES, "yaws": (0.0,)}), "2 centers and 1 yaws: needs one of each"),
+        (CommandCfg(generator="gates", params={**GATES, "width": -1.0}), "width = -1.0, height = 0.6: must be > 0"),
+        (
+            CommandCfg(generator="trajectory", params={"curve": "square", "size": (1.0, 1.0, 1.0), "period": 1.0}),
+            "no curve 'square'. Known: circle, lemniscate, helix",
+        ),
+        (
+            CommandCfg(generator="trajectory", params={"curve": "circle", "size": (1.0, 1.0, 1.0), "period": 0.0}),
+            "period = 0.0: must be > 0",
+        ),
+    ],
+)
+def test_generators_that_cannot_be_are_refused(command: CommandCfg, message: str) -> None:
+    with pytest.raises((ConfigError, UnknownNameError), match=message):
+        make(1, command=command)
+
+
+def test_a_generator_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It flees: a metre above the robot, wherever that is."""
+
+    class Fleeing(Command):
+        reads = ("robot_position",)
+
+        def __init__(self, values, env, *, height: float) -> None:  # type: ignore[no-untyped-def]
+            super().__init__(values, env)
+            self._target()
+            self._height = height
+
+        def after(self, values):  # type: ignore[no-untyped-def]
+            position = values["robot_position"]
+            return {"target_position": torch.cat((position[:, :2], position[:, 2:] + self._height), dim=-1)}
+
+    monkeypatch.setitem(COMMANDS._entries, "fleeing", Fleeing)
+    task = make(3, command=CommandCfg(generator="fleeing", params={"height": 1.5}))
+    task.reset()
+    for _ in range(3):
+        obs, *_ = task.step(STAY)
+        torch.testing.assert_close(obs["observations"][:, :3], torch.tensor([[0.0, 0.0, 1.5]] * 3))
+    with pytest.raises(ConfigError, match="command fleeing: parameter 'height' is missing"):
+        make(1, command=replace(task.cfg.command, params={}))  # type: ignore[type-var]

@@ -1,0 +1,56 @@
+"""Raw images among the observations are those of the sensor, in fewer bits, with their past."""
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym.config.task_terms import ImageCfg
+from aerial_gym.errors import UnknownNameError
+from aerial_gym.task import Task
+from tests.unit.task.navigation import make
+
+STAY = torch.tensor([-1.0, 0.0, 0.0, 0.0]).expand(2, 4)
+
+
+def shares(task: Task) -> Tensor:
+    """Return what the camera sees as shares of 10 m; what is nearer or further than it can tell (-1) counts as far."""
+    pixels = task.env.gtd["depth_range_pixels"]
+    return torch.where(pixels < 0.0, 1.0, pixels / 10.0)
+
+
+def test_an_image_is_given_in_fewer_bits() -> None:
+    cfgs = {"depth": ImageCfg(), "half": ImageCfg(dtype="float16"), "near": ImageCfg(dtype="float32", largest=5.0)}
+    task = make(2, camera=True, images=cfgs)
+    obs, _ = task.reset()
+    seen = shares(task)
+    assert (obs["depth"].dtype, obs["half"].dtype, obs["near"].dtype) == (torch.uint8, torch.float16, torch.float32)
+    torch.testing.assert_close(obs["depth"].float(), 255.0 * seen, rtol=0.0, atol=0.5 + 1e-4)
+    torch.testing.assert_close(obs["half"].float(), seen, rtol=2.0**-11, atol=1e-6)
+    torch.testing.assert_close(obs["near"], (2.0 * seen).clamp(max=1.0), rtol=1e-6, atol=1e-6)
+    space = task.observation_space["depth"]
+    assert (space.shape, space.dtype) == (tuple(obs["depth"].shape[1:]), np.uint8)
+    assert space.contains(obs["depth"][0].numpy())
+    assert task.observation_space["half"].contains(obs["half"][0].numpy())
+
+
+def test_images_of_the_past_come_first_and_end_with_the_episode() -> None:
+    task = make(2, camera=True, images={"depth": ImageCfg(dtype="float32", history=3)}, episode_len_steps=4)
+    obs, _ = task.reset()
+    first = shares(task)[:, 0]
+    assert all(torch.equal(obs["depth"][:, k], first) for k in range(3))
+    seen = [first.clone()]
+    kept = obs["depth"].clone()
+    for _ in range(3):
+        again, *_ = task.step(STAY)
+        seen.append(shares(task)[:, 0].clone())
+    assert torch.equal(obs["depth"], kept)  # what was given is not written again
+    torch.testing.assert_close(again["depth"], torch.stack(seen[1:], dim=1))
+    obs, *_, truncated, _ = task.step(STAY)
+    assert truncated.all()
+    assert all(torch.equal(obs["depth"][:, k], obs["depth"][:, 2]) for k in range(3))
+
+
+def test_an_image_that_is_not_there_is_told() -> None:
+    with pytest.raises(UnknownNameError, match="image 'colour' reads 'rgb_pixels', which is neither"):
+        make(1, camera=True, images={"colour": ImageCfg(key="rgb_pixels")})
