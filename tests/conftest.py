@@ -3,6 +3,7 @@ they are launched, and adjoints without optimisation; what a module's tests regi
 """
 
 import os
+import sys
 from collections.abc import Iterator
 from concurrent.futures import Future
 from functools import cache
@@ -27,7 +28,15 @@ from aerial_gym.physics import warp_backend  # noqa: E402
 from aerial_gym.physics.fused.kernel import make_kernel  # noqa: E402
 from aerial_gym.robots import ROBOTS  # noqa: E402
 from aerial_gym.sensors import IMUS, SENSORS  # noqa: E402
-from aerial_gym.task import task_registry  # noqa: E402
+from aerial_gym.task import (  # noqa: E402
+    ACTIONS,
+    BUFFERS,
+    COMMANDS,
+    OBSERVATIONS,
+    REWARDS,
+    TERMINATIONS,
+    task_registry,
+)
 
 torch.set_num_threads(_THREADS)
 
@@ -61,17 +70,22 @@ warp_backend.make_kernel = make_kernel_quickly
 COMPILING_THREADS = launches._workers
 launches._workers = cache(CompileAtLaunch)
 
-REGISTRIES = (SIMS, ENVIRONMENTS, ROBOTS, CONTROLLERS, SENSORS, IMUS, task_registry)
+REGISTRIES = (
+    SIMS, ENVIRONMENTS, ROBOTS, CONTROLLERS, SENSORS, IMUS, task_registry,
+    ACTIONS, BUFFERS, COMMANDS, OBSERVATIONS, REWARDS, TERMINATIONS,
+)  # fmt: skip
 
 
 @pytest.fixture(autouse=True, scope="module")
 def own_names() -> Iterator[None]:
-    """Drop the names that the tests of a module, or their fixtures, have registered."""
+    """Drop the names that the tests of a module, or their fixtures, have registered, and the task files that did."""
     before = [set(registry.names()) for registry in REGISTRIES]
     yield
     for registry, names in zip(REGISTRIES, before, strict=True):
         for name in set(registry.names()) - names:
             del registry._entries[name]
+    for name in [name for name in sys.modules if name.startswith("aerial_gym_task_")]:
+        del sys.modules[name]
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ class TaskBench:
     """Measure how many environment steps of a task are taken per second."""
 
     task: str = "position_setpoint_task"
-    """Registered task, a task file (.yaml), or module:Name of a TaskCfg or a Task of your own."""
+    """Registered task, a task file (.yaml), module:Name or file.py:Name of a TaskCfg or a Task of your own."""
 
     num_envs: int = 4096
     """Environments stepped side by side."""

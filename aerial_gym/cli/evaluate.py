@@ -18,7 +18,7 @@ class EvaluateCmd:
     """Run folder of a training, of which the last checkpoint is taken, or one checkpoint in it."""
 
     task: str | None = None
-    """Registered task, a task file (.yaml) or module:Name; that of the training if not given."""
+    """Registered task, a task file (.yaml) module:Name or file.py:Name; that of the training if not given."""
 
     robot: str | None = None
     """Registered robot, or a robot file, in place of the training's: a policy on the corrected vehicle."""

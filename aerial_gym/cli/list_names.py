@@ -24,13 +24,24 @@ KINDS = {
 }
 """Registries by what they hold. None of them imports torch or Warp to say what it has."""
 
+PARTS_OF_TASKS = {
+    "observation-terms": (Home("aerial_gym.task:OBSERVATIONS"),),
+    "reward-terms": (Home("aerial_gym.task:REWARDS"),),
+    "termination-terms": (Home("aerial_gym.task:TERMINATIONS"),),
+    "task-buffers": (Home("aerial_gym.task:BUFFERS"),),
+    "commands": (Home("aerial_gym.task:COMMANDS"),),
+    "actions": (Home("aerial_gym.task:ACTIONS"),),
+}
+"""What tasks are made of. It is told only where it is asked for: these are functions of tensors, which import torch."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ListCmd:
     """List what is registered, with one line each."""
 
     kind: str | None = None
-    """sims, environments, robots, controllers, sensors, imus, effects, backends or tasks; everything if not given."""
+    """sims, environments, robots, controllers, sensors, imus, effects, backends or tasks; all of these if not given. Or what
+    tasks are made of: observation-terms, reward-terms, termination-terms, task-buffers, commands, actions."""
 
     json: bool = False
     """Print one JSON object instead of a table."""
@@ -39,22 +50,25 @@ class ListCmd:
     def parse(cls, argv: Sequence[str]) -> "ListCmd":
         """Return the command of its arguments. Without tyro, whose import alone takes as long as everything here."""
         parser = ArgumentParser(prog="aerial-gym list", description=cls.__doc__, allow_abbrev=False)
-        parser.add_argument("kind", nargs="?", help=f"one of {', '.join(KINDS)}; everything if not given")
+        parser.add_argument(
+            "kind", nargs="?", help=f"one of {', '.join(KINDS)}, all if not given; or {', '.join(PARTS_OF_TASKS)}"
+        )
         parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
         return cls(**vars(parser.parse_args(argv)))
 
     def run(self) -> int:
         """Print names and summaries by kind."""
-        if self.kind is not None and self.kind not in KINDS:
-            raise UnknownNameError(f"no kind {self.kind!r}. Known: {', '.join(KINDS)}")
-        found = {kind: _summaries(homes) for kind, homes in KINDS.items() if self.kind in (None, kind)}
+        kinds = KINDS if self.kind is None else KINDS | PARTS_OF_TASKS
+        if self.kind is not None and self.kind not in kinds:
+            raise UnknownNameError(f"no kind {self.kind!r}. Known: {', '.join(kinds)}")
+        found = {kind: _summaries(homes) for kind, homes in kinds.items() if self.kind in (None, kind)}
         if self.json:
             print(json.dumps(found, ensure_ascii=False, indent=2))
             return 0
         rows = [(kind, name, line) for kind, lines in found.items() for name, line in lines.items()]
-        kinds, names = (max(len(row[column]) for row in rows) + 2 for column in (0, 1))
+        widths = [max(len(row[column]) for row in rows) + 2 for column in (0, 1)]
         for kind, name, line in rows:
-            print(_wrapped(f"{kind:<{kinds}}{name:<{names}}", line))
+            print(_wrapped(f"{kind:<{widths[0]}}{name:<{widths[1]}}", line))
         return 0
 
 

@@ -14,7 +14,7 @@ class TrainCmd:
     """Train a policy with the learner of this package, with rl-games or with Sample Factory."""
 
     task: str = "position_setpoint_task"
-    """Registered task, a task file (.yaml), or module:Name of a TaskCfg or a Task of your own."""
+    """Registered task, a task file (.yaml), or module:Name or file.py:Name of a TaskCfg or a Task of your own."""
 
     trainer: str = "rl_games"
     """ppo (of this package; all in one graph on a GPU), rl_games or sample_factory."""
@@ -98,6 +98,9 @@ class TrainCmd:
 
     def _task(self) -> str:
         """Return the task by a name that holds in every folder."""
+        file, colon, name = self.task.rpartition(":")
+        if file.endswith(".py"):
+            return f"{Path(file).resolve()}{colon}{name}"
         return str(Path(self.task).resolve()) if self.task.endswith((".yaml", ".yml")) else self.task
 
     def _refuse_changes(self) -> None:

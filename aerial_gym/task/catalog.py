@@ -4,7 +4,11 @@ import os
 import sys
 from dataclasses import replace
 from functools import partial
+from hashlib import sha256
 from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 from aerial_gym.config import CONFIG_DIR, load
@@ -41,8 +45,8 @@ class TaskRegistry(Registry[TaskCfg]):
         """Return a task, built and not yet reset.
 
         Args:
-            name: Registered task, a task file (``.yaml``), or ``module:Name`` of a ``TaskCfg`` or of a ``Task`` class that
-                has one as ``cfg``.
+            name: Registered task, a task file (``.yaml``), or ``module:Name`` or ``file.py:Name`` of a ``TaskCfg`` or of a
+                ``Task`` class that has one as ``cfg``.
             num_envs: Number of environments; the task's own default if not given.
             device: Torch device; ``auto`` takes the GPU if there is one.
             seed: Seed of every random number of this task.
@@ -109,12 +113,17 @@ class TaskRegistry(Registry[TaskCfg]):
 
 
 def imported(name: str) -> object:
-    """Return what ``module:Name`` names; the module may stand in the current folder.
+    """Return what ``module:Name`` or ``file.py:Name`` names; the module may stand in the current folder.
 
     Raises:
-        UnknownNameError: If there is no such module, or nothing of that name in it.
+        UnknownNameError: If there is no such module or file, or nothing of that name in it.
     """
-    module, _, attribute = name.partition(":")
+    module, _, attribute = name.rpartition(":")
+    if module.endswith(".py"):
+        try:
+            return getattr(_module_of(Path(module)), attribute)
+        except (FileNotFoundError, AttributeError) as error:
+            raise UnknownNameError(f"task {name!r}: {error}. Give it as file.py:Name") from None
     here = os.getcwd()
     sys.path.append(here)
     try:
@@ -123,6 +132,26 @@ def imported(name: str) -> object:
         raise UnknownNameError(f"task {name!r}: {error}. Give it as module:Name") from None
     finally:
         sys.path.remove(here)
+
+
+def _module_of(path: Path) -> ModuleType:
+    """Return the module of a file, run once in a process: what it registers, it registers once."""
+    path = path.resolve()
+    known = f"aerial_gym_task_{path.stem}_{sha256(str(path).encode()).hexdigest()[:8]}"
+    if known in sys.modules:
+        return sys.modules[known]
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+    spec = spec_from_file_location(known, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[known] = module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[known]
+        raise
+    return module
 
 
 def _held(cfg: TaskCfg, name: str, level: int) -> CurriculumCfg:

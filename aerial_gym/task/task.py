@@ -24,7 +24,7 @@ from aerial_gym.task.commands.catalog import make_command
 from aerial_gym.task.commands.command import TARGET
 from aerial_gym.task.curriculum import Curriculum
 from aerial_gym.task.resolve import resolve_action, resolve_groups, resolve_rewards, resolve_terminations
-from aerial_gym.task.step.act import Actor
+from aerial_gym.task.step.act import Actor, declare_delay
 from aerial_gym.task.step.images import Images, distance_scale
 from aerial_gym.task.step.judge import ARRIVED, FINAL, SUMS, Judge
 from aerial_gym.task.step.observe import Observer
@@ -88,6 +88,7 @@ class Task:
         self._cells: NearestInCells | None = None
         self.values = self._make_values(num_commands)
         """What terms read, by name: keys of the GTD and the task's own buffers; ``print(task.values.own)`` shows these."""
+        declare_delay(cfg.action, self.values)
         self._command = make_command(cfg.command, self.values, env)
         self.curriculum = (
             None if cfg.curriculum is None else Curriculum(cfg.curriculum, env.cfg, env.asset_manager, env.gtd)

@@ -23,6 +23,12 @@ LINE, DELAY, FILTERED, POLICY_ACTION = "command_line", "action_delay", "filtered
 """Buffers."""
 
 
+def declare_delay(cfg: ActionCfg, values: Values) -> None:
+    """Declare the steps by which commands are late, so that terms may read them."""
+    delay = values.declare(DELAY, (1,), unit="steps", meaning="how late commands are in this episode")
+    delay.fill_(steps_range(cfg.delay_steps)[0])
+
+
 class Actor:
     """From the actions of a policy to commands; the actions themselves where nothing is between."""
 
@@ -38,7 +44,7 @@ class Actor:
         dt: float,
         random: Randomness,
     ) -> None:
-        """Take what is between, and declare what it remembers; make it last, when everyone has said what they read.
+        """Take what is between, and declare what it remembers; make it when everyone has said what they read.
 
         Args:
             cfg: Delay and filter.
@@ -60,7 +66,7 @@ class Actor:
         if high:
             writes[LINE] = values.declare(LINE, (high * num_commands,), meaning="last commands, oldest first")
         if self._drawn:
-            reads[DELAY] = values.declare(DELAY, (1,), unit="steps", meaning="how late commands are in this episode")
+            reads[DELAY] = values.own[DELAY]
             self._draws = UniformDraws(
                 reads[DELAY], [(low, high)], purpose=Purpose.ACTION_DELAY, random=random, whole=True
             )

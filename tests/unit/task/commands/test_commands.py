@@ -129,15 +129,17 @@ def test_gates_are_passed_in_their_direction_through_their_opening() -> None:
         "missed": TerminationCfg(term="gate_missed", kind="crash"),
         "done": TerminationCfg(term="sequence_done", kind="success"),
     }
-    task = make(3, command=CommandCfg(generator="gates", params=GATES), rewards=rewards, terminations=ends)
+    task = make(
+        3, command=CommandCfg(generator="gates", params=GATES), rewards=rewards, terminations=ends, crash_reward=None
+    )
     task.reset()
     task.values["previous_position"].copy_(torch.tensor([[0.9, 0.4, 0.2], [0.9, 0.0, 0.0], [1.1, 0.0, 0.0]]))
     found = []
     for positions in (
         [(0.9, 0.4, 0.2), (0.9, 0.0, 0.0), (1.1, 0.0, 0.0)],  # in front; in front; behind
         [(1.1, 0.45, 0.25), (1.1, 1.2, 0.0), (0.9, 0.0, 0.0)],  # passes; crosses y = 0.6: beside; from behind
-        [(1.4, 1.9, 0.0), (0.9, 0.0, 0.0), (1.1, 0.0, 0.4)],  # in front of the next; in a new episode; crosses z = 0.2
-        [(1.4, 2.1, 0.0), (1.1, 0.0, 0.7), (1.1, 0.0, 0.0)],  # passes the last one; crosses z = 0.35: above
+        [(1.8, 1.9, 0.0), (0.9, 0.0, 0.0), (1.1, 0.0, 0.4)],  # in front of the next; in a new episode; crosses z = 0.2
+        [(1.0, 2.1, 0.0), (1.1, 0.0, 0.7), (1.1, 0.0, 0.0)],  # passes the last one at x = 1.4; crosses z = 0.35: above
     ):
         put(task, *positions)
         _, reward, *_, info = task.step(STAY)

@@ -66,7 +66,9 @@ def test_a_success_ends_the_episode_at_once(bootstrap: bool | None) -> None:
 def test_a_success_that_does_not_end_is_counted_at_the_end(when: str, successes: list[bool]) -> None:
     """The first arrives and leaves, the second is there at the end alone, the third never; all end by their length."""
     task = task_with(replace(AT_TARGET, when=when), episode_len_steps=3)
+    info = {"successes": torch.zeros(3)}
     for distances in ((0.5, 2.0, 2.0), (3.0, 2.0, 2.0), (3.0, 0.5, 2.0)):
+        assert not info["successes"].any()  # none before the end
         put(task, *distances)
         _, _, terminated, truncated, info = task.step(STAY)
     assert flags(info, terminated, truncated) == {

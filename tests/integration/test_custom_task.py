@@ -1,0 +1,34 @@
+"""A task of a user's own file is trained and evaluated from the command line, from any folder."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from aerial_gym.cli.main import main
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "custom_task.py"
+
+
+def test_the_example_is_trained_and_evaluated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its file is named as seen from its own folder; the run is evaluated from another one."""
+    monkeypatch.chdir(EXAMPLE.parent)
+    out = str(tmp_path / "run")
+    asked = [
+        "--task",
+        "custom_task.py:FIGURE_EIGHT",
+        "--trainer",
+        "ppo",
+        "--num-envs",
+        "256",
+        "--max-env-steps",
+        "9000",
+    ]
+    assert main(["train", *asked, "--device", "cpu", "--max-time-s", "120", "--out", out]) == 0
+    monkeypatch.chdir(tmp_path)
+    capsys.readouterr()
+    assert main(["evaluate", "--policy", out, "--num-envs", "4", "--device", "cpu", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["num_starts"] == 4
