@@ -1,7 +1,8 @@
 """How fast a policy learns: ``python -m benchmarks.training --device cuda --json``.
 
-Trains with ``ppo``, stops the clock from time to time, and flies the policy from fresh starts: figures are over the training
-alone (its iterations; not start-up, recording and evaluation, which are told apart) and from the start of the process.
+Trains with ``ppo``, stops the clock from time to time, and flies the policy from fresh starts. ``training_s`` counts iterations:
+the first few, in which kernels are compiled and the graph is recorded (``recording_s``), as long as those that follow them.
+``since_process_start_s`` is all but the evaluations: imports, the task, compilation, recording, training.
 """
 
 import json
@@ -90,35 +91,42 @@ class BenchTraining:
             wait = torch.cuda.synchronize if cuda else (lambda: None)
             clock = time.process_time if self.processor_time else time.perf_counter
             training = Training(cfg, task, fused=not self.plain)
-            trained_s, evaluated_s = 0.0, 0.0
+            trained_s, evaluated_s, iteration_s = 0.0, 0.0, 0.0
+            started_s = time.perf_counter() - STARTED
+            begun = clock()
+            training.advance()
+            wait()
+            recording_s, warm = clock() - begun, training.iterations
             while True:
-                wait()
-                begun = time.perf_counter()
-                found = evaluate(training.learner.network.actor, fresh)
-                wait()
-                evaluated_s += time.perf_counter() - begun
-                now = time.perf_counter() - STARTED - evaluated_s
-                told = {
-                    "training_s": trained_s,
-                    "since_process_start_s": now,
-                    "env_steps": training.env_steps,
-                    "final_error_mean_m": found.final_error_mean_m,
-                    "final_error_p95_m": found.final_error_p95_m,
-                    "success_rate": found.success_rate,
-                    "crash_rate": found.crash_rate,
-                    **training.gauges(),
-                }
-                self._print(told)
-                if trained_s >= self.train_s:
-                    break
                 due = min(trained_s + self.every_s, self.train_s)
                 while trained_s < due:
                     training.learner.time_share.fill_(trained_s / self.train_s)
                     wait()
-                    begun = clock()
+                    begun, before = clock(), training.iterations
                     training.advance()
                     wait()
-                    trained_s += clock() - begun
+                    spent = clock() - begun
+                    trained_s += spent if iteration_s else spent * training.iterations / (training.iterations - before)
+                    iteration_s = spent / (training.iterations - before)
+                begun = time.perf_counter()
+                since = begun - STARTED - evaluated_s
+                found = evaluate(training.learner.network.actor, fresh)
+                wait()
+                evaluated_s += time.perf_counter() - begun
+                self._print(
+                    {
+                        "training_s": trained_s,
+                        "since_process_start_s": since,
+                        "env_steps": training.env_steps,
+                        "final_error_mean_m": found.final_error_mean_m,
+                        "final_error_p95_m": found.final_error_p95_m,
+                        "success_rate": found.success_rate,
+                        "crash_rate": found.crash_rate,
+                        **training.gauges(),
+                    }
+                )
+                if trained_s >= self.train_s:
+                    break
             wait()
             begun, first = clock(), training.env_steps
             for _ in range(4):
@@ -129,7 +137,9 @@ class BenchTraining:
             self._print(
                 {
                     "steps_per_s": rate,
-                    "training_steps_per_s": first / max(trained_s, 1e-9),
+                    "before_training_s": started_s,
+                    "recording_s": max(recording_s - warm * iteration_s, 0.0),
+                    "iteration_s": iteration_s,
                     "num_envs": cfg.num_envs,
                     "horizon": cfg.ppo.horizon,
                     "learner": type(training.learner).__name__,

@@ -108,6 +108,8 @@ class Training:
         self._repeat = Repeated(self.learner.iterate, task.device, generator=self.learner.generator)
         self.env_steps = 0
         """Environment steps in all sessions; the host counts them by itself."""
+        self.iterations = 0
+        """Iterations of this session."""
         self._numbers = _Told(self.learner)
         self._recent: deque[list[float]] = deque([[0.0] * len(SUMS)])
 
@@ -116,6 +118,7 @@ class Training:
         per_iteration, limit = self._cfg.num_envs * self._cfg.ppo.horizon, self._cfg.max_env_steps
         for _ in range(1 if self._task.device.type == "cpu" else LOOK_EVERY):
             self._repeat()
+            self.iterations += 1
             self.env_steps += per_iteration
             if limit is not None and self.env_steps >= limit:
                 break
