@@ -1,8 +1,8 @@
 """How fast a policy learns: ``python -m benchmarks.training --device cuda --json``.
 
-Trains with ``ppo``, stops the clock from time to time, and flies the policy from fresh starts. ``training_s`` counts iterations:
-the first few, in which kernels are compiled and the graph is recorded (``recording_s``), as long as those that follow them.
-``since_process_start_s`` is all but the evaluations: imports, the task, compilation, recording, training.
+Trains with ``ppo``, stops the clock from time to time, and flies the policy from fresh starts. ``training_s`` counts
+iterations: the first few, in which kernels are compiled and the graph is recorded (``recording_s``), as long as those that
+follow them. ``since_process_start_s`` is all but the evaluations: imports, the task, compilation, recording, training.
 """
 
 import json
