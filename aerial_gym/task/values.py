@@ -9,7 +9,7 @@ from difflib import get_close_matches
 import torch
 from torch import Tensor
 
-from aerial_gym.errors import UnknownNameError
+from aerial_gym.errors import DuplicateNameError, UnknownNameError
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.task.terms.buffers import BUFFERS
 from aerial_gym.task.terms.term import BoundTerm, bind
@@ -47,6 +47,8 @@ class Values(Mapping[str, Tensor]):
         rows: bool = True,
     ) -> Tensor:
         """Declare a buffer of the task, with a row of ``shape`` for each environment (``rows``); return it."""
+        if key in self.gtd:
+            raise DuplicateNameError(f"task buffer {key!r}: the GTD has a key of that name. Choose another one")
         whole = ("E", *shape) if rows else shape
         spec = TensorSpec(key=key, shape=whole, dtype=dtype, unit=unit, frame=frame, owner="task", meaning=meaning)
         return self.own.declare(spec, view=view)

@@ -106,7 +106,7 @@ TABLE = Table(
         kept("device", "make_task(device=...)", lambda _: "auto"),
         kept("seed", "make_task(seed=...)", lambda _: 0, "of this task alone; nothing global is seeded"),
         kept("return_state_before_reset", 'info["final_observation"]', lambda _: False),
-        idle("privileged_observation_space_dim", 0, "there is no such group yet"),
+        idle("privileged_observation_space_dim", 0, "a group of observations of its own name, such as `critic`"),
         idle("args", {}, "the command line is the script's own"),
         idle("use_warp", True, "sensors always are Warp's"),
         idle("headless", True, "there is no viewer window"),

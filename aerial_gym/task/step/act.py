@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.task_terms import ActionCfg, steps_range
+from aerial_gym.errors import ConfigError
 from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.task.kernels.uniform import UniformDraws
 from aerial_gym.task.step.by_row import NamedRows
@@ -77,8 +78,22 @@ class Actor:
         self.passes = self.transform is direct and not writes
         """Whether an action is the command."""
         given = torch.zeros(random.num_envs, num_actions, device=random.mask.device)
+        self._check(cfg.transform, given, num_commands)
         self.rows = NamedRows(self._command, "the action", reads=reads | {"action": given} | writes, writes=writes)
         """The kernel."""
+
+    def _check(self, name: str, given: Tensor, num_commands: int) -> None:
+        """Refuse a transform that gives no command, before the first step does."""
+        try:
+            shape = tuple(self.transform(given, **self.params).shape)
+        except Exception as error:
+            reason = (str(error).strip().splitlines() or [""])[0]
+            raise ConfigError(f"action {name}: cannot be computed ({type(error).__name__}: {reason})") from error
+        if shape != (len(given), num_commands):
+            raise ConfigError(
+                f"action {name}: returns {shape} for actions {tuple(given.shape)}; the controller takes "
+                f"(E, U) = {(len(given), num_commands)}"
+            )
 
     def draw_delay(self, mask: Tensor) -> None:
         """Draw the delay of new episodes."""

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from aerial_gym.interop.rows.tracing import LARGEST_ROW
+
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
@@ -36,6 +38,11 @@ class Line:
         if begun is not None:
             kept = [torch.where(begun.unsqueeze(-1), value, old) for old in kept]
         return [*kept, value]
+
+    def pieces(self, width: int) -> list[int]:
+        """Return how many of the past values each of some buffers holds: one that is too wide is no part of a kernel."""
+        most = max(1, LARGEST_ROW // width)
+        return [min(most, self.length - first) for first in range(0, self.length, most)]
 
     def shown(self, frames: list[Tensor], delay: Tensor | None) -> Tensor:
         """Return what is shown of the frames, (E, history w).

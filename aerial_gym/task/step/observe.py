@@ -33,8 +33,8 @@ class Entry:
     """First of its columns among the draws of noise."""
 
     line: Line
-    past: str
-    """Buffer of its line."""
+    past: tuple[str, ...]
+    """Buffers of its line, oldest first."""
 
     delay: int | None
     """Its column among the drawn delays; None where it has one delay."""
@@ -47,12 +47,16 @@ class Entry:
             value = value + values[NOISE][:, self.noise : self.noise + self.width]
         return finite, value
 
-    def shown(self, values: Mapping[str, Tensor], value: Tensor, begun: Tensor | None) -> tuple[Tensor, Tensor | None]:
-        """Return the observation of a value, (E, history width), and the line as the next step finds it."""
-        kept = None
+    def shown(
+        self, values: Mapping[str, Tensor], value: Tensor, begun: Tensor | None
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the observation of a value, (E, history width), and its buffers as the next step finds them."""
+        kept: dict[str, Tensor] = {}
         if self.line.length:
-            frames = self.line.frames(values[self.past], value, begun)
-            kept = self.line.kept(frames)
+            past = torch.cat([values[name] for name in self.past], dim=-1)
+            frames = self.line.frames(past, value, begun)
+            widths = [count * self.width for count in self.line.pieces(self.width)]
+            kept = dict(zip(self.past, self.line.kept(frames).split(widths, dim=-1), strict=True))
             value = self.line.shown(frames, None if self.delay is None else values[DELAYS][:, self.delay])
         return value if self.cfg.scale == 1.0 else self.cfg.scale * value, kept
 
@@ -82,18 +86,20 @@ class Observer:
             self.groups[group] = []
             for number, (term, cfg, width) in enumerate(terms):
                 low, high = steps_range(cfg.delay_steps)
+                line = Line(longest_delay=high, history=cfg.history)
+                past = []
+                for piece, count in enumerate(line.pieces(width)):
+                    past.append(f"past_{group}_{number}_{piece}")
+                    meaning = f"last values of {term.label}, oldest first"
+                    values.declare(past[-1], (count * width,), meaning=meaning)
                 entry = Entry(
-                    term=term, cfg=cfg, width=width, noise=len(noise) if cfg.noise_std else None,
-                    line=Line(longest_delay=high, history=cfg.history), past=f"past_{group}_{number}",
-                    delay=len(ranges) if low < high else None,
+                    term=term, cfg=cfg, width=width, noise=len(noise) if cfg.noise_std else None, line=line,
+                    past=tuple(past), delay=len(ranges) if low < high else None,
                 )  # fmt: skip
                 if cfg.noise_std:
                     noise |= {column + i: cfg.noise_std for i in range(width)}
                 if low < high:
                     ranges.append((low, high))
-                if entry.line.length:
-                    meaning = f"last values of {term.label}, oldest first"
-                    values.declare(entry.past, (entry.line.length * width,), meaning=meaning)
                 self.groups[group].append(entry)
                 column += width
         self._noise = ObservationNoise(noise, values.gtd["sim_steps"], random)
@@ -104,7 +110,7 @@ class Observer:
         entries = [entry for group in self.groups.values() for entry in group]
         self.terms = [entry.term for entry in entries]
         """Of all groups."""
-        self.writes = {entry.past: values[entry.past] for entry in entries if entry.line.length}
+        self.writes = {name: values[name] for entry in entries for name in entry.past}
         """Lines."""
         self.reads = {NOISE: self._noise.noise, DELAYS: delays} | self.writes | values.read_by(*self.terms)
         """What ``found`` reads."""
@@ -153,8 +159,7 @@ class Observer:
                 part, line = entry.shown(values, value, begun)
                 flags.append(finite)
                 parts.append(part)
-                if line is not None:
-                    lines[entry.past] = line
+                lines |= line
             shown[group] = torch.cat(parts, dim=-1)
         return torch.stack(flags, dim=-1).all(dim=-1), shown, lines
 

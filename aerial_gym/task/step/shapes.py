@@ -22,7 +22,7 @@ def width_of(term: BoundTerm, values: Mapping[str, Tensor], *, rows: int, width:
     Raises:
         ConfigError: If it returns another shape or whole numbers.
     """
-    value = term.of(values)
+    value = _called(term, values)
     if width is None:
         if not isinstance(value, Tensor) or value.dim() != 2 or value.shape[0] != rows:
             _check(term.label, value, (rows, -1), "(E, W)")
@@ -34,16 +34,24 @@ def width_of(term: BoundTerm, values: Mapping[str, Tensor], *, rows: int, width:
 @torch.no_grad()
 def check_number(term: BoundTerm, values: Mapping[str, Tensor], *, rows: int) -> None:
     """Raise ``ConfigError`` unless a term returns a number for each row: (E, 1) would be spread to (E, E) in silence."""
-    _check(term.label, term.of(values), (rows,), "(E,)")
+    _check(term.label, _called(term, values), (rows,), "(E,)")
 
 
 @torch.no_grad()
 def check_truth(term: BoundTerm, values: Mapping[str, Tensor], *, rows: int) -> None:
     """Raise ``ConfigError`` unless a term returns a truth value for each environment."""
-    value = term.of(values)
+    value = _called(term, values)
     if not isinstance(value, Tensor) or tuple(value.shape) != (rows,) or value.dtype != torch.bool:
         found = f"{tuple(value.shape)} {value.dtype}" if isinstance(value, Tensor) else f"a {type(value).__name__}"
         raise ConfigError(f"{term.label}: returns {found}, needs (E,) = {(rows,)} of torch.bool")
+
+
+def _called(term: BoundTerm, values: Mapping[str, Tensor]) -> object:
+    try:
+        return term.of(values)
+    except Exception as error:
+        reason = (str(error).strip().splitlines() or [""])[0]
+        raise ConfigError(f"{term.label}: cannot be computed ({type(error).__name__}: {reason})") from error
 
 
 def _check(what: str, value: object, expected: tuple[int, ...], letters: str) -> None:

@@ -12,15 +12,14 @@ def changed(
     *,
     camera: bool = True,
     success_radius: float | None = None,
-    when: str | None = None,
     **changes: object,
 ) -> TaskCfg:
-    """Return a navigation task with changes; ``success_radius`` and ``when`` are those of its success."""
+    """Return a navigation task with changes; ``success_radius`` is that of its success."""
     if not camera:
         blind = tuple(entry for entry in cfg.observations["policy"] if entry.term != "nearest_in_cells")
         cfg = replace(cfg, robot="base_quadrotor", observations={"policy": blind})
     goal = cfg.terminations["goal"]
-    goal = replace(goal, when=when or goal.when, params={"radius": success_radius or goal.params["radius"]})
+    goal = replace(goal, params={"radius": success_radius or goal.params["radius"]})
     cfg = replace(cfg, terminations={**cfg.terminations, "goal": goal})
     return replace(cfg, **changes)  # type: ignore[arg-type]
 

@@ -8,6 +8,9 @@ import torch
 from scipy.signal import lfilter
 
 from aerial_gym.config.task_terms import ActionCfg, ObservationCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.task import ACTIONS
+from aerial_gym.task.terms.actions import Action
 from tests.unit.task.hover import make
 
 STEPS = 12
@@ -52,6 +55,22 @@ def test_a_command_is_delayed_and_then_filtered(given: torch.Tensor) -> None:
     both = commands(ActionCfg(delay_steps=2, filter_time_s=0.05), given)
     alone = commands(ActionCfg(filter_time_s=0.05), given)
     torch.testing.assert_close(both[2:], alone[:-2], rtol=0.0, atol=0.0)
+
+
+@pytest.mark.parametrize(
+    ("transform", "low", "message"),
+    [
+        ("affine", (0.0,) * 3, "action affine: cannot be computed .ValueError: zip"),
+        ("half", (), r"action half: returns \(1, 2\) for actions \(1, 4\); the controller takes \(E, U\) = \(1, 4\)"),
+    ],
+)
+def test_a_transform_that_gives_no_command_is_refused(
+    transform: str, low: tuple[float, ...], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(ACTIONS._entries, "half", Action(value=lambda actions: actions[:, :2]))
+    params = {"low": low, "high": (1.0,) * 4} if low else {}
+    with pytest.raises(ConfigError, match=message):
+        make(1, action=ActionCfg(transform=transform, params=params))
 
 
 def test_an_episode_does_not_remember_the_one_before(given: torch.Tensor) -> None:

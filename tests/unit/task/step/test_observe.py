@@ -67,7 +67,7 @@ def test_a_drawn_delay_holds_for_an_episode_and_takes_all_values() -> None:
 def test_the_observation_before_a_reset_is_that_of_the_old_episode() -> None:
     task, *_ = flown(delay_steps=2, history=2)
     for _ in range(LENGTH):
-        before = task.values["past_policy_0"].clone()
+        before = task.values["past_policy_0_0"].clone()
         _, _, terminated, truncated, info = task.step(torch.zeros(3, 4))
         ended = terminated | truncated
         expected = torch.cat([before[:, 0:3], before[:, 3:6]], dim=-1)  # of 3 and 2 steps before
@@ -111,3 +111,18 @@ def test_groups_are_given_beside_each_other() -> None:
         make(1, observations={**groups, "observations": groups["critic"]})
     with pytest.raises(ConfigError, match="needs a group 'policy' of at least one term"):
         make(1, observations={"critic": groups["critic"]})
+
+
+def test_a_long_past_of_a_wide_term_is_still_one_kernel() -> None:
+    """A row of a kernel's input has 256 entries at most: 29 past values of 13 are more."""
+    wide = tuple(ObservationCfg(term=name, history=30) for name in ("robot_state_tensor", "position_error_world"))
+    task = make(2, policy=wide)
+    states = [task.reset()[0]["observations"][:, -3:].clone()]
+    first = task.env.gtd["robot_state_tensor"].clone()
+    for _ in range(31):
+        obs, *_ = task.step(torch.full((2, 4), 0.1))
+        states.append(-task.env.gtd["robot_position"].clone())
+    assert task._observer.rows.reason is None
+    assert torch.equal(obs["observations"][:, 390:], torch.cat(states[-30:], dim=-1))
+    assert torch.equal(obs["observations"][:, 377:390], task.env.gtd["robot_state_tensor"])
+    assert not torch.equal(obs["observations"][:, :13], first)

@@ -64,6 +64,11 @@ def test_what_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
         make(1, policy=(ObservationCfg(term="lost"),))
     with pytest.raises(UnknownNameError, match=r"reward 'near' \(distance_bell\) reads 'target_position'"):
         make(1, command=None, policy=(ObservationCfg(term="attitude"),))
+    beyond = RewardCfg(term="action_size", params={"entry": 9, "height": 1.0, "width": 1.0})
+    with pytest.raises(
+        ConfigError, match=r"reward 'size' \(action_size\): cannot be computed \(IndexError: index 9 is out"
+    ):
+        make(1, rewards={"size": beyond})
     yes = Term(name="yes", value=lambda robot_position: robot_position[:, 0])
     monkeypatch.setitem(TERMINATIONS._entries, "yes", yes)
     with pytest.raises(
