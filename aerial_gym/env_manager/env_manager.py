@@ -340,9 +340,9 @@ class EnvManager:
         self.robot_manager.refresh_model()
         restore(state, self.state_tensors())  # once more what was built anew
 
-    def render(self) -> None:
-        """Read every sensor at the states of this instant."""
-        self.sensor_manager.capture()
+    def render(self, mask: Tensor | None = None) -> None:
+        """Read every sensor at the states of this instant; those of the environments in ``mask``, bool (E,), alone if given."""
+        self.sensor_manager.capture(mask)
 
     def close(self) -> None:
         """Drop what holds device memory; a second call does nothing, any other raises ``ClosedError``."""

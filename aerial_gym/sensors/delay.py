@@ -28,15 +28,26 @@ class DelayLine:
         like = fresh.distance
         self._started = torch.zeros(like.shape[0], dtype=torch.bool, device=like.device)
 
-    def push(self) -> None:
-        """Give out the images of ``steps`` calls ago and keep the present ones; waits for nothing."""
+    def push(self, mask: Tensor | None = None) -> None:
+        """Give out the images of ``steps`` calls ago and keep the present ones; waits for nothing.
+
+        With a mask, bool (E,), the other environments stay as they are.
+        """
         for fresh, out, kept in self._pairs:
-            started = self._started.view(-1, *([1] * (fresh.dim() - 1)))
-            out.copy_(torch.where(started, kept[-1], fresh))
+            tail = [1] * (fresh.dim() - 1)
+            started, rows = self._started.view(-1, *tail), None if mask is None else mask.view(-1, *tail)
+
+            def write(target: Tensor, image: Tensor, rows: Tensor | None = rows) -> None:
+                target.copy_(image if rows is None else torch.where(rows, image, target))
+
+            write(out, torch.where(started, kept[-1], fresh))
             for older, newer in zip(reversed(kept[1:]), reversed(kept[:-1]), strict=True):
-                older.copy_(torch.where(started, newer, fresh))
-            kept[0].copy_(fresh)
-        self._started.fill_(True)
+                write(older, torch.where(started, newer, fresh))
+            write(kept[0], fresh)
+        if mask is None:
+            self._started.fill_(True)
+        else:
+            self._started.logical_or_(mask)
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return what must be kept to go on, by name."""

@@ -103,8 +103,10 @@ class SensorManager:
             if getattr(cfg, field) and self._dt is None:
                 raise ConfigError(f"sensor {name}: {field} = {getattr(cfg, field)!r} needs the length of a step")
 
-    def capture(self) -> None:
+    def capture(self, mask: Tensor | None = None) -> None:
         """Take the images that are due from the present poses; launched on torch's current stream, not waited for.
+
+        With a mask, bool (E,), nothing of the other environments is looked at or moves on.
 
         Images of a sensor with a latency appear that much later, rounded to whole steps; after a reset the first image of an
         environment appears at once.
@@ -116,11 +118,18 @@ class SensorManager:
             caster = self.casters[name]
             period = 1.0 / (caster.cfg.rate_hz or 1.0)
             torch.ge(clock, (1.0 - CLOCK_MARGIN) * period, out=caster.due)
-            clock.sub_(period * caster.due).add_(self._dt or 0.0)
-        for caster in self.casters.values():
+            if mask is not None:
+                caster.due.logical_and_(mask)
+            passed = (self._dt or 0.0) if mask is None else (self._dt or 0.0) * mask
+            clock.sub_(period * caster.due).add_(passed)
+        for name, caster in self.casters.items():
+            if mask is not None and name not in self._clock:
+                caster.due.copy_(mask)
             caster.cast()
+            if mask is not None and name not in self._clock:
+                caster.due.fill_(True)
         for delay in self._delay.values():
-            delay.push()
+            delay.push(mask)
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return what must be kept to go on, by name."""

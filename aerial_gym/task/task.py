@@ -26,7 +26,7 @@ from aerial_gym.task.curriculum import Curriculum
 from aerial_gym.task.resolve import resolve_action, resolve_groups, resolve_rewards, resolve_terminations
 from aerial_gym.task.step.act import Actor, declare_delay
 from aerial_gym.task.step.images import Images, distance_scale
-from aerial_gym.task.step.judge import ARRIVED, FINAL, SUMS, Judge
+from aerial_gym.task.step.judge import ARRIVED, FINAL, SUMS, TALLIES, Judge
 from aerial_gym.task.step.observe import Observer
 from aerial_gym.task.step.remember import make_memory
 from aerial_gym.task.step.step_graph import StepGraph, check_terms
@@ -59,7 +59,9 @@ class Task:
     those of the other rows that ended, and none of these is touched. The first such row is named in a warning, and ``watch``
     keeps what led to it.
 
-    Images are taken once a step, after the reset: what terms of ``final_observation`` see of them is one step old.
+    Images are taken once a step, after the reset: what terms of ``final_observation`` see of them is one step old. Where the
+    task gives raw ``images``, they are taken before it, and once more where an episode begins: all that is seen is of its
+    instant, and ``info["final_<image>"]`` holds the last images of the rows that ended.
 
     On a GPU the whole step is one CUDA graph, recorded at the first ``reset``: the tensors that ``step`` returns are then
     overwritten by the next one; clone what must stay. ``captured`` says whether it is so.
@@ -167,6 +169,7 @@ class Task:
         self._begin(self._all)
         self._check_untraced()
         self._graph = StepGraph(self._step, (self.num_envs, self.num_actions), self.device)
+        self.values.own[TALLIES].zero_()  # of the steps before the recording
         self.env.restart(self.env.seed)
         if self.curriculum is not None and level is not None:
             self.curriculum.load(level)
@@ -244,6 +247,8 @@ class Task:
 
     def _step(self, actions: Tensor) -> StepResult:
         self.env.step(self._actor(actions))
+        if self._images.frames:
+            self._look()
         self._observer.draw_noise(final=True)  # of the episode that may end now
         judged = self._judge()
         info = {
@@ -258,6 +263,7 @@ class Task:
             "reward_terms": judged["reward_terms"],
             "non_finite": judged["bad"],
         }
+        info |= {f"{FINAL}{name}": frames.clone() for name, frames in self._images.frames.items()}
         if "distance" in judged:
             info["distance"] = judged["distance"]
         if self.curriculum is not None:
@@ -280,17 +286,17 @@ class Task:
 
     def _observed(self) -> Observation:
         """Look, and return the observation of this instant."""
-        self._look()
+        self._look(begun=bool(self._images.frames))
         self._observer.draw_noise()
         found = {_shown(group): value for group, value in self._observer().items()}
         return found | {name: frames.clone() for name, frames in self._images.frames.items()}
 
-    def _look(self) -> None:
-        """Read the sensors, and what is made of their images."""
-        self.env.render()
+    def _look(self, *, begun: bool = False) -> None:
+        """Read the sensors, and what is made of their images; ``begun``: only where an episode has just begun."""
+        self.env.render(self.env.random.mask if begun else None)
         if self._cells is not None:
             self._cells.measure()
-        self._images.take()
+        self._images.take(begun=begun)
 
     def parts(self) -> dict[str, Callable[[], None]]:
         """Return what a step is made of, to be timed part by part: each changes the simulation as it does in a step.
@@ -299,8 +305,11 @@ class Task:
         of a step is what the task itself computes.
         """
         few = torch.arange(self.num_envs, device=self.device) % 100 == 0
-        found = {"physics": self.env.fly, "collision": self.env.collide, "reset": partial(self._begin, few)}
-        return found | ({"rendering": self._look} if self.env.sensor_manager.casters else {})
+        found: dict[str, Callable[[], None]] = {"physics": self.env.fly, "collision": self.env.collide}
+        found["reset"] = partial(self._begin, few)
+        if self.env.sensor_manager.casters:
+            found["rendering"] = self._look
+        return found
 
     @property
     def target_position(self) -> Tensor:

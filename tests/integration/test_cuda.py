@@ -1,5 +1,6 @@
 """What only a GPU can show: no wait for the host in a step, and a step that a CUDA graph can hold."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -22,6 +23,7 @@ from aerial_gym.task import OBSERVATIONS, Task
 from aerial_gym.task.terms.term import Term
 from tests.unit.interop.rows.test_transport import check_transport
 from tests.unit.robots.test_derived import check_derived, derived, motions
+from tests.unit.task.hover import rich, seeing
 from tests.unit.task.navigation import changed
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA GPU")
@@ -142,6 +144,27 @@ def test_a_captured_navigation_step_is_the_eager_step() -> None:
     assert close.float().mean() > 0.999  # a pixel at an edge may see the one or the other side
     assert found[1][2] == found[0][2]
     assert found[0][2][-1] > found[0][2][0]
+
+
+@pytest.mark.parametrize("maker", [rich, seeing])
+def test_a_captured_step_with_all_that_a_task_remembers_is_the_eager_step(maker: Callable[..., Task]) -> None:
+    """Delays, histories, filters, a moving target, a second group and raw images; episodes end on the way."""
+    found = []
+    for capture in (False, True):
+        task = maker(64, seed=3, device="cuda:0", capture=capture)
+        task.reset(seed=3)
+        number = torch.arange(64, device="cuda:0")
+        for step in range(12):
+            task.env.gtd["sim_steps"].masked_fill_((number + step) % 4 == 0, task.cfg.episode_len_steps)
+            actions = 0.3 * torch.sin(number.float().unsqueeze(-1) + step + torch.arange(4.0, device="cuda:0"))
+            obs, reward, terminated, _, info = task.step(actions)
+        assert task.captured == capture
+        row = {"reward": reward, "ended": terminated} | info | obs
+        row |= {key: torch.tensor(value) for key, value in task.episode_means().items()}
+        found.append({key: value.clone().float() for key, value in row.items()})
+    for key, value in found[0].items():
+        close = (found[1][key] - value).abs() <= 1e-2 + 1e-3 * value.abs()
+        assert close.float().mean() > 0.995, key  # a pixel at an edge may see the one or the other side
 
 
 def test_a_captured_step_with_effects_that_remember_is_the_eager_step() -> None:

@@ -17,7 +17,8 @@ def make_take(source: Any, target: Any, history: int) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def take(
         image: wp.array2d[source],  # (E, P), negative where a pixel has nothing
-        begun: wp.array[wp.bool],  # (E,)
+        mask: wp.array[wp.bool],  # (E,) whose images are taken
+        begun: wp.array[wp.bool],  # (E,) whose episode has just begun
         # params
         largest: float,  # what counts as 1, in the unit of the image
         top: float,  # what 1 is written as
@@ -25,8 +26,10 @@ def make_take(source: Any, target: Any, history: int) -> wp.Kernel:
         # out
         frames_out: wp.array3d[target],  # (E, history, P), oldest first
     ):
-        """Write the image as the newest frame; where an episode has just begun, as all of them."""
+        """Write the image as the newest frame; where an episode has just begun, as all of them. Other rows stay."""
         env, pixel = wp.tid()
+        if not mask[env]:
+            return
         value = float(image[env, pixel])
         share = wp.where(value >= 0.0, wp.clamp(value / largest, 0.0, 1.0), empty)
         new = target(share * top + wp.static(rounding))

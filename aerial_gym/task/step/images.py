@@ -34,37 +34,42 @@ class Images:
         """
         self.frames: dict[str, Tensor] = {}
         """What is observed, by name; overwritten by every step."""
-        self._launches: list[RecordedLaunch] = []
         begun = values.find("begun", "images")
-        self._kept_alive: list[Tensor] = [begun]
-        start_warp() if cfgs else None
+        all_rows, none = torch.ones_like(begun), torch.zeros_like(begun)
+        self._kept_alive: list[Tensor] = [begun, all_rows, none]
+        self._of_step: list[RecordedLaunch] = []
+        self._of_reset: list[RecordedLaunch] = []
+        if cfgs:
+            start_warp()
         for name, cfg in cfgs.items():
             image = values.find(cfg.key, f"image {name!r}")
             kind, warp_kind = TYPES[cfg.dtype]
-            envs, sensors_count, *pixels = image.shape
-            frames = values.declare(
-                f"image_{name}",
-                (cfg.history * sensors_count, *pixels),
-                dtype=kind,
-                meaning=f"image {name!r} of the task",
-            )
+            envs, count, *pixels = image.shape
+            shape = (cfg.history * count, *pixels)
+            frames = values.declare(f"image_{name}", shape, dtype=kind, meaning=f"image {name!r} of the task")
             largest, empty = scale_of(image, cfg, sensors)
             source = wp.int32 if image.dtype == torch.int32 else wp.float32
-            device = wp.device_from_torch(image.device)
             flat, target = image.reshape(envs, -1), frames.view(envs, cfg.history, -1)
-            self._launches.append(RecordedLaunch(
-                make_take(source, warp_kind, cfg.history), dim=tuple(flat.shape),
-                inputs=[
-                    wp.from_torch(flat), wp.from_torch(begun), largest, 255.0 if cfg.dtype == "uint8" else 1.0, empty
-                ],
-                outputs=[wp.from_torch(target)], device=device,
-            ))  # fmt: skip
+            scale = (largest, 255.0 if cfg.dtype == "uint8" else 1.0, empty)
             self._kept_alive += [image, frames]
             self.frames[name] = frames
+            for launches, mask, new in ((self._of_step, all_rows, none), (self._of_reset, begun, begun)):
+                launches.append(
+                    RecordedLaunch(
+                        make_take(source, warp_kind, cfg.history),
+                        dim=tuple(flat.shape),
+                        inputs=[*(wp.from_torch(tensor) for tensor in (flat, mask, new)), *scale],
+                        outputs=[wp.from_torch(target)],
+                        device=wp.device_from_torch(image.device),
+                    )
+                )
 
-    def take(self) -> None:
-        """Write the present images; launched on torch's current stream, not waited for."""
-        for launch in self._launches:
+    def take(self, *, begun: bool) -> None:
+        """Write the present images; launched on torch's current stream, not waited for.
+
+        ``begun``: of the environments whose episode has just begun, and as all frames; otherwise of all, as the newest one.
+        """
+        for launch in self._of_reset if begun else self._of_step:
             with on_torch_stream(self._kept_alive[0]):
                 launch.launch()
 

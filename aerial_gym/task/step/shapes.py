@@ -46,7 +46,7 @@ def check_truth(term: BoundTerm, values: Mapping[str, Tensor], *, rows: int) -> 
         raise ConfigError(f"{term.label}: returns {found}, needs (E,) = {(rows,)} of torch.bool")
 
 
-def _called(term: BoundTerm, values: Mapping[str, Tensor]) -> object:
+def _called(term: BoundTerm, values: Mapping[str, Tensor]) -> Tensor:
     try:
         return term.of(values)
     except Exception as error:

@@ -1,10 +1,14 @@
 """The position task with changed settings, for tests."""
 
 from dataclasses import replace
+from typing import Any
 
 from aerial_gym import SimBuilder, task_registry
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sensor_mount import SensorMountCfg
 from aerial_gym.config.task import TaskCfg
-from aerial_gym.config.task_terms import ActionCfg, CommandCfg, ObservationCfg, RewardCfg, TerminationCfg
+from aerial_gym.config.task_terms import ActionCfg, CommandCfg, ImageCfg, ObservationCfg, RewardCfg, TerminationCfg
+from aerial_gym.robots import ROBOTS
 from aerial_gym.task import Task
 
 
@@ -16,27 +20,47 @@ def make(num_envs: int = 4, *, seed: int = 0, first_env: int = 0, **changes: obj
     return built(cfg, num_envs, seed=seed, first_env=first_env)
 
 
-def built(cfg: TaskCfg, num_envs: int, *, seed: int = 0, first_env: int = 0) -> Task:
-    """Return a task of a configuration."""
+def built(
+    cfg: TaskCfg,
+    num_envs: int,
+    *,
+    seed: int = 0,
+    first_env: int = 0,
+    robot: RobotCfg | None = None,
+    device: str = "cpu",
+    capture: bool | None = None,
+) -> Task:
+    """Return a task of a configuration, with a robot that need not be registered."""
     env = SimBuilder().build_env(
         sim_name=cfg.sim,
         env_name=cfg.env,
-        robot_name=cfg.robot,
+        robot_name=robot or cfg.robot,
         controller_name=cfg.controller,
         num_envs=num_envs,
-        device="cpu",
+        device=device,
         seed=seed,
         first_env=first_env,
     )
-    return Task(cfg, env)
+    return Task(cfg, env, capture=capture)
 
 
-def rich(num_envs: int, *, seed: int = 0, first_env: int = 0) -> Task:
+def seeing(num_envs: int, **given: Any) -> Task:
+    """Return a task with a small camera between obstacles, its raw images and their nearest distances, both with a past."""
+    cfg = replace(
+        task_registry.get("position_setpoint_task"),
+        env="env_with_obstacles",
+        observations={"policy": (ObservationCfg(term="attitude"), ObservationCfg(term="nearest_in_cells", history=2))},
+        images={"depth": ImageCfg(history=2), "exact": ImageCfg(dtype="float32")},
+        episode_len_steps=50,
+    )
+    small = replace(ROBOTS.get("base_quadrotor"), sensors=(SensorMountCfg(sensor="st_vl53l5cx", rate_hz=6.0),))
+    return built(cfg, num_envs, robot=small, **given)
+
+
+def rich(num_envs: int, **given: Any) -> Task:
     """Return a task in which everything that remembers is used, and everything that is drawn."""
-    return make(
-        num_envs,
-        seed=seed,
-        first_env=first_env,
+    cfg = replace(
+        task_registry.get("position_setpoint_task"),
         command=CommandCfg(
             generator="trajectory",
             params={"curve": "lemniscate", "size": (1.0, 1.0, 0.0), "period": 4.0, "random_phase": True},
@@ -64,3 +88,4 @@ def rich(num_envs: int, *, seed: int = 0, first_env: int = 0) -> Task:
             "there": TerminationCfg(term="at_target", kind="success", when="counts", params={"radius": 0.5}),
         },
     )
+    return built(cfg, num_envs, **given)

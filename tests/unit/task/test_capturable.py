@@ -15,6 +15,7 @@ from aerial_gym.config.robot import SensorMountCfg
 from aerial_gym.env_manager import SimBuilder
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import task_registry
+from tests.unit.task.hover import rich, seeing
 
 FORBIDDEN = {
     "aten::lift_fresh": "makes a tensor from Python numbers: torch.tensor, new_tensor",
@@ -48,10 +49,11 @@ def test_the_mode_sees_what_it_refuses() -> None:
                 wrong()
 
 
-@pytest.mark.parametrize("name", task_registry.names())
+@pytest.mark.parametrize("name", [*task_registry.names(), "rich", "seeing"])
 def test_a_step_of_a_task_can_be_captured(name: str) -> None:
     """Some environments end on the way, so that the masked reset, with all that it draws, is in the step."""
-    task = task_registry.make_task(name, num_envs=4, device="cpu", seed=0)
+    own = {"rich": rich, "seeing": seeing}
+    task = own[name](4) if name in own else task_registry.make_task(name, num_envs=4, device="cpu", seed=0)
     task.reset()
     actions = torch.zeros(4, task.env.robot_manager.num_actions)
     task.step(actions)

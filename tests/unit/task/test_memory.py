@@ -1,10 +1,13 @@
 """Whatever a task remembers or draws is the same alone and among many, and goes on from a saved state, bit for bit."""
 
+from collections.abc import Callable
+
+import pytest
 import torch
 from torch import Tensor
 
 from aerial_gym.task import Task
-from tests.unit.task.hover import rich
+from tests.unit.task.hover import rich, seeing
 
 
 def fly(task: Task, first: int = 0, *, steps: int = 9) -> list[dict[str, Tensor]]:
@@ -27,10 +30,14 @@ def assert_same(found: list[dict[str, Tensor]], expected: list[dict[str, Tensor]
         assert not [name for name in a if not torch.equal(a[name], b[name][rows])]
 
 
-def test_an_environment_is_the_same_alone_among_few_and_many() -> None:
+MAKERS = pytest.mark.parametrize("maker", [rich, seeing])
+
+
+@MAKERS
+def test_an_environment_is_the_same_alone_among_few_and_many(maker: Callable[..., Task]) -> None:
     flights = {}
     for num_envs, first in ((4, 0), (37, 0), (1, 2)):
-        task = rich(num_envs, seed=1, first_env=first)
+        task = maker(num_envs, seed=1, first_env=first)
         task.reset()
         flights[num_envs] = fly(task, first)
     assert_same(flights[4], flights[37], slice(4))
@@ -38,8 +45,9 @@ def test_an_environment_is_the_same_alone_among_few_and_many() -> None:
     assert (flights[37][-1]["command"].std(dim=0) > 0.01).all()
 
 
-def test_a_saved_state_goes_on_the_same_in_another_task() -> None:
-    task, other = rich(5, seed=1), rich(5, seed=2)
+@MAKERS
+def test_a_saved_state_goes_on_the_same_in_another_task(maker: Callable[..., Task]) -> None:
+    task, other = maker(5, seed=1), maker(5, seed=2)
     task.reset()
     fly(task)
     state = task.save_state()
@@ -50,9 +58,10 @@ def test_a_saved_state_goes_on_the_same_in_another_task() -> None:
     assert_same(fly(other), expected, slice(None))
 
 
-def test_a_reset_forgets_what_was_before() -> None:
+@MAKERS
+def test_a_reset_forgets_what_was_before(maker: Callable[..., Task]) -> None:
     """With the same seed the same flight, whatever happened before."""
-    task = rich(3, seed=1)
+    task = maker(3, seed=1)
     task.reset(seed=1)
     expected = fly(task)
     task.reset(seed=1)

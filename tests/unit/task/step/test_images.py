@@ -54,3 +54,32 @@ def test_images_of_the_past_come_first_and_end_with_the_episode() -> None:
 def test_an_image_that_is_not_there_is_told() -> None:
     with pytest.raises(UnknownNameError, match="image 'colour' reads 'rgb_pixels', which is neither"):
         make(1, camera=True, images={"colour": ImageCfg(key="rgb_pixels")})
+
+
+def test_the_last_image_of_an_episode_is_of_its_last_instant() -> None:
+    """Rows end one by one; all that is seen before a reset is what the sensor sees from there, and after it from the start."""
+    images = {"depth": ImageCfg(dtype="float32", history=2)}
+    task, blind = (make(2, camera=True, images=given, episode_len_steps=5) for given in (images, {}))
+    first = task.reset()[0]["depth"][:, 1].clone()
+    blind.reset()
+    for each in (task, blind):
+        each.env.gtd["sim_steps"][1] = 3
+    actions = torch.tensor([[1.0, 0.2, 0.5, 0.0], [0.5, -0.2, -0.5, 0.0]])
+    seen = [first]
+    for step in range(1, 8):
+        obs, _, terminated, truncated, info = task.step(actions)
+        again, *_ = blind.step(actions)
+        ended = terminated | truncated
+        assert ended.tolist() == [step == 5, step in (2, 7)]
+        torch.testing.assert_close(obs["depth"][:, 1], shares(task)[:, 0])
+        torch.testing.assert_close(obs["depth"][:, 1], shares(blind)[:, 0])
+        assert torch.equal(obs["observations"], again["observations"])
+        assert torch.equal(info["final_depth"][~ended], obs["depth"][~ended])
+        torch.testing.assert_close(info["final_depth"][:, 0], seen[-1])
+        if ended.any():
+            assert (info["final_depth"][ended][:, 1] - obs["depth"][ended][:, 1]).abs().max() > 0.01
+            assert (info["final_depth"][ended][:, 1] - seen[-1][ended]).abs().max() > 0.0
+            cells = info["final_observation"][ended][:, 17:].view(-1, 8, 8)  # of the same image
+            corner = info["final_depth"][ended][:, 1, :17, :30].amin(dim=(1, 2))
+            torch.testing.assert_close(cells[:, 0, 0], corner)
+        seen.append(obs["depth"][:, 1].clone())
