@@ -16,7 +16,7 @@ class TrainCmd:
     task: str = "position_setpoint_task"
     """Registered task, a task file (.yaml), or module:Name or file.py:Name of a TaskCfg or a Task of your own."""
 
-    trainer: str = "rl_games"
+    trainer: str = "ppo"
     """ppo (of this package; all in one graph on a GPU), rl_games or sample_factory."""
 
     out: Path = Path("runs/train")

@@ -23,7 +23,7 @@ class DemoCmd:
     """Folder with the idsia_nanodrone flights; if not given, ``../shared/data/idsia_nanodrone`` where it exists, else
     flights of the undeclared plant."""
 
-    train_time_s: float = 150.0
+    train_time_s: float = 75.0
     """Length of the training [s]."""
 
     backend: str | None = None

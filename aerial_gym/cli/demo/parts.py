@@ -56,7 +56,7 @@ def look(seed: int, backend: str | None = None) -> dict[str, str]:
 
 def learn(out: Path, seed: int, time_s: float, backend: str | None = None) -> dict[str, Any]:
     """Train a policy from scratch, evaluate it on fresh starts, and return figures and numbers."""
-    cfg = load_settings(settings_for("rl_games", "position_setpoint_task"))
+    cfg = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
     result = train(replace(cfg, seed=seed, max_time_s=time_s, device="cpu", backend=backend), out / "training")
     policy, _ = load_policy(out / "training")
     with task_registry.make_task(

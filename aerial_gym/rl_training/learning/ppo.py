@@ -33,13 +33,13 @@ LOWEST_RATE = 1e-6
 BOUND = 1.1
 """Means of actions beyond it are pulled back, as in rl-games; the simulation clamps actions at 1."""
 
-SUMS = ("env_steps", "episodes", "episode_return", "episode_length")
+SUMS: tuple[str, ...] = ("env_steps", "episodes", "episode_return", "episode_length")
 """Steps, and number, returns and lengths of the episodes that ended, since the start of the training."""
 
 TINY = 1e-8
 """Keeps advantages that are all alike from being divided by 0."""
 
-GAUGES = ("learning_rate", "std", "divergence", "policy_loss", "value_loss")
+GAUGES: tuple[str, ...] = ("learning_rate", "std", "divergence", "policy_loss", "value_loss")
 """Numbers of the last pass over the samples; the last three are means over its minibatches."""
 
 

@@ -3,6 +3,7 @@
 import logging
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import torch
@@ -21,6 +22,7 @@ from aerial_gym.rl_training.run.keeper import Keeper
 from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.trainers.summaries import Scalars
 from aerial_gym.task import Task
 
 _log = logging.getLogger(__name__)
@@ -40,7 +42,7 @@ def run(
     Args:
         cfg: Settings.
         task: Built task without a graph of its own, reset by the trainer.
-        folder: Not used: nothing is left there but what all trainers leave.
+        folder: Receives TensorBoard files, where ``tensorboardX`` is installed.
         progress: Told after every look.
         keeper: Keeps checkpoints, and knows where to go on.
         interruption: Whether the user asked to end.
@@ -50,8 +52,7 @@ def run(
         TrainingError: If the training diverged.
         CapabilityError: If the task cannot be held in a CUDA graph.
     """
-    del folder
-    training = Training(cfg, task)
+    training, scalars = Training(cfg, task), Scalars(folder.path / "ppo" / "summaries")
     if keeper.resumes:
         keeper.restore(training.load)
     else:
@@ -60,6 +61,7 @@ def run(
         while True:
             with interruption.held():
                 report = training.advance()
+            scalars.add(training.known | asdict(report), training.env_steps)
             if progress.update(report):
                 break
             training.learner.time_share.fill_(0.0 if cfg.max_time_s is None else progress.elapsed_s() / cfg.max_time_s)
@@ -68,6 +70,8 @@ def run(
         interrupted = False
     except KeyboardInterrupt:
         interrupted = True
+    finally:
+        scalars.close()
     keeper.save(training.state(), env_steps=training.env_steps)
     return interrupted
 
@@ -110,6 +114,8 @@ class Training:
         """Environment steps in all sessions; the host counts them by itself."""
         self.iterations = 0
         """Iterations of this session."""
+        self.known: dict[str, float] = {}
+        """``GAUGES`` at the last look."""
         self._numbers = _Told(self.learner)
         self._recent: deque[list[float]] = deque([[0.0] * len(SUMS)])
 
@@ -127,7 +133,7 @@ class Training:
         return self._report(numbers)
 
     def _report(self, numbers: list[float]) -> Report:
-        recent = self._recent
+        recent, self.known = self._recent, dict(zip(GAUGES, numbers[len(SUMS) :], strict=True))
         recent.append(numbers[: len(SUMS)])
         while len(recent) > 2 and recent[-1][1] - recent[1][1] >= RECENT_EPISODES:
             recent.popleft()

@@ -4,6 +4,10 @@
 queue fills, and the training waits in it for ever.
 """
 
+import importlib.util
+import time
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from aerial_gym.config.storage import storage_sentence
@@ -49,3 +53,44 @@ def guard(writer: Any) -> GuardedEvents:
     guarded = GuardedEvents(file_writer._ev_writer, writer.logdir)
     file_writer._ev_writer = file_writer._worker._record_writer = guarded
     return guarded
+
+
+class Scalars:
+    """Numbers over environment steps for TensorBoard, one of each a second; nothing where ``tensorboardX`` is not installed.
+
+    The library is imported with the first numbers, when a GPU has work meanwhile.
+    """
+
+    INTERVAL_S = 1.0
+
+    def __init__(self, folder: Path) -> None:
+        """Take the folder, which is made with the first numbers."""
+        self._folder, self._last = folder, -self.INTERVAL_S
+        self._known = importlib.util.find_spec("tensorboardX") is not None
+        self._writer: Any = None
+        self._events: GuardedEvents | None = None
+
+    def add(self, numbers: Mapping[str, float | None], env_steps: int) -> None:
+        """Write numbers, if it is time; those that are None are not known yet.
+
+        Raises:
+            StorageError: If numbers before could not be written.
+        """
+        if not self._known or time.perf_counter() - self._last < self.INTERVAL_S:
+            return
+        self._last = time.perf_counter()
+        if self._writer is None:
+            from tensorboardX import SummaryWriter
+
+            self._writer = SummaryWriter(str(self._folder))
+            self._events = guard(self._writer)
+        assert self._events is not None
+        self._events.check()
+        for name, value in numbers.items():
+            if value is not None:
+                self._writer.add_scalar(name, value, env_steps)
+
+    def close(self) -> None:
+        """Write what waits."""
+        if self._writer is not None:
+            self._writer.close()
