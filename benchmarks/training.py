@@ -5,11 +5,15 @@ iterations: the first few, in which kernels are compiled and the graph is record
 follow them. ``since_process_start_s`` is all but the evaluations: imports, the task, compilation, recording, training.
 """
 
+import contextlib
 import json
 import platform
+import subprocess
 import sys
 import time
 from dataclasses import dataclass, replace
+from math import inf
+from statistics import median
 
 STARTED = time.perf_counter()
 
@@ -26,6 +30,9 @@ class BenchTraining:
 
     seed: int = 1
     """Of the training; starts of the evaluation have another."""
+
+    seeds: tuple[int, ...] = ()
+    """Several trainings, each in a process of its own, and median and worst of them."""
 
     num_envs: int | None = None
     """Environments; that of the settings if not given."""
@@ -59,6 +66,38 @@ class BenchTraining:
 
     def run(self) -> int:
         """Train, evaluate, print; return the exit status."""
+        return self._several() if self.seeds else self._one()
+
+    def _several(self) -> int:
+        """Run one process a seed, pass on what it prints, and print what they have in common."""
+        marks: dict[float, list[dict[str, float]]] = {}
+        for seed in self.seeds:
+            given = [item for item in sys.argv[1:] if item != "--json"]
+            place = given.index("--seeds")
+            given = given[:place] + given[place + 1 + len(self.seeds) :]
+            command = [sys.executable, "-m", "benchmarks.training", *given, "--seed", str(seed), "--json"]
+            out = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
+            print(out, end="", flush=True)
+            *rows, _ = (json.loads(line) for line in out.splitlines())
+            for number, row in enumerate(rows, start=1):
+                marks.setdefault(round(number * self.every_s, 6), []).append(row)
+        for mark, rows in marks.items():
+            errors = [inf if row["final_error_mean_m"] is None else row["final_error_mean_m"] for row in rows]
+            self._print(
+                {
+                    "training_s": mark,
+                    "seeds": len(rows),
+                    "final_error_median_m": median(errors),
+                    "final_error_worst_m": max(errors),
+                    "crash_rate_worst": max(row["crash_rate"] for row in rows),
+                    "since_process_start_median_s": median(row["since_process_start_s"] for row in rows),
+                    "since_process_start_worst_s": max(row["since_process_start_s"] for row in rows),
+                }
+            )
+        return 0
+
+    def _one(self) -> int:
+        """Train once."""
         import torch
 
         from aerial_gym.rl_training import evaluate, load_settings, settings_for
@@ -79,19 +118,16 @@ class BenchTraining:
             max_time_s=self.train_s,
             ppo=replace(cfg.ppo, **changes),
         )
-        with (
-            task_registry.make_task(
-                cfg.task, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed, capture=False
-            ) as task,
-            task_registry.make_task(
-                cfg.task, num_envs=self.num_starts, device=cfg.device, seed=1_000_003 + cfg.seed
-            ) as fresh,
-        ):
+        with contextlib.ExitStack() as stack:
+            make = task_registry.make_task
+            task = stack.enter_context(
+                make(cfg.task, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed, capture=False)
+            )
             cuda = task.device.type == "cuda"
             wait = torch.cuda.synchronize if cuda else (lambda: None)
             clock = time.process_time if self.processor_time else time.perf_counter
             training = Training(cfg, task, fused=not self.plain)
-            trained_s, evaluated_s, iteration_s = 0.0, 0.0, 0.0
+            trained_s, evaluated_s, iteration_s, fresh = 0.0, 0.0, 0.0, None
             started_s = time.perf_counter() - STARTED
             begun = clock()
             training.advance()
@@ -110,6 +146,9 @@ class BenchTraining:
                     iteration_s = spent / (training.iterations - before)
                 begun = time.perf_counter()
                 since = begun - STARTED - evaluated_s
+                if fresh is None:
+                    seed = 1_000_003 + cfg.seed
+                    fresh = stack.enter_context(make(cfg.task, num_envs=self.num_starts, device=cfg.device, seed=seed))
                 found = evaluate(training.learner.network.actor, fresh)
                 wait()
                 evaluated_s += time.perf_counter() - begun

@@ -61,7 +61,7 @@ def run(
         while True:
             with interruption.held():
                 report = training.advance()
-            scalars.add(training.known | asdict(report), training.env_steps)
+            scalars.add(lambda: training.known | asdict(report) | task.episode_means(), training.env_steps)  # noqa: B023
             if progress.update(report):
                 break
             training.learner.time_share.fill_(0.0 if cfg.max_time_s is None else progress.elapsed_s() / cfg.max_time_s)

@@ -6,7 +6,7 @@ queue fills, and the training waits in it for ever.
 
 import importlib.util
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -70,8 +70,8 @@ class Scalars:
         self._writer: Any = None
         self._events: GuardedEvents | None = None
 
-    def add(self, numbers: Mapping[str, float | None], env_steps: int) -> None:
-        """Write numbers, if it is time; those that are None are not known yet.
+    def add(self, numbers: Callable[[], Mapping[str, float | None]], env_steps: int) -> None:
+        """Ask for numbers and write them, if it is time; those that are None are not known yet.
 
         Raises:
             StorageError: If numbers before could not be written.
@@ -86,7 +86,7 @@ class Scalars:
             self._events = guard(self._writer)
         assert self._events is not None
         self._events.check()
-        for name, value in numbers.items():
+        for name, value in numbers().items():
             if value is not None:
                 self._writer.add_scalar(name, value, env_steps)
 
