@@ -1,0 +1,44 @@
+"""What only a GPU shows: a training is a graph, and goes on from a checkpoint as it would have gone on."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from aerial_gym.rl_training.trainers.ppo import LOOK_EVERY, Training
+from aerial_gym.task import task_registry
+from tests.unit.rl_training.learning.test_ppo import settings
+
+pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+
+
+@pytest.mark.parametrize(
+    ("fused", "memory"), [(True, 0), (False, 0), (False, 16)], ids=["kernels", "operations", "recurrent"]
+)
+def test_a_training_on_a_gpu_is_a_graph_that_repeats_and_goes_on(fused: bool, memory: int) -> None:
+    """With one seed the same, and after a checkpoint too, but for the order in which a GPU sums.
+
+    A rounding of the last bit grows with every update of a flight: the bound is on the weights after 16 iterations, which
+    move by 0.01 each.
+    """
+    cfg = replace(settings(256, hidden_layers=(32, 32), memory=memory), device="cuda")
+
+    def train(looks: int, state: dict[str, object] | None = None) -> tuple[dict[str, object], float]:
+        with task_registry.make_task(cfg.task, num_envs=256, device="cuda", seed=0, capture=False) as task:
+            training = Training(cfg, task, fused=fused)
+            if state is not None:
+                training.load(state)
+            for _ in range(looks):
+                training.advance()
+            assert training._repeat.captured
+            assert type(training.learner).__name__ == ("FusedPpo" if fused else "Ppo")
+            return training.state(), float(training.learner.sums[0])
+
+    whole, steps = train(2)
+    assert steps == 2 * LOOK_EVERY * cfg.ppo.horizon * 256  # the device counts what the host does
+    again, _ = train(2)
+    first, _ = train(1)
+    second, _ = train(1, first)
+    for other in (again, second):
+        for name, tensor in whole["model"].items():  # type: ignore[attr-defined]
+            torch.testing.assert_close(other["model"][name], tensor, atol=1e-3, rtol=1e-3, msg=name)  # type: ignore[index]
