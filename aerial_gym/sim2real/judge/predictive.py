@@ -111,7 +111,7 @@ def open_effects(
     declared, final = models
     names = [name for name in EFFECTS if not EFFECTS.get(name).random]
     skipped = [name for name in names if lacks(name, train.robot, train.flights, test.flights)]
-    skipped += [*selection.surrogates]
+    skipped += [*selection.surrogates, *set(names).difference(selection.looked_for)]
     frozen = selection.final.fit.frozen
     libraries = [
         build_library(

@@ -46,7 +46,7 @@ def fitted(
 
 
 class Made(Fitter):
-    """Fits that are given, by their effects, and by whether there is a structure beside them."""
+    """Fits that are given, by their effects, and by whether there is a structure beside them; others do not hold."""
 
     def __init__(self, *sets: Fitted) -> None:
         self.sets = {(one.effects, bool(one.structures)): one for one in sets}
@@ -56,7 +56,8 @@ class Made(Fitter):
     def fit(self, effects: Sequence[str], structures: Sequence[Nuisance], start: ModelParams, _=None) -> Fitted:
         """Return the set; its start has its effects and no others."""
         assert set(start.effects) == set(effects)
-        return self.sets[tuple(effects), bool(structures)]
+        nothing = fitted(*effects, log=-1e3, odds=dict.fromkeys(effects, -1.0))
+        return self.sets.get((tuple(effects), bool(structures)), nothing)
 
 
 def chosen_of(best: Fitted, *others: Fitted, named: Fitted | None = None, **found: Any) -> Chosen:

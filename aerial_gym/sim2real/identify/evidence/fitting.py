@@ -36,6 +36,9 @@ Array = NDArray[np.float64]
 Label = tuple[str, ...]
 """Names of a set's effects, with their rotor, and structures, sorted."""
 
+BROAD = 3
+"""Sets of one size from which effects are taken out."""
+
 KEPT = 4
 """Sets of structures, and derivatives of fitted sets, that are kept for the next fit."""
 
@@ -221,10 +224,21 @@ class Fitter:
         return self.without(fitted, (min(fitted.effects, key=lambda name: odds.get(name, -np.inf)),))
 
     def held(self, fitted: Fitted) -> Fitted:
-        """Return a set without what does not hold, the effect for which the least speaks first."""
-        while not fitted.holds:
-            fitted = self.without_weakest(fitted)
-        return fitted
+        """Return the best of what is left of a set when as few effects go as it takes until all that is left holds.
+
+        An effect for which little speaks beside another may be all that is needed without it: not the weakest goes, but each is
+        tried, from the best few sets of a size.
+        """
+        level = [fitted]
+        while not any(one.holds for one in level):
+            less: dict[Label, Fitted] = {}
+            for one in sorted(level, key=lambda one: -one.log_posterior)[:BROAD]:
+                for name in one.effects:
+                    kept = label_of([(other, one.params.effects[other]) for other in one.effects if other != name], ())
+                    if kept not in less:
+                        less[kept] = self.without(one, (name,))
+            level = list(less.values())
+        return max((one for one in level if one.holds), key=lambda one: one.log_posterior)
 
     def in_file(self, fitted: Fitted) -> tuple[Fitted, dict[str, list[str]]]:
         """Return a set without what does not hold or ends where physics does, and what ended so, with the parameters."""

@@ -43,9 +43,6 @@ SHARES = (1.0, 0.5, 0.25, 0.125)
 ROUNDING = 1e-6
 """Relative rise of the squares that is none."""
 
-CONVERGED = 0.02
-"""A step is the last one if the linear model misses by less than this share of the residual."""
-
 NOTHING_LEFT = 0.05
 """A step is not taken that promises less log likelihood than this: it would change no choice."""
 
@@ -280,13 +277,13 @@ def fit_effects(
     frozen: Frozen = frozenset(),
     derivatives: Sequence[Array] | None = None,
 ) -> tuple[Fit, list[Array]]:
-    """Return the model with some effects fitted by Gauss-Newton steps, until it is as good as linear, and its derivatives.
+    """Return the model with some effects fitted by Gauss-Newton steps, until nothing is left to gain, and its derivatives.
 
     A step that overshoots is halved. Tolerances and structures take their share while the effects are fitted; they are not part
     of the model. The moments of the fit have the weights of the channels in them (``UNIT``).
 
-    With ``derivatives`` at hand a step costs one prediction in place of one for each parameter: they are mended along each step
-    by what the prediction really did, and only taken anew where they lead nowhere.
+    A step costs one prediction in place of one for each parameter: derivatives are mended along it by what the prediction
+    really did. Where they promise nothing more, or lead nowhere, they are taken anew; the fit ends if nothing comes of that.
 
     Args:
         predictor: Training flights.
@@ -299,44 +296,33 @@ def fit_effects(
     Source:
         Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
     """
-    weight, point, predicted = beside.weight, start, predictor.predict(start)
+    point, predicted = start, predictor.predict(start)
     residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
-    if exact := derivatives is None:
+    if fresh := derivatives is None:
         own = effect_jacobian(predictor, start, effects, predicted)
     else:
         own = [part.copy() for part in derivatives]
-    cost = misfit(beside, residuals)
-    for _ in range(MOST_STEPS):
+    cost, steps = misfit(beside, residuals), 0
+    while True:
         fit = fit_of_moments(predictor.robot, effects, point, beside.moments(residuals, own), frozen)
         if not np.isfinite(cost):
             return fit, own
-        whole = best_step(fit, UNIT, fit.free_all)
-        step, here = whole[: fit.num_effect_params], params_of(point, effects)
-        if 0.5 * cost - _left_after(fit, whole) < NOTHING_LEFT:
-            return fit, own
-        for share in SHARES:
-            gone = share * step
-            there = with_params(predictor.robot, point, effects, here + scales(effects) * gone)
-            predicted = predictor.predict(there)
-            moved = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
-            if (new_cost := misfit(beside, moved)) <= cost * (1.0 + ROUNDING):
-                break
-        else:
-            if exact:
+        whole, moved = best_step(fit, UNIT, fit.free_all), None
+        if 0.5 * cost - _left_after(fit, whole) >= NOTHING_LEFT and steps < MOST_STEPS:
+            step, here = whole[: fit.num_effect_params], params_of(point, effects)
+            for gone in (share * step for share in SHARES):
+                there = with_params(predictor.robot, point, effects, here + scales(effects) * gone)
+                moved = [m - p for m, p in zip(predictor.measured, predictor.predict(there), strict=True)]
+                if (new_cost := misfit(beside, moved)) <= cost * (1.0 + ROUNDING):
+                    own = exact_along(own, gone, [r - m for r, m in zip(residuals, moved, strict=True)])
+                    point, residuals, cost, steps, fresh = there, moved, new_cost, steps + 1, False
+                    break
+            else:
+                moved = None
+        if moved is None:
+            if fresh:
                 return fit, own
-            exact, own = True, effect_jacobian(predictor, point, effects, predictor.predict(point))
-            continue
-        missed = [r - j @ gone - m for r, j, m in zip(residuals, own, moved, strict=True)]
-        miss, size = (sum(float(((part**2).sum(axis=0) * weight).sum()) for part in parts) for parts in (missed, moved))
-        done = share == 1.0 and miss <= CONVERGED**2 * size
-        if not exact:
-            own = exact_along(own, gone, [r - m for r, m in zip(residuals, moved, strict=True)])
-        elif not done:
-            own = effect_jacobian(predictor, there, effects, predicted)
-        point, residuals, cost = there, moved, new_cost
-        if done:
-            break
-    return fit_of_moments(predictor.robot, effects, point, beside.moments(residuals, own), frozen), own
+            own, fresh = effect_jacobian(predictor, point, effects, predictor.predict(point)), True
 
 
 def _left_after(fit: Fit, step: Array) -> float:

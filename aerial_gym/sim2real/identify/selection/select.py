@@ -63,6 +63,9 @@ class Selection:
     left_out: LeftOut
     criteria: Criteria
 
+    looked_for: tuple[str, ...] = tuple(EFFECTS)
+    """Effects that were asked for."""
+
     @property
     def accepted(self) -> tuple[str, ...]:
         """Return the named effects."""
@@ -145,6 +148,7 @@ def select_effects(
         not_testable={name: reason for name, reason in reasons.items() if reason} | unseen,
         left_out=scorer.left_out,
         criteria=criteria,
+        looked_for=named,
     )
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.interop import one_thread
+from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.moments import weights_from
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
@@ -40,7 +41,9 @@ def test_the_quantile_is_exact_for_one_direction_and_for_equal_ones_and_near_it_
     assert between[0] == pytest.approx(np.quantile((draws**2).sum(axis=1), 0.99), rel=0.05)
 
 
-def judged(folder, inertia: float, *, still: bool, drag: float = 0.0) -> Unexplained:
+def judged(
+    folder, inertia: float, *, still: bool, drag: float = 0.0, looked_for: tuple[str, ...] = tuple(EFFECTS)
+) -> Unexplained:
     """Return what is left of a flight whose inertia is declared wrongly by a factor, with a drag, after flights without it."""
     body = replace(ROBOT.body, inertia=tuple(tuple(inertia * value for value in row) for row in ROBOT.body.inertia))
     robot: RobotCfg = replace(ROBOT, body=body)
@@ -74,6 +77,7 @@ def judged(folder, inertia: float, *, still: bool, drag: float = 0.0) -> Unexpla
         criteria=Criteria(),
         accepted=(),
         surrogates={},
+        looked_for=looked_for,
         left_out=SimpleNamespace(tolerated=np.sqrt(squares)),
     )
     floor = noise_floor(robot, test.flights, declared, channels, bandwidth=10.0)
@@ -99,6 +103,9 @@ def test_what_no_tolerance_covers_is_open_to_the_effect_that_training_does_not_s
         found = judged(tmp_path, 1.25, still=True)
     assert set(found.channels) & INERTIA
     assert found.open_to[0] == "inertia_error"
+    with one_thread():
+        asked = judged(tmp_path, 1.25, still=True, looked_for=("rotor_drag",))
+    assert "inertia_error" not in asked.open_to
 
 
 def test_what_training_shows_is_not_open(tmp_path) -> None:

@@ -44,8 +44,15 @@ def test_of_a_fit_that_went_nowhere_an_effect_goes(monkeypatch: pytest.MonkeyPat
     assert Fitter.without_weakest(object.__new__(Fitter), nowhere) == ("slung_payload",)
 
 
+def test_not_the_weakest_effect_goes_but_the_one_without_which_the_rest_holds() -> None:
+    """Less speaks for the drag beside the tilt of a motor; alone the drag holds, and the tilt does not."""
+    both = fitted("rotor_drag", "motor_tilt", odds={"rotor_drag": -2.0, "motor_tilt": -1.0})
+    tilt, drag = fitted("motor_tilt", log=-3.0, odds={"motor_tilt": -1.0}), fitted("rotor_drag", log=-5.0)
+    assert Made(tilt, drag, fitted(log=-9.0)).held(both) is drag
+
+
 def test_what_does_not_hold_goes_until_all_that_is_left_holds() -> None:
-    """The mass goes first, for which the least speaks, and then the wind as well, which held only beside it."""
+    """The mass goes, and then the wind as well, which held only beside it."""
     odds = {"payload_mass": -2.0, "constant_wind": -1.0}
     whole = fitted("rotor_drag", "payload_mass", "constant_wind", odds=odds)
     pair, drag = fitted("rotor_drag", "constant_wind", odds=odds), fitted("rotor_drag")
