@@ -116,7 +116,7 @@ class FusedPpo(Ppo):
         steps, envs = old["log_prob"].shape
         number, width = steps * chosen.numel(), partial.shape[1]
         self._kernels.gradient[(partial.shape[0], 2)](
-            self._adam.weights, chosen.contiguous(), old[self._key], old["action"], old["mean"], old_log_std,
+            self._adam.weights, chosen.contiguous(), samples.prepared[self._key], old["action"], old["mean"], old_log_std,
             old["log_prob"], old["advantage"], old["value"], old["target"],
             chosen.numel(), envs, number, *self._places[0], self._log_std, *self._places[1],
             ppo.clip_range, ppo.value_coef, ppo.bound_coef, ppo.entropy_coef, BOUND, width,

@@ -141,17 +141,23 @@ class Flown:
 class Samples:
     """What is learned from."""
 
+    prepared: Mapping[str, Tensor]
+    """Observations as the networks take them, by key, (T, E, ...)."""
+
     in_time: Mapping[str, Tensor]
-    """(T, E, ...): prepared keys of the observation, and ``begins``, ``action``, ``mean``, ``log_prob``, ``advantage``, and
-    normalised ``value`` (before learning) and ``target`` (what it is to become)."""
+    """``begins``, ``action``, ``mean``, ``log_prob``, ``advantage``, and normalised ``value`` (before learning) and ``target``
+    (what it is to become), (T, E, ...)."""
 
     memory: Tensor
     """What was remembered before the first step, (E, M)."""
 
     def of(self, environments: Tensor) -> "Samples":
         """Return those of some environments, int64 (E',)."""
-        chosen = {name: value.index_select(1, environments) for name, value in self.in_time.items()}
-        return Samples(in_time=chosen, memory=self.memory.index_select(0, environments))
+        prepared, in_time = (
+            {name: value.index_select(1, environments) for name, value in values.items()}
+            for values in (self.prepared, self.in_time)
+        )
+        return Samples(prepared=prepared, in_time=in_time, memory=self.memory.index_select(0, environments))
 
 
 class Ppo:
@@ -258,8 +264,8 @@ class Ppo:
         spread, mean = torch.std_mean(advantage)
         return Samples(
             memory=flown.memory,
-            in_time=before
-            | {
+            prepared=before,
+            in_time={
                 "begins": flown.begins[:-1],
                 "action": flown.action,
                 "mean": flown.mean,
@@ -309,7 +315,7 @@ class Ppo:
         """Return the gradient of the loss (P,) over the samples of some environments, (E',); divergence and losses, (3,)."""
         ppo, part = self._ppo, samples.of(chosen)
         old = part.in_time
-        distribution, value = self.network.sequence(old, part.memory, old["begins"])
+        distribution, value = self.network.sequence(part.prepared, part.memory, old["begins"])
         log_ratio = distribution.log_prob(old["action"]) - old["log_prob"]
         policy_loss = -clipped_objective(log_ratio, old["advantage"], clip_range=ppo.clip_range).mean()
         limit = ppo.clip_range if ppo.clip_value else None

@@ -122,13 +122,18 @@ def layers(widths: tuple[int, ...], activation: str) -> nn.Sequential:
 
 
 class _Pixels(nn.Module):
-    """Images of any leading dimensions and type as one batch of floats: 8 bits as 0 to 1."""
+    """Images of any leading dimensions and type as one batch of floats: 8 bits as 0 to 1.
+
+    Where nothing is learned from them, the steps of a sequence are taken one by one: as floats they take much memory.
+    """
 
     def __init__(self, shape: tuple[int, ...], network: nn.Module) -> None:
         super().__init__()
         self._shape, self.network = shape, network
 
     def forward(self, images: Tensor) -> Tensor:
+        if images.ndim > 4 and not torch.is_grad_enabled():
+            return torch.stack([self(step) for step in images])
         flat = images.reshape(-1, *self._shape)
         pixels = flat.float() / 255.0 if flat.dtype == torch.uint8 else flat.float()
         return self.network(pixels).reshape(*images.shape[:-3], -1)

@@ -57,7 +57,7 @@ def test_gradient_values_and_actions_are_those_of_torch(activation: str, clip_va
             0.1 * torch.randn(fused._adam.weights.shape, generator=torch.Generator().manual_seed(2)).to(DEVICE)
         )
         chosen = torch.randperm(24, generator=torch.Generator().manual_seed(3)).to(DEVICE)[:11]
-        ratio = network.sequence(samples.in_time, samples.memory, samples.in_time["begins"])[0]
+        ratio = network.sequence(samples.prepared, samples.memory, samples.in_time["begins"])[0]
         ratio = (ratio.log_prob(samples.in_time["action"]) - samples.in_time["log_prob"]).exp()
         assert float((ratio > 1.2).float().mean()) > 0.1
         assert float((ratio < 0.8).float().mean()) > 0.1

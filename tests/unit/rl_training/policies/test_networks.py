@@ -144,6 +144,8 @@ def test_images_are_encoded_with_any_leading_dimensions_and_bytes_stand_for_0_to
     assert features.shape == (2, 5, 8)
     as_floats, _ = body.sequence({"observations": seen, "depth": images / 255.0}, empty, begins)
     torch.testing.assert_close(features, as_floats)
+    with torch.no_grad():
+        torch.testing.assert_close(body.sequence({"observations": seen, "depth": images}, empty, begins)[0], features)
     other = images.clone()
     other[1, 2] = 255 - other[1, 2]
     changed, _ = body.sequence({"observations": seen, "depth": other}, empty, begins)

@@ -1,0 +1,71 @@
+"""A policy that sees bytes of images beside a vector learns what only the image says."""
+
+from dataclasses import replace
+
+import torch
+from gymnasium import spaces
+from torch import Tensor
+
+from aerial_gym.rl_training.learning.ppo import Ppo
+from aerial_gym.rl_training.trainers.ppo import make_network
+from tests.unit.rl_training.learning.test_ppo import settings
+
+ENVS, LENGTH = 32, 4
+
+
+class Point:
+    """A bright column stands left or right in the image; an action costs the square of its distance to -0.8 or 0.8."""
+
+    num_envs, num_actions, device = ENVS, 1, torch.device("cpu")
+    observation_space = spaces.Dict(
+        {
+            "observations": spaces.Box(-1.0, 1.0, (2,)),
+            "depth": spaces.Box(0, 255, (1, 8, 12), dtype="uint8"),  # type: ignore[arg-type]
+        }
+    )
+
+    def __init__(self) -> None:
+        self.generator, self.age = torch.Generator().manual_seed(0), torch.arange(ENVS) % LENGTH
+        self.side = self._draw()
+
+    def _draw(self) -> Tensor:
+        return torch.randint(0, 2, (ENVS,), generator=self.generator)
+
+    def _seen(self) -> dict[str, Tensor]:
+        image = torch.zeros(ENVS, 1, 8, 12, dtype=torch.uint8)
+        image[torch.arange(ENVS), 0, :, 2 + 7 * self.side] = 255
+        return {"observations": torch.zeros(ENVS, 2), "depth": image}
+
+    def reset(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        return self._seen(), {}
+
+    def stagger(self) -> None:
+        """The ages are staggered from the start."""
+
+    def step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Tensor]]:
+        reward = -((actions[:, 0] - 0.8 * (2.0 * self.side - 1.0)) ** 2)
+        self.age = self.age + 1
+        ended = self.age == LENGTH
+        info = {"final_observation": torch.zeros(ENVS, 2), "episode_return": reward, "episode_length": self.age}
+        self.age = torch.where(ended, 0, self.age)
+        self.side = torch.where(ended, self._draw(), self.side)
+        return self._seen(), reward, torch.zeros_like(ended), ended, info
+
+
+def late_cost(keys: tuple[str, ...]) -> float:
+    """Return the mean cost of an action after 40 iterations, exploration included."""
+    cfg = settings(ENVS, policy_keys=keys, horizon=8, num_minibatches=2, hidden_layers=(16,), initial_std=0.3)
+    cfg = replace(cfg, ppo=replace(cfg.ppo, num_epochs=4, discount=0.9, max_learning_rate=5e-3, min_std=0.01))
+    task = Point()
+    learner = Ppo(cfg, task, make_network(cfg, task))  # type: ignore[arg-type]
+    learner.begin()
+    for _ in range(40):
+        learner.iterate()
+    with torch.no_grad():
+        return float(-learner._fly().reward.mean())
+
+
+def test_an_image_tells_what_a_vector_does_not() -> None:
+    """Without it the best action is 0, which costs 0.64; the final image is that of the step before, as the task gives none."""
+    assert late_cost(("observations", "depth")) < 0.1
+    assert late_cost(("observations",)) > 0.6
