@@ -317,6 +317,11 @@ class Task:
         return self.values.find(TARGET, "whoever asks for the target")
 
     @property
+    def episode_return(self) -> Tensor:
+        """Sum of the rewards of the present episode, (E,)."""
+        return self.values.own[SUMS][:, 0]
+
+    @property
     def reward_names(self) -> tuple[str, ...]:
         """Names of the columns of ``info["reward_terms"]``."""
         return self._judge.reward_names

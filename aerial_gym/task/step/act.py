@@ -75,12 +75,12 @@ class Actor:
             writes[FILTERED] = values.declare(FILTERED, (num_commands,), meaning="command behind the low pass")
         if POLICY_ACTION in values.own:
             writes[POLICY_ACTION] = values.own[POLICY_ACTION]
-        self.passes = self.transform is direct and not writes
-        """Whether an action is the command."""
         given = torch.zeros(random.num_envs, num_actions, device=random.mask.device)
         self._check(cfg.transform, given, num_commands)
-        self.rows = NamedRows(self._command, "the action", reads=reads | {"action": given} | writes, writes=writes)
-        """The kernel."""
+        self.rows = None
+        """The kernel; None where nothing is between."""
+        if writes or self.transform is not direct:
+            self.rows = NamedRows(self._command, "the action", reads=reads | {"action": given} | writes, writes=writes)
 
     def _check(self, name: str, given: Tensor, num_commands: int) -> None:
         """Refuse a transform that gives no command, before the first step does."""
@@ -102,7 +102,7 @@ class Actor:
 
     def __call__(self, actions: Tensor) -> Tensor:
         """Return the commands (E, U) of actions (E, V), and move line and filter on."""
-        return actions if self.passes else self.rows(action=actions)["command"]
+        return actions if self.rows is None else self.rows(action=actions)["command"]
 
     def _command(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         action, begun, found = values["action"], values["begun"], {}

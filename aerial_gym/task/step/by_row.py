@@ -41,7 +41,9 @@ class ByRow(Generic[Result]):
         results = self._rows(*tensors, out=out)
         return cast("Result", results[0] if self._single else results)
 
-    def _trace(self, tensors: Sequence[Tensor]) -> None:
+    def prepare(self, tensors: Sequence[Tensor]) -> str:
+        """Make the kernel of such tensors now; return why that cannot be, or nothing."""
+
         def noting(*inputs: Tensor) -> Result:
             result = self._function(*inputs)
             self._single = isinstance(result, Tensor)
@@ -50,8 +52,14 @@ class ByRow(Generic[Result]):
         try:
             self._rows = RowFunction(noting, tensors)
         except UntraceableError as error:
-            self.reason = str(error)
-            _log.warning("%s runs as many small torch operations: %s", self._what, error)
+            return str(error) or "it cannot be traced"
+        return ""
+
+    def _trace(self, tensors: Sequence[Tensor]) -> None:
+        reason = self.prepare(tensors)
+        if reason:
+            self.reason = reason
+            _log.warning("%s runs as many small torch operations: %s", self._what, reason)
 
 
 class NamedRows:
@@ -76,12 +84,14 @@ class NamedRows:
             terms: What the function calls. One that cannot be part of a kernel runs before it, as torch operations of its own.
         """
         self.what, self._function, self._reads, self._writes = what, function, dict(reads), tuple(writes)
-        self.apart = tuple(term for term in terms if not self._traces(term))
+        self.apart: tuple[BoundTerm, ...] = ()
         """The terms that run before the kernel."""
-        self._names = (*self._reads, *(term.label for term in self.apart))
-        self._results: tuple[str, ...] = ()
-        self._rows = ByRow(self._of, what)
+        self._names, self._results = tuple(self._reads), ()
         self._out = tuple(writes.values())
+        self._rows = ByRow(self._of, what)
+        if self._rows.prepare(list(self._reads.values())):
+            self.apart = tuple(term for term in terms if not self._traces(term))
+            self._names += tuple(term.label for term in self.apart)
 
     @property
     def reason(self) -> str | None:

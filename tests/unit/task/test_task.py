@@ -80,6 +80,7 @@ def test_return_and_length_belong_to_the_finished_episode() -> None:
     for _ in range(4):
         _, reward, _, _, info = task.step(torch.zeros(3, 4))
         total += reward
+        assert (task.episode_return == info["episode_return"]).all() == (task.env.gtd["sim_steps"] > 0).all()
     torch.testing.assert_close(info["episode_return"], total)
     _, reward, _, _, info = task.step(torch.zeros(3, 4))
     torch.testing.assert_close(info["episode_return"], reward)
