@@ -52,6 +52,25 @@ def test_list_of_one_kind_is_a_table_with_units_intact(capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        ("observation-terms", "position_error_world"),
+        ("reward-terms", "distance_bell"),
+        ("termination-terms", "contact"),
+        ("task-buffers", "previous_distance"),
+        ("commands", "drawn_point"),
+        ("actions", "forward_flight"),
+    ],
+)
+def test_parts_of_tasks_are_listed_with_a_line_each(kind: str, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "list", kind, "--json")
+    assert status == 0
+    found = json.loads(out)[kind]
+    assert name in found
+    assert all(len(line) > 10 for line in found.values())
+
+
+@pytest.mark.parametrize(
     ("argv", "message"),
     [
         (("lst",), "no command 'lst'. Known: list, train"),

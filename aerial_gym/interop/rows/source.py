@@ -10,7 +10,7 @@ import warp as wp
 
 from aerial_gym.interop.rows.operations import CODE
 from aerial_gym.interop.rows.tracing import Scalar, Trace
-from aerial_gym.interop.rows.transport import LARGEST, load_row_4, store_row
+from aerial_gym.interop.rows.transport import LARGEST, MOST_STAGED, load_row_4, store_row
 
 WARP_TYPES = {
     torch.float32: "float32",
@@ -61,9 +61,12 @@ def write(trace: Trace, *, masked: bool = False, made: Sequence[str] = (), besid
     lines = [f"    r{i} = load_row_4(in_{i}, row)" for i in together]
     lines += [f"    {line}" for line in made]
     lines += [f"    v{n} = {_code(trace.scalars[n], together, made=bool(made))}" for n in needed]
+    staged = 0
     for i, (numbers, _, dtype) in enumerate(trace.outputs):
         width = len(numbers)
-        if dtype == torch.float32 and 2 <= width <= LARGEST and not masked:
+        pitch = width | 1
+        if dtype == torch.float32 and 2 <= width <= LARGEST and not masked and staged + pitch <= MOST_STAGED:
+            staged += pitch
             names |= {"store_row": store_row, f"vector_{width}": wp.types.vector(length=width, dtype=wp.float32)}
             values = ", ".join(f"v{n}" for n in numbers)
             lines.append(f"    store_row(out_{i}, row, vector_{width}({values}))")

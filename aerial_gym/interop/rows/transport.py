@@ -15,6 +15,10 @@ import warp as wp
 LARGEST = 128
 """Most numbers of a row that is staged: with the 64 threads of a block they fill 33 KB of shared memory."""
 
+MOST_STAGED = 180
+"""Most numbers of all staged rows of a kernel together, each row counted with an odd pitch: 46 KB of the 48 KB that a block may
+have. Rows beyond are written plainly."""
+
 FEW = 8192
 """Rows of a launch below which every thread writes its own: they do not fill an H200, and the staging only makes them wait."""
 

@@ -3,6 +3,7 @@
 On a CPU this is the plain loop; ``tests/integration/test_cuda.py`` does the same on a GPU. Letters: E rows.
 """
 
+import re
 from math import nan
 
 import pytest
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from aerial_gym.interop.rows import RowFunction
 from aerial_gym.interop.rows.transport import LARGEST
+from aerial_gym.interop.streams import BLOCK_DIM
 
 
 def moved(a: Tensor, quad: Tensor) -> tuple[Tensor, ...]:
@@ -52,3 +54,15 @@ def check_transport(num_rows: int, device: str) -> None:
 @pytest.mark.parametrize("num_rows", [1, 33])
 def test_rows_arrive_as_they_are(num_rows: int) -> None:
     check_transport(num_rows, "cpu")
+
+
+def test_a_block_has_room_for_all_rows_that_are_staged() -> None:
+    """48 KB of shared memory for 64 threads: of three rows of 100 numbers one is staged, and a narrow one beside it."""
+    numbers = torch.rand(5, 100)
+    rows = RowFunction(lambda a: (a + 1.0, a + 2.0, a + 3.0, a[:, :7] + 4.0), [numbers])
+    found = rows(numbers)
+    widths = [int(width) for width in re.findall(r"store_row\(out_\d, row, vector_(\d+)", rows.code)]
+    assert widths == [100, 7]
+    assert sum(width | 1 for width in widths) * 4 * BLOCK_DIM <= 48 * 1024
+    for k in range(3):
+        assert torch.equal(found[k], numbers + (k + 1.0))
