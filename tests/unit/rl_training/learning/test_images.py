@@ -6,9 +6,12 @@ import torch
 from gymnasium import spaces
 from torch import Tensor
 
+from aerial_gym.rl_training.evaluate import evaluate
 from aerial_gym.rl_training.learning.ppo import Ppo
-from aerial_gym.rl_training.trainers.ppo import make_network
+from aerial_gym.rl_training.policies.load import check_fits, policy_from_payload
+from aerial_gym.rl_training.trainers.ppo import Training, make_network
 from tests.unit.rl_training.learning.test_ppo import settings
+from tests.unit.task.hover import seeing
 
 ENVS, LENGTH = 32, 4
 
@@ -69,3 +72,21 @@ def test_an_image_tells_what_a_vector_does_not() -> None:
     """Without it the best action is 0, which costs 0.64; the final image is that of the step before, as the task gives none."""
     assert late_cost(("observations", "depth")) < 0.1
     assert late_cost(("observations",)) > 0.6
+
+
+def test_a_task_with_a_camera_is_trained_with_a_memory_and_a_critic_that_sees_better() -> None:
+    """The policy sees bytes of two images, the critic floats; the checkpoint flies without the critic."""
+    keys = {"policy_keys": ("observations", "depth"), "critic_keys": ("observations", "exact")}
+    cfg = settings(8, memory=6, horizon=4, num_minibatches=2, num_epochs=1, hidden_layers=(8,), **keys)
+    with seeing(8, capture=False) as task:
+        training = Training(cfg, task)
+        for _ in range(2):
+            training.advance()
+        state = training.state()
+        policy = policy_from_payload(state, cfg, where="test")
+        check_fits(policy, task, cfg)
+        assert set(policy.shapes) == {"observations", "depth"}
+        assert evaluate(policy, task).num_starts == 8
+        again = Training(cfg, task)
+        again.load(state)
+        assert again.env_steps == training.env_steps == 2 * 4 * 8
