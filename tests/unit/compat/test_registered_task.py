@@ -127,3 +127,37 @@ def test_what_it_cannot_says_what_to_do() -> None:
         task.reset_idx([0])
     task.render()
     task.close()
+
+
+def test_numbers_of_rewards_are_those_of_the_terms() -> None:
+    """By the names of the task file: reward and number; what the class does not name keeps its value."""
+    names = task_registry.get_task_config(NAME).reward_parameters
+    assert (names["near.height"], names["upright.offset"], names["near.weight"], names["crash"]) == (
+        3.0,
+        0.1,
+        1.0,
+        -20.0,
+    )
+
+    class Keen(task_registry.get_task_config(NAME)):
+        reward_parameters = {"near.height": 30.0, "far.weight": 0.5, "crash": -7.0}
+
+    keen = task_class(NAME)(Keen, num_envs=2, device="cpu").task.cfg
+    assert keen.rewards["near"].params == {"height": 30.0, "width": 8.0}
+    assert keen.rewards["far"].weight == 0.5
+    assert keen.crash_reward is not None
+    assert keen.crash_reward.value == -7.0
+
+    class Wrong(task_registry.get_task_config(NAME)):
+        reward_parameters = {"naer.height": 30.0}
+
+    with pytest.raises(ConfigError, match="naer: what this class stands for has none of that name. Known: near, far"):
+        task_class(NAME)(Wrong, num_envs=2, device="cpu")
+
+    class Odd(task_registry.get_task_config(NAME)):
+        reward_parameters = {"near.hight": 30.0}
+
+    with pytest.raises(
+        ConfigError, match=r"reward 'near' \(distance_bell\): no parameter 'hight'. Did you mean 'height'"
+    ):
+        task_class(NAME)(Odd, num_envs=2, device="cpu")
