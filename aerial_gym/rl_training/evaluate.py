@@ -5,6 +5,7 @@ Letters: E environments, O entries of an observation, U entries of an action.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import inf
 
 import torch
 from torch import Tensor
@@ -41,7 +42,7 @@ class Evaluation:
     """Share of flights that did neither: they lasted to the end and were not there."""
 
     final_error_mean_m: float | None
-    """Mean over flights of the mean distance over the last second [m]; None if all crashed."""
+    """Mean over flights of the mean distance over the last second [m]; None if all crashed or nothing is aimed at."""
 
     final_error_p95_m: float | None
     """95th percentile of it [m]."""
@@ -92,11 +93,14 @@ def evaluate(
     total, error_sum = torch.zeros(task.num_envs, device=task.device), torch.zeros(task.num_envs, device=task.device)
     succeeded = torch.zeros_like(flying)
     distance = torch.zeros_like(total)
+    nowhere = torch.full_like(total, inf)  # of a task without a target
     outside_until = torch.zeros(task.num_envs, dtype=torch.int64, device=task.device)
     for step in range(1, steps + 1):
         observation, reward, terminated, truncated, info = task.step(policy(observation))
         policy.reset(terminated | truncated)
-        distance = torch.where(flying, info["distance"], distance)  # of an episode that is over, the last one
+        distance = torch.where(
+            flying, info.get("distance", nowhere), distance
+        )  # of an episode that is over, the last one
         total += torch.where(flying, reward, 0.0)
         crashed |= flying & info["crashes"]
         if ends_count:
@@ -109,7 +113,10 @@ def evaluate(
             on_step(step, steps)
     if not ends_count:
         succeeded = ~crashed & (error_sum / final_steps < radius)
-    error, settling = (error_sum / final_steps)[~crashed], (outside_until * dt)[~crashed & (outside_until < steps)]
+    error, settling = (
+        (error_sum / final_steps)[~crashed & error_sum.isfinite()],
+        (outside_until * dt)[~crashed & (outside_until < steps)],
+    )
     return Evaluation(
         num_starts=task.num_envs,
         episode_s=steps * dt,

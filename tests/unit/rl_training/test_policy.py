@@ -158,6 +158,21 @@ def test_evaluation_of_known_flights() -> None:
     assert found.return_mean == pytest.approx((6 + 6 + 2 + 6) / 4)
 
 
+def test_a_task_without_a_target_has_returns_alone() -> None:
+    """What it is to be near has no meaning there; crashes and returns have."""
+
+    class Aimless(ScriptedTask):
+        def step(self, actions: torch.Tensor):
+            *rest, info = super().step(actions)
+            return *rest, {"crashes": info["crashes"]}
+
+    found = evaluate(Scripted(lambda obs: obs["observations"][:, :1]), Aimless())  # type: ignore[arg-type]
+    assert (found.final_error_mean_m, found.settling_time_mean_s) == (None, None)
+    assert (found.settled_rate, found.success_rate) == (0.0, 0.0)
+    assert found.crash_rate == pytest.approx(1 / 4)
+    assert found.return_mean == pytest.approx((3 * 6 + 2) / 4)
+
+
 def test_a_policy_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="holds no checkpoint"):
         load_policy(tmp_path)
