@@ -125,6 +125,22 @@ def test_a_swallowed_signal_is_remembered(number: signal.Signals) -> None:
     assert signal.getsignal(number) is before
 
 
+def test_a_signal_waits_for_what_cannot_be_left_half_done() -> None:
+    done = []
+    with interruptible() as interruption:
+
+        def iterate() -> None:
+            with interruption.held():
+                signal.raise_signal(signal.SIGTERM)
+                done.append("the rest")
+
+        with pytest.raises(KeyboardInterrupt):
+            iterate()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+    assert done == ["the rest"]
+
+
 def test_a_writer_of_summaries_outlives_a_full_disk_and_says_so() -> None:
     calls = []
 

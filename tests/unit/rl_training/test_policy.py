@@ -200,6 +200,22 @@ def test_settings_refuse_impossible_numbers_and_names() -> None:
         replace(cfg.ppo, learning_rate=float("nan"))
 
 
+def test_a_cpu_has_settings_of_its_own_where_there_are_some() -> None:
+    names = [
+        settings_for(trainer, task, device="cpu").name
+        for trainer in ("ppo", "rl_games")
+        for task in ("position_setpoint_task", "navigation_task", "a_task_without")
+    ]
+    assert names[:3] == ["ppo_position_setpoint_cpu.yaml", "ppo_navigation.yaml", "ppo_position_setpoint_cpu.yaml"]
+    assert names[3:] == [
+        "rl_games_position_setpoint.yaml",
+        "rl_games_navigation.yaml",
+        "rl_games_position_setpoint.yaml",
+    ]
+    for file in sorted(settings_for("ppo", "navigation_task").parent.glob("*.yaml")):
+        assert load_settings(file).trainer in file.name
+
+
 def test_a_missing_trainer_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(
