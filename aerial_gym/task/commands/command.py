@@ -31,7 +31,10 @@ class Command:
         self.values, self.env = values, env
 
     def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return buffers of it that follow from this instant, after the physics and before rewards and ends are found."""
+        """Return buffers of it that follow from this instant, after the physics and before rewards and ends are found.
+
+        What it returns it must not read: it may be called more than once.
+        """
         del values
         return {}
 

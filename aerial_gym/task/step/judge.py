@@ -115,9 +115,15 @@ class Judge:
             terms=[*terms, *observer.terms],
         )
         """The kernel."""
+        self._early: NamedRows | None = None
+        if any(name in moved for term in self.rows.apart for name in term.reads):  # they run before the kernel
+            given = {name: reads[name] for name in ("sim_steps", *command.reads)}
+            self._early = NamedRows(command.at, "the command", reads=given, writes=moved)
 
     def __call__(self) -> dict[str, Tensor]:
         """Judge every environment; return the results by name, (E, ...); launched, not waited for."""
+        if self._early is not None:
+            self._early()
         found = self.rows()
         found |= zip(FLAGS, found["flags"].unbind(-1), strict=True)
         return found | {"total": found["sums"][:, 0], "reward_terms": found["sums"][:, 1:]}

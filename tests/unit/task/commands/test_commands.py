@@ -9,7 +9,8 @@ import torch
 
 from aerial_gym.config.task_terms import CommandCfg, ObservationCfg, RewardCfg, TerminationCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
-from aerial_gym.task import COMMANDS, Command, Task
+from aerial_gym.task import COMMANDS, REWARDS, Command, Task
+from aerial_gym.task.terms.term import Term
 from tests.unit.task.hover import make
 
 STAY = torch.zeros(3, 4)
@@ -203,3 +204,22 @@ def test_a_generator_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
         torch.testing.assert_close(obs["observations"][:, :3], torch.tensor([[0.0, 0.0, 1.5]] * 3))
     with pytest.raises(ConfigError, match="command fleeing: parameter 'height' is missing"):
         make(1, command=replace(task.cfg.command, params={}))  # type: ignore[type-var]
+
+
+def test_a_term_that_is_no_part_of_the_kernel_sees_the_target_of_the_instant(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A median sorts: such a term runs before the kernel that moves the target."""
+    params = {"curve": "circle", "size": (2.0, 1.0, 0.5), "period": 0.5}
+    middle = Term(name="middle", value=lambda target_position: target_position.median(dim=-1).values)
+    monkeypatch.setitem(REWARDS._entries, "middle", middle)
+    task = make(
+        3,
+        command=CommandCfg(generator="trajectory", params=params),
+        rewards={"middle": RewardCfg(term="middle")},
+        terminations=CONTACT,
+    )
+    task.reset()
+    for step in range(1, 6):
+        _, reward, *_ = task.step(STAY)
+        angle = 2.0 * pi * 0.01 * step / 0.5
+        expected = sorted((2.0 * np.cos(angle), np.sin(angle), 0.0))[1]
+        torch.testing.assert_close(reward, torch.full((3,), float(expected)), rtol=0.0, atol=1e-5)
