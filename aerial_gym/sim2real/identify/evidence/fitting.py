@@ -145,7 +145,7 @@ class Fitter:
         beside, effects = self.beside(structures), tuple(effects)
         found, last = fit_effects(self.predictor, effects, start, beside, derivatives=derivatives)
         parameters, support = NOTHING, {}
-        if np.isfinite(found.moments.square).all():
+        if found.finite:
             linear = linear_about(found, [self.neutral(name) for name in effects])
             parameters = posterior(linear.candidates, linear.whole, linear.model)
             support = supports_of_fit(linear, self.log_names)
@@ -230,7 +230,9 @@ class Fitter:
         tried, from the best few sets of a size.
         """
         level = [fitted]
-        while not any(one.holds for one in level):
+        for _ in fitted.effects:
+            if any(one.holds for one in level):
+                break
             less: dict[Label, Fitted] = {}
             for one in sorted(level, key=lambda one: -one.log_posterior)[:BROAD]:
                 for name in one.effects:
@@ -238,7 +240,7 @@ class Fitter:
                     if kept not in less:
                         less[kept] = self.without(one, (name,))
             level = list(less.values())
-        return max((one for one in level if one.holds), key=lambda one: one.log_posterior)
+        return max([one for one in level if one.holds] or level, key=lambda one: one.log_posterior)
 
     def in_file(self, fitted: Fitted) -> tuple[Fitted, dict[str, list[str]]]:
         """Return a set without what does not hold or ends where physics does, and what ended so, with the parameters."""

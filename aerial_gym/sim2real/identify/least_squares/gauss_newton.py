@@ -73,6 +73,12 @@ class Fit:
     """Parameters that the flights do not show; they stay where they are."""
 
     @property
+    def finite(self) -> bool:
+        """Return whether prediction and derivatives are finite: a pendulum that goes over the top is not."""
+        moments = self.moments
+        return all(bool(np.isfinite(sums).all()) for sums in (moments.square, moments.gradient, moments.product))
+
+    @property
     def owners(self) -> list[tuple[str, int]]:
         """Return effect and place of each parameter of effects."""
         return [(name, place) for name in self.effects for place in range(len(EFFECTS.get(name).parameters))]
@@ -197,7 +203,9 @@ def solve_within(fit: Fit, product: Array, gradient: Array, free: Indices) -> Ar
 
 
 def _solved(a: Array, b: Array, low: Array, high: Array) -> Array:
-    """Return the minimum of ``x a x / 2 - b x`` within bounds."""
+    """Return the minimum of ``x a x / 2 - b x`` within bounds; NaN where a number is not finite."""
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        return np.full(b.size, np.nan)
     found = np.linalg.solve(a, b)
     if np.all(found >= low) and np.all(found <= high):
         return found

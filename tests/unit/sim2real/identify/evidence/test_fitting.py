@@ -51,6 +51,13 @@ def test_not_the_weakest_effect_goes_but_the_one_without_which_the_rest_holds() 
     assert Made(tilt, drag, fitted(log=-9.0)).held(both) is drag
 
 
+def test_where_even_nothing_is_no_fit_the_search_ends() -> None:
+    """The declared model itself predicts no number."""
+    nothing = fitted(log=float("-inf"))
+    assert Made(nothing).held(nothing) is nothing
+    assert Made(nothing).held(fitted("rotor_drag", odds={"rotor_drag": -1.0})) is nothing
+
+
 def test_what_does_not_hold_goes_until_all_that_is_left_holds() -> None:
     """The mass goes, and then the wind as well, which held only beside it."""
     odds = {"payload_mass": -2.0, "constant_wind": -1.0}

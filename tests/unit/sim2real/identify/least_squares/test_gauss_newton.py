@@ -216,6 +216,24 @@ def test_a_fit_with_derivatives_at_hand_arrives_where_others_do() -> None:
     assert costs[1] < costs[0]
 
 
+@pytest.mark.parametrize("derivatives", [None, [np.full((40, 1, 3), np.nan)]])
+def test_a_fit_whose_derivatives_are_not_finite_goes_nowhere(derivatives: list[np.ndarray] | None) -> None:
+    """A pendulum that goes over the top right beside the start: its prediction is finite, its derivative is not."""
+    edge = ModelParams(effects={"constant_wind": np.array([1.0, 0.0, 0.0])})
+
+    def predict(point: ModelParams) -> list[np.ndarray]:
+        wind = point.effects["constant_wind"]
+        return [np.full((40, 1), 1.0 if np.array_equal(wind, edge.effects["constant_wind"]) else np.nan)]
+
+    predictor = SimpleNamespace(
+        robot=ROBOTS.get("tinyprop"), times=[np.arange(40) / 30.0], measured=[np.full((40, 1), 2.0)], predict=predict
+    )
+    beside = Beside(predictor.times, [[np.ones((40, 1, 1))]], np.ones(1))
+    fit, _ = fit_effects(predictor, ("constant_wind",), edge, beside, derivatives=derivatives)  # type: ignore[arg-type]
+    assert fit.point is edge
+    assert not fit.finite
+
+
 def test_short_flights_have_short_blocks() -> None:
     """24 blocks where they can be longer than half a second, and never longer than two."""
     assert [block_length([np.array([0.0, span])] * 3) for span in (2.0, 5.0, 16.0, 100.0)] == [0.5, 0.625, 2.0, 2.0]
