@@ -10,8 +10,8 @@ import pytest
 
 ROOT = Path(__file__).parent.parent / "aerial_gym"
 GROUPS = (
-    ("lazy",),
-    ("errors", "interop", "math"),
+    ("lazy", "errors"),
+    ("interop", "math"),
     ("config", "registry"),
     ("physics", "assets"),
     ("control", "sensors"),

@@ -57,12 +57,13 @@ class MemoryBench:
         import torch
 
         from aerial_gym.benchmarks.measure import require_at_least
-        from aerial_gym.benchmarks.output import device_by_name, device_name, provenance
+        from aerial_gym.benchmarks.output import device_name, provenance
         from aerial_gym.env_manager import SimBuilder
+        from aerial_gym.interop import resolve_device
 
         require_at_least(1, num_envs=self.num_envs)
         require_at_least(0, largest=self.largest)
-        device = device_by_name(self.device)
+        device = resolve_device(self.device)
         free = _free_bytes(device)
         env = SimBuilder().build_env(
             sim_name="base_sim",

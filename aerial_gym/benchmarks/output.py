@@ -12,18 +12,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from aerial_gym.errors import ConfigError
-from aerial_gym.interop import resolve_device
-
 PACKAGES = ("torch", "warp-lang", "aerial-gym")
-
-
-def device_by_name(name: str) -> torch.device:
-    """Return the torch device of a name, or raise ``ConfigError``."""
-    try:
-        return resolve_device(name)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
 
 
 def device_name(device: torch.device) -> str:

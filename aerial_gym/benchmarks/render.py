@@ -87,11 +87,11 @@ class RenderBench:
         """
         from aerial_gym.benchmarks.beside import names_of
         from aerial_gym.benchmarks.measure import require_at_least, torch_threads
-        from aerial_gym.benchmarks.output import device_by_name
         from aerial_gym.errors import ConfigError
+        from aerial_gym.interop import resolve_device
 
         require_at_least(1, num_envs=self.num_envs, width=self.width, height=self.height)
-        device, names, threads = device_by_name(self.device), names_of(self.against), self.threads
+        device, names, threads = resolve_device(self.device), names_of(self.against), self.threads
         if names and self.lidar:
             raise ConfigError("--against: the others draw with a camera, not with --lidar")
         if names and device.type == "cpu":

@@ -60,11 +60,12 @@ class TaskBench:
         """
         from aerial_gym.benchmarks.episodes import Episodes
         from aerial_gym.benchmarks.measure import spread, time_launches, torch_threads
-        from aerial_gym.benchmarks.output import device_by_name, device_name, provenance
+        from aerial_gym.benchmarks.output import device_name, provenance
         from aerial_gym.benchmarks.parts import time_parts
+        from aerial_gym.interop import resolve_device
         from aerial_gym.task import task_registry
 
-        device = device_by_name(self.device)
+        device = resolve_device(self.device)
         beside = provenance()
         with (
             torch_threads(self.threads) as threads,

@@ -48,13 +48,6 @@ def environment_by_name(name: str | Path | EnvironmentCfg) -> EnvironmentCfg:
     return ENVIRONMENTS.get(str(name))
 
 
-def _device(name: str | torch.device) -> torch.device:
-    try:
-        return resolve_device(name)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
-
-
 @contextmanager
 def told_memory(num_envs: int, device: torch.device) -> Iterator[None]:
     """Turn what torch and NumPy raise of sizes that no memory holds into one sentence.
@@ -134,7 +127,7 @@ class SimBuilder:
                 fit into memory.
         """
         sim = sim_name if isinstance(sim_name, SimCfg) else SIMS.get(sim_name)
-        where = _device(device)
+        where = resolve_device(device)
         with told_memory(num_envs, where):
             return EnvManager(
                 sim=sim if backend is None else replace(sim, backend=backend),

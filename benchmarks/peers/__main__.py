@@ -10,8 +10,9 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from aerial_gym.benchmarks.output import device_by_name, device_name, provenance, readable
+from aerial_gym.benchmarks.output import device_name, provenance, readable
 from aerial_gym.errors import AerialGymError, ConfigError
+from aerial_gym.interop import resolve_device
 from benchmarks.peers.catalog import CASES, PEERS, interpreters
 from benchmarks.peers.runs import Conditions, RunFailedError, ours, peers, schedule, why_skipped
 from benchmarks.peers.table import Measurement, Ratio, ratios
@@ -57,7 +58,7 @@ class PeersCmd:
         for case in self.cases:
             if case not in CASES:
                 raise ConfigError(f"no case {case!r}. Known: {', '.join(CASES)}")
-        device, beside = device_name(device_by_name(self.device)), provenance()
+        device, beside = device_name(resolve_device(self.device)), provenance()
         skipped = {name: why_skipped(name, pythons[name], self.device) for name in PEERS}
         for sentence in filter(None, skipped.values()):
             print(sentence, file=sys.stderr)

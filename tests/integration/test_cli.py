@@ -79,6 +79,7 @@ def test_parts_of_tasks_are_listed_with_a_line_each(kind: str, name: str, capsys
             ("train", "--task", "position_setpoint_tsk"),
             "no task 'position_setpoint_tsk'. Did you mean 'position_setpoint_task'",
         ),
+        (("train", "--device", "tpu9"), "device 'tpu9': must be auto, cpu, cuda"),
         (("evaluate", "--policy", "nowhere"), "nowhere"),
         (("replay", "tinyprp", "flight.csv"), "no robot 'tinyprp'. Did you mean 'tinyprop'"),
         (("replay", "tinyprop", "flight.csv"), "flight.csv: no such file"),

@@ -55,6 +55,8 @@ def test_a_training_leaves_a_run_that_resumes_and_evaluates(
     found = json.loads(capsys.readouterr().out)
     assert found["num_starts"] == 16
     assert 0.0 <= found["success_rate"] <= 1.0
+    assert main(["evaluate", "--policy", str(out), "--device", "tpu9"]) == 2
+    assert "device 'tpu9': must be auto, cpu" in capsys.readouterr().err
 
     table = tmp_path / "flights.csv"
     assert main(["play", "--policy", str(out), "--num-steps", "5", "--out", str(table)]) == 0

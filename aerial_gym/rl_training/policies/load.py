@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
+from aerial_gym.interop import resolve_device
 from aerial_gym.rl_training.policies.body import BodyCfg
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
@@ -42,14 +43,14 @@ def load_policy(source: str | Path, *, device: str | torch.device = "cpu") -> tu
     """Return the policy and the settings of a run folder, or of one checkpoint inside a run folder.
 
     Raises:
-        ConfigError: If there is no such run or checkpoint, or it does not hold the network of its settings.
+        ConfigError: If there is no such run or checkpoint or device, or it does not hold the network of its settings.
     """
     source = Path(source)
     folder = RunFolder(source) if source.is_dir() else run_folder_of(source)
     file = folder.last_checkpoint() if source.is_dir() else source
     cfg = folder.config()
     payload = checkpoint.load(file)
-    return policy_from_payload(payload, cfg, where=str(file)).to(device), cfg
+    return policy_from_payload(payload, cfg, where=str(file)).to(resolve_device(device)), cfg
 
 
 def policy_from_payload(payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str) -> Policy:
