@@ -26,7 +26,7 @@ from aerial_gym.physics import Trajectory
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
 from aerial_gym.registry.state import below, check_state, identity, restore, saved
 from aerial_gym.robots import ROBOTS, RobotManager, Surroundings
-from aerial_gym.robots.differentiable import DifferentiableBackend, states_by_key
+from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors
 
 
@@ -213,11 +213,11 @@ class EnvManager:
 
     @property
     def traced(self) -> dict[str, Tensor]:
-        """The robots' motion of this instant by the keys of the GTD, with its gradients, of a ``differentiable`` simulation.
+        """The robots' motion and actions of this instant by the keys of the GTD, with their gradients; ``differentiable`` alone.
 
         The tensors are never written again: a loss may hold those of many steps. The GTD shows the same in float32.
         """
-        return states_by_key(self._graph().state)
+        return self._graph().traced
 
     def detach(self) -> None:
         """Let gradients end at this instant: what comes later is differentiated back to here, and no further."""

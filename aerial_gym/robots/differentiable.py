@@ -4,6 +4,7 @@ The Global Tensor Dictionary holds copies of it in float32, for sensors, rewards
 through the motion here, which is never overwritten. Letters: E environments, U entries of an action.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
@@ -23,8 +24,10 @@ from aerial_gym.physics.torch_backend import TorchBackend
 class DifferentiableBackend:
     """The torch backend in a float type of its own, that keeps the motion as a graph beside the tensors it is shown in."""
 
-    def __init__(self, backend: PhysicsBackend, shown: BodyState, *, dtype: torch.dtype) -> None:
-        """Take a new backend, the state in the Global Tensor Dictionary, and the float type of the graph.
+    def __init__(
+        self, backend: PhysicsBackend, shown: BodyState, shown_actions: tuple[Tensor, Tensor], *, dtype: torch.dtype
+    ) -> None:
+        """Take a new backend, state and last two actions in the Global Tensor Dictionary, and the float type of the graph.
 
         Raises:
             CapabilityError: If it is another backend than ``torch``.
@@ -33,11 +36,20 @@ class DifferentiableBackend:
             raise CapabilityError(
                 f"backend {type(backend).__name__}: gradients flow through an environment on backend 'torch' alone"
             )
-        self._inner, self._shown, self._dtype = backend, shown, dtype
+        self._inner, self._shown, self._shown_actions, self._dtype = backend, shown, shown_actions, dtype
         self._hook: SubstepHook | None = None
         self.state: BodyState = _map(shown, lambda rows: rows.detach().to(dtype, copy=True))
-        self.action: Tensor | None = None
-        """What the robots do in the step, (E, U), with its graph."""
+        self.actions: tuple[Tensor, Tensor] = _two(shown_actions, lambda rows: rows.detach().to(dtype, copy=True))
+        """What the robots do in the step, and what they did in the one before, each (E, U), with their graphs."""
+
+    @property
+    def traced(self) -> dict[str, Tensor]:
+        """Motion, what follows from it, and actions, by the keys of the Global Tensor Dictionary; differentiable."""
+        return states_by_key(self.state) | dict(zip(("robot_actions", "robot_prev_actions"), self.actions, strict=True))
+
+    def act(self, action: Tensor) -> None:
+        """Take the action of a step, (E, U), with its graph."""
+        self.actions = (action.to(self._dtype), self.actions[0])
 
     @property
     def capabilities(self) -> Capabilities:
@@ -71,7 +83,8 @@ class DifferentiableBackend:
     def state_tensors(self) -> dict[str, Tensor]:
         """Return what must be kept to go on, by name; gradients end here."""
         self.detach()
-        return self._inner.state_tensors() | {f"graph.{name}": rows for name, rows in vars(self.state).items()}
+        graph = vars(self.state) | dict(zip(("action", "previous_action"), self.actions, strict=True))
+        return self._inner.state_tensors() | {f"graph.{name}": rows for name, rows in graph.items()}
 
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
         """Return what the inner backend keeps for each environment, in its float type."""
@@ -87,10 +100,10 @@ class DifferentiableBackend:
 
     def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
         """Go on with the graph by ``substeps`` of ``dt`` [s] under its own action, and show it in ``state``."""
+        del command  # the action of the graph, rounded
         check_substeps(self._hook, substeps)
-        action = command.to(self._dtype) if self.action is None else self.action
         for k in range(substeps):
-            before, self.state = self._inner.advance_once(self.state, action, dt)
+            before, self.state = self._inner.advance_once(self.state, self.actions[0], dt)
             with torch.no_grad():
                 state.copy_(self.state)
                 if self._hook is not None:
@@ -102,20 +115,31 @@ class DifferentiableBackend:
         Gradients through what effects remember end here for all environments.
         """
         self._inner.reset(mask)
-        rows = mask.unsqueeze(-1)
+        rows = mask.unsqueeze(-1).clone()  # the graph keeps it; the next reset writes the mask anew
+
+        def begun(new: Tensor, old: Tensor) -> Tensor:
+            return torch.where(rows, new.to(self._dtype), old)
+
         pairs = zip(vars(self._shown).items(), self.state.tensors(), strict=True)
-        self.state = BodyState(**{name: torch.where(rows, new.to(self._dtype), old) for (name, new), old in pairs})
+        self.state = BodyState(**{name: begun(new, old) for (name, new), old in pairs})
+        (last, before), (new, new_before) = self.actions, self._shown_actions
+        self.actions = (begun(new, last), begun(new_before, before))
 
     def detach(self) -> None:
         """Let gradients end at this instant."""
         self.state = _map(self.state, torch.Tensor.detach)
+        self.actions = _two(self.actions, torch.Tensor.detach)
         self._inner.detach()
-        self.action = None
 
 
 def _map(state, change):
     """Return a state with a change of every tensor."""
     return replace(state, **{name: change(rows) for name, rows in vars(state).items()})
+
+
+def _two(pair: tuple[Tensor, Tensor], change: Callable[[Tensor], Tensor]) -> tuple[Tensor, Tensor]:
+    """Return a pair with a change of both."""
+    return change(pair[0]), change(pair[1])
 
 
 def states_by_key(state: BodyState) -> dict[str, Tensor]:

@@ -102,7 +102,7 @@ class RobotManager:
         self.differentiable: DifferentiableBackend | None = None
         if gradients is not None:
             self.backend = self.differentiable = DifferentiableBackend(
-                self.backend, self.tensors.state, dtype=gradients
+                self.backend, self.tensors.state, self.tensors.both_actions, dtype=gradients
             )
         self._declare_model()
         self._randomized = self._make_randomized(randomize or {})
@@ -371,7 +371,7 @@ class RobotManager:
             )
         self._begin.take(actions)
         if self.differentiable is not None:
-            self.differentiable.action = actions.to(self.differentiable.state.position)
+            self.differentiable.act(actions)
         if self._contact_force is not None:
             self._contact_force.zero_()
 

@@ -58,7 +58,8 @@ def test_gradients_of_a_flight_are_its_differences(controller: str, size: float)
 def test_the_dictionary_shows_what_is_traced() -> None:
     """Position to yaw, each key in float32; nothing of the dictionary carries a graph."""
     env = build()
-    env.step(torch.full((NUM_ENVS, 4), 0.1, dtype=F64).requires_grad_())
+    for _ in range(2):
+        env.step(torch.full((NUM_ENVS, 4), 0.1, dtype=F64).requires_grad_())
     for key, rows in env.traced.items():
         assert rows.dtype == F64
         assert rows.requires_grad or key == "robot_vehicle_orientation"
@@ -156,3 +157,30 @@ def test_slew_rates_of_mixed_rotors_are_drawn_both_ways() -> None:
     before = thrust[:, 2].clone()
     env.step(torch.zeros(NUM_ENVS, 4))
     torch.testing.assert_close(before - thrust[:, 2], 90.0 * env.dt * factor)
+
+def test_resets_one_after_the_other_cut_each_their_own_rows() -> None:
+    """What a later reset, or a task, writes into the mask of all resets does not reach back into a graph."""
+    env, action = build(), torch.full((NUM_ENVS, 4), 0.1, dtype=F64, requires_grad=True)
+    env.step(action)
+    env.reset(torch.tensor([True, False]))
+    reached = env.traced["robot_linvel"].sum()
+    env.reset(torch.tensor([False, True]))
+    env.random.mask.data.fill_(True)  # as a kernel does, of which torch knows nothing
+    (gradient,) = torch.autograd.grad(reached, action)
+    assert gradient[0].tolist() == [0.0] * 4
+    assert gradient[1].abs().max() > 0.0
+
+
+def test_actions_are_traced_beside_the_motion() -> None:
+    """The last action and the one before, each with its gradient; 0 where an episode has just begun."""
+    env = build()
+    first, second = (torch.full((NUM_ENVS, 4), u, dtype=F64, requires_grad=True) for u in (0.1, 0.2))
+    env.step(first)
+    env.step(second)
+    torch.autograd.grad(env.traced["robot_actions"].sum(), second)
+    torch.autograd.grad(env.traced["robot_prev_actions"].sum(), first)
+    for key in ("robot_actions", "robot_prev_actions"):
+        torch.testing.assert_close(env.gtd[key].double(), env.traced[key].detach(), atol=1e-7, rtol=0.0)
+    env.reset(torch.tensor([True, False]))
+    assert env.traced["robot_actions"].tolist() == [[0.0] * 4, [0.2] * 4]
+    assert env.traced["robot_prev_actions"].tolist() == [[0.0] * 4, [0.1] * 4]
