@@ -212,8 +212,8 @@ class EnvManager:
             )
 
     @property
-    def traced(self) -> dict[str, Tensor]:
-        """The robots' motion and actions of this instant by the keys of the GTD, with their gradients; ``differentiable`` alone.
+    def traced(self) -> Mapping[str, Tensor]:
+        """The robots' motion and actions of this instant by the keys of the GTD, with gradients; of a ``differentiable`` one.
 
         The tensors are never written again: a loss may hold those of many steps. The GTD shows the same in float32.
         """

@@ -4,7 +4,7 @@ The Global Tensor Dictionary holds copies of it in float32, for sensors, rewards
 through the motion here, which is never overwritten. Letters: E environments, U entries of an action.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import torch
@@ -41,15 +41,18 @@ class DifferentiableBackend:
         self.state: BodyState = _map(shown, lambda rows: rows.detach().to(dtype, copy=True))
         self.actions: tuple[Tensor, Tensor] = _two(shown_actions, lambda rows: rows.detach().to(dtype, copy=True))
         """What the robots do in the step, and what they did in the one before, each (E, U), with their graphs."""
+        self._traced: TracedKeys | None = None
 
     @property
-    def traced(self) -> dict[str, Tensor]:
-        """Motion, what follows from it, and actions, by the keys of the Global Tensor Dictionary; differentiable."""
-        return states_by_key(self.state) | dict(zip(("robot_actions", "robot_prev_actions"), self.actions, strict=True))
+    def traced(self) -> "TracedKeys":
+        """Motion, actions and what follows from them, by the keys of the Global Tensor Dictionary; differentiable."""
+        if self._traced is None or self._traced.state is not self.state:
+            self._traced = TracedKeys(self.state, self.actions)
+        return self._traced
 
     def act(self, action: Tensor) -> None:
         """Take the action of a step, (E, U), with its graph."""
-        self.actions = (action.to(self._dtype), self.actions[0])
+        self.actions, self._traced = (action.to(self._dtype), self.actions[0]), None
 
     @property
     def capabilities(self) -> Capabilities:
@@ -142,20 +145,45 @@ def _two(pair: tuple[Tensor, Tensor], change: Callable[[Tensor], Tensor]) -> tup
     return change(pair[0]), change(pair[1])
 
 
-def states_by_key(state: BodyState) -> dict[str, Tensor]:
-    """Return a motion, and all that follows from it, by the keys of the Global Tensor Dictionary; differentiable."""
-    euler = euler_from_quat(state.attitude)
-    heading = torch.cat((torch.zeros_like(euler[:, :2]), euler[:, 2:]), dim=-1)
-    vehicle = quat_from_euler(heading)
-    return {
-        "robot_position": state.position,
-        "robot_orientation": state.attitude,
-        "robot_linvel": state.lin_vel,
-        "robot_body_angvel": state.ang_vel,
-        "rotor_speed": state.rotor_speed,
-        "robot_angvel": quat_rotate(state.attitude, state.ang_vel),
-        "robot_body_linvel": quat_rotate_inverse(state.attitude, state.lin_vel),
-        "robot_vehicle_orientation": vehicle,
-        "robot_vehicle_linvel": quat_rotate_inverse(vehicle, state.lin_vel),
-        "robot_euler_angles": euler,
-    }
+FOLLOWING: dict[str, Callable[["TracedKeys"], Tensor]] = {
+    "robot_angvel": lambda now: quat_rotate(now.state.attitude, now.state.ang_vel),
+    "robot_body_linvel": lambda now: quat_rotate_inverse(now.state.attitude, now.state.lin_vel),
+    "robot_vehicle_orientation": lambda now: quat_from_euler(
+        torch.cat((torch.zeros_like(now["robot_euler_angles"][:, :2]), now["robot_euler_angles"][:, 2:]), dim=-1)
+    ),
+    "robot_vehicle_linvel": lambda now: quat_rotate_inverse(now["robot_vehicle_orientation"], now.state.lin_vel),
+    "robot_euler_angles": lambda now: euler_from_quat(now.state.attitude),
+}
+"""What follows from the motion, by the keys of the Global Tensor Dictionary."""
+
+
+class TracedKeys(Mapping[str, Tensor]):
+    """Motion, actions and what follows from them at one instant, by the keys of the GTD; the latter computed when asked for."""
+
+    def __init__(self, state: BodyState, actions: tuple[Tensor, Tensor]) -> None:
+        """Take the motion, and the last action and the one before, each (E, U)."""
+        self.state = state
+        self._known: dict[str, Tensor] = {
+            "robot_position": state.position,
+            "robot_orientation": state.attitude,
+            "robot_linvel": state.lin_vel,
+            "robot_body_angvel": state.ang_vel,
+            "rotor_speed": state.rotor_speed,
+            "robot_actions": actions[0],
+            "robot_prev_actions": actions[1],
+        }
+        self._names = (*self._known, *FOLLOWING)
+
+    def __getitem__(self, key: str) -> Tensor:
+        if key not in self._known:
+            self._known[key] = FOLLOWING[key](self)
+        return self._known[key]
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)

@@ -41,6 +41,8 @@ class TaskRegistry(Registry[TaskCfg]):
         first_env: int = 0,
         first_episode: int = 0,
         backend: str | None = None,
+        differentiable: bool = False,
+        dtype: "torch.dtype | None" = None,
     ) -> "Task":
         """Return a task, built and not yet reset.
 
@@ -60,11 +62,16 @@ class TaskRegistry(Registry[TaskCfg]):
             first_episode: Number of the first episode, likewise. Where there is a curriculum, ``level`` must be given with it:
                 all environments together decide on that, and it says how many obstacles the episode had.
             backend: Registered physics backend in place of the sim's own.
+            differentiable: Whether rewards and observations have gradients with respect to actions (``docs/gradients.md``).
+            dtype: Float type of what has them; float32 if not given.
 
         Raises:
             UnknownNameError: If a name is not registered.
             ConfigError: If a number is impossible.
+            CapabilityError: If gradients are asked for and something has none.
         """
+        import torch
+
         from aerial_gym.env_manager import SimBuilder
         from aerial_gym.task.task import Task
 
@@ -90,6 +97,8 @@ class TaskRegistry(Registry[TaskCfg]):
             first_episode=first_episode,
             backend=backend,
             randomize=cfg.randomize,
+            differentiable=differentiable,
+            dtype=dtype or torch.float32,
         )
         make = imported(name) if ":" in name else None
         return (make if isinstance(make, type) else Task)(cfg, built, capture=capture)

@@ -1,11 +1,13 @@
 """From the configuration of a task to its terms: names are looked up, numbers and the controller are checked."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
+
+import torch
 
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg, RewardCfg, TerminationCfg
-from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
 from aerial_gym.task.step.shapes import check_number, check_truth, width_of
 from aerial_gym.task.terms.actions import ACTIONS, Action
 from aerial_gym.task.terms.observations import OBSERVATIONS, whole
@@ -16,6 +18,12 @@ from aerial_gym.task.values import Values
 
 Observed = list[tuple[BoundTerm, ObservationCfg, int]]
 """Terms of a group with their widths."""
+
+UNTRACED = ("vec_root_tensor", "robot_state_tensor", "robot_clearance", "robot_contact_force", "nearest_in_cells")
+"""What follows from the motion in kernels and has no gradient, beside all that sensors measure."""
+
+SENSORS = "SensorManager"
+"""Owner of that."""
 
 
 def resolve_action(cfg: TaskCfg, command: tuple[str, ...]) -> tuple[Action, dict[str, Any]]:
@@ -113,3 +121,42 @@ def _bound(
 def _check_command(what: str, needed: tuple[str, ...] | None, cfg: TaskCfg, command: tuple[str, ...]) -> None:
     if needed is not None and needed != command:
         raise ConfigError(f"{what} {', '.join(needed)}; controller {cfg.controller} takes {', '.join(command)}")
+
+
+def check_gradients(
+    rewards: Iterable[BoundTerm], observations: Iterable[BoundTerm], values: Values, *, images: Iterable[str]
+) -> None:
+    """Refuse terms that follow from the motion without gradient.
+
+    Args:
+        rewards: Terms of the reward: what is true or false moves it in jumps.
+        observations: Terms of all groups; what is true or false is seen as it is.
+        values: What they read.
+        images: Names of raw images among the observations.
+
+    Raises:
+        CapabilityError: If there is one; its name and what it reads are in the message.
+    """
+    for image in images:
+        raise CapabilityError(f"image {image!r}: has no gradient, and differentiable=True asks for one. Leave it out")
+    for terms, jumps in ((rewards, True), (observations, False)):
+        for term in terms:
+            name = _without_gradient(term, values, jumps=jumps)
+            if name is not None:
+                raise CapabilityError(
+                    f"{term.label}: reads {name}, which has no gradient, and differentiable=True asks for one. Leave the term "
+                    "out, or write it on what env.traced shows"
+                )
+
+
+def _without_gradient(term: BoundTerm, values: Values, *, jumps: bool, seen: tuple[str, ...] = ()) -> str | None:
+    """Return what a term, or a buffer that it reads, reads that has no gradient."""
+    for name in term.reads:
+        sensed = name in values.gtd and values.gtd.spec(name).owner == SENSORS
+        if sensed or name in UNTRACED or (jumps and name != "begun" and values[name].dtype == torch.bool):
+            return name
+        if name in values.updates and name not in seen:
+            found = _without_gradient(values.updates[name], values, jumps=jumps, seen=(*seen, name))
+            if found is not None:
+                return found
+    return None

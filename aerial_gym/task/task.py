@@ -9,7 +9,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -23,13 +22,21 @@ from aerial_gym.sensors.cells import NearestInCells
 from aerial_gym.task.commands.catalog import make_command
 from aerial_gym.task.commands.command import TARGET
 from aerial_gym.task.curriculum import Curriculum
-from aerial_gym.task.resolve import resolve_action, resolve_groups, resolve_rewards, resolve_terminations
+from aerial_gym.task.resolve import (
+    check_gradients,
+    resolve_action,
+    resolve_groups,
+    resolve_rewards,
+    resolve_terminations,
+)
+from aerial_gym.task.spaces import action_space, observation_space
 from aerial_gym.task.step.act import Actor, declare_delay
 from aerial_gym.task.step.images import Images, distance_scale
 from aerial_gym.task.step.judge import ARRIVED, FINAL, SUMS, TALLIES, Judge
 from aerial_gym.task.step.observe import Observer
 from aerial_gym.task.step.remember import make_memory
-from aerial_gym.task.step.step_graph import StepGraph, check_terms
+from aerial_gym.task.step.step_graph import StepGraph, check_untraced
+from aerial_gym.task.step.traced import Graph
 from aerial_gym.task.terms.observations import IMAGE_CELLS
 from aerial_gym.task.values import Values
 
@@ -65,6 +72,10 @@ class Task:
 
     On a GPU the whole step is one CUDA graph, recorded at the first ``reset``: the tensors that ``step`` returns are then
     overwritten by the next one; clone what must stay. ``captured`` says whether it is so.
+
+    Around a ``differentiable`` simulation reward, observation and last observation of an episode have gradients with respect to
+    the actions of this step and of those before it, back to the reset of their row or to ``detach``. Such a step is no graph of
+    its own.
     """
 
     def __init__(self, cfg: TaskCfg, env: EnvManager, *, capture: bool | None = None) -> None:
@@ -76,7 +87,7 @@ class Task:
             capture: Whether to hold the step in a CUDA graph; if not given, on CUDA devices.
 
         Raises:
-            CapabilityError: If a capture is asked for on the CPU.
+            CapabilityError: If a capture is asked for on the CPU or of gradients, or a term has no gradient and is to have one.
             UnknownNameError: If there is no such term, generator or action, or what it reads.
             ConfigError: If these do not fit together, or not the robot or the environment.
         """
@@ -101,6 +112,9 @@ class Task:
         self.values.declare("difficulty", meaning=meaning, view=difficulty, rows=False)
         groups = resolve_groups(cfg, self.values, num_commands=num_commands)
         rewards = resolve_rewards(cfg, self.values, command)
+        if self.values.graph is not None:
+            observed = [term for entries in groups.values() for term, _, _ in entries]
+            check_gradients([term for term, _ in rewards.values()], observed, self.values, images=cfg.images)
         terminations = resolve_terminations(cfg, self.values, command)
         self._observer = Observer(groups, self.values, env.random)
         self.num_observations = self._observer.width(POLICY)
@@ -123,33 +137,22 @@ class Task:
         self._all = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         self._watch = Watch(env.gtd, env.robot_manager.noticed, num_actions=self.num_actions, dt=env.dt, keep=False)
         self._graph: StepGraph[StepResult] | None = None
-        if capture and self.device.type != "cuda":
-            raise CapabilityError(f"capture needs a CUDA device; this task runs on {self.device}")
-        self._capture_at_reset = self.device.type == "cuda" if capture is None else capture
+        if capture:
+            self._check_capture()
+        plain = self.values.graph is None
+        self._capture_at_reset = self.device.type == "cuda" and plain if capture is None else capture
 
     @cached_property
     def observation_space(self) -> "spaces.Dict":
         """Space of an observation of one environment; Gymnasium is imported when it is asked for."""
-        from gymnasium import spaces
-
-        found: dict[str, spaces.Space] = {}
-        for group in self._observer.groups:
-            bound = np.full(self._observer.width(group), np.inf, dtype=np.float32)
-            found[_shown(group)] = spaces.Box(-bound, bound, dtype=np.float32)
-        for name, frames in self._images.frames.items():
-            kind = self.cfg.images[name].dtype
-            found[name] = spaces.Box(
-                0, 255 if kind == "uint8" else 1, shape=tuple(frames.shape[1:]), dtype=np.dtype(kind).type
-            )
-        return spaces.Dict(found)
+        return observation_space(
+            {_shown(name): self._observer.width(name) for name in self._observer.groups}, self._images
+        )
 
     @cached_property
     def action_space(self) -> "spaces.Box":
         """Space of an action of one environment, each entry -1 to 1."""
-        from gymnasium import spaces
-
-        one = np.ones(self.num_actions, dtype=np.float32)
-        return spaces.Box(-one, one, dtype=np.float32)
+        return action_space(self.num_actions)
 
     @property
     def captured(self) -> bool:
@@ -160,19 +163,32 @@ class Task:
         """Record the whole step as one CUDA graph; call ``reset`` before the next step.
 
         Raises:
-            CapabilityError: If a term waits for the GPU (its name is in the message), or there is no GPU.
+            CapabilityError: If a term waits for the GPU (its name is in the message), or there is no GPU, or gradients.
         """
-        if self.device.type != "cuda":
-            raise CapabilityError(f"capture needs a CUDA device; this task runs on {self.device}")
+        self._check_capture()
         self._capture_at_reset = False
         level = None if self.curriculum is None else self.curriculum.state()
         self._begin(self._all)
-        self._check_untraced()
+        check_untraced([self._judge.rows, self._observer.rows, *([self._memory] if self._memory else [])], self.values)
         self._graph = StepGraph(self._step, (self.num_envs, self.num_actions), self.device)
         self.values.own[TALLIES].zero_()  # of the steps before the recording
         self.env.restart(self.env.seed)
         if self.curriculum is not None and level is not None:
             self.curriculum.load(level)
+
+    def _check_capture(self) -> None:
+        if self.device.type != "cuda":
+            raise CapabilityError(f"capture needs a CUDA device; this task runs on {self.device}")
+        if self.values.graph is not None:
+            raise CapabilityError(
+                "capture: a step with gradients is no graph of its own. Make the task with capture=False"
+            )
+
+    def detach(self) -> None:
+        """Let gradients end at this instant: what comes later is differentiated back to here, and no further."""
+        self.env.detach()
+        if self.values.graph is not None:
+            self.values.graph.detach()
 
     def watch(self) -> None:
         """Keep the last steps of rows that are not finite, for ``dump``; call it before the first ``reset``.
@@ -202,18 +218,6 @@ class Task:
         """
         return self._watch.dump(path)
 
-    def _check_untraced(self) -> None:
-        """Refuse what waits for the GPU; a kernel cannot, so only what runs as torch operations is asked."""
-        parts = [self._judge.rows, self._observer.rows, *([] if self._memory is None else [self._memory])]
-        for rows in parts:
-            rows()
-        asked: dict[str, Callable[[], object]] = {}
-        for rows in parts:
-            asked |= {term.label: partial(term.of, self.values) for term in rows.apart}
-            if rows.reason is not None:
-                asked[rows.what] = rows.plainly
-        check_terms(asked)
-
     def reset(self, *, seed: int | None = None) -> tuple[Observation, dict[str, Tensor]]:
         """Start every environment anew; return observation and info.
 
@@ -227,6 +231,8 @@ class Task:
             if self.curriculum is not None:
                 self.curriculum.restart()
         self._begin(self._all)
+        if self.values.graph is not None:
+            self.detach()
         self._watch.look()
         self._watch.forget()
         for name in (SUMS, ARRIVED):
@@ -251,21 +257,8 @@ class Task:
             self._look()
         self._observer.draw_noise(final=True)  # of the episode that may end now
         judged = self._judge()
-        info = {
-            "final_observation": judged[f"{FINAL}{POLICY}"],
-            **{f"{FINAL}{group}": judged[f"{FINAL}{group}"] for group in self._observer.groups if group != POLICY},
-            "time_outs": judged["truncated"],
-            "successes": judged["success"],
-            "crashes": judged["crash"],
-            "timeouts": judged["timeout"],
-            "episode_return": judged["total"],
-            "episode_length": judged["length"],
-            "reward_terms": judged["reward_terms"],
-            "non_finite": judged["bad"],
-        }
+        info = self._judge.info(judged)
         info |= {f"{FINAL}{name}": frames.clone() for name, frames in self._images.frames.items()}
-        if "distance" in judged:
-            info["distance"] = judged["distance"]
         if self.curriculum is not None:
             self.curriculum.count(judged["ended"], judged["success"])
         self._watch.keep(actions, judged["ended"])
@@ -337,7 +330,9 @@ class Task:
     def _make_values(self, num_commands: int) -> Values:
         env = self.env
         sizes = {"E": env.num_envs, "U": num_commands, "V": self.num_actions, "R": env.robot_manager.cfg.num_rotors}
-        values = Values(env.gtd, sizes=sizes, makers={"nearest_in_cells": self._make_cells})
+        simulation = env.robot_manager.differentiable
+        graph = None if simulation is None else Graph(simulation)
+        values = Values(env.gtd, sizes=sizes, makers={"nearest_in_cells": self._make_cells}, graph=graph)
         values.declare("begun", dtype=torch.bool, meaning="its episode has just begun", view=env.random.mask)
         return values
 
@@ -376,6 +371,8 @@ class Task:
         check_state(state, self.state_tensors())
         self.env.restore(state)
         restore(state, self.state_tensors())
+        if self.values.graph is not None:
+            self.values.graph.forget()
 
     def close(self) -> None:
         """Name what was not finite and not yet named, and release the simulation; a later call raises ``ClosedError``."""

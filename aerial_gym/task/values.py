@@ -11,6 +11,7 @@ from torch import Tensor
 
 from aerial_gym.errors import DuplicateNameError, UnknownNameError
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+from aerial_gym.task.step.traced import Graph
 from aerial_gym.task.terms.buffers import BUFFERS
 from aerial_gym.task.terms.term import BoundTerm, bind
 
@@ -19,7 +20,12 @@ class Values(Mapping[str, Tensor]):
     """Finds tensors by name, and makes a buffer where it is first read; ``print(values.own)`` shows those of the task."""
 
     def __init__(
-        self, gtd: GlobalTensorDictionary, *, sizes: Mapping[str, int], makers: Mapping[str, Callable[[], Tensor]]
+        self,
+        gtd: GlobalTensorDictionary,
+        *,
+        sizes: Mapping[str, int],
+        makers: Mapping[str, Callable[[], Tensor]],
+        graph: Graph | None = None,
     ) -> None:
         """Take the simulation's dictionary.
 
@@ -27,8 +33,9 @@ class Values(Mapping[str, Tensor]):
             gtd: Of the simulation.
             sizes: Numbers of the shape letters.
             makers: What declares a buffer that is neither of the registry nor declared already, by its name.
+            graph: Where values with gradients are, of a differentiable simulation.
         """
-        self.gtd, self._makers = gtd, makers
+        self.gtd, self._makers, self.graph = gtd, makers, graph
         self.own = GlobalTensorDictionary(device=gtd.device, sizes=sizes)
         """Buffers of the task."""
         self.updates: dict[str, BoundTerm] = {}

@@ -80,7 +80,8 @@ class Actor:
         self.rows = None
         """The kernel; None where nothing is between."""
         if writes or self.transform is not direct:
-            self.rows = NamedRows(self._command, "the action", reads=reads | {"action": given} | writes, writes=writes)
+            reads |= {"action": given} | writes
+            self.rows = NamedRows(self._command, "the action", reads=reads, writes=writes, graph=values.graph)
 
     def _check(self, name: str, given: Tensor, num_commands: int) -> None:
         """Refuse a transform that gives no command, before the first step does."""

@@ -4,14 +4,16 @@ Letters: E environments.
 """
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Generic, TypeVar, cast
 
+import torch
 from torch import Tensor
 
 from aerial_gym.interop.rows import RowFunction, UntraceableError, trace
 from aerial_gym.interop.rows.tracing import LARGEST_ROW
 from aerial_gym.math.rows import on_whole_vectors
+from aerial_gym.task.step.traced import Graph
 from aerial_gym.task.terms.term import BoundTerm
 
 _log = logging.getLogger(__name__)
@@ -73,6 +75,8 @@ class NamedRows:
         reads: Mapping[str, Tensor],
         writes: Mapping[str, Tensor],
         terms: Sequence[BoundTerm] = (),
+        graph: Graph | None = None,
+        keeps: Collection[str] | None = None,
     ) -> None:
         """Take the function and fixed tensors.
 
@@ -82,14 +86,17 @@ class NamedRows:
             reads: What it is given, by name; the first is (E, ...).
             writes: Tensors that receive results, by name; they may be read as well.
             terms: What the function calls. One that cannot be part of a kernel runs before it, as torch operations of its own.
+            graph: Where values with gradients are; the function then runs as torch operations, whose results have theirs.
+            keeps: Names of ``writes`` whose gradients go on to later steps; all of them if not given.
         """
+        self._graph, self._keeps = graph, tuple(writes if keeps is None else keeps)
         self.what, self._function, self._reads, self._writes = what, function, dict(reads), tuple(writes)
         self.apart: tuple[BoundTerm, ...] = ()
         """The terms that run before the kernel."""
         self._names, self._results = tuple(self._reads), ()
         self._out = tuple(writes.values())
         self._rows = ByRow(self._of, what)
-        if self._rows.prepare(list(self._reads.values())):
+        if graph is None and self._rows.prepare(list(self._reads.values())):
             self.apart = tuple(term for term in terms if not self._traces(term))
             self._names += tuple(term.label for term in self.apart)
 
@@ -100,10 +107,24 @@ class NamedRows:
 
     def __call__(self, **changing: Tensor) -> dict[str, Tensor]:
         """Return all results by name; ``changing`` stands in the place of what was given under these names."""
+        if self._graph is not None:
+            return self._with_gradients(self._graph, changing)
         values = {**self._reads, **changing}
         values |= {term.label: self._beside(term, values) for term in self.apart}
         results = self._rows(*(values[name] for name in self._names), out=self._out)
         return dict(zip(self._results, results, strict=True))
+
+    def _with_gradients(self, graph: Graph, changing: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        values = {**graph.of(self._reads), **changing}
+        first = values[self._names[0]]
+        whole = on_whole_vectors(self._of, first.shape[0], first.device)
+        found = whole(*(values[name] for name in self._names))
+        results = dict(zip(self._results, found, strict=True))
+        with torch.no_grad():
+            for target, result in zip(self._out, found, strict=False):
+                target.copy_(result)
+        graph.keep({name: results[name] for name in self._keeps})
+        return results
 
     def plainly(self, **changing: Tensor) -> dict[str, Tensor]:
         """Return all results as torch computes them; nothing is written."""

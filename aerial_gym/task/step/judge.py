@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from aerial_gym.config.task import TaskCfg
+from aerial_gym.config.task import POLICY, TaskCfg
 from aerial_gym.config.task_terms import RewardCfg, TerminationCfg
 from aerial_gym.math.random import Randomness
 from aerial_gym.robots.finite import NonFinite
@@ -113,6 +113,8 @@ class Judge:
             reads=reads,
             writes=writes,
             terms=[*terms, *observer.terms],
+            graph=values.graph,
+            keeps=tuple(moved),
         )
         """The kernel."""
         self._early: NamedRows | None = None
@@ -127,6 +129,23 @@ class Judge:
         found = self.rows()
         found |= zip(FLAGS, found["flags"].unbind(-1), strict=True)
         return found | {"total": found["sums"][:, 0], "reward_terms": found["sums"][:, 1:]}
+
+    def info(self, judged: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return what a step tells beside observation and reward; of what has gradients, last observations alone keep them."""
+        info = {
+            "time_outs": judged["truncated"],
+            "successes": judged["success"],
+            "crashes": judged["crash"],
+            "timeouts": judged["timeout"],
+            "episode_return": judged["total"].detach(),
+            "episode_length": judged["length"],
+            "reward_terms": judged["reward_terms"].detach(),
+            "non_finite": judged["bad"],
+        }
+        if "distance" in judged:
+            info["distance"] = judged["distance"].detach()
+        names = {group: f"{FINAL}{group}" for group in self._observer.groups}
+        return info | {"final_observation" if group == POLICY else name: judged[name] for group, name in names.items()}
 
     def means(self) -> dict[str, float]:
         """Return ``Task.episode_means``."""

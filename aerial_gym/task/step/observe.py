@@ -116,7 +116,12 @@ class Observer:
         """What ``found`` reads."""
         begun = {"begun": values.find("begun", "the observation")}
         self._rows = NamedRows(
-            self._after, "the observation", reads=begun | self.reads, writes=self.writes, terms=self.terms
+            self._after,
+            "the observation",
+            reads=begun | self.reads,
+            writes=self.writes,
+            terms=self.terms,
+            graph=values.graph,
         )
 
     @property

@@ -27,6 +27,5 @@ def make_memory(command: Command, values: Values) -> NamedRows | None:
         return None
     reads = {name: values.find(name, "the command") for name in ("sim_steps", "begun", *command.reads)}
     reads |= values.read_by(*updates.values())
-    return NamedRows(
-        remembered, "what is remembered of a step", reads=reads, writes={name: values[name] for name in names}
-    )
+    writes = {name: values[name] for name in names}
+    return NamedRows(remembered, "what is remembered of a step", reads=reads, writes=writes, graph=values.graph)

@@ -3,13 +3,15 @@
 Letters: E environments, U entries of an action.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Generic, TypeVar
 
 import torch
 from torch import Tensor
 
 from aerial_gym.errors import CapabilityError, ShapeError
+from aerial_gym.task.step.by_row import NamedRows
 
 WARM_UP_STEPS = 3
 """Steps before the recording, in which kernels are compiled and memory is taken."""
@@ -37,6 +39,22 @@ def check_terms(terms: Mapping[str, Callable[[], object]]) -> None:
             ) from error
         finally:
             torch.cuda.set_sync_debug_mode(mode)
+
+
+def check_untraced(parts: Sequence[NamedRows], values: Mapping[str, Tensor]) -> None:
+    """Refuse terms that wait for the GPU; a kernel cannot, so only what runs as torch operations is asked.
+
+    Raises:
+        CapabilityError: If a term copies to the host or branches on a tensor.
+    """
+    for rows in parts:
+        rows()
+    asked: dict[str, Callable[[], object]] = {}
+    for rows in parts:
+        asked |= {term.label: partial(term.of, values) for term in rows.apart}
+        if rows.reason is not None:
+            asked[rows.what] = rows.plainly
+    check_terms(asked)
 
 
 class StepGraph(Generic[Result]):

@@ -158,6 +158,7 @@ def test_slew_rates_of_mixed_rotors_are_drawn_both_ways() -> None:
     env.step(torch.zeros(NUM_ENVS, 4))
     torch.testing.assert_close(before - thrust[:, 2], 90.0 * env.dt * factor)
 
+
 def test_resets_one_after_the_other_cut_each_their_own_rows() -> None:
     """What a later reset, or a task, writes into the mask of all resets does not reach back into a graph."""
     env, action = build(), torch.full((NUM_ENVS, 4), 0.1, dtype=F64, requires_grad=True)

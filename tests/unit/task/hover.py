@@ -3,6 +3,8 @@
 from dataclasses import replace
 from typing import Any
 
+import torch
+
 from aerial_gym import SimBuilder, task_registry
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
@@ -29,8 +31,9 @@ def built(
     robot: RobotCfg | None = None,
     device: str = "cpu",
     capture: bool | None = None,
+    gradients: torch.dtype | None = None,
 ) -> Task:
-    """Return a task of a configuration, with a robot that need not be registered."""
+    """Return a task of a configuration, with a robot that need not be registered; ``gradients``: in this float type."""
     env = SimBuilder().build_env(
         sim_name=cfg.sim,
         env_name=cfg.env,
@@ -40,6 +43,8 @@ def built(
         device=device,
         seed=seed,
         first_env=first_env,
+        differentiable=gradients is not None,
+        dtype=gradients or torch.float32,
     )
     return Task(cfg, env, capture=capture)
 

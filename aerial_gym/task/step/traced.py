@@ -1,0 +1,44 @@
+"""What terms read with gradients: the motion and the actions of a differentiable simulation, and what follows from them.
+
+The Global Tensor Dictionary and the task's buffers show numbers without gradients and are written anew in every step. With a
+graph the same functions that are made into kernels otherwise run as torch operations, on tensors that are never written again.
+Letters: E environments.
+"""
+
+from collections.abc import Mapping
+
+from torch import Tensor
+
+from aerial_gym.robots.differentiable import DifferentiableBackend
+
+
+class Graph:
+    """Values by name with their gradients: of the simulation, and of the buffers that the task writes."""
+
+    def __init__(self, simulation: DifferentiableBackend) -> None:
+        """Take the part of a simulation that has gradients."""
+        self._simulation = simulation
+        self._own: dict[str, Tensor] = {}
+
+    def of(self, reads: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return these tensors with their gradients where they have any, and copies of the others."""
+        motion = self._simulation.traced
+        found: dict[str, Tensor] = {}
+        for name, tensor in reads.items():
+            if name in motion:
+                found[name] = motion[name]
+            else:
+                found[name] = self._own[name] if name in self._own else tensor.clone()
+        return found
+
+    def keep(self, written: Mapping[str, Tensor]) -> None:
+        """Keep what buffers hold from now on, with its gradients."""
+        self._own |= written
+
+    def detach(self) -> None:
+        """Let gradients end at this instant."""
+        self._own = {name: tensor.detach() for name, tensor in self._own.items()}
+
+    def forget(self) -> None:
+        """Take the buffers as they stand: they were written from outside."""
+        self._own.clear()

@@ -1,0 +1,193 @@
+"""Gradients of rewards and observations with respect to actions, through resets, lines and filters."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym import task_registry
+from aerial_gym.config.task import TaskCfg
+from aerial_gym.config.task_terms import ActionCfg, CommandCfg, ImageCfg, ObservationCfg, RewardCfg, TerminationCfg
+from aerial_gym.errors import CapabilityError
+from aerial_gym.task import Task
+from tests.unit.task.hover import built
+
+F64 = torch.float64
+STEPS, NUM_ENVS = 5, 2
+
+
+def with_everything() -> TaskCfg:
+    """Return a task whose terms have noise, delays, history, scale, filter, and read actions and the step before."""
+    return replace(
+        task_registry.get("tracking_task"),
+        episode_len_steps=4,
+        action=ActionCfg(
+            transform="affine",
+            params={"low": [-0.4, -0.5, -0.6, -0.7], "high": [0.5, 0.6, 0.7, 0.8]},
+            delay_steps=(0, 2),
+            filter_time_s=0.02,
+        ),
+        observations={
+            "policy": (
+                ObservationCfg(term="position_error_body", noise_std=0.1, delay_steps=(0, 2), history=2, scale=3.0),
+                ObservationCfg(term="rotation_rows"),
+                ObservationCfg(term="last_action"),
+                ObservationCfg(term="roll_pitch", delay_steps=1),
+            ),
+            "critic": (ObservationCfg(term="lin_vel_body"), ObservationCfg(term="ang_vel_body")),
+        },
+        rewards={
+            "near": RewardCfg(term="distance_bell", params={"height": 3.0, "width": 0.3}),
+            "together": RewardCfg(
+                term="velocity_error_bell", params={"height": 1.0, "width": 0.2}, weight=0.7, times=("near",)
+            ),
+            "progress": RewardCfg(term="progress", params={"closer": 10.0, "further": 20.0}),
+            "change": RewardCfg(term="action_change", params={"entry": 1, "height": 0.8, "width": 3.0}),
+        },
+        crash_reward=None,
+        terminations={"lost": TerminationCfg(term="far_from_target", params={"distance": 5.0}, kind="crash")},
+    )
+
+
+def flown(task: Task) -> Callable[[Tensor], Tensor]:
+    """Return a function from actions (T, E, V) to a number that depends on all that a task gives, from the same starts."""
+
+    def weighed(tensor: Tensor, number: int) -> Tensor:
+        weights = torch.arange(1.0 + number, 1.0 + number + tensor[0].numel(), dtype=tensor.dtype).cos()
+        return (tensor.flatten(1) * weights).sum()
+
+    def total(actions: Tensor) -> Tensor:
+        task.reset(seed=3)
+        task.env.gtd["sim_steps"].copy_(torch.arange(NUM_ENVS))  # rows end one after the other, each once at least
+        result = actions.new_zeros(())
+        for number, action in enumerate(actions):
+            observation, reward, _, _, info = task.step(action)
+            seen = (*observation.values(), info["final_observation"], reward.unsqueeze(-1))
+            result = result + sum(weighed(each, number + i) for i, each in enumerate(seen))
+        return result
+
+    return total
+
+
+def test_gradients_of_rewards_and_observations_are_their_differences() -> None:
+    """With episodes that end within the window, to the accuracy of central differences."""
+    task = built(with_everything(), NUM_ENVS, gradients=F64)
+    actions = 0.4 * torch.rand(STEPS, NUM_ENVS, 4, dtype=F64, generator=torch.Generator().manual_seed(1))
+    assert torch.autograd.gradcheck(flown(task), (actions.requires_grad_(),), atol=1e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["position_setpoint_task", "tracking_task", "everything"])
+def test_a_task_with_gradients_is_the_task_without(name: str) -> None:
+    """Rewards, ends and observations of the same flight, from kernels and from torch operations, to float32."""
+    cfg = with_everything() if name == "everything" else replace(task_registry.get(name), episode_len_steps=7)
+    plain, traced = (built(cfg, 5, seed=2, gradients=gradients) for gradients in (None, torch.float32))
+    assert not any(rows.apart for rows in (plain._judge.rows, plain._observer.rows))
+    for task in (plain, traced):
+        task.reset()
+        task.stagger()
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(20):
+        action = torch.rand(5, 4, generator=generator) - 0.5
+        one, other = plain.step(action), traced.step(action.clone().requires_grad_())
+        close = {"atol": 2e-4, "rtol": 2e-4}
+        torch.testing.assert_close(one[0], {key: value.detach() for key, value in other[0].items()}, **close)
+        torch.testing.assert_close(one[1], other[1].detach(), **close)
+        assert torch.equal(one[2], other[2])
+        assert torch.equal(one[3], other[3])
+        assert one[4].keys() == other[4].keys()
+        torch.testing.assert_close(one[4]["episode_return"], other[4]["episode_return"], **close)
+        assert other[1].requires_grad
+        assert not other[4]["episode_return"].requires_grad
+
+
+def test_a_reset_cuts_its_own_row_and_detach_all() -> None:
+    task = built(replace(task_registry.get("position_setpoint_task"), episode_len_steps=3), 2, gradients=F64)
+    task.reset()
+    task.env.gtd["sim_steps"].copy_(torch.tensor([2, 0]))
+    action = torch.full((2, 4), 0.1, dtype=F64, requires_grad=True)
+    _, _, _, truncated, _ = task.step(action)
+    assert truncated.tolist() == [True, False]
+    _, reward, *_ = task.step(torch.zeros(2, 4, dtype=F64))
+    (gradient,) = torch.autograd.grad(reward.sum(), action)
+    assert gradient[0].tolist() == [0.0] * 4
+    assert gradient[1].abs().max() > 0.0
+    task.step(action)
+    task.detach()
+    observation, reward, *_ = task.step(torch.zeros(2, 4, dtype=F64))
+    assert not reward.requires_grad
+    assert not observation["observations"].requires_grad
+
+
+def test_a_saved_task_goes_on_as_if_it_had_not_stopped() -> None:
+    """Lines, filter and the distance before come from the state, not from what was kept beside it."""
+    first, second = (built(with_everything(), NUM_ENVS, seed=4, gradients=torch.float32) for _ in range(2))
+    actions = torch.rand(8, NUM_ENVS, 4, generator=torch.Generator().manual_seed(1)) - 0.5
+    for task in (first, second):
+        task.reset()
+    for action in actions[:4]:
+        first.step(action)
+        second.step(-action)
+    second.load_state(first.save_state())
+    for action in actions[4:]:
+        one, other = first.step(action), second.step(action)
+        assert torch.equal(one[0]["observations"], other[0]["observations"])
+        assert torch.equal(one[1], other[1])
+
+
+def changed(**changes: object) -> TaskCfg:
+    return replace(task_registry.get("position_setpoint_task"), **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("cfg", "message"),
+    [
+        (
+            changed(rewards={"clear": RewardCfg(term="clearance_penalty", params={"distance": 1.0})}),
+            r"reward 'clear' \(clearance_penalty\): reads robot_clearance, which has no gradient",
+        ),
+        (
+            changed(
+                rewards={"there": RewardCfg(term="target_reached")},
+                command=CommandCfg(generator="sequence", params={"points": [[0.0, 0.0, 0.0]], "radius": 0.1}),
+            ),
+            r"reward 'there' \(target_reached\): reads target_reached",
+        ),
+        (
+            changed(observations={"policy": (ObservationCfg(term="robot_state_tensor"),)}),
+            "observation term 'robot_state_tensor': reads robot_state_tensor",
+        ),
+    ],
+)
+def test_terms_without_gradient_are_refused_by_name(cfg: TaskCfg, message: str) -> None:
+    built(cfg, 2)
+    with pytest.raises(CapabilityError, match=message):
+        built(cfg, 2, gradients=torch.float32)
+
+
+def test_images_and_captures_are_refused() -> None:
+    make = task_registry.make_task
+    with pytest.raises(CapabilityError, match=r"'nearest_in_cells': reads nearest_in_cells, which has no gradient"):
+        make("navigation_task", num_envs=2, device="cpu", differentiable=True)
+    cfg = replace(task_registry.get("navigation_task"), images={"depth": ImageCfg()})
+    with pytest.raises(CapabilityError, match="image 'depth': has no gradient"):
+        built(cfg, 2, gradients=torch.float32)
+    with pytest.raises(CapabilityError, match="capture needs a CUDA device"):
+        make("tracking_task", num_envs=2, device="cpu", differentiable=True, capture=True)
+
+
+def test_gradients_of_a_row_do_not_depend_on_the_batch() -> None:
+    """Of 64 rows, which torch takes as they stand, and of 2, which it pads: what is written anew is copied in both."""
+    gradients = []
+    for num_envs in (2, 64):
+        task = built(with_everything(), num_envs, gradients=F64)
+        task.reset(seed=3)
+        task.env.gtd["sim_steps"].copy_(torch.arange(num_envs) % 4)
+        action = torch.full((num_envs, 4), 0.1, dtype=F64, requires_grad=True)
+        total = torch.zeros((), dtype=F64)
+        for _ in range(STEPS):
+            observation, reward, _, _, info = task.step(action)
+            total = total + reward.sum() + observation["observations"].sum() + info["final_observation"].square().sum()
+        gradients.append(torch.autograd.grad(total, action)[0][:2])
+    torch.testing.assert_close(gradients[0], gradients[1], atol=1e-9, rtol=1e-9)
