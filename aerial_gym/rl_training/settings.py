@@ -6,11 +6,15 @@ One set of names for all; ``trainers/rl_games.py`` and ``trainers/sample_factory
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
+from typing import TypeVar
 
 from aerial_gym.config import CONFIG_DIR, load
 from aerial_gym.config.checks import MAX_MADE, require_count, require_positive
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.interop import resolve_device
+
+OWN = ("ppo",)
+"""Trainers of this package."""
 
 TRAINERS = ("ppo", "rl_games", "sample_factory")
 """Our own, and libraries that can train, by the name a user chooses."""
@@ -21,8 +25,8 @@ TRAINING_CONFIGS = CONFIG_DIR / "training"
 
 
 @dataclass(frozen=True, kw_only=True)
-class PpoCfg:
-    """Numbers of Proximal Policy Optimisation and of its networks."""
+class LearnerCfg:
+    """Numbers of networks and segments that all learners have."""
 
     hidden_layers: tuple[int, ...]
     """Widths of the hidden layers, each >= 1."""
@@ -56,17 +60,61 @@ class PpoCfg:
     horizon: int
     """Steps of every environment per update, >= 1."""
 
-    num_minibatches: int
-    """Parts into which the horizon times E samples are split; must divide them, >= 1."""
-
-    num_epochs: int
-    """Passes over the samples per update, >= 1."""
-
     discount: float
     """Discount gamma, 0 < gamma < 1."""
 
     gae_lambda: float
     """Weight lambda of generalised advantage estimation, 0 <= lambda <= 1."""
+
+    bound_coef: float = 0.0
+    """Weight of the penalty on action means outside [-1.1, 1.1]; not with Sample Factory, >= 0."""
+
+    max_grad_norm: float = 1.0
+    """Largest norm of the gradient, > 0."""
+
+    reward_scale: float = 1.0
+    """Factor on the reward that the learner sees, > 0."""
+
+    normalize_observation: bool = True
+    """Whether observations are normalised by their running mean and deviation."""
+
+    normalize_value: bool = True
+    """Whether returns are normalised by their running mean and deviation."""
+
+    def __post_init__(self) -> None:
+        require_positive(self, "initial_std", "head_variance", "max_grad_norm", "reward_scale")
+        require_count(self, "horizon")
+        name = type(self).__name__
+        if not 0.0 <= self.bound_coef < inf:
+            raise ConfigError(f"{name}.bound_coef = {self.bound_coef!r}: must be >= 0 and finite")
+        if not 0.0 < self.discount < 1.0:
+            raise ConfigError(f"{name}.discount = {self.discount!r}: must be between 0 and 1")
+        if not 0.0 <= self.gae_lambda <= 1.0:
+            raise ConfigError(f"{name}.gae_lambda = {self.gae_lambda!r}: must be from 0 to 1")
+        if self.activation not in ("elu", "relu", "tanh"):
+            raise ConfigError(f"{name}.activation = {self.activation!r}: must be elu, relu or tanh")
+        if not 0 <= self.memory <= MAX_MADE:
+            raise ConfigError(f"{name}.memory = {self.memory!r}: must be >= 0 and at most {MAX_MADE:,}")
+        if not self.policy_keys or (self.critic_keys and not self.separate_value_network):
+            raise ConfigError(
+                f"{name}: policy_keys = {self.policy_keys!r}, critic_keys = {self.critic_keys!r}: the policy must see "
+                "something; a critic with keys of its own needs separate_value_network"
+            )
+        if not self.hidden_layers or not all(1 <= width <= MAX_MADE for width in self.hidden_layers):
+            raise ConfigError(
+                f"{name}.hidden_layers = {self.hidden_layers!r}: needs widths >= 1 and at most {MAX_MADE:,}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PpoCfg(LearnerCfg):
+    """Numbers of Proximal Policy Optimisation."""
+
+    num_minibatches: int
+    """Parts into which the horizon times E samples are split; must divide them, >= 1."""
+
+    num_epochs: int
+    """Passes over the samples per update, >= 1."""
 
     learning_rate: float
     """Step of Adam at first, > 0; it adapts to ``kl_threshold``, up to the following."""
@@ -93,60 +141,21 @@ class PpoCfg:
     entropy_coef: float = 0.0
     """Weight of the entropy bonus, >= 0."""
 
-    bound_coef: float = 0.0
-    """Weight of the penalty on action means outside [-1.1, 1.1]; not with Sample Factory, >= 0."""
-
-    max_grad_norm: float = 1.0
-    """Largest norm of the gradient, > 0."""
-
-    reward_scale: float = 1.0
-    """Factor on the reward that the learner sees, > 0."""
-
-    normalize_observation: bool = True
-    """Whether observations are normalised by their running mean and deviation."""
-
-    normalize_value: bool = True
-    """Whether returns are normalised by their running mean and deviation."""
-
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_positive(
-            self,
-            "initial_std",
-            "head_variance",
-            "learning_rate",
-            "max_learning_rate",
-            "end_learning_rate",
-            "kl_threshold",
-            "clip_range",
-            "value_coef",
-            "max_grad_norm",
-            "reward_scale",
+            self, "learning_rate", "max_learning_rate", "end_learning_rate", "kl_threshold", "clip_range", "value_coef"
         )
-        require_count(self, "horizon", "num_minibatches", "num_epochs")
-        for name in ("entropy_coef", "bound_coef"):
-            if not 0.0 <= getattr(self, name) < inf:
-                raise ConfigError(f"PpoCfg.{name} = {getattr(self, name)!r}: must be >= 0 and finite")
-        if not 0.0 < self.discount < 1.0:
-            raise ConfigError(f"PpoCfg.discount = {self.discount!r}: must be between 0 and 1")
-        if not 0.0 <= self.gae_lambda <= 1.0:
-            raise ConfigError(f"PpoCfg.gae_lambda = {self.gae_lambda!r}: must be from 0 to 1")
-        if self.activation not in ("elu", "relu", "tanh"):
-            raise ConfigError(f"PpoCfg.activation = {self.activation!r}: must be elu, relu or tanh")
-        if not 0 <= self.memory <= MAX_MADE:
-            raise ConfigError(f"PpoCfg.memory = {self.memory!r}: must be >= 0 and at most {MAX_MADE:,}")
-        if not self.policy_keys or (self.critic_keys and not self.separate_value_network):
-            raise ConfigError(
-                f"PpoCfg: policy_keys = {self.policy_keys!r}, critic_keys = {self.critic_keys!r}: the policy must see "
-                "something; a critic with keys of its own needs separate_value_network"
-            )
-        if not self.hidden_layers or not all(1 <= width <= MAX_MADE for width in self.hidden_layers):
-            raise ConfigError(
-                f"PpoCfg.hidden_layers = {self.hidden_layers!r}: needs widths >= 1 and at most {MAX_MADE:,}"
-            )
+        require_count(self, "num_minibatches", "num_epochs")
+        if not 0.0 <= self.entropy_coef < inf:
+            raise ConfigError(f"PpoCfg.entropy_coef = {self.entropy_coef!r}: must be >= 0 and finite")
 
     def max_learning_rate_at(self, share: float) -> float:
         """Return the largest learning rate after a share, 0 to 1, of the training."""
         return self.max_learning_rate + (self.end_learning_rate - self.max_learning_rate) * min(max(share, 0.0), 1.0)
+
+
+Section = TypeVar("Section", bound=LearnerCfg)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,6 +206,17 @@ class TrainingCfg:
 
     source: str
     """Where the numbers come from."""
+
+    @property
+    def learner(self) -> LearnerCfg:
+        """Numbers of its trainer."""
+        return self.ppo
+
+    def section(self, kind: type[Section]) -> Section:
+        """Return them as those of a kind, which they are."""
+        found = self.learner
+        assert isinstance(found, kind)
+        return found
 
     def __post_init__(self) -> None:
         require_positive(self, "checkpoint_every_s")

@@ -24,16 +24,13 @@ from aerial_gym.rl_training.run.interruption import Interruption, interruptible
 from aerial_gym.rl_training.run.keeper import Keeper, steps_of
 from aerial_gym.rl_training.run.progress import Progress
 from aerial_gym.rl_training.run.run_folder import RunFolder
-from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.settings import OWN, TrainingCfg
 from aerial_gym.task import task_registry
 
 _log = logging.getLogger(__name__)
 
 NEEDED = {"rl_games": "rl_games", "sample_factory": "sample_factory"}
 """Package that a trainer needs."""
-
-CAPTURING = ("ppo",)
-"""Trainers that hold the steps of a task in a graph of their own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,7 +155,7 @@ def _run(
         robot=cfg.robot,
         controller=cfg.controller,
         backend=cfg.backend,
-        capture=False if cfg.trainer in CAPTURING else None,
+        capture=False if cfg.trainer in OWN else None,
     ) as task:
         interruption.check()
         folder.add_session(cfg, str(task.device))

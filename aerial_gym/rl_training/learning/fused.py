@@ -10,7 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from aerial_gym.rl_training.learning.ppo import BOUND, Flown, Ppo, Samples
+from aerial_gym.rl_training.learning.objective import BOUND
+from aerial_gym.rl_training.learning.ppo import Flown, Ppo, Samples
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg
 from aerial_gym.task import Task
@@ -60,7 +61,7 @@ class FusedPpo(Ppo):
         super().__init__(cfg, task, network)
         from aerial_gym.rl_training.learning import kernels
 
-        self._kernels, ppo = kernels, cfg.ppo
+        self._kernels, ppo = kernels, self._ppo
         (self._key, (num_in,)) = next(iter(network.actor.shapes.items()))
         assert network.own_body is not None
         self._places = [

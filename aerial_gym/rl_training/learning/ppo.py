@@ -9,7 +9,7 @@ Source:
     Schulman, Wolski, Dhariwal, Radford, Klimov (2017), Proximal policy optimization algorithms, arXiv 1707.06347.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import log
 
@@ -18,9 +18,11 @@ from torch import Tensor
 
 from aerial_gym.registry.state import below
 from aerial_gym.rl_training.learning.adam import FlatAdam
+from aerial_gym.rl_training.learning.learner import Learner, last_observations
+from aerial_gym.rl_training.learning.objective import beyond_bounds, generalized_advantages
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.distribution import Gaussian
-from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg
 from aerial_gym.task import Task
 
 RATE_STEP = 1.5
@@ -30,52 +32,8 @@ rl-games."""
 LOWEST_RATE = 1e-6
 """Least learning rate, as in rl-games."""
 
-BOUND = 1.1
-"""Means of actions beyond it are pulled back, as in rl-games; the simulation clamps actions at 1."""
-
-SUMS: tuple[str, ...] = ("env_steps", "episodes", "episode_return", "episode_length")
-"""Steps, and number, returns and lengths of the episodes that ended, since the start of the training."""
-
 TINY = 1e-8
 """Keeps advantages that are all alike from being divided by 0."""
-
-GAUGES: tuple[str, ...] = ("learning_rate", "std", "divergence", "policy_loss", "value_loss")
-"""Numbers of the last pass over the samples; the last three are means over its minibatches."""
-
-
-def generalized_advantages(
-    reward: Tensor,
-    value: Tensor,
-    next_value: Tensor,
-    terminated: Tensor,
-    ended: Tensor,
-    *,
-    discount: float,
-    decay: float,
-) -> Tensor:
-    """Return ``A_t = d_t + discount decay A_(t+1)`` with ``d_t = r_t + discount V_next - V_t``.
-
-    Args:
-        reward: r, (T, E).
-        value: V_t of the observation before each step, (T, E).
-        next_value: V of the observation after it and before a reset, (T, E): a truncated episode is worth that. Not counted
-            where the episode terminated.
-        terminated: Whether the episode ended for good, bool, (T, E).
-        ended: Whether it ended, by termination or truncation, bool, (T, E): nothing of what follows counts.
-        discount: gamma.
-        decay: lambda.
-
-    Source:
-        Schulman, Moritz, Levine, Jordan, Abbeel (2016), High-dimensional continuous control using generalized advantage
-        estimation, eq. 16; truncation: Pardo, Tavakoli, Levdik, Kormushev (2018), Time limits in reinforcement learning, eq. 6.
-    """
-    delta = reward + discount * next_value.masked_fill(terminated, 0.0) - value
-    carry = (~ended).to(delta.dtype) * (discount * decay)
-    advantage = torch.empty_like(delta)
-    advantage[-1] = delta[-1]
-    for t in reversed(range(len(delta) - 1)):
-        torch.addcmul(delta[t], carry[t], advantage[t + 1], out=advantage[t])
-    return advantage
 
 
 def clipped_objective(log_ratio: Tensor, advantage: Tensor, *, clip_range: float) -> Tensor:
@@ -91,11 +49,6 @@ def squared_error(value: Tensor, target: Tensor, old_value: Tensor, *, clip_rang
         return error
     clipped = old_value + (value - old_value).clamp(-clip_range, clip_range)
     return torch.maximum(error, (clipped - target) ** 2)
-
-
-def beyond_bounds(mean: Tensor) -> Tensor:
-    """Return the sum over entries of ``max(|mean| - 1.1, 0)²`` of each sample."""
-    return ((mean.abs() - BOUND).clamp_min(0.0) ** 2).sum(-1)
 
 
 def adapted_rate(rate: Tensor, divergence: Tensor, *, threshold: float, highest: Tensor) -> Tensor:
@@ -160,32 +113,19 @@ class Samples:
         return Samples(prepared=prepared, in_time=in_time, memory=self.memory.index_select(0, environments))
 
 
-class Ppo:
+class Ppo(Learner):
     """A learner: the network, its optimiser, and where the simulation stands."""
+
+    GAUGES = ("learning_rate", "std", "divergence", "policy_loss", "value_loss")
+    """The last three are means over the minibatches of the last pass over the samples."""
 
     def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic) -> None:
         """Take settings, a task that holds no graph of its own, and a network on its device."""
-        self._cfg, self._ppo, self._task, self.network = cfg, cfg.ppo, task, network
-        self._adam = FlatAdam(network, max_norm=cfg.ppo.max_grad_norm)
-        device = task.device
-        self.generator = torch.Generator(device).manual_seed(cfg.seed)
-        """Of exploration and of the order of samples."""
+        super().__init__(cfg, task, network)
+        self._ppo = ppo = cfg.section(PpoCfg)
+        self._adam = FlatAdam(network, max_norm=ppo.max_grad_norm)
         self._memory = network.empty_memory(task.num_envs)
-        self._begins = torch.ones(task.num_envs, dtype=torch.bool, device=device)
-        self._observation: dict[str, Tensor] = {}
-        self._rate = torch.full((), cfg.ppo.learning_rate, device=device)
-        self.time_share = torch.zeros((), dtype=torch.float64, device=device)
-        """Share of the time that is used, written by the host; 0 where steps alone limit the training."""
-        self.sums = torch.zeros(len(SUMS), dtype=torch.float64, device=device)
-        """``SUMS`` since the start."""
-        self.gauges = torch.zeros(len(GAUGES), dtype=torch.float64, device=device)
-        """``GAUGES`` of the last update."""
-
-    def begin(self) -> None:
-        """Start every episode anew, at random ages."""
-        observation, _ = self._task.reset()
-        self._task.stagger()
-        self._observation = {key: observation[key].clone() for key in self.network.shapes}
+        self._rate = torch.full((), ppo.learning_rate, device=task.device)
 
     def iterate(self) -> None:
         """Fly one segment and learn from it."""
@@ -209,7 +149,7 @@ class Ppo:
         for t in range(self._ppo.horizon):
             mean, action, command, acting = self._act(seen[-1], acting, begins[-1], noise[t])
             observation, reward, terminated, truncated, info = task.step(command)
-            finals.append(_finals(info, keys))
+            finals.append(last_observations(info, keys))
             begins.append(terminated | truncated)
             steps.append((action, mean, reward, terminated, info["episode_return"], info["episode_length"]))
             seen.append({key: observation[key] for key in keys})
@@ -260,7 +200,7 @@ class Ppo:
         if ppo.normalize_value:
             network.scale.update((advantage + value).flatten())
         self._memory.copy_(network.joined(flown.acting, remembered[-2]))
-        self._count(flown)
+        self._count(ended, flown.episode_return, flown.episode_length)
         spread, mean = torch.std_mean(advantage)
         return Samples(
             memory=flown.memory,
@@ -283,20 +223,9 @@ class Ppo:
         values, remembered = self.network.values(prepared, flown.memory, flown.begins)
         return values, self.network.next_values(final, remembered[:-1]), remembered
 
-    def _count(self, flown: Flown) -> None:
-        """Add steps, and the episodes that ended, to the sums."""
-        ended = flown.begins[1:]
-        of_ended = [ended, flown.episode_return * ended, flown.episode_length * ended]
-        self.sums[0].add_(ended.numel())
-        self.sums[1:].add_(torch.stack([values.sum(dtype=torch.float64) for values in of_ended]))
-
     def _highest_rate(self) -> Tensor:
         """Return the largest learning rate at this share of the training."""
-        share = self.time_share
-        if self._cfg.max_env_steps is not None:
-            share = torch.maximum(share, self.sums[0] / self._cfg.max_env_steps)
-        first, last = self._ppo.max_learning_rate, self._ppo.end_learning_rate
-        return (first + (last - first) * share.clamp(0.0, 1.0)).to(self._rate.dtype)
+        return self._falling(self._ppo.max_learning_rate, self._ppo.end_learning_rate)
 
     def _learn(self, samples: Samples, old_log_std: Tensor, highest: Tensor) -> None:
         """Go through all samples once, in a random order of environments, and adapt the learning rate."""
@@ -332,11 +261,5 @@ class Ppo:
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return what must be kept to go on, besides network and task: tensors that keep their places."""
-        own = {"memory": self._memory, "begins": self._begins, "rate": self._rate, "sums": self.sums}
-        return own | below("observation", self._observation) | below("adam", self._adam.state_tensors())
-
-
-def _finals(info: Mapping[str, Tensor], keys: Iterable[str]) -> dict[str, Tensor]:
-    """Return the observations before a reset, by key, as far as the task gives them."""
-    named = {"observations": "final_observation"} | {key: f"final_{key}" for key in keys if key != "observations"}
-    return {key: info[name] for key, name in named.items() if name in info and key in keys}
+        own = {"memory": self._memory, "rate": self._rate}
+        return super().state_tensors() | own | below("adam", self._adam.state_tensors())

@@ -18,7 +18,7 @@ from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.run_folder import RunFolder, run_folder_of
-from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.settings import OWN, TrainingCfg
 from aerial_gym.task import Task
 
 
@@ -58,7 +58,7 @@ def policy_from_payload(payload: Mapping[str, Any], cfg: TrainingCfg, *, where: 
     model = payload.get("model")
     if not isinstance(model, Mapping) or not all(isinstance(value, Tensor) for value in model.values()):
         raise ConfigError(f"checkpoint {where}: holds no network")
-    if cfg.trainer == "ppo":
+    if cfg.trainer in OWN:
         return _own_policy(model, payload.get("network"), cfg, where=where)
     return policy_from_state(model, cfg, where=where)
 
@@ -68,7 +68,7 @@ def _own_policy(model: Mapping[str, Tensor], network: Any, cfg: TrainingCfg, *, 
     state = {name.removeprefix("actor."): value for name, value in model.items() if name.startswith("actor.")}
     _check_finite(state.items(), where)
     try:
-        shapes = {str(key): tuple(int(size) for size in network["shapes"][key]) for key in cfg.ppo.policy_keys}
+        shapes = {str(key): tuple(int(size) for size in network["shapes"][key]) for key in cfg.learner.policy_keys}
         policy = Policy(body_cfg(cfg, shapes), int(network["num_actions"]))
         policy.load_state_dict(state)
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
@@ -79,13 +79,13 @@ def _own_policy(model: Mapping[str, Tensor], network: Any, cfg: TrainingCfg, *, 
 
 def body_cfg(cfg: TrainingCfg, shapes: Mapping[str, tuple[int, ...]]) -> BodyCfg:
     """Return the body of the settings over observations of these shapes."""
-    ppo = cfg.ppo
+    learner = cfg.learner
     return BodyCfg(
         shapes=shapes,
-        hidden_layers=ppo.hidden_layers,
-        activation=ppo.activation,
-        memory=ppo.memory,
-        normalize=ppo.normalize_observation,
+        hidden_layers=learner.hidden_layers,
+        activation=learner.activation,
+        memory=learner.memory,
+        normalize=learner.normalize_observation,
     )
 
 
@@ -108,10 +108,10 @@ def policy_from_state(state: Mapping[str, Tensor], cfg: TrainingCfg, *, where: s
     """Return the policy in the model state of rl-games or Sample Factory; ``where`` is named in errors."""
     reader = _read_rl_games if cfg.trainer == "rl_games" else _read_sample_factory
     try:
-        layers, mean, var = reader(state, len(cfg.ppo.hidden_layers))
+        layers, mean, var = reader(state, len(cfg.learner.hidden_layers))
     except KeyError as error:
         raise ConfigError(
-            f"{where}: no {error} in it; it is no {cfg.trainer} checkpoint of {cfg.ppo.hidden_layers}"
+            f"{where}: no {error} in it; it is no {cfg.trainer} checkpoint of {cfg.learner.hidden_layers}"
         ) from None
     told = [(f"layer {i}", tensor) for i, pair in enumerate(layers) for tensor in pair]
     _check_finite([*told, *(() if mean is None or var is None else (("mean", mean), ("var", var)))], where)
@@ -121,7 +121,7 @@ def policy_from_state(state: Mapping[str, Tensor], cfg: TrainingCfg, *, where: s
     shapes = {"observations": (layers[0][0].shape[1],)}
     hidden = tuple(bias.shape[0] for _, bias in layers[:-1])
     known = mean is not None and var is not None
-    body = BodyCfg(shapes=shapes, hidden_layers=hidden, activation=cfg.ppo.activation, normalize=known)
+    body = BodyCfg(shapes=shapes, hidden_layers=hidden, activation=cfg.learner.activation, normalize=known)
     policy = Policy(body, layers[-1][1].shape[0])
     for linear, (weight, bias) in zip([*list(policy.body.layers)[::2], policy.head], layers, strict=True):
         assert isinstance(linear, nn.Linear)

@@ -21,7 +21,7 @@ from aerial_gym.rl_training.run.interruption import Interruption
 from aerial_gym.rl_training.run.keeper import Keeper
 from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
-from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg
 from aerial_gym.rl_training.trainers.summaries import guard
 from aerial_gym.task import Task
 
@@ -111,7 +111,7 @@ class _Observer(AlgoObserver):
         self._follow_schedules(algo)
 
     def _follow_schedules(self, algo: A2CAgent) -> None:
-        ppo, share = self._cfg.ppo, self._progress.share
+        ppo, share = self._cfg.section(PpoCfg), self._progress.share
         limit = ppo.max_learning_rate_at(share)
         algo.scheduler.max_lr, algo.last_lr = limit, min(algo.last_lr, limit)
         algo.model.a2c_network.sigma.data.clamp_(min=math.log(ppo.min_std))
@@ -156,7 +156,7 @@ def run(
 
 def library_params(cfg: TrainingCfg, env: TaskVecEnv, out: Path, *, device: str) -> dict[str, object]:
     """Return the settings as rl-games names them."""
-    ppo = cfg.ppo
+    ppo = cfg.section(PpoCfg)
     return {
         "seed": cfg.seed,
         "torch_threads": 0,  # set by the caller

@@ -40,7 +40,7 @@ from aerial_gym.rl_training.run.interruption import Interruption
 from aerial_gym.rl_training.run.keeper import Keeper
 from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
-from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg
 from aerial_gym.rl_training.trainers.summaries import GuardedEvents, guard
 from aerial_gym.task import Task
 
@@ -166,7 +166,7 @@ class _Observer(AlgoObserver):
         self._follow_schedules(runner.learners[0].learner)
 
     def _follow_schedules(self, learner: Learner) -> None:
-        ppo, share = self._cfg.ppo, self._progress.share
+        ppo, share = self._cfg.section(PpoCfg), self._progress.share
         limit = ppo.max_learning_rate_at(share)
         learner.lr_scheduler.max_lr, learner.curr_lr = limit, min(learner.curr_lr, limit)
         learner.actor_critic.action_parameterization.learned_stddev.data.clamp_(min=math.log(ppo.min_std))
@@ -224,7 +224,7 @@ def _train(runner: _Runner, observer: _Observer) -> int:
 
 def library_config(cfg: TrainingCfg, out: Path, *, env_name: str, device: torch.device) -> Config:
     """Return the settings as Sample Factory names them, made by its own parser from a list, never from ``sys.argv``."""
-    ppo = cfg.ppo
+    ppo = cfg.section(PpoCfg)
     batch = cfg.num_envs * ppo.horizon // ppo.num_minibatches
     gpu = device.type == "cuda"
     options: dict[str, object] = {
@@ -296,7 +296,7 @@ def _registered(name: str, cfg: TrainingCfg, task: Task, interruption: Interrupt
     def make_network(library_cfg: Config, obs_space: spaces.Space, action_space: spaces.Space) -> ActorCritic:
         network = default_make_actor_critic_func(library_cfg, obs_space, action_space)
         head = network.action_parameterization.distribution_linear
-        torch.nn.init.normal_(head.weight, std=math.sqrt(cfg.ppo.head_variance / head.in_features))
+        torch.nn.init.normal_(head.weight, std=math.sqrt(cfg.learner.head_variance / head.in_features))
         torch.nn.init.zeros_(head.bias)
         return network
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aerial_gym.rl_training.trainers.ppo import LOOK_EVERY, Training
+from aerial_gym.rl_training.trainers.own import LOOK_EVERY
+from aerial_gym.rl_training.trainers.ppo import make_training
 from aerial_gym.task import task_registry
 from tests.unit.rl_training.learning.test_ppo import settings
 
@@ -25,7 +26,7 @@ def test_a_training_on_a_gpu_is_a_graph_that_repeats_and_goes_on(fused: bool, me
 
     def train(looks: int, state: dict[str, object] | None = None) -> tuple[dict[str, object], float]:
         with task_registry.make_task(cfg.task, num_envs=256, device="cuda", seed=0, capture=False) as task:
-            training = Training(cfg, task, fused=fused)
+            training = make_training(cfg, task, fused=fused)
             if state is not None:
                 training.load(state)
             for _ in range(looks):

@@ -6,8 +6,8 @@ import torch
 from gymnasium import spaces
 from torch import Tensor
 
+from aerial_gym.rl_training.learning.network import make_network
 from aerial_gym.rl_training.learning.ppo import Ppo
-from aerial_gym.rl_training.trainers.ppo import make_network
 from tests.unit.rl_training.learning.test_ppo import settings
 
 ENVS, LENGTH = 64, 5

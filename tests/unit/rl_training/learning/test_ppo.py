@@ -10,16 +10,11 @@ from torch import Tensor
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training import load_settings, settings_for
 from aerial_gym.rl_training.learning.adam import FlatAdam
-from aerial_gym.rl_training.learning.ppo import (
-    Ppo,
-    adapted_rate,
-    beyond_bounds,
-    clipped_objective,
-    generalized_advantages,
-    squared_error,
-)
+from aerial_gym.rl_training.learning.network import make_network
+from aerial_gym.rl_training.learning.objective import beyond_bounds, generalized_advantages
+from aerial_gym.rl_training.learning.ppo import Ppo, adapted_rate, clipped_objective, squared_error
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.ppo import Training, make_network
+from aerial_gym.rl_training.trainers.ppo import make_training
 from aerial_gym.task import task_registry
 
 GAMMA, LAMBDA = 0.9, 0.8
@@ -187,7 +182,7 @@ def test_a_training_repeats_bit_for_bit_and_goes_on_as_if_it_had_not_stopped(kin
 
     def train(iterations: int, state: dict[str, object] | None = None) -> tuple[dict[str, object], list[object]]:
         with task_registry.make_task(cfg.task, num_envs=64, device="cpu", seed=0, capture=False) as task:
-            training = Training(cfg, task)
+            training = make_training(cfg, task)
             if state is not None:
                 training.load(state)
             reports = [(training.advance(), training.gauges()) for _ in range(iterations)]
@@ -212,7 +207,7 @@ def test_seconds_of_training_raise_the_reward(monkeypatch: pytest.MonkeyPatch) -
 
     def late_reward() -> float:
         with task_registry.make_task(cfg.task, num_envs=512, device="cpu", seed=0, capture=False) as task:
-            training = Training(cfg, task)
+            training = make_training(cfg, task)
             sums = []
             for _ in range(60):
                 training.advance()

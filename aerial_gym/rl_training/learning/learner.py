@@ -1,0 +1,73 @@
+"""What every learner of ours has: networks, where the simulation stands, and what the host is told.
+
+Letters: T steps of a segment, E environments.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from aerial_gym.registry.state import below
+from aerial_gym.rl_training.policies.actor_critic import ActorCritic
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.task import Task
+
+SUMS: tuple[str, ...] = ("env_steps", "episodes", "episode_return", "episode_length")
+"""Steps, and number, returns and lengths of the episodes that ended, since the start of the training."""
+
+
+class Learner:
+    """Base of the learners. ``iterate`` waits for nothing and keeps all it needs in tensors that stay."""
+
+    GAUGES: ClassVar[tuple[str, ...]]
+    """Names of the numbers of the last update."""
+
+    def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic) -> None:
+        """Take settings, a task that holds no graph of its own, and a network on its device."""
+        self._cfg, self._task, self.network = cfg, task, network
+        device = task.device
+        self.generator = torch.Generator(device).manual_seed(cfg.seed)
+        """Of exploration and of the order of samples."""
+        self._begins = torch.ones(task.num_envs, dtype=torch.bool, device=device)
+        self._observation: dict[str, Tensor] = {}
+        self.time_share = torch.zeros((), dtype=torch.float64, device=device)
+        """Share of the time that is used, written by the host; 0 where steps alone limit the training."""
+        self.sums = torch.zeros(len(SUMS), dtype=torch.float64, device=device)
+        """``SUMS`` since the start."""
+        self.gauges = torch.zeros(len(self.GAUGES), dtype=torch.float64, device=device)
+        """``GAUGES`` of the last update."""
+
+    def begin(self) -> None:
+        """Start every episode anew, at random ages."""
+        observation, _ = self._task.reset()
+        self._task.stagger()
+        self._observation = {key: observation[key].clone() for key in self.network.shapes}
+
+    def iterate(self) -> None:
+        """Fly one segment and learn from it."""
+        raise NotImplementedError
+
+    def _count(self, ended: Tensor, episode_return: Tensor, episode_length: Tensor) -> None:
+        """Add the steps of a segment, and the episodes that ended, to the sums; each (T, E)."""
+        of_ended = [ended, episode_return * ended, episode_length * ended]
+        self.sums[0].add_(ended.numel())
+        self.sums[1:].add_(torch.stack([values.sum(dtype=torch.float64) for values in of_ended]))
+
+    def _falling(self, first: float, last: float) -> Tensor:
+        """Return a number, float32, that falls linearly with the share of the time or steps that is used."""
+        share = self.time_share
+        if self._cfg.max_env_steps is not None:
+            share = torch.maximum(share, self.sums[0] / self._cfg.max_env_steps)
+        return (first + (last - first) * share.clamp(0.0, 1.0)).float()
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Return what must be kept to go on, besides network and task: tensors that keep their places."""
+        return {"begins": self._begins, "sums": self.sums} | below("observation", self._observation)
+
+
+def last_observations(info: Mapping[str, Tensor], keys: Iterable[str]) -> dict[str, Tensor]:
+    """Return the observations before a reset, by key, as far as the task gives them."""
+    named = {"observations": "final_observation"} | {key: f"final_{key}" for key in keys if key != "observations"}
+    return {key: info[name] for key, name in named.items() if name in info and key in keys}

@@ -1,0 +1,50 @@
+"""What learners make of rewards, values and actions: pure functions.
+
+Letters: T steps, E environments, U entries of an action.
+"""
+
+import torch
+from torch import Tensor
+
+BOUND = 1.1
+"""Means of actions beyond it are pulled back, as in rl-games; the simulation clamps actions at 1."""
+
+
+def generalized_advantages(
+    reward: Tensor,
+    value: Tensor,
+    next_value: Tensor,
+    terminated: Tensor,
+    ended: Tensor,
+    *,
+    discount: float,
+    decay: float,
+) -> Tensor:
+    """Return ``A_t = d_t + discount decay A_(t+1)`` with ``d_t = r_t + discount V_next - V_t``.
+
+    Args:
+        reward: r, (T, E).
+        value: V_t of the observation before each step, (T, E).
+        next_value: V of the observation after it and before a reset, (T, E): a truncated episode is worth that. Not counted
+            where the episode terminated.
+        terminated: Whether the episode ended for good, bool, (T, E).
+        ended: Whether it ended, by termination or truncation, bool, (T, E): nothing of what follows counts.
+        discount: gamma.
+        decay: lambda.
+
+    Source:
+        Schulman, Moritz, Levine, Jordan, Abbeel (2016), High-dimensional continuous control using generalized advantage
+        estimation, eq. 16; truncation: Pardo, Tavakoli, Levdik, Kormushev (2018), Time limits in reinforcement learning, eq. 6.
+    """
+    delta = reward + discount * next_value.masked_fill(terminated, 0.0) - value
+    carry = (~ended).to(delta.dtype) * (discount * decay)
+    advantage = torch.empty_like(delta)
+    advantage[-1] = delta[-1]
+    for t in reversed(range(len(delta) - 1)):
+        torch.addcmul(delta[t], carry[t], advantage[t + 1], out=advantage[t])
+    return advantage
+
+
+def beyond_bounds(mean: Tensor) -> Tensor:
+    """Return the sum over entries of ``max(|mean| - 1.1, 0)²`` of each sample."""
+    return ((mean.abs() - BOUND).clamp_min(0.0) ** 2).sum(-1)

@@ -1,0 +1,175 @@
+"""Training with a learner of our own: simulation and updates in one CUDA graph, or step by step on a CPU."""
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, Generic, TypeVar
+
+import torch
+from torch import Tensor
+
+from aerial_gym.registry.state import check_state, restore, saved
+from aerial_gym.rl_training.learning.graph import Repeated
+from aerial_gym.rl_training.learning.learner import SUMS, Learner
+from aerial_gym.rl_training.run.interruption import Interruption
+from aerial_gym.rl_training.run.keeper import Keeper
+from aerial_gym.rl_training.run.progress import Progress, Report
+from aerial_gym.rl_training.run.run_folder import RunFolder
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.trainers.summaries import Scalars
+from aerial_gym.task import Task
+
+AnyLearner = TypeVar("AnyLearner", bound=Learner)
+
+LOOK_EVERY = 8
+"""Iterations on a GPU between two looks of the host, which is one look behind."""
+
+RECENT_EPISODES = 100
+"""Episodes over which returns and lengths are averaged, at least, as far as there are as many."""
+
+
+def repeat(
+    training: "OwnTraining", folder: RunFolder, progress: Progress, *, keeper: Keeper, interruption: Interruption
+) -> bool:
+    """Train until a limit of the settings is reached or the user interrupts; return whether it was interrupted.
+
+    Args:
+        training: A new one.
+        folder: Receives TensorBoard files, where ``tensorboardX`` is installed.
+        progress: Told after every look.
+        keeper: Keeps checkpoints, and knows where to go on.
+        interruption: Whether the user asked to end.
+
+    Raises:
+        StorageError: If the disk is full.
+        TrainingError: If the training diverged.
+        CapabilityError: If the task cannot be held in a CUDA graph.
+    """
+    cfg, task = training.cfg, training.task
+    scalars = Scalars(folder.path / cfg.trainer / "summaries")
+    if keeper.resumes:
+        keeper.restore(training.load)
+    else:
+        keeper.save(training.state(), env_steps=0)
+    try:
+        while True:
+            with interruption.held():
+                report = training.advance()
+            scalars.add(lambda: training.known | asdict(report) | task.episode_means(), training.env_steps)  # noqa: B023
+            if progress.update(report):
+                break
+            training.learner.time_share.fill_(0.0 if cfg.max_time_s is None else progress.elapsed_s() / cfg.max_time_s)
+            if keeper.due:
+                keeper.save(training.state(), env_steps=training.env_steps)
+        interrupted = False
+    except KeyboardInterrupt:
+        interrupted = True
+    finally:
+        scalars.close()
+    keeper.save(training.state(), env_steps=training.env_steps)
+    return interrupted
+
+
+class OwnTraining(Generic[AnyLearner]):
+    """A learner, repeated, and what the host knows of it."""
+
+    def __init__(self, cfg: TrainingCfg, task: Task, learner: AnyLearner) -> None:
+        """Take settings, a task without a graph of its own, and a new learner; start all episodes."""
+        self.cfg, self.task, self.learner = cfg, task, learner
+        self.learner.begin()
+        self._repeat = Repeated(self.learner.iterate, task.device, generator=self.learner.generator)
+        self.env_steps = 0
+        """Environment steps in all sessions; the host counts them by itself."""
+        self.iterations = 0
+        """Iterations of this session."""
+        self.known: dict[str, float] = {}
+        """The learner's gauges at the last look."""
+        self._numbers = _Told(self.learner)
+        self._recent: deque[list[float]] = deque([[0.0] * len(SUMS)])
+
+    def advance(self) -> Report:
+        """Iterate, on a GPU several times without waiting, and return what is known: on a GPU that of the call before."""
+        per_iteration, limit = self.cfg.num_envs * self.cfg.learner.horizon, self.cfg.max_env_steps
+        for _ in range(1 if self.task.device.type == "cpu" else LOOK_EVERY):
+            self._repeat()
+            self.iterations += 1
+            self.env_steps += per_iteration
+            if limit is not None and self.env_steps >= limit:
+                break
+        numbers = self._numbers.look()
+        _ = self.task.num_non_finite if self.task.device.type == "cpu" else 0
+        return self._report(numbers)
+
+    def _report(self, numbers: list[float]) -> Report:
+        recent, self.known = self._recent, dict(zip(self.learner.GAUGES, numbers[len(SUMS) :], strict=True))
+        recent.append(numbers[: len(SUMS)])
+        while len(recent) > 2 and recent[-1][1] - recent[1][1] >= RECENT_EPISODES:
+            recent.popleft()
+        episodes, total, length = (recent[-1][i] - recent[0][i] for i in (1, 2, 3))
+        return Report(
+            env_steps=self.env_steps,
+            episode_return=total / episodes if episodes else None,
+            episode_length=length / episodes if episodes else None,
+        )
+
+    def gauges(self) -> dict[str, float]:
+        """Return the numbers of the last update, by name; waits for the device."""
+        return dict(zip(self.learner.GAUGES, self.learner.gauges.tolist(), strict=True))
+
+    def state(self) -> dict[str, Any]:
+        """Return all that is needed to go on bit for bit; waits for the device."""
+        network = self.learner.network
+        return {
+            "model": saved(network.state_dict()),
+            "network": {
+                "shapes": {key: list(shape) for key, shape in network.shapes.items()},
+                "num_actions": network.actor.num_actions,
+            },
+            "learner": saved(self.learner.state_tensors()),
+            "generator": self.learner.generator.get_state(),
+            "task": {name: value for name, value in self.task.save_state().items() if not _is_image(value)},
+            "env_steps": self.env_steps,
+        }
+
+    def load(self, state: Mapping[str, Any]) -> None:
+        """Go on from what ``state`` returned."""
+        self.learner.network.load_state_dict(state["model"])
+        own = self.learner.state_tensors()
+        check_state(state["learner"], own)
+        restore(state["learner"], own)
+        self.learner.generator.set_state(state["generator"])
+        now = self.task.save_state()
+        self.task.load_state({name: state["task"].get(name, now[name]) for name in now})
+        self.env_steps = int(state["env_steps"])
+        self._recent = deque([self.learner.sums.tolist()])
+
+
+def _is_image(tensor: Tensor) -> bool:
+    """Say whether a tensor of a task's state holds images, (E, S, H, W): they are large, and seen anew with the next step."""
+    return tensor.ndim >= 4
+
+
+class _Told:
+    """The learner's numbers on the host: on a GPU they are copied while it goes on, and read at the next look."""
+
+    def __init__(self, learner: Learner) -> None:
+        self._learner = learner
+        self._cuda = learner.sums.device.type == "cuda"
+        self._places = [
+            torch.zeros(len(SUMS) + len(learner.GAUGES), dtype=torch.float64, pin_memory=self._cuda) for _ in range(2)
+        ]
+        self._events = [torch.cuda.Event() for _ in range(2)] if self._cuda else []
+        self._looks = 0
+
+    def look(self) -> list[float]:
+        """Return sums and gauges; on a GPU those of the look before, for which it waits."""
+        new, old = self._looks % 2, (self._looks + 1) % 2
+        self._looks += 1
+        numbers = torch.cat((self._learner.sums, self._learner.gauges))
+        self._places[new].copy_(numbers, non_blocking=True)
+        if not self._cuda:
+            return self._places[new].tolist()
+        self._events[new].record()
+        if self._looks > 1:
+            self._events[old].synchronize()
+        return self._places[old].tolist()
