@@ -3,11 +3,17 @@
 Letters: P weights.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import torch
 from torch import Tensor, nn
 
 BETAS, EPSILON = (0.9, 0.999), 1e-8
 """Kingma, Ba (2015), Adam: a method for stochastic optimization, algorithm 1."""
+
+PIECE = 4096
+"""Weights that one block of a GPU moves: one tensor of 100,000 would be work for two of its multiprocessors."""
 
 
 class FlatAdam:
@@ -34,7 +40,8 @@ class FlatAdam:
 
     def gradient(self, loss: Tensor) -> Tensor:
         """Return the gradient of ``loss`` with respect to all weights, (P,)."""
-        return torch.cat([g.reshape(-1) for g in torch.autograd.grad(loss, self._parameters)])
+        with _quick_products():
+            return torch.cat([g.reshape(-1) for g in torch.autograd.grad(loss, self._parameters)])
 
     @torch.no_grad()
     def step(self, gradient: Tensor, rate: Tensor) -> None:
@@ -42,13 +49,11 @@ class FlatAdam:
         # The kernel divides the gradient by grad_scale.
         excess = (torch.linalg.vector_norm(gradient) / self._max_norm).clamp_min(1.0)
         self._steps.add_(1.0)
+        pieces = [list(flat.split(PIECE)) for flat in (self.weights, gradient, self._mean, self._square)]
         torch._fused_adam_(  # pyright: ignore[reportPrivateImportUsage]
-            [self.weights],
-            [gradient],
-            [self._mean],
-            [self._square],
+            *pieces,
             [],
-            [self._steps],
+            [self._steps] * len(pieces[0]),
             lr=rate,
             beta1=BETAS[0],
             beta2=BETAS[1],
@@ -63,3 +68,17 @@ class FlatAdam:
     def state_tensors(self) -> dict[str, Tensor]:
         """Return what must be kept to go on, besides the weights: tensors that keep their places."""
         return {"mean": self._mean, "square": self._square, "steps": self._steps}
+
+
+@contextmanager
+def _quick_products() -> Iterator[None]:
+    """Multiply float32 matrices on a GPU with 10 bits of mantissa: exact enough for gradients of noisy samples.
+
+    Passes forward stay exact, as the probability ratio compares two of them.
+    """
+    before = torch.backends.cuda.matmul.allow_tf32
+    torch.backends.cuda.matmul.allow_tf32 = True
+    try:
+        yield
+    finally:
+        torch.backends.cuda.matmul.allow_tf32 = before

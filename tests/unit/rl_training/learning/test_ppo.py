@@ -9,6 +9,7 @@ from torch import Tensor
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training import load_settings, settings_for
+from aerial_gym.rl_training.learning import adam
 from aerial_gym.rl_training.learning.adam import FlatAdam
 from aerial_gym.rl_training.learning.network import make_network
 from aerial_gym.rl_training.learning.objective import beyond_bounds, generalized_advantages
@@ -97,8 +98,9 @@ def test_the_rate_follows_the_divergence_between_its_limits() -> None:
 
 
 @pytest.mark.parametrize("scale", [0.01, 100.0])
-def test_flat_adam_is_torchs_adam_behind_a_limit_of_the_norm(scale: float) -> None:
-    """Gradients below and above the limit of 1."""
+def test_flat_adam_is_torchs_adam_behind_a_limit_of_the_norm(scale: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gradients below and above the limit of 1; 32 weights in pieces of 7."""
+    monkeypatch.setattr(adam, "PIECE", 7)
     networks = []
     for _ in range(2):
         torch.manual_seed(0)
