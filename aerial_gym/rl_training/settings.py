@@ -40,6 +40,9 @@ class LearnerCfg:
     memory: int = 0
     """Numbers of a gated recurrent unit behind the hidden layers; 0: none. ``ppo`` only."""
 
+    critic_memory: int | None = None
+    """Likewise of networks of the value's own; that of the policy if not given. One that sees all there is needs none."""
+
     policy_keys: tuple[str, ...] = ("observations",)
     """Keys of the observation that the policy sees: vectors, images (C, H, W); others than ``observations`` with ``ppo``."""
 
@@ -93,8 +96,13 @@ class LearnerCfg:
             raise ConfigError(f"{name}.gae_lambda = {self.gae_lambda!r}: must be from 0 to 1")
         if self.activation not in ("elu", "relu", "tanh"):
             raise ConfigError(f"{name}.activation = {self.activation!r}: must be elu, relu or tanh")
-        if not 0 <= self.memory <= MAX_MADE:
-            raise ConfigError(f"{name}.memory = {self.memory!r}: must be >= 0 and at most {MAX_MADE:,}")
+        for field in ("memory", "critic_memory"):
+            if not 0 <= (getattr(self, field) or 0) <= MAX_MADE:
+                raise ConfigError(f"{name}.{field} = {getattr(self, field)!r}: must be >= 0 and at most {MAX_MADE:,}")
+        if self.critic_memory is not None and not self.separate_value_network:
+            raise ConfigError(
+                f"{name}.critic_memory = {self.critic_memory}: value and policy share theirs. Set separate_value_network"
+            )
         if not self.policy_keys or (self.critic_keys and not self.separate_value_network):
             raise ConfigError(
                 f"{name}: policy_keys = {self.policy_keys!r}, critic_keys = {self.critic_keys!r}: the policy must see "
@@ -231,7 +239,8 @@ class TrainingCfg:
         require_count(self, "num_envs")
         if not 0 <= self.seed < 2**32:  # NumPy takes no larger one
             raise ConfigError(f"TrainingCfg.seed = {self.seed!r}: must be >= 0 and less than 2**32")
-        special = self.ppo.memory or self.ppo.critic_keys or self.ppo.policy_keys != ("observations",)
+        special = self.ppo.memory or self.ppo.critic_memory or self.ppo.critic_keys
+        special = special or self.ppo.policy_keys != ("observations",)
         if special and self.trainer != "ppo":
             raise ConfigError(f"TrainingCfg: memory, policy_keys and critic_keys need trainer ppo, not {self.trainer}")
         samples, parts = self.num_envs * self.ppo.horizon, self.ppo.num_minibatches

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
+from aerial_gym.rl_training.policies.recurrent import along
 
 ACTIVATIONS = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
 """By the name in the settings."""
@@ -101,11 +102,7 @@ class Body(nn.Module):
         features = self._encoded(prepared)
         if self.cell is None:
             return features, memory.expand(len(features), *memory.shape)
-        after = []
-        for step, keep in zip(features, (~begins).to(features.dtype).unsqueeze(-1), strict=True):
-            memory = self.cell(step, memory * keep)
-            after.append(memory)
-        remembered = torch.stack(after)
+        remembered = along(self.cell, features, memory, begins)
         return remembered, remembered
 
     def _encoded(self, prepared: Mapping[str, Tensor]) -> Tensor:

@@ -78,7 +78,7 @@ def _own_policy(model: Mapping[str, Tensor], network: Any, cfg: TrainingCfg, *, 
 
 
 def body_cfg(cfg: TrainingCfg, shapes: Mapping[str, tuple[int, ...]]) -> BodyCfg:
-    """Return the body of the settings over observations of these shapes."""
+    """Return the body of a policy of the settings over observations of these shapes."""
     learner = cfg.learner
     return BodyCfg(
         shapes=shapes,

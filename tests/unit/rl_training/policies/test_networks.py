@@ -1,11 +1,12 @@
 """Normaliser, distribution, memory and encoders of policies, against numpy, torch's own and each other."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.distributions import Independent, Normal, kl_divergence
 
 from aerial_gym.errors import ConfigError
@@ -14,6 +15,7 @@ from aerial_gym.rl_training.policies.body import Body, BodyCfg
 from aerial_gym.rl_training.policies.distribution import Gaussian
 from aerial_gym.rl_training.policies.normalizer import EPSILON, RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
+from aerial_gym.rl_training.policies.recurrent import along
 
 
 def randn(*shape: int, seed: int = 0) -> Tensor:
@@ -69,6 +71,40 @@ def test_a_sequence_is_its_steps_one_by_one_with_the_memory_emptied_where_episod
         mean, memory = policy.step({"observations": seen[t]}, memory)
         torch.testing.assert_close(policy.head(features[t]), mean)
         torch.testing.assert_close(after[t], memory)
+
+
+@pytest.mark.parametrize(
+    "device",
+    ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU"))],
+)
+def test_gradients_along_a_sequence_are_those_of_the_unit_step_by_step(device: str) -> None:
+    """Of all weights, what enters and the first memory; a GPU sums in another order."""
+    torch.manual_seed(0)
+    cell = nn.GRUCell(5, 6, device=device)
+    seen, first, weight = (
+        randn(*shape, seed=i).to(device) for i, shape in enumerate(((7, 10, 5), (10, 6), (7, 10, 6)))
+    )
+    begins = (torch.rand(7, 10, generator=torch.Generator().manual_seed(1)) < 0.3).to(device)
+    wanted = [seen.requires_grad_(), first.requires_grad_(), *cell.parameters()]
+    memory, loss = first, torch.zeros((), device=device)
+    for t in range(7):
+        memory = cell(seen[t], torch.where(begins[t].unsqueeze(-1), 0.0, memory))
+        loss = loss + (memory * weight[t]).sum()
+    expected = torch.autograd.grad(loss, wanted)
+    found = torch.autograd.grad((along(cell, seen, first, begins) * weight).sum(), wanted)
+    for ours, reference in zip(found, expected, strict=True):
+        torch.testing.assert_close(ours, reference, atol=1e-5, rtol=1e-5)
+
+
+def test_a_critic_may_remember_less_than_its_policy() -> None:
+    actor = Policy(recurrent(), 2)
+    network = ActorCritic(actor, replace(recurrent(), memory=0))
+    assert network.memory_sizes == (6, 0)
+    assert network.empty_memory(3).shape == (3, 6)
+    seen, begins = {"observations": randn(4, 3, 5)}, torch.zeros(4, 3, dtype=torch.bool)
+    values, after = network.values(network.prepare(seen), torch.ones(3, 6), begins)
+    assert values.shape == (4, 3)
+    assert after.shape == (4, 3, 0)
 
 
 def test_errors_go_back_through_a_sequence_up_to_where_the_episode_began() -> None:
