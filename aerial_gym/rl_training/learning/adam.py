@@ -49,11 +49,16 @@ class FlatAdam:
         # The kernel divides the gradient by grad_scale.
         excess = (torch.linalg.vector_norm(gradient) / self._max_norm).clamp_min(1.0)
         self._steps.add_(1.0)
-        pieces = [list(flat.split(PIECE)) for flat in (self.weights, gradient, self._mean, self._square)]
+        weights, gradients, means, squares = (
+            list(flat.split(PIECE)) for flat in (self.weights, gradient, self._mean, self._square)
+        )
         torch._fused_adam_(  # pyright: ignore[reportPrivateImportUsage]
-            *pieces,
+            weights,
+            gradients,
+            means,
+            squares,
             [],
-            [self._steps] * len(pieces[0]),
+            [self._steps] * len(weights),
             lr=rate,
             beta1=BETAS[0],
             beta2=BETAS[1],
