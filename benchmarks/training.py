@@ -25,6 +25,12 @@ class BenchTraining:
     task: str = "position_setpoint_task"
     """Registered task."""
 
+    robot: str | None = None
+    """Registered robot, or a robot file, to train with; that of the settings if not given. The task's own is evaluated."""
+
+    level: int | None = None
+    """Level of the task's curriculum at which the policy is evaluated; its highest if not given."""
+
     device: str = "auto"
     """Torch device."""
 
@@ -114,6 +120,7 @@ class BenchTraining:
             task=self.task,
             seed=self.seed,
             device=self.device,
+            robot=self.robot or cfg.robot,
             num_envs=self.num_envs or cfg.num_envs,
             max_time_s=self.train_s,
             ppo=replace(cfg.ppo, **changes),
@@ -121,8 +128,10 @@ class BenchTraining:
         with contextlib.ExitStack() as stack:
             make = task_registry.make_task
             task = stack.enter_context(
-                make(cfg.task, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed, capture=False)
+                make(cfg.task, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed, robot=cfg.robot, capture=False)
             )
+            curriculum = task.cfg.curriculum
+            level = curriculum.max_level if self.level is None and curriculum is not None else self.level
             cuda = task.device.type == "cuda"
             wait = torch.cuda.synchronize if cuda else (lambda: None)
             clock = time.process_time if self.processor_time else time.perf_counter
@@ -148,7 +157,9 @@ class BenchTraining:
                 since = begun - STARTED - evaluated_s
                 if fresh is None:
                     seed = 1_000_003 + cfg.seed
-                    fresh = stack.enter_context(make(cfg.task, num_envs=self.num_starts, device=cfg.device, seed=seed))
+                    fresh = stack.enter_context(
+                        make(cfg.task, num_envs=self.num_starts, device=cfg.device, seed=seed, level=level)
+                    )
                 found = evaluate(training.learner.network.actor, fresh)
                 wait()
                 evaluated_s += time.perf_counter() - begun

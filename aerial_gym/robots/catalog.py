@@ -74,6 +74,12 @@ for _name, _of, _change, _summary in (
         "base_quadrotor with a depth and segmentation camera",
     ),
     (
+        "base_quadrotor_with_coarse_camera",
+        "base_quadrotor",
+        _carrying("coarse_depth_camera"),
+        "base_quadrotor with a depth camera of fewer pixels, to train with",
+    ),
+    (
         "base_quadrotor_with_imu",
         "base_quadrotor",
         _carrying("base_imu"),

@@ -11,6 +11,7 @@ SENSORS: Registry[RangeSensorCfg] = Registry("sensor")
 
 for _name in (
     "base_depth_camera",
+    "coarse_depth_camera",
     "depth_camera_64",
     "base_rgb_camera",
     "base_normal_face_id_camera",

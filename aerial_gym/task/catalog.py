@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from aerial_gym.config import CONFIG_DIR, load
 from aerial_gym.config.task import CurriculumCfg, TaskCfg
+from aerial_gym.config.task_terms import ObservationCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.registry import Registry
 
@@ -174,3 +175,27 @@ task_registry = TaskRegistry("task")
 
 for _name in ("position_setpoint_task", "navigation_task", "tracking_task"):
     task_registry.register_later(_name, partial(load, TaskCfg, CONFIG_DIR / "tasks" / f"{_name}.yaml"))
+
+
+def _safe_navigation() -> TaskCfg:
+    """navigation_task as an optimum of its reward would not fly it.
+
+    There 1 s less on the way is worth some 150, a crash halfway 1,000 in all: its optimum flies fast and crashes.
+    """
+    task = task_registry.get("navigation_task")
+    assert task.crash_reward is not None
+    seen = tuple(
+        replace(entry, term="log_nearest_in_cells") if entry.term == "nearest_in_cells" else entry
+        for entry in task.observations["policy"]
+    )
+    known = (ObservationCfg(term=key) for key in ("robot_clearance", "robot_position", "robot_orientation"))
+    return replace(
+        task,
+        summary="navigation_task with ten times the price of a crash, logarithms of distances, and a critic that knows more",
+        observations={"policy": seen, "critic": (*seen, *known)},
+        crash_reward=replace(task.crash_reward, value=10.0 * task.crash_reward.value),
+        source=f"{task.source}. Price of a crash, logarithms and what the critic sees: ours",
+    )
+
+
+task_registry.register_later("safe_navigation_task", _safe_navigation)

@@ -16,6 +16,9 @@ OBSERVATIONS = TermRegistry("observation term")
 IMAGE_CELLS = (8, 8)
 """Rows and columns of the smallest distances that ``nearest_in_cells`` holds of an image."""
 
+LEAST_SHARE = 1e-3
+"""A share of the largest distance below which no obstacle is told from another: 1 cm of 10 m."""
+
 TINY = 1e-6
 """A distance [m] below which there is no direction."""
 
@@ -106,6 +109,12 @@ def last_action(robot_actions: Tensor) -> Tensor:
 def nearest(nearest_in_cells: Tensor) -> Tensor:
     """Return the smallest distance in each of 8 x 8 cells of the first sensor's image, a share of the largest, (E, 64)."""
     return nearest_in_cells
+
+
+@OBSERVATIONS.term(width=IMAGE_CELLS[0] * IMAGE_CELLS[1])
+def log_nearest_in_cells(nearest_in_cells: Tensor) -> Tensor:
+    """Return the natural logarithm of ``nearest_in_cells``, (E, 64): what is at hand tells as much as what is far."""
+    return nearest_in_cells.clamp_min(LEAST_SHARE).log()
 
 
 def whole(name: str) -> Term:

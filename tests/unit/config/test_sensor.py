@@ -61,7 +61,8 @@ LIDARS = {
 
 
 def test_every_shipped_sensor_is_in_a_table_of_this_test() -> None:
-    assert set(SENSORS.names()) == {*CAMERAS, *LIDARS, "depth_camera_64", "base_rgb_camera", "base_optical_flow_camera"}
+    ours = {"depth_camera_64", "coarse_depth_camera", "base_rgb_camera", "base_optical_flow_camera"}
+    assert set(SENSORS.names()) == {*CAMERAS, *LIDARS, *ours}
 
 
 @pytest.mark.parametrize("name", CAMERAS)

@@ -55,3 +55,30 @@ def test_sim_environment_and_robot_can_be_replaced() -> None:
     assert (task.cfg.sim, task.cfg.env, task.cfg.robot) == ("base_sim_2ms", "landing_env", "tinyprop")
     with pytest.raises(UnknownNameError, match="base_sim_2ms"):
         task_registry.make_task("position_setpoint_task", num_envs=2, device="cpu", sim="base_sim_1ms")
+
+
+def test_safe_navigation_is_navigation_but_for_what_it_says() -> None:
+    task, safe = task_registry.get("navigation_task"), task_registry.get("safe_navigation_task")
+    assert (task.crash_reward.value, safe.crash_reward.value) == (-100.0, -1000.0)  # type: ignore[union-attr]
+    assert [entry.term.replace("log_", "") for entry in safe.observations["policy"]] == [
+        entry.term for entry in task.observations["policy"]
+    ]
+    same = {"observations": task.observations, "crash_reward": task.crash_reward}
+    assert replace(safe, **same, summary=task.summary, source=task.source) == task
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_coarse_camera_shows_in_cells_what_the_camera_of_the_task_shows() -> None:
+    """Same rooms, same mounts: a cell of 45 pixels misses an edge now and then that one of 510 pixels sees."""
+    seen = []
+    for robot in (None, "base_quadrotor_with_coarse_camera"):
+        with task_registry.make_task(
+            "safe_navigation_task", num_envs=32, device="cpu", seed=1, robot=robot, level=44
+        ) as task:
+            observation, _ = task.reset()
+            seen.append(observation["observations"][:, 17:].clone())
+            assert observation["critic"].shape == (32, 89)
+    fine, coarse = (cells.exp() for cells in seen)
+    assert float(fine.std()) > 0.1
+    assert float((fine - coarse).abs().median()) < 0.01
+    assert float(((fine - coarse).abs() > 0.05).float().mean()) < 0.06
