@@ -3,10 +3,14 @@
 import json
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
 from aerial_gym.errors import ConfigError
+
+if TYPE_CHECKING:
+    from aerial_gym.rl_training.training import TrainingResult
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +33,7 @@ class TrainCmd:
     """Settings in a YAML file, in place of the package's own for this task and trainer."""
 
     num_envs: int | None = None
-    """Environments side by side."""
+    """Environments side by side; where torchrun starts several processes, in each of them."""
 
     device: str | None = None
     """Torch device; auto takes the GPU if there is one."""
@@ -50,7 +54,7 @@ class TrainCmd:
     """End after this time, start-up included [s]."""
 
     max_env_steps: int | None = None
-    """End after this many environment steps of all sessions together."""
+    """End after this many environment steps of all sessions and processes together."""
 
     watch: bool = False
     """Keep the last 64 steps of rows that are NaN or infinite, and write them to non_finite.csv in --out; play --replay
@@ -61,6 +65,7 @@ class TrainCmd:
 
     def run(self) -> int:
         """Train and print where the policy lies; return the exit status, 1 if it was interrupted."""
+        from aerial_gym.rl_training.ranks import launched_rank
         from aerial_gym.rl_training.run.run_folder import RunFolder
         from aerial_gym.rl_training.settings import load_settings, settings_for
         from aerial_gym.rl_training.training import train
@@ -78,6 +83,11 @@ class TrainCmd:
         names = ("num_envs", "device", "seed", "robot", "controller", "backend", "max_time_s", "max_env_steps")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         result = train(replace(cfg, **given), self.out, resume=self.resume, watch=self.watch)
+        if launched_rank() == 0:
+            self._tell(result)
+        return 1 if result.interrupted else 0
+
+    def _tell(self, result: "TrainingResult") -> None:
         if self.json:
             print(json.dumps(asdict(result)))
         else:
@@ -94,7 +104,6 @@ class TrainCmd:
             console.print(f"checkpoint: {result.checkpoint or 'none yet'}")
             again = f"train --out {self.out} --resume" if result.interrupted else f"evaluate --policy {self.out}"
             console.print(f"next: aerial-gym {again}")
-        return 1 if result.interrupted else 0
 
     def _task(self) -> str:
         """Return the task by a name that holds in every folder."""

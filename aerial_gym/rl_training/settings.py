@@ -180,7 +180,7 @@ class TrainingCfg:
     """``ppo``, ``rl_games`` or ``sample_factory``."""
 
     num_envs: int
-    """Environments side by side, >= 1."""
+    """Environments side by side, in each process if there are several, >= 1."""
 
     device: str = "auto"
     """Torch device; auto takes the GPU if there is one."""
@@ -204,7 +204,7 @@ class TrainingCfg:
     """The training ends after this time, start-up included [s], > 0."""
 
     max_env_steps: int | None = None
-    """The training ends after this many environment steps in all sessions together, >= 1."""
+    """The training ends after this many environment steps in all sessions and processes together, >= 1."""
 
     checkpoint_every_s: float = 30.0
     """Time between checkpoints [s], > 0."""

@@ -6,6 +6,7 @@ import importlib.util
 import json
 import logging
 import random
+import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -18,8 +19,9 @@ import torch
 from aerial_gym.config.storage import told_storage, write_whole
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import robot_by_name
-from aerial_gym.errors import MissingDependencyError
+from aerial_gym.errors import ConfigError, MissingDependencyError
 from aerial_gym.physics import BACKENDS
+from aerial_gym.rl_training.ranks import Ranks, joined_ranks, own_device
 from aerial_gym.rl_training.run.interruption import Interruption, interruptible
 from aerial_gym.rl_training.run.keeper import Keeper, steps_of
 from aerial_gym.rl_training.run.progress import Progress
@@ -31,6 +33,9 @@ _log = logging.getLogger(__name__)
 
 NEEDED = {"rl_games": "rl_games", "sample_factory": "sample_factory"}
 """Package that a trainer needs."""
+
+SCALING = ("ppo", "rl_games")
+"""Trainers that learn in several processes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,24 +91,46 @@ def train(
     started = time.perf_counter()
     _check_names(cfg)
     require_trainer(cfg.trainer)
-    folder = RunFolder(out)
+    with joined_ranks(cfg.device) as ranks, _folder_of(ranks, out) as folder:
+        if ranks.size > 1 and cfg.trainer not in SCALING:
+            raise ConfigError(
+                f"trainer {cfg.trainer} learns in one process, and {ranks.size} were started. Leave torchrun out, or use "
+                f"--trainer {' or '.join(SCALING)}"
+            )
+        return _train(cfg, folder, ranks, started=started, resume=resume, show_progress=show_progress, watch=watch)
+
+
+@contextlib.contextmanager
+def _folder_of(ranks: Ranks, out: str | Path) -> Iterator[RunFolder]:
+    """Give the run folder; to processes other than rank 0 one that is gone afterwards, so that a run has the files of one."""
+    if ranks.leads:
+        yield RunFolder(out)
+        return
+    with tempfile.TemporaryDirectory(prefix=f"aerial_gym_rank_{ranks.rank}_") as folder:
+        yield RunFolder(folder)
+
+
+def _train(
+    cfg: TrainingCfg, folder: RunFolder, ranks: Ranks, *, started: float, resume: bool, show_progress: bool, watch: bool
+) -> TrainingResult:
     if not resume:
         folder.create(cfg)
-    resumed = folder.newest_whole() if resume else None
-    if resume and resumed is None:
+    resumed = ranks.told_of(folder.newest_whole() if resume and ranks.leads else None)
+    if resume and resumed is None and ranks.leads:
         _log.warning(
             "%s: was ended before its first checkpoint; the training starts anew in the same folder", folder.path
         )
     steps = steps_of(resumed, cfg.trainer)
+    shown = show_progress and ranks.leads
     with (
         told_storage(folder.path, only_full=True),
         _restored_globals(cfg),
-        interruptible() as interruption,
-        Progress(cfg, folder.curve_file, started=started, show=show_progress, resumed_steps=steps) as progress,
+        interruptible(ranks) as interruption,
+        Progress(cfg, folder.curve_file, started=started, show=shown, resumed_steps=steps, ranks=ranks) as progress,
         folder.captured_output(),
     ):
         try:
-            interrupted = _run(cfg, folder, progress, resumed, interruption, watch=watch)
+            interrupted = _run(cfg, folder, progress, resumed, interruption, ranks, watch=watch)
         except KeyboardInterrupt:
             interrupted = True
     last, checkpoints = progress.last, folder.checkpoints()
@@ -139,19 +166,22 @@ def _run(
     progress: Progress,
     resumed: tuple[Path, dict[str, Any]] | None,
     interruption: Interruption,
+    ranks: Ranks,
     *,
     watch: bool,
 ) -> bool:
     adapter = importlib.import_module(f"aerial_gym.rl_training.trainers.{cfg.trainer}")
     interruption.check()  # an import may have swallowed it
-    torch.manual_seed(cfg.seed)
-    np.random.seed(cfg.seed)
-    random.seed(cfg.seed)
+    seed = (cfg.seed + ranks.rank) % 2**32
+    torch.manual_seed(seed)
+    np.random.seed(seed)
+    random.seed(seed)
     with task_registry.make_task(
         cfg.task,
         num_envs=cfg.num_envs,
-        device=cfg.device,
+        device=own_device(cfg.device),
         seed=cfg.seed,
+        first_env=ranks.rank * cfg.num_envs,
         robot=cfg.robot,
         controller=cfg.controller,
         backend=cfg.backend,
@@ -159,11 +189,13 @@ def _run(
     ) as task:
         interruption.check()
         folder.add_session(cfg, str(task.device))
-        keeper = Keeper(cfg, folder, task, resumed=resumed)
+        keeper = Keeper(cfg, folder, task, resumed=resumed, ranks=ranks)
         if watch:
             task.watch()
-        interrupted = adapter.run(cfg, task, folder, progress, keeper=keeper, interruption=interruption)
-        progress.non_finite = task.num_non_finite
+        more = {"ranks": ranks} if cfg.trainer in SCALING else {}
+        interrupted = adapter.run(cfg, task, folder, progress, keeper=keeper, interruption=interruption, **more)
+        non_finite = torch.tensor(task.num_non_finite)
+        progress.non_finite = int(ranks.sum_(non_finite))
         if watch and progress.non_finite:
             task.dump(folder.path / "non_finite.csv")
         return interrupted

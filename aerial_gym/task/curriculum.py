@@ -3,6 +3,8 @@
 Letters: E environments.
 """
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -62,6 +64,8 @@ class Curriculum:
         ))  # fmt: skip
         self._finished, self._succeeded = torch.zeros_like(self.level), torch.zeros_like(self.level)
         self.difficulty = torch.zeros((), device=self.level.device)
+        self.of_all: Callable[[Tensor], Tensor] | None = None
+        """Sums counts, (2,), over the processes of a training, in each of which the level is then the same."""
         self._decide = ByRow(self._decision, "the curriculum")
         self.restart()
 
@@ -71,8 +75,11 @@ class Curriculum:
 
     def count(self, ended: Tensor, success: Tensor) -> None:
         """Count the episodes that ended in this step and those of them that succeeded, each bool (E,), and decide."""
-        self._finished.add_(ended.sum())
-        self._succeeded.add_(success.sum())
+        finished, succeeded = ended.sum(), success.sum()
+        if self.of_all is not None:
+            finished, succeeded = self.of_all(torch.stack((finished, succeeded)))
+        self._finished.add_(finished)
+        self._succeeded.add_(succeeded)
         kept = (self.level, self._finished, self._succeeded)
         *_, count = self._decide(*kept, out=(*kept, self.difficulty.view(1)))
         self._assets.take_num_obstacles(count)

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from aerial_gym.rl_training.learning.objective import BOUND
 from aerial_gym.rl_training.learning.ppo import Flown, Ppo, Samples
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
+from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg
 from aerial_gym.task import Task
 
@@ -56,9 +57,9 @@ def why_not_fused(ppo: PpoCfg, network: ActorCritic, device: torch.device) -> st
 class FusedPpo(Ppo):
     """Proximal policy optimisation whose passes through both networks are single launches."""
 
-    def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic) -> None:
+    def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic, ranks: Ranks = ALONE) -> None:
         """Take what ``Ppo`` takes, where ``why_not_fused`` finds no reason against it."""
-        super().__init__(cfg, task, network)
+        super().__init__(cfg, task, network, ranks)
         from aerial_gym.rl_training.learning import kernels
 
         self._kernels, ppo = kernels, self._ppo

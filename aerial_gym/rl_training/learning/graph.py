@@ -16,9 +16,13 @@ _log = logging.getLogger(__name__)
 class Repeated:
     """Calls a function that waits for nothing and keeps all it needs in tensors that stay; on CUDA it records it once."""
 
-    def __init__(self, iterate: Callable[[], None], device: torch.device, *, generator: torch.Generator) -> None:
-        """Take the function, and the generator that it draws from."""
+    def __init__(
+        self, iterate: Callable[[], None], device: torch.device, *, generator: torch.Generator, joined: bool = False
+    ) -> None:
+        """Take the function, the generator that it draws from, and whether it talks to other processes."""
         self._iterate, self._device, self._generator = iterate, device, generator
+        # NCCL has a thread that looks at events: a recording that forbids this to all threads would fail.
+        self._forbids = "thread_local" if joined else "global"
         self._graph: torch.cuda.CUDAGraph | None = None
         self._warm = 0
         self._stream = torch.cuda.Stream(device) if device.type == "cuda" else None
@@ -51,7 +55,7 @@ class Repeated:
             graph = torch.cuda.CUDAGraph()
             graph.register_generator_state(self._generator)
             try:
-                with torch.cuda.graph(graph):
+                with torch.cuda.graph(graph, capture_error_mode=self._forbids):
                     self._iterate()
             except RuntimeError as error:
                 reason = str(error).strip().splitlines()[0]

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from aerial_gym.registry.state import below
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
+from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
 
@@ -24,12 +25,12 @@ class Learner:
     GAUGES: ClassVar[tuple[str, ...]]
     """Names of the numbers of the last update."""
 
-    def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic) -> None:
-        """Take settings, a task that holds no graph of its own, and a network on its device."""
-        self._cfg, self._task, self.network = cfg, task, network
+    def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic, ranks: Ranks = ALONE) -> None:
+        """Take settings, a task that holds no graph of its own, a network on its device, and who learns with this process."""
+        self._cfg, self._task, self.network, self.ranks = cfg, task, network, ranks
         device = task.device
-        self.generator = torch.Generator(device).manual_seed(cfg.seed)
-        """Of exploration and of the order of samples."""
+        self.generator = torch.Generator(device).manual_seed(cfg.seed + ranks.rank)
+        """Of exploration and of the order of samples, in each process others."""
         self._begins = torch.ones(task.num_envs, dtype=torch.bool, device=device)
         self._observation: dict[str, Tensor] = {}
         self.time_share = torch.zeros((), dtype=torch.float64, device=device)
@@ -52,8 +53,8 @@ class Learner:
     def _count(self, ended: Tensor, episode_return: Tensor, episode_length: Tensor) -> None:
         """Add the steps of a segment, and the episodes that ended, to the sums; each (T, E)."""
         of_ended = [ended, episode_return * ended, episode_length * ended]
-        self.sums[0].add_(ended.numel())
-        self.sums[1:].add_(torch.stack([values.sum(dtype=torch.float64) for values in of_ended]))
+        self.sums[0].add_(ended.numel() * self.ranks.size)
+        self.sums[1:].add_(self.ranks.sum_(torch.stack([values.sum(dtype=torch.float64) for values in of_ended])))
 
     def _falling(self, first: float, last: float) -> Tensor:
         """Return a number, float32, that falls linearly with the share of the time or steps that is used."""
@@ -65,6 +66,15 @@ class Learner:
     def state_tensors(self) -> dict[str, Tensor]:
         """Return what must be kept to go on, besides network and task: tensors that keep their places."""
         return {"begins": self._begins, "sums": self.sums} | below("observation", self._observation)
+
+    def learned(self) -> list[Tensor]:
+        """Return what is the same in all processes."""
+        return [*self.network.parameters(), *self.network.buffers(), self.sums]
+
+    @torch.no_grad()
+    def join(self) -> None:
+        """Take over from rank 0 what is the same in all processes."""
+        self.ranks.share_(self.learned())
 
 
 def last_observations(info: Mapping[str, Tensor], keys: Iterable[str]) -> dict[str, Tensor]:

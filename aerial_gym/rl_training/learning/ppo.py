@@ -1,7 +1,8 @@
 """Proximal policy optimisation: roll the simulation out, estimate advantages, follow the clipped objective.
 
 Everything stands on the device and nothing waits for it: ``Ppo.iterate`` can be held in one CUDA graph, simulation included,
-and the same code runs step by step on a CPU.
+and the same code runs step by step on a CPU. With several processes each flies its environments; gradients,
+divergence, normalisers and sums are those of all (``Ranks``), so that networks and rates are equal in each.
 
 Letters: T steps of a segment, E environments, U entries of an action, M numbers of memory.
 
@@ -22,6 +23,7 @@ from aerial_gym.rl_training.learning.learner import Learner, last_observations
 from aerial_gym.rl_training.learning.objective import beyond_bounds, generalized_advantages
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.distribution import Gaussian
+from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg
 from aerial_gym.task import Task
 
@@ -119,9 +121,9 @@ class Ppo(Learner):
     GAUGES = ("learning_rate", "std", "divergence", "policy_loss", "value_loss")
     """The last three are means over the minibatches of the last pass over the samples."""
 
-    def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic) -> None:
-        """Take settings, a task that holds no graph of its own, and a network on its device."""
-        super().__init__(cfg, task, network)
+    def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic, ranks: Ranks = ALONE) -> None:
+        """Take settings, a task that holds no graph of its own, a network on its device, and who learns with this process."""
+        super().__init__(cfg, task, network, ranks)
         self._ppo = ppo = cfg.section(PpoCfg)
         self._adam = FlatAdam(network, max_norm=ppo.max_grad_norm)
         self._memory = network.empty_memory(task.num_envs)
@@ -135,7 +137,7 @@ class Ppo(Learner):
             old_log_std, highest = self.network.actor.log_std.clone(), self._highest_rate()
         for _ in range(self._ppo.num_epochs):
             self._learn(samples, old_log_std, highest)
-        self.network.count({key: value[:-1] for key, value in flown.observation.items()})
+        self.network.count({key: value[:-1] for key, value in flown.observation.items()}, self.ranks)
 
     def _fly(self) -> Flown:
         """Fly T steps with exploration, and remember where the next segment begins."""
@@ -198,10 +200,10 @@ class Ppo(Learner):
         )
         value = values[:-1]
         if ppo.normalize_value:
-            network.scale.update((advantage + value).flatten())
+            network.scale.update((advantage + value).flatten(), self.ranks)
         self._memory.copy_(network.joined(flown.acting, remembered[-2]))
         self._count(ended, flown.episode_return, flown.episode_length)
-        spread, mean = torch.std_mean(advantage)
+        var, mean = self.ranks.var_mean(advantage.flatten())
         return Samples(
             memory=flown.memory,
             prepared=before,
@@ -210,7 +212,7 @@ class Ppo(Learner):
                 "action": flown.action,
                 "mean": flown.mean,
                 "log_prob": Gaussian(flown.mean, network.actor.log_std).log_prob(flown.action),
-                "advantage": (advantage - mean) / (spread + TINY),
+                "advantage": (advantage - mean) / (var.sqrt() + TINY),
                 "value": network.scale(value),
                 "target": network.scale(advantage + value),
             },
@@ -234,9 +236,9 @@ class Ppo(Learner):
         for chosen in order.tensor_split(ppo.num_minibatches):
             gradient, numbers = self._gradient(samples, chosen, old_log_std)
             told.append(numbers)
-            self._adam.step(gradient, self._rate)
+            self._adam.step(self.ranks.mean_(gradient), self._rate)
             log_std.data.clamp_(min=log(ppo.min_std))
-        numbers = torch.stack(told).mean(0)
+        numbers = self.ranks.mean_(torch.stack(told).mean(0))
         self._rate.copy_(adapted_rate(self._rate, numbers[0], threshold=ppo.kl_threshold, highest=highest))
         self.gauges.copy_(torch.cat((torch.stack((self._rate, log_std.data.exp().mean())), numbers)))
 
@@ -263,3 +265,7 @@ class Ppo(Learner):
         """Return what must be kept to go on, besides network and task: tensors that keep their places."""
         own = {"memory": self._memory, "rate": self._rate}
         return super().state_tensors() | own | below("adam", self._adam.state_tensors())
+
+    def learned(self) -> list[Tensor]:
+        """Return what is the same in all processes."""
+        return [*super().learned(), *self._adam.state_tensors().values(), self._rate]

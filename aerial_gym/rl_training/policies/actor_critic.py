@@ -12,6 +12,7 @@ from aerial_gym.rl_training.policies.body import Body, BodyCfg
 from aerial_gym.rl_training.policies.distribution import Gaussian
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
+from aerial_gym.rl_training.ranks import ALONE, Ranks
 
 
 class ActorCritic(nn.Module):
@@ -49,12 +50,12 @@ class ActorCritic(nn.Module):
             prepared |= self.own_body.prepare(more)
         return prepared
 
-    def count(self, observation: Mapping[str, Tensor]) -> None:
-        """Let the normalisers count observations (..., O) in."""
+    def count(self, observation: Mapping[str, Tensor], ranks: Ranks = ALONE) -> None:
+        """Let the normalisers count observations (..., O) of all processes in."""
         bodies = (self.actor.body,) if self.own_body is None else (self.actor.body, self.own_body)
         for key, normalizer in {key: value for body in bodies for key, value in body.normalizers.items()}.items():
             assert isinstance(normalizer, RunningNormalizer)
-            normalizer.update(observation[key].flatten(0, -2))
+            normalizer.update(observation[key].flatten(0, -2), ranks)
 
     def sequence(self, prepared: Mapping[str, Tensor], memory: Tensor, begins: Tensor) -> tuple[Gaussian, Tensor]:
         """Return the distributions of actions (T, E, U) and the normalised values (T, E) along a sequence.

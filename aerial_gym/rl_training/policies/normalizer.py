@@ -6,6 +6,8 @@ Letters: N samples, O entries of a sample.
 import torch
 from torch import Tensor, nn
 
+from aerial_gym.rl_training.ranks import ALONE, Ranks
+
 EPSILON = 1e-5
 """Added to the variance, as rl-games and Sample Factory do (``RunningMeanStd``, ``RunningMeanStdInPlace``)."""
 
@@ -40,15 +42,15 @@ class RunningNormalizer(nn.Module):
         return normal * self.std + self.mean
 
     @torch.no_grad()
-    def update(self, samples: Tensor) -> None:
-        """Count samples, (N, O), in; waits for nothing.
+    def update(self, samples: Tensor, ranks: Ranks = ALONE) -> None:
+        """Count samples, (N, O), of all processes in; waits for nothing.
 
         Source:
             Chan, Golub, LeVeque (1979), Updating formulae and a pairwise algorithm for computing sample variances, eq. 2.1.
         """
-        var, mean = torch.var_mean(samples, dim=0, correction=0)
-        total = self.count + samples.shape[0]
-        share = (samples.shape[0] / total).to(mean.dtype)
+        (var, mean), number = ranks.var_mean(samples), samples.shape[0] * ranks.size
+        total = self.count + number
+        share = (number / total).to(mean.dtype)
         delta = mean - self.mean
         self.var.copy_((1.0 - share) * self.var + share * var + share * (1.0 - share) * delta * delta)
         self.mean.add_(share * delta)

@@ -6,14 +6,19 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from aerial_gym.rl_training.ranks import ALONE, Ranks
+
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Interruption:
-    """Whether somebody asked the training to end. A library may swallow the exception; this is remembered."""
+    """Whether somebody asked the training to end. A library may swallow the exception; this is remembered.
 
-    def __init__(self) -> None:
-        self.asked, self._waits = False, False
+    Several processes leave together, where all of them look: one that left alone would keep the others waiting.
+    """
+
+    def __init__(self, ranks: Ranks = ALONE) -> None:
+        self.asked, self._waits, self._ranks = False, False, ranks
 
     @contextmanager
     def held(self) -> Iterator[None]:
@@ -26,21 +31,22 @@ class Interruption:
         self.check()
 
     def check(self) -> None:
-        """Raise ``KeyboardInterrupt`` if the training was asked to end."""
+        """Raise ``KeyboardInterrupt`` if the training was asked to end, in any process; all of them look."""
+        self.asked = self._ranks.any(self.asked)
         if self.asked:
             raise KeyboardInterrupt
 
     def _ask(self, number: int, frame: FrameType | None) -> None:
         del number, frame
         self.asked = True
-        if not self._waits:
+        if not (self._waits or self._ranks.joined):
             raise KeyboardInterrupt
 
 
 @contextmanager
-def interruptible() -> Iterator[Interruption]:
+def interruptible(ranks: Ranks = ALONE) -> Iterator[Interruption]:
     """Give an ``Interruption`` that both signals set, and put the handlers back; another thread than the main one has none."""
-    interruption = Interruption()
+    interruption = Interruption(ranks)
     if threading.current_thread() is not threading.main_thread():
         yield interruption
         return

@@ -2,12 +2,13 @@
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from aerial_gym.config import to_mapping
 from aerial_gym.errors import ConfigError, TrainingError
+from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
@@ -21,13 +22,22 @@ _log = logging.getLogger(__name__)
 
 
 class Keeper:
-    """Writes checkpoints: the trainer's state, and beside it settings, curriculum and random states."""
+    """Writes checkpoints: the trainer's state, and beside it settings, curriculum and random states.
+
+    With several processes all save together, and rank 0 writes: its state, and what the others have of their own.
+    """
 
     def __init__(
-        self, cfg: TrainingCfg, folder: RunFolder, task: Task, *, resumed: tuple[Path, dict[str, Any]] | None
+        self,
+        cfg: TrainingCfg,
+        folder: RunFolder,
+        task: Task,
+        *,
+        resumed: tuple[Path, dict[str, Any]] | None,
+        ranks: Ranks = ALONE,
     ) -> None:
-        """Take what is kept besides the trainer's state, and the checkpoint to go on from, if there is one."""
-        self._cfg, self._folder, self._task, self._resumed = cfg, folder, task, resumed
+        """Take what is kept besides the trainer's state, the checkpoint to go on from, if there is one, and all processes."""
+        self._cfg, self._folder, self._task, self._resumed, self._ranks = cfg, folder, task, resumed, ranks
         self.ready = resumed is None
         """Whether there is something of this run to save: not while it has still to take up what was."""
         self._saved_at, self._interval = time.perf_counter(), min(FIRST_INTERVAL_S, cfg.checkpoint_every_s)
@@ -39,22 +49,28 @@ class Keeper:
 
     @property
     def due(self) -> bool:
-        """Whether it is time to save."""
-        return time.perf_counter() - self._saved_at >= self._interval
+        """Whether it is time to save, by the clock of rank 0."""
+        return self._ranks.told(time.perf_counter() - self._saved_at) >= self._interval
 
-    def save(self, state: Mapping[str, object], *, env_steps: int) -> Path:
+    def save(self, state: Mapping[str, object], *, env_steps: int, own: Sequence[str] = ()) -> None:
         """Keep a trainer's state after so many environment steps of all sessions.
+
+        Args:
+            state: By name.
+            env_steps: The steps.
+            own: Names of what is another one in each process.
 
         Raises:
             StorageError: If it cannot be written.
             TrainingError: If its weights are not finite; the checkpoints before it stay.
         """
         self._check_weights(state)
-        first = env_steps == 0
-        path = self._folder.keep_checkpoint(env_steps, {**state, "run": self._run_state(env_steps)})
+        run, first = self._run_state(env_steps), env_steps == 0
+        others = self._ranks.of_others({name: state[name] for name in own} | {"task_random": run["task_random"]})
+        if self._ranks.leads:
+            self._folder.keep_checkpoint(env_steps, {**state, "run": run, "others": others})
         self._saved_at = time.perf_counter()
         self._interval = min(FIRST_INTERVAL_S, self._cfg.checkpoint_every_s) if first else self._cfg.checkpoint_every_s
-        return path
 
     def _check_weights(self, state: Mapping[str, Any]) -> None:
         bad = [name for name, tensor in state.get("model", {}).items() if not bool(tensor.isfinite().all())]
@@ -63,8 +79,10 @@ class Keeper:
             left = f"The last checkpoint before that is {known[-1]}" if known else "There is no checkpoint before that"
             raise TrainingError(f"the training diverged: {bad[0]} is NaN or infinite. {left}")
 
-    def restore(self, load: Callable[[dict[str, Any]], None]) -> None:
+    def restore(self, load: Callable[[dict[str, Any]], None], *, own: Sequence[str] = ()) -> None:
         """Hand the checkpoint to the trainer's ``load``, then take up curriculum and random states.
+
+        What is another one in each process (``own``) is missing for a process that the run has not had so far.
 
         Raises:
             ConfigError: If the checkpoint does not fit the run.
@@ -72,6 +90,7 @@ class Keeper:
         assert self._resumed is not None
         path, payload = self._resumed
         try:
+            payload = self._of_this_rank(payload, path, own)
             load(payload)
             self._restore_run(payload.get("run", {}))
             self.ready = True
@@ -81,6 +100,20 @@ class Keeper:
                 f"checkpoint {path}: does not fit the settings of its run ({type(error).__name__}; the log of the run says "
                 "more). Start a new run in another --out"
             ) from None
+
+    def _of_this_rank(self, payload: dict[str, Any], path: Path, own: Sequence[str]) -> dict[str, Any]:
+        """Return a checkpoint as it would be of this process alone; what a new process has not had is not in it."""
+        others, ranks = payload.get("others", []), self._ranks
+        if len(others) + 1 != ranks.size and ranks.leads:
+            _log.warning(
+                "%s: of %d processes, and goes on with %d: what was learned goes on in all of them; simulations go on in the "
+                "processes that there were, and begin anew in others", path, len(others) + 1, ranks.size
+            )  # fmt: skip
+        if ranks.leads:
+            return payload
+        mine = dict(others[ranks.rank - 1]) if ranks.rank <= len(others) else {}
+        run = payload.get("run", {}) | {"task_random": mine.pop("task_random", None)}
+        return {name: value for name, value in payload.items() if name not in own} | mine | {"run": run}
 
     def _run_state(self, env_steps: int) -> dict[str, object]:
         curriculum = self._task.curriculum
@@ -99,6 +132,7 @@ class Keeper:
             curriculum.load(state["curriculum"])
         if "random" in state:
             checkpoint.restore_random_state(state["random"])
+        if state.get("task_random") is not None:
             for name, tensor in self._task.env.random.state_tensors().items():
                 tensor.copy_(state["task_random"][name])
 

@@ -1,6 +1,6 @@
 """Progress of a training: a bar on stderr, or lines where stderr is no terminal; the learning curve, and the decision to end.
 
-All trainers call ``Progress.update`` after each of their updates. Time counts from the start of the command.
+All trainers call ``Progress.update`` after each of their updates. Time counts from the start of the command, in rank 0.
 """
 
 import csv
@@ -16,6 +16,7 @@ from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 
 from aerial_gym.config.storage import write_whole
+from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.settings import TrainingCfg
 
 CURVE_COLUMNS = ("time_s", "env_steps", "reward_per_step", "episode_return", "episode_length", "env_steps_per_s")
@@ -46,16 +47,25 @@ class Progress:
     """Bar, curve and limits of one session; a context manager."""
 
     def __init__(
-        self, cfg: TrainingCfg, curve_file: Path, *, started: float, show: bool, resumed_steps: int = 0
+        self,
+        cfg: TrainingCfg,
+        curve_file: Path,
+        *,
+        started: float,
+        show: bool,
+        resumed_steps: int = 0,
+        ranks: Ranks = ALONE,
     ) -> None:
-        """Take the limits of ``cfg``, the file of the curve, the time of ``time.perf_counter`` at the start.
+        """Take the limits of ``cfg``, the file of the curve, the time of ``time.perf_counter`` at the start, all processes.
 
         Lines of the curve beyond ``resumed_steps`` environment steps, which no checkpoint holds, are dropped.
         """
-        self._cfg, self._started = cfg, started
+        self._cfg, self._started, self._ranks = cfg, started, ranks
         self._first_steps: int | None = None
         self._first_time = self._last_line = 0.0
         self.env_steps, self.steps_per_s, self.share = 0, 0.0, 0.0
+        self.time_share = 0.0
+        """Share of ``max_time_s`` at the last update; 0 without that limit."""
         self.last: Report | None = None
         self.non_finite = 0
         lines = _kept_lines(curve_file, resumed_steps)
@@ -91,9 +101,8 @@ class Progress:
             self._first_steps, self._first_time = report.env_steps, now
         self.env_steps, self.last = report.env_steps, report
         self.steps_per_s = (report.env_steps - self._first_steps) / max(now - self._first_time, 1e-9)
-        share = self.share = max(
-            now / (self._cfg.max_time_s or 1e18), report.env_steps / (self._cfg.max_env_steps or 1e18)
-        )
+        self.time_share = 0.0 if self._cfg.max_time_s is None else self._ranks.told(now / self._cfg.max_time_s)
+        share = self.share = max(self.time_share, report.env_steps / (self._cfg.max_env_steps or 1e18))
         self._show(report, share, now)
         if now - self._last_line >= REPORT_INTERVAL_S or share >= 1.0:
             self._last_line = now

@@ -24,6 +24,9 @@ AnyLearner = TypeVar("AnyLearner", bound=Learner)
 LOOK_EVERY = 8
 """Iterations on a GPU between two looks of the host, which is one look behind."""
 
+OWN_STATE = ("learner", "generator", "task")
+"""What is another one in each process that learns; the rest of a state is common to all."""
+
 RECENT_EPISODES = 100
 """Episodes over which returns and lengths are averaged, at least, as far as there are as many."""
 
@@ -48,9 +51,9 @@ def repeat(
     cfg, task = training.cfg, training.task
     scalars = Scalars(folder.path / cfg.trainer / "summaries")
     if keeper.resumes:
-        keeper.restore(training.load)
+        keeper.restore(training.load, own=OWN_STATE)
     else:
-        keeper.save(training.state(), env_steps=0)
+        keeper.save(training.state(), env_steps=0, own=OWN_STATE)
     try:
         while True:
             with interruption.held():
@@ -58,15 +61,15 @@ def repeat(
             scalars.add(lambda: training.known | asdict(report) | task.episode_means(), training.env_steps)  # noqa: B023
             if progress.update(report):
                 break
-            training.learner.time_share.fill_(0.0 if cfg.max_time_s is None else progress.elapsed_s() / cfg.max_time_s)
+            training.learner.time_share.fill_(progress.time_share)
             if keeper.due:
-                keeper.save(training.state(), env_steps=training.env_steps)
+                keeper.save(training.state(), env_steps=training.env_steps, own=OWN_STATE)
         interrupted = False
     except KeyboardInterrupt:
         interrupted = True
     finally:
         scalars.close()
-    keeper.save(training.state(), env_steps=training.env_steps)
+    keeper.save(training.state(), env_steps=training.env_steps, own=OWN_STATE)
     return interrupted
 
 
@@ -76,10 +79,14 @@ class OwnTraining(Generic[AnyLearner]):
     def __init__(self, cfg: TrainingCfg, task: Task, learner: AnyLearner) -> None:
         """Take settings, a task without a graph of its own, and a new learner; start all episodes."""
         self.cfg, self.task, self.learner = cfg, task, learner
-        self.learner.begin()
-        self._repeat = Repeated(self.learner.iterate, task.device, generator=self.learner.generator)
+        self._ranks = learner.ranks
+        if task.curriculum is not None and self._ranks.joined:
+            task.curriculum.of_all = self._ranks.sum_
+        learner.begin()
+        learner.join()
+        self._repeat = Repeated(learner.iterate, task.device, generator=learner.generator, joined=self._ranks.joined)
         self.env_steps = 0
-        """Environment steps in all sessions; the host counts them by itself."""
+        """Environment steps in all sessions and processes; the host counts them by itself."""
         self.iterations = 0
         """Iterations of this session."""
         self.known: dict[str, float] = {}
@@ -89,7 +96,8 @@ class OwnTraining(Generic[AnyLearner]):
 
     def advance(self) -> Report:
         """Iterate, on a GPU several times without waiting, and return what is known: on a GPU that of the call before."""
-        per_iteration, limit = self.cfg.num_envs * self.cfg.learner.horizon, self.cfg.max_env_steps
+        per_iteration = self.cfg.num_envs * self.cfg.learner.horizon * self._ranks.size
+        limit = self.cfg.max_env_steps
         for _ in range(1 if self.task.device.type == "cpu" else LOOK_EVERY):
             self._repeat()
             self.iterations += 1
@@ -134,12 +142,14 @@ class OwnTraining(Generic[AnyLearner]):
     def load(self, state: Mapping[str, Any]) -> None:
         """Go on from what ``state`` returned."""
         self.learner.network.load_state_dict(state["model"])
-        own = self.learner.state_tensors()
-        check_state(state["learner"], own)
-        restore(state["learner"], own)
-        self.learner.generator.set_state(state["generator"])
-        now = self.task.save_state()
-        self.task.load_state({name: state["task"].get(name, now[name]) for name in now})
+        if "learner" in state:  # a process that the run has not had so far begins as it is
+            own = self.learner.state_tensors()
+            check_state(state["learner"], own)
+            restore(state["learner"], own)
+            self.learner.generator.set_state(state["generator"])
+            now = self.task.save_state()
+            self.task.load_state({name: state["task"].get(name, now[name]) for name in now})
+        self.learner.join()
         self.env_steps = int(state["env_steps"])
         self._recent = deque([self.learner.sums.tolist()])
 

@@ -5,6 +5,7 @@ import logging
 from aerial_gym.rl_training.learning.fused import FusedPpo, why_not_fused
 from aerial_gym.rl_training.learning.network import make_network
 from aerial_gym.rl_training.learning.ppo import Ppo
+from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.run.interruption import Interruption
 from aerial_gym.rl_training.run.keeper import Keeper
 from aerial_gym.rl_training.run.progress import Progress
@@ -17,13 +18,20 @@ _log = logging.getLogger(__name__)
 
 
 def run(
-    cfg: TrainingCfg, task: Task, folder: RunFolder, progress: Progress, *, keeper: Keeper, interruption: Interruption
+    cfg: TrainingCfg,
+    task: Task,
+    folder: RunFolder,
+    progress: Progress,
+    *,
+    keeper: Keeper,
+    interruption: Interruption,
+    ranks: Ranks = ALONE,
 ) -> bool:
     """Train a task that was built without a graph of its own, as ``own.repeat`` says."""
-    return repeat(make_training(cfg, task), folder, progress, keeper=keeper, interruption=interruption)
+    return repeat(make_training(cfg, task, ranks=ranks), folder, progress, keeper=keeper, interruption=interruption)
 
 
-def make_training(cfg: TrainingCfg, task: Task, *, fused: bool = True) -> OwnTraining[Ppo]:
+def make_training(cfg: TrainingCfg, task: Task, *, fused: bool = True, ranks: Ranks = ALONE) -> OwnTraining[Ppo]:
     """Return a new training; its networks in kernels of their own where that can be, and unless not ``fused``.
 
     Raises:
@@ -33,7 +41,7 @@ def make_training(cfg: TrainingCfg, task: Task, *, fused: bool = True) -> OwnTra
     reason = why_not_fused(cfg.section(PpoCfg), network, task.device) if fused else "asked for"
     if reason is not None and task.device.type == "cuda":
         _log.info("the networks run as torch operations: %s", reason)
-    return OwnTraining(cfg, task, (FusedPpo if reason is None else Ppo)(cfg, task, network))
+    return OwnTraining(cfg, task, (FusedPpo if reason is None else Ppo)(cfg, task, network, ranks))
 
 
 Training = make_training

@@ -7,16 +7,19 @@ Letters: E environments, O entries of an observation, U entries of an action.
 """
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 from gymnasium import spaces
 from rl_games.algos_torch.a2c_continuous import A2CAgent
 from rl_games.common.algo_observer import AlgoObserver
 from rl_games.common.ivecenv import IVecEnv
 from rl_games.torch_runner import Runner
-from torch import Tensor
+from torch import Tensor, distributed
 
+from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.run.interruption import Interruption
 from aerial_gym.rl_training.run.keeper import Keeper
 from aerial_gym.rl_training.run.progress import Progress, Report
@@ -62,10 +65,44 @@ class KeptAgent(A2CAgent):
     """PPO that saves and restores through a ``Keeper``; the names of files that the library chooses are not used."""
 
     keeper: Keeper
+    after_epoch: Callable[[], None]
+
+    def __init__(self, base_name: str, params: dict[str, Any]) -> None:
+        """Take what the library gives; of several processes the group is there already, and the device is the task's."""
+        self._device = params["config"]["device"]
+        with patch.object(distributed, "init_process_group", lambda *_, **__: None):
+            super().__init__(base_name, params)
+        if self._device == "cpu":
+            self.local_rank = -1  # of no GPU
+
+    @property
+    def device_name(self) -> str:
+        """The device; the library would set a GPU where there are several processes."""
+        return self._device
+
+    @device_name.setter
+    def device_name(self, name: str) -> None:
+        del name
+
+    def train_epoch(self) -> tuple[Any, ...]:
+        """Learn once; in processes other than rank 0, which the library tells nothing, say that it is done."""
+        told = super().train_epoch()
+        if self.global_rank != 0:
+            self.frame += self.curr_frames * self.world_size
+            self.after_epoch()
+        return told
+
+    def update_lr(self, lr: float) -> None:
+        """Take the rate of rank 0 for good; the library would go back to its own after the next minibatch."""
+        super().update_lr(lr)
+        if self.multi_gpu:
+            self.last_lr = self.optimizer.param_groups[0]["lr"]
 
     def save(self, fn: str) -> None:
+        """Leave it to ``keep``: the library saves in rank 0 alone."""
+
+    def keep(self) -> None:
         """Keep everything that is needed to go on."""
-        del fn
         if self.keeper.ready:
             self.keeper.save(self.get_full_state_weights(), env_steps=int(self.frame))
 
@@ -88,7 +125,8 @@ class _Observer(AlgoObserver):
 
     def after_init(self, algo: KeptAgent) -> None:
         self.algo, algo.keeper = algo, self._keeper
-        self._summaries = guard(algo.writer)
+        algo.after_epoch = lambda: self.after_print_stats(algo.frame, algo.epoch_num, 0.0)
+        self._summaries = None if algo.writer is None else guard(algo.writer)
         if not self._keeper.resumes:
             self.save()
 
@@ -103,7 +141,8 @@ class _Observer(AlgoObserver):
             episode_length=float(algo.game_lengths.get_mean().item()) if known else None,
         )
         self._interruption.check()
-        self._summaries.check()
+        if self._summaries is not None:
+            self._summaries.check()
         if self._progress.update(report):
             algo.max_epochs = epoch_num  # the agent ends, and saves, after this epoch
         elif self._keeper.due:
@@ -118,11 +157,18 @@ class _Observer(AlgoObserver):
 
     def save(self) -> None:
         if self.algo is not None:
-            self.algo.save("")
+            self.algo.keep()
 
 
 def run(
-    cfg: TrainingCfg, task: Task, folder: RunFolder, progress: Progress, *, keeper: Keeper, interruption: Interruption
+    cfg: TrainingCfg,
+    task: Task,
+    folder: RunFolder,
+    progress: Progress,
+    *,
+    keeper: Keeper,
+    interruption: Interruption,
+    ranks: Ranks = ALONE,
 ) -> bool:
     """Train until a limit of ``cfg`` is reached or the user interrupts; return whether it was interrupted.
 
@@ -133,6 +179,7 @@ def run(
         progress: Told after every update.
         keeper: Keeps checkpoints, and knows where to go on.
         interruption: Whether the user asked to end.
+        ranks: The processes that learn together.
 
     Raises:
         StorageError: If the disk is full.
@@ -141,16 +188,20 @@ def run(
     observer = _Observer(cfg, progress, keeper, interruption)
     runner = Runner(observer)
     runner.algo_factory.register_builder("a2c_continuous", lambda **kwargs: KeptAgent(**kwargs))
-    runner.load_config(library_params(cfg, TaskVecEnv(task), folder.path, device=str(task.device)))
+    params: dict[str, Any] = library_params(cfg, TaskVecEnv(task), folder.path, device=str(task.device))
+    params["config"]["multi_gpu"] = ranks.size > 1
+    if task.curriculum is not None and ranks.joined:
+        task.curriculum.of_all = ranks.sum_
+    runner.load_config(params)
     interrupted = False
     try:
         runner.run({"train": True, "play": False, "checkpoint": "of the keeper" if keeper.resumes else None})
     except KeyboardInterrupt:
         interrupted = True
-        observer.save()
     finally:
         if observer.algo is not None and observer.algo.writer is not None:
             observer.algo.writer.close()
+    observer.save()
     return interrupted
 
 

@@ -163,7 +163,8 @@ def test_a_training_that_diverged_ends_and_keeps_what_was_good(tmp_path: Path) -
     cfg, folder = load_settings(settings_for("rl_games", "position_setpoint_task")), RunFolder(tmp_path)
     env = SimpleNamespace(random=SimpleNamespace(state_tensors=dict))
     keeper = Keeper(cfg, folder, SimpleNamespace(curriculum=None, env=env), resumed=None)  # type: ignore[arg-type]
-    good = keeper.save({"model": {"weight": torch.ones(3)}}, env_steps=5)
+    keeper.save({"model": {"weight": torch.ones(3)}}, env_steps=5)
+    good = folder.last_checkpoint()
     with pytest.raises(
         TrainingError, match=f"diverged: weight is NaN or infinite. The last checkpoint before that is {good}"
     ):

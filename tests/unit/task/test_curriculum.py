@@ -84,6 +84,19 @@ def test_failures_lower_it_and_the_difficulty_is_the_share_of_the_way() -> None:
     assert found == pytest.approx([0.4, 0.4, 0.2, 0.2, 0.0, 0.0, 0.0])
 
 
+def test_processes_that_learn_together_decide_on_the_episodes_of_all() -> None:
+    """Six end here and succeed, six in another process and do not: half of twelve is too few to go up, six of six were not."""
+    task = make(curriculum=replace(CFG, check_after=12), episode_len_steps=1, success_radius=100.0)
+    assert task.curriculum is not None
+    task.curriculum.of_all = lambda counts: counts + torch.tensor([6, 0])
+    task.reset()
+    task.step(HOVER.expand(6, 4))
+    assert task.curriculum.state() == {"level": 15, "finished": 0, "succeeded": 0}
+    task.curriculum.of_all = lambda counts: counts + torch.tensor([6, 6])
+    task.step(HOVER.expand(6, 4))
+    assert task.curriculum.state() == {"level": 17, "finished": 0, "succeeded": 0}
+
+
 def test_a_reset_keeps_the_level_and_a_seed_begins_anew() -> None:
     task = make(curriculum=replace(CFG, check_after=6), episode_len_steps=1, success_radius=100.0)
     task.reset()

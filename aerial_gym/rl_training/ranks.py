@@ -1,0 +1,178 @@
+"""The processes of one training: ``torchrun`` starts them, each has a rank, and each flies environments of its own.
+
+Only this file knows ``torch.distributed``. Tensors travel as their device asks, by NCCL between GPUs, where the calls can be
+part of a CUDA graph, and by Gloo between CPUs; what the hosts tell each other travels by Gloo. All processes make the same
+calls in the same order.
+
+Letters: R processes, N samples, O entries of a sample.
+"""
+
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor
+
+from aerial_gym.errors import ConfigError, TrainingError
+from aerial_gym.interop import resolve_device
+
+Value = TypeVar("Value")
+
+VARIABLES = ("RANK", "LOCAL_RANK", "WORLD_SIZE", "MASTER_ADDR", "MASTER_PORT")
+"""What ``torchrun`` tells each process in its environment."""
+
+
+class Ranks:
+    """One of R processes that learn together; alone, every call leaves what it is given as it is."""
+
+    def __init__(self, rank: int = 0, size: int = 1, *, joined: bool = False) -> None:
+        """Take the number of this process, 0 to R - 1, R, and whether there is a group to talk to."""
+        self.rank, self.size, self.joined = rank, size, joined
+
+    @property
+    def leads(self) -> bool:
+        """Whether this is the process that decides, and writes files."""
+        return self.rank == 0
+
+    def mean_(self, tensor: Tensor) -> Tensor:
+        """Replace a tensor by its mean over all processes, and return it."""
+        self.sum_(tensor)
+        return tensor.div_(self.size) if self.size > 1 else tensor
+
+    def sum_(self, tensor: Tensor) -> Tensor:
+        """Replace a tensor by its sum over all processes, and return it; the same bits in each of them."""
+        if self.joined:
+            with _others_may_end():
+                torch.distributed.all_reduce(tensor)
+        return tensor
+
+    def var_mean(self, samples: Tensor) -> tuple[Tensor, Tensor]:
+        """Return variance and mean, (O), over the samples (N, O) of all processes, as many in each.
+
+        The variance is the mean of theirs, plus that of their means: exact, and without differences of large numbers.
+        """
+        var, mean = torch.var_mean(samples, dim=0, correction=0)
+        if not self.joined:
+            return var, mean
+        each = var.new_zeros(self.size, 2, *var.shape)
+        torch.stack((var, mean), out=each[self.rank])
+        self.sum_(each)
+        between, mean = torch.var_mean(each[:, 1], dim=0, correction=0)
+        return each[:, 0].mean(0) + between, mean
+
+    def share_(self, tensors: Iterable[Tensor]) -> None:
+        """Replace tensors by those of rank 0."""
+        if self.joined:
+            with _others_may_end():
+                for tensor in tensors:
+                    torch.distributed.broadcast(tensor, 0)
+
+    def told(self, value: float) -> float:
+        """Return the number that rank 0 gives."""
+        number = torch.tensor(value, dtype=torch.float64)
+        self.share_([number])
+        return float(number)
+
+    def told_of(self, value: Value) -> Value:
+        """Return the object that rank 0 gives."""
+        if not self.joined:
+            return value
+        found: list[Any] = [value if self.leads else None]
+        with _others_may_end():
+            torch.distributed.broadcast_object_list(found, 0, device=torch.device("cpu"))
+        return found[0]
+
+    def any(self, flag: bool) -> bool:
+        """Return whether any process says so."""
+        return bool(self.sum_(torch.tensor(float(flag))) > 0.0)
+
+    def of_others(self, value: Mapping[str, object]) -> list[Mapping[str, Any]]:
+        """Return, in rank 0, what the other processes give, in their order; in them, nothing."""
+        if self.size == 1:
+            return []
+        found: list[Any] | None = [None] * self.size if self.leads else None
+        with _others_may_end():
+            torch.distributed.gather_object(_on_cpu(value), found, 0)
+        return [] if found is None else found[1:]
+
+
+ALONE = Ranks()
+"""A training in one process."""
+
+
+def launched_rank() -> int:
+    """Return the number of this process among those that ``torchrun`` started; 0 without it."""
+    return int(os.environ["RANK"]) if all(name in os.environ for name in VARIABLES) else 0
+
+
+def own_device(name: str) -> str:
+    """Return the device of this process: of ``auto`` or ``cuda`` on a machine with GPUs that of its ``LOCAL_RANK``.
+
+    Raises:
+        ConfigError: If there is none for it, or ``name`` asks all processes for one GPU.
+    """
+    device = resolve_device(name)
+    if device.type != "cuda" or not all(name in os.environ for name in VARIABLES):
+        return name
+    local, size, count = int(os.environ["LOCAL_RANK"]), int(os.environ["WORLD_SIZE"]), torch.cuda.device_count()
+    if ":" in name and size > 1:
+        raise ConfigError(f"device {name!r}: each of {size} processes takes a GPU of its own. Leave the number out")
+    if local >= count:
+        raise ConfigError(
+            f"LOCAL_RANK {local}: this machine shows {count} GPUs, one for each process. Start fewer with --nproc-per-node"
+        )
+    return f"cuda:{local}"
+
+
+@contextmanager
+def joined_ranks(device: str) -> Iterator[Ranks]:
+    """Give the processes that ``torchrun`` started, joined on a device; ``ALONE`` without it.
+
+    Raises:
+        ConfigError: If there is no GPU for this process.
+    """
+    if not all(name in os.environ for name in VARIABLES):
+        yield ALONE
+        return
+    kind = torch.device("cpu")
+    if resolve_device(device).type == "cuda":
+        kind = torch.device(own_device(device))
+        torch.cuda.set_device(kind)
+    with _others_may_end():
+        torch.distributed.init_process_group("cpu:gloo,cuda:nccl" if kind.type == "cuda" else "gloo")
+    try:
+        yield Ranks(torch.distributed.get_rank(), torch.distributed.get_world_size(), joined=True)
+    except BaseException:
+        if kind.type == "cuda":  # not waited for: the others may never come to what this process has asked its GPU for
+            torch.distributed.distributed_c10d._abort_process_group()
+        raise
+    else:
+        torch.distributed.destroy_process_group()
+
+
+def _on_cpu(value: Any) -> Any:
+    """Return nested mappings with their tensors on the CPU: a GPU is another one in another process."""
+    if isinstance(value, Mapping):
+        return {name: _on_cpu(inner) for name, inner in value.items()}
+    return value.cpu() if isinstance(value, Tensor) else value
+
+
+@contextmanager
+def _others_may_end() -> Iterator[None]:
+    """Say it where another process has ended in the middle of what all do.
+
+    Raises:
+        TrainingError: If it has.
+    """
+    try:
+        yield
+    except RuntimeError as error:
+        if isinstance(error, TrainingError):
+            raise
+        reason = (str(error).strip().splitlines() or ["no reason given"])[0]
+        raise TrainingError(
+            f"rank {launched_rank()}: the processes of this training cannot go on together ({reason}). If another one has "
+            "ended, its own message says why"
+        ) from error
