@@ -60,6 +60,9 @@ class TrainCmd:
     """Keep the last 64 steps of rows that are NaN or infinite, and write them to non_finite.csv in --out; play --replay
     shows it."""
 
+    wandb: str | None = None
+    """Project of Weights & Biases that receives what TensorBoard does; WANDB_MODE=offline keeps it in --out."""
+
     json: bool = False
     """Print the result as one JSON object."""
 
@@ -82,7 +85,7 @@ class TrainCmd:
             )
         names = ("num_envs", "device", "seed", "robot", "controller", "backend", "max_time_s", "max_env_steps")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
-        result = train(replace(cfg, **given), self.out, resume=self.resume, watch=self.watch)
+        result = train(replace(cfg, **given), self.out, resume=self.resume, watch=self.watch, wandb=self.wandb)
         if launched_rank() == 0:
             self._tell(result)
         return 1 if result.interrupted else 0

@@ -26,6 +26,7 @@ from aerial_gym.rl_training.run.interruption import Interruption, interruptible
 from aerial_gym.rl_training.run.keeper import Keeper, steps_of
 from aerial_gym.rl_training.run.progress import Progress
 from aerial_gym.rl_training.run.run_folder import RunFolder
+from aerial_gym.rl_training.run.weights_and_biases import require_wandb, sent_to_wandb
 from aerial_gym.rl_training.settings import OWN, TrainingCfg
 from aerial_gym.task import task_registry
 
@@ -71,7 +72,13 @@ class TrainingResult:
 
 
 def train(
-    cfg: TrainingCfg, out: str | Path, *, resume: bool = False, show_progress: bool = True, watch: bool = False
+    cfg: TrainingCfg,
+    out: str | Path,
+    *,
+    resume: bool = False,
+    show_progress: bool = True,
+    watch: bool = False,
+    wandb: str | None = None,
 ) -> TrainingResult:
     """Train a policy and leave a run folder; seeds the global random generators while it runs.
 
@@ -81,6 +88,7 @@ def train(
         resume: Whether to continue from the folder's last checkpoint; a run that was ended before its first starts anew.
         show_progress: Whether to draw a bar on stderr.
         watch: Whether to write the last steps of rows that were not finite to ``non_finite.csv``.
+        wandb: Project of Weights & Biases that receives the scalars.
 
     Raises:
         ConfigError: If the folder holds a run and ``resume`` is off, or no checkpoint of it can be read.
@@ -91,13 +99,17 @@ def train(
     started = time.perf_counter()
     _check_names(cfg)
     require_trainer(cfg.trainer)
+    if wandb is not None:
+        require_wandb()
     with joined_ranks(cfg.device) as ranks, _folder_of(ranks, out) as folder:
         if ranks.size > 1 and cfg.trainer not in SCALING:
             raise ConfigError(
                 f"trainer {cfg.trainer} learns in one process, and {ranks.size} were started. Leave torchrun out, or use "
                 f"--trainer {' or '.join(SCALING)}"
             )
-        return _train(cfg, folder, ranks, started=started, resume=resume, show_progress=show_progress, watch=watch)
+        return _train(
+            cfg, folder, ranks, started=started, resume=resume, show_progress=show_progress, watch=watch, wandb=wandb
+        )
 
 
 @contextlib.contextmanager
@@ -111,7 +123,15 @@ def _folder_of(ranks: Ranks, out: str | Path) -> Iterator[RunFolder]:
 
 
 def _train(
-    cfg: TrainingCfg, folder: RunFolder, ranks: Ranks, *, started: float, resume: bool, show_progress: bool, watch: bool
+    cfg: TrainingCfg,
+    folder: RunFolder,
+    ranks: Ranks,
+    *,
+    started: float,
+    resume: bool,
+    show_progress: bool,
+    watch: bool,
+    wandb: str | None,
 ) -> TrainingResult:
     if not resume:
         folder.create(cfg)
@@ -128,6 +148,7 @@ def _train(
         interruptible(ranks) as interruption,
         Progress(cfg, folder.curve_file, started=started, show=shown, resumed_steps=steps, ranks=ranks) as progress,
         folder.captured_output(),
+        contextlib.nullcontext() if wandb is None or not ranks.leads else sent_to_wandb(wandb, folder, cfg),
     ):
         try:
             interrupted = _run(cfg, folder, progress, resumed, interruption, ranks, watch=watch)

@@ -6,12 +6,28 @@ queue fills, and the training waits in it for ever.
 
 import importlib.util
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from aerial_gym.config.storage import storage_sentence
 from aerial_gym.errors import StorageError
+
+Listener = Callable[[dict[str, float], int], None]
+"""Takes scalars by name and their step."""
+
+_listeners: list[Listener] = []
+
+
+@contextmanager
+def listening(listener: Listener) -> Iterator[None]:
+    """Let a function hear all scalars that are written inside, by any trainer."""
+    _listeners.append(listener)
+    try:
+        yield
+    finally:
+        _listeners.remove(listener)
 
 
 class GuardedEvents:
@@ -23,8 +39,16 @@ class GuardedEvents:
         self._error: OSError | None = None
 
     def write_event(self, event: object) -> None:
-        """Write, unless writing failed before."""
+        """Write, unless writing failed before, and tell those who listen."""
         self._attempt(self._events.write_event, event)
+        if _listeners:
+            self._tell(event)
+
+    @staticmethod
+    def _tell(event: Any) -> None:
+        scalars = {each.tag: each.simple_value for each in event.summary.value if each.HasField("simple_value")}
+        for listener in _listeners if scalars else ():
+            listener(scalars, int(event.step))
 
     def flush(self) -> None:
         """Write what waits."""
