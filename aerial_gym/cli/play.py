@@ -1,13 +1,15 @@
-"""``aerial-gym play``: flights of a trained policy as a CSV table, or the last steps of rows that were not finite."""
+"""``aerial-gym play``: flights of a trained policy as a CSV table or a film, or the last steps of rows that were not finite."""
 
 import csv
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import torch
 
+from aerial_gym.cli.film import Film, check_film, visible_robot
 from aerial_gym.config.storage import told_storage
 from aerial_gym.errors import ConfigError
 
@@ -58,6 +60,10 @@ class PlayCmd:
     out: Path | None = None
     """CSV file; stdout if not given."""
 
+    video: Path | None = None
+    """Film of the first environment (.gif, .webp or .png), from a camera behind its robot. The robot is then visible, to its
+    own sensors too. Without --out no table is written."""
+
     def run(self) -> int:
         """Fly, and write one row per step and environment: world frame, body rates, SI units; or show a dump of a watch."""
         if (self.policy is None) == (self.replay is None):
@@ -65,26 +71,37 @@ class PlayCmd:
         if self.replay is not None:
             return self._show(self.replay)
         assert self.policy is not None
+        if self.video is not None:
+            check_film(self.video)
         from aerial_gym.interop import one_thread
         from aerial_gym.rl_training.policies.load import check_fits, load_policy
         from aerial_gym.task import task_registry
 
         policy, cfg = load_policy(self.policy)
+        robot = self.robot or cfg.robot
         with (
+            TemporaryDirectory() as folder,
             task_registry.make_task(
                 cfg.task,
                 num_envs=self.num_envs,
                 device="cpu",
                 seed=self.seed,
-                robot=self.robot or cfg.robot,
+                robot=robot
+                if self.video is None
+                else visible_robot(robot or task_registry.get(cfg.task).robot, folder),
                 controller=cfg.controller,
                 backend=self.backend,
             ) as task,
             one_thread(),
         ):
             check_fits(policy, task, cfg)
-            rows = _fly(policy, task, self.num_steps)
-        self._write([list(COLUMNS), *rows])
+            film = None if self.video is None else Film(task)
+            rows = _fly(policy, task, self.num_steps, film)
+            if film is not None and self.video is not None:
+                with told_storage(self.video, only_full=True):
+                    film.save(self.video)
+        if film is None or self.out is not None:
+            self._write([list(COLUMNS), *rows])
         return 0
 
     def _show(self, dump: Path) -> int:
@@ -106,15 +123,18 @@ class PlayCmd:
 
 
 @torch.no_grad()
-def _fly(policy, task, num_steps: int) -> list[list[float]]:
-    gtd, rows = task.env.gtd, []
+def _fly(policy, task, num_steps: int, film: Film | None) -> list[list[float]]:
+    gtd, rows, began = task.env.gtd, [], True
     observation, _ = task.reset()
     policy.reset()
     for step in range(num_steps + 1):
         keys = ("robot_position", "robot_orientation", "robot_linvel", "robot_body_angvel")
         motion = torch.cat([gtd[key] for key in keys], dim=-1).tolist()
+        if film is not None:
+            film.look(begins=began)
         rows += [[round(step * task.env.dt, 6), env, *values] for env, values in enumerate(motion)]
         if step < num_steps:
             observation, _, terminated, truncated, _ = task.step(policy(observation))
             policy.reset(terminated | truncated)
+            began = bool((terminated | truncated)[0])
     return rows
