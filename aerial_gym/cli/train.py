@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainCmd:
-    """Train a policy with the learner of this package, with rl-games or with Sample Factory."""
+    """Train a policy with a learner of this package, with rl-games or with Sample Factory."""
 
     task: str = "position_setpoint_task"
     """Registered task, a task file (.yaml), or module:Name or file.py:Name of a TaskCfg or a Task of your own."""
 
     trainer: str = "ppo"
-    """ppo (of this package; all in one graph on a GPU), rl_games or sample_factory."""
+    """ppo (of this package; all in one graph on a GPU), apg (gradients through the simulation), rl_games or sample_factory."""
 
     out: Path = Path("runs/train")
     """Run folder: settings, checkpoints, TensorBoard files, learning curve. New, unless --resume."""

@@ -1,6 +1,7 @@
-"""What a training needs to know: task, trainer, limits, and the numbers of PPO that all trainers share.
+"""What a training needs to know: task, trainer, limits, and numbers of networks and learners.
 
-One set of names for all; ``trainers/rl_games.py`` and ``trainers/sample_factory.py`` translate them. Letters: E environments.
+One set of names for all that learn by PPO; ``trainers/rl_games.py`` and ``trainers/sample_factory.py`` translate them.
+Letters: E environments.
 """
 
 from dataclasses import dataclass
@@ -13,10 +14,10 @@ from aerial_gym.config.checks import MAX_MADE, require_count, require_positive
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.interop import resolve_device
 
-OWN = ("ppo",)
+OWN = ("ppo", "apg")
 """Trainers of this package."""
 
-TRAINERS = ("ppo", "rl_games", "sample_factory")
+TRAINERS = ("ppo", "apg", "rl_games", "sample_factory")
 """Our own, and libraries that can train, by the name a user chooses."""
 
 TRAINING_CONFIGS = CONFIG_DIR / "training"
@@ -163,6 +164,44 @@ class PpoCfg(LearnerCfg):
         return self.max_learning_rate + (self.end_learning_rate - self.max_learning_rate) * min(max(share, 0.0), 1.0)
 
 
+@dataclass(frozen=True, kw_only=True)
+class ApgCfg(LearnerCfg):
+    """Numbers of the short-horizon actor-critic with analytic policy gradients."""
+
+    separate_value_network: bool = True
+    """Always: the value has hidden layers of its own."""
+
+    learning_rate: float
+    """Step of Adam of the policy at first, > 0; it falls linearly with the share of the time or steps that is used,
+    whichever is larger."""
+
+    end_learning_rate: float
+    """That at the end, > 0."""
+
+    critic_learning_rate: float
+    """Step of Adam of the critic at first, > 0; it falls in the same proportion."""
+
+    critic_epochs: int
+    """Passes of the critic over the samples of a window, >= 1."""
+
+    critic_minibatches: int
+    """Parts into which the samples of a window are split for it, >= 1."""
+
+    target_share: float
+    """Share of the critic that the one that judges the ends of windows takes over after every window, > 0 and <= 1."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(self, "learning_rate", "end_learning_rate", "critic_learning_rate", "target_share")
+        require_count(self, "critic_epochs", "critic_minibatches")
+        if self.target_share > 1.0:
+            raise ConfigError(f"ApgCfg.target_share = {self.target_share!r}: must be at most 1")
+        if not self.separate_value_network:
+            raise ConfigError("ApgCfg.separate_value_network = False: must be true, the critic learns at its own pace")
+        if self.memory or self.critic_memory:
+            raise ConfigError(f"ApgCfg.memory = {self.memory!r}: apg has policies without memory. Train with ppo")
+
+
 Section = TypeVar("Section", bound=LearnerCfg)
 
 
@@ -177,7 +216,7 @@ class TrainingCfg:
     """Registered task."""
 
     trainer: str
-    """``ppo``, ``rl_games`` or ``sample_factory``."""
+    """One of ``TRAINERS``."""
 
     num_envs: int
     """Environments side by side, in each process if there are several, >= 1."""
@@ -209,8 +248,11 @@ class TrainingCfg:
     checkpoint_every_s: float = 30.0
     """Time between checkpoints [s], > 0."""
 
-    ppo: PpoCfg
-    """Numbers of the learner."""
+    ppo: PpoCfg | None = None
+    """Numbers of the learner, of every trainer but ``apg``."""
+
+    apg: ApgCfg | None = None
+    """Those of ``apg``."""
 
     source: str
     """Where the numbers come from."""
@@ -218,7 +260,9 @@ class TrainingCfg:
     @property
     def learner(self) -> LearnerCfg:
         """Numbers of its trainer."""
-        return self.ppo
+        found = self.apg if self.trainer == "apg" else self.ppo
+        assert found is not None
+        return found
 
     def section(self, kind: type[Section]) -> Section:
         """Return them as those of a kind, which they are."""
@@ -239,10 +283,18 @@ class TrainingCfg:
         require_count(self, "num_envs")
         if not 0 <= self.seed < 2**32:  # NumPy takes no larger one
             raise ConfigError(f"TrainingCfg.seed = {self.seed!r}: must be >= 0 and less than 2**32")
-        special = self.ppo.memory or self.ppo.critic_memory or self.ppo.critic_keys
-        special = special or self.ppo.policy_keys != ("observations",)
-        if special and self.trainer != "ppo":
+        wanted, other = ("apg", "ppo") if self.trainer == "apg" else ("ppo", "apg")
+        if getattr(self, wanted) is None or getattr(self, other) is not None:
+            raise ConfigError(
+                f"TrainingCfg: trainer {self.trainer} needs its numbers under {wanted}, and none under {other}"
+            )
+        learner = self.learner
+        special = learner.memory or learner.critic_memory or learner.critic_keys
+        special = special or learner.policy_keys != ("observations",)
+        if special and self.trainer not in OWN:
             raise ConfigError(f"TrainingCfg: memory, policy_keys and critic_keys need trainer ppo, not {self.trainer}")
+        if self.ppo is None:
+            return
         samples, parts = self.num_envs * self.ppo.horizon, self.ppo.num_minibatches
         if samples % parts:
             raise ConfigError(

@@ -207,6 +207,7 @@ def _run(
         controller=cfg.controller,
         backend=cfg.backend,
         capture=False if cfg.trainer in OWN else None,
+        differentiable=cfg.trainer == "apg",
     ) as task:
         interruption.check()
         folder.add_session(cfg, str(task.device))

@@ -28,7 +28,7 @@ def train(out: Path, trainer: str, *more: str) -> int:
     return main(["train", "--trainer", trainer, "--out", str(out), *limits, "--json", *more])
 
 
-@pytest.mark.parametrize("trainer", ["ppo", "rl_games", "sample_factory"])
+@pytest.mark.parametrize("trainer", ["ppo", "apg", "rl_games", "sample_factory"])
 def test_a_training_leaves_a_run_that_resumes_and_evaluates(
     trainer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -107,7 +107,7 @@ def test_a_run_is_neither_overwritten_nor_resumed_from_nothing(
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        (("--trainer", "rlgames"), "no trainer 'rlgames'. Known: ppo, rl_games, sample_factory"),
+        (("--trainer", "rlgames"), "no trainer 'rlgames'. Known: ppo, apg, rl_games, sample_factory"),
         (("--task", "hover"), "no task 'hover'"),
         (("--robot", "tinyprp"), "no robot 'tinyprp'"),
         (("--num-envs", "0"), "num_envs"),

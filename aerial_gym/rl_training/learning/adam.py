@@ -19,9 +19,10 @@ PIECE = 4096
 class FlatAdam:
     """Moves the weights of a network by their gradients, whose norm it limits."""
 
-    def __init__(self, network: nn.Module, *, max_norm: float) -> None:
+    def __init__(self, network: nn.Module, *, max_norm: float, betas: tuple[float, float] = BETAS) -> None:
         """Put all weights of ``network`` side by side into one tensor, of which they are views from now on."""
-        self._parameters, self._max_norm = [p for p in network.parameters() if p.requires_grad], max_norm
+        self._parameters = [p for p in network.parameters() if p.requires_grad]
+        self._max_norm, self._betas = max_norm, betas
         self.weights = torch.cat([p.detach().reshape(-1) for p in self._parameters])
         """(P,)."""
         self._point_into(self.weights)
@@ -60,8 +61,8 @@ class FlatAdam:
             [],
             [self._steps] * len(weights),
             lr=rate,
-            beta1=BETAS[0],
-            beta2=BETAS[1],
+            beta1=self._betas[0],
+            beta2=self._betas[1],
             weight_decay=0.0,
             eps=EPSILON,
             amsgrad=False,

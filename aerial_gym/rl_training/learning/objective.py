@@ -3,6 +3,8 @@
 Letters: T steps, E environments, U entries of an action.
 """
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -48,3 +50,25 @@ def generalized_advantages(
 def beyond_bounds(mean: Tensor) -> Tensor:
     """Return the sum over entries of ``max(|mean| - 1.1, 0)²`` of each sample."""
     return ((mean.abs() - BOUND).clamp_min(0.0) ** 2).sum(-1)
+
+
+class _Bounded(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, action: Tensor) -> Tensor:
+        ctx.save_for_backward(action)
+        return action.clamp(-1.0, 1.0)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
+        (action,) = ctx.saved_tensors
+        outward = ((action > 1.0) & (gradient < 0.0)) | ((action < -1.0) & (gradient > 0.0))
+        return gradient.nan_to_num(0.0, 0.0, 0.0).masked_fill(outward, 0.0)
+
+
+def bounded(action: Tensor) -> Tensor:
+    """Return actions clamped to -1 to 1, (E, U), with the gradient of a loss that is minimised under this bound.
+
+    Beyond the bound a descent may come back but go no further out; plainly clamped, it would stay there for ever. A gradient
+    that is not finite, of a row that went astray, is 0.
+    """
+    return _Bounded.apply(action)

@@ -45,6 +45,7 @@ def built(
         first_env=first_env,
         differentiable=gradients is not None,
         dtype=gradients or torch.float32,
+        randomize=cfg.randomize,
     )
     return Task(cfg, env, capture=capture)
 

@@ -1,0 +1,191 @@
+"""Analytic policy gradients: their window return against loops, their gradient against central differences, their training."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym import task_registry
+from aerial_gym.config.randomize import RandomizeCfg
+from aerial_gym.errors import CapabilityError, ConfigError
+from aerial_gym.rl_training import load_settings, settings_for
+from aerial_gym.rl_training.learning.apg import Apg, window_return
+from aerial_gym.rl_training.learning.network import make_network
+from aerial_gym.rl_training.learning.objective import bounded
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.trainers.apg import make_training
+from aerial_gym.task import Task
+from tests.unit.task.hover import built
+
+F64 = torch.float64
+GAMMA = 0.9
+
+
+def settings(num_envs: int = 32, **apg: object) -> TrainingCfg:
+    cfg = load_settings(settings_for("apg", "position_setpoint_task", device="cpu"))
+    cfg = replace(cfg, num_envs=num_envs, device="cpu", max_time_s=None, max_env_steps=100_000)
+    assert cfg.apg is not None
+    return replace(cfg, apg=replace(cfg.apg, **{"horizon": 8} | apg))  # type: ignore[arg-type]
+
+
+def test_the_return_of_a_window_is_that_of_its_episodes_judged_where_they_go_on() -> None:
+    """Against the definition, episode by episode: gamma^k r, and gamma^n V at the end of the window or of a truncated one."""
+    generator = torch.Generator().manual_seed(0)
+    steps, rows = 9, 40
+    reward, value = (torch.randn(steps, rows, generator=generator, dtype=F64) for _ in range(2))
+    terminated = torch.rand(steps, rows, generator=generator) < 0.15
+    ended = terminated | (torch.rand(steps, rows, generator=generator) < 0.15)
+    expected = torch.zeros(rows, dtype=F64)
+    for row in range(rows):
+        k = 0
+        for t in range(steps):
+            expected[row] += GAMMA**k * float(reward[t, row])
+            k += 1
+            if (ended[t, row] or t == steps - 1) and not terminated[t, row]:
+                expected[row] += GAMMA**k * float(value[t, row])
+            k = 0 if ended[t, row] else k
+    found = window_return(reward, value, terminated, ended, discount=GAMMA)
+    torch.testing.assert_close(found, expected, atol=1e-12, rtol=0.0)
+
+
+@pytest.mark.parametrize("resets", [False, True])
+def test_the_gradient_of_a_window_is_its_difference(resets: bool) -> None:
+    """With respect to weights of the policy, by central differences in float64; with resets, each row ends in the window."""
+    cfg = settings(3, horizon=6, bound_coef=1e-3, normalize_value=False)
+    limit = 4 if resets else 500
+    task = built(replace(task_registry.get(cfg.task), episode_len_steps=limit), 3, gradients=F64)
+    learner = learner_of(cfg, task)
+    state = learner.generator.get_state()
+
+    def loss() -> Tensor:
+        learner.generator.set_state(state)
+        observation, _ = task.reset(seed=5)
+        if resets:
+            task.env.gtd["sim_steps"].copy_(torch.arange(3))
+        learner._observation = observation
+        window = learner._fly()
+        assert bool(window.ended.any()) == resets
+        return learner._policy_loss(window)[0]
+
+    parameters = [learner.network.actor.head.weight, learner.network.actor.body.layers[0].weight]
+    analytic = torch.autograd.grad(loss(), parameters)
+    step = 1e-5
+    for parameter, gradient in zip(parameters, analytic, strict=True):
+        flat = parameter.data.view(-1)
+        for place in range(0, flat.numel(), flat.numel() // 7):
+            kept, sides = float(flat[place]), []
+            for side in (step, -step):
+                flat[place] = kept + side
+                with torch.no_grad():
+                    sides.append(float(loss()))
+            flat[place] = kept
+            difference = (sides[0] - sides[1]) / (2.0 * step)
+            assert float(gradient.reshape(-1)[place]) == pytest.approx(difference, rel=1e-6, abs=1e-9)
+
+
+def learner_of(cfg: TrainingCfg, task: Task) -> Apg:
+    """Return a learner in float64 whose value depends on what it sees."""
+    network = make_network(cfg, task)
+    torch.manual_seed(0)
+    torch.nn.init.normal_(network.value_head.weight, std=0.3)
+    torch.nn.init.normal_(network.actor.head.weight, std=0.3)
+    learner = Apg(cfg, task, network.double())
+    learner.target.double()
+    learner.begin()
+    return learner
+
+
+def test_the_slow_critic_judges_and_follows() -> None:
+    """It gives the values of the ends of windows, and takes over its share of what the critic has become."""
+    cfg = settings(16, target_share=0.25)
+    with task_registry.make_task(cfg.task, num_envs=16, device="cpu", differentiable=True) as task:
+        training = make_training(cfg, task)
+        learner = training.learner
+        before = [p.clone() for p in learner._critics[1].parameters()]
+        training.advance()
+        pairs = zip(before, learner._critics[1].parameters(), learner._critics[0].parameters(), strict=True)
+        for old, slow, fast in pairs:
+            torch.testing.assert_close(slow.data, old + 0.25 * (fast.data - old), atol=1e-6, rtol=0.0)
+            assert not torch.equal(slow.data, fast.data)
+
+
+def test_a_training_repeats_bit_for_bit_and_goes_on_as_if_it_had_not_stopped() -> None:
+    cfg = settings(32, normalize_observation=True, normalize_value=True)
+
+    def train(iterations: int, state: dict[str, object] | None = None) -> tuple[dict[str, object], list[object]]:
+        with task_registry.make_task(cfg.task, num_envs=32, device="cpu", seed=0, differentiable=True) as task:
+            training = make_training(cfg, task)
+            if state is not None:
+                training.load(state)
+            reports = [(training.advance(), training.gauges()) for _ in range(iterations)]
+            return training.state(), reports
+
+    whole, reports = train(4)
+    again, same = train(4)
+    torch.manual_seed(99)  # nothing comes from torch's own generator
+    first, before = train(2)
+    second, after = train(2, first)
+    assert reports == same
+    assert [gauges for _, gauges in reports] == [gauges for _, gauges in before + after]  # type: ignore[misc]
+    for part in ("model", "learner", "task"):
+        for name, tensor in whole[part].items():  # type: ignore[attr-defined]
+            assert torch.equal(tensor, again[part][name]), name  # type: ignore[index]
+            assert torch.equal(tensor, second[part][name]), name  # type: ignore[index]
+
+
+def test_beyond_the_bound_an_action_may_come_back_and_go_no_further() -> None:
+    """Loss slopes of both signs inside, above and below; what is not finite is 0."""
+    action = torch.tensor([[0.5, 2.0, 2.0, -2.0, -2.0, 0.0]], requires_grad=True)
+    slope = torch.tensor([[-3.0, -3.0, 3.0, -3.0, 3.0, float("nan")]])
+    found = bounded(action)
+    (gradient,) = torch.autograd.grad(found, action, slope)
+    assert found.tolist() == [[0.5, 1.0, 1.0, -1.0, -1.0, 0.0]]
+    assert gradient.tolist() == [[-3.0, 0.0, 3.0, -3.0, 0.0, 0.0]]
+
+
+def test_a_row_that_goes_astray_teaches_nothing() -> None:
+    """Infinite actions of one row end it as a crash; the weights stay finite, and move."""
+    cfg = settings(4)
+    with task_registry.make_task(cfg.task, num_envs=4, device="cpu", differentiable=True) as task:
+        training = make_training(cfg, task)
+        training.advance()
+        backend = task.env.robot_manager.differentiable
+        assert backend is not None
+        backend.state.lin_vel[1] = float("inf")
+        before = training.learner.network.actor.head.weight.clone()
+        training.advance()
+        assert bool(training.learner.network.actor.head.weight.isfinite().all())
+        assert not torch.equal(training.learner.network.actor.head.weight, before)
+
+
+def test_what_has_no_gradient_is_refused_by_name() -> None:
+    cfg = settings(2)
+    with (
+        task_registry.make_task(cfg.task, num_envs=2, device="cpu") as task,
+        pytest.raises(CapabilityError, match="position_setpoint_task was made without gradients"),
+    ):
+        make_training(cfg, task)
+    drawn = {"body.mass": RandomizeCfg(low=0.8, high=1.2)}
+    task = built(replace(task_registry.get(cfg.task), randomize=drawn), 2, gradients=torch.float32)
+    with pytest.raises(
+        CapabilityError, match=r"draws body.mass at resets, .* Take them out of randomize, or train with ppo"
+    ):
+        make_training(cfg, task)
+
+
+def test_settings_that_do_not_fit_are_refused() -> None:
+    cfg = settings()
+    assert cfg.apg is not None
+    ppo = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu")).ppo
+    with pytest.raises(ConfigError, match="trainer apg needs its numbers under apg, and none under ppo"):
+        replace(cfg, ppo=ppo)
+    with pytest.raises(ConfigError, match="trainer ppo needs its numbers under ppo"):
+        replace(cfg, trainer="ppo")
+    for change, message in (
+        ({"memory": 8}, "apg has policies without memory. Train with ppo"),
+        ({"separate_value_network": False}, "must be true"),
+        ({"target_share": 1.5}, "must be at most 1"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            replace(cfg.apg, **change)  # type: ignore[arg-type]
