@@ -6,11 +6,11 @@ an unknown mean of each flight and axis. Letters: F flights, T rows, S series (o
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, stats
-from scipy.linalg import cholesky, solve_triangular, toeplitz
 
 from aerial_gym.sim2real.logs.signals import lowpass_gain
 
@@ -21,6 +21,9 @@ LAGS = 20
 
 LINES = 300
 """Frequencies of the integral over what a low-pass takes away."""
+
+NUDGE = 1e-6
+"""Difference step of the logarithms of parameters."""
 
 CORR_TIMES = (0.05, 100.0)
 """Correlation times that are tried [s]."""
@@ -73,37 +76,56 @@ class ProcessFit:
     """Its logarithm, of the series without their means."""
 
 
-def log_likelihood(
-    series: Series, std: float, corr_time: float, noise: Array, *, axes: Sequence[int] = (0, 1, 2)
-) -> float:
-    """Return the restricted log likelihood of all series along some axes."""
-    total, roots = 0.0, Roots(series, corr_time)
-    for wind in series.wind:
-        for axis in axes:
-            root = roots.of(len(wind), std, float(noise[axis]))
-            white = solve_triangular(root, np.column_stack((wind[:, axis], np.ones(len(wind)))), lower=True)
-            weight = white[:, 1] @ white[:, 1]
-            left = white[:, 0] @ white[:, 0] - (white[:, 1] @ white[:, 0]) ** 2 / weight
-            total -= 0.5 * left + float(np.log(np.diag(root)).sum()) + 0.5 * float(np.log(weight))
-    return float(total)
+Process = tuple[float, float, Array]
+"""Standard deviation, correlation time [s] and noise of each axis, (3,)."""
 
 
-class Roots:
-    """Lower Cholesky factors of the covariance of process and noise, each made once."""
+def log_likelihoods(series: Series, processes: Sequence[Process], *, axes: Sequence[int] = (0, 1, 2)) -> Array:
+    """Return the restricted log likelihood of all series along some axes under each of some processes."""
+    rows = np.array([len(wind) for wind in series.wind])
+    values = np.zeros((len(axes), rows.max(), len(rows) + 1))
+    values[..., -1] = 1.0  # of the mean
+    for flight, wind in enumerate(series.wind):
+        values[:, : len(wind), flight] = wind.T[list(axes)]
+    covariance = np.stack([covariances(series, *process)[list(axes)] for process in processes])  # (processes, axes, T)
+    white, variance = whitened_rows(covariance, values)
+    white, one = white[..., :-1], white[..., -1:]
+    inside = np.arange(len(values[0]))[:, None] < rows
+    mean, weight = ((one * part * inside).sum(axis=2) for part in (white, one))
+    left = (white**2 * inside).sum(axis=2) - mean**2 / weight + np.log(weight)
+    return -0.5 * (left + (np.log(variance)[..., None] * inside).sum(axis=2)).sum(axis=(1, 2))
 
-    def __init__(self, series: Series, corr_time: float) -> None:
-        rows = max(len(wind) for wind in series.wind)
-        self._shape = process_covariance(corr_time, series.bandwidth, series.step * np.arange(rows))
-        self._made: dict[tuple[int, float, float], Array] = {}
 
-    def of(self, rows: int, std: float, noise: float) -> Array:
-        """Return the factor for so many rows, (T, T)."""
-        key = (rows, std, noise)
-        if key not in self._made:
-            first = std**2 * self._shape[:rows]
-            first[0] += noise**2
-            self._made[key] = cholesky(toeplitz(first), lower=True)
-        return self._made[key]
+def covariances(series: Series, std: float, corr_time: float, noise: Array) -> Array:
+    """Return the covariance of process and noise along each axis at every lag, (3, T)."""
+    rows = max(len(wind) for wind in series.wind)
+    found = np.tile(std**2 * process_covariance(corr_time, series.bandwidth, series.step * np.arange(rows)), (3, 1))
+    found[:, 0] += noise**2
+    return found
+
+
+def whitened_rows(covariance: Array, values: Array) -> tuple[Array, Array]:
+    """Return the errors (..., T, K) of the best prediction of each row from those before it, over their std, and variances.
+
+    Args:
+        covariance: Of stationary processes at each lag, (..., T).
+        values: Columns (..., T, K) of such processes.
+
+    Source:
+        Durbin (1960), The fitting of time-series models, Review of the International Statistical Institute 28: as a Cholesky
+        factor of the covariance would whiten them, in T steps of T numbers for all columns.
+    """
+    rows = covariance.shape[-1]
+    error, variance = np.empty((*covariance.shape, values.shape[-1])), np.empty_like(covariance)
+    error[..., 0, :], variance[..., 0] = values[..., 0, :], covariance[..., 0]
+    later = np.zeros((*covariance.shape[:-1], 0))  # coefficients of the rows before, the earliest first
+    for row in range(1, rows):
+        short = covariance[..., row] - (later * covariance[..., 1:row]).sum(axis=-1)
+        partial = (short / variance[..., row - 1])[..., None]
+        later = np.concatenate((partial, later - partial * later[..., ::-1]), axis=-1)
+        error[..., row, :] = values[..., row, :] - (later[..., None, :] @ values[..., :row, :])[..., 0, :]
+        variance[..., row] = variance[..., row - 1] * (1.0 - partial[..., 0] ** 2)
+    return error / np.sqrt(variance)[..., None], variance
 
 
 def fit_process(series: Series) -> ProcessFit:
@@ -112,35 +134,35 @@ def fit_process(series: Series) -> ProcessFit:
     size = np.sqrt(np.mean([wind.var(axis=0).mean() for wind in series.wind]))
     low = np.log(np.array([1e-3 * size, CORR_TIMES[0], *(0.03 * jump)]))
     high = np.log(np.array([30.0 * size, CORR_TIMES[1], *(3.0 * jump)]))
-
-    def cost(values: Array) -> float:
-        std, corr_time, *noise = np.exp(values)
-        return -log_likelihood(series, std, corr_time, np.array(noise))
-
     start = np.log(np.array([size, 1.0, *(0.5 * jump)]))
-    bounds = list(zip(low, high, strict=True))
-    found = optimize.minimize(cost, start, method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-8}).x
-    std, corr_time, *noise = np.exp(found)
-    return ProcessFit(std=float(std), corr_time=float(corr_time), noise=np.array(noise), likelihood=-cost(found))
+
+    def cost_and_slope(values: Array) -> tuple[float, Array]:
+        costs = _costs(series, [values, *(values + NUDGE * np.eye(values.size))])
+        return float(costs[0]), (costs[1:] - costs[0]) / NUDGE
+
+    bounds, options = list(zip(low, high, strict=True)), {"ftol": 1e-8}
+    found = optimize.minimize(cost_and_slope, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    std, corr_time, *noise = np.exp(found.x)
+    return ProcessFit(std=float(std), corr_time=float(corr_time), noise=np.array(noise), likelihood=-float(found.fun))
+
+
+def _costs(series: Series, points: Sequence[Array]) -> Array:
+    """Return the negative log likelihood at logarithms of std, correlation time and noise, (5,) each."""
+    processes = [(float(one[0]), float(one[1]), one[2:]) for one in np.exp(points)]
+    return -log_likelihoods(series, processes)
 
 
 def log_spread(series: Series, fit: ProcessFit) -> tuple[float, float]:
     """Return the standard deviation of log std and log corr_time, from the curvature of the likelihood."""
     centre = np.log(np.array([fit.std, fit.corr_time, *fit.noise]))
-
-    def cost(values: Array) -> float:
-        std, corr_time, *noise = np.exp(values)
-        return -log_likelihood(series, std, corr_time, np.array(noise))
-
     step, size = 0.02 * np.eye(centre.size), centre.size
-    curvature = np.empty((size, size))
-    here, single = cost(centre), [(cost(centre + step[i]), cost(centre - step[i])) for i in range(size)]
-    for i in range(size):
-        curvature[i, i] = (single[i][0] + single[i][1] - 2.0 * here) / 0.02**2
-        for j in range(i):
-            both = cost(centre + step[i] + step[j]) + cost(centre - step[i] - step[j])
-            mixed = both - sum(single[i]) - sum(single[j]) + 2.0 * here
-            curvature[i, j] = curvature[j, i] = mixed / (2.0 * 0.02**2)
+    pairs = list(combinations(range(size), 2))
+    away = [*(step[i] for i in range(size)), *(step[i] + step[j] for i, j in pairs)]
+    here, *costs = _costs(series, [centre, *(centre + one for one in away), *(centre - one for one in away)])
+    both = np.add(*np.split(np.array(costs), 2)) - 2.0 * here
+    curvature = np.diag(both[:size]) / 0.02**2
+    for (i, j), mixed in zip(pairs, both[size:], strict=True):
+        curvature[i, j] = curvature[j, i] = (mixed - both[i] - both[j]) / (2.0 * 0.02**2)
     variance = np.diag(np.linalg.pinv(curvature, hermitian=True))[:2]
     return float(np.sqrt(max(variance[0], 0.0))), float(np.sqrt(max(variance[1], 0.0)))
 
@@ -149,7 +171,7 @@ def p_value_of_noise(series: Series, fit: ProcessFit) -> float:
     """Return the probability that white noise along each axis alone has such a likelihood ratio."""
     rows = sum(len(wind) - 1 for wind in series.wind)
     squares = np.sum([((wind - wind.mean(axis=0)) ** 2).sum(axis=0) for wind in series.wind], axis=0)
-    alone = log_likelihood(series, 0.0, 1.0, np.sqrt(squares / rows))
+    alone = float(log_likelihoods(series, [(0.0, 1.0, np.sqrt(squares / rows))])[0])
     return float(stats.chi2.sf(2.0 * (fit.likelihood - alone), 2))
 
 
@@ -168,20 +190,18 @@ def p_values_of_rivals(series: Series, fit: ProcessFit) -> dict[str, float]:
 
 def whitened(series: Series, fit: ProcessFit) -> tuple[list[Array], Callable[[list[Array]], list[list[Array]]]]:
     """Return the innovations of each flight, (T, 3), without the mean, and what makes features comparable to them."""
-    roots = Roots(series, fit.corr_time)
+    covariance = covariances(series, fit.std, fit.corr_time, fit.noise)
 
-    def centred(values: Array, flight: int, axis: int) -> Array:
-        rows = len(series.wind[flight])
-        root = roots.of(rows, fit.std, float(fit.noise[axis]))
-        white, mean = (solve_triangular(root, part, lower=True) for part in (values, np.ones(rows)))
+    def centred(values: Array, axis: int) -> Array:
+        white, _ = whitened_rows(covariance[axis, : len(values)], np.column_stack((values, np.ones(len(values)))))
+        white, mean = white[:, :-1], white[:, -1]
         return white - np.outer(mean, mean @ white) / (mean @ mean)
 
     def whiten(features: list[Array]) -> list[list[Array]]:
-        return [[centred(x, flight, axis) for axis in range(3)] for flight, x in enumerate(features)]
+        return [[centred(x, axis) for axis in range(3)] for x in features]
 
     innovations = [
-        np.column_stack([centred(wind[:, axis : axis + 1], flight, axis) for axis in range(3)])
-        for flight, wind in enumerate(series.wind)
+        np.column_stack([centred(wind[:, axis : axis + 1], axis) for axis in range(3)]) for wind in series.wind
     ]
     return innovations, whiten
 
@@ -234,7 +254,7 @@ def p_value_of_unequal(series: Series, fit: ProcessFit, between: str) -> float:
     for part, axes in parts:
 
         def cost(value: float, part: Series = part, axes: tuple[int, ...] = axes) -> float:
-            return -log_likelihood(part, float(np.exp(value)), fit.corr_time, fit.noise, axes=axes)
+            return -float(log_likelihoods(part, [(float(np.exp(value)), fit.corr_time, fit.noise)], axes=axes)[0])
 
         best = optimize.fminbound(cost, centre - 4.0, centre + 2.0, xtol=0.01)
         gained += cost(centre) - cost(float(np.asarray(best)))
