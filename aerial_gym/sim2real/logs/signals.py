@@ -84,6 +84,13 @@ def _end_value(columns: Array) -> Array:
     return (columns.mean(axis=1) + place[0] * slope)[:, None]
 
 
+def without_line(values: Array) -> Array:
+    """Return values (..., T) without the straight line through each row."""
+    place = np.arange(values.shape[-1]) - 0.5 * (values.shape[-1] - 1)
+    slope = values @ place / (place @ place)
+    return values - values.mean(axis=-1, keepdims=True) - slope[..., None] * place
+
+
 def edge_rows(rate: float, bandwidth: float) -> int:
     """Return the number of rows at each end that the low-pass may spoil: two periods of its bandwidth."""
     return round(2.0 * rate / bandwidth) + 1

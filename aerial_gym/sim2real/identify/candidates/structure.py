@@ -14,6 +14,7 @@ from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.signals import without_line
 from aerial_gym.sim2real.predict.channels import Channel
 
 Array = NDArray[np.float64]
@@ -224,7 +225,7 @@ def common_line(times: Sequence[Array], values: Sequence[Array], motion: Sequenc
 
 def _relative_spectrum(values: Array, rate: float, length: int) -> Array:
     """Return the share of the variance at each frequency, (lines, columns)."""
-    _, density = signal.welch(values, rate, nperseg=length, detrend="linear", axis=0)
+    _, density = signal.welch(values, rate, nperseg=length, detrend=without_line, axis=0)  # pyright: ignore[reportArgumentType]
     return density / np.maximum(density.sum(axis=0), 1e-300)
 
 

@@ -76,14 +76,17 @@ def noise_shares(
 
     def noise_of(columns: Array) -> Array | None:
         """Return rows (T C, K) whose sums of products are as large as those of the noise in derivatives (T, C, K)."""
-        flat = columns.reshape(columns.shape[0], -1)
-        floor = floor_of_columns(flat, flight.rate, band, [False] * flat.shape[1])
+        moved = columns.any(axis=0)
+        if not moved.any():
+            return rows_of(columns)
+        own = columns[:, moved]
+        floor = floor_of_columns(own, flight.rate, band, [False] * own.shape[1])
         if floor is None:
             return None
-        above = flat - lowpass(flat, flight.rate, FIT_FROM * band)
-        size = np.sqrt((above**2).sum(axis=0))
-        above = above * (np.sqrt(rows) * floor / np.where(size > 0.0, size, np.inf))
-        return (above.reshape(columns.shape) * root).reshape(-1, columns.shape[2])
+        above = own - lowpass(own, flight.rate, FIT_FROM * band)
+        size, found = np.sqrt((above**2).sum(axis=0)), np.zeros(columns.shape)
+        found[:, moved] = above * (np.sqrt(rows) * floor / np.where(size > 0.0, size, np.inf))
+        return rows_of(found)
 
     def rows_of(columns: Array) -> Array:
         return (columns * root).reshape(-1, columns.shape[2])

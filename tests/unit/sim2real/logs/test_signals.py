@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.flight_log import FlightLog
@@ -11,6 +12,7 @@ from aerial_gym.sim2real.logs.signals import (
     lowpass,
     lowpass_gain,
     uniform_log,
+    without_line,
 )
 
 RATE, BAND = 200.0, 10.0
@@ -71,3 +73,9 @@ def test_jitter_is_resampled_and_commands_stay_held() -> None:
     assert "resampled" in found.notes[0]
     with pytest.raises(DataError, match=r"0\.5 s after the row before, where 0\.01 s are usual; cut the log there"):
         uniform_log(log(np.delete(np.arange(0.0, 4.0, 0.01), np.arange(100, 149))))
+
+
+def test_without_line_is_what_a_fit_of_a_line_leaves() -> None:
+    """Of each row by itself; scipy solves least squares for it."""
+    values = np.cumsum(np.random.default_rng(0).normal(size=(3, 2, 50)), axis=-1)
+    np.testing.assert_allclose(without_line(values), signal.detrend(values, axis=-1), atol=1e-12)
