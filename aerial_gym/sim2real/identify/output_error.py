@@ -35,7 +35,7 @@ from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.identify.window_rollouts import WINDOW_S, Linear, Rollouts
 from aerial_gym.sim2real.predict.model_params import declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rollout import Windows, find_windows
+from aerial_gym.sim2real.predict.windows import Windows, find_windows
 
 Array = NDArray[np.float64]
 

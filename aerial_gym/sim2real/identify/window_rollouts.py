@@ -35,8 +35,9 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.rotor_commands import is_commanded, what_moves_commands, with_arriving_commands
-from aerial_gym.sim2real.predict.rollout import Batch, Windows, same_rate
+from aerial_gym.sim2real.predict.rollout import Batch
 from aerial_gym.sim2real.predict.tolerances import Deviated, deviated
+from aerial_gym.sim2real.predict.windows import Windows, same_rate
 
 Array = NDArray[np.float64]
 

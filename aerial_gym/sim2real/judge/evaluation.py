@@ -12,7 +12,7 @@ from aerial_gym.sim2real.logs.flights import Flight, names_of
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out
+from aerial_gym.sim2real.predict.rollout import QUANTITIES, RolloutErrors, roll_out_variants
 from aerial_gym.sim2real.statistics import Rms, rms_with_interval
 
 Array = NDArray[np.float64]
@@ -83,10 +83,8 @@ def evaluate(
     rollouts: dict[str, RolloutErrors] = {}
     if not missing_for_rollouts(flights):
         links, sizes = predictor.links(point), predictor.tolerances
-        rollouts = {
-            "free": roll_out(robot, flights, point, links=links, tolerances=sizes),
-            "given_attitude": roll_out(robot, flights, point, links=links, given_attitude=True, tolerances=sizes),
-        }
+        variants = {"free": False, "given_attitude": True}
+        rollouts = roll_out_variants(robot, flights, point, variants, links=links, tolerances=sizes)
     return Evaluation(
         channels=predictor.channels,
         residual=tuple(rms_with_interval(np.concatenate(residuals), group, seed=seed)),

@@ -5,7 +5,7 @@ measured. A second variant is given the measured attitude, so that it shows forc
 Letters: W windows (environments), R rotors.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,43 +36,15 @@ from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows import one_row, with_known_wind
 from aerial_gym.sim2real.predict.scene import heights, other_at
 from aerial_gym.sim2real.predict.tolerances import Tolerances, deviated
+from aerial_gym.sim2real.predict.windows import FIRST_WINDOW_S, STEP_S, Windows, find_windows, same_rate
 
 Array = NDArray[np.float64]
 
 HORIZONS_S = (0.1, 0.5, 1.0, 2.0)
 """When a rollout is compared with the flight [s]."""
 
-STEP_S = 0.005
-"""Longest step of the integrator [s]; Runge-Kutta of order 4 is exact to 1e-6 there."""
-
-WINDOW_EVERY_S = 0.5
-"""Between the starts of two windows [s]."""
-
-FIRST_WINDOW_S = max(e.longest for e in map(EFFECTS.get, EFFECTS) if isinstance(e, DelayEffect))
-"""Start of the first window [s]: no command is longer on its way, so that all that arrive are in the log."""
-
-MOST_WINDOWS = 600
-"""Windows are spread over all flights if there were more."""
-
-CLUSTER_S = 4.0
-"""Windows that start within such a span of a flight count as one draw in the intervals [s]."""
-
 QUANTITIES: dict[str, str] = {"position": "m", "velocity": "m/s", "attitude": "rad"}
 """Compared quantities and their units."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Windows:
-    """Where rollouts start."""
-
-    flight: NDArray[np.int64]
-    """Index of the flight, (W,)."""
-
-    row: NDArray[np.int64]
-    """Row of the log, (W,)."""
-
-    cluster: NDArray[np.int64]
-    """Windows of one cluster overlap or follow each other, (W,)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,31 +80,6 @@ class _Straight:
         """There is no Warp code: rollouts run in float64 torch."""
 
 
-def find_windows(
-    flights: Sequence[Flight], horizon: float, *, every: float = WINDOW_EVERY_S, most: int = MOST_WINDOWS
-) -> Windows:
-    """Return the starts of windows of ``horizon`` [s], in every flight that is long enough; one ``every`` so many seconds.
-
-    No window holds a row in which the vehicle stands.
-    """
-    spans = [max(0.0, float(f.time[-1]) - horizon - STEP_S) for f in flights]
-    every = max(every, sum(spans) / most)
-    parts, cluster = [], 0
-    for index, (flight, span) in enumerate(zip(flights, spans, strict=True)):
-        starts = np.arange(FIRST_WINDOW_S, span, every)
-        rows = np.round(starts * flight.rate).astype(int)
-        if flight.on_ground is not None:
-            stood = np.concatenate(([0], np.cumsum(flight.on_ground)))
-            last = np.minimum(rows + round((horizon + STEP_S) * flight.rate) + 1, flight.num_rows)
-            clear = stood[last] == stood[rows]
-            starts, rows = starts[clear], rows[clear]
-        groups = (starts / CLUSTER_S).astype(int)
-        parts.append((np.full(rows.size, index), rows, groups + cluster))
-        cluster += int(groups[-1]) + 1 if rows.size else 0
-    flight_index, row, clusters = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return Windows(flight=flight_index, row=row, cluster=clusters)
-
-
 def roll_out(
     robot: RobotCfg,
     flights: Sequence[Flight],
@@ -143,15 +90,30 @@ def roll_out(
     given_attitude: bool = False,
     tolerances: Tolerances | None = None,
 ) -> RolloutErrors:
-    """Return the open-loop errors of a model.
+    """Return the open-loop errors of a model; arguments as for ``roll_out_variants``."""
+    variant = {"": given_attitude}
+    return roll_out_variants(robot, flights, point, variant, links=links, horizons=horizons, tolerances=tolerances)[""]
+
+
+def roll_out_variants(
+    robot: RobotCfg,
+    flights: Sequence[Flight],
+    point: ModelParams,
+    variants: Mapping[str, bool],
+    *,
+    links: Sequence[Link] | None = None,
+    horizons: Sequence[float] = HORIZONS_S,
+    tolerances: Tolerances | None = None,
+) -> dict[str, RolloutErrors]:
+    """Return the open-loop errors of a model in some variants, flown side by side.
 
     Args:
         robot: Declared robot.
         flights: Flights with velocity.
         point: Effects of the model, and its deviations within the tolerances.
+        variants: Of each, whether attitude and angular velocity are set to the measured ones after every step.
         links: How its load swings along each flight; None: as if it hung still when the log begins.
         horizons: When to compare [s]; those that no flight is long enough for are left out.
-        given_attitude: Whether attitude and angular velocity are set to the measured ones after every step.
         tolerances: Sizes of the deviations; None: the usual ones.
     """
     longest = max(float(flight.time[-1]) for flight in flights)
@@ -162,32 +124,31 @@ def roll_out(
     off = deviated(declared, tolerances or Tolerances(), point.deviation)
     if commanded:
         flights = with_arriving_commands(off, flights, point)
-    shape = (windows.row.size, len(kept))
+    shape = (len(variants), windows.row.size, len(kept))
     errors = {name: np.full(shape, np.nan) for name in QUANTITIES}
     load = None if links is None else load_at(links, flights, windows)
     for members in same_rate(flights, windows):
-        one = np.zeros(members.size, dtype=np.int64)
-        starts = windows.flight[members], windows.row[members]
-        begun = None if load is None else load[members]
+        every = np.tile(members, len(variants))
+        one = np.zeros(every.size, dtype=np.int64)
+        starts = windows.flight[every], windows.row[every]
+        begun = None if load is None else load[every]
         run = Batch([off.vehicle], [point], one, flights, *starts, load=begun, settled=[off.joint_start])
         at = {run.steps(horizon): place for place, horizon in enumerate(kept)}
-        for step, state, truth in run.fly(run.measured(0), at, given_attitude=given_attitude):
+        given = np.repeat(list(variants.values()), members.size)
+        for step, state, truth in run.fly(run.measured(0), at, given_attitude=given):
             for name, values in _distances(state, truth).items():
-                errors[name][members, at[step]] = values
-    return RolloutErrors(
-        windows=windows,
-        horizons=kept,
-        position=errors["position"] if all(f.position is not None for f in flights) else None,
-        velocity=errors["velocity"] if all(f.lin_vel is not None for f in flights) else None,
-        attitude=None if given_attitude else errors["attitude"],
-        driven_by="commands" if commanded else "measured rotor speeds",
-    )
-
-
-def same_rate(flights: Sequence[Flight], windows: Windows) -> list[NDArray[np.int64]]:
-    """Return the windows whose flights have the same rate, for each rate."""
-    rate = np.array([flights[index].rate for index in windows.flight])
-    return [np.flatnonzero(rate == one) for one in np.unique(rate)]
+                errors[name][:, members, at[step]] = values.reshape(len(variants), -1)
+    return {
+        variant: RolloutErrors(
+            windows=windows,
+            horizons=kept,
+            position=errors["position"][place] if all(f.position is not None for f in flights) else None,
+            velocity=errors["velocity"][place] if all(f.lin_vel is not None for f in flights) else None,
+            attitude=None if given_attitude else errors["attitude"][place],
+            driven_by="commands" if commanded else "measured rotor speeds",
+        )
+        for place, (variant, given_attitude) in enumerate(variants.items())
+    }
 
 
 def load_at(links: Sequence[Link], flights: Sequence[Flight], windows: Windows) -> Array:
@@ -262,9 +223,15 @@ class Batch:
         return round(seconds * self._rate / self._stride)
 
     def fly(
-        self, state: BodyState, at: Collection[int], *, given_attitude: bool = False
+        self, state: BodyState, at: Collection[int], *, given_attitude: NDArray[np.bool_] | None = None
     ) -> Iterator[tuple[int, BodyState, BodyState]]:
-        """Yield the step, the state, and the state that was measured, at some numbers of steps after the start."""
+        """Yield the step, the state, and the state that was measured, at some numbers of steps after the start.
+
+        Windows with a given attitude, (W,), have the measured attitude and angular velocity after every step.
+        """
+        given = (
+            torch.from_numpy(given_attitude)[:, None] if given_attitude is not None and given_attitude.any() else None
+        )
         span = self._stride / self._rate
         memory, stepper, law = self._memory(span / self._substeps), INTEGRATORS["rk4"], _Straight()
         for step in range(max(at)):
@@ -273,12 +240,13 @@ class Batch:
             state, memory = advance_remembering(
                 model, stepper, law, state, action, span / self._substeps, self._substeps, memory
             )
-            if given_attitude or step + 1 in at:
+            if given is not None or step + 1 in at:
                 truth = self.measured(step + 1)
                 if step + 1 in at:
                     yield step + 1, state, truth
-                if given_attitude:
-                    state = replace(state, attitude=truth.attitude, ang_vel=truth.ang_vel)
+                if given is not None:
+                    attitude = torch.where(given, truth.attitude, state.attitude)
+                    state = replace(state, attitude=attitude, ang_vel=torch.where(given, truth.ang_vel, state.ang_vel))
 
     def measured(self, step: int) -> BodyState:
         """Return the state that was measured ``step`` steps after each start."""

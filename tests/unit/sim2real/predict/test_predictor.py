@@ -20,8 +20,9 @@ from aerial_gym.sim2real.predict.model_params import ModelParams, declared_param
 from aerial_gym.sim2real.predict.noise_floor import noise_floor
 from aerial_gym.sim2real.predict.predictor import Predictor, together
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.predict.rollout import find_windows, roll_out
+from aerial_gym.sim2real.predict.rollout import roll_out, roll_out_variants
 from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_biases
+from aerial_gym.sim2real.predict.windows import find_windows
 from tests.physics.vehicles import BATTERY
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
@@ -255,6 +256,18 @@ def test_rollouts_of_an_exact_flight_stay_on_it_and_find_the_error_of_a_wrong_ma
     assert given.attitude is None
     assert given.position is not None
     assert np.median(given.position[:, 2]) == pytest.approx(0.5 * 9.81 * (1.0 - 1.0 / 1.05), rel=0.15)
+
+
+def test_rollouts_side_by_side_are_those_of_each_variant_alone(tmp_path: Path) -> None:
+    """Free and with the measured attitude, bit for bit; the second one differs from the first."""
+    found, point = load(tmp_path), ModelParams(effects={"com_offset": np.array([0.01, 0.0, 0.0])})
+    both = roll_out_variants(ROBOT, [found], point, {"free": False, "given": True}, horizons=(0.1, 0.5))
+    for variant, given in (("free", False), ("given", True)):
+        alone = roll_out(ROBOT, [found], point, horizons=(0.1, 0.5), given_attitude=given)
+        np.testing.assert_array_equal(both[variant].position, alone.position)
+        np.testing.assert_array_equal(both[variant].velocity, alone.velocity)
+    assert both["given"].attitude is None
+    assert np.abs(both["free"].velocity - both["given"].velocity).max() > 0.01
 
 
 def test_windows_cover_every_flight_and_fit_the_longest_horizon(tmp_path: Path) -> None:

@@ -1,0 +1,74 @@
+"""Windows of flights, each the start of a rollout.
+
+Letters: W windows.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.effects import DelayEffect
+from aerial_gym.sim2real.logs.flights import Flight
+
+STEP_S = 0.005
+"""Longest step of the integrator [s]; Runge-Kutta of order 4 is exact to 1e-6 there."""
+
+WINDOW_EVERY_S = 0.5
+"""Between the starts of two windows [s]."""
+
+FIRST_WINDOW_S = max(e.longest for e in map(EFFECTS.get, EFFECTS) if isinstance(e, DelayEffect))
+"""Start of the first window [s]: no command is longer on its way, so that all that arrive are in the log."""
+
+MOST_WINDOWS = 600
+"""Windows are spread over all flights if there were more."""
+
+CLUSTER_S = 4.0
+"""Windows that start within such a span of a flight count as one draw in the intervals [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Windows:
+    """Where rollouts start."""
+
+    flight: NDArray[np.int64]
+    """Index of the flight, (W,)."""
+
+    row: NDArray[np.int64]
+    """Row of the log, (W,)."""
+
+    cluster: NDArray[np.int64]
+    """Windows of one cluster overlap or follow each other, (W,)."""
+
+
+def find_windows(
+    flights: Sequence[Flight], horizon: float, *, every: float = WINDOW_EVERY_S, most: int = MOST_WINDOWS
+) -> Windows:
+    """Return the starts of windows of ``horizon`` [s], in every flight that is long enough; one ``every`` so many seconds.
+
+    No window holds a row in which the vehicle stands.
+    """
+    spans = [max(0.0, float(f.time[-1]) - horizon - STEP_S) for f in flights]
+    every = max(every, sum(spans) / most)
+    parts, cluster = [], 0
+    for index, (flight, span) in enumerate(zip(flights, spans, strict=True)):
+        starts = np.arange(FIRST_WINDOW_S, span, every)
+        rows = np.round(starts * flight.rate).astype(int)
+        if flight.on_ground is not None:
+            stood = np.concatenate(([0], np.cumsum(flight.on_ground)))
+            last = np.minimum(rows + round((horizon + STEP_S) * flight.rate) + 1, flight.num_rows)
+            clear = stood[last] == stood[rows]
+            starts, rows = starts[clear], rows[clear]
+        groups = (starts / CLUSTER_S).astype(int)
+        parts.append((np.full(rows.size, index), rows, groups + cluster))
+        cluster += int(groups[-1]) + 1 if rows.size else 0
+    flight_index, row, clusters = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return Windows(flight=flight_index, row=row, cluster=clusters)
+
+
+def same_rate(flights: Sequence[Flight], windows: Windows) -> list[NDArray[np.int64]]:
+    """Return the windows whose flights have the same rate, for each rate."""
+    rate = np.array([flights[index].rate for index in windows.flight])
+    return [np.flatnonzero(rate == one) for one in np.unique(rate)]
