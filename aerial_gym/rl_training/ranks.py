@@ -7,6 +7,7 @@ calls in the same order.
 Letters: R processes, N samples, O entries of a sample.
 """
 
+import gc
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -142,14 +143,10 @@ def joined_ranks(device: str) -> Iterator[Ranks]:
         torch.cuda.set_device(kind)
     with _others_may_end():
         torch.distributed.init_process_group("cpu:gloo,cuda:nccl" if kind.type == "cuda" else "gloo")
-    try:
-        yield Ranks(torch.distributed.get_rank(), torch.distributed.get_world_size(), joined=True)
-    except BaseException:
-        if kind.type == "cuda":  # not waited for: the others may never come to what this process has asked its GPU for
-            torch.distributed.distributed_c10d._abort_process_group()
-        raise
-    else:
-        torch.distributed.destroy_process_group()
+    yield Ranks(torch.distributed.get_rank(), torch.distributed.get_world_size(), joined=True)
+    # Not after an error: NCCL would wait for what others never do, and for graphs that the error's traceback keeps.
+    gc.collect()  # graphs that hold calls of NCCL go before it
+    torch.distributed.destroy_process_group()
 
 
 def _on_cpu(value: Any) -> Any:
