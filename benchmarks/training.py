@@ -1,8 +1,8 @@
 """How fast a policy learns: ``python -m benchmarks.training --device cuda --json``.
 
-Trains with ``ppo``, stops the clock from time to time, and flies the policy from fresh starts. ``training_s`` counts
-iterations: the first few, in which kernels are compiled and the graph is recorded (``recording_s``), as long as those that
-follow them. ``since_process_start_s`` is all but the evaluations: imports, the task, compilation, recording, training.
+Trains with a learner of this package, stops the clock from time to time, and flies the policy from fresh starts. ``training_s``
+counts iterations: the first few, in which kernels are compiled and the graph is recorded (``recording_s``), as long as those
+that follow them. ``since_process_start_s`` is all but the evaluations: imports, the task, compilation, recording, training.
 """
 
 import contextlib
@@ -24,6 +24,9 @@ class BenchTraining:
 
     task: str = "position_setpoint_task"
     """Registered task."""
+
+    trainer: str = "ppo"
+    """``ppo`` or ``apg``."""
 
     robot: str | None = None
     """Registered robot, or a robot file, to train with; that of the settings if not given. The task's own is evaluated."""
@@ -47,7 +50,7 @@ class BenchTraining:
     """Settings file; that of the package if not given."""
 
     set: tuple[str, ...] = ()
-    """Numbers of PPO in place of those of the settings, as NAME=VALUE."""
+    """Numbers of the learner in place of those of the settings, as NAME=VALUE."""
 
     train_s: float = 5.0
     """Length of the training [s]: the learning rate falls over it."""
@@ -65,7 +68,7 @@ class BenchTraining:
     """Count the processor time of this process in place of the time on the wall: for a busy machine, with one thread."""
 
     plain: bool = False
-    """On a GPU, networks as torch operations in place of kernels of their own."""
+    """On a GPU, networks of ``ppo`` as torch operations in place of kernels of their own."""
 
     json: bool = False
     """One object a line, keys end in their unit."""
@@ -107,12 +110,12 @@ class BenchTraining:
         import torch
 
         from aerial_gym.rl_training import evaluate, load_settings, settings_for
-        from aerial_gym.rl_training.trainers.ppo import Training
+        from aerial_gym.rl_training.trainers import apg, ppo
         from aerial_gym.task import task_registry
 
         if self.threads is not None:
             torch.set_num_threads(self.threads)
-        cfg = load_settings(self.config or settings_for("ppo", self.task, device=self.device))
+        cfg = load_settings(self.config or settings_for(self.trainer, self.task, device=self.device))
         changes = {name: json.loads(value) for name, value in (entry.split("=", 1) for entry in self.set)}
         changes = {name: tuple(value) if isinstance(value, list) else value for name, value in changes.items()}
         cfg = replace(
@@ -123,19 +126,30 @@ class BenchTraining:
             robot=self.robot or cfg.robot,
             num_envs=self.num_envs or cfg.num_envs,
             max_time_s=self.train_s,
-            ppo=replace(cfg.ppo, **changes),
+            **{self.trainer: replace(cfg.learner, **changes)},
         )
         with contextlib.ExitStack() as stack:
             make = task_registry.make_task
             task = stack.enter_context(
-                make(cfg.task, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed, robot=cfg.robot, capture=False)
+                make(
+                    cfg.task,
+                    num_envs=cfg.num_envs,
+                    device=cfg.device,
+                    seed=cfg.seed,
+                    robot=cfg.robot,
+                    capture=False,
+                    differentiable=self.trainer == "apg",
+                )
             )
             curriculum = task.cfg.curriculum
             level = curriculum.max_level if self.level is None and curriculum is not None else self.level
             cuda = task.device.type == "cuda"
             wait = torch.cuda.synchronize if cuda else (lambda: None)
             clock = time.process_time if self.processor_time else time.perf_counter
-            training = Training(cfg, task, fused=not self.plain)
+            if self.trainer == "apg":
+                training = apg.make_training(cfg, task)
+            else:
+                training = ppo.make_training(cfg, task, fused=not self.plain)
             trained_s, evaluated_s, iteration_s, fresh = 0.0, 0.0, 0.0, None
             started_s = time.perf_counter() - STARTED
             begun = clock()
@@ -191,7 +205,7 @@ class BenchTraining:
                     "recording_s": max(recording_s - warm * iteration_s, 0.0),
                     "iteration_s": iteration_s,
                     "num_envs": cfg.num_envs,
-                    "horizon": cfg.ppo.horizon,
+                    "horizon": cfg.learner.horizon,
                     "learner": type(training.learner).__name__,
                     "seed": cfg.seed,
                     "device": name,

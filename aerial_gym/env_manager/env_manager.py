@@ -223,6 +223,13 @@ class EnvManager:
         """Let gradients end at this instant: what comes later is differentiated back to here, and no further."""
         self._graph().detach()
 
+    def settle(self) -> None:
+        """Do as ``detach``, in tensors that stay in their places: a CUDA graph of what follows can be replayed from here.
+
+        What came before must have been differentiated already.
+        """
+        self._graph().settle()
+
     def _graph(self) -> DifferentiableBackend:
         found = self.robot_manager.differentiable
         if found is None:

@@ -1,5 +1,6 @@
 """The readable reference backend in torch: any float type, CPU or GPU, differentiable through a whole rollout."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TypeVar
 
@@ -112,6 +113,17 @@ def _cut(memory: AnyMemory) -> AnyMemory:
     return replace(memory, **{name: tensor.detach() for name, tensor in memory.tensors().items()})
 
 
+@torch.no_grad()
+def in_places(places: dict[str, Tensor], tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return tensors in those of ``places``, which are written, and made for names that come for the first time."""
+    for name, tensor in tensors.items():
+        if name not in places or places[name].shape != tensor.shape:
+            places[name] = tensor.clone()
+        elif places[name] is not tensor:
+            places[name].copy_(tensor)
+    return {name: places[name] for name in tensors}
+
+
 class TorchBackend:
     """Physics in plain torch operations."""
 
@@ -150,6 +162,7 @@ class TorchBackend:
         self._hook = hook
         self._share = POSITION_SHARE[integrator]
         self._memory, self.law_memory, self._random = None, None, random
+        self._places: tuple[dict[str, Tensor], dict[str, Tensor]] = ({}, {})
         self.set_model(model)
 
     def set_model(self, model: Model) -> None:
@@ -265,6 +278,14 @@ class TorchBackend:
             self._memory = _cut(self._memory)
         if self.law_memory is not None:
             self.law_memory = _cut(self.law_memory)
+
+    def settle(self) -> None:
+        """Let gradients end at this instant, with what is remembered in tensors that are the same at every call."""
+        self.detach()
+        if self._memory is not None:
+            self._memory = replace(self._memory, **in_places(self._places[0], self._memory.tensors()))
+        if self.law_memory is not None:
+            self.law_memory = replace(self.law_memory, **in_places(self._places[1], self.law_memory.tensors()))
 
     @torch.no_grad()
     def reset(self, mask: Tensor) -> None:

@@ -190,6 +190,9 @@ class ApgCfg(LearnerCfg):
     target_share: float
     """Share of the critic that the one that judges the ends of windows takes over after every window, > 0 and <= 1."""
 
+    capture: bool = False
+    """Whether a window and its updates are held in one CUDA graph on a GPU."""
+
     def __post_init__(self) -> None:
         super().__post_init__()
         require_positive(self, "learning_rate", "end_learning_rate", "critic_learning_rate", "target_share")

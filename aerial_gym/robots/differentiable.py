@@ -18,7 +18,7 @@ from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
-from aerial_gym.physics.torch_backend import TorchBackend
+from aerial_gym.physics.torch_backend import TorchBackend, in_places
 
 
 class DifferentiableBackend:
@@ -42,6 +42,7 @@ class DifferentiableBackend:
         self.actions: tuple[Tensor, Tensor] = _two(shown_actions, lambda rows: rows.detach().to(dtype, copy=True))
         """What the robots do in the step, and what they did in the one before, each (E, U), with their graphs."""
         self._traced: TracedKeys | None = None
+        self._places: dict[str, Tensor] = {}
 
     @property
     def traced(self) -> "TracedKeys":
@@ -133,6 +134,15 @@ class DifferentiableBackend:
         self.state = _map(self.state, torch.Tensor.detach)
         self.actions = _two(self.actions, torch.Tensor.detach)
         self._inner.detach()
+
+    def settle(self) -> None:
+        """Let gradients end at this instant, in tensors that are the same at every call: where a recorded window begins."""
+        self.detach()
+        own = vars(self.state) | dict(zip(("action", "previous_action"), self.actions, strict=True))
+        settled = in_places(self._places, own)
+        self.actions = (settled.pop("action"), settled.pop("previous_action"))
+        self.state, self._traced = BodyState(**settled), None
+        self._inner.settle()
 
 
 def _map(state, change):

@@ -190,6 +190,12 @@ class Task:
         if self.values.graph is not None:
             self.values.graph.detach()
 
+    def settle(self) -> None:
+        """Do as ``detach``, in tensors that stay, from which a CUDA graph can be replayed (``EnvManager.settle``)."""
+        self.env.settle()
+        if self.values.graph is not None:
+            self.values.graph.settle()
+
     def watch(self) -> None:
         """Keep the last steps of rows that are not finite, for ``dump``; call it before the first ``reset``.
 

@@ -100,6 +100,7 @@ class Apg(Learner):
         super().__init__(cfg, task, network)
         check_differentiable(task, cfg)
         self._apg = apg = cfg.section(ApgCfg)
+        self.captures = apg.capture
         self.target = deepcopy(network).requires_grad_(False)
         """Its critic judges the ends of windows."""
         self.target.scale = network.scale
@@ -110,7 +111,7 @@ class Apg(Learner):
     def begin(self) -> None:
         """Start every episode anew, at random ages."""
         super().begin()
-        self._task.detach()
+        self._task.settle()
 
     def iterate(self) -> None:
         """Fly one window, follow the gradient of its return, and learn what its states were worth."""
@@ -129,7 +130,7 @@ class Apg(Learner):
             self.gauges.copy_(torch.stack((rate, std, norm, loss.detach(), value_loss)))
             for key, value in self._observation.items():
                 value.copy_(window.last[key])
-        self._task.detach()
+        self._task.settle()
 
     def _fly(self) -> Window:
         """Fly T steps with exploration."""

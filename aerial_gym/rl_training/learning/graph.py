@@ -17,15 +17,21 @@ class Repeated:
     """Calls a function that waits for nothing and keeps all it needs in tensors that stay; on CUDA it records it once."""
 
     def __init__(
-        self, iterate: Callable[[], None], device: torch.device, *, generator: torch.Generator, joined: bool = False
+        self,
+        iterate: Callable[[], None],
+        device: torch.device,
+        *,
+        generator: torch.Generator,
+        joined: bool = False,
+        capture: bool = True,
     ) -> None:
-        """Take the function, the generator that it draws from, and whether it talks to other processes."""
+        """Take the function, the generator that it draws from, whether it talks to other processes, whether to record it."""
         self._iterate, self._device, self._generator = iterate, device, generator
         # NCCL has a thread that looks at events: a recording that forbids this to all threads would fail.
         self._forbids = "thread_local" if joined else "global"
         self._graph: torch.cuda.CUDAGraph | None = None
         self._warm = 0
-        self._stream = torch.cuda.Stream(device) if device.type == "cuda" else None
+        self._stream = torch.cuda.Stream(device) if capture and device.type == "cuda" else None
 
     @property
     def captured(self) -> bool:

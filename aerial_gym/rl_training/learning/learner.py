@@ -25,6 +25,9 @@ class Learner:
     GAUGES: ClassVar[tuple[str, ...]]
     """Names of the numbers of the last update."""
 
+    captures = True
+    """Whether ``iterate`` is held in a CUDA graph on a GPU."""
+
     def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic, ranks: Ranks = ALONE) -> None:
         """Take settings, a task that holds no graph of its own, a network on its device, and who learns with this process."""
         self._cfg, self._task, self.network, self.ranks = cfg, task, network, ranks

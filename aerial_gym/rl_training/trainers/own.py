@@ -84,7 +84,13 @@ class OwnTraining(Generic[AnyLearner]):
             task.curriculum.of_all = self._ranks.sum_
         learner.begin()
         learner.join()
-        self._repeat = Repeated(learner.iterate, task.device, generator=learner.generator, joined=self._ranks.joined)
+        self._repeat = Repeated(
+            learner.iterate,
+            task.device,
+            generator=learner.generator,
+            joined=self._ranks.joined,
+            capture=learner.captures,
+        )
         self.env_steps = 0
         """Environment steps in all sessions and processes; the host counts them by itself."""
         self.iterations = 0
@@ -98,7 +104,7 @@ class OwnTraining(Generic[AnyLearner]):
         """Iterate, on a GPU several times without waiting, and return what is known: on a GPU that of the call before."""
         per_iteration = self.cfg.num_envs * self.cfg.learner.horizon * self._ranks.size
         limit = self.cfg.max_env_steps
-        for _ in range(1 if self.task.device.type == "cpu" else LOOK_EVERY):
+        for _ in range(LOOK_EVERY if self.task.device.type == "cuda" and self.learner.captures else 1):
             self._repeat()
             self.iterations += 1
             self.env_steps += per_iteration

@@ -42,6 +42,3 @@ def make_training(cfg: TrainingCfg, task: Task, *, fused: bool = True, ranks: Ra
     if reason is not None and task.device.type == "cuda":
         _log.info("the networks run as torch operations: %s", reason)
     return OwnTraining(cfg, task, (FusedPpo if reason is None else Ppo)(cfg, task, network, ranks))
-
-
-Training = make_training

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 
 from torch import Tensor
 
+from aerial_gym.physics.torch_backend import in_places
 from aerial_gym.robots.differentiable import DifferentiableBackend
 
 
@@ -19,6 +20,7 @@ class Graph:
         """Take the part of a simulation that has gradients."""
         self._simulation = simulation
         self._own: dict[str, Tensor] = {}
+        self._places: dict[str, Tensor] = {}
 
     def of(self, reads: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return these tensors with their gradients where they have any, and copies of the others."""
@@ -38,6 +40,10 @@ class Graph:
     def detach(self) -> None:
         """Let gradients end at this instant."""
         self._own = {name: tensor.detach() for name, tensor in self._own.items()}
+
+    def settle(self) -> None:
+        """Let gradients end at this instant, in tensors that are the same at every call."""
+        self._own = in_places(self._places, self._own)
 
     def forget(self) -> None:
         """Take the buffers as they stand: they were written from outside."""

@@ -16,6 +16,8 @@ from tests.unit.task.hover import built
 
 F64 = torch.float64
 STEPS, NUM_ENVS = 5, 2
+MOTION = ("robot_position", "robot_orientation", "robot_linvel", "robot_body_angvel", "rotor_speed")
+MOTION += ("robot_actions", "robot_prev_actions")
 
 
 def with_everything() -> TaskCfg:
@@ -134,6 +136,30 @@ def test_a_saved_task_goes_on_as_if_it_had_not_stopped() -> None:
         one, other = first.step(action), second.step(action)
         assert torch.equal(one[0]["observations"], other[0]["observations"])
         assert torch.equal(one[1], other[1])
+
+
+def test_what_a_recorded_window_begins_with_stays_in_its_place() -> None:
+    """A CUDA graph reads and writes the same memory at every replay: motion, actions, lines, what law and effects remember."""
+    task = built(with_everything(), 2, gradients=torch.float32)
+    task.reset()
+
+    def places() -> dict[str, int]:
+        assert task.values.graph is not None
+        own = {name: tensor.data_ptr() for name, tensor in task.values.graph._own.items()}
+        return own | {name: tensor.data_ptr() for name, tensor in task.env.traced.items() if name in MOTION}
+
+    found = []
+    for _ in range(3):
+        for _ in range(2):
+            task.step(torch.full((2, 4), 0.1, requires_grad=True))
+        before = {name: tensor.clone() for name, tensor in task.env.traced.items()}
+        task.settle()
+        for name, tensor in task.env.traced.items():
+            assert torch.equal(tensor, before[name]), name
+            assert not tensor.requires_grad
+        found.append(places())
+    assert len(found[0]) > len(MOTION)
+    assert found[0] == found[1] == found[2]
 
 
 def changed(**changes: object) -> TaskCfg:
