@@ -1,10 +1,19 @@
 """Which device a process of several takes, and what a single one does where several would talk."""
 
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 import torch
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.rl_training.ranks import ALONE, launched_rank, own_device
+from aerial_gym.rl_training import load_settings, settings_for, train
+from aerial_gym.rl_training import training as training_module
+from aerial_gym.rl_training.ranks import ALONE, Ranks, launched_rank, own_device
+from aerial_gym.rl_training.trainers.ppo import make_training
+from tests.unit.rl_training.learning.test_ppo import settings
+from tests.unit.task.test_curriculum import CFG, make
 
 THIRD = {"RANK": "2", "LOCAL_RANK": "2", "WORLD_SIZE": "4", "MASTER_ADDR": "localhost", "MASTER_PORT": "1"}
 
@@ -38,3 +47,46 @@ def test_a_single_process_keeps_what_it_gives() -> None:
     assert ALONE.any(True)
     assert not ALONE.any(False)
     assert ALONE.of_others({"own": samples}) == []
+
+
+class Twins(Ranks):
+    """Two processes that do the same: sums are twice their own."""
+
+    def sum_(self, tensor: torch.Tensor) -> torch.Tensor:
+        return tensor.mul_(2)
+
+    def share_(self, tensors: object) -> None:
+        del tensors
+
+    def var_mean(self, samples: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return ALONE.var_mean(samples)
+
+
+def test_a_training_of_twins_learns_as_one_and_counts_the_episodes_of_both() -> None:
+    """Six episodes of one step end here, and six there: the twelve that the curriculum waits for."""
+    found = []
+    for ranks in (ALONE, Twins(0, 2, joined=True)):
+        task = make(curriculum=replace(CFG, check_after=12), episode_len_steps=1, success_radius=100.0)
+        training = make_training(settings(6, horizon=1, num_minibatches=2), task, ranks=ranks)
+        training.advance()
+        assert task.curriculum is not None
+        found.append((task.curriculum.state(), training.learner.sums.tolist()[:2], training.env_steps))
+        weights = torch.cat([each.detach().flatten() for each in training.learner.network.parameters()])
+        if ranks is ALONE:
+            alone = weights
+    assert found == [
+        ({"level": 15, "finished": 6, "succeeded": 6}, [6.0, 6.0], 6),
+        ({"level": 17, "finished": 0, "succeeded": 0}, [12.0, 12.0], 12),
+    ]
+    assert torch.equal(weights, alone)
+
+
+def test_a_trainer_of_one_process_refuses_several(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("sample_factory", reason="Sample Factory is not installed: pip install 'aerial-gym[rl]'")
+    monkeypatch.setattr(training_module, "joined_ranks", lambda device: nullcontext(Twins(0, 2, joined=True)))
+    cfg = load_settings(settings_for("sample_factory", "position_setpoint_task"))
+    with pytest.raises(
+        ConfigError, match="sample_factory learns in one process, and 2 were started. Leave torchrun out"
+    ):
+        train(cfg, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
