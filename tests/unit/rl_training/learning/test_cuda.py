@@ -1,10 +1,12 @@
 """What only a GPU shows: a training is a graph, and goes on from a checkpoint as it would have gone on."""
 
+import socket
 from dataclasses import replace
 
 import pytest
 import torch
 
+from aerial_gym.rl_training.ranks import ALONE, Ranks, joined_ranks
 from aerial_gym.rl_training.trainers.own import LOOK_EVERY
 from aerial_gym.rl_training.trainers.ppo import make_training
 from aerial_gym.task import task_registry
@@ -43,3 +45,28 @@ def test_a_training_on_a_gpu_is_a_graph_that_repeats_and_goes_on(fused: bool, me
     for other in (again, second):
         for name, tensor in whole["model"].items():  # type: ignore[attr-defined]
             torch.testing.assert_close(other["model"][name], tensor, atol=1e-3, rtol=1e-3, msg=name)  # type: ignore[index]
+
+
+def test_a_training_that_talks_by_nccl_is_a_graph_and_learns_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One process of one: what goes through NCCL comes back as it was. The bound is that of the test above."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    cfg = replace(settings(256, hidden_layers=(32, 32)), device="cuda")
+
+    def train(ranks: Ranks) -> dict[str, torch.Tensor]:
+        with task_registry.make_task(cfg.task, num_envs=256, device="cuda", seed=0, capture=False) as task:
+            training = make_training(cfg, task, ranks=ranks)
+            training.advance()
+            assert training._repeat.captured
+            return training.state()["model"]
+
+    alone = train(ALONE)
+    variables = {"RANK": "0", "LOCAL_RANK": "0", "WORLD_SIZE": "1", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    with joined_ranks("cuda") as ranks:
+        assert (ranks.size, ranks.joined) == (1, True)
+        told = train(ranks)
+    for name, tensor in alone.items():
+        torch.testing.assert_close(told[name], tensor, atol=1e-3, rtol=1e-3, msg=name)
