@@ -287,6 +287,13 @@ class TorchBackend:
         if self.law_memory is not None:
             self.law_memory = replace(self.law_memory, **in_places(self._places[1], self.law_memory.tensors()))
 
+    def forget(self, mask: Tensor) -> None:
+        """Let effects and law forget the environments in ``mask``; gradients of others go on, and the mask stays as it is."""
+        if self._memory is not None:
+            self._memory = forget(self._memory, mask)
+        if self.law_memory is not None:
+            self.law_memory = forget_law(self.law_memory, mask)
+
     @torch.no_grad()
     def reset(self, mask: Tensor) -> None:
         """Let effects and law forget the environments in ``mask``; gradients through memory end here for all environments."""

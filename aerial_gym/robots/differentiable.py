@@ -114,12 +114,10 @@ class DifferentiableBackend:
                     self._hook.after_substep(k, _map(before, torch.Tensor.detach), state)
 
     def reset(self, mask: Tensor) -> None:
-        """Take the environments in ``mask``, bool (E,), from where they are shown; the graphs of others go on.
-
-        Gradients through what effects remember end here for all environments.
-        """
-        self._inner.reset(mask)
-        rows = mask.unsqueeze(-1).clone()  # the graph keeps it; the next reset writes the mask anew
+        """Take the environments in ``mask``, bool (E,), from where they are shown; the graphs of others go on."""
+        mask = mask.clone()  # the graph keeps it; the next reset writes the mask anew
+        self._inner.forget(mask)
+        rows = mask.unsqueeze(-1)
 
         def begun(new: Tensor, old: Tensor) -> Tensor:
             return torch.where(rows, new.to(self._dtype), old)

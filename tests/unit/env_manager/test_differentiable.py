@@ -185,3 +185,20 @@ def test_actions_are_traced_beside_the_motion() -> None:
     env.reset(torch.tensor([True, False]))
     assert env.traced["robot_actions"].tolist() == [[0.0] * 4, [0.2] * 4]
     assert env.traced["robot_prev_actions"].tolist() == [[0.0] * 4, [0.1] * 4]
+
+
+def test_a_reset_leaves_what_effects_of_other_rows_remember_in_the_graph() -> None:
+    """Of commands that are 30 ms late: what row 1 did before a reset of row 0 counts as it does without that reset."""
+    late = replace(ROBOTS.get("base_quadrotor"), effects={"actuation_delay": {"delay": 0.03}})
+    gradients = []
+    for mask in ([False, False], [True, False]):
+        env = build("no_control", robot_name=late)
+        first, later = (torch.full((NUM_ENVS, 4), u, dtype=F64, requires_grad=True) for u in (0.1, 0.3))
+        env.step(first)
+        env.reset(torch.tensor(mask))
+        for _ in range(5):
+            env.step(later)
+        gradients.append(torch.autograd.grad(env.traced["rotor_speed"].sum(), first)[0])
+    assert gradients[0][1].abs().max() > 0.0
+    assert torch.equal(gradients[0][1], gradients[1][1])
+    assert gradients[1][0].tolist() == [0.0] * 4
