@@ -121,7 +121,8 @@ def whole(name: str) -> Term:
     """Return the term that shows a tensor as it is: its entries side by side, (E, W)."""
 
     def value(tensor: Tensor) -> Tensor:
-        return tensor.reshape(tensor.shape[0], -1).float()
+        entries = tensor.reshape(tensor.shape[0], -1)
+        return entries if entries.dtype == torch.float64 else entries.float()
 
     return Shown(name=name, value=value)
 

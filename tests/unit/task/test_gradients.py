@@ -36,6 +36,7 @@ def with_everything() -> TaskCfg:
                 ObservationCfg(term="position_error_body", noise_std=0.1, delay_steps=(0, 2), history=2, scale=3.0),
                 ObservationCfg(term="rotation_rows"),
                 ObservationCfg(term="last_action"),
+                ObservationCfg(term="policy_action"),
                 ObservationCfg(term="roll_pitch", delay_steps=1),
             ),
             "critic": (ObservationCfg(term="lin_vel_body"), ObservationCfg(term="ang_vel_body")),
