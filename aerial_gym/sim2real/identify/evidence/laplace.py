@@ -14,7 +14,8 @@ Sources:
     Jeffreys (1961), Theory of Probability, section 5.2 (Cauchy priors).
 """
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -62,16 +63,7 @@ class Normal:
 
     def beside(self, columns: Indices, kept: Indices) -> "Normal":
         """Return the sums of some ``kept`` columns with others integrated out over their normal priors, exactly."""
-        product, gradient = self.product[np.ix_(kept, kept)], self.gradient[kept]
-        if not columns.size:
-            return Normal(product=product, gradient=gradient, constant=self.constant)
-        inner = self.product[np.ix_(columns, columns)] + np.eye(columns.size)
-        across, right = self.product[np.ix_(columns, kept)], self.gradient[columns]
-        root = np.linalg.cholesky(inner)
-        solved = solve_triangular(root, np.column_stack((across, right)), lower=True, check_finite=False)
-        across, right = solved[:, :-1], solved[:, -1]
-        constant = self.constant + 0.5 * float(right @ right) - float(np.log(np.diag(root)).sum())
-        return Normal(product=product - across.T @ across, gradient=gradient - across.T @ right, constant=constant)
+        return Integrated(self, columns, kept).sums(kept)
 
     def marginal(self, columns: Indices) -> "Normal":
         """Return all sums with some columns integrated out; those columns are zero.
@@ -86,6 +78,28 @@ class Normal:
         )
         product[np.ix_(kept, kept)], gradient[kept] = reduced.product, reduced.gradient
         return Normal(product=product, gradient=gradient, constant=reduced.constant)
+
+
+class Integrated:
+    """Sums with some columns integrated out over their normal priors, exactly."""
+
+    def __init__(self, normal: Normal, columns: Indices, kept: Indices) -> None:
+        """Take the sums, the columns to integrate out, and those of which sums may be asked for."""
+        inner = normal.product[np.ix_(columns, columns)] + np.eye(columns.size)
+        root, across = np.linalg.cholesky(inner), np.zeros((columns.size, normal.gradient.size))
+        right = np.column_stack((normal.product[np.ix_(columns, kept)], normal.gradient[columns]))
+        solved = solve_triangular(root, right, lower=True, check_finite=False) if columns.size else right
+        across[:, kept], right = solved[:, :-1], solved[:, -1]
+        self._normal, self._across, self._right = normal, across, right
+        self._constant = normal.constant + 0.5 * float(right @ right) - float(np.log(np.diag(root)).sum())
+
+    def sums(self, kept: Indices) -> Normal:
+        """Return those of some columns."""
+        across = self._across[:, kept]
+        product, gradient = self._normal.product[np.ix_(kept, kept)], self._normal.gradient[kept]
+        return Normal(
+            product=product - across.T @ across, gradient=gradient - across.T @ self._right, constant=self._constant
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,12 +190,10 @@ def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model
     for row, model in enumerate(models):
         beside.setdefault(tuple(k for k in model if k in candidates.structures), []).append(row)
     products, gradients = {}, {}
-    for structures, rows in beside.items():
-        rest = np.concatenate([*(candidates.columns[k] for k in structures), candidates.tolerances]).astype(np.int64)
-        kept = np.unique(np.concatenate([places[row] for row in rows])).astype(np.int64)
-        reduced = normal.beside(rest, kept)
-        for row in rows:
-            own = np.searchsorted(kept, places[row])
+    wanted = {one: np.unique(np.concatenate([places[row] for row in rows])) for one, rows in beside.items()}
+    for structures, reduced in _without(candidates, normal, wanted).items():
+        for row in beside[structures]:
+            own = np.searchsorted(wanted[structures], places[row])
             products[row], gradients[row] = reduced.product[np.ix_(own, own)], reduced.gradient[own]
             found[row] = reduced.constant
     free = replace(candidates, low=np.append(candidates.low, -np.inf), high=np.append(candidates.high, np.inf))
@@ -195,6 +207,39 @@ def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model
             which[place, :size] = places[row]
         found[chunk] += _laplace(free, product, gradient, which, which < normal.gradient.size)[2]
     return found
+
+
+def _without(candidates: Candidates, normal: Normal, wanted: Mapping[Model, Indices]) -> dict[Model, Normal]:
+    """Return the sums of the ``wanted`` columns with each set of structures, and the tolerances, integrated out.
+
+    Neighbours differ in one structure: what most of them have in common is integrated out once, and then the one of each.
+    """
+    count = Counter(less for one in wanted for less in _one_less(one))
+    every = np.arange(normal.gradient.size)
+    shared: dict[Model, Integrated] = {}
+    found: dict[Model, Normal] = {}
+    for one, columns in wanted.items():
+        common = max(_one_less(one), key=count.__getitem__, default=one)
+        if count[common] < 2:
+            found[one] = normal.beside(_joined(candidates, one), columns)
+            continue
+        if common not in shared:
+            shared[common] = Integrated(normal, _joined(candidates, common), every)
+        (last,) = set(one).difference(common)
+        own = candidates.columns[last]
+        both = np.arange(own.size + columns.size)
+        found[one] = shared[common].sums(np.concatenate((own, columns))).beside(both[: own.size], both[own.size :])
+    return found
+
+
+def _joined(candidates: Candidates, structures: Model) -> Indices:
+    """Return the columns of some structures and the tolerances."""
+    return np.concatenate([*(candidates.columns[k] for k in structures), candidates.tolerances]).astype(np.int64)
+
+
+def _one_less(model: Model) -> list[Model]:
+    """Return a set without each of its members."""
+    return [tuple(k for k in model if k != gone) for gone in model]
 
 
 def _laplace(

@@ -1,6 +1,7 @@
 """The evidence of one set against integrals that are done otherwise."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -81,6 +82,17 @@ def test_many_sets_at_once_have_the_evidence_of_each() -> None:
     sums = normal(rng.normal(size=(40, 7)), rng.normal(size=40))
     made_of = replace(candidates(2, 1, 3, low=-0.1, num_tolerances=1), structures=frozenset({2}))
     models = [(), (0,), (1,), (2,), (0, 1), (0, 2), (0, 1, 2)]
+    expected = [posterior(made_of, sums, model).log_evidence for model in models]
+    np.testing.assert_allclose(log_evidences(made_of, sums, models), expected, atol=1e-9)
+
+
+def test_neighbours_in_structures_have_the_evidence_of_each() -> None:
+    """What sets have in common is integrated out once: none, one, two or three of four structures, beside two effects or none."""
+    rng = np.random.default_rng(7)
+    sums = normal(rng.normal(size=(60, 12)), rng.normal(size=60))
+    made_of = replace(candidates(2, 1, 3, 2, 1, 2, low=-0.1, num_tolerances=1), structures=frozenset({2, 3, 4, 5}))
+    structures = [own for count in range(4) for own in combinations((2, 3, 4, 5), count)]
+    models = [(*effects, *own) for own in structures for effects in ((), (0,), (0, 1))]
     expected = [posterior(made_of, sums, model).log_evidence for model in models]
     np.testing.assert_allclose(log_evidences(made_of, sums, models), expected, atol=1e-9)
 
