@@ -220,7 +220,7 @@ def _without(candidates: Candidates, normal: Normal, wanted: Mapping[Model, Indi
     found: dict[Model, Normal] = {}
     for one, columns in wanted.items():
         common = max(_one_less(one), key=count.__getitem__, default=one)
-        if count[common] < 2:
+        if not one or count[common] < 2:
             found[one] = normal.beside(_joined(candidates, one), columns)
             continue
         if common not in shared:

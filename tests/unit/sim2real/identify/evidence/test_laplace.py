@@ -87,7 +87,7 @@ def test_many_sets_at_once_have_the_evidence_of_each() -> None:
 
 
 def test_neighbours_in_structures_have_the_evidence_of_each() -> None:
-    """What sets have in common is integrated out once: none, one, two or three of four structures, beside two effects or none."""
+    """What sets have in common is integrated out once: up to three of four structures, beside up to two effects."""
     rng = np.random.default_rng(7)
     sums = normal(rng.normal(size=(60, 12)), rng.normal(size=60))
     made_of = replace(candidates(2, 1, 3, 2, 1, 2, low=-0.1, num_tolerances=1), structures=frozenset({2, 3, 4, 5}))
