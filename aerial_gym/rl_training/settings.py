@@ -41,9 +41,6 @@ class LearnerCfg:
     memory: int = 0
     """Numbers of a gated recurrent unit behind the hidden layers; 0: none. ``ppo`` only."""
 
-    critic_memory: int | None = None
-    """Likewise of networks of the value's own; that of the policy if not given. One that sees all there is needs none."""
-
     policy_keys: tuple[str, ...] = ("observations",)
     """Keys of the observation that the policy sees: vectors, images (C, H, W); others than ``observations`` with ``ppo``."""
 
@@ -97,13 +94,8 @@ class LearnerCfg:
             raise ConfigError(f"{name}.gae_lambda = {self.gae_lambda!r}: must be from 0 to 1")
         if self.activation not in ("elu", "relu", "tanh"):
             raise ConfigError(f"{name}.activation = {self.activation!r}: must be elu, relu or tanh")
-        for field in ("memory", "critic_memory"):
-            if not 0 <= (getattr(self, field) or 0) <= MAX_MADE:
-                raise ConfigError(f"{name}.{field} = {getattr(self, field)!r}: must be >= 0 and at most {MAX_MADE:,}")
-        if self.critic_memory is not None and not self.separate_value_network:
-            raise ConfigError(
-                f"{name}.critic_memory = {self.critic_memory}: value and policy share theirs. Set separate_value_network"
-            )
+        if not 0 <= self.memory <= MAX_MADE:
+            raise ConfigError(f"{name}.memory = {self.memory!r}: must be >= 0 and at most {MAX_MADE:,}")
         if not self.policy_keys or (self.critic_keys and not self.separate_value_network):
             raise ConfigError(
                 f"{name}: policy_keys = {self.policy_keys!r}, critic_keys = {self.critic_keys!r}: the policy must see "
@@ -201,7 +193,7 @@ class ApgCfg(LearnerCfg):
             raise ConfigError(f"ApgCfg.target_share = {self.target_share!r}: must be at most 1")
         if not self.separate_value_network:
             raise ConfigError("ApgCfg.separate_value_network = False: must be true, the critic learns at its own pace")
-        if self.memory or self.critic_memory:
+        if self.memory:
             raise ConfigError(f"ApgCfg.memory = {self.memory!r}: apg has policies without memory. Train with ppo")
 
 
@@ -292,7 +284,7 @@ class TrainingCfg:
                 f"TrainingCfg: trainer {self.trainer} needs its numbers under {wanted}, and none under {other}"
             )
         learner = self.learner
-        special = learner.memory or learner.critic_memory or learner.critic_keys
+        special = learner.memory or learner.critic_keys
         special = special or learner.policy_keys != ("observations",)
         if special and self.trainer not in OWN:
             raise ConfigError(f"TrainingCfg: memory, policy_keys and critic_keys need trainer ppo, not {self.trainer}")

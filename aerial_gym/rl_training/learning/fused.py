@@ -45,7 +45,7 @@ def why_not_fused(ppo: PpoCfg, network: ActorCritic, device: torch.device) -> st
         return "the package triton is not installed"
     if len(shapes) != 1 or network.shapes != shapes or len(next(iter(shapes.values()))) != 1:
         return "policy and critic do not see one vector"
-    if ppo.memory or ppo.critic_memory or not ppo.separate_value_network:
+    if ppo.memory or not ppo.separate_value_network:
         return "the networks have a memory, or share layers"
     if len(ppo.hidden_layers) != 2 or len(set(ppo.hidden_layers)) != 1 or ppo.hidden_layers[0] not in WIDTHS:
         return f"the hidden layers are not two of one width among {', '.join(str(width) for width in WIDTHS)}"

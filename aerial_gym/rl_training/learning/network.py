@@ -1,7 +1,5 @@
 """New networks for a training."""
 
-from dataclasses import replace
-
 import torch
 
 from aerial_gym.errors import ConfigError
@@ -28,8 +26,6 @@ def make_network(cfg: TrainingCfg, task: Task) -> ActorCritic:
         torch.manual_seed(cfg.seed)
         acting = body_cfg(cfg, {key: shapes[key] for key in learner.policy_keys})
         judging = body_cfg(cfg, {key: shapes[key] for key in learner.critic_keys or learner.policy_keys})
-        if learner.critic_memory is not None:
-            judging = replace(judging, memory=learner.critic_memory)
         actor = Policy(acting, task.num_actions, initial_std=learner.initial_std, head_variance=learner.head_variance)
         network = ActorCritic(actor, judging if learner.separate_value_network else None)
     return network.to(task.device)

@@ -227,8 +227,6 @@ def test_settings_that_other_trainers_do_not_know_are_refused() -> None:
         replace(cfg, ppo=replace(cfg.ppo, memory=8))
     with pytest.raises(ConfigError, match="a critic with keys of its own needs separate_value_network"):
         replace(cfg.ppo, separate_value_network=False, critic_keys=("critic",))
-    with pytest.raises(ConfigError, match="value and policy share theirs. Set separate_value_network"):
-        replace(cfg.ppo, separate_value_network=False, critic_memory=4)
 
 
 def test_a_key_that_the_task_does_not_have_is_refused() -> None:

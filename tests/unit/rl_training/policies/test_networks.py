@@ -1,7 +1,6 @@
 """Normaliser, distribution, memory and encoders of policies, against numpy, torch's own and each other."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -94,17 +93,6 @@ def test_gradients_along_a_sequence_are_those_of_the_unit_step_by_step(device: s
     found = torch.autograd.grad((along(cell, seen, first, begins) * weight).sum(), wanted)
     for ours, reference in zip(found, expected, strict=True):
         torch.testing.assert_close(ours, reference, atol=1e-5, rtol=1e-5)
-
-
-def test_a_critic_may_remember_less_than_its_policy() -> None:
-    actor = Policy(recurrent(), 2)
-    network = ActorCritic(actor, replace(recurrent(), memory=0))
-    assert network.memory_sizes == (6, 0)
-    assert network.empty_memory(3).shape == (3, 6)
-    seen, begins = {"observations": randn(4, 3, 5)}, torch.zeros(4, 3, dtype=torch.bool)
-    values, after = network.values(network.prepare(seen), torch.ones(3, 6), begins)
-    assert values.shape == (4, 3)
-    assert after.shape == (4, 3, 0)
 
 
 def test_errors_go_back_through_a_sequence_up_to_where_the_episode_began() -> None:
