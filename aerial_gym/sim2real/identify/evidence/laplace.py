@@ -215,20 +215,21 @@ def _without(candidates: Candidates, normal: Normal, wanted: Mapping[Model, Indi
     Neighbours differ in one structure: what most of them have in common is integrated out once, and then the one of each.
     """
     count = Counter(less for one in wanted for less in _one_less(one))
-    every = np.arange(normal.gradient.size)
-    shared: dict[Model, Integrated] = {}
+    alike: dict[Model, list[Model]] = {}
+    for one in wanted:
+        alike.setdefault(max(_one_less(one), key=count.__getitem__, default=one), []).append(one)
     found: dict[Model, Normal] = {}
-    for one, columns in wanted.items():
-        common = max(_one_less(one), key=count.__getitem__, default=one)
-        if not one or count[common] < 2:
-            found[one] = normal.beside(_joined(candidates, one), columns)
+    for common, sets in alike.items():
+        if len(sets) == 1 or not all(sets):
+            found |= {one: normal.beside(_joined(candidates, one), wanted[one]) for one in sets}
             continue
-        if common not in shared:
-            shared[common] = Integrated(normal, _joined(candidates, common), every)
-        (last,) = set(one).difference(common)
-        own = candidates.columns[last]
-        both = np.arange(own.size + columns.size)
-        found[one] = shared[common].sums(np.concatenate((own, columns))).beside(both[: own.size], both[own.size :])
+        own = [candidates.columns[next(iter(set(one).difference(common)))] for one in sets]
+        kept = np.unique(np.concatenate([*own, *(wanted[one] for one in sets)]))
+        shared = Integrated(normal, _joined(candidates, common), kept)
+        for one, columns in zip(sets, own, strict=True):
+            both = np.arange(columns.size + wanted[one].size)
+            sums = shared.sums(np.concatenate((columns, wanted[one])))
+            found[one] = sums.beside(both[: columns.size], both[columns.size :])
     return found
 
 
