@@ -21,7 +21,11 @@ class TrainCmd:
     """Registered task, a task file (.yaml), or module:Name or file.py:Name of a TaskCfg or a Task of your own."""
 
     trainer: str = "ppo"
-    """ppo (of this package; all in one graph on a GPU), apg (gradients through the simulation), rl_games or sample_factory."""
+    """ppo (of this package; all in one graph on a GPU), apg (gradients through the simulation), distill (a student learns
+    what a trained policy does), rl_games or sample_factory."""
+
+    teacher: Path | None = None
+    """Run folder, or one checkpoint in it, of the policy that distill hands on."""
 
     out: Path = Path("runs/train")
     """Run folder: settings, checkpoints, TensorBoard files, learning curve. New, unless --resume."""
@@ -85,6 +89,8 @@ class TrainCmd:
             )
         names = ("num_envs", "device", "seed", "robot", "controller", "backend", "max_time_s", "max_env_steps")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        if self.teacher is not None:
+            given["teacher"] = str(self.teacher.resolve())
         result = train(replace(cfg, **given), self.out, resume=self.resume, watch=self.watch, wandb=self.wandb)
         if launched_rank() == 0:
             self._tell(result)
@@ -116,7 +122,7 @@ class TrainCmd:
         return str(Path(self.task).resolve()) if self.task.endswith((".yaml", ".yml")) else self.task
 
     def _refuse_changes(self) -> None:
-        for name in ("config", "num_envs", "seed", "robot", "controller", "backend"):
+        for name in ("config", "teacher", "num_envs", "seed", "robot", "controller", "backend"):
             if getattr(self, name) is not None:
                 flag = name.replace("_", "-")
                 raise ConfigError(

@@ -14,10 +14,10 @@ from aerial_gym.config.checks import MAX_MADE, require_count, require_positive
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.interop import resolve_device
 
-OWN = ("ppo", "apg")
+OWN = ("ppo", "apg", "distill")
 """Trainers of this package."""
 
-TRAINERS = ("ppo", "apg", "rl_games", "sample_factory")
+TRAINERS = ("ppo", "apg", "distill", "rl_games", "sample_factory")
 """Our own, and libraries that can train, by the name a user chooses."""
 
 TRAINING_CONFIGS = CONFIG_DIR / "training"
@@ -61,37 +61,16 @@ class LearnerCfg:
     horizon: int
     """Steps of every environment per update, >= 1."""
 
-    discount: float
-    """Discount gamma, 0 < gamma < 1."""
-
-    gae_lambda: float
-    """Weight lambda of generalised advantage estimation, 0 <= lambda <= 1."""
-
-    bound_coef: float = 0.0
-    """Weight of the penalty on action means outside [-1.1, 1.1]; not with Sample Factory, >= 0."""
-
     max_grad_norm: float = 1.0
     """Largest norm of the gradient, > 0."""
-
-    reward_scale: float = 1.0
-    """Factor on the reward that the learner sees, > 0."""
 
     normalize_observation: bool = True
     """Whether observations are normalised by their running mean and deviation."""
 
-    normalize_value: bool = True
-    """Whether returns are normalised by their running mean and deviation."""
-
     def __post_init__(self) -> None:
-        require_positive(self, "initial_std", "head_variance", "max_grad_norm", "reward_scale")
+        require_positive(self, "initial_std", "head_variance", "max_grad_norm")
         require_count(self, "horizon")
         name = type(self).__name__
-        if not 0.0 <= self.bound_coef < inf:
-            raise ConfigError(f"{name}.bound_coef = {self.bound_coef!r}: must be >= 0 and finite")
-        if not 0.0 < self.discount < 1.0:
-            raise ConfigError(f"{name}.discount = {self.discount!r}: must be between 0 and 1")
-        if not 0.0 <= self.gae_lambda <= 1.0:
-            raise ConfigError(f"{name}.gae_lambda = {self.gae_lambda!r}: must be from 0 to 1")
         if self.activation not in ("elu", "relu", "tanh"):
             raise ConfigError(f"{name}.activation = {self.activation!r}: must be elu, relu or tanh")
         if not 0 <= self.memory <= MAX_MADE:
@@ -108,7 +87,38 @@ class LearnerCfg:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PpoCfg(LearnerCfg):
+class ReturnCfg(LearnerCfg):
+    """Numbers of all that learn from rewards."""
+
+    discount: float
+    """Discount gamma, 0 < gamma < 1."""
+
+    gae_lambda: float
+    """Weight lambda of generalised advantage estimation, 0 <= lambda <= 1."""
+
+    bound_coef: float = 0.0
+    """Weight of the penalty on action means outside [-1.1, 1.1]; not with Sample Factory, >= 0."""
+
+    reward_scale: float = 1.0
+    """Factor on the reward that the learner sees, > 0."""
+
+    normalize_value: bool = True
+    """Whether returns are normalised by their running mean and deviation."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(self, "reward_scale")
+        name = type(self).__name__
+        if not 0.0 <= self.bound_coef < inf:
+            raise ConfigError(f"{name}.bound_coef = {self.bound_coef!r}: must be >= 0 and finite")
+        if not 0.0 < self.discount < 1.0:
+            raise ConfigError(f"{name}.discount = {self.discount!r}: must be between 0 and 1")
+        if not 0.0 <= self.gae_lambda <= 1.0:
+            raise ConfigError(f"{name}.gae_lambda = {self.gae_lambda!r}: must be from 0 to 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PpoCfg(ReturnCfg):
     """Numbers of Proximal Policy Optimisation."""
 
     num_minibatches: int
@@ -157,7 +167,7 @@ class PpoCfg(LearnerCfg):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ApgCfg(LearnerCfg):
+class ApgCfg(ReturnCfg):
     """Numbers of the short-horizon actor-critic with analytic policy gradients."""
 
     separate_value_network: bool = True
@@ -197,7 +207,36 @@ class ApgCfg(LearnerCfg):
             raise ConfigError(f"ApgCfg.memory = {self.memory!r}: apg has policies without memory. Train with ppo")
 
 
+@dataclass(frozen=True, kw_only=True)
+class DistillCfg(LearnerCfg):
+    """Numbers of a student that learns to do what its teacher does."""
+
+    num_minibatches: int
+    """Parts into which the environments are split, >= 1."""
+
+    num_epochs: int
+    """Passes over a segment, >= 1."""
+
+    learning_rate: float
+    """Step of Adam at first, > 0; it falls linearly with the share of the time or steps that is used, whichever is larger."""
+
+    end_learning_rate: float
+    """That at the end, > 0."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(self, "learning_rate", "end_learning_rate")
+        require_count(self, "num_minibatches", "num_epochs")
+        if self.separate_value_network:
+            raise ConfigError(
+                "DistillCfg.separate_value_network = True: nothing values what a student does. Leave it out"
+            )
+
+
 Section = TypeVar("Section", bound=LearnerCfg)
+
+SECTIONS = {"apg": "apg", "distill": "distill"}
+"""Section of the settings that a trainer reads, where it is not ``ppo``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -243,11 +282,17 @@ class TrainingCfg:
     checkpoint_every_s: float = 30.0
     """Time between checkpoints [s], > 0."""
 
+    teacher: str | None = None
+    """Run folder of a training, or one checkpoint in it, whose policy ``distill`` hands on."""
+
     ppo: PpoCfg | None = None
-    """Numbers of the learner, of every trainer but ``apg``."""
+    """Numbers of the learner, of every trainer but the following."""
 
     apg: ApgCfg | None = None
     """Those of ``apg``."""
+
+    distill: DistillCfg | None = None
+    """Those of ``distill``."""
 
     source: str
     """Where the numbers come from."""
@@ -255,8 +300,8 @@ class TrainingCfg:
     @property
     def learner(self) -> LearnerCfg:
         """Numbers of its trainer."""
-        found = self.apg if self.trainer == "apg" else self.ppo
-        assert found is not None
+        found = getattr(self, SECTIONS.get(self.trainer, "ppo"))
+        assert isinstance(found, LearnerCfg)
         return found
 
     def section(self, kind: type[Section]) -> Section:
@@ -278,11 +323,11 @@ class TrainingCfg:
         require_count(self, "num_envs")
         if not 0 <= self.seed < 2**32:  # NumPy takes no larger one
             raise ConfigError(f"TrainingCfg.seed = {self.seed!r}: must be >= 0 and less than 2**32")
-        wanted, other = ("apg", "ppo") if self.trainer == "apg" else ("ppo", "apg")
-        if getattr(self, wanted) is None or getattr(self, other) is not None:
-            raise ConfigError(
-                f"TrainingCfg: trainer {self.trainer} needs its numbers under {wanted}, and none under {other}"
-            )
+        wanted = SECTIONS.get(self.trainer, "ppo")
+        if [name for name in ("ppo", *SECTIONS.values()) if getattr(self, name) is not None] != [wanted]:
+            raise ConfigError(f"TrainingCfg: trainer {self.trainer} needs its numbers under {wanted}, and no others")
+        if self.teacher is not None and self.trainer != "distill":
+            raise ConfigError(f"TrainingCfg.teacher = {self.teacher}: trainer {self.trainer} has none. Use distill")
         learner = self.learner
         special = learner.memory or learner.critic_keys
         special = special or learner.policy_keys != ("observations",)

@@ -173,6 +173,8 @@ def _train(
 def _check_names(cfg: TrainingCfg) -> None:
     """Raise the error of an unknown name or an unreadable robot file before anything is written."""
     task_registry.get(cfg.task)
+    if cfg.trainer == "distill" and cfg.teacher is None:
+        raise ConfigError("trainer distill needs a policy to hand on: --teacher RUN, the run folder of its training")
     if cfg.robot is not None:
         robot_by_name(cfg.robot)
     if cfg.controller is not None:

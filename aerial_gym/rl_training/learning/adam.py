@@ -41,8 +41,7 @@ class FlatAdam:
 
     def gradient(self, loss: Tensor) -> Tensor:
         """Return the gradient of ``loss`` with respect to all weights, (P,)."""
-        with _quick_products():
-            return torch.cat([g.reshape(-1) for g in torch.autograd.grad(loss, self._parameters)])
+        return torch.cat([g.reshape(-1) for g in torch.autograd.grad(loss, self._parameters)])
 
     @torch.no_grad()
     def step(self, gradient: Tensor, rate: Tensor) -> None:
@@ -77,10 +76,10 @@ class FlatAdam:
 
 
 @contextmanager
-def _quick_products() -> Iterator[None]:
-    """Multiply float32 matrices on a GPU with 10 bits of mantissa: exact enough for gradients of noisy samples.
+def quick_products() -> Iterator[None]:
+    """Multiply float32 matrices on a GPU with 10 bits of mantissa: exact enough for gradients of a network of noisy samples.
 
-    Passes forward stay exact, as the probability ratio compares two of them.
+    Not for passes forward, as the probability ratio compares two of them, nor for gradients that go back through physics.
     """
     before = torch.backends.cuda.matmul.allow_tf32
     torch.backends.cuda.matmul.allow_tf32 = True

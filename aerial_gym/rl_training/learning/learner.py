@@ -47,7 +47,12 @@ class Learner:
         """Start every episode anew, at random ages."""
         observation, _ = self._task.reset()
         self._task.stagger()
-        self._observation = {key: observation[key].clone() for key in self.network.shapes}
+        self._observation = {key: observation[key].clone() for key in self.keys}
+
+    @property
+    def keys(self) -> Iterable[str]:
+        """Return the keys of the observation that are looked at."""
+        return self.network.shapes
 
     def iterate(self) -> None:
         """Fly one segment and learn from it."""

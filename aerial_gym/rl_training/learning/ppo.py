@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.registry.state import below
-from aerial_gym.rl_training.learning.adam import FlatAdam
+from aerial_gym.rl_training.learning.adam import FlatAdam, quick_products
 from aerial_gym.rl_training.learning.learner import Learner, last_observations
 from aerial_gym.rl_training.learning.objective import beyond_bounds, generalized_advantages
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
@@ -259,7 +259,8 @@ class Ppo(Learner):
         with torch.no_grad():
             divergence = distribution.divergence_from(old["mean"], old_log_std).mean()
             numbers = torch.stack((divergence, policy_loss, value_loss))
-        return self._adam.gradient(loss), numbers
+        with quick_products():
+            return self._adam.gradient(loss), numbers
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return what must be kept to go on, besides network and task: tensors that keep their places."""

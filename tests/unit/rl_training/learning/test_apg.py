@@ -178,7 +178,7 @@ def test_settings_that_do_not_fit_are_refused() -> None:
     cfg = settings()
     assert cfg.apg is not None
     ppo = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu")).ppo
-    with pytest.raises(ConfigError, match="trainer apg needs its numbers under apg, and none under ppo"):
+    with pytest.raises(ConfigError, match="trainer apg needs its numbers under apg, and no others"):
         replace(cfg, ppo=ppo)
     with pytest.raises(ConfigError, match="trainer ppo needs its numbers under ppo"):
         replace(cfg, trainer="ppo")

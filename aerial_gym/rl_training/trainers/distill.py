@@ -1,0 +1,31 @@
+"""Training a student on what a trained policy does."""
+
+from aerial_gym.rl_training.learning.distill import Distill
+from aerial_gym.rl_training.learning.network import make_network
+from aerial_gym.rl_training.policies.load import check_fits, load_policy
+from aerial_gym.rl_training.run.interruption import Interruption
+from aerial_gym.rl_training.run.keeper import Keeper
+from aerial_gym.rl_training.run.progress import Progress
+from aerial_gym.rl_training.run.run_folder import RunFolder
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.trainers.own import OwnTraining, repeat
+from aerial_gym.task import Task
+
+
+def run(
+    cfg: TrainingCfg, task: Task, folder: RunFolder, progress: Progress, *, keeper: Keeper, interruption: Interruption
+) -> bool:
+    """Train on a task that was built without a graph of its own, as ``own.repeat`` says."""
+    return repeat(make_training(cfg, task), folder, progress, keeper=keeper, interruption=interruption)
+
+
+def make_training(cfg: TrainingCfg, task: Task) -> OwnTraining[Distill]:
+    """Return a new training.
+
+    Raises:
+        ConfigError: If the teacher cannot be read, or the task does not have what it or the student sees.
+    """
+    assert cfg.teacher is not None
+    teacher, its_cfg = load_policy(cfg.teacher, device=task.device)
+    check_fits(teacher, task, its_cfg)
+    return OwnTraining(cfg, task, Distill(cfg, task, make_network(cfg, task), teacher))

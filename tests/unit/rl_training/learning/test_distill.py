@@ -1,0 +1,144 @@
+"""A student learns what its teacher does, also from less than the teacher sees, and goes on from a checkpoint."""
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+import torch
+
+from aerial_gym import task_registry
+from aerial_gym.config.task_terms import ObservationCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.rl_training import load_settings, settings_for
+from aerial_gym.rl_training.learning.distill import Distill
+from aerial_gym.rl_training.learning.network import make_network
+from aerial_gym.rl_training.policies.body import BodyCfg
+from aerial_gym.rl_training.policies.load import load_policy
+from aerial_gym.rl_training.policies.policy import Policy
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.trainers.distill import make_training
+from aerial_gym.rl_training.training import train
+from aerial_gym.task import Task
+from tests.unit.task.hover import built
+
+SENSED = tuple(ObservationCfg(term=term) for term in ("position_error_world", "attitude"))
+
+
+def settings(num_envs: int = 64, **distill: object) -> TrainingCfg:
+    cfg = load_settings(settings_for("distill", "position_setpoint_task", device="cpu"))
+    cfg = replace(cfg, num_envs=num_envs, device="cpu", max_time_s=None, max_env_steps=30_000)
+    assert cfg.distill is not None
+    return replace(cfg, distill=replace(cfg.distill, **{"horizon": 16} | distill))  # type: ignore[arg-type]
+
+
+def hover(**changes: int) -> Task:
+    """The position task, with a group that lacks velocities."""
+    cfg = task_registry.get("position_setpoint_task")
+    return built(replace(cfg, observations={**cfg.observations, "sensed": SENSED}, **changes), 64)  # type: ignore[arg-type]
+
+
+def damping() -> Policy:
+    """A teacher whose actions are a function of everything, velocities above all."""
+    teacher = Policy(
+        BodyCfg(shapes={"observations": (13,)}, hidden_layers=(13,), activation="tanh", normalize=False), 4
+    )
+    with torch.no_grad():
+        layer = teacher.body.layers[0]
+        layer.weight.copy_(torch.eye(13))
+        layer.bias.zero_()
+        teacher.head.weight.zero_()
+        for action, (position, velocity) in enumerate(((1, 8), (0, 7), (2, 12), (2, 9))):
+            teacher.head.weight[action, position], teacher.head.weight[action, velocity] = 0.2, -0.6
+    return teacher.requires_grad_(False)
+
+
+def difference(iterations: int, **distill: object) -> float:
+    cfg, task = settings(**distill), hover()
+    learner = Distill(cfg, task, make_network(cfg, task), damping())
+    learner.begin()
+    for _ in range(iterations):
+        learner.iterate()
+    return float(learner.gauges[learner.GAUGES.index("difference")])
+
+
+def test_a_student_who_sees_the_same_comes_to_do_the_same() -> None:
+    """Against one that does not learn: the root of the mean square of what differs is less than half."""
+    quick = {"num_epochs": 4, "end_learning_rate": 5e-4}
+    assert difference(30, learning_rate=5e-3, **quick) < 0.5 * difference(30, learning_rate=1e-9, num_epochs=1)
+
+
+def test_what_is_learned_from_is_what_was_flown(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a memory, over two segments in which episodes of 5 steps end; one row is led by the teacher."""
+    cfg, task = settings(policy_keys=("sensed",), memory=8, horizon=12), hover(episode_len_steps=5)
+    learner = Distill(cfg, task, make_network(cfg, task), damping())
+    learner.begin()
+    flown: list[torch.Tensor] = []
+    step = task.step
+    monkeypatch.setattr(task, "step", lambda actions: (flown.append(actions.clone()), step(actions))[1])
+    led = torch.arange(64) < 1
+    for _ in range(2):
+        flown.clear()
+        with torch.no_grad():
+            seen, begins, memory, wanted = learner._fly(led)
+            prepared = learner.network.actor.body.prepare(seen)
+            distribution, _ = learner.network.sequence(prepared, memory, begins)
+        assert begins[1:].any(dim=0).all()
+        torch.testing.assert_close(torch.stack(flown)[:, 1:], distribution.mean[:, 1:].clamp(-1.0, 1.0))
+        assert torch.equal(torch.stack(flown)[:, 0], wanted[:, 0])
+
+
+def test_the_teacher_flies_first_and_the_student_in_the_end() -> None:
+    cfg, task = settings(), hover()
+    learner = Distill(cfg, task, make_network(cfg, task), damping())
+    learner.begin()
+    flown = []
+    for _ in range(30_000 // (64 * 16)):
+        learner.iterate()
+        flown.append(float(learner.gauges[-1]))
+    assert flown[0] == pytest.approx(1.0)
+    assert all(after <= before for before, after in pairwise(flown))
+    assert flown[len(flown) // 2 + 1 :] == [0.0] * len(flown[len(flown) // 2 + 1 :])
+
+
+def test_a_policy_is_handed_on_through_run_folders_and_a_resumed_training_is_the_uninterrupted_one(
+    tmp_path: Path,
+) -> None:
+    ppo = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
+    train(
+        replace(ppo, num_envs=64, device="cpu", max_time_s=None, max_env_steps=5_000),
+        tmp_path / "ppo",
+        show_progress=False,
+    )
+    cfg = replace(settings(), teacher=str(tmp_path / "ppo"), max_env_steps=8 * 64 * 16)
+    with task_registry.make_task(cfg.task, num_envs=64, device="cpu", seed=0, capture=False) as task:
+        training = make_training(cfg, task)
+        for _ in range(4):
+            training.advance()
+        state = training.state()
+        for _ in range(4):
+            training.advance()
+        whole = training.state()["model"]
+    with task_registry.make_task(cfg.task, num_envs=64, device="cpu", seed=0, capture=False) as task:
+        training = make_training(cfg, task)
+        training.load(state)
+        for _ in range(4):
+            training.advance()
+        for name, tensor in training.state()["model"].items():
+            assert torch.equal(tensor, whole[name]), name
+    result = train(cfg, tmp_path / "student", show_progress=False)
+    policy, its_cfg = load_policy(tmp_path / "student")
+    assert its_cfg.teacher == str(tmp_path / "ppo")
+    assert result.env_steps == 8 * 64 * 16
+    assert policy.shapes == {"observations": (13,)}
+
+
+def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="distill needs a policy to hand on: --teacher RUN"):
+        train(settings(), tmp_path / "run", show_progress=False)
+    assert not (tmp_path / "run").exists()
+    ppo = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
+    with pytest.raises(ConfigError, match="trainer ppo has none. Use distill"):
+        replace(ppo, teacher="runs/hover")
+    with pytest.raises(ConfigError, match="nothing values what a student does"):
+        settings(separate_value_network=True)
