@@ -188,7 +188,9 @@ def test_a_policy_that_is_not_there_is_refused(tmp_path: Path) -> None:
 
 def test_settings_refuse_impossible_numbers_and_names() -> None:
     cfg = settings("rl_games", separate=True, normalize=False)
-    with pytest.raises(UnknownNameError, match="no trainer 'cleanrl'. Known: ppo, apg, rl_games, sample_factory"):
+    with pytest.raises(
+        UnknownNameError, match="no trainer 'cleanrl'. Known: ppo, apg, distill, rl_games, sample_factory"
+    ):
         settings_for("cleanrl", "position_setpoint_task")
     with pytest.raises(ConfigError, match="or the training never ends"):
         replace(cfg, max_time_s=None, max_env_steps=None)

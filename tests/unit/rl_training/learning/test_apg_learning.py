@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 import torch
 
 from aerial_gym import task_registry
@@ -12,6 +13,7 @@ from tests.unit.rl_training.learning.test_apg import settings
 from tests.unit.task.hover import built
 
 
+@pytest.mark.slow
 def test_seconds_of_training_bring_the_robot_closer_to_its_target() -> None:
     """Commanded by velocity, with a reward that has a slope everywhere and a window that is as long as the discount sees."""
     cfg = settings(16, horizon=80, learning_rate=0.01, end_learning_rate=0.001, discount=0.94, reward_scale=0.3)

@@ -1,6 +1,6 @@
 """One process of several that train together on a CPU; ``test_ranks.py`` starts them as ``torchrun`` would.
 
-usage: python -m tests.integration.ranks_worker ACT OUT PORT ...
+usage: python -m tests.integration.training.ranks_worker ACT OUT PORT ...
 """
 
 import os

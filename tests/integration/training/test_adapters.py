@@ -16,7 +16,7 @@ from aerial_gym.task import Task
 ENVS, STEPS = 64, 24
 """Enough for episodes to end by their length: each of 500 steps at a random age."""
 
-EXAMPLES = Path(__file__).parents[2] / "examples" / "other_libraries"
+EXAMPLES = Path(__file__).parents[3] / "examples" / "other_libraries"
 
 
 def skrl() -> ModuleType:

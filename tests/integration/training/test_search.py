@@ -8,7 +8,7 @@ import pytest
 
 from aerial_gym.rl_training.run.run_folder import RunFolder
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "search_with_ray_tune.py"
+EXAMPLE = Path(__file__).parents[3] / "examples" / "search_with_ray_tune.py"
 
 
 @pytest.mark.parametrize("more", [(), ("--population",)], ids=["random", "population"])

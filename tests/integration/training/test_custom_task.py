@@ -7,7 +7,7 @@ import pytest
 
 from aerial_gym.cli.main import main
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "custom_task.py"
+EXAMPLE = Path(__file__).parents[3] / "examples" / "custom_task.py"
 
 
 def test_the_example_is_trained_and_evaluated(

@@ -14,7 +14,7 @@ from aerial_gym.rl_training import train
 from aerial_gym.rl_training.ranks import ALONE
 from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.run_folder import RunFolder
-from tests.integration.ranks_worker import STEPS_OF_ONE, learned, settings
+from tests.integration.training.ranks_worker import STEPS_OF_ONE, learned, settings
 
 LIMIT_S = 300.0
 """After that a test takes two processes for hung; they need 20 s."""
@@ -41,7 +41,7 @@ def start_two(act: str, out: Path, *, ports: int) -> list[tuple[int, str]]:
     }
     processes = [
         subprocess.Popen(
-            [sys.executable, "-m", "tests.integration.ranks_worker", act, str(out), *ours],
+            [sys.executable, "-m", "tests.integration.training.ranks_worker", act, str(out), *ours],
             env=shared | {"RANK": str(rank), "LOCAL_RANK": str(rank)},
             stderr=subprocess.PIPE,
             text=True,
@@ -102,6 +102,7 @@ def test_two_processes_leave_together_go_on_bit_for_bit_and_in_another_number(
     assert not checkpoint.load(RunFolder(tmp_path / "parts").last_checkpoint())["others"]
 
 
+@pytest.mark.slow
 def test_two_processes_of_rl_games_have_equal_weights_and_go_on(tmp_path: Path) -> None:
     """Its normalisers are each process's own: those of rank 0 are kept."""
     pytest.importorskip("rl_games", reason="rl-games is not installed: pip install 'aerial-gym[rl]'")
