@@ -13,7 +13,7 @@ from aerial_gym.config.task import TaskCfg
 from aerial_gym.errors import ConfigError, DuplicateNameError, UnknownNameError
 from tests.unit.task.hover import built
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 EXAMPLE = f"{ROOT / 'examples' / 'custom_task.py'}:FIGURE_EIGHT"
 
 
