@@ -73,8 +73,8 @@ class ListCmd:
 
 
 def _summaries(homes: Sequence[Home]) -> dict[str, str]:
-    """Return names and lines of registries, one after the other."""
-    return {name: line for home in homes for name, line in home.load().summaries().items()}
+    """Return names and lines of registries, one after the other, without the marks of code in docstrings."""
+    return {name: line.replace("``", "") for home in homes for name, line in home.load().summaries().items()}
 
 
 def _wrapped(head: str, line: str) -> str:
