@@ -6,10 +6,15 @@ from dataclasses import replace
 import pytest
 import torch
 
+from aerial_gym.rl_training.learning.distill import Distill
+from aerial_gym.rl_training.learning.network import make_network
+from aerial_gym.rl_training.policies.body import BodyCfg
+from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.ranks import ALONE, Ranks, joined_ranks
-from aerial_gym.rl_training.trainers.own import LOOK_EVERY
+from aerial_gym.rl_training.trainers.own import LOOK_EVERY, OwnTraining
 from aerial_gym.rl_training.trainers.ppo import make_training
 from aerial_gym.task import task_registry
+from tests.unit.rl_training.learning.test_distill import settings as distillation
 from tests.unit.rl_training.learning.test_ppo import settings
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
@@ -70,3 +75,19 @@ def test_a_training_that_talks_by_nccl_is_a_graph_and_learns_the_same(monkeypatc
         told = train(ranks)
     for name, tensor in alone.items():
         torch.testing.assert_close(told[name], tensor, atol=1e-3, rtol=1e-3, msg=name)
+
+
+@pytest.mark.parametrize("memory", [0, 16])
+def test_a_distillation_is_a_graph(memory: int) -> None:
+    """Student and teacher in it, both with a memory or without; after as many steps the student is nearer."""
+    cfg = replace(distillation(256, memory=memory, learning_rate=5e-3), device="cuda", max_env_steps=10**6)
+    seen = BodyCfg(shapes={"observations": (13,)}, hidden_layers=(16,), memory=memory)
+    with task_registry.make_task(cfg.task, num_envs=256, device="cuda", seed=0, capture=False) as task:
+        teacher = Policy(seen, task.num_actions).to("cuda").requires_grad_(False)
+        training = OwnTraining(cfg, task, Distill(cfg, task, make_network(cfg, task), teacher))
+        training.advance()
+        first = training.gauges()["difference"]
+        for _ in range(10):
+            training.advance()
+        assert training._repeat.captured
+        assert training.gauges()["difference"] < first
