@@ -21,6 +21,7 @@ from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import robot_by_name
 from aerial_gym.errors import ConfigError, MissingDependencyError
 from aerial_gym.physics import BACKENDS
+from aerial_gym.rl_training.policies.load import load_policy
 from aerial_gym.rl_training.ranks import Ranks, joined_ranks, own_device
 from aerial_gym.rl_training.run.interruption import Interruption, interruptible
 from aerial_gym.rl_training.run.keeper import Keeper, steps_of
@@ -173,8 +174,12 @@ def _train(
 def _check_names(cfg: TrainingCfg) -> None:
     """Raise the error of an unknown name or an unreadable robot file before anything is written."""
     task_registry.get(cfg.task)
-    if cfg.trainer == "distill" and cfg.teacher is None:
-        raise ConfigError("trainer distill needs a policy to hand on: --teacher RUN, the run folder of its training")
+    if cfg.trainer == "distill":
+        if cfg.teacher is None:
+            raise ConfigError(
+                "trainer distill needs a policy to hand on: --teacher RUN, the run folder of its training"
+            )
+        load_policy(cfg.teacher)
     if cfg.robot is not None:
         robot_by_name(cfg.robot)
     if cfg.controller is not None:

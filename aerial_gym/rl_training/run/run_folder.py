@@ -8,7 +8,7 @@
     result.json       figures at the end of the last session
     checkpoints/      checkpoint_STEPS.pth: the last two; STEPS are the environment steps of all sessions
     log.txt           what the libraries print
-    ppo/, apg/        summaries/ (TensorBoard)
+    ppo/, apg/, distill/  summaries/ (TensorBoard)
     rl_games/         summaries/ (TensorBoard)
     sample_factory/   .summary/ (TensorBoard), config.json
 

@@ -67,7 +67,6 @@ def test_safe_navigation_is_navigation_but_for_what_it_says() -> None:
     assert replace(safe, **same, summary=task.summary, source=task.source) == task
 
 
-@pytest.mark.filterwarnings("error")
 def test_a_coarse_camera_shows_in_cells_what_the_camera_of_the_task_shows() -> None:
     """Same rooms, same mounts: a cell of 45 pixels misses an edge now and then that one of 510 pixels sees."""
     seen = []

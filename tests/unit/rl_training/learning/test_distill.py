@@ -136,6 +136,8 @@ def test_a_policy_is_handed_on_through_run_folders_and_a_resumed_training_is_the
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="distill needs a policy to hand on: --teacher RUN"):
         train(settings(), tmp_path / "run", show_progress=False)
+    with pytest.raises(ConfigError, match="nowhere"):
+        train(replace(settings(), teacher=str(tmp_path / "nowhere")), tmp_path / "run", show_progress=False)
     assert not (tmp_path / "run").exists()
     ppo = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
     with pytest.raises(ConfigError, match="trainer ppo has none. Use distill"):
