@@ -29,6 +29,7 @@ from aerial_gym.rl_training.run.progress import Progress
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.run.weights_and_biases import require_wandb, sent_to_wandb
 from aerial_gym.rl_training.settings import OWN, TrainingCfg
+from aerial_gym.rl_training.trainers.own import repeat
 from aerial_gym.task import task_registry
 
 _log = logging.getLogger(__name__)
@@ -222,7 +223,11 @@ def _run(
         if watch:
             task.watch()
         more = {"ranks": ranks} if cfg.trainer in SCALING else {}
-        interrupted = adapter.run(cfg, task, folder, progress, keeper=keeper, interruption=interruption, **more)
+        if cfg.trainer in OWN:
+            training = adapter.make_training(cfg, task, **more)
+            interrupted = repeat(training, folder, progress, keeper=keeper, interruption=interruption)
+        else:
+            interrupted = adapter.run(cfg, task, folder, progress, keeper=keeper, interruption=interruption, **more)
         non_finite = torch.tensor(task.num_non_finite)
         progress.non_finite = int(ranks.sum_(non_finite))
         if watch and progress.non_finite:

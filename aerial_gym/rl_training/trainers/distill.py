@@ -3,20 +3,9 @@
 from aerial_gym.rl_training.learning.distill import Distill
 from aerial_gym.rl_training.learning.network import make_network
 from aerial_gym.rl_training.policies.load import check_fits, load_policy
-from aerial_gym.rl_training.run.interruption import Interruption
-from aerial_gym.rl_training.run.keeper import Keeper
-from aerial_gym.rl_training.run.progress import Progress
-from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.own import OwnTraining, repeat
+from aerial_gym.rl_training.trainers.own import OwnTraining
 from aerial_gym.task import Task
-
-
-def run(
-    cfg: TrainingCfg, task: Task, folder: RunFolder, progress: Progress, *, keeper: Keeper, interruption: Interruption
-) -> bool:
-    """Train on a task that was built without a graph of its own, as ``own.repeat`` says."""
-    return repeat(make_training(cfg, task), folder, progress, keeper=keeper, interruption=interruption)
 
 
 def make_training(cfg: TrainingCfg, task: Task) -> OwnTraining[Distill]:

@@ -6,29 +6,11 @@ from aerial_gym.rl_training.learning.fused import FusedPpo, why_not_fused
 from aerial_gym.rl_training.learning.network import make_network
 from aerial_gym.rl_training.learning.ppo import Ppo
 from aerial_gym.rl_training.ranks import ALONE, Ranks
-from aerial_gym.rl_training.run.interruption import Interruption
-from aerial_gym.rl_training.run.keeper import Keeper
-from aerial_gym.rl_training.run.progress import Progress
-from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import PpoCfg, TrainingCfg
-from aerial_gym.rl_training.trainers.own import OwnTraining, repeat
+from aerial_gym.rl_training.trainers.own import OwnTraining
 from aerial_gym.task import Task
 
 _log = logging.getLogger(__name__)
-
-
-def run(
-    cfg: TrainingCfg,
-    task: Task,
-    folder: RunFolder,
-    progress: Progress,
-    *,
-    keeper: Keeper,
-    interruption: Interruption,
-    ranks: Ranks = ALONE,
-) -> bool:
-    """Train a task that was built without a graph of its own, as ``own.repeat`` says."""
-    return repeat(make_training(cfg, task, ranks=ranks), folder, progress, keeper=keeper, interruption=interruption)
 
 
 def make_training(cfg: TrainingCfg, task: Task, *, fused: bool = True, ranks: Ranks = ALONE) -> OwnTraining[Ppo]:
