@@ -119,17 +119,21 @@ class RewardCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class EndRewardCfg:
-    """What an end is worth."""
+    """What an end is worth: ``value + difficulty_value c``, c the difficulty."""
 
     value: float
     """Finite."""
+
+    difficulty_value: float = 0.0
+    """Added to the value where the curriculum has come to its highest level, a share of it before; finite."""
 
     how: str = "replace"
     """``replace``: the reward of that step is this alone; ``add``: it comes on top."""
 
     def __post_init__(self) -> None:
-        if not isfinite(self.value):
-            raise ConfigError(f"EndRewardCfg.value = {self.value!r}: must be finite")
+        for name in ("value", "difficulty_value"):
+            if not isfinite(getattr(self, name)):
+                raise ConfigError(f"EndRewardCfg.{name} = {getattr(self, name)!r}: must be finite")
         if self.how not in ("replace", "add"):
             raise ConfigError(f"EndRewardCfg.how = {self.how!r}: must be replace or add")
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.task import POLICY, TaskCfg
-from aerial_gym.config.task_terms import RewardCfg, TerminationCfg
+from aerial_gym.config.task_terms import EndRewardCfg, RewardCfg, TerminationCfg
 from aerial_gym.math.random import Randomness
 from aerial_gym.robots.finite import NonFinite
 from aerial_gym.task.commands.command import TARGET, Command
@@ -81,7 +81,8 @@ class Judge:
         """Columns of ``reward_terms``: the rewards in order, then what ends are worth."""
         self.end_names = (*terminations, TIME_OUT)
         """By what episodes end."""
-        self._has_difficulty = any(each.difficulty_weight for _, each in rewards.values())
+        by_difficulty = [each.difficulty_weight for _, each in rewards.values()]
+        by_difficulty += [end.difficulty_value for end in ends.values() if end is not None]
         count, kinds = len(self.reward_names), len(self.end_names)
         values.declare(SUMS, (1 + count,), meaning="return of the present episode, and the same term by term")
         meaning = (
@@ -93,7 +94,7 @@ class Judge:
         terms = [term for term, _ in (*rewards.values(), *terminations.values())]
         kept = tuple(name for name in (SUMS, TALLIES, ARRIVED) if name in values.own)
         names = ("sim_steps", "non_finite", "episodes", "crashes", *kept)
-        names += (*command.reads, *(("difficulty",) if self._has_difficulty else ()))
+        names += (*command.reads, *(("difficulty",) if any(by_difficulty) else ()))
         names += (TARGET, "robot_position") if TARGET in values.own else ()
         reads = {name: values.find(name, "the task") for name in names} | values.read_by(*terms) | observer.reads
         moved = {name: values[name] for name in command.at(values)}
@@ -171,7 +172,7 @@ class Judge:
         )
         bad = bits != 0
         ends = self._with_bad(ends, bad)
-        terms, reward = self._of_bad(terms, reward, bad)
+        terms, reward = self._of_bad(terms, reward, bad, _worth(self._cfg.crash_reward, values))
         ended = ends.terminated | ends.truncated
         sums = values[SUMS] + torch.cat([reward.unsqueeze(-1), terms], dim=-1)
         counts = torch.stack([ended, *(cause & ended for cause in ends.causes)], dim=-1).to(sums.dtype)
@@ -266,7 +267,7 @@ class Judge:
                 continue
             if end.how == "replace":
                 found = {each: torch.where(when, 0.0, value) for each, value in found.items()}
-            found[name] = torch.where(when, end.value, no_reward)
+            found[name] = torch.where(when, _worth(end, values), no_reward)
         columns = [found[name] for name in self.reward_names]
         total = columns[0]
         for column in columns[1:]:
@@ -279,8 +280,15 @@ class Judge:
             return (cfg.weight + cfg.difficulty_weight * values["difficulty"]) * value
         return value if cfg.weight == 1.0 else cfg.weight * value
 
-    def _of_bad(self, terms: Tensor, reward: Tensor, bad: Tensor) -> tuple[Tensor, Tensor]:
-        """Return terms and reward where rows that are not finite have that of a crash alone."""
-        worth = 0.0 if self._cfg.crash_reward is None else self._cfg.crash_reward.value
-        alone = torch.stack([torch.full_like(reward, worth * (name == "crash")) for name in self.reward_names], dim=-1)
-        return torch.where(bad.unsqueeze(-1), alone, terms), torch.where(bad, worth, reward)
+    def _of_bad(self, terms: Tensor, reward: Tensor, bad: Tensor, worth: Tensor | float) -> tuple[Tensor, Tensor]:
+        """Return terms and reward where rows that are not finite have that of a crash alone, and what this is worth."""
+        crash = torch.zeros_like(reward) + worth
+        alone = torch.stack([crash * (name == "crash") for name in self.reward_names], dim=-1)
+        return torch.where(bad.unsqueeze(-1), alone, terms), torch.where(bad, crash, reward)
+
+
+def _worth(end: EndRewardCfg | None, values: Mapping[str, Tensor]) -> Tensor | float:
+    """Return what an end is worth, a number, or (E,) where it depends on the difficulty."""
+    if end is None:
+        return 0.0
+    return end.value + end.difficulty_value * values["difficulty"] if end.difficulty_value else end.value

@@ -123,6 +123,16 @@ def test_what_an_end_is_worth_replaces_the_reward_or_comes_on_top(how: str, expe
     assert info["reward_terms"][1].tolist() == [0.0, 0.0, 0.0, 10.0]
 
 
+def test_what_an_end_is_worth_may_rise_with_the_difficulty() -> None:
+    """A crash 9 m away and a row that is not finite cost -5 - 20 / 4 a quarter of the way up, an arrival earns 10 + 8 / 4."""
+    crash, success = EndRewardCfg(value=-5.0, difficulty_value=-20.0), EndRewardCfg(value=10.0, difficulty_value=8.0)
+    task = task_with(AT_TARGET, crash_reward=crash, success_reward=success)
+    task.values["difficulty"].fill_(0.25)
+    put(task, 9.0, 0.5, float("nan"))
+    _, reward, *_ = task.step(STAY)
+    assert reward.tolist() == [-10.0, 12.0, -10.0]
+
+
 def test_terms_are_summed_over_an_episode_and_their_means_logged() -> None:
     task = task_with(AT_TARGET, episode_len_steps=4, crash_reward=EndRewardCfg(value=-5.0))
     assert task.episode_means() == {"episodes": 0.0}
@@ -181,3 +191,5 @@ def test_what_cannot_be_is_refused() -> None:
         make(1, success_reward=EndRewardCfg(value=1.0))
     with pytest.raises(ConfigError, match="EndRewardCfg.how = 'times': must be replace or add"):
         EndRewardCfg(value=1.0, how="times")
+    with pytest.raises(ConfigError, match="EndRewardCfg.difficulty_value = nan: must be finite"):
+        EndRewardCfg(value=1.0, difficulty_value=float("nan"))
