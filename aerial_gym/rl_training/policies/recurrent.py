@@ -1,14 +1,21 @@
 """A gated recurrent unit along a sequence in which episodes begin.
 
-On a GPU products and sums that need not wait for one another are done at once: what enters all steps before them, the
-gradients of the weights behind them. Letters: T steps, E environments, F features, M numbers of memory.
+On a GPU products and sums that need not wait for one another are done at once, and all steps of a small unit are one launch.
+Letters: T steps, E environments, F features, M numbers of memory.
 """
 
+import importlib.util
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear
+
+SIZES = (16, 32, 64)
+"""Numbers of memory for which the weights stay in registers."""
+
+TILE, WARPS = 16, 4
+"""Environments that a block takes through all steps, the least that Triton multiplies, and its warps."""
 
 
 def along(cell: nn.GRUCell, features: Tensor, memory: Tensor, begins: Tensor) -> Tensor:
@@ -20,10 +27,12 @@ def along(cell: nn.GRUCell, features: Tensor, memory: Tensor, begins: Tensor) ->
         memory: What was remembered before the sequence, (E, M).
         begins: Whether an episode begins with this step, bool, (T, E): the memory is then empty.
     """
-    keep = (~begins).to(features.dtype).unsqueeze(-1)
     if features.is_cuda:
         entering = linear(features, cell.weight_ih, cell.bias_ih)
-        return _Along.apply(entering, memory, keep, cell.weight_hh, cell.bias_hh)  # pyright: ignore[reportReturnType]
+        small = cell.hidden_size in SIZES and features.dtype == torch.float32
+        how = _InOneLaunch if small and importlib.util.find_spec("triton") is not None else _Along
+        return how.apply(entering, memory, begins, cell.weight_hh, cell.bias_hh)  # pyright: ignore[reportReturnType]
+    keep = (~begins).to(features.dtype).unsqueeze(-1)
     after = []
     for step, kept in zip(features, keep, strict=True):
         memory = cell(step, memory * kept)
@@ -35,7 +44,8 @@ class _Along(torch.autograd.Function):
     """The steps, of which torch's kernel of the unit does all but the product of weights and memory."""
 
     @staticmethod
-    def forward(ctx: Any, entering: Tensor, memory: Tensor, keep: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    def forward(ctx: Any, entering: Tensor, memory: Tensor, begins: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+        keep = (~begins).to(entering.dtype).unsqueeze(-1)
         before, after, gates = [], [], []
         for step, kept in zip(entering, keep, strict=True):
             before.append(memory * kept)
@@ -57,5 +67,50 @@ class _Along(torch.autograd.Function):
             later = torch.addmm(of_memory, of_held, weight) * kept
             entering.append(of_entering)
             held.append(of_held)
-        of_held = torch.stack(held[::-1]).flatten(0, 1)
-        return torch.stack(entering[::-1]), later, None, of_held.t() @ before.flatten(0, 1), of_held.sum(0)  # pyright: ignore[reportReturnType]
+        return torch.stack(entering[::-1]), later, None, *_of_weights(torch.stack(held[::-1]), before)  # pyright: ignore[reportReturnType]
+
+
+class _InOneLaunch(torch.autograd.Function):
+    """The steps in a kernel of their own."""
+
+    @staticmethod
+    def forward(ctx: Any, entering: Tensor, memory: Tensor, begins: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+        from aerial_gym.rl_training.policies import recurrent_kernels
+
+        steps, envs, size = *begins.shape, memory.shape[1]
+        keeps = any(ctx.needs_input_grad)
+        after = memory.new_empty(steps, envs, size)
+        before, gates = torch.empty_like(after), memory.new_empty(steps, envs, 4 * size) if keeps else after
+        begins, weight = begins.contiguous(), weight.contiguous()
+        recurrent_kernels.forward[(-(-envs // TILE),)](
+            entering.contiguous(), memory.contiguous(), begins, weight, bias, steps, envs,
+            after, before, gates, size=size, tile=TILE, keeps=keeps, precision="tf32x3", num_warps=WARPS,
+        )  # fmt: skip
+        ctx.save_for_backward(begins, weight, before, gates)
+        return after
+
+    @staticmethod
+    def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor, ...]:
+        from aerial_gym.rl_training.policies import recurrent_kernels
+
+        (gradient,), (begins, weight, before, gates) = grad_outputs, ctx.saved_tensors
+        steps, envs, size = before.shape
+        entering, held = (before.new_empty(steps, envs, 3 * size) for _ in range(2))
+        memory = before.new_empty(envs, size)
+        precision = "tf32" if torch.backends.cuda.matmul.allow_tf32 else "tf32x3"
+        recurrent_kernels.backward[(-(-envs // TILE),)](
+            gradient.contiguous(), begins, weight, before, gates, steps, envs,
+            entering, held, memory, size=size, tile=TILE, precision=precision, num_warps=WARPS,
+        )  # fmt: skip
+        return entering, memory, None, *_of_weights(held, before)  # pyright: ignore[reportReturnType]
+
+
+def _of_weights(held: Tensor, before: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the gradients of weights (3 M, M) and bias (3 M,) of memory.
+
+    Args:
+        held: Gradient with respect to their products, (T, E, 3 M).
+        before: What each step remembered from before, (T, E, M).
+    """
+    flat = held.flatten(0, 1)
+    return flat.t() @ before.flatten(0, 1), flat.sum(0)

@@ -72,18 +72,20 @@ def test_a_sequence_is_its_steps_one_by_one_with_the_memory_emptied_where_episod
         torch.testing.assert_close(after[t], memory)
 
 
+GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+
+
 @pytest.mark.parametrize(
-    "device",
-    ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU"))],
+    ("device", "size"), [("cpu", 6), *(pytest.param("cuda", size, marks=GPU) for size in (6, 16, 32, 64, 128))]
 )
-def test_gradients_along_a_sequence_are_those_of_the_unit_step_by_step(device: str) -> None:
-    """Of all weights, what enters and the first memory; a GPU sums in another order."""
+def test_gradients_along_a_sequence_are_those_of_the_unit_step_by_step(device: str, size: int) -> None:
+    """Of all weights, what enters and the first memory; a GPU sums in another order, and small units in one launch."""
     torch.manual_seed(0)
-    cell = nn.GRUCell(5, 6, device=device)
+    cell = nn.GRUCell(5, size, device=device)
     seen, first, weight = (
-        randn(*shape, seed=i).to(device) for i, shape in enumerate(((7, 10, 5), (10, 6), (7, 10, 6)))
+        randn(*shape, seed=i).to(device) for i, shape in enumerate(((7, 21, 5), (21, size), (7, 21, size)))
     )
-    begins = (torch.rand(7, 10, generator=torch.Generator().manual_seed(1)) < 0.3).to(device)
+    begins = (torch.rand(7, 21, generator=torch.Generator().manual_seed(1)) < 0.3).to(device)
     wanted = [seen.requires_grad_(), first.requires_grad_(), *cell.parameters()]
     memory, loss = first, torch.zeros((), device=device)
     for t in range(7):
