@@ -98,6 +98,8 @@ class BenchTraining:
                     "seeds": len(rows),
                     "final_error_median_m": median(errors),
                     "final_error_worst_m": max(errors),
+                    "success_rate_median": median(row["success_rate"] for row in rows),
+                    "success_rate_worst": min(row["success_rate"] for row in rows),
                     "crash_rate_worst": max(row["crash_rate"] for row in rows),
                     "since_process_start_median_s": median(row["since_process_start_s"] for row in rows),
                     "since_process_start_worst_s": max(row["since_process_start_s"] for row in rows),

@@ -181,10 +181,12 @@ def _safe_navigation() -> TaskCfg:
     """navigation_task as an optimum of its reward would not fly it.
 
     There a step at the goal is worth 11 in the first rooms and 33 in the fullest, a second 110 to 330, and a crash costs 100
-    beside what it ends: its optimum is in a hurry.
+    beside what it ends: its optimum is in a hurry. A price that is high from the first room on can teach to stay at home; one
+    that rises with the rooms falls again where they come too early.
     """
     task = task_registry.get("navigation_task")
     assert task.crash_reward is not None
+    price = task.crash_reward.value
     seen = tuple(
         replace(entry, term="log_nearest_in_cells") if entry.term == "nearest_in_cells" else entry
         for entry in task.observations["policy"]
@@ -192,9 +194,9 @@ def _safe_navigation() -> TaskCfg:
     known = (ObservationCfg(term=key) for key in ("robot_clearance", "robot_position", "robot_orientation"))
     return replace(
         task,
-        summary="navigation_task with ten times the price of a crash, logarithms of distances, and a critic that knows more",
+        summary="navigation_task with a price of crashes that rises, logarithms of distances, and a critic that knows more",
         observations={"policy": seen, "critic": (*seen, *known)},
-        crash_reward=replace(task.crash_reward, value=10.0 * task.crash_reward.value),
+        crash_reward=replace(task.crash_reward, value=3.0 * price, difficulty_value=30.0 * price),
         source=f"{task.source}. Price of a crash, logarithms and what the critic sees: ours",
     )
 

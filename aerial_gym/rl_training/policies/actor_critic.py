@@ -3,7 +3,9 @@
 Letters: T steps, E environments, M numbers of memory.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import cache
 
 import torch
 from torch import Tensor, nn
@@ -13,6 +15,26 @@ from aerial_gym.rl_training.policies.distribution import Gaussian
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.ranks import ALONE, Ranks
+
+
+@cache
+def _second_stream(device: torch.device) -> torch.cuda.Stream:
+    return torch.cuda.Stream(device)
+
+
+@contextmanager
+def _beside(device: torch.device) -> Iterator[AbstractContextManager[object]]:
+    """Give a context whose work a GPU does beside the rest of the block: neither of two small networks fills it.
+
+    Autograd goes back on the streams on which it came. On a CPU one comes after the other.
+    """
+    if device.type != "cuda":
+        yield nullcontext()
+        return
+    now, other = torch.cuda.current_stream(device), _second_stream(device)
+    other.wait_stream(now)
+    yield torch.cuda.stream(other)
+    now.wait_stream(other)
 
 
 class ActorCritic(nn.Module):
@@ -66,11 +88,16 @@ class ActorCritic(nn.Module):
             begins: Whether an episode begins with this observation, bool, (T, E): the memory is then empty.
         """
         acting, judging = memory.split(self.memory_sizes, dim=-1)
-        features, _ = self.actor.body.sequence(prepared, acting, begins)
-        distribution = Gaussian(self.actor.head(features), self.actor.log_std)
-        if self.own_body is not None:
-            features, _ = self.own_body.sequence(prepared, judging, begins)
-        return distribution, self.value_head(features).squeeze(-1)
+        if self.own_body is None:
+            features, _ = self.actor.body.sequence(prepared, acting, begins)
+            return Gaussian(self.actor.head(features), self.actor.log_std), self.value_head(features).squeeze(-1)
+        with _beside(memory.device) as critics:
+            with critics:
+                features, _ = self.own_body.sequence(prepared, judging, begins)
+                value = self.value_head(features).squeeze(-1)
+            features, _ = self.actor.body.sequence(prepared, acting, begins)
+            distribution = Gaussian(self.actor.head(features), self.actor.log_std)
+        return distribution, value
 
     def values(self, prepared: Mapping[str, Tensor], memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
         """Return values in units of the return (T, E) along a sequence, and the memory of the critic after each step."""

@@ -4,7 +4,8 @@ On a GPU products and sums that need not wait for one another are done at once, 
 Letters: T steps, E environments, F features, M numbers of memory.
 """
 
-import importlib.util
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 import torch
@@ -30,7 +31,7 @@ def along(cell: nn.GRUCell, features: Tensor, memory: Tensor, begins: Tensor) ->
     if features.is_cuda:
         entering = linear(features, cell.weight_ih, cell.bias_ih)
         small = cell.hidden_size in SIZES and features.dtype == torch.float32
-        how = _InOneLaunch if small and importlib.util.find_spec("triton") is not None else _Along
+        how = _InOneLaunch if small and find_spec("triton") is not None else _Along
         return how.apply(entering, memory, begins, cell.weight_hh, cell.bias_hh)  # pyright: ignore[reportReturnType]
     keep = (~begins).to(features.dtype).unsqueeze(-1)
     after = []
@@ -70,19 +71,22 @@ class _Along(torch.autograd.Function):
         return torch.stack(entering[::-1]), later, None, *_of_weights(torch.stack(held[::-1]), before)  # pyright: ignore[reportReturnType]
 
 
+def _kernels() -> Any:
+    """Return the module of kernels, which needs the package triton: it comes with torch for CUDA."""
+    return import_module("aerial_gym.rl_training.policies.recurrent_kernels")
+
+
 class _InOneLaunch(torch.autograd.Function):
     """The steps in a kernel of their own."""
 
     @staticmethod
     def forward(ctx: Any, entering: Tensor, memory: Tensor, begins: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-        from aerial_gym.rl_training.policies import recurrent_kernels
-
         steps, envs, size = *begins.shape, memory.shape[1]
         keeps = any(ctx.needs_input_grad)
         after = memory.new_empty(steps, envs, size)
         before, gates = torch.empty_like(after), memory.new_empty(steps, envs, 4 * size) if keeps else after
         begins, weight = begins.contiguous(), weight.contiguous()
-        recurrent_kernels.forward[(-(-envs // TILE),)](
+        _kernels().forward[(-(-envs // TILE),)](
             entering.contiguous(), memory.contiguous(), begins, weight, bias, steps, envs,
             after, before, gates, size=size, tile=TILE, keeps=keeps, precision="tf32x3", num_warps=WARPS,
         )  # fmt: skip
@@ -91,14 +95,12 @@ class _InOneLaunch(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor, ...]:
-        from aerial_gym.rl_training.policies import recurrent_kernels
-
         (gradient,), (begins, weight, before, gates) = grad_outputs, ctx.saved_tensors
         steps, envs, size = before.shape
         entering, held = (before.new_empty(steps, envs, 3 * size) for _ in range(2))
         memory = before.new_empty(envs, size)
         precision = "tf32" if torch.backends.cuda.matmul.allow_tf32 else "tf32x3"
-        recurrent_kernels.backward[(-(-envs // TILE),)](
+        _kernels().backward[(-(-envs // TILE),)](
             gradient.contiguous(), begins, weight, before, gates, steps, envs,
             entering, held, memory, size=size, tile=TILE, precision=precision, num_warps=WARPS,
         )  # fmt: skip

@@ -7,6 +7,7 @@ import pytest
 
 from aerial_gym import task_registry
 from aerial_gym.config import dump_yaml
+from aerial_gym.config.task_terms import EndRewardCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 
 MODULE = """
@@ -59,7 +60,8 @@ def test_sim_environment_and_robot_can_be_replaced() -> None:
 
 def test_safe_navigation_is_navigation_but_for_what_it_says() -> None:
     task, safe = task_registry.get("navigation_task"), task_registry.get("safe_navigation_task")
-    assert (task.crash_reward.value, safe.crash_reward.value) == (-100.0, -1000.0)  # type: ignore[union-attr]
+    assert task.crash_reward == EndRewardCfg(value=-100.0)
+    assert safe.crash_reward == EndRewardCfg(value=-300.0, difficulty_value=-3000.0)
     assert [entry.term.replace("log_", "") for entry in safe.observations["policy"]] == [
         entry.term for entry in task.observations["policy"]
     ]
@@ -68,7 +70,7 @@ def test_safe_navigation_is_navigation_but_for_what_it_says() -> None:
 
 
 def test_a_coarse_camera_shows_in_cells_what_the_camera_of_the_task_shows() -> None:
-    """Same rooms, same mounts: a cell of 45 pixels misses an edge now and then that one of 510 pixels sees."""
+    """Same rooms, same mounts: a cell of 15 pixels misses an edge now and then that one of 510 pixels sees (8 % by 0.5 m)."""
     seen = []
     for robot in (None, "base_quadrotor_with_coarse_camera"):
         with task_registry.make_task(
@@ -80,4 +82,4 @@ def test_a_coarse_camera_shows_in_cells_what_the_camera_of_the_task_shows() -> N
     fine, coarse = (cells.exp() for cells in seen)
     assert float(fine.std()) > 0.1
     assert float((fine - coarse).abs().median()) < 0.01
-    assert float(((fine - coarse).abs() > 0.05).float().mean()) < 0.06
+    assert float(((fine - coarse).abs() > 0.05).float().mean()) < 0.12
