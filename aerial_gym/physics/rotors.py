@@ -90,8 +90,14 @@ def speed_for_thrust(coefficients: Tensor, thrust: Tensor) -> Tensor:
         Derived: quadratic formula; a thrust below the minimum of the map gives the speed of that minimum.
     """
     c0, c1, c2 = coefficients.unbind(-1)
-    root = (c1 * c1 + 4.0 * c2 * (thrust - c0)).clamp_min(0.0).sqrt()
+    root = _root(c1 * c1 + 4.0 * c2 * (thrust - c0))
     return (root - c1) / (2.0 * c2)
+
+
+def _root(square: Tensor) -> Tensor:
+    """Return the square root, 0 of what is not above 0: there with gradient 0, where that of the root is infinite."""
+    none = square <= 0.0
+    return torch.where(none, 0.0, torch.where(none, 1.0, square).sqrt())
 
 
 def _evaluate_signed(forwards: Tensor, backwards: Tensor, state: Tensor) -> Tensor:
@@ -130,7 +136,7 @@ def state_for_thrust(vehicle: Vehicle, thrust: Tensor) -> Tensor:
     c0, c1, c2 = torch.where(reverse.unsqueeze(-1), vehicle.reverse_thrust_map, vehicle.thrust_map).unbind(-1)
     linear = c2 == 0.0
     square, slope = torch.where(linear, 1.0, c2), torch.where(linear, c1, 1.0)
-    root = torch.where(linear, 1.0, c1 * c1 + 4.0 * square * (wanted - c0)).clamp_min(0.0).sqrt()
+    root = _root(torch.where(linear, 1.0, c1 * c1 + 4.0 * square * (wanted - c0)))
     size = torch.where(linear, (wanted - c0) / slope, (root - c1) / (2.0 * square))
     return torch.where(reverse, -size, size)
 

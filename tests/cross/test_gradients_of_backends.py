@@ -18,6 +18,7 @@ from aerial_gym.physics import (
     vehicle_from_config,
 )
 from aerial_gym.physics.effects import LearnedResidual
+from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import CEILING, lopsided_robot, random_network, random_state
 
 NUM_ENVS, DT, SUBSTEPS = 3, 0.01, 5
@@ -80,6 +81,20 @@ def test_gradients_agree_with_torch(controller: str, integrator: str) -> None:
         error = (taped[name] - truth).abs().max() / size
         assert error <= allowed, f"{name}: {error:.1e} of {size:.2e}, allowed {allowed:.1e}"
         assert size > 0.0, name
+
+
+@pytest.mark.parametrize("backend", [TorchBackend(), WarpBackend(differentiable=True)], ids=["torch", "warp"])
+def test_gradients_stay_finite_where_rotors_are_told_to_stop(backend) -> None:
+    """The speed is the root of a thrust, whose slope is infinite at 0: times the 0 of the limit NaN. There is no slope."""
+    robot = ROBOTS.get("base_quadrotor")
+    vehicle = vehicle_from_config(robot, num_envs=NUM_ENVS)
+    law = make_controller(CONTROLLERS.get("lee_attitude_control"), vehicle, 9.81, dt=DT)
+    backend.allocate(build_model(vehicle), law, integrator="euler")
+    state = BodyState(**{name: rows.float() for name, rows in vars(random_state(NUM_ENVS, seed=2)).items()})
+    action = torch.tensor([[-1.0, 0.0, 0.0, 0.0]]).repeat(NUM_ENVS, 1).requires_grad_()
+    end = backend.advance(state, action, DT, SUBSTEPS)
+    (slope,) = torch.autograd.grad(sum(rows.float().sum() for rows in end.tensors()), action)
+    assert bool(slope.isfinite().all())
 
 
 def test_capabilities_say_which_backend_is_differentiable() -> None:

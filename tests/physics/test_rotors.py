@@ -1,10 +1,12 @@
 """Rotor lag, maps and wrench against closed forms."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from aerial_gym.physics import vehicle_from_config
-from aerial_gym.physics.rotors import evaluate_map, lag_speed, rotor_wrench, speed_for_thrust
+from aerial_gym.physics.rotors import evaluate_map, lag_speed, rotor_wrench, speed_for_thrust, state_for_thrust
 from tests.physics.vehicles import lopsided_robot
 
 F64 = torch.float64
@@ -43,6 +45,17 @@ def test_thrust_below_the_vertex_gives_the_vertex_and_no_nan() -> None:
     coefficients = torch.tensor([0.0, -2e-4, 3e-6], dtype=F64).expand(1, 1, 3)
     speed = speed_for_thrust(coefficients, torch.full((1, 1), -5.0, dtype=F64))
     torch.testing.assert_close(speed, torch.full((1, 1), 2e-4 / 6e-6, dtype=F64))
+
+
+@pytest.mark.parametrize("traits", [frozenset(), frozenset({"reversible"})])
+def test_a_thrust_that_no_rotor_gives_has_no_slope_and_no_nan(traits: frozenset[str]) -> None:
+    """The root of 0 has an infinite slope, times the 0 of a limit NaN: one such rotor takes the gradient of its whole row."""
+    vehicle = vehicle_from_config(lopsided_robot(), num_envs=1, dtype=F64)
+    vehicle = replace(vehicle, traits=traits, thrust_map=torch.tensor([0.0, 0.0, 3e-6], dtype=F64).expand(1, 4, 3))
+    thrust = torch.tensor([[0.0, -1.0, 0.5, 1.0]], dtype=F64, requires_grad=True)
+    (slope,) = torch.autograd.grad(state_for_thrust(vehicle, thrust).sum(), thrust)
+    assert slope[0, :2].tolist() == [0.0, 0.0]
+    assert bool((slope[0, 2:] > 0.0).all())
 
 
 def test_front_right_rotor_alone_rolls_left_side_up_pitches_nose_up_and_yaws_against_its_spin() -> None:
