@@ -31,8 +31,12 @@ def atan2(y: Tensor, x: Tensor) -> Tensor:
 
 
 def times(rows: Tensor, matrix: Tensor) -> Tensor:
-    """Return ``rows @ matrix``, (E, N), of (E, K) and (K, N); on a CPU in blocks of ``WHOLE_ROWS``, one product for each."""
-    if rows.device.type == "cpu":
+    """Return ``rows @ matrix``, (E, N), of (E, K) and (K, N); on a CPU in blocks of ``WHOLE_ROWS``, one product for each.
+
+    Where operations are watched, to be made into a kernel of rows, it is written out: blocks mix rows.
+    """
+    watched = torch._C._len_torch_dispatch_stack() > 0
+    if rows.device.type == "cpu" and not watched:
         count = rows.shape[0]
         missing = -count % WHOLE_ROWS
         if missing:
@@ -40,7 +44,7 @@ def times(rows: Tensor, matrix: Tensor) -> Tensor:
         blocks = rows.reshape(-1, WHOLE_ROWS, rows.shape[1])
         product = torch.bmm(blocks, matrix.expand(blocks.shape[0], *matrix.shape)).flatten(0, 1)
         return product[:count] if missing else product
-    if rows.shape[1] <= MOST_TERMS:
+    if watched or rows.shape[1] <= MOST_TERMS:
         return reduce(torch.add, (rows[:, k : k + 1] * matrix[k] for k in range(rows.shape[1])))
     return rows @ matrix
 

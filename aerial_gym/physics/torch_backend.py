@@ -1,5 +1,6 @@
 """The readable reference backend in torch: any float type, CPU or GPU, differentiable through a whole rollout."""
 
+import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TypeVar
@@ -10,6 +11,7 @@ from torch import Tensor
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.errors import CapabilityError
+from aerial_gym.interop.rows import UntraceableError
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
@@ -36,7 +38,10 @@ from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotor_lag import stop_in_dead_band
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
+from aerial_gym.physics.torch_rows import SubstepRows
 from aerial_gym.physics.vehicle import is_shared
+
+_log = logging.getLogger(__name__)
 
 
 def advance(
@@ -256,6 +261,25 @@ class TorchBackend:
         before = MassState(**{name: tensor.clone() for name, tensor in vars(before).items()})
         state.copy_(after)
         return before
+
+    def in_rows(self, state: BodyState, command: Tensor, dt: float) -> SubstepRows | None:
+        """Return a substep as one kernel, made for such a state and action; None where it must be torch operations.
+
+        That is so where effects or law remember something, or the ground pushes. It holds until the model is replaced.
+        """
+        ground, model = self._ground, self._model
+        remembers = model.effects.remembering or needs_of(self._control) is not None
+        if remembers or (ground is not None and ground.cfg is not None):
+            return None
+
+        def substep(state: BodyState, command: Tensor, dt: float) -> BodyState:
+            return to_body_state(model, self._free_substep(state, command, dt)[1])
+
+        try:
+            return SubstepRows(substep, state, command, dt, ground)
+        except UntraceableError as error:
+            _log.warning("gradients of the physics run as many small torch operations: %s", error)
+            return None
 
     def advance_once(self, state: BodyState, command: Tensor, dt: float) -> tuple[MassState, BodyState]:
         """Return the motion before and the state after one substep, differentiable, and tell the ground."""

@@ -19,6 +19,7 @@ from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
 from aerial_gym.physics.torch_backend import TorchBackend, in_places
+from aerial_gym.physics.torch_rows import SubstepRows
 
 
 class DifferentiableBackend:
@@ -42,6 +43,7 @@ class DifferentiableBackend:
         self.actions: tuple[Tensor, Tensor] = _two(shown_actions, lambda rows: rows.detach().to(dtype, copy=True))
         """What the robots do in the step, and what they did in the one before, each (E, U), with their graphs."""
         self._traced: TracedKeys | None = None
+        self._rows: tuple[float, SubstepRows | None] | None = None
         self._places: dict[str, Tensor] = {}
 
     @property
@@ -78,6 +80,7 @@ class DifferentiableBackend:
 
     def set_model(self, model: Model) -> None:
         """Take other parameters."""
+        self._rows = None
         self._inner.set_model(model.to(self._dtype))
 
     def prepare(self, dt: float) -> None:
@@ -106,12 +109,23 @@ class DifferentiableBackend:
         """Go on with the graph by ``substeps`` of ``dt`` [s] under its own action, and show it in ``state``."""
         del command  # the action of the graph, rounded
         check_substeps(self._hook, substeps)
+        rows = self._in_rows(dt)
         for k in range(substeps):
-            before, self.state = self._inner.advance_once(self.state, self.actions[0], dt)
+            if rows is None:
+                before, self.state = self._inner.advance_once(self.state, self.actions[0], dt)
+            else:
+                before, self.state = None, rows(self.state, self.actions[0])
             with torch.no_grad():
                 state.copy_(self.state)
-                if self._hook is not None:
+                if self._hook is not None and before is not None:
                     self._hook.after_substep(k, _map(before, torch.Tensor.detach), state)
+
+    def _in_rows(self, dt: float) -> SubstepRows | None:
+        """Return a substep of ``dt`` [s] as one kernel: in float32, and without a hook, which wants the motion before it."""
+        if self._rows is None or self._rows[0] != dt:
+            plain = self._dtype == torch.float32 and self._hook is None
+            self._rows = (dt, self._inner.in_rows(self.state, self.actions[0], dt) if plain else None)
+        return self._rows[1]
 
     def reset(self, mask: Tensor) -> None:
         """Take the environments in ``mask``, bool (E,), from where they are shown; the graphs of others go on."""

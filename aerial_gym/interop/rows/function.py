@@ -63,6 +63,8 @@ class RowFunction:
         masked: bool = False,
         made: Made | None = None,
         beside: RowWork | None = None,
+        lifts: bool = False,
+        fresh: bool = False,
     ) -> None:
         """Trace the function and write its kernel, which is compiled at the first call.
 
@@ -75,12 +77,16 @@ class RowFunction:
             made: The first of the inputs, where the kernel makes it; calls leave it unread.
             beside: What other threads of the launch do to the same rows of the mask meanwhile; neither reads what the other
                 writes.
+            lifts: Whether the function may take tensors (E, ...) from elsewhere, which must keep their places.
+            fresh: Whether its inputs are others at every call, contiguous; without mask, ``made`` and ``beside``.
 
         Raises:
             UntraceableError: If it cannot be done row by row; the text says why.
         """
         start_warp()
-        traced = trace(function, inputs)
+        traced = trace(function, inputs, lifts=lifts)
+        self.lifted = tuple(traced.lifted)
+        """What it takes from elsewhere, as the kernel reads it."""
         source = write(traced, masked=masked, made=() if made is None else made.lines, beside=beside is not None)
         self._given = [each.given for each in (beside, made) if each is not None]
         self._threads = 1 if beside is None else 2
@@ -88,11 +94,13 @@ class RowFunction:
         self.code = source.code
         """The kernel."""
         self._inputs, self._shared = source.inputs, source.shared
-        self._outputs = [(shape, dtype) for _, shape, dtype in traced.outputs]
+        self.outputs = [(shape, dtype) for _, shape, dtype in traced.outputs]
         self.kernel = _kernel(source.code, source.names, made, beside)
         """It as Warp has it."""
         compile_ahead(self.kernel, wp.device_from_torch(next(tensor for tensor in inputs if tensor.ndim).device))
         self._ready = False
+        self._fresh = fresh
+        self._recorded: tuple[int, wp.Launch] | None = None
         self._known: dict[int, tuple[Tensor, wp.array]] = {}
 
     def __call__(
@@ -107,24 +115,50 @@ class RowFunction:
         """
         first = next(tensor for tensor in inputs if tensor.ndim)
         rows, device = first.shape[0], first.device
-        given = [*out, *[None] * (len(self._outputs) - len(out))]
+        inputs = (*inputs, *self.lifted)
+        given = [*out, *[None] * (len(self.outputs) - len(out))]
         results = [
             torch.empty((rows, *shape), dtype=dtype, device=device) if tensor is None else tensor
-            for tensor, (shape, dtype) in zip(given, self._outputs, strict=True)
+            for tensor, (shape, dtype) in zip(given, self.outputs, strict=True)
         ]
+        if self._fresh:
+            self._launch([*(inputs[i] for i in self._inputs), *results], rows)
+            return tuple(results)
         arrays = [] if mask is None else [self._view(len(inputs), mask)]
         arrays += [*self._given, *(self._view(i, inputs[i]) for i in self._inputs)]
         arrays += [
             _as_rows(tensor, passing=True) if new is None else self._view(-1 - i, tensor)
             for i, (tensor, new) in enumerate(zip(results, given, strict=True))
         ]
+        target = self._wait(device)
+        with on_torch_stream(first):
+            wp.launch(self.kernel, dim=self._threads * rows, inputs=arrays, device=target, block_dim=self._block_dim)
+        return tuple(results)
+
+    def _wait(self, device: torch.device) -> wp.Device:
+        """Return the device as Warp knows it, on which the kernel is ready."""
         target = wp.device_from_torch(device)
         if not self._ready:
             wait_for(self.kernel, target)
             self._ready = True
-        with on_torch_stream(first):
-            wp.launch(self.kernel, dim=self._threads * rows, inputs=arrays, device=target, block_dim=self._block_dim)
-        return tuple(results)
+        return target
+
+    def _launch(self, tensors: Sequence[Tensor], rows: int) -> None:
+        """Launch on tensors that are others at every call, but of the same shapes: only where they begin is told."""
+        if self._recorded is None or self._recorded[0] != rows:
+            shared = [i in self._shared for i in self._inputs] + [False] * len(self.outputs)
+            arrays = [_as_rows(tensor, shared=same) for tensor, same in zip(tensors, shared, strict=True)]
+            target = self._wait(tensors[0].device)
+            command = wp.launch(
+                self.kernel, dim=rows, inputs=arrays, device=target, block_dim=self._block_dim, record_cmd=True
+            )
+            assert isinstance(command, wp.Launch)
+            self._recorded = (rows, command)
+        _, command = self._recorded
+        for place, tensor in enumerate(tensors, start=1):  # behind the bounds
+            command.params[place].data = tensor.data_ptr()
+        with on_torch_stream(tensors[0]):
+            command.launch()
 
     def _view(self, key: int, tensor: Tensor) -> wp.array:
         known = self._known.get(key)

@@ -111,8 +111,25 @@ COMPOSED: dict[str, Callable[..., Tensor]] = {
     "mm": _product,
     "bmm": _product,
     "nan_to_num": _finite,
+    "tanh_backward": lambda slope, result: slope * (1.0 - result * result),
+    "sigmoid_backward": lambda slope, result: slope * (1.0 - result) * result,
+    "threshold_backward": lambda slope, a, limit: torch.where(a <= limit, 0.0, slope),
 }
 """Operations that are made of others."""
+
+INTO_ZEROS: dict[str, Callable[..., Tensor]] = {
+    "select_backward": lambda zeros, dim, index: zeros.select(dim, index),
+    "slice_backward": lambda zeros, dim, start, end, step: zeros[
+        (slice(None),) * (dim % zeros.ndim) + (slice(start, end, step),)
+    ],
+}
+"""Gradients of operations that move elements: where in zeros they stand."""
+
+IN_PLACE: dict[str, Callable[..., Tensor]] = {
+    "masked_fill_": torch.masked_fill,
+    "logical_and_": torch.logical_and,
+}
+"""What gradients do in place, to tensors of their own, and what does the same to new ones."""
 
 Arguments = Callable[[tuple[Any, ...], dict[str, Any]], tuple[Any, ...]]
 
@@ -246,6 +263,7 @@ POINTWISE: dict[str, Pointwise] = {
     "clamp": Pointwise(make=_limited, arguments=_clamp, known=frozenset({"min", "max"})),
     "clamp_min": Pointwise(make=_limited, arguments=lambda args, kwargs: (*args[:2], inf)),
     "clamp_max": Pointwise(make=_limited, arguments=lambda args, kwargs: (args[0], -inf, args[1])),
+    "sgn": Pointwise(make=_plain("sign"), floats=True),
     "relu": Pointwise(make=_limited, arguments=lambda args, kwargs: (args[0], 0.0, inf)),
     "where": Pointwise(make=_choice, arguments=_where, types=(_BOOL, None, None)),
     "masked_fill": Pointwise(make=_choice, arguments=_masked, types=(_BOOL, None, None)),

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from aerial_gym.interop.rows.operations import COMPOSED, MOVES, POINTWISE, REDUCTIONS
+from aerial_gym.interop.rows.operations import COMPOSED, IN_PLACE, INTO_ZEROS, MOVES, POINTWISE, REDUCTIONS
 
 ROWS = 97
 """Rows of the trace, B: a prime number that is no other size."""
@@ -56,6 +56,9 @@ class Trace:
     widths: dict[int, int] = field(default_factory=dict)
     """Entries in a row of each input, by its position."""
 
+    lifted: list[Tensor] = field(default_factory=list)
+    """Tensors that the function took from elsewhere, (E, ...), or (...) where all rows are one: inputs behind its own."""
+
     _numbers: dict[tuple[str, tuple[str, ...], torch.dtype], int] = field(default_factory=dict)
 
     def number(self, kind: str, args: tuple[Any, ...], dtype: torch.dtype) -> int:
@@ -72,13 +75,16 @@ class Trace:
         return number if self.scalars[number].dtype == dtype else self.number("cast", (number,), dtype)
 
 
-def trace(function: Callable[..., Tensor | tuple[Tensor, ...]], inputs: Sequence[Tensor]) -> Trace:
+def trace(
+    function: Callable[..., Tensor | tuple[Tensor, ...]], inputs: Sequence[Tensor], *, lifts: bool = False
+) -> Trace:
     """Return what ``function`` does to one row.
 
     Args:
         function: Pure, of tensors; returns tensors of rows. No branch on a tensor.
         inputs: Tensors (E, ...), E being the first dimension of the first that has one; others are shared by all rows. A row
             of more than ``LARGEST_ROW`` entries, an image, may be passed but not read.
+        lifts: Whether tensors (E, ...) that the function takes from elsewhere become inputs as well; else they are refused.
 
     Raises:
         UntraceableError: If it cannot be done row by row with the operations of ``operations.py``.
@@ -90,7 +96,7 @@ def trace(function: Callable[..., Tensor | tuple[Tensor, ...]], inputs: Sequence
         watch.input(position, tensor, rows=tensor.shape[:1] == (num_rows,)) for position, tensor in enumerate(inputs)
     ]
     try:
-        with torch.no_grad(), watch, _NothingElse(watch):
+        with torch.no_grad(), watch, _Elsewhere(watch, len(inputs), num_rows if lifts else None):
             results = function(*rows)
     except UntraceableError:
         raise
@@ -171,7 +177,11 @@ class _Watch(TorchDispatchMode):
         if follows and name in COMPOSED:
             with self:
                 return COMPOSED[name](*args, **kwargs)
-        if follows and name not in MOVES and name not in REDUCTIONS and name not in POINTWISE:
+        if follows and name in IN_PLACE and torch._C._current_graph_task_id() >= 0:  # on tensors of its own
+            with self:
+                result = IN_PLACE[name](*args, **kwargs)
+            return self._note(args[0], self.numbers_of(result, args[0].dtype))
+        if follows and not any(name in known for known in (MOVES, INTO_ZEROS, REDUCTIONS, POINTWISE)):
             with self:
                 result = func.decompose(*args, **kwargs)
             if result is not NotImplemented:
@@ -184,7 +194,9 @@ class _Watch(TorchDispatchMode):
         result = func(*args, **kwargs)
         if not follows:
             return _mapped(result, lambda leaf: self._note(leaf, None) if isinstance(leaf, Tensor) else leaf)
-        if name in MOVES:
+        if name in INTO_ZEROS:
+            numbers = self._into_zeros(name, args, result)
+        elif name in MOVES:
             numbers = self._moved(func, args, kwargs, result)
         elif name in REDUCTIONS:
             numbers = self._reduced(name, args, kwargs, result)
@@ -209,6 +221,15 @@ class _Watch(TorchDispatchMode):
         return func(
             *_mapped(args, lambda leaf: self.numbers_of(leaf, dtype) if isinstance(leaf, Tensor) else leaf), **kwargs
         )
+
+    def _into_zeros(self, name: str, args: Any, result: Tensor) -> Tensor:
+        """Return zeros, some of which are what a slice or an entry of them was given."""
+        zero = self.into.number("constant", (torch.zeros((), dtype=result.dtype).item(),), result.dtype)
+        numbers = torch.full(result.shape, zero, dtype=torch.int64)
+        if result.shape[:1] == (ROWS,):
+            numbers = _marked(numbers[0])
+        INTO_ZEROS[name](numbers, *args[2:]).copy_(self.numbers_of(args[0], result.dtype))
+        return numbers
 
     def _pointwise(self, name: str, args: Any, kwargs: Any, result: Tensor) -> Tensor:
         operation = POINTWISE[name]
@@ -246,21 +267,39 @@ def _same_rows(constant: Tensor) -> bool:
     return bool(((constant == constant[:1]) | (constant != constant)).all())
 
 
-class _NothingElse(TorchFunctionMode):
-    """Refuses tensors that the function takes from elsewhere: they may hold other numbers at the next call."""
+class _Elsewhere(TorchFunctionMode):
+    """Refuses tensors that the function takes from elsewhere, which may hold other numbers at the next call, or lifts them."""
 
-    def __init__(self, watch: _Watch) -> None:
+    def __init__(self, watch: _Watch, num_inputs: int, num_rows: int | None) -> None:
+        """Take the number of inputs, and that of rows if tensors are lifted."""
         super().__init__()
-        self._watch = watch
+        self._watch, self._next, self._num_rows = watch, num_inputs, num_rows
+        self._lifted: dict[int, tuple[Tensor, Tensor]] = {}  # by id of a tensor that is kept: what stands for it
 
     def __torch_function__(
         self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
     ) -> Any:
         """Do it."""
-        for leaf in _leaves((args, kwargs or {})):
-            if isinstance(leaf, Tensor) and not self._watch.knows(leaf):
-                raise UntraceableError("it reads a tensor that is not among its arguments")
-        return func(*args, **(kwargs or {}))
+        args = _mapped(args, self._known)
+        return func(*args, **{name: _mapped(value, self._known) for name, value in (kwargs or {}).items()})
+
+    def _known(self, leaf: Any) -> Any:
+        """Return what stands for a tensor, and anything else as it is."""
+        if not isinstance(leaf, Tensor) or self._watch.knows(leaf):
+            return leaf
+        if id(leaf) not in self._lifted:
+            self._lifted[id(leaf)] = (leaf, self._lift(leaf))
+        return self._lifted[id(leaf)][1]
+
+    def _lift(self, tensor: Tensor) -> Tensor:
+        if self._num_rows is None or tensor.shape[:1] != (self._num_rows,) or tensor.requires_grad:
+            raise UntraceableError("it reads a tensor that is not among its arguments")
+        own = tensor.stride(0) != 0 or self._num_rows == 1
+        kept = tensor if own else tensor[0]
+        found = self._watch.input(self._next, kept, rows=own)
+        self._watch.into.lifted.append(kept)
+        self._next += 1
+        return found if own else found.expand(ROWS, *found.shape)
 
 
 def _marked(numbers: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from typing import Generic, TypeVar, cast
 import torch
 from torch import Tensor
 
-from aerial_gym.interop.rows import RowFunction, UntraceableError, trace
+from aerial_gym.interop.rows import DifferentiableRows, RowFunction, UntraceableError, trace
 from aerial_gym.interop.rows.tracing import LARGEST_ROW
 from aerial_gym.math.rows import on_whole_vectors
 from aerial_gym.task.step.traced import Graph
@@ -95,6 +95,8 @@ class NamedRows:
         """The terms that run before the kernel."""
         self._names, self._results = tuple(self._reads), ()
         self._out = tuple(writes.values())
+        self._kernels: DifferentiableRows | None = None
+        self._tried = False
         self._rows = ByRow(self._of, what)
         if graph is None and self._rows.prepare(list(self._reads.values())):
             self.apart = tuple(term for term in terms if not self._traces(term))
@@ -116,15 +118,29 @@ class NamedRows:
 
     def _with_gradients(self, graph: Graph, changing: Mapping[str, Tensor]) -> dict[str, Tensor]:
         values = {**graph.of(self._reads), **changing}
-        first = values[self._names[0]]
-        whole = on_whole_vectors(self._of, first.shape[0], first.device)
-        found = whole(*(values[name] for name in self._names))
+        found = self._gradient_rows(*(values[name] for name in self._names))
         results = dict(zip(self._results, found, strict=True))
         with torch.no_grad():
             for target, result in zip(self._out, found, strict=False):
                 target.copy_(result)
         graph.keep({name: results[name] for name in self._keeps})
         return results
+
+    def _gradient_rows(self, *given: Tensor) -> tuple[Tensor, ...]:
+        """Return the results with their gradients: by two kernels if that can be, of float32, else by torch operations."""
+        if not self._tried:
+            self._tried = True
+            try:
+                if all(tensor.dtype != torch.float64 for tensor in given):
+                    ends = [name for name in self._writes if name not in self._keeps]
+                    self._kernels = DifferentiableRows(
+                        self._of, given, has_gradient=lambda place: self._results[place] not in ends
+                    )
+            except UntraceableError as error:
+                _log.warning("gradients of %s run as many small torch operations: %s", self.what, error)
+        if self._kernels is not None:
+            return self._kernels(*given)
+        return on_whole_vectors(self._of, given[0].shape[0], given[0].device)(*given)
 
     def plainly(self, **changing: Tensor) -> dict[str, Tensor]:
         """Return all results as torch computes them; nothing is written."""

@@ -55,6 +55,41 @@ def test_gradients_of_a_flight_are_its_differences(controller: str, size: float)
     assert torch.autograd.gradcheck(flown(build(controller)), (actions.requires_grad_(),), atol=1e-6, rtol=1e-5)
 
 
+def gradient_of(env: EnvManager) -> Tensor:
+    """Return the gradient of a flight that saturates rotors, touches nothing, and is the same in every float type."""
+    dtype = env.traced["robot_position"].dtype
+    actions = 0.8 * torch.rand(STEPS, NUM_ENVS, 4, generator=torch.Generator().manual_seed(1)).to(dtype) - 0.4
+    (found,) = torch.autograd.grad(flown(env)(actions.requires_grad_()), actions)
+    return found.double()
+
+
+@pytest.mark.parametrize("robot", ["base_quadrotor", "mixed"])
+def test_kernels_have_the_gradients_of_torch_operations(robot: str) -> None:
+    """A step in float32 is two kernels, forward and back; in float64 it is torch's own operations, held to differences above.
+
+    1e-4 of the largest entry: some thousand operations in float32, whose results pass through the root of small thrusts.
+    """
+    chosen = {"robot_name": mixed_robot()} if robot == "mixed" else {}
+    controller = "no_control" if robot == "mixed" else "lee_attitude_control"
+    single, exact = (build(controller, dtype=dtype, **chosen) for dtype in (torch.float32, F64))
+    found, expected = gradient_of(single), gradient_of(exact)
+    torch.testing.assert_close(found, expected, atol=1e-4 * float(expected.abs().max()), rtol=0.0)
+    for env, in_kernels in ((single, True), (exact, False)):
+        backend = env.robot_manager.differentiable
+        assert backend is not None
+        assert (backend._in_rows(0.01) is not None) == in_kernels
+
+
+def test_what_remembers_runs_as_torch_operations() -> None:
+    """Gradients go back through the memory of an effect; a kernel of one step knows nothing of it."""
+    robot = replace(ROBOTS.get("base_quadrotor"), effects={"actuation_delay": {"delay": 0.01}})
+    single, exact = (build(dtype=dtype, robot_name=robot) for dtype in (torch.float32, F64))
+    found, expected = gradient_of(single), gradient_of(exact)
+    torch.testing.assert_close(found, expected, atol=1e-4 * float(expected.abs().max()), rtol=0.0)
+    assert single.robot_manager.differentiable is not None
+    assert single.robot_manager.differentiable._in_rows(0.01) is None
+
+
 def test_the_dictionary_shows_what_is_traced() -> None:
     """Position to yaw, each key in float32; nothing of the dictionary carries a graph."""
     env = build()

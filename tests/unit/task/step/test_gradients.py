@@ -82,6 +82,25 @@ def test_gradients_of_rewards_and_observations_are_their_differences() -> None:
 
 
 @pytest.mark.parametrize("name", ["position_setpoint_task", "tracking_task", "everything"])
+def test_kernels_have_the_gradients_of_torch_operations(name: str) -> None:
+    """In float32, by two kernels for each part of the step, against torch's own operations in float64, held to differences.
+
+    1e-4 of the largest entry: some thousand operations in float32.
+    """
+    cfg = with_everything() if name == "everything" else replace(task_registry.get(name), episode_len_steps=4)
+    single, exact = (built(cfg, NUM_ENVS, seed=3, gradients=dtype) for dtype in (torch.float32, F64))
+    actions = 0.4 * torch.rand(STEPS, NUM_ENVS, 4, generator=torch.Generator().manual_seed(1))
+    found = []
+    for task, dtype in ((single, torch.float32), (exact, F64)):
+        given = actions.to(dtype).requires_grad_()
+        found.append(torch.autograd.grad(flown(task)(given), given)[0].double())
+    torch.testing.assert_close(*found, atol=1e-4 * float(found[1].abs().max()), rtol=0.0)
+    for task, in_kernels in ((single, True), (exact, False)):
+        assert (task._judge.rows._kernels is not None) == in_kernels
+        assert (task._observer.rows._kernels is not None) == in_kernels
+
+
+@pytest.mark.parametrize("name", ["position_setpoint_task", "tracking_task", "everything"])
 def test_a_task_with_gradients_is_the_task_without(name: str) -> None:
     """Rewards, ends and observations of the same flight, from kernels and from torch operations, to float32."""
     cfg = with_everything() if name == "everything" else replace(task_registry.get(name), episode_len_steps=7)

@@ -1,0 +1,99 @@
+"""A pure torch function of rows with its gradient: one launch forward and one back, in place of torch's many.
+
+The way back is traced as the way forward is, with torch's own formulas: it computes anew, in registers, what they need of it.
+Letters: E rows.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from aerial_gym.interop.rows.function import RowFunction
+
+
+class DifferentiableRows:
+    """Does what a torch function does to every row, in one Warp kernel, and its gradient in another."""
+
+    def __init__(
+        self,
+        function: Callable[..., tuple[Tensor, ...]],
+        inputs: Sequence[Tensor],
+        *,
+        lifts: bool = False,
+        has_gradient: Callable[[int], bool] = lambda _: True,
+    ) -> None:
+        """Trace the function and its gradient with respect to all inputs of floats.
+
+        A result that a loss does not use counts with slopes of 0: where its own are not finite, NaN comes of it.
+
+        Args:
+            function: Pure; takes tensors, returns tensors of E rows. It is traced once.
+            inputs: What it will be called with, or tensors of the same shapes and types, (E, ...) or shared by all rows; these
+                have no gradient.
+            lifts: Whether the function may take tensors (E, ...) from elsewhere, which must keep their places; they have no
+                gradient.
+            has_gradient: Whether the result at a place has one; asked when the function was called once. Only floats have.
+
+        Raises:
+            UntraceableError: If it, or its gradient, cannot be done row by row; the text says why.
+        """
+        rows = next(tensor.shape[0] for tensor in inputs if tensor.ndim)
+        wanted = [i for i, tensor in enumerate(inputs) if tensor.is_floating_point() and tensor.shape[:1] == (rows,)]
+        self._forward = RowFunction(function, inputs, lifts=lifts, fresh=True)
+        self.outputs = self._forward.outputs
+        pulled = [i for i, (_, dtype) in enumerate(self.outputs) if dtype.is_floating_point and has_gradient(i)]
+        seeds = [inputs[0].new_empty(rows, *self.outputs[i][0], dtype=self.outputs[i][1]) for i in pulled]
+        self._back = RowFunction(
+            _pullback(function, len(inputs), wanted, pulled), [*inputs, *seeds], lifts=lifts, fresh=True
+        )
+        self._num_inputs, self._wanted, self._pulled = len(inputs), wanted, pulled
+
+    def __call__(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        """Return the results, with their gradients; launched on torch's current stream, not waited for."""
+        return _Rows.apply(self, *inputs)
+
+
+def _pullback(
+    function: Callable[..., tuple[Tensor, ...]], num_inputs: int, wanted: Sequence[int], pulled: Sequence[int]
+) -> Callable[..., tuple[Tensor, ...]]:
+    """Return the function from inputs and gradients of some results to gradients of some inputs."""
+
+    def back(*given: Tensor) -> tuple[Tensor, ...]:
+        with torch.enable_grad():
+            inputs = list(given[:num_inputs])
+            for i in wanted:
+                inputs[i] = inputs[i].detach().requires_grad_()
+            results = function(*inputs)
+            pairs = [
+                (results[i], seed)
+                for i, seed in zip(pulled, given[num_inputs:], strict=True)
+                if results[i].requires_grad
+            ]
+            ends, seeds = zip(*pairs, strict=True)
+            found = torch.autograd.grad(ends, [inputs[i] for i in wanted], seeds, allow_unused=True)
+        none = [torch.zeros_like(given[i]) for i in wanted]
+        return tuple(zero if grad is None else grad for grad, zero in zip(found, none, strict=True))
+
+    return back
+
+
+class _Rows(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, rows: DifferentiableRows, *inputs: Tensor) -> tuple[Tensor, ...]:
+        results = rows._forward(*(tensor.contiguous() for tensor in inputs))
+        ctx.rows = rows
+        ctx.save_for_backward(
+            *inputs, *rows._back.lifted
+        )  # torch refuses to go back where these were written meanwhile
+        ctx.mark_non_differentiable(*(result for i, result in enumerate(results) if i not in rows._pulled))
+        return results
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        rows = ctx.rows
+        inputs = ctx.saved_tensors[: rows._num_inputs]
+        given = [tensor.contiguous() for tensor in (*inputs, *(grads[i] for i in rows._pulled))]
+        found = dict(zip(rows._wanted, rows._back(*given), strict=True))
+        return (None, *(found.get(i) for i in range(len(inputs))))
