@@ -19,7 +19,7 @@ GROUPS = (
     ("env_manager",),
     ("task",),
     ("rl_training", "sim2real", "viewer", "benchmarks"),
-    ("compat",),
+    ("compat", "export"),
     ("cli",),
 )
 RANK = {name: rank for rank, group in enumerate(GROUPS) for name in group}

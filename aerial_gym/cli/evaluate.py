@@ -9,13 +9,17 @@ from rich.table import Table
 
 from aerial_gym.cli.progress import progress_bar
 
+EXPORTED = (".onnx", ".pt", ".c")
+"""Of exported policies."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateCmd:
     """Measure success, crash and timeout rates, final position error and settling time of a policy."""
 
     policy: Path
-    """Run folder of a training, of which the last checkpoint is taken, or one checkpoint in it."""
+    """Run folder of a training, of which the last checkpoint is taken, one checkpoint in it, or an exported file (.onnx, .pt,
+    .c)."""
 
     task: str | None = None
     """Registered task, a task file (.yaml) module:Name or file.py:Name; that of the training if not given."""
@@ -51,7 +55,13 @@ class EvaluateCmd:
         from aerial_gym.rl_training.policies.load import check_fits, load_policy
         from aerial_gym.task import task_registry
 
-        policy, cfg = load_policy(self.policy, device=self.device)
+        if self.policy.suffix in EXPORTED:
+            from aerial_gym.export import load_exported
+
+            policy = load_exported(self.policy)
+            cfg = policy.layout
+        else:
+            policy, cfg = load_policy(self.policy, device=self.device)
         name = self.task or cfg.task
         curriculum = task_registry.get(name).curriculum
         level = curriculum.max_level if self.level is None and curriculum is not None else self.level
@@ -69,7 +79,7 @@ class EvaluateCmd:
             progress_bar() as progress,
             one_thread(),
         ):
-            check_fits(policy, task, cfg)
+            check_fits(policy, task, cfg.task)
             if self.watch is not None:
                 task.watch()
             found = evaluate(policy, task, on_step=lambda step, steps: progress("flying", step / steps))

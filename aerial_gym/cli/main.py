@@ -25,6 +25,7 @@ COMMANDS: dict[str, Home] = {
     "train": Home("aerial_gym.cli.train:TrainCmd"),
     "play": Home("aerial_gym.cli.play:PlayCmd"),
     "evaluate": Home("aerial_gym.cli.evaluate:EvaluateCmd"),
+    "export": Home("aerial_gym.cli.export:ExportCmd"),
     "replay": Home("aerial_gym.cli.replay:ReplayCmd"),
     "close-loop": Home("aerial_gym.cli.close_loop:CloseLoopCmd"),
     "identify": Home("aerial_gym.cli.identify:IdentifyCmd"),

@@ -94,7 +94,7 @@ class PlayCmd:
             ) as task,
             one_thread(),
         ):
-            check_fits(policy, task, cfg)
+            check_fits(policy, task, cfg.task)
             film = None if self.video is None else Film(task)
             rows = _fly(policy, task, self.num_steps, film)
             if film is not None and self.video is not None:

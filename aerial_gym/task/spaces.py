@@ -6,10 +6,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from aerial_gym.config.task import OBSERVATIONS, POLICY
 from aerial_gym.task.step.images import Images
 
 if TYPE_CHECKING:
     from gymnasium import spaces
+
+
+def key_of(group: str) -> str:
+    """Return the key under which a group of observations is given."""
+    return OBSERVATIONS if group == POLICY else group
 
 
 def observation_space(widths: Mapping[str, int], images: Images) -> "spaces.Dict":

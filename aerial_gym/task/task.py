@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from aerial_gym.config.task import OBSERVATIONS, POLICY, TaskCfg
+from aerial_gym.config.task import POLICY, TaskCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.math.random import Purpose, counted_uniform
@@ -29,11 +29,11 @@ from aerial_gym.task.resolve import (
     resolve_rewards,
     resolve_terminations,
 )
-from aerial_gym.task.spaces import action_space, observation_space
+from aerial_gym.task.spaces import action_space, key_of, observation_space
 from aerial_gym.task.step.act import Actor, declare_delay
 from aerial_gym.task.step.images import Images, distance_scale
 from aerial_gym.task.step.judge import ARRIVED, FINAL, SUMS, TALLIES, Judge
-from aerial_gym.task.step.observe import Observer
+from aerial_gym.task.step.observe import Entry, Observer
 from aerial_gym.task.step.remember import make_memory
 from aerial_gym.task.step.step_graph import StepGraph, check_untraced
 from aerial_gym.task.step.traced import Graph
@@ -146,7 +146,7 @@ class Task:
     def observation_space(self) -> "spaces.Dict":
         """Space of an observation of one environment; Gymnasium is imported when it is asked for."""
         return observation_space(
-            {_shown(name): self._observer.width(name) for name in self._observer.groups}, self._images
+            {key_of(name): self._observer.width(name) for name in self._observer.groups}, self._images
         )
 
     @cached_property
@@ -287,7 +287,7 @@ class Task:
         """Look, and return the observation of this instant."""
         self._look(begun=bool(self._images.frames))
         self._observer.draw_noise()
-        found = {_shown(group): value for group, value in self._observer().items()}
+        found = {key_of(group): value for group, value in self._observer().items()}
         return found | {name: frames.clone() for name, frames in self._images.frames.items()}
 
     def _look(self, *, begun: bool = False) -> None:
@@ -309,6 +309,11 @@ class Task:
         if self.env.sensor_manager.casters:
             found["rendering"] = self._look
         return found
+
+    @property
+    def observed(self) -> dict[str, list[Entry]]:
+        """Terms in the order in which they stand side by side, by key of the observation."""
+        return {key_of(group): entries for group, entries in self._observer.groups.items()}
 
     @property
     def target_position(self) -> Tensor:
@@ -393,8 +398,3 @@ class Task:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-def _shown(group: str) -> str:
-    """Return the name under which a group is given."""
-    return OBSERVATIONS if group == POLICY else group

@@ -6,7 +6,7 @@ Letters: O entries of an observation.
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -22,14 +22,28 @@ from aerial_gym.rl_training.settings import OWN, TrainingCfg
 from aerial_gym.task import Task
 
 
-def check_fits(policy: Policy, task: Task, cfg: TrainingCfg) -> None:
+class Fitting(Protocol):
+    """What takes observations and gives actions."""
+
+    @property
+    def shapes(self) -> Mapping[str, tuple[int, ...]]:
+        """What it sees of an environment, by key of the observation."""
+        ...
+
+    @property
+    def num_actions(self) -> int:
+        """Entries of an action."""
+        ...
+
+
+def check_fits(policy: Fitting, task: Task, trained_on: str) -> None:
     """Raise ``ConfigError`` if a policy does not take the observations of a task, or does not give its actions."""
     spaces, actions = task.observation_space, task.action_space
     assert actions.shape is not None
     has = {key: tuple(spaces[key].shape or ()) for key in spaces.spaces}
     if any(has.get(key) != shape for key, shape in policy.shapes.items()) or policy.num_actions != actions.shape[0]:
         raise ConfigError(
-            f"policy of {cfg.task}: takes {told_shapes(policy.shapes)} and gives {policy.num_actions} actions; this "
+            f"policy of {trained_on}: takes {told_shapes(policy.shapes)} and gives {policy.num_actions} actions; this "
             f"task has {told_shapes(has)} and {actions.shape[0]}. Give it the task, robot and controller of its training"
         )
 

@@ -16,5 +16,5 @@ def make_training(cfg: TrainingCfg, task: Task) -> OwnTraining[Distill]:
     """
     assert cfg.teacher is not None
     teacher, its_cfg = load_policy(cfg.teacher, device=task.device)
-    check_fits(teacher, task, its_cfg)
+    check_fits(teacher, task, its_cfg.task)
     return OwnTraining(cfg, task, Distill(cfg, task, make_network(cfg, task), teacher))

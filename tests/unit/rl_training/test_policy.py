@@ -238,12 +238,12 @@ def test_a_policy_that_diverged_or_was_trained_for_another_task_is_refused() -> 
     }
     policy = policy_from_state(state, cfg, where="test")
     with task_registry.make_task(cfg.task, num_envs=2, device="cpu") as task:
-        check_fits(policy, task, cfg)
+        check_fits(policy, task, cfg.task)
         task.observation_space["observations"] = Box(-1.0, 1.0, (78,))
         with pytest.raises(
             ConfigError, match="takes 13 observations and gives 4 actions; this task has 78 observations and 4"
         ):
-            check_fits(policy, task, cfg)
+            check_fits(policy, task, cfg.task)
     state["a2c_network.mu.bias"] = torch.tensor([0.0, float("nan"), 0.0, 0.0])
     with pytest.raises(
         ConfigError, match="test: layer 2 holds 1 numbers that are NaN or infinite: the training diverged"

@@ -85,7 +85,7 @@ def test_a_task_with_a_camera_is_trained_with_a_memory_and_a_critic_that_sees_be
             training.advance()
         state = training.state()
         policy = policy_from_payload(state, cfg, where="test")
-        check_fits(policy, task, cfg)
+        check_fits(policy, task, cfg.task)
         assert set(policy.shapes) == {"observations", "depth"}
         assert evaluate(policy, task).num_starts == 8
         again = make_training(cfg, task)

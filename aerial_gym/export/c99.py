@@ -1,0 +1,207 @@
+"""A policy as C99: one header and one source, weights inside, no library but math.h, no allocation.
+
+Letters: O entries of an observation, U of a command, V of an action, M numbers of memory.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from itertools import pairwise
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.export.layout import Layout
+from aerial_gym.export.module import FlownPolicy, transform_of
+from aerial_gym.task import ACTIONS
+from aerial_gym.task.terms import actions
+
+LINE = 110
+"""Columns of a line of weights."""
+
+
+def header(layout: Layout) -> str:
+    """Return the header: sizes, state, two functions, and what every entry means."""
+    n, upper = layout.name, layout.name.upper()
+    memory = f"\n    float memory[{layout.memory}];" if layout.memory else ""
+    seen = "\n".join(
+        f" *   {_places(s.first, s.count):>9}  {s.term}: {s.meaning}{_history(s.history)}" for s in layout.observation
+    )
+    given = "\n".join(f" *   {i:>9}  {name}" for i, name in enumerate(layout.command))
+    return f"""/* A policy of {layout.task} for {layout.robot} with {layout.controller}; aerial_gym {layout.version}.
+ * Ask it every {1e3 / layout.rate_hz:.4g} ms ({layout.rate_hz:.4g} Hz), as in training.
+ *
+ * observation
+{seen}
+ * command
+{given}
+ */
+#ifndef {upper}_H
+#define {upper}_H
+
+#define {upper}_NUM_OBSERVATIONS {layout.num_observations}
+#define {upper}_NUM_COMMANDS {len(layout.command)}
+#define {upper}_NUM_ACTIONS {layout.num_actions}
+
+/* What stays from step to step: the last action, -1 to 1{", and the memory" if layout.memory else ""}. */
+typedef struct {{
+    float action[{layout.num_actions}];{memory}
+}} {n}_state;
+
+/* Before the first step, and where a new flight begins. */
+void {n}_reset({n}_state *state);
+
+void {n}_step({n}_state *state, const float observation[{layout.num_observations}], float command[{len(layout.command)}]);
+
+#endif
+"""
+
+
+def source(policy: FlownPolicy, layout: Layout) -> str:
+    """Return the source.
+
+    Raises:
+        ConfigError: If the transform of the actions has no form in C.
+    """
+    n, body = layout.name, policy.policy.body
+    write = _TRANSFORMS.get(ACTIONS.get(layout.transform).value)
+    if write is None:
+        raise ConfigError(f"action {layout.transform}: has no form in C. Export onnx or torchscript")
+    parts: list[str] = []
+    mean, std, limit = policy.normalized()
+    scale = policy.scale.double()
+    parts += [_array("shift", mean.double() / scale), _array("factor", scale / std.double())]
+    linears = [layer for layer in body.layers if isinstance(layer, nn.Linear)]
+    for i, layer in enumerate(linears):
+        parts += [_array(f"weight_{i}", layer.weight), _array(f"bias_{i}", layer.bias)]
+    widths = [layout.num_observations, *(layer.out_features for layer in linears)]
+    cell = body.cell
+    if cell is not None:
+        parts += [_array("entering", cell.weight_ih), _array("entering_bias", cell.bias_ih)]
+        parts += [_array("held", cell.weight_hh), _array("held_bias", cell.bias_hh)]
+    parts += [_array("head", policy.policy.head.weight), _array("head_bias", policy.policy.head.bias)]
+    clamped = "" if limit is None else f"\n        seen[i] = clamped(seen[i], {_number(limit)});"
+    layers, before = [], "seen"
+    for i, (wide_in, wide_out) in enumerate(pairwise(widths)):
+        layers += [
+            f"    float layer_{i}[{wide_out}];",
+            f"    dense(weight_{i}, bias_{i}, {wide_in}, {wide_out}, {before}, layer_{i});",
+            f"    for (int i = 0; i < {wide_out}; ++i) layer_{i}[i] = activated(layer_{i}[i]);",
+        ]
+        before = f"layer_{i}"
+    if cell is not None:
+        layers.append(_MEMORY.format(features=before, wide=widths[-1], m=layout.memory))
+        before = "state->memory"
+    lines = "\n".join(layers)
+    forget = f"\n    for (int i = 0; i < {layout.memory}; ++i) state->memory[i] = 0.0f;" if layout.memory else ""
+    activation = _ACTIVATIONS[body.cfg.activation] if linears else ""
+    logistic = "static float logistic(float x) { return 1.0f / (1.0f + expf(-x)); }\n" if cell is not None else ""
+    return f"""#include "{n}.h"
+
+#include <math.h>
+
+{chr(10).join(parts)}
+static float clamped(float x, float limit) {{ return x < -limit ? -limit : (x > limit ? limit : x); }}
+{activation}{logistic}
+static void dense(const float *weight, const float *bias, int num_in, int num_out, const float *in, float *out) {{
+    for (int o = 0; o < num_out; ++o) {{
+        float sum = bias[o];
+        for (int i = 0; i < num_in; ++i) sum += weight[o * num_in + i] * in[i];
+        out[o] = sum;
+    }}
+}}
+
+void {n}_reset({n}_state *state) {{
+    for (int i = 0; i < {layout.num_actions}; ++i) state->action[i] = 0.0f;{forget}
+}}
+
+void {n}_step({n}_state *state, const float observation[{layout.num_observations}], float command[{len(layout.command)}]) {{
+    float seen[{layout.num_observations}];
+    for (int i = 0; i < {layout.num_observations}; ++i) {{
+        seen[i] = (observation[i] - shift[i]) * factor[i];{clamped}
+    }}
+{lines}
+    dense(head, head_bias, {policy.policy.head.in_features}, {layout.num_actions}, {before}, state->action);
+    for (int i = 0; i < {layout.num_actions}; ++i) state->action[i] = clamped(state->action[i], 1.0f);
+    const float *action = state->action;
+{write(layout, transform_of(layout)[1])}
+}}
+"""
+
+
+_ACTIVATIONS = {
+    "elu": "static float activated(float x) { return x > 0.0f ? x : expm1f(x); }\n",
+    "relu": "static float activated(float x) { return x > 0.0f ? x : 0.0f; }\n",
+    "tanh": "static float activated(float x) { return tanhf(x); }\n",
+}
+
+_MEMORY = """    float from_seen[3 * {m}], from_memory[3 * {m}]; /* reset, update, new */
+    dense(entering, entering_bias, {wide}, 3 * {m}, {features}, from_seen);
+    dense(held, held_bias, {m}, 3 * {m}, state->memory, from_memory);
+    for (int i = 0; i < {m}; ++i) {{
+        const float reset = logistic(from_seen[i] + from_memory[i]);
+        const float update = logistic(from_seen[{m} + i] + from_memory[{m} + i]);
+        const float fresh = tanhf(from_seen[2 * {m} + i] + reset * from_memory[2 * {m} + i]);
+        state->memory[i] = fresh + update * (state->memory[i] - fresh);
+    }}"""
+
+
+def _direct(layout: Layout, params: Mapping[str, Any]) -> str:
+    del params
+    return f"    for (int i = 0; i < {len(layout.command)}; ++i) command[i] = action[i];"
+
+
+def _forward_flight(layout: Layout, params: Mapping[str, Any]) -> str:
+    del layout
+    return f"""    const float speed = {_number(0.5 * params["max_speed"])} * (action[0] + 1.0f);
+    const float inclination = {_number(params["max_inclination"])} * action[1];
+    command[0] = speed * cosf(inclination);
+    command[1] = 0.0f;
+    command[2] = speed * sinf(inclination);
+    command[3] = {_number(params["max_yaw_rate"])} * action[2];"""
+
+
+def _affine(layout: Layout, params: Mapping[str, Any]) -> str:
+    del layout
+    pairs = zip(params["low"], params["high"], strict=True)
+    lines = [
+        f"    command[{i}] = {_number(0.5 * (b - a))} * (action[{i}] + 1.0f) + {_number(a)};"
+        for i, (a, b) in enumerate(pairs)
+    ]
+    return "\n".join(lines)
+
+
+_TRANSFORMS: dict[Callable[..., Tensor], Callable[[Layout, Mapping[str, Any]], str]] = {
+    actions.direct: _direct,
+    actions.forward_flight: _forward_flight,
+    actions.affine: _affine,
+}
+"""The transforms of actions, in C."""
+
+
+def _places(first: int, count: int) -> str:
+    return str(first) if count == 1 else f"{first} to {first + count - 1}"
+
+
+def _history(history: int) -> str:
+    return "" if history == 1 else f"; of the last {history} steps, oldest first"
+
+
+def _number(value: float) -> str:
+    text = f"{torch.tensor(value, dtype=torch.float32).item():.9g}"
+    return f"{text if '.' in text or 'e' in text else text + '.0'}f"
+
+
+def _array(name: str, values: Tensor) -> str:
+    """Return the definition of a constant array."""
+    lines, line = [], "   "
+    for text in _texts(values.detach().flatten().tolist()):
+        if len(line) + len(text) + 2 > LINE:
+            lines.append(line)
+            line = "   "
+        line += f" {text},"
+    return f"static const float {name}[{values.numel()}] = {{\n" + "\n".join([*lines, line]) + "\n};"
+
+
+def _texts(values: Iterable[float]) -> Iterable[str]:
+    return (_number(value) for value in values)

@@ -1,0 +1,148 @@
+"""Writing a policy, and how far what was written is from the policy.
+
+Letters: O entries of an observation, M numbers of memory.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from aerial_gym.config.storage import told_storage, write_whole
+from aerial_gym.errors import CapabilityError, ConfigError
+from aerial_gym.export import c99
+from aerial_gym.export.layout import Layout, layout_of
+from aerial_gym.export.module import FlownPolicy
+from aerial_gym.export.pilot import load_exported
+from aerial_gym.rl_training.policies.load import check_fits, load_policy
+from aerial_gym.rl_training.policies.policy import Policy
+from aerial_gym.task import task_registry
+
+CHECKED, STEPS = 100_000, 10
+"""Observations with which an exported policy is compared, in sequences of so many steps: a memory is then in use."""
+
+SPREAD = 2.0
+"""They are drawn about the mean of what the policy has seen, with this many of its standard deviations."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exported:
+    """One file."""
+
+    to: str
+    """Format."""
+
+    file: Path
+    largest_difference: float | None
+    """Largest difference of a command or action from that of torch over ``CHECKED`` observations; None: ``not_checked``."""
+
+    not_checked: str | None = None
+    """Why it could not be run here."""
+
+
+def export_policy(
+    source: str | Path, out: str | Path, to: Iterable[str], *, name: str | None = None, check: bool = True
+) -> list[Exported]:
+    """Write the policy of a run folder or checkpoint in some formats, with ``policy.json`` beside it.
+
+    Args:
+        source: Run folder, or one checkpoint in it.
+        out: Folder; made if it is not there.
+        to: Names of ``FORMATS``.
+        name: Of files and C functions; that of the task if not given.
+        check: Run what was written on ``CHECKED`` random observations and compare it with torch.
+
+    Raises:
+        ConfigError: If there is no such policy or format, or the policy cannot be written so.
+        CapabilityError: If a package is missing.
+        StorageError: If the folder cannot be written.
+    """
+    for each in (wanted := list(to)):
+        if each not in FORMATS:
+            raise ConfigError(f"format {each!r}: must be {', '.join(FORMATS)}")
+    policy, cfg = load_policy(source)
+    with task_registry.make_task(cfg.task, num_envs=1, robot=cfg.robot, controller=cfg.controller) as task:
+        check_fits(policy, task, cfg.task)
+        named = name or Path(cfg.task.rpartition(":")[2]).stem
+        layout = layout_of(policy, cfg, task, name=named, source=str(source))
+    return write_policy(policy, layout, Path(out), wanted, check=check)
+
+
+def write_policy(policy: Policy, layout: Layout, out: Path, to: Iterable[str], *, check: bool = True) -> list[Exported]:
+    """Write a policy with its layout; see ``export_policy``."""
+    flown = FlownPolicy(policy, layout).eval()
+    with told_storage(out):
+        out.mkdir(parents=True, exist_ok=True)
+    layout.write(out)
+    found = []
+    for each in to:
+        file = FORMATS[each](flown, layout, out)
+        difference, reason = None, "not asked for"
+        if check:
+            try:
+                difference, reason = largest_difference(flown, layout, file), None
+            except CapabilityError as error:
+                reason = str(error)
+        found.append(Exported(to=each, file=file, largest_difference=difference, not_checked=reason))
+    return found
+
+
+@torch.no_grad()
+def largest_difference(flown: FlownPolicy, layout: Layout, file: Path) -> float:
+    """Return how far command and action of an exported file are from those of torch at most."""
+    pilot, rows = load_exported(file), CHECKED // STEPS
+    generator = torch.Generator().manual_seed(0)
+    mean, std, _ = flown.normalized()
+    ours = theirs = torch.zeros(rows, layout.memory)
+    largest = 0.0
+    for _ in range(STEPS):
+        seen = (mean + SPREAD * std * torch.randn(rows, len(mean), generator=generator)) / flown.scale
+        expected, given = flown(seen, *((ours,) if layout.memory else ())), pilot.step(seen, theirs)
+        for reference, found in zip(expected[:2], given[:2], strict=True):
+            largest = max(largest, float((reference - found).abs().max()))
+        ours, theirs = (expected[2], given[2]) if layout.memory else (ours, theirs)
+    return largest
+
+
+def _onnx(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
+    try:
+        import onnx  # noqa: F401
+        import onnxscript  # noqa: F401
+    except ImportError as error:
+        raise CapabilityError(f"{error.name} is not installed. Run: pip install 'aerial-gym[export]'") from None
+    file, (inputs, outputs) = out / f"{layout.name}.onnx", flown.names
+    batch = torch.export.Dim("rows")
+    program = torch.onnx.export(
+        flown,
+        flown.example(),
+        input_names=inputs,
+        output_names=outputs,
+        dynamic_shapes=tuple({0: batch} for _ in inputs),
+        dynamo=True,
+        verbose=False,
+    )
+    assert program is not None
+    program.save(str(file))
+    return file
+
+
+def _torchscript(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
+    file = out / f"{layout.name}.pt"
+    torch.jit.trace(flown, flown.example()).save(str(file))  # pyright: ignore[reportAttributeAccessIssue, reportFunctionMemberAccess]
+    return file
+
+
+def _c99(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
+    text = c99.source(flown, layout)
+    write_whole(out / f"{layout.name}.h", c99.header(layout))
+    write_whole(out / f"{layout.name}.c", text)
+    return out / f"{layout.name}.c"
+
+
+FORMATS: dict[str, Callable[[FlownPolicy, Layout, Path], Path]] = {
+    "onnx": _onnx,
+    "torchscript": _torchscript,
+    "c99": _c99,
+}
+"""What writes a format."""

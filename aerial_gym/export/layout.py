@@ -1,0 +1,171 @@
+"""What an exported policy takes and gives, entry by entry: the file ``policy.json`` beside it.
+
+Letters: O entries of an observation, V of an action, U of a command, M numbers of memory.
+"""
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from aerial_gym.config.storage import write_whole
+from aerial_gym.config.task_terms import steps_range
+from aerial_gym.errors import ConfigError
+from aerial_gym.rl_training.policies.policy import Policy
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.task import Task
+
+LAYOUT_FILE = "policy.json"
+"""Beside every exported policy."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """One term of the observation."""
+
+    key: str
+    """Key of the task's observation to which it belongs."""
+
+    term: str
+    meaning: str
+    """What it is, with unit and frame."""
+
+    first: int
+    """Its first entry in the exported observation."""
+
+    count: int
+    """Its entries; those of ``history`` steps side by side, oldest first."""
+
+    history: int
+    scale: float
+    """Factor by which the policy multiplies it: the exported one does so itself."""
+
+    noise_std: float
+    """Standard deviation of the noise that it was trained with, in the unit of the term."""
+
+    delay_steps: tuple[int, int]
+    """Fewest and most steps by which it was late in training."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """What goes in and what comes out."""
+
+    name: str
+    """A name that C allows."""
+
+    task: str
+    robot: str
+    controller: str
+    rate_hz: float
+    """How often it was asked in training [1/s]."""
+
+    observation: tuple[Seen, ...]
+    """Terms in the order in which they stand side by side, in their own units, before ``scale``."""
+
+    command: tuple[str, ...]
+    """Entries of the command that comes out, with their units: what the controller takes."""
+
+    num_actions: int
+    """V: entries of the action behind the command, each -1 to 1; where the observation has them, they are fed back."""
+
+    transform: str
+    """From action to command (``aerial_gym.task.ACTIONS``)."""
+
+    params: Mapping[str, Any]
+    """Numbers of the transform."""
+
+    action_delay_steps: tuple[int, int]
+    """Fewest and most steps by which commands were late in training; not part of the export."""
+
+    filter_time_s: float
+    """Time constant of the low pass behind the command in training [s]; not part of the export."""
+
+    memory: int
+    """M: numbers that it remembers from step to step, 0 where an episode begins."""
+
+    source: str
+    """Checkpoint."""
+
+    version: str
+    """Of this package."""
+
+    @property
+    def num_observations(self) -> int:
+        """O."""
+        return sum(seen.count for seen in self.observation)
+
+    def write(self, folder: Path) -> Path:
+        """Write ``policy.json``; return its path."""
+        write_whole(folder / LAYOUT_FILE, json.dumps(asdict(self), indent=2) + "\n")
+        return folder / LAYOUT_FILE
+
+    @classmethod
+    def read(cls, folder: Path) -> "Layout":
+        """Return what stands beside an exported policy.
+
+        Raises:
+            ConfigError: If there is none, or it is not one.
+        """
+        try:
+            found = json.loads((folder / LAYOUT_FILE).read_text(encoding="utf-8"))
+            seen = tuple(Seen(**each | {"delay_steps": tuple(each["delay_steps"])}) for each in found["observation"])
+            more = {"command": tuple(found["command"]), "action_delay_steps": tuple(found["action_delay_steps"])}
+            return cls(**found | {"observation": seen} | more)
+        except FileNotFoundError:
+            raise ConfigError(f"{folder}: no {LAYOUT_FILE} in it. Make it with aerial-gym export") from None
+        except (KeyError, TypeError, ValueError) as error:
+            raise ConfigError(f"{folder / LAYOUT_FILE}: is no layout of a policy ({error}). Export it again") from None
+
+
+def layout_of(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source: str) -> Layout:
+    """Return the layout of a policy that flies a task.
+
+    Raises:
+        ConfigError: If it sees images, or the name is none that C allows.
+    """
+    from aerial_gym import __version__
+
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
+        raise ConfigError(f"name {name!r}: C allows letters, digits and _, no digit first")
+    seen: list[Seen] = []
+    first = 0
+    for key, shape in policy.shapes.items():
+        if len(shape) != 1:
+            raise ConfigError(f"policy of {cfg.task}: sees the image {key!r}; only vectors are exported so far")
+        for entry in task.observed[key]:
+            count = entry.width * entry.cfg.history
+            seen.append(
+                Seen(
+                    key=key, term=entry.cfg.term, meaning=_meaning(entry.term.term.summary), first=first,
+                    count=count, history=entry.cfg.history, scale=entry.cfg.scale, noise_std=entry.cfg.noise_std,
+                    delay_steps=steps_range(entry.cfg.delay_steps),
+                )
+            )  # fmt: skip
+            first += count
+    action = task.cfg.action
+    manager = task.env.robot_manager
+    return Layout(
+        name=name,
+        task=cfg.task,
+        robot=cfg.robot or task.cfg.robot,
+        controller=cfg.controller or task.cfg.controller,
+        rate_hz=1.0 / task.env.dt,
+        observation=tuple(seen),
+        command=tuple(manager.controller.action_names),
+        num_actions=policy.num_actions,
+        transform=action.transform,
+        params=dict(action.params),
+        action_delay_steps=steps_range(action.delay_steps),
+        filter_time_s=action.filter_time_s,
+        memory=policy.body.memory_size,
+        source=source,
+        version=__version__,
+    )
+
+
+def _meaning(summary: str) -> str:
+    """Return the first line about a term without what belongs to batches."""
+    return re.sub(r",? \(E, [^)]*\)", "", summary).removeprefix("Return ").rstrip(".")

@@ -1,0 +1,156 @@
+"""Exported policies that fly in the simulator: what runs is the exported file.
+
+Letters: E environments, O entries of an observation, U of a command, V of an action, M numbers of memory.
+"""
+
+import ctypes
+import subprocess
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from shutil import which
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from aerial_gym.errors import CapabilityError, ConfigError
+from aerial_gym.export.layout import Layout
+
+Step = Callable[[Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
+"""Observation (E, O) and memory (E, M) to command (E, U), action (E, V) and the memory after it, on the CPU."""
+
+COMPILER = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic")
+"""What the source is compiled with."""
+
+
+class ExportedPilot:
+    """Flies an exported policy, as ``evaluate`` wants it."""
+
+    def __init__(self, layout: Layout, step: Step) -> None:
+        """Take what goes in and out, and what is called."""
+        self.layout, self.step = layout, step
+        scale = [torch.full((seen.count,), seen.scale) for seen in layout.observation]
+        self._scale, self._keys = torch.cat(scale), list(dict.fromkeys(seen.key for seen in layout.observation))
+        self._memory: Tensor | None = None
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """What it sees of an environment, by key of the observation."""
+        counts = {key: sum(s.count for s in self.layout.observation if s.key == key) for key in self._keys}
+        return {key: (count,) for key, count in counts.items()}
+
+    @property
+    def num_actions(self) -> int:
+        """Entries of an action, V."""
+        return self.layout.num_actions
+
+    def __call__(self, observation: Mapping[str, Tensor]) -> Tensor:
+        """Return actions (E, V) of the observations of a task, by key."""
+        given = torch.cat([observation[key] for key in self._keys], dim=-1)
+        if self._memory is None or len(self._memory) != len(given):
+            self._memory = torch.zeros(len(given), self.layout.memory)
+        _, action, self._memory = self.step(given.cpu() / self._scale, self._memory)
+        return action.to(given.device)
+
+    def reset(self, mask: Tensor | None = None) -> None:
+        """Forget what was seen in the environments of ``mask``, bool (E,), or in all."""
+        if mask is None or self._memory is None:
+            self._memory = None
+        else:
+            self._memory = self._memory.masked_fill(mask.cpu().unsqueeze(-1), 0.0)
+
+
+def load_exported(file: str | Path) -> ExportedPilot:
+    """Return the pilot of an exported file: ``.onnx``, ``.pt`` or ``.c``; ``policy.json`` stands beside it.
+
+    Raises:
+        ConfigError: If it is none of these, or there is no layout beside it.
+        CapabilityError: If what runs it is missing: the package onnxruntime, or gcc.
+    """
+    file = Path(file)
+    layout = Layout.read(file.parent)
+    steps = {".onnx": onnx_step, ".pt": torchscript_step, ".c": c99_step}
+    if file.suffix not in steps or not file.is_file():
+        raise ConfigError(f"{file}: is no exported policy. Give the .onnx, .pt or .c file that aerial-gym export wrote")
+    return ExportedPilot(layout, steps[file.suffix](file, layout))
+
+
+def torchscript_step(file: Path, layout: Layout) -> Step:
+    """Return the step of a TorchScript file."""
+    module = torch.jit.load(str(file))
+
+    @torch.no_grad()
+    def step(observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        if layout.memory:
+            return module(observation, memory)
+        return (*module(observation), memory)
+
+    return step
+
+
+def onnx_step(file: Path, layout: Layout) -> Step:
+    """Return the step of an ONNX file, in onnxruntime on the CPU."""
+    try:
+        import onnxruntime
+    except ImportError:
+        raise CapabilityError("onnxruntime is not installed. Run: pip install 'aerial-gym[export]'") from None
+    session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
+
+    def step(observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        given = {"observation": observation.numpy()} | ({"memory": memory.numpy()} if layout.memory else {})
+        command, action, *after = (torch.from_numpy(np.array(out)) for out in session.run(None, given))
+        return command, action, after[0] if after else memory
+
+    return step
+
+
+def c99_step(file: Path, layout: Layout) -> Step:
+    """Return the step of a C file, compiled for this machine."""
+    compiler = which("gcc") or which("cc")
+    if compiler is None:
+        raise CapabilityError(
+            "no C compiler here (gcc, cc): the source was written, and cannot be flown on this machine"
+        )
+    n, sizes = layout.name, (layout.num_observations, len(layout.command), layout.num_actions, layout.memory)
+    seen, given, acts, memory = sizes
+    rows = f"""#include "{n}.h"
+void {n}_rows(int rows, const float *observation, float *command, float *action, float *memory) {{
+    for (int r = 0; r < rows; ++r) {{
+        {n}_state state;
+        {n}_reset(&state);
+        {f"for (int i = 0; i < {memory}; ++i) state.memory[i] = memory[r * {memory} + i];" if memory else "(void)memory;"}
+        {n}_step(&state, observation + r * {seen}, command + r * {given});
+        for (int i = 0; i < {acts}; ++i) action[r * {acts} + i] = state.action[i];
+        {f"for (int i = 0; i < {memory}; ++i) memory[r * {memory} + i] = state.memory[i];" if memory else ""}
+    }}
+}}
+"""
+    with tempfile.TemporaryDirectory() as folder:
+        driver, library = Path(folder) / "rows.c", Path(folder) / "policy.so"
+        driver.write_text(rows, encoding="utf-8")
+        command = [
+            compiler,
+            *COMPILER,
+            "-fPIC",
+            "-shared",
+            f"-I{file.parent}",
+            str(file),
+            str(driver),
+            "-o",
+            str(library),
+            "-lm",
+        ]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise CapabilityError(f"{file}: does not compile: {done.stderr.strip()[:500]}")
+        call = getattr(ctypes.CDLL(str(library)), f"{n}_rows")
+
+    def step(observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        observation, after = observation.float().contiguous(), memory.float().clone().contiguous()
+        out, action = torch.empty(len(observation), given), torch.empty(len(observation), acts)
+        places = (ctypes.c_void_p(each.data_ptr()) for each in (observation, out, action, after))
+        call(ctypes.c_int(len(observation)), *places)
+        return out, action, after
+
+    return step

@@ -1,0 +1,95 @@
+"""Policies that need no training, and what they fly."""
+
+from dataclasses import replace
+
+import torch
+
+from aerial_gym.assets.catalog import ENVIRONMENTS
+from aerial_gym.config.task import TaskCfg
+from aerial_gym.config.task_terms import ActionCfg
+from aerial_gym.env_manager import SimBuilder
+from aerial_gym.export.layout import Layout, layout_of
+from aerial_gym.rl_training.policies.body import BodyCfg
+from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
+from aerial_gym.rl_training.policies.policy import Policy
+from aerial_gym.rl_training.settings import TrainingCfg, load_settings, settings_for
+from aerial_gym.task import Task, task_registry
+from tests.unit.task.hover import built
+
+HOVER = task_registry.get("position_setpoint_task")
+
+
+def training() -> TrainingCfg:
+    return load_settings(settings_for("ppo", "position_setpoint_task"))
+
+
+def drawn_policy(
+    num_observations: int = 13,
+    *,
+    activation: str = "elu",
+    memory: int = 0,
+    normalize: bool = True,
+    num_actions: int = 4,
+) -> Policy:
+    """Return a policy of random weights whose normaliser has seen something of every size."""
+    generator = torch.Generator().manual_seed(3)
+    body = BodyCfg(
+        shapes={"observations": (num_observations,)},
+        hidden_layers=(24, 17),
+        activation=activation,
+        memory=memory,
+        normalize=normalize,
+    )
+    policy = Policy(body, num_actions)
+    for parameter in policy.parameters():
+        parameter.data = 0.4 * torch.randn(parameter.shape, generator=generator)
+    if normalize:
+        normalizer = policy.body.normalizers["observations"]
+        assert isinstance(normalizer, RunningNormalizer)
+        spread = torch.logspace(-1, 1, num_observations)
+        normalizer.update(2.0 + spread * torch.randn(500, num_observations, generator=generator))
+    return policy.requires_grad_(False).eval()
+
+
+def hovering_policy() -> Policy:
+    """Return a position controller as a network: linear in position error, velocity and yaw, as ``relu(x) - relu(-x)``.
+
+    Attitude commands (thrust - 1, roll, pitch, yaw rate) of 13 observations: error in the world, quaternion, velocity in the
+    body, rates. Right near level and near heading 0, where the task begins.
+    """
+    law = torch.zeros(4, 13)
+    law[0, 2], law[0, 9] = 0.6, -0.5
+    law[2, 0], law[2, 7] = 0.25, -0.3
+    law[1, 1], law[1, 8] = -0.25, 0.3
+    law[3, 5] = -2.0
+    policy = Policy(BodyCfg(shapes={"observations": (13,)}, hidden_layers=(8,), activation="relu", normalize=False), 4)
+    (linear, _), head = policy.body.layers, policy.head
+    linear.weight.data, linear.bias.data = torch.cat((law, -law)), torch.zeros(8)
+    head.weight.data, head.bias.data = torch.cat((torch.eye(4), -torch.eye(4)), dim=1), torch.zeros(4)
+    return policy.requires_grad_(False).eval()
+
+
+def hover(rate_hz: int, *, delay: int = 0, noise: float = 0.0, num_envs: int = 64) -> Task:
+    """Return the position task at a rate on a simulation of 500 Hz, commands late by so many steps, all it sees noisy."""
+    seen = tuple(replace(entry, noise_std=noise) for entry in HOVER.observations["policy"])
+    cfg = replace(
+        HOVER,
+        observations={"policy": seen},
+        action=ActionCfg(delay_steps=delay),
+        episode_len_steps=5 * rate_hz,
+    )
+    env = SimBuilder().build_env(
+        sim_name="base_sim_2ms",
+        env_name=replace(ENVIRONMENTS.get("empty_env"), physics_steps_per_env_step=500 // rate_hz),
+        robot_name=cfg.robot,
+        controller_name=cfg.controller,
+        num_envs=num_envs,
+        seed=5,
+        device="cpu",
+    )
+    return Task(cfg, env)
+
+
+def layout(policy: Policy, cfg: TaskCfg = HOVER) -> Layout:
+    with built(cfg, 1) as task:
+        return layout_of(policy, training(), task, name="hover", source="nowhere")

@@ -1,0 +1,156 @@
+"""Exported policies against torch: numbers entry by entry, flights in the simulator, what is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+from shutil import which
+
+import pytest
+import torch
+
+from aerial_gym.config.task_terms import ActionCfg, ObservationCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.export.c99 import _TRANSFORMS
+from aerial_gym.export.export import FORMATS, export_policy, write_policy
+from aerial_gym.export.layout import Layout, layout_of
+from aerial_gym.export.module import FlownPolicy
+from aerial_gym.export.pilot import load_exported
+from aerial_gym.rl_training.evaluate import evaluate
+from aerial_gym.rl_training.policies.body import BodyCfg
+from aerial_gym.rl_training.policies.policy import Policy
+from aerial_gym.task import ACTIONS, task_registry
+from tests.unit.export.policies import HOVER, drawn_policy, hover, hovering_policy, layout, training
+from tests.unit.task.hover import built
+
+COMPILER = pytest.mark.skipif(which("gcc") is None and which("cc") is None, reason="needs a C compiler")
+TOLERANCE = 1e-5
+"""Of commands and actions: some ulps of sums of a few dozen products of order 1 to 10."""
+
+
+@COMPILER
+@pytest.mark.parametrize(
+    ("activation", "memory", "normalize"),
+    [("elu", 0, True), ("relu", 0, False), ("tanh", 0, True), ("elu", 16, True), ("relu", 16, False)],
+)
+def test_c_and_torchscript_give_what_torch_gives(activation: str, memory: int, normalize: bool, tmp_path: Path) -> None:
+    """Of 100,000 observations in sequences of 10 steps; gcc takes all warnings as errors."""
+    policy = drawn_policy(activation=activation, memory=memory, normalize=normalize)
+    found = write_policy(policy, layout(policy), tmp_path, ["c99", "torchscript"])
+    for each in found:
+        assert each.not_checked is None, each
+        assert each.largest_difference is not None
+        assert each.largest_difference < TOLERANCE, each
+    text = (tmp_path / "hover.c").read_text()
+    assert "alloc" not in text
+    assert max(map(len, text.splitlines())) < 140
+
+
+@pytest.mark.parametrize("memory", [0, 16])
+def test_onnx_gives_what_torch_gives(memory: int, tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxscript")
+    policy = drawn_policy(memory=memory)
+    (found,) = write_policy(policy, layout(policy), tmp_path, ["onnx"])
+    assert found.largest_difference is not None
+    assert found.largest_difference < TOLERANCE
+
+
+@COMPILER
+@pytest.mark.parametrize(
+    ("action", "controller"),
+    [
+        (ActionCfg(), "lee_attitude_control"),
+        (
+            ActionCfg(
+                transform="forward_flight", params={"max_speed": 2.0, "max_inclination": 0.7, "max_yaw_rate": 1.0}
+            ),
+            "lee_velocity_control",
+        ),
+        (
+            ActionCfg(transform="affine", params={"low": [-1.0, -0.5, -3.0, 0.0], "high": [2.0, 0.5, 1.0, 0.25]}),
+            "lee_attitude_control",
+        ),
+    ],
+    ids=["direct", "forward_flight", "affine"],
+)
+def test_commands_are_those_of_the_task(action: ActionCfg, controller: str, tmp_path: Path) -> None:
+    """Transform and limits are inside: what comes out is what the controller of the simulation takes."""
+    cfg = replace(HOVER, action=action, controller=controller)
+    policy = drawn_policy()
+    policy.head.weight.data *= 0.1  # most actions then lie within the limits
+    with built(cfg, 200) as task:
+        made = layout_of(policy, training(), task, name="hover", source="nowhere")
+        pilot_file = write_policy(policy, made, tmp_path, ["c99"], check=False)[0].file
+        observation, _ = task.reset()
+        step = load_exported(pilot_file).step
+        assert (policy(observation).abs() < 1.0).float().mean() > 0.5
+        command, given, _ = step(observation["observations"], torch.zeros(200, 0))
+        torch.testing.assert_close(given, policy(observation), atol=TOLERANCE, rtol=0.0)
+        task.step(policy(observation))
+        torch.testing.assert_close(command, task.env.gtd["robot_actions"], atol=TOLERANCE, rtol=0.0)
+
+
+def test_every_transform_of_actions_has_a_form_in_c() -> None:
+    assert {ACTIONS.get(name).value for name in ACTIONS.names()} <= set(_TRANSFORMS)
+
+
+@COMPILER
+@pytest.mark.parametrize("rate_hz", [50, 100, 250])
+def test_the_c_code_flies(rate_hz: int, tmp_path: Path) -> None:
+    """At three rates, with commands that are 20 ms late and noise: it hovers, and each flight is that of torch.
+
+    Differences of rounding grow along a flight as the closed loop lets them: it is stable, so that they stay small.
+    """
+    policy = hovering_policy()
+    file = write_policy(policy, layout(policy), tmp_path, ["c99"])[0].file
+    with hover(rate_hz, delay=rate_hz // 50, noise=0.01) as task:
+        ours = evaluate(policy, task)
+    with hover(rate_hz, delay=rate_hz // 50, noise=0.01) as task:
+        theirs = evaluate(load_exported(file), task)
+    assert theirs.crash_rate == 0.0
+    assert theirs.final_error_mean_m is not None
+    assert theirs.final_error_mean_m < 0.1
+    assert ours.final_error_max_m is not None
+    assert theirs.final_error_max_m == pytest.approx(ours.final_error_max_m, abs=1e-4)
+
+
+def test_observations_are_taken_in_their_own_units(tmp_path: Path) -> None:
+    """A term that the task scales is given unscaled; two terms of a past stand side by side, oldest first."""
+    terms = (
+        ObservationCfg(term="position_error_world", scale=0.1, noise_std=0.02, delay_steps=(1, 2)),
+        ObservationCfg(term="lin_vel_body", history=2),
+    )
+    cfg = replace(HOVER, observations={"policy": terms})
+    policy = drawn_policy(9)
+    with built(cfg, 4) as task:
+        made = layout_of(policy, training(), task, name="p", source="nowhere")
+    assert [(s.term, s.first, s.count, s.history, s.scale, s.delay_steps) for s in made.observation] == [
+        ("position_error_world", 0, 3, 1, 0.1, (1, 2)),
+        ("lin_vel_body", 3, 6, 2, 1.0, (0, 0)),
+    ]
+    assert made.observation[0].meaning == "target minus position [m], world"
+    assert made.command[1] == "roll [rad]"
+    seen = torch.randn(5, 9)
+    command, _ = FlownPolicy(policy, made)(seen)
+    scaled = torch.cat((0.1 * seen[:, :3], seen[:, 3:]), dim=-1)
+    torch.testing.assert_close(command, policy({"observations": scaled}))
+    made.write(tmp_path)
+    assert Layout.read(tmp_path) == replace(made, params=dict(made.params))
+
+
+def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
+    policy = drawn_policy()
+    image = Policy(BodyCfg(shapes={"depth": (1, 8, 8)}, hidden_layers=(4,)), 4)
+    with built(HOVER, 1) as task:
+        with pytest.raises(ConfigError, match="name '2nd try': C allows letters, digits and _"):
+            layout_of(policy, training(), task, name="2nd try", source="")
+        with pytest.raises(ConfigError, match="sees the image 'depth'; only vectors are exported"):
+            layout_of(image, training(), task, name="p", source="")
+    with pytest.raises(ConfigError, match="format 'tflite': must be onnx, torchscript, c99"):
+        export_policy(tmp_path, tmp_path, ["tflite"])
+    with pytest.raises(ConfigError, match=r"no policy.json in it. Make it with aerial-gym export"):
+        load_exported(tmp_path / "a.onnx")
+    layout(policy).write(tmp_path)
+    with pytest.raises(ConfigError, match=r"is no exported policy. Give the .onnx, .pt or .c file"):
+        load_exported(tmp_path / "a.onnx")
+    assert set(FORMATS) == {"onnx", "torchscript", "c99"}
+    assert task_registry.get("position_setpoint_task") == HOVER
