@@ -180,17 +180,26 @@ class ApgCfg(ReturnCfg):
     end_learning_rate: float
     """That at the end, > 0."""
 
-    critic_learning_rate: float
-    """Step of Adam of the critic at first, > 0; it falls in the same proportion."""
+    terminal_value: bool = False
+    """Whether the value of the last state of a window, and of an episode that was truncated, counts as well. If not, the
+    critic learns nothing, and windows must be as long as an action takes to show in the reward."""
 
-    critic_epochs: int
+    gae_lambda: float = 0.95
+    """Weight lambda of the returns from which the critic learns, 0 <= lambda <= 1. This and the following numbers of the critic
+    are those of Xu et al. (2022), table 4."""
+
+    critic_learning_rate: float = 2.0e-3
+    """Step of Adam of the critic at first, > 0; it falls in the same proportion as that of the policy."""
+
+    critic_epochs: int = 16
     """Passes of the critic over the samples of a window, >= 1."""
 
-    critic_minibatches: int
+    critic_minibatches: int = 4
     """Parts into which the samples of a window are split for it, >= 1."""
 
-    target_share: float
-    """Share of the critic that the one that judges the ends of windows takes over after every window, > 0 and <= 1."""
+    target_share: float = 0.8
+    """Share of the critic that the one that judges the ends of windows takes over after every window, > 0 and <= 1: 1 less the
+    share of the old one that is kept, 0.2 in Xu et al. (2022)."""
 
     capture: bool = False
     """Whether a window and its updates are held in one CUDA graph on a GPU."""

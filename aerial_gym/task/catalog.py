@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from aerial_gym.config import CONFIG_DIR, load
 from aerial_gym.config.task import CurriculumCfg, TaskCfg
-from aerial_gym.config.task_terms import ObservationCfg
+from aerial_gym.config.task_terms import ObservationCfg, RewardCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.registry import Registry
 
@@ -202,3 +202,31 @@ def _safe_navigation() -> TaskCfg:
 
 
 task_registry.register_later("safe_navigation_task", _safe_navigation)
+
+
+def _smooth(name: str, *, width: float, velocity: str, weight: float) -> TaskCfg:
+    """A task that learners by gradients can follow: its reward has a slope wherever the robot comes to.
+
+    The bells of the others are flat beyond two metres. The distance is worth up to 8, as episodes end beyond 8 m: nobody gains
+    by a crash.
+    """
+    task = task_registry.get(name)
+    return replace(
+        task,
+        summary=f"{task.summary}; with a reward that has a slope everywhere",
+        rewards={
+            "distance": RewardCfg(term="distance_rounded", params={"offset": 8.0, "scale": 1.0, "width": width}),
+            "velocity": RewardCfg(term=velocity, params={"weight": weight}),
+            "turning": RewardCfg(term="turning_cost", params={"weight": 0.01}),
+        },
+        source=f"{name}; weights from trials with trainer apg (docs/results/training.md)",
+    )
+
+
+for _name, _velocity, _width, _weight in (
+    ("position_setpoint_task", "speed_cost", 0.05, 0.05),
+    ("tracking_task", "velocity_error_cost", 0.2, 0.1),
+):
+    task_registry.register_later(
+        f"smooth_{_name}", partial(_smooth, _name, width=_width, velocity=_velocity, weight=_weight)
+    )

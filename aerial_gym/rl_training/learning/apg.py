@@ -2,7 +2,8 @@
 
 The policy climbs the mean over rows of ``sum_k gamma^k r_k + gamma^n V(s_n)``, summed over the episodes of a window. The
 gradient is computed through policy, controller and physics; it ends where a window begins and where an episode does. The critic
-that judges the last state of a window, or of an episode that was truncated, follows lambda-returns slowly (``target``).
+that judges the last state of a window, or of an episode that was truncated, follows lambda-returns slowly (``target``); without
+``terminal_value`` V is 0 and no critic learns.
 
 Letters: T steps of a window, E environments, U entries of an action.
 
@@ -123,7 +124,9 @@ class Apg(Learner):
         self._actor_adam.step(gradient, rate)
         self.network.actor.log_std.data.clamp_(min=log(self._apg.min_std))
         with torch.no_grad():
-            value_loss = self._judge(window, value.detach(), rate)
+            value_loss = torch.zeros_like(norm)
+            if self._apg.terminal_value:
+                value_loss = self._judge(window, value.detach(), rate)
             self.network.count(window.observation)
             self._count(window.ended, window.episode_return, window.episode_length)
             std = self.network.actor.log_std.exp().mean()
@@ -163,7 +166,7 @@ class Apg(Learner):
 
     def _policy_loss(self, window: Window) -> tuple[Tensor, Tensor]:
         """Return the negative return of a window per step, and the values (T, E) of what was seen last."""
-        value = self._values(window.final)
+        value = self._values(window.final) if self._apg.terminal_value else torch.zeros_like(window.reward)
         gained = window_return(window.reward, value, window.terminated, window.ended, discount=self._apg.discount)
         loss = -gained.mean() / self._apg.horizon
         if self._apg.bound_coef:

@@ -57,6 +57,15 @@ def distance_linear(target_position: Tensor, robot_position: Tensor, *, offset: 
 
 
 @REWARDS.term()
+def distance_rounded(
+    target_position: Tensor, robot_position: Tensor, *, offset: float, scale: float, width: float
+) -> Tensor:
+    """Return ``(offset - sqrt(d² + width²)) / scale``, d the distance to the target [m], (E,): smooth also at the target."""
+    error = target_position - robot_position
+    return (offset - ((error * error).sum(-1) + width * width).sqrt()) / scale
+
+
+@REWARDS.term()
 def progress(
     target_position: Tensor,
     robot_position: Tensor,
@@ -74,6 +83,25 @@ def progress(
 def velocity_error_bell(target_velocity: Tensor, robot_linvel: Tensor, *, height: float, width: float) -> Tensor:
     """Return ``height exp(-width e²)``, e the difference between the target's velocity and the robot's [m/s], (E,)."""
     return bell(_distance(target_velocity, robot_linvel), height, width)
+
+
+@REWARDS.term()
+def velocity_error_cost(target_velocity: Tensor, robot_linvel: Tensor, *, weight: float) -> Tensor:
+    """Return ``-weight e²``, e the difference between the target's velocity and the robot's [m/s], (E,)."""
+    error = target_velocity - robot_linvel
+    return -weight * (error * error).sum(-1)
+
+
+@REWARDS.term()
+def speed_cost(robot_linvel: Tensor, *, weight: float) -> Tensor:
+    """Return ``-weight v²``, v the speed [m/s], (E,)."""
+    return -weight * (robot_linvel * robot_linvel).sum(-1)
+
+
+@REWARDS.term()
+def turning_cost(robot_body_angvel: Tensor, *, weight: float) -> Tensor:
+    """Return ``-weight |w|²``, w the angular velocity [rad/s], (E,)."""
+    return -weight * (robot_body_angvel * robot_body_angvel).sum(-1)
 
 
 @REWARDS.term()

@@ -69,6 +69,13 @@ def test_safe_navigation_is_navigation_but_for_what_it_says() -> None:
     assert replace(safe, **same, summary=task.summary, source=task.source) == task
 
 
+@pytest.mark.parametrize("name", ["position_setpoint_task", "tracking_task"])
+def test_a_smooth_task_is_the_task_but_for_its_reward(name: str) -> None:
+    task, smooth = task_registry.get(name), task_registry.get(f"smooth_{name}")
+    told = {"summary": task.summary, "source": task.source}
+    assert replace(smooth, rewards=task.rewards, **told) == task
+
+
 def test_a_coarse_camera_shows_in_cells_what_the_camera_of_the_task_shows() -> None:
     """Same rooms, same mounts: a cell of 15 pixels misses an edge now and then that one of 510 pixels sees (8 % by 0.5 m)."""
     seen = []

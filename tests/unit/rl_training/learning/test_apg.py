@@ -52,7 +52,7 @@ def test_the_return_of_a_window_is_that_of_its_episodes_judged_where_they_go_on(
 @pytest.mark.parametrize("resets", [False, True])
 def test_the_gradient_of_a_window_is_its_difference(resets: bool) -> None:
     """With respect to weights of the policy, by central differences in float64; with resets, each row ends in the window."""
-    cfg = settings(3, horizon=6, bound_coef=1e-3, normalize_value=False)
+    cfg = settings(3, horizon=6, bound_coef=1e-3, terminal_value=True)
     limit = 4 if resets else 500
     task = built(replace(task_registry.get(cfg.task), episode_len_steps=limit), 3, gradients=F64)
     learner = learner_of(cfg, task)
@@ -98,7 +98,7 @@ def learner_of(cfg: TrainingCfg, task: Task) -> Apg:
 
 def test_the_slow_critic_judges_and_follows() -> None:
     """It gives the values of the ends of windows, and takes over its share of what the critic has become."""
-    cfg = settings(16, target_share=0.25)
+    cfg = settings(16, target_share=0.25, terminal_value=True)
     with task_registry.make_task(cfg.task, num_envs=16, device="cpu", differentiable=True) as task:
         training = make_training(cfg, task)
         learner = training.learner
@@ -110,30 +110,6 @@ def test_the_slow_critic_judges_and_follows() -> None:
             assert not torch.equal(slow.data, fast.data)
 
 
-def test_a_training_repeats_bit_for_bit_and_goes_on_as_if_it_had_not_stopped() -> None:
-    cfg = settings(32, normalize_observation=True, normalize_value=True)
-
-    def train(iterations: int, state: dict[str, object] | None = None) -> tuple[dict[str, object], list[object]]:
-        with task_registry.make_task(cfg.task, num_envs=32, device="cpu", seed=0, differentiable=True) as task:
-            training = make_training(cfg, task)
-            if state is not None:
-                training.load(state)
-            reports = [(training.advance(), training.gauges()) for _ in range(iterations)]
-            return training.state(), reports
-
-    whole, reports = train(4)
-    again, same = train(4)
-    torch.manual_seed(99)  # nothing comes from torch's own generator
-    first, before = train(2)
-    second, after = train(2, first)
-    assert reports == same
-    assert [gauges for _, gauges in reports] == [gauges for _, gauges in before + after]  # type: ignore[misc]
-    for part in ("model", "learner", "task"):
-        for name, tensor in whole[part].items():  # type: ignore[attr-defined]
-            assert torch.equal(tensor, again[part][name]), name  # type: ignore[index]
-            assert torch.equal(tensor, second[part][name]), name  # type: ignore[index]
-
-
 def test_beyond_the_bound_an_action_may_come_back_and_go_no_further() -> None:
     """Loss slopes of both signs inside, above and below; what is not finite is 0."""
     action = torch.tensor([[0.5, 2.0, 2.0, -2.0, -2.0, 0.0]], requires_grad=True)
@@ -142,6 +118,23 @@ def test_beyond_the_bound_an_action_may_come_back_and_go_no_further() -> None:
     (gradient,) = torch.autograd.grad(found, action, slope)
     assert found.tolist() == [[0.5, 1.0, 1.0, -1.0, -1.0, 0.0]]
     assert gradient.tolist() == [[-3.0, 0.0, 3.0, -3.0, 0.0, 0.0]]
+
+
+def test_without_terminal_value_no_critic_learns_and_none_is_asked() -> None:
+    """The policy takes the same way whatever the critic says, and the critic stays as it was."""
+    cfg = settings(16)
+    ways = []
+    for weight in (0.0, 100.0):
+        with task_registry.make_task(cfg.task, num_envs=16, device="cpu", seed=0, differentiable=True) as task:
+            training = make_training(cfg, task)
+            learner = training.learner
+            for head in (learner.network.value_head, learner.target.value_head):
+                torch.nn.init.constant_(head.weight, weight)
+            before = [p.clone() for p in learner._critics[0].parameters()]
+            training.advance()
+            assert all(torch.equal(a, b) for a, b in zip(before, learner._critics[0].parameters(), strict=True))
+            ways.append(learner._actor_adam.weights.clone())
+    assert torch.equal(*ways)
 
 
 def test_a_row_that_goes_astray_teaches_nothing() -> None:
@@ -163,7 +156,7 @@ def test_what_has_no_gradient_is_refused_by_name() -> None:
     cfg = settings(2)
     with (
         task_registry.make_task(cfg.task, num_envs=2, device="cpu") as task,
-        pytest.raises(CapabilityError, match="position_setpoint_task was made without gradients"),
+        pytest.raises(CapabilityError, match="smooth_position_setpoint_task was made without gradients"),
     ):
         make_training(cfg, task)
     drawn = {"body.mass": RandomizeCfg(low=0.8, high=1.2)}

@@ -170,39 +170,6 @@ def test_returns_bootstrap_with_the_value_of_the_last_observation() -> None:
     assert learner.sums.tolist() == [8.0, 3.0, 3.0 + 2.0 + 2.0, 7.0]
 
 
-NETWORKS = {
-    "separate": {},
-    "shared": {"separate_value_network": False, "clip_value": True},
-    "recurrent": {"memory": 8, "normalize_observation": True},
-    "recurrent and shared": {"memory": 8, "separate_value_network": False, "entropy_coef": 1e-3},
-}
-
-
-@pytest.mark.parametrize("kind", NETWORKS)
-def test_a_training_repeats_bit_for_bit_and_goes_on_as_if_it_had_not_stopped(kind: str) -> None:
-    cfg = settings(**NETWORKS[kind])  # type: ignore[arg-type]
-
-    def train(iterations: int, state: dict[str, object] | None = None) -> tuple[dict[str, object], list[object]]:
-        with task_registry.make_task(cfg.task, num_envs=64, device="cpu", seed=0, capture=False) as task:
-            training = make_training(cfg, task)
-            if state is not None:
-                training.load(state)
-            reports = [(training.advance(), training.gauges()) for _ in range(iterations)]
-            return training.state(), reports
-
-    whole, reports = train(4)
-    again, same = train(4)
-    torch.manual_seed(99)  # nothing comes from torch's own generator
-    first, before = train(2)
-    second, after = train(2, first)
-    assert reports == same
-    assert [gauges for _, gauges in reports] == [gauges for _, gauges in before + after]  # type: ignore[misc]
-    for part in ("model", "learner", "task"):
-        for name, tensor in whole[part].items():  # type: ignore[attr-defined]
-            assert torch.equal(tensor, again[part][name]), name  # type: ignore[index]
-            assert torch.equal(tensor, second[part][name]), name  # type: ignore[index]
-
-
 def test_seconds_of_training_raise_the_reward(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reward per step of the episodes that end late, against those of a policy that does not learn: 1.3 against 0.6."""
     cfg = settings(512, num_minibatches=8)
