@@ -173,7 +173,12 @@ def _held(cfg: TaskCfg, name: str, level: int) -> CurriculumCfg:
 
 task_registry = TaskRegistry("task")
 
-for _name in ("position_setpoint_task", "navigation_task", "tracking_task"):
+for _name in (
+    "position_setpoint_task",
+    "position_setpoint_task_sim2real_end_to_end",
+    "navigation_task",
+    "tracking_task",
+):
     task_registry.register_later(_name, partial(load, TaskCfg, CONFIG_DIR / "tasks" / f"{_name}.yaml"))
 
 

@@ -51,6 +51,21 @@ def distance_bell(target_position: Tensor, robot_position: Tensor, *, height: fl
 
 
 @REWARDS.term()
+def position_bells(
+    target_position: Tensor,
+    robot_position: Tensor,
+    *,
+    height: float,
+    width: float,
+    stretch: tuple[float, float, float] = (1.0, 1.0, 1.0),
+) -> Tensor:
+    """Return the sum over axes of ``height exp(-width (s e)²)``, e the position error [m], world, s the stretch, (E,)."""
+    errors = (target_position - robot_position).unbind(-1)
+    x, y, z = (bell(factor * error, height, width) for factor, error in zip(stretch, errors, strict=True))
+    return x + y + z
+
+
+@REWARDS.term()
 def distance_linear(target_position: Tensor, robot_position: Tensor, *, offset: float, scale: float) -> Tensor:
     """Return ``(offset - d) / scale``, d the distance to the target [m], (E,)."""
     return (offset - _distance(target_position, robot_position)) / scale
@@ -112,6 +127,31 @@ def upright(robot_orientation: Tensor, *, height: float, offset: float) -> Tenso
 
 
 @REWARDS.term()
+def tilt_bell(robot_orientation: Tensor, *, height: float, width: float) -> Tensor:
+    """Return ``height exp(-width t²)`` with t = 1 - R33, which is 0 for an upright body, (E,)."""
+    return bell(1.0 - body_up_component(robot_orientation), height, width)
+
+
+@REWARDS.term()
+def nose_along_x_bell(robot_orientation: Tensor, *, height: float, width: float) -> Tensor:
+    """Return ``height exp(-width t²)`` with t = 1 - R11, which is 0 where body x is along world x, (E,)."""
+    _, y, z, _ = robot_orientation.unbind(-1)
+    return bell(2.0 * (y * y + z * z), height, width)
+
+
+@REWARDS.term()
+def velocity_bells(robot_linvel: Tensor, *, height: float, width: float) -> Tensor:
+    """Return the sum over axes of ``height exp(-width v²)``, v the velocity [m/s], world, (E,)."""
+    return bell(robot_linvel, height, width).sum(dim=-1)
+
+
+@REWARDS.term()
+def rates_bells(robot_body_angvel: Tensor, *, height: float, width: float) -> Tensor:
+    """Return the sum over axes of ``height exp(-width w²)``, w the angular velocity [rad/s], body, (E,)."""
+    return bell(robot_body_angvel, height, width).sum(dim=-1)
+
+
+@REWARDS.term()
 def still(robot_body_angvel: Tensor, *, height: float) -> Tensor:
     """Return ``height / (1 + |w|²)``, w the angular velocity [rad/s], (E,)."""
     return height / (1.0 + (robot_body_angvel * robot_body_angvel).sum(-1))
@@ -135,6 +175,18 @@ def action_change(
 ) -> Tensor:
     """Return ``height (exp(-width du²) - 1)``, du the change of an entry of the command since the last step, (E,)."""
     return dip((robot_actions - robot_prev_actions)[:, entry], height, width)
+
+
+@REWARDS.term()
+def all_actions_size(robot_actions: Tensor, *, offset: float, height: float, width: float) -> Tensor:
+    """Return the sum over entries of ``height (exp(-width (u - offset)²) - 1)``, u an entry of the command, (E,)."""
+    return dip(robot_actions - offset, height, width).sum(dim=-1)
+
+
+@REWARDS.term()
+def all_actions_change(robot_actions: Tensor, robot_prev_actions: Tensor, *, height: float, width: float) -> Tensor:
+    """Return the sum over entries of ``height (exp(-width du²) - 1)``, du its change since the last step, (E,)."""
+    return dip(robot_actions - robot_prev_actions, height, width).sum(dim=-1)
 
 
 @REWARDS.term(command=VELOCITY)
