@@ -167,6 +167,16 @@ def test_what_has_no_gradient_is_refused_by_name() -> None:
         make_training(cfg, task)
 
 
+def test_a_task_with_a_flat_reward_is_told_of_its_smooth_one(caplog: pytest.LogCaptureFixture) -> None:
+    for task_name in ("position_setpoint_task", "smooth_position_setpoint_task"):
+        cfg = replace(settings(2), task=task_name)
+        with task_registry.make_task(cfg.task, num_envs=2, device="cpu", differentiable=True) as task:
+            make_training(cfg, task)
+    told = [record.getMessage() for record in caplog.records if "flat" in record.getMessage()]
+    assert len(told) == 1
+    assert told[0].endswith("Train with task smooth_position_setpoint_task")
+
+
 def test_settings_that_do_not_fit_are_refused() -> None:
     cfg = settings()
     assert cfg.apg is not None
