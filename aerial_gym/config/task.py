@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from aerial_gym.config.checks import require_count
 from aerial_gym.config.randomize import RandomizeCfg
+from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.config.task_terms import (
     ActionCfg,
     CommandCfg,
@@ -125,6 +126,9 @@ class TaskCfg:
 
     episode_len_steps: int
     """Steps after which an episode times out, >= 1."""
+
+    start: InitialStateCfg | None = None
+    """Where and how flights begin, in place of what the robot says."""
 
     time_out_bootstraps: bool = True
     """Whether the return is taken to go on after such an end (``truncated``), or the episode is over (``terminated``)."""

@@ -74,6 +74,7 @@ class TaskRegistry(Registry[TaskCfg]):
         import torch
 
         from aerial_gym.env_manager import SimBuilder
+        from aerial_gym.env_manager.sim_builder import robot_by_name
         from aerial_gym.task.task import Task
 
         cfg = self.get(name)
@@ -89,7 +90,7 @@ class TaskRegistry(Registry[TaskCfg]):
         built = SimBuilder().build_env(
             sim_name=cfg.sim,
             env_name=cfg.env,
-            robot_name=cfg.robot,
+            robot_name=cfg.robot if cfg.start is None else replace(robot_by_name(cfg.robot), initial_state=cfg.start),
             controller_name=cfg.controller,
             num_envs=cfg.num_envs,
             device=device,
@@ -178,6 +179,7 @@ for _name in (
     "position_setpoint_task_sim2real_end_to_end",
     "navigation_task",
     "tracking_task",
+    "recovery_task",
 ):
     task_registry.register_later(_name, partial(load, TaskCfg, CONFIG_DIR / "tasks" / f"{_name}.yaml"))
 

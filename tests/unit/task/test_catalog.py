@@ -90,3 +90,21 @@ def test_a_coarse_camera_shows_in_cells_what_the_camera_of_the_task_shows() -> N
     assert float(fine.std()) > 0.1
     assert float((fine - coarse).abs().median()) < 0.01
     assert float(((fine - coarse).abs() > 0.05).float().mean()) < 0.12
+
+
+def test_a_task_may_say_how_flights_begin() -> None:
+    """Every attitude, and speeds and rates up to what the task says; the robot's own starts are level and slow."""
+    cfg = task_registry.get("recovery_task")
+    assert cfg.start is not None
+    with task_registry.make_task("recovery_task", num_envs=500, device="cpu", seed=0) as task:
+        task.reset()
+        gtd = task.env.gtd
+        up = 1.0 - 2.0 * gtd["robot_orientation"][:, :2].square().sum(dim=-1)
+        assert float(up.min()) < -0.9 < 0.9 < float(up.max())
+        for key, low, high in (
+            ("robot_linvel", cfg.start.lin_vel_low, cfg.start.lin_vel_high),
+            ("robot_body_angvel", cfg.start.ang_vel_low, cfg.start.ang_vel_high),
+        ):
+            assert low[0] <= float(gtd[key].min()) < 0.95 * low[0]
+            assert 0.95 * high[0] < float(gtd[key].max()) <= high[0]
+        assert float(task.target_position.sub(gtd["robot_position"]).abs().max()) <= 0.3 + 1e-6
