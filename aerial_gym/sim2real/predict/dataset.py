@@ -22,13 +22,14 @@ from aerial_gym.sim2real.predict.scene import heights, other_at
 
 Array = NDArray[np.float64]
 
-ROWS_PER_BAND = 10.0
+ROWS_PER_BAND = 5.0
 """Rows are evaluated at this many times the bandwidth."""
 
-PREFILTER = 0.35
-"""Before, they are low-passed at this share of that rate: 1 - 4e-5 of the amplitude at the bandwidth is left."""
+PREFILTER = 0.4
+"""Before, they are low-passed at this share of that rate: 0.4 % of the amplitude at the bandwidth goes, and as much is left of
+what would be folded to it."""
 
-SAMPLES_PER_BAND = 3.0
+SAMPLES_PER_BAND = 2.5
 """Residuals are kept at this many times the bandwidth."""
 
 FAR_ABOVE = np.array([0.0, 0.0, 1e3])

@@ -55,9 +55,9 @@ from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
 from aerial_gym.sim2real.predict.dataset import Dataset, thinned
 from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at, key_of
 from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
-from aerial_gym.sim2real.predict.replay.memory import remembering, track_of
+from aerial_gym.sim2real.predict.replay.memory import remembered_along
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.predict.rows import expand_model, one_row, with_known_wind
+from aerial_gym.sim2real.predict.rows import expand_model, with_known_wind
 from aerial_gym.sim2real.predict.slow_columns import SlowColumns
 from aerial_gym.sim2real.predict.tolerances import (
     Tolerances,
@@ -121,9 +121,10 @@ class _Together:
     def links(self, point: ModelParams) -> list[Link]:
         """Return how the load swings along each flight."""
         vehicle, deviation = self._vehicle(point)
-        model, condition = self._flown(point, vehicle, self._speeds(point, vehicle, deviation))
+        speeds = self._speeds(point, vehicle, deviation)
+        model, condition = self._flown(point, vehicle, speeds)
         state = BodyState(rotor_speed=condition.rotor_speed, **self.data.state)
-        load = self._swing(model, state, condition, deviation).numpy()
+        load = self._swing(model, state, condition, self._remembered(model, speeds, deviation), deviation).numpy()
         return [
             Link(time=time, load=load[span]) for time, span in zip(self.data.row_times, self.data.spans, strict=True)
         ]
@@ -156,8 +157,8 @@ class _Together:
             return {}
         model, condition = self._flown(point, vehicle, speeds)
         state = BodyState(rotor_speed=condition.rotor_speed, **self.data.state)
-        load = self._swing(model, state, condition, deviation) if model.effects[LoadEffect] else None
-        remembered = self._remembered(model, condition, deviation)
+        remembered = self._remembered(model, speeds, deviation)
+        load = self._swing(model, state, condition, remembered, deviation) if model.effects[LoadEffect] else None
         found = accelerations(model, state, load=load, remembered=remembered, condition=condition, answers=self._forces)
         # The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
         force = found.specific_force + torch.linalg.cross(found.ang_acc - self.data.ang_acc, model.vehicle.com)
@@ -173,11 +174,12 @@ class _Together:
             "kinematic_rate": (of_rate.of(self.data.kinematic_rate) + rate_bias).numpy(),
         }
 
-    def _swing(self, model: Model, state: BodyState, condition: Condition, deviation: Tensor) -> Tensor:
+    def _swing(
+        self, model: Model, state: BodyState, condition: Condition, remembered: dict[str, Tensor], deviation: Tensor
+    ) -> Tensor:
         """Return the link of the load in every row, (E, 6), begun as the measured specific force says where there is one."""
         if self.data.force is None:
             return self._load_replay.loads(model, self.data.row_times)
-        remembered = self._remembered(model, condition, deviation)
         found = accelerations(
             replace(model, effects=model.effects.without(LoadEffect)),
             state,
@@ -192,18 +194,13 @@ class _Together:
         missed = quat_rotate(self.data.state["attitude"], force).numpy()
         return self._load_replay.loads(model, self.data.row_times, [missed[span] for span in self.data.spans])
 
-    def _remembered(self, model: Model, condition: Condition, deviation: Tensor) -> dict[str, Tensor]:
-        """Return what effects on rotors and body remember in every row, (E, M), by effect."""
-        vehicle, settled = one_row(model.vehicle, 0), joint_start(self.tolerances, deviation)
-        tracks = [
-            track_of(flight, vehicle, condition.rotor_speed[span], stride / flight.rate, settled=settled)
-            for span, stride, flight in zip(self.data.spans, self.data.stride, self.data.flights, strict=True)
-        ]
+    def _remembered(self, model: Model, speeds: list[Array | None] | None, deviation: Tensor) -> dict[str, Tensor]:
+        """Return what effects on rotors and body remember in every row, (E, M), by effect, followed at the rate of the log."""
+        settled = joint_start(self.tolerances, deviation)
+        along = remembered_along(model, self.data.flights, speeds, self._memories, settled=settled)
         return {
-            effect.name: torch.cat(
-                [self._memories.ask(effect.replay, track, params[:1], place=k) for k, track in enumerate(tracks)]
-            )
-            for effect, params in remembering(model.effects)
+            name: torch.cat([self.data.thinned(k, part.numpy()) for k, part in enumerate(parts)])
+            for name, parts in along.items()
         }
 
     def _flown(

@@ -1,14 +1,23 @@
-"""What effects remember along flights: each replays itself (``Effect.replay``). Letters: T rows, M remembered numbers."""
+"""What effects remember along flights: each replays itself (``Effect.replay``).
 
-from collections.abc import Iterator
+Letters: T rows, M remembered numbers, R rotors.
+"""
 
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from aerial_gym.physics.effects import Effect, RotorEffect, WrenchEffect
+from aerial_gym.physics.answers import Answers
+from aerial_gym.physics.effects import Effect, RotorEffect, RotorSensorEffect, WrenchEffect
 from aerial_gym.physics.effects.by_kind import EffectsByKind
 from aerial_gym.physics.effects.track import Track
+from aerial_gym.physics.model import Model
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.rows import one_row
 
 
 def remembering(effects: EffectsByKind) -> Iterator[tuple[Effect, Tensor]]:
@@ -27,3 +36,45 @@ def track_of(flight: Flight, vehicle: Vehicle, rotor_speed: Tensor, step: float,
     """Return what drives memory along a flight; arguments as the fields of ``Track``."""
     stands = flight.on_ground is not None and bool(flight.on_ground[0])
     return Track(vehicle=vehicle, rotor_speed=rotor_speed, step=step, begins_on_ground=stands, settled=settled)
+
+
+def remembered_along(
+    model: Model,
+    flights: Sequence[Flight],
+    speeds: Sequence[NDArray[np.float64] | None] | None,
+    answers: Answers[Track],
+    *,
+    settled: float,
+) -> dict[str, list[Tensor]]:
+    """Return what effects on rotors and body remember in every row of the log of each flight, (T, M), by effect.
+
+    Args:
+        model: The same in every row.
+        flights: With measured rotor speeds, or without.
+        speeds: Those that commands lead to [rad/s], (T, R) of each flight without measured ones.
+        answers: Known ones.
+        settled: How far soft arms have come to rest when a log begins in the air.
+    """
+    found = list(remembering(model.effects))
+    if not found:
+        return {}
+    vehicle, led = one_row(model.vehicle, 0), speeds or [None] * len(flights)
+    tracks = [
+        track_of(flight, vehicle, true_speed(flight, model, own), 1.0 / flight.rate, settled=settled)
+        for flight, own in zip(flights, led, strict=True)
+    ]
+    return {
+        effect.name: [answers.ask(effect.replay, track, params[:1], place=k) for k, track in enumerate(tracks)]
+        for effect, params in found
+    }
+
+
+def true_speed(flight: Flight, model: Model, led: NDArray[np.float64] | None) -> Tensor:
+    """Return the true rotor speeds in every row of a log [rad/s], (T, R): measured, else those that commands ``led`` to."""
+    speed = led if flight.rotor_speed is None else flight.rotor_speed
+    assert speed is not None
+    true = torch.from_numpy(speed)
+    if flight.rotor_speed is not None:
+        for effect, params in model.effects[RotorSensorEffect]:
+            true = effect.true_speed(true, params[:1])
+    return true
