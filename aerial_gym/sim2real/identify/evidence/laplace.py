@@ -179,16 +179,21 @@ def posterior(candidates: Candidates, normal: Normal, model: Model) -> Posterior
 def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model]) -> Array:
     """Return the log evidence of each of some sets, (M,), as ``posterior`` has it.
 
-    Structures and tolerances have normal priors and are integrated out first, once for all sets with the same ones. Sets of
-    about the same number of columns are then worked out together; those with fewer are filled up with a column that does
-    nothing.
+    Structures and tolerances have normal priors and are integrated out first, once for all sets with the same ones; a set of
+    structures alone shares them with no other, and only the tolerances are. Sets of about the same number of columns are then
+    worked out together; those with fewer are filled up with a column that does nothing.
     """
-    places = [candidates.columns_of(tuple(k for k in model if k not in candidates.structures))[0] for model in models]
+    alone = np.array([bool(model) and candidates.structures.issuperset(model) for model in models])
+    places = [
+        candidates.columns_of(model if own else tuple(k for k in model if k not in candidates.structures))[0]
+        for model, own in zip(models, alone, strict=True)
+    ]
     places = [columns[: columns.size - candidates.tolerances.size] for columns in places]
     widths, found = np.array([columns.size for columns in places]), np.empty(len(models))
     beside: dict[Model, list[int]] = {}
     for row, model in enumerate(models):
-        beside.setdefault(tuple(k for k in model if k in candidates.structures), []).append(row)
+        shared = () if alone[row] else tuple(k for k in model if k in candidates.structures)
+        beside.setdefault(shared, []).append(row)
     products, gradients = {}, {}
     wanted = {one: np.unique(np.concatenate([places[row] for row in rows])) for one, rows in beside.items()}
     for structures, reduced in _without(candidates, normal, wanted).items():
@@ -205,7 +210,8 @@ def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model
             size = int(widths[row])
             product[place, :size, :size], gradient[place, :size] = products[row], gradients[row]
             which[place, :size] = places[row]
-        found[chunk] += _laplace(free, product, gradient, which, which < normal.gradient.size)[2]
+        effects = (which < normal.gradient.size) & ~alone[chunk, None]
+        found[chunk] += _laplace(free, product, gradient, which, effects)[2]
     return found
 
 
