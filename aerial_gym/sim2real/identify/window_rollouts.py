@@ -35,7 +35,7 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.rotor_commands import is_commanded, what_moves_commands, with_arriving_commands
-from aerial_gym.sim2real.predict.rollout import Batch
+from aerial_gym.sim2real.predict.rollout import LONGEST_STEP_S, Batch
 from aerial_gym.sim2real.predict.tolerances import Deviated, deviated
 from aerial_gym.sim2real.predict.windows import Windows, same_rate
 
@@ -46,9 +46,6 @@ WINDOW_S = 1.0
 
 SAMPLE_S = 0.1
 """Between two comparisons [s]."""
-
-LONGEST_STEP_S = 0.01
-"""Of the integrator [s]; Runge-Kutta of order 4 turns by 10 rad/s with an error of 1e-7 rad in such a step."""
 
 START_STD = (0.05, 0.05, 0.05, 0.02, 0.02, 0.02, 0.05, 0.05, 0.05)
 """Errors of a start: velocity [m/s], attitude [rad], rate [rad/s]."""
@@ -141,7 +138,7 @@ class Rollouts:
             model_of = np.repeat(of, members.size)
             flight = np.tile(windows.flight[members], of.size) + each * variant[model_of]
             row = np.tile(windows.row[members], of.size)
-            run = Batch(vehicles, points, model_of, flights, flight, row, settled=settled, longest_step=LONGEST_STEP_S)
+            run = Batch(vehicles, points, model_of, flights, flight, row, settled=settled, averaged_s=LONGEST_STEP_S)
             at = {run.steps(SAMPLE_S * (place + 1)): place for place in range(num_samples)}
             nudge = torch.from_numpy(nudges).repeat_interleave(members.size, dim=0)
             for step, state, truth in run.fly(_nudged(run.measured(0), nudge), at):

@@ -14,7 +14,7 @@ from aerial_gym.physics.effects import DelayEffect
 from aerial_gym.sim2real.logs.flights import Flight
 
 STEP_S = 0.005
-"""Longest step of the integrator [s]; Runge-Kutta of order 4 is exact to 1e-6 there."""
+"""Longest span of a log over which commands are averaged for one step of a rollout [s]."""
 
 WINDOW_EVERY_S = 0.5
 """Between the starts of two windows [s]."""

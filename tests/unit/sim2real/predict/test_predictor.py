@@ -258,6 +258,15 @@ def test_rollouts_of_an_exact_flight_stay_on_it_and_find_the_error_of_a_wrong_ma
     assert np.median(given.position[:, 2]) == pytest.approx(0.5 * 9.81 * (1.0 - 1.0 / 1.05), rel=0.15)
 
 
+def test_rollouts_of_slow_logs_are_integrated_finely_enough(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One step of 10 ms for each row of a log at 100 Hz, against eight: after half a second 2 mm apart at most."""
+    found, heavy = load(tmp_path, rate=100.0), ModelParams(effects={"payload_mass": np.array([0.02])})
+    usual = roll_out(ROBOT, [found], heavy, horizons=(0.5,))
+    monkeypatch.setattr("aerial_gym.sim2real.predict.rollout.LONGEST_STEP_S", 0.00125)
+    fine = roll_out(ROBOT, [found], heavy, horizons=(0.5,))
+    np.testing.assert_allclose(usual.position, fine.position, atol=2e-3)
+
+
 def test_rollouts_side_by_side_are_those_of_each_variant_alone(tmp_path: Path) -> None:
     """Free and with the measured attitude, bit for bit; the second one differs from the first."""
     found, point = load(tmp_path), ModelParams(effects={"com_offset": np.array([0.01, 0.0, 0.0])})
