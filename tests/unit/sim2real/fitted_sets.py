@@ -53,7 +53,9 @@ class Made(Fitter):
         self.predictor, self.declared = SimpleNamespace(robot=ROBOT), ModelParams()  # type: ignore[assignment]
         self._derivatives = {}
 
-    def fit(self, effects: Sequence[str], structures: Sequence[Nuisance], start: ModelParams, _=None) -> Fitted:
+    def fit(
+        self, effects: Sequence[str], structures: Sequence[Nuisance], start: ModelParams, _=None, **_least: object
+    ) -> Fitted:
         """Return the set; its start has its effects and no others."""
         assert set(start.effects) == set(effects)
         nothing = fitted(*effects, log=-1e3, odds=dict.fromkeys(effects, -1.0))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.candidates.library import Library, has_starts, neutral_of
+from aerial_gym.sim2real.identify.candidates.library import Library, has_rotor, has_starts, neutral_of
 from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
 from aerial_gym.sim2real.identify.candidates.testable import at_bounds
 from aerial_gym.sim2real.identify.evidence.guard import Support, parts_of_a_flight, supports_of_fit
@@ -19,6 +19,7 @@ from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior, post
 from aerial_gym.sim2real.identify.evidence.linear import linear_about
 from aerial_gym.sim2real.identify.evidence.search import Sets
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    Goal,
     bounds_of,
     effect_jacobian,
     fit_effects,
@@ -42,6 +43,9 @@ BROAD = 3
 KEPT = 4
 """Sets of structures, and derivatives of fitted sets, that are kept for the next fit."""
 
+ENOUGH = 0.5
+"""Log likelihood, times overdispersion, that a fit may leave to the linear model about it, which is off by a tenth of it."""
+
 NOTHING = Posterior(
     columns=np.zeros(0, dtype=np.int64), step=np.zeros(0), covariance=np.zeros((0, 0)), log_evidence=-np.inf
 )
@@ -64,6 +68,9 @@ class Fitted:
 
     support: dict[str, Support]
     """What speaks for each effect."""
+
+    most: float = np.inf
+    """Log posterior that it, or any set with fewer of its effects beside the same structures, can have at most."""
 
     deviation: Array = field(default_factory=lambda: np.zeros(0))
     """Most probable deviations within the tolerances, in standard deviations, (N,)."""
@@ -98,14 +105,25 @@ class Fitter:
     """Fits sets about a present model, with the tolerances linear about it."""
 
     def __init__(
-        self, predictor: Predictor, declared: ModelParams, num_names: int, weights: Weighting, present: ModelParams
+        self,
+        predictor: Predictor,
+        declared: ModelParams,
+        num_names: int,
+        weights: Weighting,
+        present: ModelParams,
+        *,
+        overdispersion: float = 1.0,
     ) -> None:
-        """Take flights, the declared model, how many effects there are to choose from, weights, and the present model."""
+        """Take flights, the declared model, how many effects there are to choose from, weights, and the present model.
+
+        ``overdispersion`` is that of the best set that is known.
+        """
+        self.enough = ENOUGH * overdispersion
         self.predictor, self.declared, self.weights = predictor, declared, weights
         self.log_names, self._present = float(np.log(max(1, num_names))), present
         self._tolerance: list[Array] | None = None
         self._beside: dict[tuple[Nuisance, ...], Beside] = {}
-        self._derivatives: dict[Label, list[Array]] = {}
+        self._derivatives: dict[Label, tuple[Fitted, list[Array]]] = {}
 
     def forget(self) -> None:
         """Let go of what takes memory; it is worked out again when it is needed."""
@@ -140,10 +158,25 @@ class Fitter:
         structures: Sequence[Nuisance],
         start: ModelParams,
         derivatives: list[Array] | None = None,
+        *,
+        fresh: bool = False,
+        least: float = -np.inf,
     ) -> Fitted:
-        """Return a set fitted from a start, by ``derivatives`` (rows, C, P) near it if there are."""
+        """Return a set fitted from a start, by ``derivatives`` (rows, C, P) near it if there are, or there (``fresh``).
+
+        Where neither it nor a set with fewer effects can have a log posterior of ``least``, it is fitted no further.
+        """
         beside, effects = self.beside(structures), tuple(effects)
-        found, last = fit_effects(self.predictor, effects, start, beside, derivatives=derivatives)
+        shared = beside.log_volume - len(structures) * self.log_names
+        found, last, most = fit_effects(
+            self.predictor,
+            effects,
+            start,
+            beside,
+            derivatives=derivatives,
+            fresh=fresh,
+            goal=Goal(least=least - shared, enough=self.enough),
+        )
         parameters, support = NOTHING, {}
         if found.finite:
             linear = linear_about(found, [self.neutral(name) for name in effects])
@@ -158,14 +191,17 @@ class Fitter:
             log_posterior=value if np.isfinite(value) else -np.inf,
             parameters=parameters,
             support=support,
+            most=most + shared,
             deviation=parameters.step[free : free + self.predictor.num_tolerances],
         )
-        self._derivatives[fitted.label] = last
+        self._derivatives[fitted.label] = fitted, last
         if len(self._derivatives) > KEPT:
             del self._derivatives[next(iter(self._derivatives))]
         return fitted
 
-    def fit_of(self, library: Library, sets: Sets, model: Model, structures: Sequence[Nuisance]) -> Fitted:
+    def fit_of(
+        self, library: Library, sets: Sets, model: Model, structures: Sequence[Nuisance], least: float = -np.inf
+    ) -> Fitted:
         """Return a set of a library fitted from the present model, best of the starts of its new effects."""
         chosen = [library.candidates[k] for k in model]
         beside = {candidate.name for candidate in chosen if candidate.structure}
@@ -181,7 +217,7 @@ class Fitter:
                 for k in effects
             ]
             derivatives = [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)] if parts else None
-            found.append(self.fit(names, kept, start, derivatives))
+            found.append(self.fit(names, kept, start, derivatives, least=least))
         return max(found, key=lambda one: one.log_posterior)
 
     def starts_of(self, library: Library, sets: Sets, model: Model) -> list[ModelParams]:
@@ -199,29 +235,37 @@ class Fitter:
                 values = np.clip(values, *bounds_of(robot, (name,)))
             step += len(numbers)
             best = best.with_effect(name, values)
-            far = has_starts(name, robot) and not candidate.named
+            far = has_starts(name, robot) and not has_rotor(name) and not candidate.named
             plain = plain.with_effect(name, candidate.start if far else values)
         same = all(np.array_equal(values, plain.effects[name]) for name, values in best.effects.items())
         return [best] if same else [best, plain]
 
-    def without(self, fitted: Fitted, names: Sequence[str]) -> Fitted:
+    def again(self, fitted: Fitted, other: "Fitter") -> Fitted:
+        """Return a set fitted again from where another one has fitted it, by its derivatives there."""
+        known, there = other._derivatives.get(fitted.label), fitted.params
+        if known is None or known[0] is not fitted:
+            return self.fit(fitted.effects, fitted.structures, there)
+        return self.fit(fitted.effects, fitted.structures, there, known[1], fresh=True)
+
+    def without(self, fitted: Fitted, names: Sequence[str], least: float = -np.inf) -> Fitted:
         """Return a set fitted again without some of its effects, which go back to what is declared."""
         kept = {name: values for name, values in fitted.params.effects.items() if name not in names}
         kept |= {name: self.declared.effects[name] for name in names if name in self.declared.effects}
         start = ModelParams(effects=kept, learned=self.declared.learned)
         effects = [name for name in fitted.effects if name not in names]
-        derivatives = self._derivatives.get(fitted.label)
-        if derivatives is not None:
+        known = self._derivatives.get(fitted.label)
+        derivatives = None
+        if known is not None:
             rest = np.repeat(
                 [name not in names for name in fitted.effects], [scales((name,)).size for name in fitted.effects]
             )
-            derivatives = [part[:, :, rest] for part in derivatives]
-        return self.fit(effects, fitted.structures, start, derivatives)
+            derivatives = [part[:, :, rest] for part in known[1]]
+        return self.fit(effects, fitted.structures, start, derivatives, least=least)
 
-    def without_weakest(self, fitted: Fitted) -> Fitted:
+    def without_weakest(self, fitted: Fitted, least: float = -np.inf) -> Fitted:
         """Return a set fitted again without the effect for which the least speaks; nothing does in a fit that went nowhere."""
         odds = {name: one.robust_log_odds for name, one in fitted.support.items()}
-        return self.without(fitted, (min(fitted.effects, key=lambda name: odds.get(name, -np.inf)),))
+        return self.without(fitted, (min(fitted.effects, key=lambda name: odds.get(name, -np.inf)),), least)
 
     def held(self, fitted: Fitted) -> Fitted:
         """Return the best of what is left of a set when as few effects go as it takes until all that is left holds.
@@ -271,7 +315,7 @@ class Fitter:
             params = params.with_effect(name, np.clip(values, *bounds_of(self.predictor.robot, (name,))))
         return params
 
-    def narrower(self, fitted: Fitted, names: Sequence[str]) -> list[Fitted]:
+    def narrower(self, fitted: Fitted, names: Sequence[str], least: float = -np.inf) -> list[Fitted]:
         """Return a set with an effect in the place of a wider case of it, fitted, for each that there is.
 
         A wide case can be better only by its curvature where both are far from neutral: two lags follow a bend that one
@@ -285,7 +329,7 @@ class Fitter:
                     start = ModelParams(effects=kept, learned=self.declared.learned)
                     start = start.with_effect(name, self.neutral(name))
                     effects = [name if other == wide else other for other in fitted.effects]
-                    found.append(self.fit(effects, fitted.structures, start))
+                    found.append(self.fit(effects, fitted.structures, start, least=least))
         return found
 
 

@@ -35,9 +35,9 @@ from aerial_gym.sim2real.identify.evidence.linear import candidates_of, normal_o
 from aerial_gym.sim2real.identify.evidence.search import Sets, search
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     tolerance_jacobian,
-    weighting,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.least_squares.weighting import weighting
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -47,6 +47,9 @@ Array = NDArray[np.float64]
 
 MOST_IN_VAIN = 5
 """Sets that are fitted one after the other without one that is better."""
+
+FAR_BEHIND = 3.0
+"""Times ``reach_of`` that a set is behind another one of which it cannot take any of the probability: odds of 1e-4."""
 
 MOST_NOISE = 0.5
 """Share of what would show an effect that may be noise of the logs: with more, a fit makes more of noise than of motion."""
@@ -106,15 +109,26 @@ class View:
     def fit(self, model: Model) -> None:
         """Fit a set that is not known, from the best of its starts."""
         if not self.known(label_in(self.library, model)):
-            self.add(self.fitter.fit_of(self.library, self.sets, model, self.structures))
+            beside = any(self.library.candidates[k].structure for k in model)
+            least = self.least(beside=beside)
+            self.add(self.fitter.fit_of(self.library, self.sets, model, self.structures, least))
+
+    def least(self, *, beside: bool) -> float:
+        """Return the log posterior that a set beside structures, or without any, must be able to have."""
+        best = self.best if beside else self.best_bare
+        return best.log_posterior - FAR_BEHIND * reach_of(best)
 
     def add(self, fitted: Fitted) -> None:
-        """Take a fitted set, and as long as it does not hold, the same without the effect for which the least speaks."""
+        """Take a fitted set, and as long as it does not hold, the same without the effect for which the least speaks.
+
+        No set with fewer effects is tried where none can come near the best.
+        """
         while not self.known(fitted.label):
             self.fits[fitted.label] = fitted
             self.fresh.add(fitted.label)
-            if not fitted.holds:
-                fitted = self.fitter.without_weakest(fitted)
+            least = self.least(beside=bool(fitted.structures))
+            if not fitted.holds and fitted.most > least:
+                fitted = self.fitter.without_weakest(fitted, least)
 
     def settle(self, fitted: Fitted, fitter: Fitter) -> None:
         """Take a set fitted about itself, and where it does not hold, the same without what does not, fitted as any other."""
@@ -143,7 +157,8 @@ class Climber:
         for _ in range(MOST_WEIGHINGS):
             view = self.climb(params, effects, structures, weights)
             params, effects, structures = view.present.params, view.present.effects, view.present.structures
-            before, weights = weights, self.weigh(params)
+            known = params is self.declared and not self.drowned  # nothing was found
+            before, weights = weights, self.weights if known else self.weigh(params)
             if np.all(np.abs(np.log(weights.weight / before.weight)) < SETTLED):
                 break
         return view
@@ -185,15 +200,16 @@ class Climber:
             present = leader
         return self.look_around(present, own, fits)
 
-    def fitter_about(self, params: ModelParams, weights: Weighting) -> Fitter:
+    def fitter_about(self, params: ModelParams, weights: Weighting, *, overdispersion: float = 1.0) -> Fitter:
         """Return what fits sets with the tolerances linear about a model."""
-        return Fitter(self.predictor, self.declared, len(self.names), weights, params)
+        count = len(self.names)
+        return Fitter(self.predictor, self.declared, count, weights, params, overdispersion=overdispersion)
 
     def leader(self, view: View) -> Fitted:
         """Return the best fitted set, each that comes first fitted once more with the tolerances linear about itself."""
         while (best := view.best).label not in view.own:
-            fitter = self.fitter_about(best.params, view.fitter.weights)
-            view.settle(fitter.fit(best.effects, best.structures, best.params), fitter)
+            fitter = self.fitter_about(best.params, view.fitter.weights, overdispersion=best.overdispersion)
+            view.settle(fitter.again(best, view.fitter), fitter)
         return best
 
     def fit_probable(self, view: View) -> None:
@@ -224,7 +240,8 @@ class Climber:
         """Fit the sets with an effect less than the present one, and with a narrower case of an effect."""
         for gone in (k for k in view.here if not view.library.candidates[k].structure):
             view.fit(tuple(k for k in view.here if k != gone))
-        for fitted in view.fitter.narrower(view.present, self.names):
+        least = view.least(beside=bool(view.present.structures))
+        for fitted in view.fitter.narrower(view.present, self.names, least):
             view.add(fitted)
 
     def fit_rivals(self, view: View) -> None:

@@ -171,7 +171,7 @@ class _Scorer:
         )
 
     def _fit(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen) -> Fit:
-        found, _ = fit_effects(self.predictor, effects, start, self.beside, frozen=frozen)
+        found, _, _ = fit_effects(self.predictor, effects, start, self.beside, frozen=frozen)
         by_channel, _, _ = linearise(self.predictor, effects, found.point, self.tolerance)
         return replace(by_channel, frozen=frozen)
 

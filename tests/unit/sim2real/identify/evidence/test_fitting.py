@@ -2,16 +2,22 @@
 
 from dataclasses import replace
 from math import exp
+from typing import cast
 
+import numpy as np
 import pytest
 
+from aerial_gym.sim2real.identify.candidates.library import Candidate, Library
 from aerial_gym.sim2real.identify.evidence.fitting import (
     Fitter,
     inclusion_in,
     narrowest,
     probabilities_of,
 )
+from aerial_gym.sim2real.identify.evidence.search import Sets
+from aerial_gym.sim2real.identify.least_squares.moments import Moments
 from tests.unit.sim2real.fitted_sets import PLACE, Made, fitted
+from tests.unit.sim2real.identify.evidence.linear import candidates, normal
 
 
 @pytest.mark.parametrize("overdispersion", [1.0, 4.0])
@@ -38,7 +44,7 @@ def test_the_same_effects_beside_other_structures_are_one_set() -> None:
 
 def test_of_a_fit_that_went_nowhere_an_effect_goes(monkeypatch: pytest.MonkeyPatch) -> None:
     """A pendulum over the top has no evidence and no support: it is tried without an effect."""
-    monkeypatch.setattr(Fitter, "without", lambda _self, _fitted, names: names)
+    monkeypatch.setattr(Fitter, "without", lambda _self, _fitted, names, _least: names)
     nowhere = replace(fitted("slung_payload", "rotor_drag", log=float("-inf")), support={})
     assert not nowhere.holds
     assert Fitter.without_weakest(object.__new__(Fitter), nowhere) == ("slung_payload",)
@@ -90,3 +96,45 @@ def test_of_a_case_and_a_wider_one_that_are_not_told_apart_the_narrower_is_meant
     others = [fitted("rotor_drag", log=-0.1), fitted(log=-0.2), fitted("constant_wind", log=0.0, structures=(PLACE,))]
     assert narrowest(wide, [wide, *others], 3.0) is wide
     assert narrowest(wide, [wide, *others, fitted("constant_wind", log=-behind)], 3.0).effects == (expected,)
+
+
+def test_a_set_is_fitted_again_by_the_derivatives_of_its_own_fit_alone() -> None:
+    """Another fit of the same set, from another start, may have ended elsewhere."""
+    set_of_one, there = fitted("rotor_drag"), [np.zeros((4, 1, 3))]
+    asked: list[tuple[object, ...]] = []
+
+    class Asked(Made):
+        def fit(self, effects, structures, start, derivatives=None, **options):
+            asked.append((derivatives, options.get("fresh", False)))
+            return super().fit(effects, structures, start)
+
+    before, after = Made(set_of_one), Asked(set_of_one)
+    for other in (set_of_one, replace(set_of_one)):
+        before._derivatives[set_of_one.label] = other, there
+        assert after.again(set_of_one, before) is set_of_one
+    assert asked == [(there, True), (None, False)]
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "count"), [("weak_motor", [2.0, 1.0], 1), ("slung_payload", [0.0, 1.0, 0.01], 2)]
+)
+def test_an_effect_on_one_rotor_is_fitted_from_one_start_and_a_pendulum_from_two(
+    name: str, start: list[float], count: int
+) -> None:
+    """A pendulum is far from linear in its length; what a rotor lacks is not: both starts lead to the same fit."""
+    size = len(start) - (name == "weak_motor")
+    one = Candidate(
+        name=name,
+        named=False,
+        columns=np.arange(size),
+        low=np.full(size, -np.inf),
+        high=np.full(size, np.inf),
+        start=np.array(start),
+    )
+    moments = cast("Moments", None)
+    library = Library(candidates=(one,), moments=moments, weight=np.ones(1), tolerances=np.arange(0))
+    rng = np.random.default_rng(5)
+    columns = rng.normal(size=(50, size))
+    sums = normal(columns, columns @ np.full(size, 0.02) + 1e-3 * rng.normal(size=50))
+    sets = Sets(candidates=candidates(size, names=(name,)), normal=sums)
+    assert len(Made().starts_of(library, sets, (0,))) == count

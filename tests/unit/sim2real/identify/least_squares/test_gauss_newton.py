@@ -7,7 +7,7 @@ import pytest
 
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.identify.least_squares.covariance import uncertainty
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, best_step, fit_effects
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, Goal, best_step, fit_effects, misfit
 from aerial_gym.sim2real.identify.least_squares.moments import (
     block_length,
     block_moments,
@@ -171,7 +171,7 @@ def test_a_fit_that_would_overshoot_arrives() -> None:
         predict=predict,
     )
     for start in (truth, 10.0, -6.0):
-        fit, _ = fit_effects(
+        fit, _, _ = fit_effects(
             predictor,  # type: ignore[arg-type]
             ("constant_wind",),
             ModelParams(effects={"constant_wind": np.array([start, 0.0, 0.0])}),
@@ -203,7 +203,7 @@ def test_a_fit_with_derivatives_at_hand_arrives_where_others_do() -> None:
     found, costs = [], []
     for wrong in (None, (1.0, 1.0, 1.0), (1.3, 0.4, 1.0)):
         calls.clear()
-        fit, _ = fit_effects(
+        fit, _, _ = fit_effects(
             predictor,  # type: ignore[arg-type]
             ("constant_wind",),
             start,
@@ -214,6 +214,52 @@ def test_a_fit_with_derivatives_at_hand_arrives_where_others_do() -> None:
         costs.append(len(calls))
     np.testing.assert_allclose(found, [truth] * 3, atol=1e-4)
     assert costs[1] < costs[0]
+
+
+class Exponential:
+    """A predictor of ``exp`` of three parameters, that counts, beside measurements with a remainder of its own."""
+
+    def __init__(self, remainder: float) -> None:
+        rng = np.random.default_rng(4)
+        self.excitation, self.calls = rng.standard_normal((200, 3)), 0
+        self.robot, self.times = ROBOTS.get("tinyprop"), [np.arange(200) / 30.0]
+        truth = ModelParams(effects={"constant_wind": np.array([0.5, -0.3, 0.2])})
+        self.measured = [self.predict(truth)[0] + remainder * rng.standard_normal((200, 1))]
+
+    def predict(self, point: ModelParams) -> list[np.ndarray]:
+        self.calls += 1
+        return [np.exp(0.5 * self.excitation @ point.effects["constant_wind"])[:, None]]
+
+
+def fitted_exponential(goal: Goal) -> tuple[Fit, float, float, int]:
+    """Return a fit from zero, what it has reached and could have reached at most, and its predictions."""
+    predictor, start = Exponential(0.3), ModelParams(effects={"constant_wind": np.zeros(3)})
+    beside, before = Beside(predictor.times, [[np.zeros((200, 1, 0))]], np.full(1, 1e3)), predictor.calls
+    fit, _, most = fit_effects(predictor, ("constant_wind",), start, beside, goal=goal)  # type: ignore[arg-type]
+    count = predictor.calls - before
+    left = [m - p for m, p in zip(predictor.measured, predictor.predict(fit.point), strict=True)]
+    return fit, -0.5 * misfit(beside, left), most, count
+
+
+def test_a_fit_that_cannot_reach_its_goal_ends_at_once_and_any_other_arrives() -> None:
+    """What it can reach at most is no less than what it reaches."""
+    _, reached, _, whole = fitted_exponential(Goal())
+    _, nowhere, most, few = fitted_exponential(Goal(least=reached + 1e5))
+    assert most > reached > nowhere
+    assert few < whole / 2
+    assert fitted_exponential(Goal(least=reached - 1.0))[1] == pytest.approx(reached, abs=1e-6)
+
+
+def test_a_fit_ends_where_its_own_derivatives_promise_no_more_than_is_enough() -> None:
+    """The evidence has what they promise: of what a fit leaves, nine tenths."""
+    _, reached, _, whole = fitted_exponential(Goal())
+    fit, left, _, few = fitted_exponential(Goal(enough=5.0))
+    step = best_step(fit, np.ones(1), fit.free_all)
+    promised = float(fit.moments.gradient.sum(axis=(0, 1)) @ step) - 0.5 * float(
+        step @ fit.moments.product.sum(axis=(0, 1)) @ step
+    )
+    assert few < whole
+    assert left + promised == pytest.approx(reached, abs=0.1 * (reached - left) + 0.01)
 
 
 @pytest.mark.parametrize("derivatives", [None, [np.full((40, 1, 3), np.nan)]])
@@ -229,7 +275,7 @@ def test_a_fit_whose_derivatives_are_not_finite_goes_nowhere(derivatives: list[n
         robot=ROBOTS.get("tinyprop"), times=[np.arange(40) / 30.0], measured=[np.full((40, 1), 2.0)], predict=predict
     )
     beside = Beside(predictor.times, [[np.ones((40, 1, 1))]], np.ones(1))
-    fit, _ = fit_effects(predictor, ("constant_wind",), edge, beside, derivatives=derivatives)  # type: ignore[arg-type]
+    fit, _, _ = fit_effects(predictor, ("constant_wind",), edge, beside, derivatives=derivatives)  # type: ignore[arg-type]
     assert fit.point is edge
     assert not fit.finite
 

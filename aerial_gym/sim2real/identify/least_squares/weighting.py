@@ -1,0 +1,60 @@
+"""What a channel counts in a fit: by what is left of it when every effect that could be there is fitted."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    UNIT,
+    best_step,
+    effect_jacobian,
+    exact_along,
+    fit_of_moments,
+    params_of,
+    scales,
+    with_params,
+)
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting, weights_from
+from aerial_gym.sim2real.identify.least_squares.weighted import Beside
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
+
+Array = NDArray[np.float64]
+
+
+def weighting(
+    predictor: Predictor,
+    start: ModelParams,
+    effects: tuple[str, ...],
+    tolerance: list[Array],
+    *,
+    beyond: Callable[[list[Array], Weighting], list[Array]] | None = None,
+) -> Weighting:
+    """Return the weights of the channels from what no candidate effect explains.
+
+    All effects and tolerances are fitted together, three times, each time weighted by what the fit before left over; with
+    ``beyond``, by what that makes of it.
+    """
+    point = start
+    for name in effects:
+        if name not in point.effects:
+            point = point.with_effect(name, np.array(EFFECTS.get(name).neutral(predictor.robot)))
+    found = weights_from(predictor.residuals(start))
+    predicted = predictor.predict(point)
+    own = effect_jacobian(predictor, point, effects, predicted)
+    for _ in range(3):
+        residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
+        beside = Beside(predictor.times, [[part] for part in tolerance], found.weight)
+        fit = fit_of_moments(predictor.robot, effects, point, beside.moments(residuals, own))
+        step, rest = np.split(best_step(fit, UNIT, fit.free_all), [fit.num_effect_params])
+        left = [r - j @ step - t @ rest for r, j, t in zip(residuals, own, tolerance, strict=True)]
+        if not all(np.isfinite(part).all() for part in left):
+            break  # a step too far, for a pendulum: the weights of the step before stand
+        found = weights_from(left if beyond is None else beyond(left, found))
+        here = params_of(point, effects)
+        point = with_params(predictor.robot, point, effects, here + scales(effects) * step)
+        before, predicted = predicted, predictor.predict(point)
+        own = exact_along(own, step, [p - b for p, b in zip(predicted, before, strict=True)])
+    return found
