@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import ImuEffect, LoadEffect
 from aerial_gym.sim2real.identify.candidates.library import neutral_of
@@ -23,7 +24,6 @@ from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty, u
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     Fit,
     best_step,
-    best_within_tolerances,
     linearise,
     params_of,
     scales,
@@ -33,7 +33,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, Scored
 from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.identify.window_rollouts import WINDOW_S, Linear, Rollouts
-from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.windows import Windows, find_windows
 
@@ -160,6 +160,13 @@ def refit_on_rollouts(predictor: Predictor, selection: Selection) -> Refit:
         point = with_params(predictor.robot, point, fit.effects, values)
         found = runs.linearise(fit.effects, point, frozen)
     return judge(predictor, selection, found, windows)
+
+
+def best_within_tolerances(robot: RobotCfg, fit: Fit, weight: Array) -> ModelParams:
+    """Return a fitted model with the deviations within the tolerances that fit its flights best."""
+    step = best_step(fit, weight, fit.free_all)
+    values = params_of(fit.point, fit.effects) + scales(fit.effects) * step[: fit.num_effect_params]
+    return replace(with_params(robot, fit.point, fit.effects, values), deviation=step[fit.num_effect_params :])
 
 
 def impossible(predictor: Predictor, selection: Selection) -> str:

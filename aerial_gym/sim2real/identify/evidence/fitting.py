@@ -19,6 +19,7 @@ from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior, post
 from aerial_gym.sim2real.identify.evidence.linear import linear_about
 from aerial_gym.sim2real.identify.evidence.search import Sets
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    Fit,
     Goal,
     bounds_of,
     effect_jacobian,
@@ -70,7 +71,8 @@ class Fitted:
     """What speaks for each effect."""
 
     most: float = np.inf
-    """Log posterior that it, or any set with fewer of its effects beside the same structures, can have at most."""
+    """Log posterior that it, or a set with fewer of its effects beside the same structures, can have at most: what it has,
+    what its fit may have missed, and what speaks against effects."""
 
     deviation: Array = field(default_factory=lambda: np.zeros(0))
     """Most probable deviations within the tolerances, in standard deviations, (N,)."""
@@ -167,37 +169,36 @@ class Fitter:
         Where neither it nor a set with fewer effects can have a log posterior of ``least``, it is fitted no further.
         """
         beside, effects = self.beside(structures), tuple(effects)
-        shared = beside.log_volume - len(structures) * self.log_names
-        found, last, most = fit_effects(
-            self.predictor,
-            effects,
-            start,
-            beside,
-            derivatives=derivatives,
-            fresh=fresh,
-            goal=Goal(least=least - shared, enough=self.enough),
+        goal = Goal(worth=lambda fit: self._about(fit, effects, structures).most, least=least, enough=self.enough)
+        found, last, more = fit_effects(
+            self.predictor, effects, start, beside, derivatives=derivatives, fresh=fresh, goal=goal
         )
-        parameters, support = NOTHING, {}
-        if found.finite:
-            linear = linear_about(found, [self.neutral(name) for name in effects])
-            parameters = posterior(linear.candidates, linear.whole, linear.model)
-            support = supports_of_fit(linear, self.log_names)
-        free = found.free_effects.size
-        value = parameters.log_evidence - (len(effects) + len(structures)) * self.log_names
-        fitted = Fitted(
-            effects=effects,
-            structures=tuple(structures),
-            params=found.point,
-            log_posterior=value if np.isfinite(value) else -np.inf,
-            parameters=parameters,
-            support=support,
-            most=most + shared,
-            deviation=parameters.step[free : free + self.predictor.num_tolerances],
-        )
+        fitted = self._about(found, effects, structures, more)
         self._derivatives[fitted.label] = fitted, last
         if len(self._derivatives) > KEPT:
             del self._derivatives[next(iter(self._derivatives))]
         return fitted
+
+    def _about(self, fit: Fit, effects: tuple[str, ...], structures: Sequence[Nuisance], more: float = 0.0) -> Fitted:
+        """Return a set by the linear model about its fit, which may have missed ``more`` log likelihood."""
+        parameters, support = NOTHING, {}
+        if fit.finite:
+            linear = linear_about(fit, [self.neutral(name) for name in effects])
+            parameters = posterior(linear.candidates, linear.whole, linear.model)
+            support = supports_of_fit(linear, self.log_names)
+        free = fit.free_effects.size
+        value = parameters.log_evidence - (len(effects) + len(structures)) * self.log_names
+        against = sum(max(0.0, -one.log_odds) for one in support.values())
+        return Fitted(
+            effects=effects,
+            structures=tuple(structures),
+            params=fit.point,
+            log_posterior=value if np.isfinite(value) else -np.inf,
+            parameters=parameters,
+            support=support,
+            most=value + against + more if np.isfinite(value) else np.inf,
+            deviation=parameters.step[free : free + self.predictor.num_tolerances],
+        )
 
     def fit_of(
         self, library: Library, sets: Sets, model: Model, structures: Sequence[Nuisance], least: float = -np.inf

@@ -5,7 +5,7 @@ The residual of a model is linearised in its parameters by differences of whole 
 Letters: B blocks, C channels, K parameters (those of effects in units of their scale, then N tolerances in deviations).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,16 +50,6 @@ Of 250 fits of a slung load and of flights of ARPL and IDSIA none has gained mor
 
 NOTHING_LEFT = 0.05
 """A step is not taken that promises less log likelihood than this: it would change no choice."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Goal:
-    """How far a fit is worth going."""
-
-    least: float = -np.inf
-    """Log likelihood, and log prior of what is beside, that a fit must be able to reach; else it ends wherever it is."""
-    enough: float = NOTHING_LEFT
-    """Log likelihood that derivatives taken where it ends may still promise; the evidence there has it already."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +103,24 @@ class Fit:
     def columns_of(self, effect: str) -> Indices:
         """Return the places of an effect's parameters."""
         return np.array([k for k, (name, _) in enumerate(self.owners) if name == effect], dtype=int)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Goal:
+    """How far a fit is worth going."""
+
+    worth: Callable[[Fit], float] = lambda _: np.inf
+    """What a fit would be worth, or the best with fewer effects, if the model about it were linear."""
+
+    least: float = -np.inf
+    """What a fit must be able to be worth; else it ends wherever it is."""
+
+    enough: float = NOTHING_LEFT
+    """Log likelihood that derivatives taken where it ends may still promise; what it is worth has that in it."""
+
+    def missed(self, fit: Fit, more: float) -> bool:
+        """Return whether a fit cannot come there, with ``more`` log likelihood than its derivatives promise."""
+        return np.isfinite(more) and np.isfinite(self.least) and self.worth(fit) + more < self.least
 
 
 def is_number(effect: str, place: int) -> bool:
@@ -181,8 +189,7 @@ def tolerance_jacobian(predictor: Predictor, point: ModelParams, base: list[Arra
     """Return the derivative of the prediction by the deviations, each (rows, C, N)."""
     found = [np.empty((*b.shape, predictor.num_tolerances)) for b in base]
     for k in range(predictor.num_tolerances):
-        deviation = np.zeros(predictor.num_tolerances)
-        deviation[k] = STEP
+        deviation = STEP * np.eye(predictor.num_tolerances)[k]
         moved = predictor.predict(replace(point, deviation=deviation))
         for column, m, b in zip(found, moved, base, strict=True):
             column[:, :, k] = (m - b) / STEP
@@ -227,13 +234,6 @@ def _solved(a: Array, b: Array, low: Array, high: Array) -> Array:
     root = np.linalg.cholesky(a).T
     bounds = np.minimum(low, -1e-12), np.maximum(high, 1e-12)
     return lsq_linear(root, np.linalg.solve(root.T, b), bounds=bounds, method="bvls", max_iter=10 * b.size).x
-
-
-def best_within_tolerances(robot: RobotCfg, fit: Fit, weight: Array) -> ModelParams:
-    """Return a fitted model with the deviations within the tolerances that fit its flights best."""
-    step = best_step(fit, weight, fit.free_all)
-    values = params_of(fit.point, fit.effects) + scales(fit.effects) * step[: fit.num_effect_params]
-    return replace(with_params(robot, fit.point, fit.effects, values), deviation=step[fit.num_effect_params :])
 
 
 def linearise(
@@ -304,7 +304,7 @@ def fit_effects(
 ) -> tuple[Fit, list[Array], float]:
     """Return the model with some effects fitted by Gauss-Newton steps, until nothing is left to gain, and its derivatives.
 
-    And what it, or any with fewer effects, can reach at most: log likelihood and log prior of what is beside.
+    And the log likelihood that it may have missed at most, beyond what these promise.
 
     A step that overshoots is halved. Tolerances and structures take their share while the effects are fitted; they are not part
     of the model. The moments of the fit have the weights of the channels in them (``UNIT``).
@@ -337,9 +337,9 @@ def fit_effects(
             return fit, own, np.inf
         whole, moved = best_step(fit, UNIT, fit.free_all), None
         promised = 0.5 * cost - _left_after(fit, whole)
-        most = _most(promised, 0.5 * (first - cost), fresh=fresh) - 0.5 * cost
-        if most < goal.least and (fresh or steps > 1):
-            return fit, own, most
+        more = _more(promised, 0.5 * (first - cost), fresh=fresh)
+        if (fresh or steps > 1) and goal.missed(fit, more):
+            return fit, own, more
         if promised >= (goal.enough if fresh else NOTHING_LEFT) and steps < MOST_STEPS:
             step, here = whole[: fit.num_effect_params], params_of(point, effects)
             for gone in (share * step for share in SHARES):
@@ -353,14 +353,14 @@ def fit_effects(
                 moved = None
         if moved is None:
             if fresh:
-                return fit, own, most
+                return fit, own, more
             own, fresh = effect_jacobian(predictor, point, effects, predictor.predict(point)), True
 
 
-def _most(promised: float, gained: float, *, fresh: bool) -> float:
-    """Return the log likelihood that a fit may gain at most, of what its derivatives promise and what it has gained."""
-    most = MOST_TO_PROMISE * promised if fresh else MOST_TO_MENDED * promised + gained
-    return most if np.isfinite(most) else np.inf
+def _more(promised: float, gained: float, *, fresh: bool) -> float:
+    """Return the log likelihood that a fit may gain beyond what its derivatives promise, of that and what it has gained."""
+    more = (MOST_TO_PROMISE - 1.0) * promised if fresh else (MOST_TO_MENDED - 1.0) * promised + gained
+    return more if np.isfinite(more) else np.inf
 
 
 def _left_after(fit: Fit, step: Array) -> float:

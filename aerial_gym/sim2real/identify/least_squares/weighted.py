@@ -119,11 +119,6 @@ class Beside:
         """Return the number N of columns."""
         return self.columns.width
 
-    @property
-    def log_volume(self) -> float:
-        """Return the log of the share of their normal priors that the flights leave."""
-        return -0.5 * float(np.linalg.slogdet(self.whole + np.eye(self.width))[1])
-
     def moments(self, residuals: Sequence[Array], own: Sequence[Array]) -> Moments:
         """Return the sums over blocks, of all channels together, for residuals (T, C) and derivatives (T, C, P) by effects.
 
