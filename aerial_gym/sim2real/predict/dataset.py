@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 ROWS_PER_BAND = 5.0
 """Rows are evaluated at this many times the bandwidth."""
 
+THINNED_HZ = 50.0
+"""Rows per second below which no log is thinned: it has few, and its forces are often derived from a velocity."""
+
 PREFILTER = 0.4
 """Before, they are low-passed at this share of that rate: 0.4 % of the amplitude at the bandwidth goes, and as much is left of
 what would be folded to it."""
@@ -41,7 +44,7 @@ SETTLE_S = 0.5
 
 def thinned(flight: Flight, bandwidth: float) -> int:
     """Return how many rows of a log are one row that is evaluated."""
-    return max(1, int(flight.rate / (ROWS_PER_BAND * bandwidth)))
+    return max(1, int(flight.rate / max(ROWS_PER_BAND * bandwidth, THINNED_HZ)))
 
 
 class Dataset:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_flights
 from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
 from aerial_gym.sim2real.predict.channels import Channel, find_channels
+from aerial_gym.sim2real.predict.dataset import thinned
 from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
 from aerial_gym.sim2real.predict.noise_floor import noise_floor
 from aerial_gym.sim2real.predict.predictor import Predictor, together
@@ -533,3 +535,10 @@ def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(
     predictor.predict(point.with_effect("inertia_error", np.array([1.0, 1.0, 1.01])))
     predictor.predict(replace(point, deviation=np.eye(predictor.num_tolerances)[0]))
     assert len(asked) == 3
+
+
+@pytest.mark.parametrize(
+    ("rate", "bandwidth", "rows"), [(400.0, 10.0, 8), (100.0, 10.0, 2), (50.0, 5.0, 1), (400.0, 5.0, 8)]
+)
+def test_logs_are_thinned_to_five_times_the_band_and_no_slow_ones(rate: float, bandwidth: float, rows: int) -> None:
+    assert thinned(SimpleNamespace(rate=rate), bandwidth) == rows  # type: ignore[arg-type]
