@@ -19,6 +19,7 @@ from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior, post
 from aerial_gym.sim2real.identify.evidence.linear import linear_about
 from aerial_gym.sim2real.identify.evidence.search import Sets
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    NOTHING_LEFT,
     Fit,
     Goal,
     bounds_of,
@@ -44,8 +45,8 @@ BROAD = 3
 KEPT = 4
 """Sets of structures, and derivatives of fitted sets, that are kept for the next fit."""
 
-ENOUGH = 0.5
-"""Log likelihood, times overdispersion, that a fit may leave to the linear model about it, which is off by a tenth of it."""
+ENOUGH = 2.0
+"""Log likelihood that a fit which is only compared may leave to the linear model about it, which is off by a tenth of it."""
 
 NOTHING = Posterior(
     columns=np.zeros(0, dtype=np.int64), step=np.zeros(0), covariance=np.zeros((0, 0)), log_evidence=-np.inf
@@ -107,20 +108,9 @@ class Fitter:
     """Fits sets about a present model, with the tolerances linear about it."""
 
     def __init__(
-        self,
-        predictor: Predictor,
-        declared: ModelParams,
-        num_names: int,
-        weights: Weighting,
-        present: ModelParams,
-        *,
-        overdispersion: float = 1.0,
+        self, predictor: Predictor, declared: ModelParams, num_names: int, weights: Weighting, present: ModelParams
     ) -> None:
-        """Take flights, the declared model, how many effects there are to choose from, weights, and the present model.
-
-        ``overdispersion`` is that of the best set that is known.
-        """
-        self.enough = ENOUGH * overdispersion
+        """Take flights, the declared model, how many effects there are to choose from, weights, and the present model."""
         self.predictor, self.declared, self.weights = predictor, declared, weights
         self.log_names, self._present = float(np.log(max(1, num_names))), present
         self._tolerance: list[Array] | None = None
@@ -166,10 +156,12 @@ class Fitter:
     ) -> Fitted:
         """Return a set fitted from a start, by ``derivatives`` (rows, C, P) near it if there are, or there (``fresh``).
 
-        Where neither it nor a set with fewer effects can have a log posterior of ``least``, it is fitted no further.
+        Where neither it nor a set with fewer effects can have a log posterior of ``least``, it is fitted no further; with one,
+        the set is only compared, and its parameters are not wanted to the last digit.
         """
         beside, effects = self.beside(structures), tuple(effects)
-        goal = Goal(worth=lambda fit: self._about(fit, effects, structures).most, least=least, enough=self.enough)
+        enough = ENOUGH if np.isfinite(least) else NOTHING_LEFT
+        goal = Goal(worth=lambda fit: self._about(fit, effects, structures).most, least=least, enough=enough)
         found, last, more = fit_effects(
             self.predictor, effects, start, beside, derivatives=derivatives, fresh=fresh, goal=goal
         )

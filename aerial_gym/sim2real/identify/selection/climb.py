@@ -200,15 +200,14 @@ class Climber:
             present = leader
         return self.look_around(present, own, fits)
 
-    def fitter_about(self, params: ModelParams, weights: Weighting, *, overdispersion: float = 1.0) -> Fitter:
+    def fitter_about(self, params: ModelParams, weights: Weighting) -> Fitter:
         """Return what fits sets with the tolerances linear about a model."""
-        count = len(self.names)
-        return Fitter(self.predictor, self.declared, count, weights, params, overdispersion=overdispersion)
+        return Fitter(self.predictor, self.declared, len(self.names), weights, params)
 
     def leader(self, view: View) -> Fitted:
         """Return the best fitted set, each that comes first fitted once more with the tolerances linear about itself."""
         while (best := view.best).label not in view.own:
-            fitter = self.fitter_about(best.params, view.fitter.weights, overdispersion=best.overdispersion)
+            fitter = self.fitter_about(best.params, view.fitter.weights)
             view.settle(fitter.again(best, view.fitter), fitter)
         return best
 
