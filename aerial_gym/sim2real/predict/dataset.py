@@ -32,8 +32,8 @@ PREFILTER = 0.4
 """Before, they are low-passed at this share of that rate: 0.4 % of the amplitude at the bandwidth goes, and as much is left of
 what would be folded to it."""
 
-SAMPLES_PER_BAND = 2.5
-"""Residuals are kept at this many times the bandwidth."""
+SAMPLES_PER_BAND = 3.0
+"""Residuals are kept at about this many times the bandwidth."""
 
 FAR_ABOVE = np.array([0.0, 0.0, 1e3])
 """Where a vehicle is taken to be whose log has no position [m], world: away from the ground."""
@@ -116,7 +116,7 @@ class Dataset:
         """Return the rows of the log at which residuals are kept: multiples of the stride, without the ends."""
         edge = edge_rows(flight.rate, self.bandwidth)
         start = edge if flight.rotor_command is None else max(edge, round(SETTLE_S * flight.rate))
-        step = 1 if every_row else stride * max(1, int(flight.rate / stride / (SAMPLES_PER_BAND * self.bandwidth)))
+        step = 1 if every_row else stride * max(1, round(flight.rate / stride / (SAMPLES_PER_BAND * self.bandwidth)))
         rows = np.arange(-(-start // step) * step, flight.num_rows - edge, step)
         if flight.on_ground is None or every_row:  # a spectrum needs all of them
             return rows
