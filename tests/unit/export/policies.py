@@ -69,14 +69,14 @@ def hovering_policy() -> Policy:
     return policy.requires_grad_(False).eval()
 
 
-def hover(rate_hz: int, *, delay: int = 0, noise: float = 0.0, num_envs: int = 64) -> Task:
+def hover(rate_hz: int, *, delay: int = 0, noise: float = 0.0, num_envs: int = 16) -> Task:
     """Return the position task at a rate on a simulation of 500 Hz, commands late by so many steps, all it sees noisy."""
     seen = tuple(replace(entry, noise_std=noise) for entry in HOVER.observations["policy"])
     cfg = replace(
         HOVER,
         observations={"policy": seen},
         action=ActionCfg(delay_steps=delay),
-        episode_len_steps=5 * rate_hz,
+        episode_len_steps=3 * rate_hz,
     )
     env = SimBuilder().build_env(
         sim_name="base_sim_2ms",
