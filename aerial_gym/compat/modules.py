@@ -147,7 +147,6 @@ GONE: dict[str, str] = {
             "lidar_navigation_task",
             "radar_navigation_task",
             "position_setpoint_task_sim2real",
-            "position_setpoint_task_sim2real_end_to_end",
             "position_setpoint_task_acceleration_sim2real",
             "position_setpoint_task_reconfigurable",
             "position_setpoint_task_morphy",

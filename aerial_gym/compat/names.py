@@ -58,7 +58,6 @@ ABSENT: dict[str, dict[str, str]] = {
         (
             "position_setpoint_task_sim2real",
             "position_setpoint_task_acceleration_sim2real",
-            "position_setpoint_task_sim2real_end_to_end",
             "position_setpoint_task_sim2real_px4",
             "position_setpoint_task_reconfigurable",
             "position_setpoint_task_morphy",

@@ -44,7 +44,7 @@ def test_c_and_torchscript_give_what_torch_gives(activation: str, memory: int, n
     assert max(map(len, text.splitlines())) < 140
 
 
-@pytest.mark.parametrize("memory", [0, 16])
+@pytest.mark.parametrize("memory", [pytest.param(0, marks=pytest.mark.slow), 16])
 def test_onnx_gives_what_torch_gives(memory: int, tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
@@ -94,7 +94,7 @@ def test_every_transform_of_actions_has_a_form_in_c() -> None:
 
 
 @COMPILER
-@pytest.mark.parametrize("rate_hz", [50, 100, 250])
+@pytest.mark.parametrize("rate_hz", [50, pytest.param(100, marks=pytest.mark.slow), 250])
 def test_the_c_code_flies(rate_hz: int, tmp_path: Path) -> None:
     """At three rates, with commands that are 20 ms late and noise: it hovers, and each flight is that of torch.
 
