@@ -9,9 +9,6 @@ from rich.table import Table
 
 from aerial_gym.cli.progress import progress_bar
 
-EXPORTED = (".onnx", ".pt", ".c")
-"""Of exported policies."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateCmd:
@@ -50,14 +47,13 @@ class EvaluateCmd:
 
     def run(self) -> int:
         """Fly one episode from every start and print the figures; return the exit status."""
+        from aerial_gym.export.pilot import STEPS, load_exported
         from aerial_gym.interop import one_thread
         from aerial_gym.rl_training.evaluate import evaluate
         from aerial_gym.rl_training.policies.load import check_fits, load_policy
         from aerial_gym.task import task_registry
 
-        if self.policy.suffix in EXPORTED:
-            from aerial_gym.export import load_exported
-
+        if self.policy.suffix in STEPS:
             policy = load_exported(self.policy)
             cfg = policy.layout
         else:

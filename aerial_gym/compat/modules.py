@@ -152,6 +152,7 @@ GONE: dict[str, str] = {
             "position_setpoint_task_morphy",
         )
     },
+    "task.position_setpoint_task_sim2real_end_to_end": "the task is registered by that name: task_registry.make_task makes it",
     "utils": "helpers that have a counterpart are listed there",
 }
 """Modules of that simulator without a counterpart, and the way out."""

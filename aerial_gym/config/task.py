@@ -128,7 +128,7 @@ class TaskCfg:
     """Steps after which an episode times out, >= 1."""
 
     start: InitialStateCfg | None = None
-    """Where and how flights begin, in place of what the robot says."""
+    """Where and how flights begin, in place of what the robot says; ``make_task`` builds the simulation so."""
 
     time_out_bootstraps: bool = True
     """Whether the return is taken to go on after such an end (``truncated``), or the episode is over (``terminated``)."""

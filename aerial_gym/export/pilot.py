@@ -70,10 +70,9 @@ def load_exported(file: str | Path) -> ExportedPilot:
     """
     file = Path(file)
     layout = Layout.read(file.parent)
-    steps = {".onnx": onnx_step, ".pt": torchscript_step, ".c": c99_step}
-    if file.suffix not in steps or not file.is_file():
+    if file.suffix not in STEPS or not file.is_file():
         raise ConfigError(f"{file}: is no exported policy. Give the .onnx, .pt or .c file that aerial-gym export wrote")
-    return ExportedPilot(layout, steps[file.suffix](file, layout))
+    return ExportedPilot(layout, STEPS[file.suffix](file, layout))
 
 
 def torchscript_step(file: Path, layout: Layout) -> Step:
@@ -154,3 +153,7 @@ void {n}_rows(int rows, const float *observation, float *command, float *action,
         return out, action, after
 
     return step
+
+
+STEPS: dict[str, Callable[[Path, Layout], Step]] = {".onnx": onnx_step, ".pt": torchscript_step, ".c": c99_step}
+"""What runs an exported file, by its ending."""
