@@ -123,13 +123,14 @@ def _onnx(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
         verbose=False,
     )
     assert program is not None
-    program.save(str(file))
+    write_whole(file, program.model_proto.SerializeToString())
     return file
 
 
 def _torchscript(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
     file = out / f"{layout.name}.pt"
-    torch.jit.trace(flown, flown.example()).save(str(file))  # pyright: ignore[reportAttributeAccessIssue, reportFunctionMemberAccess]
+    traced = torch.jit.trace(flown, flown.example())
+    write_whole(file, traced.save_to_buffer())  # pyright: ignore[reportAttributeAccessIssue, reportFunctionMemberAccess]
     return file
 
 
