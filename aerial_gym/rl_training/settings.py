@@ -201,7 +201,7 @@ class ApgCfg(ReturnCfg):
     """Share of the critic that the one that judges the ends of windows takes over after every window, > 0 and <= 1: 1 less the
     share of the old one that is kept, 0.2 in Xu et al. (2022)."""
 
-    capture: bool = False
+    capture: bool = True
     """Whether a window and its updates are held in one CUDA graph on a GPU."""
 
     def __post_init__(self) -> None:

@@ -45,6 +45,22 @@ def _on_skids(robot: RobotCfg) -> RobotCfg:
     )
 
 
+def _dragged(robot: RobotCfg) -> RobotCfg:
+    """The drag of rotors in sideways flow, for each kilogram that of a measured quadrotor."""
+    dx, dy = (share * robot.body.mass for share in (0.544, 0.386))  # 1/s
+    source = (
+        "Faessler, Franchi, Scaramuzza (2018), Differential flatness of quadrotor dynamics subject to rotor drag: their "
+        "0.544 and 0.386 1/s times the mass"
+    )
+    return replace(robot, effects={"rotor_drag": {"dx": dx, "dy": dy, "dz": 0.0}}, effects_source=source)
+
+
+def _in_gusts(robot: RobotCfg) -> RobotCfg:
+    """Wind that wanders about zero by 3 m/s on each axis, within a second."""
+    effects = {**robot.effects, "gusts": {"std": 3.0, "corr_time": 1.0}}
+    return replace(robot, effects=effects, effects_source=f"{robot.effects_source}. Gusts: chosen")
+
+
 def _as_arpl_declares(robot: RobotCfg) -> RobotCfg:
     """Rotor offsets and lags with which the ARPL flights were flown."""
     rotor = robot.the_rotor("the ARPL variant")
@@ -114,6 +130,18 @@ for _name, _of, _change, _summary in (
         "base_quadrotor",
         _on_skids,
         "base_quadrotor with two skids, on which it stands where it lands",
+    ),
+    (
+        "base_quadrotor_with_drag",
+        "base_quadrotor",
+        _dragged,
+        "base_quadrotor with the drag of rotors in sideways flow, by which wind pushes it",
+    ),
+    (
+        "base_quadrotor_in_gusts",
+        "base_quadrotor_with_drag",
+        _in_gusts,
+        "base_quadrotor_with_drag in gusts of 3 m/s",
     ),
     (
         "crazyflie_2x_arpl",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from aerial_gym.config import CONFIG_DIR, load
 from aerial_gym.config.task import CurriculumCfg, TaskCfg
-from aerial_gym.config.task_terms import ObservationCfg, RewardCfg
+from aerial_gym.config.task_terms import ImageCfg, ObservationCfg, RewardCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.registry import Registry
 
@@ -180,6 +180,8 @@ for _name in (
     "navigation_task",
     "tracking_task",
     "recovery_task",
+    "agile_tracking_task",
+    "gust_rejection_task",
 ):
     task_registry.register_later(_name, partial(load, TaskCfg, CONFIG_DIR / "tasks" / f"{_name}.yaml"))
 
@@ -209,6 +211,23 @@ def _safe_navigation() -> TaskCfg:
 
 
 task_registry.register_later("safe_navigation_task", _safe_navigation)
+
+
+def _pixel_navigation() -> TaskCfg:
+    """navigation_task for a policy that finds out itself what an image shows."""
+    task = task_registry.get("navigation_task")
+    state = tuple(entry for entry in task.observations["policy"] if entry.term != "nearest_in_cells")
+    return replace(
+        task,
+        summary="navigation_task with the image itself in place of the smallest distance in each of its cells",
+        robot="base_quadrotor_with_coarse_camera",
+        observations={"policy": state},
+        images={"depth": ImageCfg(dtype="uint8")},
+        source=f"{task.source}. Camera and image: ours",
+    )
+
+
+task_registry.register_later("pixel_navigation_task", _pixel_navigation)
 
 
 def _smooth(name: str, *, width: float, velocity: str, weight: float) -> TaskCfg:

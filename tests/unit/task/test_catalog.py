@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 from aerial_gym import task_registry
 from aerial_gym.config import dump_yaml
@@ -108,3 +109,45 @@ def test_a_task_may_say_how_flights_begin() -> None:
             assert low[0] <= float(gtd[key].min()) < 0.95 * low[0]
             assert 0.95 * high[0] < float(gtd[key].max()) <= high[0]
         assert float(task.target_position.sub(gtd["robot_position"]).abs().max()) <= 0.3 + 1e-6
+
+
+def test_the_target_of_agile_tracking_accelerates_by_2_g() -> None:
+    """Second differences of where it is, over a whole round; their error is (w dt)² / 12, 5e-5 of the largest term."""
+    with task_registry.make_task("agile_tracking_task", num_envs=4, device="cpu", seed=0) as task:
+        task.reset()
+        hold = torch.tensor([[-0.375, 0.0, 0.0, 0.0]]).expand(4, -1)  # weight, no turning: nobody leaves in 2.6 s
+        seen = []
+        for _ in range(260):
+            seen.append(task.target_position.clone().double())
+            task.step(hold)
+        whole = torch.stack(seen)
+        pace = (whole[2:] - 2.0 * whole[1:-1] + whole[:-2]) / task.env.dt**2
+        largest = pace.norm(dim=-1).max() / 9.80665
+        assert float(largest) == pytest.approx(2.0, rel=0.02)
+
+
+def test_gusts_push_a_vehicle_by_its_drag() -> None:
+    """Velocities after one step differ from those in still air by ``d w dt / m``, w of 3 m/s on each axis, d from dy to dx."""
+    speeds = []
+    for robot in (None, "base_quadrotor_with_drag"):
+        with task_registry.make_task("gust_rejection_task", num_envs=4096, device="cpu", seed=0, robot=robot) as task:
+            task.reset()
+            task.step(torch.zeros(4096, 4))
+            speeds.append(task.env.gtd["robot_linvel"][:, :2].clone())
+    push = (speeds[0] - speeds[1]).std(dim=0) / (3.0 * task.env.dt)
+    assert bool((push > 0.35).all())
+    assert bool((push < 0.58).all())
+
+
+def test_pixels_are_bytes_of_the_range_that_the_camera_sees() -> None:
+    """The state is that of navigation_task, and 255 is 10 m."""
+    with task_registry.make_task("pixel_navigation_task", num_envs=16, device="cpu", seed=1, level=44) as task:
+        seen, _ = task.reset()
+        ranges = task.env.gtd["depth_range_pixels"]
+        assert seen["observations"].shape == (16, 17)
+        assert seen["depth"].dtype == torch.uint8
+        assert seen["depth"].shape == ranges.shape
+        inside = (ranges > 0.0) & (ranges < 10.0)
+        assert float(inside.float().mean()) > 0.2
+        error = (seen["depth"].float() * 10.0 / 255.0 - ranges).abs()[inside]
+        assert float(error.max()) <= 0.5001 * 10.0 / 255.0

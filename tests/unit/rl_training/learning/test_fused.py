@@ -87,7 +87,7 @@ def test_what_does_not_fit_into_kernels_is_told() -> None:
     with task_registry.make_task(cfg.task, num_envs=8, device="cpu", seed=0, capture=False) as task:
         network = make_network(cfg, task)
         assert why_not_fused(cfg.ppo, network, torch.device("cpu")) == "no GPU"
-        assert "16, 32, 64, 128" in str(why_not_fused(cfg.ppo, network, torch.device("cuda")))
+        assert "16, 32, 64" in str(why_not_fused(cfg.ppo, network, torch.device("cuda")))
         ppo = replace(cfg.ppo, separate_value_network=False)
         assert "share layers" in str(why_not_fused(ppo, network, torch.device("cuda")))
         assert why_not_fused(settings().ppo, network, torch.device("cuda")) is None
