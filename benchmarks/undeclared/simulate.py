@@ -4,6 +4,7 @@ Letters: F flights, T samples (one per autopilot tick).
 """
 
 from dataclasses import dataclass, fields
+from typing import Protocol
 
 import numpy as np
 
@@ -20,6 +21,14 @@ CONTROL_RATE = 400
 
 SUBSTEPS = 5
 """Runge-Kutta steps per autopilot tick: the plant runs at 2000 Hz."""
+
+
+class Pilot(Protocol):
+    """What flies."""
+
+    def command(self, sample: Sample, ref: Reference, index: int) -> Array:
+        """Return the rotor speeds to hold until the next call [rad/s], (F, 4)."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,8 +62,9 @@ def fly(
     sensors: Sensors,
     surroundings: Surroundings | None = None,
     battery: Battery | None = None,
+    pilot: Pilot | None = None,
 ) -> Record:
-    """Return the record of all flights of ``reference``; the autopilot is built from ``declared`` alone.
+    """Return the record of all flights of ``reference``, flown by an autopilot that is built from ``declared`` alone, or a pilot.
 
     A delay of the true vehicle is rounded to whole steps of the plant; before the first command arrives it holds.
     """
@@ -62,7 +72,7 @@ def fly(
     surroundings = surroundings or Surroundings()
     plant, dt = make_plant(true, surroundings), 1.0 / CONTROL_RATE
     late = round(true.extra.delay * CONTROL_RATE * SUBSTEPS)
-    autopilot = Autopilot(declared, num_flights, dt)
+    autopilot = pilot or Autopilot(declared, num_flights, dt)
     state = plant.rest(rest_state(declared, reference.position[0], reference.yaw[0]))
     samples: list[Sample] = []
     command = np.empty((num_samples, num_flights, 4))
