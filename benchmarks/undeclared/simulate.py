@@ -64,7 +64,7 @@ def fly(
     battery: Battery | None = None,
     pilot: Pilot | None = None,
 ) -> Record:
-    """Return the record of all flights of ``reference``, flown by an autopilot that is built from ``declared`` alone, or a pilot.
+    """Return the record of all flights of ``reference``; the autopilot, if no pilot is given, is built from ``declared`` alone.
 
     A delay of the true vehicle is rounded to whole steps of the plant; before the first command arrives it holds.
     """
