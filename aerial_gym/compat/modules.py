@@ -146,13 +146,14 @@ GONE: dict[str, str] = {
             "custom_task",
             "lidar_navigation_task",
             "radar_navigation_task",
-            "position_setpoint_task_sim2real",
-            "position_setpoint_task_acceleration_sim2real",
             "position_setpoint_task_reconfigurable",
             "position_setpoint_task_morphy",
         )
     },
-    "task.position_setpoint_task_sim2real_end_to_end": "the task is registered by that name: task_registry.make_task makes it",
+    **{
+        f"task.position_setpoint_task_{name}": "the task is registered by that name: task_registry.make_task makes it"
+        for name in ("sim2real", "acceleration_sim2real", "sim2real_end_to_end", "sim2real_px4")
+    },
     "utils": "helpers that have a counterpart are listed there",
 }
 """Modules of that simulator without a counterpart, and the way out."""

@@ -32,10 +32,8 @@ ABSENT: dict[str, dict[str, str]] = {
             "base_quad_root_link_control",
             "base_random",
             "lmf1",
-            "lmf2",
             "lmf2_radar",
             "magpie",
-            "x500",
         ),
         _BODY,
     )
@@ -56,9 +54,6 @@ ABSENT: dict[str, dict[str, str]] = {
     ),
     "task": dict.fromkeys(
         (
-            "position_setpoint_task_sim2real",
-            "position_setpoint_task_acceleration_sim2real",
-            "position_setpoint_task_sim2real_px4",
             "position_setpoint_task_reconfigurable",
             "position_setpoint_task_morphy",
             "lidar_navigation_task",

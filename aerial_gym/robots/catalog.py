@@ -20,6 +20,8 @@ for _name in (
     "crazyflie_21",
     "neural_fly_quad",
     "omnidirectional_octarotor",
+    "lmf2",
+    "x500",
 ):
     _path = _FOLDER / f"{_name}.yaml"
     ROBOTS.register_later(_name, partial(load_robot, _path), summary=partial(summary_in, _path))

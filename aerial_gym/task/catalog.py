@@ -176,7 +176,10 @@ task_registry = TaskRegistry("task")
 
 for _name in (
     "position_setpoint_task",
+    "position_setpoint_task_sim2real",
+    "position_setpoint_task_acceleration_sim2real",
     "position_setpoint_task_sim2real_end_to_end",
+    "position_setpoint_task_sim2real_px4",
     "navigation_task",
     "tracking_task",
     "recovery_task",

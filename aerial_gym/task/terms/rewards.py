@@ -1,6 +1,7 @@
 """Terms of rewards: pure functions of tensors of one instant, (E, ...) to (E,). No branch on a tensor.
 
-``bell(x, h, w) = h exp(-w x²)`` is the shape of the Aerial Gym Simulator's terms; a penalty is a bell less its height.
+``bell(x, h, w) = h exp(-w x²)`` is the shape of the Aerial Gym Simulator's terms, ``cusp(x, h, w) = h exp(-w |x|)`` its sharp
+one; a penalty is one of these less its height.
 Letters: E environments, U entries of a command.
 """
 
@@ -10,6 +11,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.control.laws import LAWS
+from aerial_gym.math.quaternion import yaw_from_quat
 from aerial_gym.task.terms.term import TermRegistry
 
 REWARDS = TermRegistry("reward term")
@@ -27,6 +29,11 @@ def bell(x: Tensor, height: float, width: float) -> Tensor:
 def dip(x: Tensor, height: float, width: float) -> Tensor:
     """Return ``height (exp(-width x²) - 1)``: a penalty from 0 at x = 0 down to ``-height``."""
     return bell(x, height, width) - height
+
+
+def cusp(x: Tensor, height: float, width: float) -> Tensor:
+    """Return ``height exp(-width |x|)``."""
+    return height * torch.exp(-width * x.abs())
 
 
 def body_up_component(attitude: Tensor) -> Tensor:
@@ -48,6 +55,12 @@ def constant(robot_position: Tensor, *, value: float = 1.0) -> Tensor:
 def distance_bell(target_position: Tensor, robot_position: Tensor, *, height: float, width: float) -> Tensor:
     """Return ``height exp(-width d²)``, d the distance to the target [m], (E,)."""
     return bell(_distance(target_position, robot_position), height, width)
+
+
+@REWARDS.term()
+def distance_cusp(target_position: Tensor, robot_position: Tensor, *, height: float, width: float) -> Tensor:
+    """Return ``height exp(-width d)``, d the distance to the target [m], (E,)."""
+    return cusp(_distance(target_position, robot_position), height, width)
 
 
 @REWARDS.term()
@@ -140,6 +153,12 @@ def nose_along_x_bell(robot_orientation: Tensor, *, height: float, width: float)
 
 
 @REWARDS.term()
+def yaw_cusp(robot_orientation: Tensor, *, height: float, width: float) -> Tensor:
+    """Return ``height exp(-width |yaw|)``, yaw from -pi to pi [rad], (E,)."""
+    return cusp(yaw_from_quat(robot_orientation), height, width)
+
+
+@REWARDS.term()
 def velocity_bells(robot_linvel: Tensor, *, height: float, width: float) -> Tensor:
     """Return the sum over axes of ``height exp(-width v²)``, v the velocity [m/s], world, (E,)."""
     return bell(robot_linvel, height, width).sum(dim=-1)
@@ -187,6 +206,20 @@ def all_actions_size(robot_actions: Tensor, *, offset: float, height: float, wid
 def all_actions_change(robot_actions: Tensor, robot_prev_actions: Tensor, *, height: float, width: float) -> Tensor:
     """Return the sum over entries of ``height (exp(-width du²) - 1)``, du its change since the last step, (E,)."""
     return dip(robot_actions - robot_prev_actions, height, width).sum(dim=-1)
+
+
+@REWARDS.term()
+def all_actions_size_cusp(robot_actions: Tensor, *, height: float, width: float) -> Tensor:
+    """Return the sum over entries of ``height (exp(-width |u|) - 1)``, u an entry of the command, (E,)."""
+    return (cusp(robot_actions, height, width) - height).sum(dim=-1)
+
+
+@REWARDS.term()
+def all_actions_change_cusp(
+    robot_actions: Tensor, robot_prev_actions: Tensor, *, height: float, width: float
+) -> Tensor:
+    """Return the sum over entries of ``height (exp(-width |du|) - 1)``, du its change since the last step, (E,)."""
+    return (cusp(robot_actions - robot_prev_actions, height, width) - height).sum(dim=-1)
 
 
 @REWARDS.term(command=VELOCITY)
