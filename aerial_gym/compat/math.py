@@ -18,6 +18,7 @@ from aerial_gym.math.quaternion import (
     quat_rotate_inverse,
     quat_to_matrix,
     quat_yaw,
+    wrap_angle,
 )
 
 __all__ = [
@@ -99,7 +100,7 @@ def compute_vee_map(skew_matrix: Tensor) -> Tensor:
 
 def ssa(angle: Tensor) -> Tensor:
     """Return angles [rad] in [-pi, pi)."""
-    return torch.remainder(angle + torch.pi, 2.0 * torch.pi) - torch.pi
+    return wrap_angle(angle)
 
 
 def normalize(x: Tensor, eps: float = 1e-9) -> Tensor:

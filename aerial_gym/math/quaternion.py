@@ -4,6 +4,8 @@ Order is ``xyzw``; a quaternion turns body coordinates into world coordinates. E
 float dtype. Sources: Diebel (2006), Representing Attitude; Sola (2017), Quaternion kinematics, section numbers in place.
 """
 
+from math import pi
+
 import torch
 from torch import Tensor
 
@@ -116,6 +118,11 @@ def yaw_from_quat(q: Tensor) -> Tensor:
     """Return the yaw [rad] of ``euler_from_quat`` alone, (...), in (-pi, pi]."""
     x, y, z, w = q.unbind(-1)
     return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def wrap_angle(angle: Tensor) -> Tensor:
+    """Return the angle [rad] plus whole turns that lies in [-pi, pi)."""
+    return torch.remainder(angle + pi, 2.0 * pi) - pi
 
 
 def quat_yaw(q: Tensor) -> Tensor:

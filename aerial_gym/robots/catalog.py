@@ -116,6 +116,18 @@ for _name, _of, _change, _summary in (
         "base_quadrotor with a lidar that sees all around",
     ),
     (
+        "base_quadrotor_with_dome_lidar",
+        "base_quadrotor",
+        _carrying("rslidar_airy"),
+        "base_quadrotor with a dome lidar that sees what is behind it",
+    ),
+    (
+        "base_quadrotor_with_coarse_dome_lidar",
+        "base_quadrotor",
+        _carrying("coarse_dome_lidar"),
+        "base_quadrotor with a dome lidar of fewer rays, to train with",
+    ),
+    (
         "base_quadrotor_with_stereo_camera",
         "base_quadrotor",
         _carrying("stereo_camera"),

@@ -28,6 +28,7 @@ for _name in (
     "os2_64",
     "os_dome_64",
     "rslidar_airy",
+    "coarse_dome_lidar",
     "fake_radar",
     "pmd_flexx2",
     "st_vl53l5cx",

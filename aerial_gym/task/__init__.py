@@ -11,9 +11,7 @@ if TYPE_CHECKING:
     from aerial_gym.task.task import Task
     from aerial_gym.task.terms.actions import ACTIONS
     from aerial_gym.task.terms.buffers import BUFFERS
-    from aerial_gym.task.terms.observations import OBSERVATIONS
-    from aerial_gym.task.terms.rewards import REWARDS
-    from aerial_gym.task.terms.terminations import TERMINATIONS
+    from aerial_gym.task.terms.catalog import OBSERVATIONS, REWARDS, TERMINATIONS
 
 __all__ = [
     "ACTIONS",

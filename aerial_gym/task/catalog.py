@@ -181,6 +181,7 @@ for _name in (
     "position_setpoint_task_sim2real_end_to_end",
     "position_setpoint_task_sim2real_px4",
     "navigation_task",
+    "lidar_navigation_task",
     "tracking_task",
     "recovery_task",
     "agile_tracking_task",

@@ -10,16 +10,15 @@ from aerial_gym.config.task_terms import ObservationCfg, RewardCfg, TerminationC
 from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
 from aerial_gym.task.step.shapes import check_number, check_truth, width_of
 from aerial_gym.task.terms.actions import ACTIONS, Action
-from aerial_gym.task.terms.observations import OBSERVATIONS, whole
-from aerial_gym.task.terms.rewards import REWARDS
+from aerial_gym.task.terms.catalog import OBSERVATIONS, REWARDS, TERMINATIONS
+from aerial_gym.task.terms.observations import whole
 from aerial_gym.task.terms.term import ACTION, BoundTerm, Term, TermRegistry, bind, checked
-from aerial_gym.task.terms.terminations import TERMINATIONS
 from aerial_gym.task.values import Values
 
 Observed = list[tuple[BoundTerm, ObservationCfg, int]]
 """Terms of a group with their widths."""
 
-UNTRACED = ("vec_root_tensor", "robot_state_tensor", "robot_clearance", "robot_contact_force", "nearest_in_cells")
+UNTRACED = ("vec_root_tensor", "robot_state_tensor", "robot_clearance", "robot_contact_force")
 """What follows from the motion in kernels and has no gradient, beside all that sensors measure."""
 
 SENSORS = "SensorManager"
@@ -152,7 +151,7 @@ def check_gradients(
 def _without_gradient(term: BoundTerm, values: Values, *, jumps: bool, seen: tuple[str, ...] = ()) -> str | None:
     """Return what a term, or a buffer that it reads, reads that has no gradient."""
     for name in term.reads:
-        sensed = name in values.gtd and values.gtd.spec(name).owner == SENSORS
+        sensed = name in values.measured or (name in values.gtd and values.gtd.spec(name).owner == SENSORS)
         if sensed or name in UNTRACED or (jumps and name != "begun" and values[name].dtype == torch.bool):
             return name
         if name in values.updates and name not in seen:

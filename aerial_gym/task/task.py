@@ -14,11 +14,10 @@ from torch import Tensor
 
 from aerial_gym.config.task import POLICY, TaskCfg
 from aerial_gym.env_manager import EnvManager
-from aerial_gym.errors import CapabilityError, ConfigError
+from aerial_gym.errors import CapabilityError
 from aerial_gym.math.random import Purpose, counted_uniform
 from aerial_gym.registry.state import below, check_state, identity, restore, saved
 from aerial_gym.robots.watch import Watch
-from aerial_gym.sensors.cells import NearestInCells
 from aerial_gym.task.commands.catalog import make_command
 from aerial_gym.task.commands.command import TARGET
 from aerial_gym.task.curriculum import Curriculum
@@ -31,13 +30,14 @@ from aerial_gym.task.resolve import (
 )
 from aerial_gym.task.spaces import action_space, key_of, observation_space
 from aerial_gym.task.step.act import Actor, declare_delay
-from aerial_gym.task.step.images import Images, distance_scale
+from aerial_gym.task.step.cells import Cells
+from aerial_gym.task.step.images import Images
 from aerial_gym.task.step.judge import ARRIVED, FINAL, SUMS, TALLIES, Judge
 from aerial_gym.task.step.observe import Entry, Observer
 from aerial_gym.task.step.remember import make_memory
 from aerial_gym.task.step.step_graph import StepGraph, check_untraced
 from aerial_gym.task.step.traced import Graph
-from aerial_gym.task.terms.observations import IMAGE_CELLS
+from aerial_gym.task.terms.buffers import STEP_TIME
 from aerial_gym.task.values import Values
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ class Task:
         action, params = resolve_action(cfg, command)
         self.num_actions = num_commands if action.width is None else action.width
         """Entries of an action, V."""
-        self._cells: NearestInCells | None = None
+        self._cells = Cells(env.sensor_manager, env.gtd, robot=cfg.robot)
         self.values = self._make_values(num_commands)
         """What terms read, by name: keys of the GTD and the task's own buffers; ``print(task.values.own)`` shows these."""
         declare_delay(cfg.action, self.values)
@@ -293,8 +293,7 @@ class Task:
     def _look(self, *, begun: bool = False) -> None:
         """Read the sensors, and what is made of their images; ``begun``: only where an episode has just begun."""
         self.env.render(self.env.random.mask if begun else None)
-        if self._cells is not None:
-            self._cells.measure()
+        self._cells.measure()
         self._images.take(begun=begun)
 
     def parts(self) -> dict[str, Callable[[], None]]:
@@ -343,22 +342,14 @@ class Task:
         sizes = {"E": env.num_envs, "U": num_commands, "V": self.num_actions, "R": env.robot_manager.cfg.num_rotors}
         simulation = env.robot_manager.differentiable
         graph = None if simulation is None else Graph(simulation)
-        values = Values(env.gtd, sizes=sizes, makers={"nearest_in_cells": self._make_cells}, graph=graph)
+        makers = {**self._cells.makers, STEP_TIME: self._make_step_time}
+        values = Values(env.gtd, sizes=sizes, makers=makers, graph=graph)
         values.declare("begun", dtype=torch.bool, meaning="its episode has just begun", view=env.random.mask)
         return values
 
-    def _make_cells(self) -> Tensor:
-        sensors = self.env.sensor_manager
-        if not sensors.casters:
-            raise ConfigError(
-                f"observation term 'nearest_in_cells': robot {self.cfg.robot} has no camera or lidar. Choose one with a sensor"
-            )
-        largest, empty = distance_scale(sensors, next(iter(sensors.casters)))
-        self._cells = NearestInCells(self._gtd["depth_range_pixels"], cells=IMAGE_CELLS, largest=largest, empty=empty)
-        meaning = (
-            "smallest distance in each of 8 x 8 cells of the first range sensor's image, as a share of the largest"
-        )
-        return self.values.declare("nearest_in_cells", (64,), meaning=meaning, view=self._cells.nearest)
+    def _make_step_time(self, values: Values, reader: str) -> Tensor:
+        del reader
+        return values.declare(STEP_TIME, unit="s", meaning="time of a step", rows=False).fill_(self.env.dt)
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return everything on which the future depends, by name: tensors that keep their places, and digests."""

@@ -3,6 +3,7 @@
 Letters: E environments, U entries of a command, V entries of an action.
 """
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from difflib import get_close_matches
 
@@ -24,7 +25,7 @@ class Values(Mapping[str, Tensor]):
         gtd: GlobalTensorDictionary,
         *,
         sizes: Mapping[str, int],
-        makers: Mapping[str, Callable[[], Tensor]],
+        makers: Mapping[str, Callable[..., Tensor]],
         graph: Graph | None = None,
     ) -> None:
         """Take the simulation's dictionary.
@@ -32,7 +33,8 @@ class Values(Mapping[str, Tensor]):
         Args:
             gtd: Of the simulation.
             sizes: Numbers of the shape letters.
-            makers: What declares a buffer that is neither of the registry nor declared already, by its name.
+            makers: What declares buffers that are neither of the registry nor declared already, by their name, in which
+                whole numbers may stand as ``{rows}``: called with these values, who reads it, and the numbers by name.
             graph: Where values with gradients are, of a differentiable simulation.
         """
         self.gtd, self._makers, self.graph = gtd, makers, graph
@@ -40,6 +42,8 @@ class Values(Mapping[str, Tensor]):
         """Buffers of the task."""
         self.updates: dict[str, BoundTerm] = {}
         """What buffers hold after a step, by name, in the order in which that is computed."""
+        self.measured: set[str] = set()
+        """Buffers with a row for each environment that makers gave: kernels measure what they hold."""
 
     def declare(
         self,
@@ -70,8 +74,12 @@ class Values(Mapping[str, Tensor]):
             return self.gtd[name]
         if name in self.own:
             return self.own[name]
-        if name in self._makers:
-            return self._makers[name]()
+        for template, make in self._makers.items():
+            numbers = numbers_in(name, template)
+            if numbers is not None:
+                made = make(self, reader, **numbers)
+                self.measured |= {name} if made.ndim else set()
+                return made
         if name in BUFFERS:
             return self._make(name)
         known = sorted({*self.gtd, *self.own, *self._makers, *BUFFERS})
@@ -102,3 +110,12 @@ class Values(Mapping[str, Tensor]):
 
     def __len__(self) -> int:
         return len(self.gtd) + len(self.own)
+
+
+def numbers_in(name: str, template: str) -> dict[str, int] | None:
+    """Return the whole numbers, by name, with which a template such as ``"nearest_in_{rows}x{columns}_cells"`` gives a name.
+
+    None if it does not.
+    """
+    found = re.fullmatch(re.sub(r"\{(\w+)\}", r"(?P<\1>[1-9][0-9]*)", template), name)
+    return None if found is None else {key: int(number) for key, number in found.groupdict().items()}

@@ -20,7 +20,7 @@ from aerial_gym.interop.rows.operations import COMPOSED, IN_PLACE, INTO_ZEROS, M
 ROWS = 97
 """Rows of the trace, B: a prime number that is no other size."""
 
-LARGEST_ROW = 256
+LARGEST_ROW = 512
 """Most entries that a row of an input may have: each becomes a variable of the kernel."""
 
 

@@ -20,6 +20,9 @@ TARGET = "target_position"
 class Command:
     """Base of the generators. A subclass takes its numbers as keyword-only arguments and declares its buffers in ``values``."""
 
+    name = ""
+    """Under which it is registered."""
+
     reads: tuple[str, ...] = ()
     """What ``at`` and ``after`` read, beside ``sim_steps`` and ``begun``; its own buffers included."""
 
@@ -69,6 +72,7 @@ class CommandRegistry(Registry[type[Command]]):
             if not (isinstance(cls, type) and issubclass(cls, Command)):
                 raise ConfigError(f"command generator {name!r}: must be a class derived from Command")
             self.register(name, cls)
+            cls.name = name
             return cls
 
         return add

@@ -4,6 +4,7 @@ Frames: world of each environment, z up. Letters: E environments.
 """
 
 from collections.abc import Mapping, Sequence
+from math import pi
 
 import torch
 from torch import Tensor
@@ -11,8 +12,10 @@ from torch import Tensor
 from aerial_gym.config.robot import Vec3
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
+from aerial_gym.math.random import Purpose
 from aerial_gym.task.commands.command import COMMANDS, TARGET, Command
 from aerial_gym.task.kernels.goals import Goals
+from aerial_gym.task.kernels.uniform import UniformDraws
 from aerial_gym.task.values import Values
 
 
@@ -38,7 +41,7 @@ class DrawnPoint(Command):
         super().__init__(values, env)
         if not all(0.0 <= a <= b <= 1.0 for a, b in zip(low, high, strict=True)):
             raise ConfigError(
-                f"command drawn_point: low = {low!r}, high = {high!r}: needs 0 <= low <= high <= 1 on every axis. "
+                f"command {self.name}: low = {low!r}, high = {high!r}: needs 0 <= low <= high <= 1 on every axis. "
                 "They are shares of the bounds"
             )
         bounds = (env.gtd["env_bounds_min"], env.gtd["env_bounds_max"])
@@ -47,6 +50,24 @@ class DrawnPoint(Command):
     def draw(self, mask: Tensor) -> None:
         """Draw new points."""
         self._goals.draw(mask)
+
+
+@COMMANDS.generator("drawn_pose")
+class DrawnPose(DrawnPoint):
+    """The point of ``drawn_point``, and a heading to have there, ``target_yaw``, drawn uniformly from the whole turn."""
+
+    def __init__(self, values: Values, env: EnvManager, *, low: Vec3, high: Vec3) -> None:
+        """Take the lowest and the highest point as shares of the bounds, 0 <= low <= high <= 1."""
+        super().__init__(values, env, low=low, high=high)
+        yaw = values.declare(
+            "target_yaw", unit="rad", frame="world", meaning="heading to have at the target, -pi to pi"
+        )
+        self._yaw = UniformDraws(yaw.unsqueeze(-1), [(-pi, pi)], purpose=Purpose.COMMAND, random=env.random)
+
+    def draw(self, mask: Tensor) -> None:
+        """Draw new points and headings."""
+        super().draw(mask)
+        self._yaw.draw(mask)
 
 
 @COMMANDS.generator("sequence")

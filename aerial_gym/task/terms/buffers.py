@@ -61,10 +61,20 @@ BUFFERS = BufferRegistry("task buffer")
 """Buffers by the name under which terms read them."""
 
 
+STEP_TIME = "step_time"
+"""Buffer of the time of a step [s], one number."""
+
+
 @BUFFERS.buffer(unit="m")
 def previous_distance(target_position: Tensor, robot_position: Tensor) -> Tensor:
     """Return the distance to the target one step before, or at the reset, (E,)."""
     return (target_position - robot_position).norm(dim=-1)
+
+
+@BUFFERS.buffer(unit="m")
+def previous_clearance(robot_clearance: Tensor) -> Tensor:
+    """Return the distance of the robot's hull to what is nearest one step before, or at the reset, (E,)."""
+    return robot_clearance.clone()
 
 
 @BUFFERS.buffer(shape=(3,), unit="m", frame="world")

@@ -13,8 +13,11 @@ from aerial_gym.task.terms.term import ACTION, Term, TermRegistry
 OBSERVATIONS = TermRegistry("observation term")
 """Terms by the name that a task configuration uses."""
 
-IMAGE_CELLS = (8, 8)
-"""Rows and columns of the smallest distances that ``nearest_in_cells`` holds of an image."""
+CELLS = "nearest_in_{rows}x{columns}_cells"
+"""Buffer of the smallest distance in each cell of the first range sensor's image, a share of ``LARGEST``, (E, rows columns)."""
+
+LARGEST = "largest_distance"
+"""Buffer of the largest distance that this sensor measures [m], one number."""
 
 LEAST_SHARE = 1e-3
 """A share of the largest distance below which no obstacle is told from another: 1 cm of 10 m."""
@@ -105,16 +108,25 @@ def last_action(robot_actions: Tensor) -> Tensor:
     return robot_actions
 
 
-@OBSERVATIONS.term("nearest_in_cells", width=IMAGE_CELLS[0] * IMAGE_CELLS[1])
-def nearest(nearest_in_cells: Tensor) -> Tensor:
-    """Return the smallest distance in each of 8 x 8 cells of the first sensor's image, a share of the largest, (E, 64)."""
-    return nearest_in_cells
+@OBSERVATIONS.term("nearest_in_cells", named={"cells": CELLS})
+def nearest(cells: Tensor, *, rows: int = 8, columns: int = 8) -> Tensor:
+    """Return the smallest distance in each cell of the first sensor's image, a share of the largest, (E, rows columns)."""
+    del rows, columns  # say which cells
+    return cells
 
 
-@OBSERVATIONS.term(width=IMAGE_CELLS[0] * IMAGE_CELLS[1])
-def log_nearest_in_cells(nearest_in_cells: Tensor) -> Tensor:
-    """Return the natural logarithm of ``nearest_in_cells``, (E, 64): what is at hand tells as much as what is far."""
-    return nearest_in_cells.clamp_min(LEAST_SHARE).log()
+@OBSERVATIONS.term(named={"cells": CELLS})
+def log_nearest_in_cells(cells: Tensor, *, rows: int = 8, columns: int = 8) -> Tensor:
+    """Return the natural logarithm of ``nearest_in_cells``, (E, rows columns): what is at hand tells as much as what is far."""
+    del rows, columns
+    return cells.clamp_min(LEAST_SHARE).log()
+
+
+@OBSERVATIONS.term(named={"cells": CELLS})
+def inverse_nearest(cells: Tensor, largest_distance: Tensor, *, rows: int = 8, columns: int = 8) -> Tensor:
+    """Return the inverse of the smallest distance in each of some cells [1/m], (E, rows columns)."""
+    del rows, columns
+    return 1.0 / (cells.clamp_min(LEAST_SHARE) * largest_distance)
 
 
 def whole(name: str) -> Term:

@@ -37,10 +37,14 @@ class Term:
     command: tuple[str, ...] | None = None
     """What the controller must take (``Law.action``); None fits all."""
 
+    named: Mapping[str, str] = field(default_factory=dict)
+    """Names of tensors that follow from its numbers, by the argument: ``"nearest_in_{rows}x{columns}_cells"``."""
+
     @property
     def reads(self) -> tuple[str, ...]:
-        """Names of the tensors that it reads."""
-        return tuple(name for name, each in _arguments(self.value) if each.kind is not Parameter.KEYWORD_ONLY)
+        """Names of the tensors that it reads, those of ``named`` as they stand there."""
+        names = (name for name, each in _arguments(self.value) if each.kind is not Parameter.KEYWORD_ONLY)
+        return tuple(self.named.get(name, name) for name in names)
 
     @property
     def summary(self) -> str:
@@ -73,7 +77,10 @@ def bind(term: Term, params: Mapping[str, object], label: str) -> BoundTerm:
     Raises:
         ConfigError: If a number is missing, unknown or of another kind.
     """
-    return BoundTerm(label=label, term=term, params=checked(term.value, params, label), reads=term.reads)
+    given = checked(term.value, params, label)
+    numbers = {name: each.default for name, each in _arguments(term.value)} | given if term.named else {}
+    reads = tuple(name.format(**numbers) if name in term.named.values() else name for name in term.reads)
+    return BoundTerm(label=label, term=term, params=given, reads=reads)
 
 
 def checked(function: Callable[..., object], params: Mapping[str, object], label: str) -> dict[str, Any]:
@@ -110,7 +117,12 @@ class TermRegistry(Registry[Term]):
     """Terms of one kind by name."""
 
     def term(
-        self, name: str | None = None, *, width: int | None = None, command: Sequence[str] | None = None
+        self,
+        name: str | None = None,
+        *,
+        width: int | None = None,
+        command: Sequence[str] | None = None,
+        named: Mapping[str, str] | None = None,
     ) -> Callable[[Function], Function]:
         """Register the function below under its own name, or another one.
 
@@ -118,11 +130,13 @@ class TermRegistry(Registry[Term]):
             name: Under which a task asks for it; that of the function if not given.
             width: Entries per environment, where it is always the same; such a term is checked for it.
             command: What the controller must take, as ``aerial_gym.control.laws.LAWS`` says it; None fits all.
+            named: What arguments read whose name follows from numbers of the term.
         """
 
         def add(function: Function) -> Function:
             known = name or function.__name__
-            term = Term(name=known, value=function, width=width, command=None if command is None else tuple(command))
+            needs = None if command is None else tuple(command)
+            term = Term(name=known, value=function, width=width, command=needs, named=dict(named or {}))
             _ = term.reads  # refuses a signature that does not say
             self.register(known, term)
             return function

@@ -214,7 +214,7 @@ def test_terms_without_gradient_are_refused_by_name(cfg: TaskCfg, message: str) 
 
 def test_images_and_captures_are_refused() -> None:
     make = task_registry.make_task
-    with pytest.raises(CapabilityError, match=r"'nearest_in_cells': reads nearest_in_cells, which has no gradient"):
+    with pytest.raises(CapabilityError, match=r"'nearest_in_cells': reads nearest_in_8x8_cells, which has no gradient"):
         make("navigation_task", num_envs=2, device="cpu", differentiable=True)
     cfg = replace(task_registry.get("navigation_task"), images={"depth": ImageCfg()})
     with pytest.raises(CapabilityError, match="image 'depth': has no gradient"):

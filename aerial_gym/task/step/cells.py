@@ -1,0 +1,59 @@
+"""What terms see of the first range sensor's image: the smallest distances in cells, made where a term reads them.
+
+Letters: E environments.
+"""
+
+from collections.abc import Callable, Mapping
+
+from torch import Tensor
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.registry import GlobalTensorDictionary
+from aerial_gym.sensors import SensorManager
+from aerial_gym.sensors.cells import NearestInCells
+from aerial_gym.task.step.images import distance_scale
+from aerial_gym.task.terms.observations import CELLS, LARGEST
+from aerial_gym.task.values import Values
+
+
+class Cells:
+    """Declares the buffers ``CELLS`` and ``LARGEST`` of a task, and measures the cells of each image."""
+
+    def __init__(self, sensors: SensorManager, gtd: GlobalTensorDictionary, *, robot: str) -> None:
+        """Take the sensors, the dictionary with their images, and what a message calls the robot."""
+        self._sensors, self._gtd, self._robot = sensors, gtd, robot
+        self._kept: list[NearestInCells] = []
+
+    @property
+    def makers(self) -> Mapping[str, Callable[..., Tensor]]:
+        """Return what ``Values`` makes buffers with."""
+        return {CELLS: self._cells, LARGEST: self._largest}
+
+    def measure(self) -> None:
+        """Write the cells of the present image; launched, not waited for."""
+        for cells in self._kept:
+            cells.measure()
+
+    def _cells(self, values: Values, reader: str, *, rows: int, columns: int) -> Tensor:
+        name = self._first(reader)
+        largest, empty = distance_scale(self._sensors, name)
+        image = self._gtd["depth_range_pixels"]
+        cells = NearestInCells(image, cells=(rows, columns), largest=largest, empty=empty)
+        self._kept.append(cells)
+        meaning = (
+            f"smallest distance in each of {rows} x {columns} cells of the image of {name}, a share of the largest"
+        )
+        key = CELLS.format(rows=rows, columns=columns)
+        return values.declare(key, (rows * columns,), meaning=meaning, view=cells.nearest)
+
+    def _largest(self, values: Values, reader: str) -> Tensor:
+        name = self._first(reader)
+        meaning = f"largest distance that {name} measures"
+        largest = self._sensors.casters[name].cfg.max_range
+        return values.declare(LARGEST, unit="m", meaning=meaning, rows=False).fill_(largest)
+
+    def _first(self, reader: str) -> str:
+        """Return the name of the first range sensor."""
+        if not self._sensors.casters:
+            raise ConfigError(f"{reader}: robot {self._robot} has no camera or lidar. Choose one with a sensor")
+        return next(iter(self._sensors.casters))
