@@ -144,15 +144,20 @@ GONE: dict[str, str] = {
         f"task.{name}": "write it as a task file or a class derived from BaseTask"
         for name in (
             "custom_task",
-            "lidar_navigation_task",
             "radar_navigation_task",
             "position_setpoint_task_reconfigurable",
             "position_setpoint_task_morphy",
         )
     },
     **{
-        f"task.position_setpoint_task_{name}": "the task is registered by that name: task_registry.make_task makes it"
-        for name in ("sim2real", "acceleration_sim2real", "sim2real_end_to_end", "sim2real_px4")
+        f"task.{name}": "the task is registered by that name: task_registry.make_task makes it"
+        for name in (
+            "position_setpoint_task_sim2real",
+            "position_setpoint_task_acceleration_sim2real",
+            "position_setpoint_task_sim2real_end_to_end",
+            "position_setpoint_task_sim2real_px4",
+            "lidar_navigation_task",
+        )
     },
     "utils": "helpers that have a counterpart are listed there",
 }

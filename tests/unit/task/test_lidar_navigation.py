@@ -1,0 +1,273 @@
+"""The lidar navigation task: what it sees, its reward by hand, its starts and goals, how its episodes end, its curriculum."""
+
+from dataclasses import replace
+from math import cos, exp, pi, radians
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym import task_registry
+from aerial_gym.config.task_terms import ObservationCfg
+from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.math.quaternion import quat_from_euler
+from aerial_gym.robots import ROBOTS
+from aerial_gym.task import Task
+from tests.unit.task.hover import built
+from tests.unit.task.rewards import reward_of
+from tests.unit.task.test_navigation import distance_at
+
+NAME = "lidar_navigation_task"
+CFG = task_registry.get(NAME)
+STAY = torch.zeros(4, 4)
+
+
+def make(num_envs: int = 4, **changes: object) -> Task:
+    """Return the task without noise of its own, with the lidar of the Aerial Gym Simulator, which has none either."""
+    quiet = {"policy": tuple(replace(entry, noise_std=0.0) for entry in CFG.observations["policy"])}
+    cfg = replace(CFG, robot="base_quadrotor_with_dome_lidar", observations=quiet)
+    cfg = replace(cfg, **changes)  # type: ignore[arg-type]
+    assert cfg.start is not None
+    return built(cfg, num_envs, robot=replace(ROBOTS.get(cfg.robot), initial_state=cfg.start))
+
+
+def put(task: Task, position: Tensor, *, yaw: float = 0.0) -> None:
+    """Put the robots at rest somewhere."""
+    state = task.env.robot_manager.tensors.state
+    state.position.copy_(position)
+    state.attitude.copy_(quat_from_euler(torch.tensor([0.0, 0.0, yaw])))
+    state.lin_vel.zero_()
+    state.ang_vel.zero_()
+
+
+def clear(task: Task) -> None:
+    """Take away everything but the walls, which are the first rows."""
+    task.env.asset_manager.scene.asset_state[:, 6:, 2] = -1000.0
+
+
+# ---------------------------------------------------------------------------------------------- what it sees
+
+
+def test_the_observation_is_laid_out_as_documented() -> None:
+    """13 numbers of the state with the heading error at 6, 4 of the command, 320 of the lidar."""
+    task = make()
+    task.reset()
+    obs, *_ = task.step(torch.tensor([0.2, -0.5, 2.0, 0.3]).expand(4, 4))
+    seen, gtd = obs["observations"], task.env.gtd
+    assert seen.shape == (4, 337)
+    assert task.observation_space["observations"].shape == (337,)
+    error, yaw = (task.target_position - gtd["robot_position"]).double(), gtd["robot_euler_angles"][:, 2].double()
+    away = error.norm(dim=-1)
+    forward = (torch.cos(yaw) * error[:, 0] + torch.sin(yaw) * error[:, 1]) / away
+    left = (-torch.sin(yaw) * error[:, 0] + torch.cos(yaw) * error[:, 1]) / away
+    expected = torch.stack((forward, left, error[:, 2] / away, away), dim=-1)
+    torch.testing.assert_close(seen[:, :4].double(), expected, rtol=0.0, atol=1e-5)
+    torch.testing.assert_close(seen[:, 4:6], gtd["robot_euler_angles"][:, :2], rtol=0.0, atol=1e-5)
+    turned = seen[:, 6].double() + yaw - task.values["target_yaw"].double()
+    torch.testing.assert_close(torch.cos(turned), torch.ones(4, dtype=torch.float64), rtol=0.0, atol=1e-9)
+    assert (seen[:, 6].abs() <= pi).all()
+    assert torch.equal(seen[:, 7:10], gtd["robot_body_linvel"])
+    assert torch.equal(seen[:, 10:13], gtd["robot_body_angvel"])
+    command = torch.tensor([0.4, -1.0, 2.0, 0.3 * pi / 3])  # m/s², world, the third clamped; rad/s
+    torch.testing.assert_close(seen[:, 13:17], command.expand(4, 4), rtol=1e-6, atol=1e-6)
+    image = gtd["depth_range_pixels"][:, 0]
+    nearest = torch.where(image < 0.0, 10.0, image).view(4, 16, 3, 20, 6).amin(dim=(2, 4))
+    torch.testing.assert_close(seen[:, 17:], 1.0 / nearest.flatten(1), rtol=1e-6, atol=0.0)
+
+
+@pytest.mark.parametrize("yaw", [0.0, pi])
+def test_the_lidar_sees_the_walls_where_they_are(yaw: float) -> None:
+    """In an empty hall: behind the robot in the top row, left, right, floor and ceiling in the bottom row.
+
+    Rows hold 3 of 48 elevations, of which the highest is half a step of 90 deg / 47.5 below the zenith, which looks backwards,
+    and the lowest is square to it. Columns hold 6 of 120 azimuths, from 180 deg (down), 90 (left), 0 (up), -90 (right)
+    to -180; the ray next to each of these is half a step of 3 deg away. The sensor is 5 cm behind the middle.
+    """
+    task = make(2, env="env_with_lidar_nav_obstacles")
+    task.reset()
+    clear(task)
+    low, high = task.env.gtd["env_bounds_min"], task.env.gtd["env_bounds_max"]
+    behind = 0.0 if yaw == 0.0 else 1.0
+    corner = torch.stack((low[:, 0] + behind * (high - low)[:, 0], low[:, 1], low[:, 2]), dim=-1)
+    put(task, corner + torch.tensor([2.0 if yaw == 0.0 else -2.0, 3.0, 2.5]), yaw=yaw)
+    seen = task._observed()["observations"][:, 17:].view(2, 16, 20)
+    square = cos(radians(0.5 * 90.0 / 47.5))
+    torch.testing.assert_close(seen[:, 0], torch.full((2, 20), square / 1.95), rtol=1e-4, atol=0.0)
+    aside = cos(radians(1.5))
+    width, height = (high - low)[:, 1], (high - low)[:, 2]
+    near, far = torch.full((2,), 3.0), width - 3.0
+    left, right = (far, near) if yaw == 0.0 else (near, far)
+    for columns, distance in (
+        ((0, 19), torch.full((2,), 2.5)),
+        ((5,), left),
+        ((9, 10), height - 2.5),
+        ((14,), right),
+    ):
+        for column in columns:
+            expected = (aside / distance).clamp_min(0.1)  # further than 10 m is 10 m
+            torch.testing.assert_close(seen[:, 15, column], expected, rtol=2e-4, atol=0.0)
+
+
+def test_cells_are_as_many_as_the_term_says() -> None:
+    """Several sizes side by side; a size that is none, and a robot that sees nothing, are told."""
+    sizes = ((16, 20), (4, 5), (1, 1))
+    policy = tuple(ObservationCfg(term="inverse_nearest", params={"rows": r, "columns": c}) for r, c in sizes)
+    policy += (
+        ObservationCfg(term="nearest_in_cells", params={"rows": 4, "columns": 5}),
+        ObservationCfg(term="nearest_in_8x8_cells"),
+    )
+    task = make(2, observations={"policy": policy})
+    seen = task.reset()[0]["observations"]
+    fine, coarse, one, share, _ = seen.split((320, 20, 1, 20, 64), dim=-1)
+    assert torch.equal(fine.view(2, 4, 4, 5, 4).amax(dim=(2, 4)).flatten(1), coarse)
+    assert torch.equal(fine.amax(dim=-1, keepdim=True), one)
+    torch.testing.assert_close(coarse, 0.1 / share)
+    assert len([name for name in task.values.own if name.endswith("_cells")]) == 4
+    with pytest.raises(UnknownNameError, match="'inverse_nearest' reads 'nearest_in_0x8_cells'"):
+        make(1, observations={"policy": (ObservationCfg(term="inverse_nearest", params={"rows": 0}),)})
+    with pytest.raises(ConfigError, match="'inverse_nearest': robot base_quadrotor has no camera or lidar"):
+        make(1, robot="base_quadrotor")
+
+
+# ---------------------------------------------------------------------------------------------- reward
+
+
+def at_the_goal(**changes: list[float]) -> dict[str, Tensor]:
+    """Return a state at rest in the origin, the goal, with the wanted heading, far from everything."""
+    rows = {
+        "target_position": [0.0] * 3, "robot_position": [0.0] * 3, "robot_linvel": [0.0] * 3, "robot_body_angvel": [0.0] * 3,
+        "robot_orientation": [0.0, 0.0, 0.0, 1.0], "robot_actions": [0.0] * 4, "robot_prev_actions": [0.0] * 4,
+    } | changes  # fmt: skip
+    values = {key: torch.tensor([row], dtype=torch.float64) for key, row in rows.items()}
+    for key, number in (("target_yaw", 0.0), ("robot_clearance", 5.0), ("previous_clearance", 5.0)):
+        values[key] = torch.tensor([number], dtype=torch.float64)
+    return values | {"step_time": torch.tensor(0.1, dtype=torch.float64)}
+
+
+@pytest.mark.parametrize(
+    ("state", "free", "hard"),
+    [
+        # all that counts at the goal: 3 + 5 + 20/20 + 2 1.5 + 2 + 4 + 1.5
+        (at_the_goal(), 19.5, 58.5),
+        # the same command as before: sizes 0.1 (exp(-1.2) - 1), 0.15 (exp(-1) - 1), 0.15 (exp(-0.5) - 1), times c k
+        (
+            at_the_goal(robot_actions=[2.0, 0.0, 1.0, 0.5], robot_prev_actions=[2.0, 0.0, 1.0, 0.5]),
+            19.5,
+            58.5 - 3.0 * 0.2237191,
+        ),
+        # another one: 0.3 (exp(-5 du²) - 1) for changes by 0.5 and -1, and the size of 0.5
+        (
+            at_the_goal(robot_actions=[0.0, 0.5, 0.0, 0.0], robot_prev_actions=[0.0, 0.0, 1.0, 0.0]),
+            19.5 - 0.2140486 - 0.2979786,
+            58.5 - 3.0 * (0.2140486 + 0.2979786 + 0.1 * (1.0 - exp(-0.075))),
+        ),
+        # 6 m away, straight to it at 2 m/s, backwards: 2 + 14/20, and what distances leave: nothing
+        (at_the_goal(robot_position=[6.0, 0.0, 0.0], robot_linvel=[-2.0, 0.0, 0.0]), 2.7, 8.1),
+        # the same nose first: 2 (exp(-32) - 1)
+        (at_the_goal(robot_position=[-6.0, 0.0, 0.0], robot_linvel=[2.0, 0.0, 0.0]), 0.7, 2.1),
+        # beside it at 4 m/s: -0.2 + 0.7 + 2 (exp(-2) - 1)
+        (at_the_goal(robot_position=[6.0, 0.0, 0.0], robot_linvel=[0.0, 4.0, 0.0]), -1.2293294, -3.6879883),
+    ],
+)
+def test_the_reward_is_the_published_formula(state: dict[str, Tensor], free: float, hard: float) -> None:
+    """By hand, at the lowest and the highest level; sizes of commands count c k = c (1 + 2 c), all else k."""
+    task = make(1)
+    for difficulty, expected in ((0.0, free), (1.0, hard)):
+        values = state | {"difficulty": torch.tensor(difficulty, dtype=torch.float64)}
+        assert reward_of(task, values).item() == pytest.approx(expected, abs=2e-6)
+        assert reward_of(task, values, crash=torch.tensor([True])).item() == -10.0
+    half = reward_of(task, state | {"difficulty": torch.tensor(0.5, dtype=torch.float64)}).item()
+    sizes = hard - 3.0 * free  # 3 at c = 1; at c = 0.5 it is 1
+    assert half == pytest.approx(2.0 * free + sizes / 3.0, abs=2e-6)
+
+
+def test_a_collision_soon_is_found_in_flight() -> None:
+    """2 m/s towards the back wall, 0.5 s of it left after the step: -3 exp(-2 0.5⁴); the robot's hull reaches 0.184 m."""
+    task = make(2)
+    task.reset()
+    clear(task)
+    low = task.env.gtd["env_bounds_min"]
+    put(task, low + torch.tensor([1.184 + 0.2, 3.0, 3.0]))
+    task.env.robot_manager.tensors.state.lin_vel[0] = torch.tensor([-2.0, 0.0, 0.0])
+    task.values["previous_clearance"].fill_(1.2)
+    *_, info = task.step(torch.zeros(2, 4))
+    soon = info["reward_terms"][:, task.reward_names.index("collision")]
+    assert soon[0].item() == pytest.approx(-3.0 * exp(-0.125), abs=0.02)
+    assert soon[1].item() > -1e-3  # at rest it falls a little at most
+    torch.testing.assert_close(task.values["previous_clearance"], task.env.gtd["robot_clearance"])
+
+
+# ---------------------------------------------------------------------------------------------- episodes
+
+
+def test_starts_have_any_heading_and_goals_keep_their_distance() -> None:
+    task = make(250, robot="base_quadrotor", observations={"policy": (ObservationCfg(term="heading_error"),)})
+    obs, _ = task.reset()
+    gtd = task.env.gtd
+    for angle in (gtd["robot_euler_angles"][:, 2], task.values["target_yaw"], obs["observations"][:, 0]):
+        assert float(angle.min()) < -0.9 * pi < 0.9 * pi < float(angle.max())
+    assert (gtd["robot_clearance"] >= 0.4 - 2e-6).all()
+    share = (task.target_position - gtd["env_bounds_min"]) / (gtd["env_bounds_max"] - gtd["env_bounds_min"])
+    low, high = torch.tensor([0.90, 0.15, 0.15]), torch.tensor([0.92, 0.80, 0.80])
+    assert ((share >= low - 1e-5) & (share <= high + 1e-5)).all()
+    assert (distance_at(task, task.target_position) >= 0.4 - 2e-6).all()
+
+
+def test_each_episode_ends_as_success_crash_or_timeout() -> None:
+    """At the goal at the end, in a wall, elsewhere at the end, and at the goal before the end."""
+    task = make(4)
+    task.reset()
+    clear(task)
+    assert task.cfg.episode_len_steps * task.env.dt == pytest.approx(11.0)
+    position = task.target_position + torch.tensor([0.0, 0.6, 0.0])
+    position[1] = task.env.gtd["env_bounds_min"][1]
+    position[2, 0] -= 3.0
+    put(task, position)
+    task.env.gtd["sim_steps"].copy_(torch.tensor([109, 5, 109, 5]))
+    _, reward, terminated, truncated, info = task.step(STAY)
+    assert info["successes"].tolist() == [True, False, False, False]
+    assert info["crashes"].tolist() == terminated.tolist() == [False, True, False, False]
+    assert info["timeouts"].tolist() == [False, False, True, False]
+    assert truncated.tolist() == info["time_outs"].tolist() == [True, False, True, False]
+    assert reward[1] == -10.0
+    assert task.env.gtd["sim_steps"].tolist() == [0, 0, 0, 6]
+
+
+def test_the_curriculum_goes_from_25_to_70_rows_of_which_6_are_walls() -> None:
+    """Two more above a share of 0.7, one less below 0.6, after 2048 episodes; walls always stand."""
+    assert CFG.curriculum is not None
+    cfg = replace(CFG.curriculum, check_after=4)
+    assert (CFG.curriculum.check_after, cfg.min_level, cfg.max_level) == (2048, 25, 70)
+    task = make(4, curriculum=cfg)
+    task.reset()
+    levels = []
+    for success in (True, True, False, False, False):
+        put(task, task.target_position - torch.tensor([0.0 if success else 2.0, 0.0, 0.0]))
+        clear(task)
+        task.env.gtd["sim_steps"].fill_(109)
+        task.step(STAY)
+        standing = (task.env.gtd["obstacle_position"][..., 2] > -50.0).sum(dim=-1)
+        levels.append(int(task.env.gtd["curriculum_level"]))
+        assert (task.env.gtd["obstacle_position"][:, :6, 2] > -50.0).all()
+        assert (standing <= levels[-1]).all()  # some are parked to make room for start and goal
+        assert (standing > levels[-1] - 8).all()
+    assert levels == [27, 29, 28, 27, 26]
+    assert float(task.values["difficulty"]) == pytest.approx(1.0 / 45.0)
+
+
+def test_the_coarse_dome_shows_in_cells_about_what_the_full_one_shows() -> None:
+    """Same rooms: 4 rays of a cell miss an edge now and then that 18 see, and have noise, 2.5 cm too far on average."""
+    seen = []
+    for robot in (CFG.robot, "base_quadrotor_with_dome_lidar"):
+        with task_registry.make_task(NAME, num_envs=16, device="cpu", seed=1, robot=robot, level=70) as task:
+            seen.append(task.reset()[0]["observations"][:, 17:].clone())
+    coarse, fine = (1.0 / inverse for inverse in seen)
+    assert float(fine.std()) > 1.0
+    assert float((fine - coarse).abs().median()) < 0.1
+    assert float(((fine - coarse).abs() > 0.5).float().mean()) < 0.15
+
+
+def test_a_point_without_a_heading_is_not_enough() -> None:
+    assert CFG.command is not None
+    with pytest.raises(UnknownNameError, match="reads 'target_yaw'"):
+        make(1, command=replace(CFG.command, generator="drawn_point"))
