@@ -73,6 +73,13 @@ def test_a_drawn_heading_covers_the_turn_and_is_new_in_every_episode() -> None:
     assert (task.values["target_yaw"] != first).all()
 
 
+def test_headings_of_running_episodes_stay() -> None:
+    task = drawn(8)
+    before, begins = task.values["target_yaw"].clone(), torch.arange(8) % 3 == 0
+    task._begin(begins, counted=False)
+    assert torch.equal(task.values["target_yaw"] != before, begins)
+
+
 def test_a_drawn_heading_follows_from_seed_environment_and_episode() -> None:
     """Alone, among few and among many; the point is that of ``drawn_point``."""
     many, again, alone, other = drawn(37), drawn(37), drawn(1, first_env=17), drawn(37, seed=1)
