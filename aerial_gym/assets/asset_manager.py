@@ -15,6 +15,7 @@ from aerial_gym.assets.motion import Motion
 from aerial_gym.assets.obstacles import view_obstacles
 from aerial_gym.assets.placement import Placement, draw_kinds
 from aerial_gym.assets.scene import PARKED_Z, Scene
+from aerial_gym.assets.track import TrackPlacement
 from aerial_gym.assets.views import check_tensor
 from aerial_gym.config.environment import FIRST_INSTANCE_ID, EnvironmentCfg, PartCfg
 from aerial_gym.errors import ConfigError, ShapeError
@@ -84,6 +85,7 @@ class AssetManager:
             self._placement = Placement(
                 obstacles, mask=random.mask, num_kept=cfg.num_kept, num_others=self._num_obstacles
             )
+        self._obstacles, self._track = obstacles, None
         self.moving = obstacles if cfg.moves else None
         """The obstacles as kernels see them, where an asset moves."""
         self._motion = Motion(obstacles, twists=self._env_actions) if cfg.moves else None
@@ -161,6 +163,28 @@ class AssetManager:
         if self._motion is not None:
             self._motion.step(dt)
 
+    def track_from(self, start: Tensor) -> None:
+        """Take where robots start [m], world, (E, 3), from which ``place_track`` draws the race tracks of environments."""
+        if self.cfg.track is not None:
+            self._track = TrackPlacement(
+                self.cfg.track,
+                self._obstacles,
+                nominal=self._places[:3],
+                places=self._places[3:],
+                start=start,
+                random=self.random,
+            )
+
+    def place_track(self, mask: Tensor) -> None:
+        """Place the gates and poles of masked environments anew, after ``reset`` and where the robot starts is known.
+
+        Args:
+            mask: Environments that begin an episode, bool, (E,).
+        """
+        if self._track is not None:
+            take_mask(self.random.mask, mask)
+            self._track.draw()
+
     def clear_start(self, mask: Tensor, position: Tensor) -> None:
         """Draw again, or park, the obstacles of masked environments that are too close to where the robot starts.
 
@@ -205,6 +229,19 @@ class AssetManager:
         declare("obstacle_orientation", ("E", "A", 4), "-", "shape to world, xyzw", state[..., 3:7], real)
         declare("obstacle_linvel", ("E", "A", 3), "m/s", "velocity of the origin", state[..., 7:10], real)
         declare("obstacle_angvel", ("E", "A", 3), "rad/s", "angular velocity", state[..., 10:13], real)
+        self._places: list[Tensor] = []
+        if self.cfg.track is not None:
+            gtd.define_size("G", len(self.cfg.track.gates))
+            gtd.define_size("P", len(self.cfg.track.poles))
+            for key, shape, unit, meaning in (
+                ("gate_nominal_position", ("E", "G", 3), "m", "where the middle of each gate's opening is nominally"),
+                ("gate_nominal_orientation", ("E", "G", 4), "-", "how each gate stands nominally, to world, xyzw"),
+                ("pole_nominal_position", ("E", "P", 3), "m", "where the top of each pole is nominally"),
+                ("gate_position", ("E", "G", 3), "m", "middle of each gate's opening"),
+                ("gate_orientation", ("E", "G", 4), "-", "gate to world, xyzw"),
+                ("pole_position", ("E", "P", 3), "m", "top of each pole"),
+            ):
+                self._places.append(declare(key, shape, unit, meaning, None, real))
         self._num_obstacles = declare(
             "num_obstacles_in_env", (1,), "-", "assets not always kept that the next reset places", None, torch.int32
         )

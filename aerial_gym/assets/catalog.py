@@ -16,6 +16,8 @@ for _name in (
     "forest_env",
     "dynamic_env",
     "landing_env",
+    "racing_env",
+    "racing_random_track_env",
 ):
     _path = CONFIG_DIR / "environments" / f"{_name}.yaml"
     ENVIRONMENTS.register_later(_name, partial(load_environment, _path), summary=partial(summary_in, _path))

@@ -25,6 +25,7 @@ from aerial_gym.config.shape import (
     absolute_paths,
     require_color,
 )
+from aerial_gym.config.track import TrackCfg
 from aerial_gym.errors import ConfigError
 
 __all__ = [
@@ -136,6 +137,9 @@ class EnvironmentCfg:
     assets: tuple[AssetCfg, ...] = ()
     """Obstacles; an empty list is open space."""
 
+    track: TrackCfg | None = None
+    """A race track, whose gates and poles are the first assets: ``gates`` and ``poles``, always kept, as many as it has."""
+
     clearance: float = 0.0
     """A reset leaves at least this much room around the robot's collision shapes [m], >= 0; 0 asks for nothing.
     It moves or parks obstacles whose place is drawn; those whose place is given, such as walls, stay."""
@@ -200,10 +204,18 @@ class EnvironmentCfg:
                 f"EnvironmentCfg: bounds_lower_high = {self.bounds_lower_high} must lie below "
                 f"bounds_upper_low = {self.bounds_upper_low} on every axis"
             )
+        self._check_track()
         names = [asset.name for asset in self.assets]
         for name in names:
             if names.count(name) > 1:
                 raise ConfigError(f"EnvironmentCfg.assets: two are called {name!r}. Give each its own name")
+
+    def _check_track(self) -> None:
+        counts = {} if self.track is None else self.track.counts
+        found = {asset.name: asset.count for asset in self.assets[: len(counts)] if asset.keep}
+        if found != counts or list(found) != list(counts):
+            needed = ", ".join(f"{name} (count: {count}, keep: true)" for name, count in counts.items())
+            raise ConfigError(f"EnvironmentCfg.track: its gates and poles are the first assets: needs {needed}")
 
     @property
     def moves(self) -> bool:

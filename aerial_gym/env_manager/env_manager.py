@@ -5,7 +5,7 @@
 with the collision test, which follows all K substeps. Letters: E environments, A obstacles, K substeps.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NoReturn
 
 import torch
@@ -130,6 +130,7 @@ class EnvManager:
             gradients=dtype if differentiable else None,
             randomize={name: each for name, each in random.items() if name not in places},
         )
+        self.asset_manager.track_from(self.gtd["robot_position"])
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
         range_sensors, imus = mounted_sensors(robot.sensor_mounts, places)
         self.sensor_manager = SensorManager(
@@ -278,11 +279,14 @@ class EnvManager:
         self.random.restart(seed)
         self.asset_manager.restart()
 
-    def reset(self, mask: Tensor | None = None, *, counted: bool = False) -> None:
+    def reset(
+        self, mask: Tensor | None = None, *, counted: bool = False, place: Callable[[Tensor], None] | None = None
+    ) -> None:
         """Start the environments in ``mask``, bool (E,), anew; all of them without a mask. Others stay bit for bit.
 
         ``counted`` says that the mask is ``random.mask``, and that its new episodes stand in ``random.episode`` already: a task
-        writes both in the launch that finds which episodes end.
+        writes both in the launch that finds which episodes end. ``place`` may write where robots of the mask are, after they
+        were placed and so was the race track.
         """
         all_rows = mask is None
         if not counted:
@@ -294,6 +298,9 @@ class EnvManager:
         self.robot_manager.reset(mask)
         if all_rows and self.robot_manager.differentiable is not None:
             self.detach()  # no row goes on
+        self.asset_manager.place_track(mask)
+        if place is not None:
+            place(mask)
         self.asset_manager.clear_start(mask, self.gtd["robot_position"])
         self.sensor_manager.reset(mask)
         self.imus.reset(mask)

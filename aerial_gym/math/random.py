@@ -53,6 +53,10 @@ class Purpose(IntEnum):
     """Steps by which its commands are late."""
     COMMAND = 18
     """What a command generator draws besides goals, such as a phase; index: quantity."""
+    TRACK = 19
+    """Places of gates and poles; indices: what of which, attempt."""
+    PRACTICE = 20
+    """Where on a track an episode of a training begins; index: quantity."""
 
 
 def _scramble(state: Word) -> Word:

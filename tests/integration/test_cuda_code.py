@@ -9,7 +9,7 @@ import torch
 import warp as wp
 
 from aerial_gym import SimBuilder
-from aerial_gym.assets import clearance, motion, placement
+from aerial_gym.assets import clearance, motion, placement, track
 from aerial_gym.assets.collision import make_walk
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.controller import ControlCfg
@@ -26,7 +26,7 @@ from aerial_gym.sensors import flow, imu, places, view
 from aerial_gym.sensors.cells import LANES, ROWS, make_pool
 from aerial_gym.sensors.pixels import Outputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
-from aerial_gym.task.kernels import goals, noise
+from aerial_gym.task.kernels import goals, noise, practice
 from tests.physics.contact_rig import InScene, obstacle, start
 from tests.physics.mixed_rotors import mixed_robot
 from tests.physics.vehicles import random_network
@@ -169,7 +169,8 @@ def test_the_kernel_of_image_cells_compiles() -> None:
 
 
 @pytest.mark.parametrize(
-    "module", [derived, initial_state, imu, goals, noise, places, placement, motion, clearance, view, flow]
+    "module",
+    [derived, initial_state, imu, goals, noise, places, placement, practice, track, motion, clearance, view, flow],
 )
 def test_kernels_of_modules_compile(module) -> None:
     compile_for_gpu(wp.get_module(module.__name__))

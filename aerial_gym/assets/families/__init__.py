@@ -7,6 +7,7 @@ from aerial_gym.assets.families.boxes import BOXES, DOORWAYS, PANELS, WALLS
 from aerial_gym.assets.families.corridors import CORRIDORS
 from aerial_gym.assets.families.family import Draw, Family
 from aerial_gym.assets.families.furniture import SHELVES, TABLES
+from aerial_gym.assets.families.gates import GATES, POLES
 from aerial_gym.assets.families.rods import THIN_RODS
 from aerial_gym.assets.families.rooms import ROOMS
 from aerial_gym.assets.families.trees import TREES
@@ -21,7 +22,9 @@ for _name, _family in {
     "boxes": BOXES,
     "corridors": CORRIDORS,
     "doorways": DOORWAYS,
+    "gates": GATES,
     "panels": PANELS,
+    "poles": POLES,
     "rooms": ROOMS,
     "shelves": SHELVES,
     "tables": TABLES,

@@ -1,0 +1,132 @@
+"""A race track: gates to be flown through in order, poles to be kept away from, and what a reset draws of both.
+
+Frames: world of each environment, z up; a gate is flown through along its own x, its opening lies in its y and z.
+"""
+
+from dataclasses import dataclass
+from math import inf, pi
+
+from aerial_gym.config.checks import Vec3, require_finite, require_ordered, require_positive
+from aerial_gym.errors import ConfigError
+
+GATES, POLES = "gates", "poles"
+"""Names of the first two assets of an environment with a track: one instance for each gate, one for each pole."""
+
+Vec2 = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GatePlaceCfg:
+    """Nominal place of a gate."""
+
+    position: Vec3
+    """Middle of the opening [m], world."""
+
+    euler: Vec3 = (0.0, 0.0, 0.0)
+    """ZYX roll, pitch, yaw [rad], within +-2 pi; with yaw 0 it is flown through along x."""
+
+    def __post_init__(self) -> None:
+        require_finite(self, "position", "euler")
+        if any(abs(angle) > 2.0 * pi for angle in self.euler):
+            raise ConfigError(f"GatePlaceCfg.euler = {self.euler!r}: must lie within +-2 pi. Angles are in radians")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayoutCfg:
+    """A whole track drawn at every reset: places in x and y, and yaws; heights are those of the gates and poles as listed.
+
+    One after the other, gates are drawn uniformly where they keep their distances, and are flown through in the direction
+    of travel from the one before (the first: from the robot's start), give or take ``yaw_range``. A pole is drawn into the
+    corridor between the two if there is room, otherwise anywhere it keeps its distances. Where nothing keeps them, the draw
+    that comes closest is taken.
+
+    Source: the rule and the defaults are those of github learnsyslab/lsy_drone_racing, envs/randomize.py, build_random_track_fn
+    (there on a grid of 10 cm).
+    """
+
+    lower: Vec2
+    """Lowest x and y of gates and poles [m]."""
+
+    upper: Vec2
+    """Highest x and y [m]."""
+
+    start_distance: float = 1.0
+    """Least distance of gates and poles to the robot's start [m], >= 0."""
+
+    gate_distance: float = 1.0
+    """Least distance between gates [m], >= 0."""
+
+    pole_to_gate: float = 0.8
+    """Least distance between a pole and a gate [m], >= 0."""
+
+    pole_distance: float = 0.3
+    """Least distance between poles [m], >= 0."""
+
+    corridor: float = 0.5
+    """Largest distance of a pole to the line from one gate to the next [m], > 0."""
+
+    yaw_range: float = 0.75
+    """Largest angle between a gate and the direction of travel [rad], 0 to pi."""
+
+    def __post_init__(self) -> None:
+        require_finite(self, "lower", "upper")
+        require_ordered(self, "lower", "upper")
+        require_positive(self, "corridor")
+        for name in ("start_distance", "gate_distance", "pole_to_gate", "pole_distance"):
+            if not 0.0 <= getattr(self, name) < inf:
+                raise ConfigError(f"LayoutCfg.{name} = {getattr(self, name)!r}: must be >= 0 and finite")
+        if not 0.0 <= self.yaw_range <= pi:
+            raise ConfigError(f"LayoutCfg.yaw_range = {self.yaw_range!r}: must be 0 to pi rad")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackCfg:
+    """Gates and poles. What a pilot is told of them is where they are nominally: as listed, or as ``layout`` draws them.
+
+    A reset adds uniform offsets to the nominal places.
+    """
+
+    gates: tuple[GatePlaceCfg, ...]
+    """In the order in which they are flown through; at least one."""
+
+    poles: tuple[Vec3, ...] = ()
+    """Nominal tops of the poles [m], world."""
+
+    gate_position_low: Vec3 = (0.0, 0.0, 0.0)
+    """Lowest offset of a gate [m], world."""
+
+    gate_position_high: Vec3 = (0.0, 0.0, 0.0)
+    """Highest offset of a gate [m], world."""
+
+    gate_euler_low: Vec3 = (0.0, 0.0, 0.0)
+    """Lowest offset of a gate's roll, pitch, yaw [rad]."""
+
+    gate_euler_high: Vec3 = (0.0, 0.0, 0.0)
+    """Highest offset of a gate's roll, pitch, yaw [rad]."""
+
+    pole_low: Vec3 = (0.0, 0.0, 0.0)
+    """Lowest offset of a pole [m], world."""
+
+    pole_high: Vec3 = (0.0, 0.0, 0.0)
+    """Highest offset of a pole [m], world."""
+
+    layout: LayoutCfg | None = None
+    """How the whole track is drawn; None has it as listed."""
+
+    def __post_init__(self) -> None:
+        if not self.gates:
+            raise ConfigError("TrackCfg.gates: needs at least one")
+        require_finite(self, "poles")
+        for name in ("gate_position", "gate_euler", "pole"):
+            require_finite(self, f"{name}_low", f"{name}_high")
+            require_ordered(self, f"{name}_low", f"{name}_high")
+        if self.layout is not None and len(self.poles) > len(self.gates):
+            raise ConfigError(
+                f"TrackCfg.layout: {len(self.poles)} poles and {len(self.gates)} gates: draws one pole, at most, on the way to "
+                "each gate"
+            )
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Instances of each asset of the track, in the order in which they stand."""
+        return {name: count for name, count in ((GATES, len(self.gates)), (POLES, len(self.poles))) if count}
