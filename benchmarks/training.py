@@ -143,6 +143,7 @@ class BenchTraining:
                     differentiable=self.trainer == "apg",
                 )
             )
+            task.practise()
             curriculum = task.cfg.curriculum
             level = curriculum.max_level if self.level is None and curriculum is not None else self.level
             cuda = task.device.type == "cuda"

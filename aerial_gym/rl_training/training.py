@@ -218,6 +218,7 @@ def _run(
         differentiable=cfg.trainer == "apg",
     ) as task:
         interruption.check()
+        task.practise()
         folder.add_session(cfg, str(task.device))
         keeper = Keeper(cfg, folder, task, resumed=resumed, ranks=ranks)
         if watch:

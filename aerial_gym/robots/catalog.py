@@ -6,7 +6,7 @@ from functools import partial
 from math import pi
 
 from aerial_gym.config import CONFIG_DIR, summary_in
-from aerial_gym.config.robot import CapsuleCfg, RobotCfg, load_robot
+from aerial_gym.config.robot import CapsuleCfg, CollisionCfg, RobotCfg, SphereCfg, load_robot
 from aerial_gym.registry import Registry
 
 ROBOTS: Registry[RobotCfg] = Registry("robot")
@@ -84,6 +84,19 @@ def _as_arpl_declares(robot: RobotCfg) -> RobotCfg:
     )
 
 
+def _as_raced(robot: RobotCfg) -> RobotCfg:
+    """The bare vehicle, with a sphere about each rotor: it fits through gates, and spheres cost a quarter of a box."""
+    spheres = tuple(SphereCfg(center=(x, y, 0.0), radius=0.035) for x in (-0.035, 0.035) for y in (-0.035, 0.035))
+    source = "Four spheres as wide as the collision box of drone-models, cf21B_500.xml (0.14 m x 0.14 m x 0.04 m)"
+    return replace(
+        robot,
+        body=replace(
+            robot.body, mass=0.04338, source=f"{robot.body.source} Here that of the bare vehicle: cf21B_500.xml"
+        ),
+        collision=CollisionCfg(spheres=spheres, source=source),
+    )
+
+
 for _name, _of, _change, _summary in (
     (
         "base_quadrotor_with_camera",
@@ -144,6 +157,12 @@ for _name, _of, _change, _summary in (
         "base_quadrotor",
         _on_skids,
         "base_quadrotor with two skids, on which it stands where it lands",
+    ),
+    (
+        "crazyflie_21_brushless_racing",
+        "crazyflie_21_brushless",
+        _as_raced,
+        "crazyflie_21_brushless without decks, with collision spheres that fit through gates",
     ),
     (
         "base_quadrotor_with_drag",

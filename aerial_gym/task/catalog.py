@@ -48,8 +48,8 @@ class TaskRegistry(Registry[TaskCfg]):
         """Return a task, built and not yet reset.
 
         Args:
-            name: Registered task, a task file (``.yaml``), or ``module:Name`` or ``file.py:Name`` of a ``TaskCfg`` or of a
-                ``Task`` class that has one as ``cfg``.
+            name: Registered task, a task file (``.yaml``), a level of lsy_drone_racing (``.toml``), or ``module:Name`` or
+                ``file.py:Name`` of a ``TaskCfg`` or of a ``Task`` class that has one as ``cfg``.
             num_envs: Number of environments; the task's own default if not given.
             device: Torch device; ``auto`` takes the GPU if there is one.
             seed: Seed of every random number of this task.
@@ -114,6 +114,8 @@ class TaskRegistry(Registry[TaskCfg]):
         """
         if name.endswith((".yaml", ".yml")):
             return load(TaskCfg, name)
+        if name.endswith(".toml"):
+            return _level(name)
         if ":" not in name:
             return super().get(name)
         found = imported(name)
@@ -121,6 +123,15 @@ class TaskRegistry(Registry[TaskCfg]):
         if not isinstance(cfg, TaskCfg):
             raise ConfigError(f"task {name!r}: must be a TaskCfg, or a subclass of Task that has one as its cfg")
         return cfg
+
+
+def _level(path: str) -> TaskCfg:
+    """Return the task of a level of a racing benchmark."""
+    from aerial_gym.env_manager.sim_builder import robot_by_name
+    from aerial_gym.task.racing_level import load_level
+
+    base = task_registry.get("racing_task")
+    return load_level(path, base, robot_by_name(base.robot))
 
 
 def imported(name: str) -> object:
@@ -186,6 +197,7 @@ for _name in (
     "recovery_task",
     "agile_tracking_task",
     "gust_rejection_task",
+    "racing_task",
 ):
     task_registry.register_later(_name, partial(load, TaskCfg, CONFIG_DIR / "tasks" / f"{_name}.yaml"))
 
@@ -215,6 +227,23 @@ def _safe_navigation() -> TaskCfg:
 
 
 task_registry.register_later("safe_navigation_task", _safe_navigation)
+
+
+def _random_track() -> TaskCfg:
+    """racing_task on tracks that are drawn, from starts anywhere within its safety limits, 5 m x 3 m."""
+    task = task_registry.get("racing_task")
+    assert task.start is not None
+    low, high = (0.0833333, 0.25, 0.0), (0.9166667, 0.75, 0.008)
+    return replace(
+        task,
+        summary="race through four gates and past poles of a track that every reset draws anew; attitude commands at 50 Hz",
+        env="racing_random_track_env",
+        start=replace(task.start, position_ratio_low=low, position_ratio_high=high),
+        source=task.source.replace("level 2", "level 3"),
+    )
+
+
+task_registry.register_later("racing_random_track_task", _random_track)
 
 
 def _pixel_navigation() -> TaskCfg:

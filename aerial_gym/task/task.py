@@ -59,7 +59,7 @@ class Task:
     bootstrapping the value; a success ends an episode as its termination says. ``info`` also holds ``successes``, ``crashes``
     and ``timeouts``, bool (E,): one of them is true where an episode ended. ``episode_return``, ``episode_length`` [steps],
     ``reward_terms``, (E, T), the return term by term (``reward_names``), and ``distance`` to the target [m] are those before
-    the reset.
+    the reset; where there are gates, so is ``gate_passed``, bool (E,).
 
     A row in which something is not finite, NaN or infinite, ends as a crash: ``info["non_finite"]``, bool (E,), marks it. Its
     reward is that of a crash (0 where the task knows none), its last observation has zeros there, its state is reset with
@@ -246,6 +246,10 @@ class Task:
                 self.values.own[name].zero_()
         return self._observed(), {}
 
+    def practise(self) -> None:
+        """Let episodes begin as the command wants them for a training (``docs/tasks.md``), from the next resets on."""
+        self._command.practise()
+
     def stagger(self) -> None:
         """Give every environment a random age, so that episodes end one by one: a batch then holds all their phases."""
         steps, age = self.cfg.episode_len_steps, self._gtd["sim_steps"]
@@ -273,7 +277,7 @@ class Task:
 
     def _begin(self, mask: Tensor, *, counted: bool = False) -> None:
         """Start episodes in the environments of ``mask``: robot, obstacles, target and the room around it."""
-        self.env.reset(mask, counted=counted)
+        self.env.reset(mask, counted=counted, place=self._command.place)
         mask = self.env.random.mask
         self._command.draw(mask)
         if self._command.goal:

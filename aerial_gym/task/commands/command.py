@@ -46,6 +46,13 @@ class Command:
         del values
         return {}
 
+    def practise(self) -> None:
+        """Let episodes begin as those of a training from the next resets on, where they differ from those of an evaluation."""
+
+    def place(self, mask: Tensor) -> None:
+        """Place the robots of ``mask``, bool (E,), elsewhere than their reset did, in launches of its own, as ``draw``."""
+        del mask
+
     def draw(self, mask: Tensor) -> None:
         """Draw what belongs to the new episodes of ``mask``, bool (E,), in launches of its own."""
         del mask

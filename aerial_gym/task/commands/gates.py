@@ -18,6 +18,33 @@ from aerial_gym.task.commands.points import chosen, next_index
 from aerial_gym.task.values import Values
 
 
+def crossing(before: Tensor, now: Tensor, *, half: tuple[float, float]) -> tuple[Tensor, Tensor]:
+    """Return whether a gate's plane was crossed in its direction, and whether that was within its opening, bool (E,).
+
+    Args:
+        before: Where the robot was [m], in the gate's frame: x is the way through it, the opening lies in y and z, (E, 3).
+        now: Where it is, likewise.
+        half: Half of the width, along y, and of the height, along z, of the opening [m].
+    """
+    (fx, fy, fz), (tx, ty, tz) = before.unbind(-1), now.unbind(-1)
+    crossed = (fx < 0.0) & (tx >= 0.0)
+    share = fx / torch.where(crossed, fx - tx, -1.0)  # of the way at which the plane is crossed
+    left, up = fy + share * (ty - fy), fz + share * (tz - fz)
+    return crossed, crossed & (left.abs() <= half[0]) & (up.abs() <= half[1])
+
+
+def declare_gates(values: Values) -> None:
+    """Declare which gate is next, and what a step tells of it."""
+    values.declare("target_index", dtype=torch.int32, meaning="which point or gate is next, from 0 on")
+    for name, meaning in (
+        ("gate_passed", "the robot flew through its gate in this step"),
+        ("gate_missed", "the robot crossed the plane of its gate beside the opening in this step"),
+        ("sequence_done", "it flew through the last one in this step"),
+    ):
+        values.declare(name, dtype=torch.bool, meaning=meaning)
+    values.find("previous_position", "a command of gates")
+
+
 @COMMANDS.generator("gates")
 class Gates(Command):
     """The next gate's centre is the target, ``target_direction`` the way through it; the first one at every reset.
@@ -59,14 +86,7 @@ class Gates(Command):
         self._half, self._loop = (0.5 * width, 0.5 * height), loop
         self._target()
         values.declare("target_direction", (2,), frame="world", meaning="way through the next gate: x and y, unit")
-        values.declare("target_index", dtype=torch.int32, meaning="which point or gate is next, from 0 on")
-        for name, meaning in (
-            ("gate_passed", "the robot flew through its gate in this step"),
-            ("gate_missed", "the robot crossed the plane of its gate beside the opening in this step"),
-            ("sequence_done", "it flew through the last one in this step"),
-        ):
-            values.declare(name, dtype=torch.bool, meaning=meaning)
-        values.find("previous_position", "command gates")
+        declare_gates(values)
         self.reads = (
             TARGET, "target_direction", "target_index", "gate_passed", "robot_position", "previous_position",
         )  # fmt: skip
@@ -74,18 +94,15 @@ class Gates(Command):
     def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return what the way from the last position to this one crosses."""
         x, y = values["target_direction"].unbind(-1)
-        (fx, fy, fz), (tx, ty, tz) = (
-            (values[name] - values[TARGET]).unbind(-1) for name in ("previous_position", "robot_position")
-        )
-        before, now = fx * x + fy * y, tx * x + ty * y
-        crossed = (before < 0.0) & (now >= 0.0)
-        share = before / torch.where(crossed, before - now, -1.0)  # of the way at which the plane is crossed
-        left = -(fx + share * (tx - fx)) * y + (fy + share * (ty - fy)) * x
-        up = fz + share * (tz - fz)
-        inside = (left.abs() <= self._half[0]) & (up.abs() <= self._half[1])
-        passed = crossed & inside
+
+        def seen_from_gate(place: Tensor) -> Tensor:
+            ahead, left, up = (place - values[TARGET]).unbind(-1)
+            return torch.stack((ahead * x + left * y, left * x - ahead * y, up), dim=-1)
+
+        ways = (seen_from_gate(values[name]) for name in ("previous_position", "robot_position"))
+        crossed, passed = crossing(*ways, half=self._half)
         last = (values["target_index"] == len(self._gates) - 1) & (not self._loop)
-        return {"gate_passed": passed, "gate_missed": crossed & ~inside, "sequence_done": passed & last}
+        return {"gate_passed": passed, "gate_missed": crossed & ~passed, "sequence_done": passed & last}
 
     def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the gate of the next step."""

@@ -25,6 +25,9 @@ FINAL = "final_"
 TIME_OUT = "time_out"
 """Name under which an end by the length of the episode is counted."""
 
+GATE_PASSED = "gate_passed"
+"""Of commands with gates; told in ``info`` as well."""
+
 SUMS, TALLIES, ARRIVED = "episode_sums", "ended_tallies", "arrived"
 """Buffers: what it keeps from step to step."""
 
@@ -143,6 +146,8 @@ class Judge:
             "reward_terms": judged["reward_terms"].detach(),
             "non_finite": judged["bad"],
         }
+        if GATE_PASSED in judged:
+            info[GATE_PASSED] = judged[GATE_PASSED]
         if "distance" in judged:
             info["distance"] = judged["distance"].detach()
         names = {group: f"{FINAL}{group}" for group in self._observer.groups}

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.registry import Registry
+from aerial_gym.task.terms.rewards import way_through
 from aerial_gym.task.terms.term import Function, Term
 
 
@@ -87,3 +88,9 @@ def previous_position(robot_position: Tensor) -> Tensor:
 def policy_action(policy_action: Tensor, begun: Tensor) -> Tensor:
     """Return what the policy gave last, before transform, delay and filter; 0 where an episode has just begun, (E, V)."""
     return torch.where(begun.unsqueeze(-1), 0.0, policy_action)
+
+
+@BUFFERS.buffer(unit="m")
+def previous_way(target_position: Tensor, target_orientation: Tensor, robot_position: Tensor) -> Tensor:
+    """Return the way to the next gate of a track one step before, or at the reset, (E,): see ``rewards.way_through``."""
+    return way_through(target_position, target_orientation, robot_position)

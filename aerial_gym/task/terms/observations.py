@@ -129,6 +129,75 @@ def inverse_nearest(cells: Tensor, largest_distance: Tensor, *, rows: int = 8, c
     return 1.0 / (cells.clamp_min(LEAST_SHARE) * largest_distance)
 
 
+@OBSERVATIONS.term()
+def next_gates(
+    target_index: Tensor,
+    gates_seen: Tensor,
+    gate_position: Tensor,
+    gate_orientation: Tensor,
+    gate_nominal_position: Tensor,
+    gate_nominal_orientation: Tensor,
+    robot_position: Tensor,
+    robot_vehicle_orientation: Tensor,
+    *,
+    count: int,
+) -> Tensor:
+    """Return offset [m] and direction of the next gates as far as they are known, vehicle frame, (E, 6 count).
+
+    Of a gate that has been seen this is where it is, of another one where it is nominally. Behind the last one stands the
+    first: what has been flown through is an obstacle still.
+    """
+    seen = gates_seen.unsqueeze(-1)
+    position = torch.where(seen, gate_position, gate_nominal_position)
+    x, y, z, w = torch.where(seen, gate_orientation, gate_nominal_orientation).unbind(-1)
+    ahead = torch.stack((1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)), dim=-1)
+    rows = torch.cat((position - robot_position.unsqueeze(1), ahead), dim=-1)  # (E, G, 6)
+    number = rows.shape[1]
+    found = []
+    for k in range(count):
+        index = target_index + k % number
+        row = row_of(torch.where(index >= number, index - number, index), rows)
+        found += [quat_rotate_inverse(robot_vehicle_orientation, part) for part in row.split(3, dim=-1)]
+    return torch.cat(found, dim=-1)
+
+
+@OBSERVATIONS.term()
+def nearest_poles(
+    poles_seen: Tensor,
+    pole_position: Tensor,
+    pole_nominal_position: Tensor,
+    robot_position: Tensor,
+    robot_vehicle_orientation: Tensor,
+    *,
+    count: int,
+) -> Tensor:
+    """Return horizontal offsets of the nearest poles as they are known [m], vehicle frame, nearest first, (E, 2 count)."""
+    known = torch.where(poles_seen.unsqueeze(-1), pole_position, pole_nominal_position) - robot_position.unsqueeze(1)
+    rows = [quat_rotate_inverse(robot_vehicle_orientation, away)[:, :2] for away in known.unbind(1)]
+    squares = [(row * row).sum(-1) for row in rows]
+    for first in range(count):  # a sort by exchanges, which a kernel can do
+        for other in range(first + 1, len(rows)):
+            swap = squares[other] < squares[first]
+            squares[first], squares[other] = (
+                torch.where(swap, squares[other], squares[first]),
+                torch.where(swap, squares[first], squares[other]),
+            )
+            rows[first], rows[other] = (
+                torch.where(swap.unsqueeze(-1), rows[other], rows[first]),
+                torch.where(swap.unsqueeze(-1), rows[first], rows[other]),
+            )
+    return torch.cat(rows[:count], dim=-1)
+
+
+def row_of(index: Tensor, rows: Tensor) -> Tensor:
+    """Return the row (E, W) of each environment's (E, G, W) that has its index, (E,): written out, to be part of a kernel."""
+    first, *others = rows.unbind(1)
+    found = first
+    for i, other in enumerate(others, start=1):
+        found = torch.where((index == i).unsqueeze(-1), other, found)
+    return found
+
+
 def whole(name: str) -> Term:
     """Return the term that shows a tensor as it is: its entries side by side, (E, W)."""
 

@@ -11,11 +11,17 @@ import torch
 from torch import Tensor
 
 from aerial_gym.control.laws import LAWS
-from aerial_gym.math.quaternion import yaw_from_quat
+from aerial_gym.math.quaternion import quat_rotate_inverse, yaw_from_quat
 from aerial_gym.task.terms.term import TermRegistry
 
 REWARDS = TermRegistry("reward term")
 """Terms by the name that a task configuration uses."""
+
+WAY_AROUND = 0.6
+"""Radius of the way round a gate [m]: half the diagonal of a frame of 0.72 m is 0.51 m, and a vehicle needs room."""
+
+WAY_STRAIGHT = 0.4
+"""Length of the way along the axis of a gate [m]: the edge of its opening."""
 
 VELOCITY = LAWS["velocity"].action
 """Command of which entries 0 to 3 are forward, left and upward velocity, and yaw rate."""
@@ -43,6 +49,26 @@ def body_up_component(attitude: Tensor) -> Tensor:
 
 def _distance(a: Tensor, b: Tensor) -> Tensor:
     return (a - b).norm(dim=-1)
+
+
+def way_through(position: Tensor, orientation: Tensor, robot: Tensor) -> Tensor:
+    """Return the length of a way to the middle of a gate that ends on its front side [m], (E,).
+
+    In front it leads to a point on the gate's axis, ``WAY_STRAIGHT`` before it, and then along the axis; nearer than that,
+    straight to the axis and along it. From behind it leads to the nearest point of a circle of ``WAY_AROUND`` about the gate,
+    and from there to its middle. Continuous but where the plane is crossed within the circle.
+
+    Args:
+        position: Middle of the gate [m], world, (E, 3).
+        orientation: Gate to world, xyzw, (E, 4); it is flown through along its x.
+        robot: Where the robot is [m], world, (E, 3).
+    """
+    x, y, z = quat_rotate_inverse(orientation, robot - position).unbind(-1)
+    beside = (y * y + z * z).sqrt()
+    straight = (-x).clamp(0.0, WAY_STRAIGHT)
+    in_front = ((x + straight) ** 2 + beside * beside).sqrt() + straight
+    around = (x * x + (beside - WAY_AROUND) ** 2).sqrt() + WAY_AROUND
+    return torch.where(x <= 0.0, in_front, around)
 
 
 @REWARDS.term()
@@ -252,3 +278,16 @@ def target_reached(target_reached: Tensor, *, value: float = 1.0) -> Tensor:
 def gate_passed(gate_passed: Tensor, *, value: float = 1.0) -> Tensor:
     """Return ``value`` in a step in which the robot flew through its gate, (E,)."""
     return value * gate_passed.float()
+
+
+@REWARDS.term()
+def way_gained(
+    target_position: Tensor,
+    target_orientation: Tensor,
+    robot_position: Tensor,
+    previous_way: Tensor,
+    gate_passed: Tensor,
+) -> Tensor:
+    """Return by how much the way to and through the next gate of a track has become shorter in this step [m], (E,)."""
+    way = way_through(target_position, target_orientation, robot_position)
+    return previous_way - torch.where(gate_passed, 0.0, way)

@@ -54,6 +54,15 @@ def outside_bounds(robot_position: Tensor, env_bounds_min: Tensor, env_bounds_ma
 
 
 @TERMINATIONS.term()
+def left_arena(
+    robot_position: Tensor, env_bounds_min: Tensor, env_bounds_max: Tensor, sim_steps: Tensor, *, lift_off_steps: int
+) -> Tensor:
+    """Return whether the robot is outside the bounds of its environment; below only after the steps of lifting off, (E,)."""
+    low, high = (robot_position < env_bounds_min), (robot_position > env_bounds_max).any(dim=-1)
+    return low[:, :2].any(dim=-1) | high | (low[:, 2] & (sim_steps > lift_off_steps))
+
+
+@TERMINATIONS.term()
 def sequence_done(sequence_done: Tensor) -> Tensor:
     """Return whether the last point of a sequence, or the last gate, is behind the robot, (E,)."""
     return sequence_done.clone()

@@ -1,0 +1,134 @@
+"""The gates of an environment's race track, which every reset draws anew, and what a pilot knows of them.
+
+Frames: world of each environment, z up; a gate is flown through along its own x. Letters: E environments, G gates, P poles.
+"""
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.checks import Vec3
+from aerial_gym.env_manager import EnvManager
+from aerial_gym.errors import ConfigError
+from aerial_gym.math.quaternion import quat_rotate_inverse
+from aerial_gym.task.commands.command import COMMANDS, TARGET, Command
+from aerial_gym.task.commands.gates import crossing, declare_gates
+from aerial_gym.task.commands.points import next_index
+from aerial_gym.task.kernels.practice import PracticeStarts
+from aerial_gym.task.terms.observations import row_of
+from aerial_gym.task.values import Values
+
+GATE_KEYS = ("gate_position", "gate_orientation")
+"""Keys of the GTD: where the gates are."""
+
+SEEN = {"gates_seen": "gate_position", "poles_seen": "pole_position"}
+"""Buffers of what has been seen, and where it is."""
+
+
+@COMMANDS.generator("track_gates")
+class TrackGates(Command):
+    """The next gate of the track: its middle is the target, ``target_orientation`` how it stands; the first one at a reset.
+
+    ``gate_passed``, ``gate_missed`` and ``sequence_done`` are as those of ``gates``. ``gates_seen`` and ``poles_seen`` say of
+    which gates and poles the pilot has been within range, seen from above, since the reset: of the others it knows where they
+    are nominally.
+    """
+
+    def __init__(
+        self,
+        values: Values,
+        env: EnvManager,
+        *,
+        width: float,
+        height: float,
+        sensor_range: float,
+        practice_share: float = 0.0,
+        practice_speed: float = 0.0,
+        practice_offset: Vec3 = (0.0, 0.0, 0.0),
+    ) -> None:
+        """Take the gates of the environment.
+
+        Args:
+            values: Of the task.
+            env: The simulation; its environment has a track.
+            width: Of the openings [m], > 0.
+            height: Of the openings [m], > 0.
+            sensor_range: Horizontal distance below which gates and poles are seen [m], >= 0.
+            practice_share: Share of the episodes of a training, 0 to 1, that begin behind a gate other than the last one, as if
+                it had just been flown through. All others, and all of an evaluation, begin at the start.
+            practice_speed: Largest speed of these, away from the gate [m/s], >= 0.
+            practice_offset: Largest distances of their place behind the gate, beside its middle and above it [m], >= 0.
+        """
+        super().__init__(values, env)
+        if env.cfg.track is None:
+            raise ConfigError(
+                "command track_gates: the environment has no track. Give it one, or take the command gates"
+            )
+        if not (width > 0.0 and height > 0.0 and sensor_range >= 0.0):
+            raise ConfigError(
+                f"command track_gates: width = {width!r}, height = {height!r}: must be > 0; sensor_range = {sensor_range!r}: "
+                "must be >= 0"
+            )
+        if not (0.0 <= practice_share <= 1.0 and practice_speed >= 0.0 and min(practice_offset) >= 0.0):
+            raise ConfigError(
+                f"command track_gates: practice_share = {practice_share!r}: must be 0 to 1; practice_speed = "
+                f"{practice_speed!r}, practice_offset = {practice_offset!r}: must be >= 0"
+            )
+        self._half, self._range, self._share = (0.5 * width, 0.5 * height), sensor_range, practice_share
+        gates, poles = len(env.cfg.track.gates), len(env.cfg.track.poles)
+        self._count = gates
+        self._target()
+        values.declare("target_orientation", (4,), frame="world", meaning="how the next gate stands, to world, xyzw")
+        declare_gates(values)
+        for name, count, what in (("gates_seen", gates, "gate"), ("poles_seen", poles, "pole")):
+            values.declare(name, (count,), dtype=torch.bool, meaning=f"whether the robot has been near each {what}")
+        first = values.declare("first_gate", dtype=torch.int32, meaning="gate with which the episode begins")
+        share = values.declare("practice_share", (1,), rows=False, meaning="share of episodes that begin behind a gate")
+        self._practice_share = share
+        self._practice: PracticeStarts | None = None
+        if practice_share > 0.0 and gates > 1:
+            self._practice = PracticeStarts(
+                env.robot_manager.tensors,
+                tuple(env.gtd[key] for key in GATE_KEYS),
+                share=share,
+                speed=practice_speed,
+                offset=practice_offset,
+                first_out=first,
+                random=env.random,
+            )
+        self.reads = (
+            TARGET, "target_orientation", "target_index", "gate_passed", "first_gate", "robot_position", "previous_position",
+            *GATE_KEYS, *SEEN, "pole_position",
+        )  # fmt: skip
+
+    def practise(self) -> None:
+        """Let episodes begin as those of a training from the next resets on."""
+        self._practice_share.fill_(self._share)
+
+    def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return what the way from the last position to this one crosses."""
+        before, now = (
+            quat_rotate_inverse(values["target_orientation"], values[name] - values[TARGET])
+            for name in ("previous_position", "robot_position")
+        )
+        crossed, passed = crossing(before, now, half=self._half)
+        last = values["target_index"] == self._count - 1
+        return {"gate_passed": passed, "gate_missed": crossed & ~passed, "sequence_done": passed & last}
+
+    def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return the gate of the next step, and what has been seen by now."""
+        index = next_index(values, values["gate_passed"], self._count, loop=False)
+        index = torch.where(values["begun"], values["first_gate"], index).int()
+        position, orientation = (row_of(index, values[key]) for key in GATE_KEYS)
+        found = {"target_index": index, TARGET: position, "target_orientation": orientation}
+        for name, key in SEEN.items():
+            away = values[key][..., :2] - values["robot_position"][:, None, :2]
+            near = (away * away).sum(-1) < self._range * self._range
+            found[name] = (values[name] & ~values["begun"].unsqueeze(-1)) | near
+        return found
+
+    def place(self, mask: Tensor) -> None:
+        """Place the robots of new episodes that begin behind a gate."""
+        if self._practice is not None:
+            self._practice.draw(mask)

@@ -1,0 +1,118 @@
+"""Episodes of a training that begin on the way, behind a gate that the robot has just flown through.
+
+Frames: world of each environment, z up; a gate is flown through along its own x. Letters: E environments, G gates.
+"""
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.checks import Vec3
+from aerial_gym.interop import RecordedLaunch, on_torch_stream, start_warp
+from aerial_gym.interop.streams import BLOCK_DIM
+from aerial_gym.math.draws import RandomArrays, draw_vec3, random_arrays, stream_of, substream
+from aerial_gym.math.random import Purpose, Randomness, take_mask
+from aerial_gym.robots.derived import DerivedArrays, write_derived
+from aerial_gym.robots.state_keys import RobotTensors
+
+
+@wp.struct
+class Motion:
+    """The robot's motion, written."""
+
+    position: wp.array[wp.vec3]  # (E,) world [m]
+    attitude: wp.array[wp.quat]  # (E,) body to world, xyzw
+    lin_vel: wp.array[wp.vec3]  # (E,) world [m/s]
+    ang_vel: wp.array[wp.vec3]  # (E,) body [rad/s]
+    derived: DerivedArrays
+
+
+@wp.kernel(enable_backward=False)
+def _practise(
+    mask: wp.array[wp.bool],  # (E,)
+    # state
+    gate_position: wp.array2d[wp.vec3],  # (E, G) world [m]
+    gate_attitude: wp.array2d[wp.quat],  # (E, G) gate to world, xyzw
+    # params
+    random: RandomArrays,
+    share: wp.array[float],  # (1,) of the episodes that begin behind a gate
+    speed: float,  # [m/s]
+    offset: wp.vec3,  # [m] in the gate's frame
+    # out
+    motion_out: Motion,
+    first_out: wp.array[wp.int32],  # (E,) gate with which the episode begins
+):
+    """Write the first gate of masked environments, and where some of their robots begin; leave the others alone."""
+    env = wp.tid()
+    if not mask[env]:
+        return
+    stream = stream_of(random, env, wp.static(int(Purpose.PRACTICE)))
+    first_out[env] = 0
+    if wp.randf(substream(stream, 0)) >= share[0]:
+        return
+    others = gate_position.shape[1] - 1
+    behind = wp.min(int(wp.randf(substream(stream, 1)) * float(others)), others - 1)
+    turn = gate_attitude[env, behind]
+    low = wp.vec3(0.0, -offset[1], -offset[2])
+    position = gate_position[env, behind] + wp.quat_rotate(turn, draw_vec3(stream, 2, low, offset))
+    lin_vel = wp.quat_rotate(turn, wp.vec3(speed * wp.randf(substream(stream, 3)), 0.0, 0.0))
+    attitude = motion_out.attitude[env]
+    ang_vel = motion_out.ang_vel[env]
+    motion_out.position[env] = position
+    motion_out.lin_vel[env] = lin_vel
+    write_derived(motion_out.derived, env, position, attitude, lin_vel, ang_vel)
+    first_out[env] = behind + 1
+
+
+class PracticeStarts:
+    """Draws where masked environments begin, with all views made at construction; attitudes stay those of the reset."""
+
+    def __init__(
+        self,
+        robot: RobotTensors,
+        gates: tuple[Tensor, ...],
+        *,
+        share: Tensor,
+        speed: float,
+        offset: Vec3,
+        first_out: Tensor,
+        random: Randomness,
+    ) -> None:
+        """Take what is written and what it depends on.
+
+        Args:
+            robot: Whose motion is written where an episode begins behind a gate.
+            gates: Positions [m], world, (E, G, 3), and attitudes, gate to world, xyzw, (E, G, 4).
+            share: Of the episodes that do, (1,); read at every draw.
+            speed: Largest speed, along the gate's x [m/s].
+            offset: Largest distances from the middle of the gate along its axes [m]; along x it lies behind.
+            first_out: Receives the gate with which an episode begins, int32, (E,).
+            random: Of the draws.
+        """
+        start_warp()
+        state, motion = robot.state, Motion()
+        motion.attitude, motion.derived = wp.from_torch(state.attitude, dtype=wp.quat), robot.derived.arrays
+        for name in ("position", "lin_vel", "ang_vel"):
+            setattr(motion, name, wp.from_torch(getattr(state, name), dtype=wp.vec3))
+        views = [wp.from_torch(each, dtype=kind) for each, kind in zip(gates, (wp.vec3, wp.quat), strict=True)]
+        self._mask, self._kept_alive = random.mask, (robot, gates, share, first_out, random)
+        self._command = RecordedLaunch(
+            _practise,
+            dim=state.num_envs,
+            inputs=[
+                wp.from_torch(self._mask),
+                *views,
+                random_arrays(random),
+                wp.from_torch(share),
+                speed,
+                wp.vec3(*offset),
+            ],
+            outputs=[motion, wp.from_torch(first_out)],
+            device=wp.device_from_torch(state.position.device),
+            block_dim=BLOCK_DIM,
+        )
+
+    def draw(self, mask: Tensor) -> None:
+        """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
+        take_mask(self._mask, mask)
+        with on_torch_stream(self._mask):
+            self._command.launch()
