@@ -18,7 +18,8 @@ class TrainCmd:
     """Train a policy with a learner of this package, with rl-games or with Sample Factory."""
 
     task: str = "position_setpoint_task"
-    """Registered task, a task file (.yaml), or module:Name or file.py:Name of a TaskCfg or a Task of your own."""
+    """Registered task, a task file (.yaml), a level of lsy_drone_racing (.toml), or
+    module:Name or file.py:Name of a TaskCfg or a Task of your own."""
 
     trainer: str = "ppo"
     """ppo (of this package; all in one graph on a GPU), apg (gradients through the simulation), distill (a student learns
@@ -119,7 +120,7 @@ class TrainCmd:
         file, colon, name = self.task.rpartition(":")
         if file.endswith(".py"):
             return f"{Path(file).resolve()}{colon}{name}"
-        return str(Path(self.task).resolve()) if self.task.endswith((".yaml", ".yml")) else self.task
+        return str(Path(self.task).resolve()) if self.task.endswith((".yaml", ".yml", ".toml")) else self.task
 
     def _refuse_changes(self) -> None:
         for name in ("config", "teacher", "num_envs", "seed", "robot", "controller", "backend"):

@@ -6,6 +6,7 @@ from math import inf
 from typing import ClassVar
 
 from aerial_gym.config.checks import require_count
+from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.config.task_terms import (
@@ -112,8 +113,8 @@ class TaskCfg:
     sim: str
     """Registered sim."""
 
-    env: str
-    """Registered environment, or path of an environment file."""
+    env: str | EnvironmentCfg
+    """Registered environment, path of an environment file, or an environment itself."""
 
     robot: str
     """Registered robot."""

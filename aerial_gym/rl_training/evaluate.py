@@ -12,10 +12,12 @@ from torch import Tensor
 
 from aerial_gym.rl_training.policies.policy import Pilot
 from aerial_gym.task import Task
+from aerial_gym.task.step.judge import GATE_PASSED
 
 SUCCESS_RADIUS_M = 0.1
 """A flight succeeds, and has settled, within this distance of the target [m], unless the task has a radius of its own: the
 bar of the position task."""
+
 
 FINAL_SPAN_S = 1.0
 """The final error is the mean distance over this last part of an episode [s]."""
@@ -59,6 +61,12 @@ class Evaluation:
     settling_time_p95_s: float | None
     """95th percentile of it [s]."""
 
+    success_time_mean_s: float | None
+    """Mean time after which the flights that succeeded ended [s]: of a race the time it took; None if none did."""
+
+    gates_passed_mean: float | None
+    """Mean number of gates that a flight passed; None where there are none."""
+
     return_mean: float
     """Mean sum of rewards."""
 
@@ -92,6 +100,8 @@ def evaluate(
     crashed = torch.zeros_like(flying)
     total, error_sum = torch.zeros(task.num_envs, device=task.device), torch.zeros(task.num_envs, device=task.device)
     succeeded = torch.zeros_like(flying)
+    passed, ended_at = torch.zeros_like(total), torch.full_like(total, steps)
+    no_gates = True
     distance = torch.zeros_like(total)
     nowhere = torch.full_like(total, inf)  # of a task without a target
     outside_until = torch.zeros(task.num_envs, dtype=torch.int64, device=task.device)
@@ -105,7 +115,11 @@ def evaluate(
         crashed |= flying & info["crashes"]
         if ends_count:
             succeeded |= flying & info["successes"]
-        flying &= ~(terminated | truncated)
+        if GATE_PASSED in info:
+            passed, no_gates = passed + (flying & info[GATE_PASSED]), False
+        ended = terminated | truncated
+        ended_at = torch.where(flying & ended, step, ended_at)
+        flying &= ~ended
         outside_until = torch.where(distance < radius, outside_until, step)
         if step > steps - final_steps:
             error_sum += distance
@@ -129,6 +143,8 @@ def evaluate(
         settled_rate=settling.numel() / task.num_envs,
         settling_time_mean_s=_mean(settling),
         settling_time_p95_s=_percentile95(settling),
+        success_time_mean_s=_mean((ended_at * dt)[succeeded]),
+        gates_passed_mean=None if no_gates else float(passed.mean()),
         return_mean=float(total.mean()),
         success_radius_m=radius,
     )

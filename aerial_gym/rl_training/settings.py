@@ -354,14 +354,16 @@ class TrainingCfg:
 def settings_for(trainer: str, task: str, *, device: str = "auto") -> Path:
     """Return the file of settings that come with the package for a trainer, a task and a kind of device.
 
-    A task without settings of its own gets those of the position task; the file's name is printed with the run.
+    A task without settings of its own gets those of the position task, and a level of a race (``.toml``) those of
+    ``racing_task``; the file's name is printed with the run.
 
     Raises:
         UnknownNameError: If there is no such trainer.
     """
     if trainer not in TRAINERS:
         raise UnknownNameError(f"no trainer {trainer!r}. Known: {', '.join(TRAINERS)}")
-    found = [TRAINING_CONFIGS / f"{trainer}_{name}.yaml" for name in (task.removesuffix("_task"), "position_setpoint")]
+    known = "racing" if task.endswith(".toml") else task.removesuffix("_task")
+    found = [TRAINING_CONFIGS / f"{trainer}_{name}.yaml" for name in (known, "position_setpoint")]
     own = found[0] if found[0].exists() else found[1]
     on_cpu = own.with_name(f"{own.stem}_cpu.yaml")
     return on_cpu if on_cpu.exists() and resolve_device(device).type == "cpu" else own

@@ -158,6 +158,27 @@ def test_evaluation_of_known_flights() -> None:
     assert found.return_mean == pytest.approx((6 + 6 + 2 + 6) / 4)
 
 
+def test_evaluation_of_a_race_tells_gates_and_times() -> None:
+    """What comes after the end of the first flight belongs to another one."""
+    gates = torch.tensor([[1, 0, 1, 0, 1, 1], [1, 1, 0, 0, 0, 0], [0, 0, 1, 1, 1, 1], [0] * 6]).bool()
+    done, crash = torch.zeros(4, 6, dtype=torch.bool), torch.zeros(4, 6, dtype=torch.bool)
+    done[0, 2], done[0, 4], done[1, 1], crash[2, 1] = True, True, True, True  # after 1.5 s and 1 s; a crash after 1 s
+
+    class Race(ScriptedTask):
+        cfg = SimpleNamespace(episode_len_steps=6, success_radius=None, tells_success=True)
+
+        def step(self, actions: torch.Tensor):
+            k = self.step_count
+            obs, reward, *_ = super().step(actions)
+            told = {"successes": done[:, k], "crashes": crash[:, k], "gate_passed": gates[:, k]}
+            return obs, reward, done[:, k] | crash[:, k], torch.zeros(4, dtype=torch.bool), told
+
+    found = evaluate(Scripted(lambda obs: obs["observations"][:, :1]), Race())  # type: ignore[arg-type]
+    assert (found.success_rate, found.crash_rate, found.timeout_rate) == (0.5, 0.25, 0.25)
+    assert found.gates_passed_mean == pytest.approx((2 + 2 + 0 + 0) / 4)
+    assert found.success_time_mean_s == pytest.approx((1.5 + 1.0) / 2)
+
+
 def test_a_task_without_a_target_has_returns_alone() -> None:
     """What it is to be near has no meaning there; crashes and returns have."""
 
@@ -168,6 +189,7 @@ def test_a_task_without_a_target_has_returns_alone() -> None:
 
     found = evaluate(Scripted(lambda obs: obs["observations"][:, :1]), Aimless())  # type: ignore[arg-type]
     assert (found.final_error_mean_m, found.settling_time_mean_s) == (None, None)
+    assert (found.gates_passed_mean, found.success_time_mean_s) == (None, None)
     assert (found.settled_rate, found.success_rate) == (0.0, 0.0)
     assert found.crash_rate == pytest.approx(1 / 4)
     assert found.return_mean == pytest.approx((3 * 6 + 2) / 4)

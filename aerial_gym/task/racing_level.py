@@ -1,0 +1,203 @@
+"""Levels of the drone racing benchmark lsy_drone_racing, as tasks: ``--task level2.toml``.
+
+A level is a TOML file of github learnsyslab/lsy_drone_racing (formerly utiasDSL/lsy_drone_racing), config/level*.toml: a track,
+the start, what a reset draws of vehicle, gates and poles, and frequencies. What it leaves to the code of the benchmark (limits,
+reward, what a policy sees) is that of ``racing_task``; ``docs/racing.md`` says where the two differ.
+Frames: world, z up; Euler angles there are extrinsic xyz, which is ZYX here.
+"""
+
+import logging
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym.config.checks import Vec3
+from aerial_gym.config.environment import EnvironmentCfg
+from aerial_gym.config.randomize import RandomizeCfg
+from aerial_gym.config.robot import InitialStateCfg, RobotCfg
+from aerial_gym.config.task import TaskCfg
+from aerial_gym.config.track import GATES, POLES, GatePlaceCfg, LayoutCfg, TrackCfg
+from aerial_gym.env_manager.catalog import SIMS
+from aerial_gym.errors import ConfigError
+
+BORDER = 0.5
+"""Least distance of gates and poles of a track that is drawn to its safety limits [m]. Source: envs/randomize.py there."""
+
+VEHICLE = "cf21B_500"
+"""The vehicle there that is ``racing_task``'s."""
+
+NO_SPREAD = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+Range = tuple[Vec3, Vec3]
+"""Lowest and highest offset."""
+
+_log = logging.getLogger(__name__)
+
+
+def load_level(path: str | Path, base: TaskCfg, robot: RobotCfg) -> TaskCfg:
+    """Return the task of a level.
+
+    Args:
+        path: TOML file.
+        base: Task of which everything is taken that the file does not say.
+        robot: Its robot, whose inertia the file's offsets are added to.
+
+    Raises:
+        ConfigError: If the file cannot be read, a number is missing, or something cannot be flown here.
+    """
+    path = Path(path)
+    try:
+        level = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"{path}: no level can be read ({error})") from None
+    try:
+        return _task_of(level, base, robot, name=path.stem)
+    except KeyError as error:
+        raise ConfigError(f"{path}: field {error} is missing") from None
+    except (ConfigError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def _task_of(level: Mapping[str, Any], base: TaskCfg, robot: RobotCfg, *, name: str) -> TaskCfg:
+    env, sim = level["env"], level["sim"]
+    if sim["drone_model"] != VEHICLE:
+        raise ConfigError(f"sim.drone_model = {sim['drone_model']!r}: only {VEHICLE} is known")
+    if env.get("disturbances"):
+        _log.warning("%s: env.disturbances are not simulated: %s", name, ", ".join(env["disturbances"]))
+    spread = _Spreads(env.get("randomizations", {}))
+    if env["track"].get("randomize", False) and len(env["track"]["obstacles"]) > len(env["track"]["gates"]):
+        raise ConfigError("env.track: more obstacles than gates cannot be drawn")
+    where = _environment_of(level, spread, name=name)
+    return replace(
+        base,
+        summary=f"{name} of lsy_drone_racing",
+        sim=_sim_of(sim["freq"]),
+        env=where,
+        start=_start_of(env["track"], spread, where),
+        randomize=_randomize_of(spread, robot),
+        command=_command_of(base, env["sensor_range"]),
+        source=f"{name}.toml; the rest: {base.source}",
+    )
+
+
+class _Spreads:
+    """Uniform offsets by what they are of; none where the file says nothing."""
+
+    def __init__(self, given: Mapping[str, Any]) -> None:
+        known = ("drone_pos", "drone_rpy", "drone_mass", "drone_inertia", "gate_pos", "gate_rpy", "obstacle_pos")
+        for name, each in given.items():
+            if name not in known:
+                raise ConfigError(f"env.randomizations.{name}: unknown. Known: {', '.join(known)}")
+            if each["fn"] != "uniform":
+                raise ConfigError(f"env.randomizations.{name}.fn = {each['fn']!r}: must be 'uniform'")
+        self._given = given
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._given
+
+    def __getitem__(self, name: str) -> Range:
+        if name not in self._given:
+            return NO_SPREAD
+        given = self._given[name]["kwargs"]
+        return _vector(given["minval"]), _vector(given["maxval"])
+
+    def number(self, name: str) -> tuple[float, float]:
+        given = self._given[name]["kwargs"]
+        return float(given["minval"]), float(given["maxval"])
+
+
+def _vector(numbers: Sequence[float]) -> Vec3:
+    x, y, z = (float(number) for number in numbers)
+    return x, y, z
+
+
+def _sim_of(freq: float) -> str:
+    for name in SIMS.names():
+        if abs(SIMS.get(name).dt * freq - 1.0) < 1e-9:
+            return name
+    known = ", ".join(f"{1.0 / SIMS.get(name).dt:.0f}" for name in SIMS.names())
+    raise ConfigError(f"sim.freq = {freq!r}: no sim has this frequency. Known: {known} Hz")
+
+
+def _environment_of(level: Mapping[str, Any], spread: _Spreads, *, name: str) -> EnvironmentCfg:
+    base, env = ENVIRONMENTS.get("racing_env"), level["env"]
+    steps = level["sim"]["freq"] / env["freq"]
+    if steps != int(steps):
+        raise ConfigError(f"env.freq = {env['freq']!r}: must divide sim.freq = {level['sim']['freq']!r}")
+    given = env["track"]
+    track = TrackCfg(
+        gates=tuple(GatePlaceCfg(position=_vector(g["pos"]), euler=_vector(g["rpy"])) for g in given["gates"]),
+        poles=tuple(_vector(pole["pos"]) for pole in given["obstacles"]),
+        gate_position_low=spread["gate_pos"][0],
+        gate_position_high=spread["gate_pos"][1],
+        gate_euler_low=spread["gate_rpy"][0],
+        gate_euler_high=spread["gate_rpy"][1],
+        pole_low=spread["obstacle_pos"][0],
+        pole_high=spread["obstacle_pos"][1],
+        layout=_layout_of(given["safety_limits"]) if given.get("randomize", False) else None,
+    )
+    counts = track.counts
+    assets = tuple(replace(asset, count=counts[asset.name]) for asset in base.assets if asset.name in counts)
+    assert {GATES, POLES} == {asset.name for asset in base.assets}
+    return replace(
+        base,
+        summary=f"track of {name} of lsy_drone_racing",
+        physics_steps_per_env_step=int(steps),
+        track=track,
+        assets=assets,
+        source=f"{name}.toml; the rest: {base.source}",
+    )
+
+
+def _layout_of(limits: Mapping[str, Sequence[float]]) -> LayoutCfg:
+    (x0, y0, _), (x1, y1, _) = _vector(limits["pos_limit_low"]), _vector(limits["pos_limit_high"])
+    return LayoutCfg(lower=(x0 + BORDER, y0 + BORDER), upper=(x1 - BORDER, y1 - BORDER))
+
+
+def _start_of(track: Mapping[str, Any], spread: _Spreads, env: EnvironmentCfg) -> InitialStateCfg:
+    """Return where flights begin; where tracks are drawn, anywhere within the safety limits."""
+    drone = track["drones"][0]
+    if len(track["drones"]) != 1:
+        raise ConfigError(f"env.track.drones: {len(track['drones'])}, needs one")
+    low, high = (tuple(a + b for a, b in zip(_vector(drone["pos"]), end, strict=True)) for end in spread["drone_pos"])
+    if env.track is not None and env.track.layout is not None:
+        ends = track["safety_limits"]
+        low = (*_vector(ends["pos_limit_low"])[:2], low[2])
+        high = (*_vector(ends["pos_limit_high"])[:2], high[2])
+    turn = tuple(tuple(a + b for a, b in zip(_vector(drone["rpy"]), end, strict=True)) for end in spread["drone_rpy"])
+    return InitialStateCfg(
+        position_ratio_low=_share(low, env),
+        position_ratio_high=_share(high, env),
+        euler_low=_vector(turn[0]),
+        euler_high=_vector(turn[1]),
+        lin_vel_low=_vector(drone["vel"]),
+        lin_vel_high=_vector(drone["vel"]),
+        ang_vel_low=_vector(drone["ang_vel"]),
+        ang_vel_high=_vector(drone["ang_vel"]),
+    )
+
+
+def _share(point: Sequence[float], env: EnvironmentCfg) -> Vec3:
+    """Return a place [m] as a share of the bounds, which are always the same."""
+    lower, upper = env.bounds_lower_low, env.bounds_upper_low
+    return _vector([(p - a) / (b - a) for p, a, b in zip(point, lower, upper, strict=True)])
+
+
+def _randomize_of(spread: _Spreads, robot: RobotCfg) -> dict[str, RandomizeCfg]:
+    found = {}
+    if "drone_mass" in spread:
+        low, high = spread.number("drone_mass")
+        found["body.mass"] = RandomizeCfg(how="offset", low=low, high=high, keep_inertia=True)
+    if "drone_inertia" in spread:
+        ends = (tuple(1.0 + end[i] / robot.body.inertia[i][i] for i in range(3)) for end in spread["drone_inertia"])
+        low, high = ends
+        found["body.inertia"] = RandomizeCfg(low=low, high=high)
+    return found
+
+
+def _command_of(base: TaskCfg, sensor_range: float) -> Any:
+    assert base.command is not None
+    return replace(base.command, params={**base.command.params, "sensor_range": float(sensor_range)})

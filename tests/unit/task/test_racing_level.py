@@ -1,0 +1,162 @@
+"""Levels of lsy_drone_racing as tasks: the numbers of the file, in our units and names."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from aerial_gym import task_registry
+from aerial_gym.config.environment import EnvironmentCfg
+from aerial_gym.config.task import TaskCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.rl_training.settings import settings_for
+from aerial_gym.robots import ROBOTS
+
+LEVEL = """
+[sim]
+drone_model = "cf21B_500"
+freq = 500
+[env]
+freq = 100
+sensor_range = 0.9
+[env.track]
+randomize = RANDOMIZE
+gates = [{pos = [1.0, 2.0, 0.75], rpy = [0.0, 0.1, 1.5]}, {pos = [-1.0, 0.5, 1.25], rpy = [0.0, 0.0, -1.0]}]
+obstacles = [{pos = [0.25, 0.5, 1.5]}]
+drones = [{pos = [1.5, -0.6, 0.1], rpy = [0.0, 0.0, 0.2], vel = [0, 0, 0], ang_vel = [0, 0, 0]}]
+safety_limits = {pos_limit_low = [-2.4, -1.8, 0.0], pos_limit_high = [2.6, 1.6, 2.0]}
+[env.randomizations.drone_pos]
+fn = "uniform"
+kwargs = {minval = [-0.3, -0.3, 0.0], maxval = [0.3, 0.3, 0.025]}
+[env.randomizations.drone_rpy]
+fn = "uniform"
+kwargs = {minval = [-0.05, -0.05, -0.05], maxval = [0.05, 0.05, 0.05]}
+[env.randomizations.drone_mass]
+fn = "uniform"
+kwargs = {minval = -0.002, maxval = 0.004}
+[env.randomizations.drone_inertia]
+fn = "uniform"
+kwargs = {minval = [-1e-6, -1e-6, -1e-6], maxval = [2e-6, 2e-6, 2e-6]}
+[env.randomizations.gate_pos]
+fn = "uniform"
+kwargs = {minval = [-0.1, -0.2, -0.3], maxval = [0.1, 0.2, 0.3]}
+[env.randomizations.gate_rpy]
+fn = "uniform"
+kwargs = {minval = [0.0, -0.01, -0.02], maxval = [0.0, 0.01, 0.02]}
+[env.randomizations.obstacle_pos]
+fn = "uniform"
+kwargs = {minval = [-0.4, -0.5, 0.0], maxval = [0.4, 0.5, 0.0]}
+"""
+
+
+def level(folder: Path, *changes: tuple[str, str], drawn: bool = False) -> str:
+    text = LEVEL.replace("RANDOMIZE", str(drawn).lower())
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = folder / "level.toml"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def environment_of(task: TaskCfg) -> EnvironmentCfg:
+    assert isinstance(task.env, EnvironmentCfg)
+    return task.env
+
+
+def test_a_level_has_the_numbers_of_its_file(tmp_path: Path) -> None:
+    task = task_registry.get(level(tmp_path))
+    env = environment_of(task)
+    track, start = env.track, task.start
+    assert track is not None
+    assert start is not None
+    assert (task.sim, env.physics_steps_per_env_step) == ("base_sim_2ms", 5)  # 500 Hz, 100 Hz
+    assert [(gate.position, gate.euler) for gate in track.gates] == [
+        ((1.0, 2.0, 0.75), (0.0, 0.1, 1.5)),
+        ((-1.0, 0.5, 1.25), (0.0, 0.0, -1.0)),
+    ]
+    assert (track.poles, track.layout) == (((0.25, 0.5, 1.5),), None)
+    assert (track.gate_position_low, track.gate_position_high) == ((-0.1, -0.2, -0.3), (0.1, 0.2, 0.3))
+    assert (track.gate_euler_low, track.gate_euler_high) == ((0.0, -0.01, -0.02), (0.0, 0.01, 0.02))
+    assert (track.pole_low, track.pole_high) == ((-0.4, -0.5, 0.0), (0.4, 0.5, 0.0))
+    assert [asset.count for asset in env.assets] == [2, 1]
+    assert task.command is not None
+    assert task.command.params["sensor_range"] == 0.9
+    mass, inertia = task.randomize["body.mass"], task.randomize["body.inertia"]
+    assert (mass.how, mass.low, mass.high, mass.keep_inertia) == ("offset", -0.002, 0.004, True)
+    moments = [ROBOTS.get(task.robot).body.inertia[i][i] for i in range(3)]
+    assert inertia.low == pytest.approx([1.0 - 1e-6 / moment for moment in moments])
+    assert inertia.high == pytest.approx([1.0 + 2e-6 / moment for moment in moments])
+    assert start.position_ratio_low == pytest.approx(((1.2 + 3.0) / 6.0, (-0.9 + 3.0) / 6.0, 0.1 / 2.5))
+    assert start.position_ratio_high == pytest.approx(((1.8 + 3.0) / 6.0, (-0.3 + 3.0) / 6.0, 0.125 / 2.5))
+    assert start.euler_low == pytest.approx((-0.05, -0.05, 0.15))
+    assert start.euler_high == pytest.approx((0.05, 0.05, 0.25))
+
+
+def test_a_level_is_flown(tmp_path: Path) -> None:
+    with task_registry.make_task(level(tmp_path), num_envs=50, device="cpu", seed=0) as task:
+        task.reset()
+        task.step(torch.zeros(50, 4))
+        start = task.env.gtd["robot_position"]
+        assert task.env.dt == pytest.approx(0.01)
+        assert (start[:, :2] - torch.tensor([1.5, -0.6])).abs().max() < 0.31
+        assert task.env.draws()["body.mass"].min() >= -0.002
+
+
+def test_a_drawn_track_lies_within_the_safety_limits(tmp_path: Path) -> None:
+    """Gates and poles half a metre inside; the start anywhere."""
+    task = task_registry.get(level(tmp_path, drawn=True))
+    track, start = environment_of(task).track, task.start
+    assert track is not None
+    assert start is not None
+    assert track.layout is not None
+    assert (track.layout.lower, track.layout.upper) == (
+        pytest.approx((-1.9, -1.3)),
+        pytest.approx((2.1, 1.1)),
+    )
+    assert start.position_ratio_low == pytest.approx((0.6 / 6.0, 1.2 / 6.0, 0.1 / 2.5))
+    assert start.position_ratio_high == pytest.approx((5.6 / 6.0, 4.6 / 6.0, 0.125 / 2.5))
+
+
+def test_what_is_not_drawn_is_as_it_is_listed(tmp_path: Path) -> None:
+    path = level(tmp_path)
+    text = Path(path).read_text(encoding="utf-8").partition("[env.randomizations")[0]
+    Path(path).write_text(text, encoding="utf-8")
+    task = task_registry.get(path)
+    track = environment_of(task).track
+    assert track is not None
+    assert not task.randomize
+    assert track.gate_position_low == track.gate_position_high == (0.0, 0.0, 0.0)
+
+
+def test_disturbances_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    given = '[env.disturbances.action]\nfn = "normal"\n[env.randomizations.drone_pos]'
+    task_registry.get(level(tmp_path, ("[env.randomizations.drone_pos]", given)))
+    assert "env.disturbances are not simulated: action" in caplog.text
+
+
+def test_a_level_has_settings_of_a_race(tmp_path: Path) -> None:
+    assert settings_for("ppo", level(tmp_path)).name == "ppo_racing.yaml"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ((("cf21B_500", "cf2x_L250"),), "sim.drone_model = 'cf2x_L250': only cf21B_500 is known"),
+        ((("freq = 500", "freq = 400"),), "sim.freq = 400: no sim has this frequency. Known: 100, 500, 250 Hz"),
+        ((("freq = 100", "freq = 150"),), "env.freq = 150: must divide sim.freq = 500"),
+        ((('fn = "uniform"', 'fn = "normal"'),), "drone_pos.fn = 'normal': must be 'uniform'"),
+        ((("randomizations.drone_pos", "randomizations.drone_place"),), "drone_place: unknown. Known: drone_pos"),
+        ((("sensor_range = 0.9", ""),), "field 'sensor_range' is missing"),
+        ((("[sim]", "[sim"),), "no level can be read"),
+        ((("minval = [-0.1, -0.2, -0.3]", "minval = [-0.1, -0.2]"),), "level.toml: "),
+    ],
+)
+def test_levels_that_cannot_be_are_refused(tmp_path: Path, changes: tuple[tuple[str, str], ...], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        task_registry.get(level(tmp_path, *changes))
+
+
+def test_a_level_that_is_not_there_is_named() -> None:
+    with pytest.raises(ConfigError, match="nowhere.toml: no level can be read"):
+        task_registry.get("nowhere.toml")
