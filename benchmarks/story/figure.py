@@ -31,7 +31,7 @@ def draw_story(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         left.plot([place] * len(errors), errors, "o", color=colour, markersize=4)
         lost = max(row["lost"] for row in own)
         left.annotate(
-            f"{median(errors):.3f} m" + (f"\nlost {lost:.0%}" if lost else ""),
+            f"{median(errors):.3f} m" + (f"\nlost ≤ {lost:.0%}" if lost else ""),
             (place, max(errors)),
             xytext=(0, 5),
             textcoords="offset points",
@@ -42,11 +42,12 @@ def draw_story(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     left.set_xticks(
         range(len(traces)), [case.replace(" on ", "\non ").replace(" with ", "\nwith ") for case in traces], fontsize=8
     )
-    left.set_ylabel("error at setpoints [m], every seed and the median")
+    left.set_ylabel("error at setpoints [m]: every seed, median")
     left.margins(y=0.15)
     right.set_yscale("log")
+    right.set_ylim(0.005, 1.5)
     right.set_xlabel("time [s]")
     right.set_ylabel("distance to the setpoint [m]")
-    right.legend(fontsize=8)
-    figure.savefig(path, dpi=120)
+    right.legend(fontsize=8, loc="lower center", ncols=2)
+    figure.savefig(path, dpi=90)
     plt.close(figure)
