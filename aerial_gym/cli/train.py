@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from aerial_gym.rl_training.training import TrainingResult
 
 
+LIMITS = ("max_time_s", "max_env_steps")
+"""Of a training; what is given on the command line replaces both of the settings."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrainCmd:
     """Train a policy with a learner of this package, with rl-games or with Sample Factory."""
@@ -56,7 +60,7 @@ class TrainCmd:
     """Registered physics backend (aerial-gym list backends); that of the sim if not given."""
 
     max_time_s: float | None = None
-    """End after this time, start-up included [s]."""
+    """End after this time, start-up included [s]. This or max_env_steps alone drops the other limit of the settings."""
 
     max_env_steps: int | None = None
     """End after this many environment steps of all sessions and processes together."""
@@ -90,6 +94,8 @@ class TrainCmd:
             )
         names = ("num_envs", "device", "seed", "robot", "controller", "backend", "max_time_s", "max_env_steps")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        if given.keys() & set(LIMITS):
+            given = dict.fromkeys(LIMITS) | given
         if self.teacher is not None:
             given["teacher"] = str(self.teacher.resolve())
         result = train(replace(cfg, **given), self.out, resume=self.resume, watch=self.watch, wandb=self.wandb)

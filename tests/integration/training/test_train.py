@@ -12,11 +12,13 @@ import pytest
 
 from aerial_gym.cli.main import main
 from aerial_gym.config import dump_yaml
+from aerial_gym.errors import TrainingError
 from aerial_gym.rl_training import load_settings, settings_for
 from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.keeper import Keeper
 from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
+from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.robots import ROBOTS
 
 pytest.importorskip("rl_games", reason="rl-games is not installed: pip install 'aerial-gym[rl]'")
@@ -174,3 +176,30 @@ def test_a_resumed_run_refuses_a_checkpoint_of_another_network(
     path = folder.keep_checkpoint(5, {"model": {}, "run": {"trainer": trainer, "env_steps": 5}})
     assert main(["train", "--out", str(tmp_path), "--resume", "--max-env-steps", "1"]) == 2
     assert f"checkpoint {path}: does not fit the settings of its run" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "limits"),
+    [
+        ((), (120.0, None)),
+        (("--max-env-steps", "5000"), (None, 5000)),
+        (("--max-time-s", "7"), (7.0, None)),
+        (("--max-env-steps", "5000", "--max-time-s", "7"), (7.0, 5000)),
+    ],
+)
+def test_limits_on_the_command_line_replace_those_of_the_settings(
+    given: tuple[str, ...], limits: tuple[float | None, int | None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Asked for so many steps, it makes them however long they take."""
+    settings = tmp_path / "settings.yaml"
+    cfg = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
+    settings.write_text(dump_yaml(replace(cfg, max_time_s=120.0, max_env_steps=None)))
+    seen: list[TrainingCfg] = []
+
+    def train(cfg: TrainingCfg, out: Path, **_: object) -> None:
+        seen.append(cfg)
+        raise TrainingError("stopped here")
+
+    monkeypatch.setattr("aerial_gym.rl_training.training.train", train)
+    assert main(["train", "--config", str(settings), "--out", str(tmp_path / "run"), *given]) != 0
+    assert (seen[0].max_time_s, seen[0].max_env_steps) == limits
