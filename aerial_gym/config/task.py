@@ -165,6 +165,9 @@ class TaskCfg:
     curriculum: CurriculumCfg | None = None
     """Number of obstacles by the share of successes; None has all of them from the start."""
 
+    imports: tuple[str, ...] = ()
+    """Python files, from the folder of the task's own file on, or modules, that register what this task chooses by name."""
+
     source: str
     """Where the numbers come from."""
 

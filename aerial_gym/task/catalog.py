@@ -1,6 +1,5 @@
 """Every task that comes with the package, and the registry that builds them."""
 
-import os
 import sys
 from dataclasses import replace
 from functools import partial
@@ -113,7 +112,10 @@ class TaskRegistry(Registry[TaskCfg]):
             ConfigError: If the file or what the module holds is no task.
         """
         if name.endswith((".yaml", ".yml")):
-            return load(TaskCfg, name)
+            cfg = load(TaskCfg, name)
+            for each in cfg.imports:
+                _import(each, Path(name).parent)
+            return cfg
         if name.endswith(".toml"):
             return _level(name)
         if ":" not in name:
@@ -141,17 +143,25 @@ def imported(name: str) -> object:
         UnknownNameError: If there is no such module or file, or nothing of that name in it.
     """
     module, _, attribute = name.rpartition(":")
-    if module.endswith(".py"):
-        try:
-            return getattr(_module_of(Path(module)), attribute)
-        except (FileNotFoundError, AttributeError) as error:
-            raise UnknownNameError(f"task {name!r}: {error}. Give it as file.py:Name") from None
-    here = os.getcwd()
+    kind = "file.py" if module.endswith(".py") else "module"
+    try:
+        return getattr(_import(module, Path()), attribute)
+    except (UnknownNameError, AttributeError) as error:
+        raise UnknownNameError(f"task {name!r}: {error}. Give it as {kind}:Name") from None
+
+
+def _import(name: str, folder: Path) -> ModuleType:
+    """Return a module by its name, or by that of its file, which may stand in a folder.
+
+    Raises:
+        UnknownNameError: If there is none.
+    """
+    here = str(folder.resolve())
     sys.path.append(here)
     try:
-        return getattr(import_module(module), attribute)
-    except (ModuleNotFoundError, AttributeError) as error:
-        raise UnknownNameError(f"task {name!r}: {error}. Give it as module:Name") from None
+        return _module_of(folder / name) if name.endswith(".py") else import_module(name)
+    except (FileNotFoundError, ModuleNotFoundError) as error:
+        raise UnknownNameError(str(error)) from None
     finally:
         sys.path.remove(here)
 

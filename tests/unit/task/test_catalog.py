@@ -8,7 +8,7 @@ import torch
 
 from aerial_gym import task_registry
 from aerial_gym.config import dump_yaml
-from aerial_gym.config.task_terms import EndRewardCfg
+from aerial_gym.config.task_terms import EndRewardCfg, RewardCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 
 MODULE = """
@@ -33,6 +33,26 @@ def test_a_file_and_a_module_hold_tasks(tmp_path: Path, monkeypatch: pytest.Monk
     made = task_registry.make_task("users_task:Quiet", num_envs=2, device="cpu")
     assert type(made).__name__ == "Quiet"
     assert (made.num_envs, made.cfg.episode_len_steps) == (2, 7)
+
+
+def test_a_file_may_bring_terms_of_its_own(tmp_path: Path) -> None:
+    """They stand beside it, wherever it is read from; a file that is not there is told by name."""
+    (tmp_path / "my_terms.py").write_text(
+        "from aerial_gym.task import REWARDS\n"
+        "@REWARDS.term()\n"
+        "def five_of_its_own(robot_position):\n"
+        "    return 5.0 + 0.0 * robot_position[:, 0]\n"
+    )
+    task = task_registry.get("position_setpoint_task")
+    rewards = {"five": RewardCfg(term="five_of_its_own")}
+    file = tmp_path / "mine.yaml"
+    file.write_text(dump_yaml(replace(task, imports=("my_terms.py",), rewards=rewards, crash_reward=None)))
+    with task_registry.make_task(str(file), num_envs=2, device="cpu") as made:
+        made.reset()
+        assert made.step(torch.zeros(2, 4))[1].tolist() == [5.0, 5.0]
+    file.write_text(dump_yaml(replace(task, imports=("no_terms.py",))))
+    with pytest.raises(UnknownNameError, match=r"no_terms.py: no such file"):
+        task_registry.get(str(file))
 
 
 @pytest.mark.parametrize(
