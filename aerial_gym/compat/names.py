@@ -31,9 +31,6 @@ ABSENT: dict[str, dict[str, str]] = {
         (
             "base_quad_root_link_control",
             "base_random",
-            "lmf1",
-            "lmf2_radar",
-            "magpie",
         ),
         _BODY,
     )

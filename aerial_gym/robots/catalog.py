@@ -20,7 +20,9 @@ for _name in (
     "crazyflie_21",
     "neural_fly_quad",
     "omnidirectional_octarotor",
+    "lmf1",
     "lmf2",
+    "magpie",
     "x500",
 ):
     _path = _FOLDER / f"{_name}.yaml"
@@ -151,6 +153,18 @@ for _name, _of, _change, _summary in (
         "base_quadrotor",
         _carrying("base_normal_face_id_camera"),
         "base_quadrotor with a camera of surface normals and face ids",
+    ),
+    (
+        "lmf2_with_camera",
+        "lmf2",
+        _carrying("base_depth_camera"),
+        "lmf2 with a depth and segmentation camera, without which lmf2 is cheaper",
+    ),
+    (
+        "lmf2_radar",
+        "lmf2",
+        _carrying("fake_radar"),
+        "lmf2 with a radar-like sensor that looks ahead",
     ),
     (
         "base_quadrotor_on_skids",
