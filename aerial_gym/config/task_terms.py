@@ -32,7 +32,7 @@ def steps_range(steps: Steps) -> tuple[int, int]:
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationCfg:
-    """One term of a group of observations: noise is added, then it is delayed, kept for some frames, and scaled."""
+    """One term of a group of observations: noise is added, entries drop out, then it is delayed, kept and scaled."""
 
     term: str
     """Name in ``aerial_gym.task.OBSERVATIONS``, or a key of the GTD or a task buffer itself."""
@@ -42,6 +42,12 @@ class ObservationCfg:
 
     noise_std: float = 0.0
     """Standard deviation of white noise added to every entry, in the unit of the term, >= 0."""
+
+    dropout: float = 0.0
+    """Probability that an entry is dropped, of each by itself at every step, 0 <= dropout < 1."""
+
+    dropout_value: float = 0.0
+    """What a dropped entry holds, in the unit of the term; finite."""
 
     delay_steps: Steps = 0
     """Environment steps by which it is late, >= 0; two numbers: each episode draws one from the first to the second. Before
@@ -56,6 +62,10 @@ class ObservationCfg:
     def __post_init__(self) -> None:
         if not 0.0 <= self.noise_std < inf:
             raise ConfigError(f"ObservationCfg.noise_std = {self.noise_std!r}: must be >= 0 and finite")
+        if not 0.0 <= self.dropout < 1.0:
+            raise ConfigError(f"ObservationCfg.dropout = {self.dropout!r}: must be a probability, 0 <= dropout < 1")
+        if not isfinite(self.dropout_value):
+            raise ConfigError(f"ObservationCfg.dropout_value = {self.dropout_value!r}: must be finite")
         _check_steps(self, "delay_steps")
         if not 1 <= self.history <= MAX_MADE:
             raise ConfigError(f"ObservationCfg.history = {self.history!r}: must be >= 1")

@@ -48,6 +48,12 @@ class Seen:
     delay_steps: tuple[int, int]
     """Fewest and most steps by which it was late in training."""
 
+    dropout: float = 0.0
+    """Probability with which an entry was dropped in training."""
+
+    dropout_value: float = 0.0
+    """What a dropped entry held, in the unit of the term: what one without a measurement holds."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
@@ -141,7 +147,8 @@ def layout_of(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source
                 Seen(
                     key=key, term=entry.cfg.term, meaning=_meaning(entry.term.term.summary), first=first,
                     count=count, history=entry.cfg.history, scale=entry.cfg.scale, noise_std=entry.cfg.noise_std,
-                    delay_steps=steps_range(entry.cfg.delay_steps),
+                    delay_steps=steps_range(entry.cfg.delay_steps), dropout=entry.cfg.dropout,
+                    dropout_value=entry.cfg.dropout_value,
                 )
             )  # fmt: skip
             first += count

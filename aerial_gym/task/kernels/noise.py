@@ -1,6 +1,6 @@
 """Noise of what a policy observes.
 
-Letters: E environments, N entries of an observation that have noise.
+Letters: E environments, N entries of an observation that have noise or drop out.
 """
 
 from collections.abc import Mapping
@@ -21,38 +21,42 @@ def _draw_noise(
     purpose: int,
     step: wp.array[wp.int32],  # (E,) of the episode
     std: wp.array[float],  # (N,)
+    dropout: wp.array[float],  # (N,) probability
     entry: wp.array[wp.int32],  # (N,) which of the observation each is
     # out
     noise_out: wp.array2d[float],  # (E, N)
 ):
-    """Write normal draws of every environment at its present step."""
+    """Write normal draws of every environment at its present step, infinity where an entry is dropped."""
     env, i = wp.tid()
     state = substream(substream(stream_of(random, env, purpose), step[env]), entry[i])
-    noise_out[env, i] = std[i] * wp.randn(state)
+    noise = std[i] * wp.randn(state)
+    noise_out[env, i] = wp.where(wp.randf(state) < dropout[i], wp.inf, noise)
 
 
 class ObservationNoise:
-    """Draws normal noise for the entries of observations that have any, with all views made at construction."""
+    """Draws normal noise, and which are dropped, for the entries of observations that ask for it; all views made at once."""
 
-    def __init__(self, std: Mapping[int, float], step: Tensor, random: Randomness) -> None:
+    def __init__(self, kinds: Mapping[int, tuple[float, float]], step: Tensor, random: Randomness) -> None:
         """Take what the draws depend on.
 
         Args:
-            std: Standard deviation of each entry that has noise, by its number.
+            kinds: Standard deviation of the noise and probability of being dropped, of each entry with either, by its number.
             step: Step of the episode, int32, (E,); read at every draw.
             random: Of the draws.
         """
         start_warp()
         device = step.device
-        self.noise = torch.zeros(random.num_envs, len(std), device=device)
-        """What was drawn last, (E, N), in the order of the entries given."""
-        stds = torch.tensor(list(std.values()), device=device, dtype=torch.float32)
-        entries = torch.tensor(list(std), device=device, dtype=torch.int32)
-        self._kept_alive = (stds, entries, step, random)
+        self.noise = torch.zeros(random.num_envs, len(kinds), device=device)
+        """What was drawn last, (E, N), in the order of the entries given; infinity where one is dropped."""
+        stds, dropouts = (
+            torch.tensor([kind[i] for kind in kinds.values()], device=device, dtype=torch.float32) for i in (0, 1)
+        )
+        entries = torch.tensor(list(kinds), device=device, dtype=torch.int32)
+        self._kept_alive = (stds, dropouts, entries, step, random)
         given = [random_arrays(random), int(Purpose.OBSERVATION)]
-        given += [wp.from_torch(tensor) for tensor in (step, stds, entries)] if std else []
+        given += [wp.from_torch(tensor) for tensor in (step, stds, dropouts, entries)] if kinds else []
         self._command = None
-        if std:
+        if kinds:
             self._command = RecordedLaunch(
                 _draw_noise,
                 dim=tuple(self.noise.shape),

@@ -1,6 +1,6 @@
-"""What a policy observes: terms side by side in groups, with noise, delay, history and scale.
+"""What a policy observes: terms side by side in groups, with noise, dropout, delay, history and scale.
 
-Letters: E environments, O entries of a group, N of all groups that have noise.
+Letters: E environments, O entries of a group.
 """
 
 from collections.abc import Mapping
@@ -40,11 +40,14 @@ class Entry:
     """Its column among the drawn delays; None where it has one delay."""
 
     def noisy(self, values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Return whether the term is finite, bool (E,), and its value with noise, zeros where it is not, (E, width)."""
+        """Return whether the term is finite, bool (E,), and its value with noise and dropout, zeros where not, (E, width)."""
         value = self.term.of(values)
         finite, value = value.isfinite().all(dim=-1), value.nan_to_num(0.0, 0.0, 0.0)
         if self.noise is not None:
-            value = value + values[NOISE][:, self.noise : self.noise + self.width]
+            noise = values[NOISE][:, self.noise : self.noise + self.width]
+            value = value + noise
+            if self.cfg.dropout:
+                value = torch.where(noise.isfinite(), value, self.cfg.dropout_value)
         return finite, value
 
     def shown(
@@ -79,7 +82,7 @@ class Observer:
         """
         self.groups: dict[str, list[Entry]] = {}
         """Entries in order."""
-        noise: dict[int, float] = {}
+        noise: dict[int, tuple[float, float]] = {}
         ranges: list[tuple[int, int]] = []
         column = 0
         for group, terms in groups.items():
@@ -92,12 +95,13 @@ class Observer:
                     past.append(f"past_{group}_{number}_{piece}")
                     meaning = f"last values of {term.label}, oldest first"
                     values.declare(past[-1], (count * width,), meaning=meaning)
+                drawn = bool(cfg.noise_std or cfg.dropout)
                 entry = Entry(
-                    term=term, cfg=cfg, width=width, noise=len(noise) if cfg.noise_std else None, line=line,
+                    term=term, cfg=cfg, width=width, noise=len(noise) if drawn else None, line=line,
                     past=tuple(past), delay=len(ranges) if low < high else None,
                 )  # fmt: skip
-                if cfg.noise_std:
-                    noise |= {column + i: cfg.noise_std for i in range(width)}
+                if drawn:
+                    noise |= {column + i: (cfg.noise_std, cfg.dropout) for i in range(width)}
                 if low < high:
                     ranges.append((low, high))
                 self.groups[group].append(entry)

@@ -117,7 +117,7 @@ def test_observations_are_taken_in_their_own_units(tmp_path: Path) -> None:
     """A term that the task scales is given unscaled; two terms of a past stand side by side, oldest first."""
     terms = (
         ObservationCfg(term="position_error_world", scale=0.1, noise_std=0.02, delay_steps=(1, 2)),
-        ObservationCfg(term="lin_vel_body", history=2),
+        ObservationCfg(term="lin_vel_body", history=2, dropout=0.1, dropout_value=-1.0),
     )
     cfg = replace(HOVER, observations={"policy": terms})
     policy = drawn_policy(9)
@@ -127,6 +127,7 @@ def test_observations_are_taken_in_their_own_units(tmp_path: Path) -> None:
         ("position_error_world", 0, 3, 1, 0.1, (1, 2)),
         ("lin_vel_body", 3, 6, 2, 1.0, (0, 0)),
     ]
+    assert [(s.noise_std, s.dropout, s.dropout_value) for s in made.observation] == [(0.02, 0.0, 0.0), (0.0, 0.1, -1.0)]
     assert made.observation[0].meaning == "target minus position [m], world"
     assert made.command[1] == "roll [rad]"
     seen = torch.randn(5, 9)

@@ -1,5 +1,6 @@
 """Noise, delay, history and scale of observations against what they are by definition."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -92,6 +93,24 @@ def test_noise_comes_before_the_delay_and_is_scaled_with_the_rest() -> None:
     for _ in range(3):
         also, *_ = other.step(torch.zeros(200, 4))
     assert torch.equal(also["observations"], obs["observations"][:, :9])
+
+
+def test_so_many_entries_drop_out_and_the_others_keep_their_noise() -> None:
+    """A share within 5 standard deviations of a binomial, sqrt(p (1 - p) / n); others at the next step; scale comes last."""
+    whole = ObservationCfg(term="position_error_world", noise_std=0.1, scale=2.0)
+    shown, count, share = [], 3000, 0.8
+    for entry in (whole, replace(whole, dropout=share, dropout_value=-7.0)):
+        task = make(count // 3, policy=(entry,))
+        shown.append(
+            (task.reset()[0]["observations"].clone(), task.step(torch.zeros(count // 3, 4))[0]["observations"])
+        )
+    bound = 5.0 * (share * (1.0 - share) / count) ** 0.5
+    lost = [dropped == -14.0 for _, dropped in zip(*shown, strict=True)]
+    for full, dropped, gone in zip(*shown, lost, strict=True):
+        assert float(gone.double().mean()) == pytest.approx(share, abs=bound)
+        assert torch.equal(dropped[~gone], full[~gone])
+    both = float((lost[0] & lost[1]).double().mean())
+    assert both == pytest.approx(share**2, abs=bound)  # drawn anew
 
 
 def test_groups_are_given_beside_each_other() -> None:
