@@ -144,7 +144,6 @@ GONE: dict[str, str] = {
         f"task.{name}": "write it as a task file or a class derived from BaseTask"
         for name in (
             "custom_task",
-            "radar_navigation_task",
             "position_setpoint_task_reconfigurable",
             "position_setpoint_task_morphy",
         )
@@ -157,6 +156,7 @@ GONE: dict[str, str] = {
             "position_setpoint_task_sim2real_end_to_end",
             "position_setpoint_task_sim2real_px4",
             "lidar_navigation_task",
+            "radar_navigation_task",
         )
     },
     "utils": "helpers that have a counterpart are listed there",

@@ -53,7 +53,6 @@ ABSENT: dict[str, dict[str, str]] = {
         (
             "position_setpoint_task_reconfigurable",
             "position_setpoint_task_morphy",
-            "radar_navigation_task",
             "dce_navigation_task",
         ),
         _TASK,

@@ -244,6 +244,9 @@ class DistillCfg(LearnerCfg):
 
 Section = TypeVar("Section", bound=LearnerCfg)
 
+ALIKE = {"radar_navigation_task": "lidar_navigation_task"}
+"""Tasks that are trained with the settings of another one, as long as they have none of their own."""
+
 SECTIONS = {"apg": "apg", "distill": "distill"}
 """Section of the settings that a trainer reads, where it is not ``ppo``."""
 
@@ -354,17 +357,18 @@ class TrainingCfg:
 def settings_for(trainer: str, task: str, *, device: str = "auto") -> Path:
     """Return the file of settings that come with the package for a trainer, a task and a kind of device.
 
-    A task without settings of its own gets those of the position task, and a level of a race (``.toml``) those of
-    ``racing_task``; the file's name is printed with the run.
+    A task without settings of its own gets those of the one in ``ALIKE``, a level of a race (``.toml``) those of ``racing_task``,
+    others those of the position task; the file's name is printed with the run.
 
     Raises:
         UnknownNameError: If there is no such trainer.
     """
     if trainer not in TRAINERS:
         raise UnknownNameError(f"no trainer {trainer!r}. Known: {', '.join(TRAINERS)}")
-    known = "racing" if task.endswith(".toml") else task.removesuffix("_task")
-    found = [TRAINING_CONFIGS / f"{trainer}_{name}.yaml" for name in (known, "position_setpoint")]
-    own = found[0] if found[0].exists() else found[1]
+    like = "racing_task" if task.endswith(".toml") else ALIKE.get(task, task)
+    tasks = (task, like, "position_setpoint_task")
+    found = [TRAINING_CONFIGS / f"{trainer}_{name.removesuffix('_task')}.yaml" for name in tasks]
+    own = next((path for path in found if path.exists()), found[-1])
     on_cpu = own.with_name(f"{own.stem}_cpu.yaml")
     return on_cpu if on_cpu.exists() and resolve_device(device).type == "cpu" else own
 

@@ -25,6 +25,11 @@ def _there(target_position: Tensor, robot_position: Tensor, radius: float, rewar
     return torch.where((target_position - robot_position).norm(dim=-1) < radius, reward, 0.0)
 
 
+def _forward(robot_linvel: Tensor, robot_orientation: Tensor) -> Tensor:
+    """Return the forward velocity [m/s], vehicle frame, (E,)."""
+    return quat_rotate_inverse(quat_yaw(robot_orientation), robot_linvel)[:, 0]
+
+
 @OBSERVATIONS.term(width=1)
 def heading_error(target_yaw: Tensor, robot_orientation: Tensor) -> Tensor:
     """Return target's yaw minus yaw [rad], in [-pi, pi), (E, 1)."""
@@ -154,9 +159,29 @@ def flight_ahead(
 
     f is the forward velocity [m/s], vehicle frame, 0 where it flies backwards; d the distance to the target [m].
     """
-    ahead = quat_rotate_inverse(quat_yaw(robot_orientation), robot_linvel)[:, 0].clamp_min(0.0)
+    ahead = _forward(robot_linvel, robot_orientation).clamp_min(0.0)
     near = bell((target_position - robot_position).norm(dim=-1), 1.0, near_width)
     return dip(ahead, height, width) * (1.0 - near)
+
+
+@REWARDS.term()
+def flight_backwards(
+    target_position: Tensor,
+    robot_position: Tensor,
+    robot_linvel: Tensor,
+    robot_orientation: Tensor,
+    *,
+    height: float,
+    width: float,
+    near_width: float,
+) -> Tensor:
+    """Return ``height (exp(-width b²) - 1) (1 - exp(-near_width d²))``, (E,): for a robot that sees what is ahead of it.
+
+    b is the backward velocity [m/s], vehicle frame, 0 where it flies ahead; d the distance to the target [m].
+    """
+    back = (-_forward(robot_linvel, robot_orientation)).clamp_min(0.0)
+    near = bell((target_position - robot_position).norm(dim=-1), 1.0, near_width)
+    return dip(back, height, width) * (1.0 - near)
 
 
 @REWARDS.term()

@@ -1,0 +1,123 @@
+"""The radar navigation task: how it differs from the lidar navigation task, and what it sees."""
+
+from dataclasses import replace
+from functools import cache
+from math import exp, pi
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym import task_registry
+from aerial_gym.rl_training import load_settings, settings_for
+from aerial_gym.task import Task
+from tests.unit.task.hover import built
+from tests.unit.task.rewards import reward_of
+from tests.unit.task.test_lidar_navigation import CFG as LIDAR
+from tests.unit.task.test_lidar_navigation import at_the_goal
+from tests.unit.task.test_lidar_navigation import make as make_lidar
+
+CFG = task_registry.get("radar_navigation_task")
+SHARE = 0.8
+"""Of cells without a return."""
+
+
+@cache
+def task() -> Task:
+    """Return the task without noise of the state; all tests may move it on."""
+    quiet = {"policy": tuple(replace(entry, noise_std=0.0) for entry in CFG.observations["policy"])}
+    made = built(replace(CFG, observations=quiet), 16)
+    made.reset()
+    return made
+
+
+def test_it_is_the_lidar_task_but_for_what_it_says() -> None:
+    *state, cells = CFG.observations["policy"]
+    rewards = {name: entry for name, entry in CFG.rewards.items() if name != "backwards"}
+    assert (cells.term, cells.dropout, cells.dropout_value, CFG.rewards["backwards"].term) == (
+        "inverse_nearest", SHARE, -1.0, "flight_backwards",
+    )  # fmt: skip
+    assert (CFG.env, CFG.robot, CFG.start) == ("env_with_obstacles", "lmf2_radar", None)
+    assert CFG.curriculum is not None
+    assert LIDAR.curriculum is not None
+    assert (CFG.curriculum.min_level, CFG.curriculum.max_level) == (25, task().env.asset_manager.num_assets)
+    as_lidar = replace(
+        CFG,
+        observations={"policy": (*state, replace(cells, dropout=0.0, dropout_value=0.0))},
+        rewards=rewards | {"ahead": replace(CFG.rewards["backwards"], term="flight_ahead")},
+        curriculum=replace(CFG.curriculum, max_level=LIDAR.curriculum.max_level),
+        **{name: getattr(LIDAR, name) for name in ("env", "robot", "start", "summary", "source")},
+    )
+    assert as_lidar == LIDAR
+
+
+def test_the_observation_is_laid_out_as_documented() -> None:
+    """13 numbers of the state with the heading error at 6, 4 of the command, 320 of the radar, -1 where nothing returns."""
+    obs, *_ = task().step(torch.tensor([0.2, -0.5, 2.0, 0.3]).expand(16, 4))
+    seen, gtd = obs["observations"], task().env.gtd
+    assert seen.shape == (16, 337)
+    assert task().observation_space["observations"].shape == (337,)
+    torch.testing.assert_close(seen[:, 3], (task().target_position - gtd["robot_position"]).norm(dim=-1))
+    torch.testing.assert_close(seen[:, 4:6], gtd["robot_euler_angles"][:, :2], rtol=0.0, atol=1e-5)
+    turned = seen[:, 6] + gtd["robot_euler_angles"][:, 2] - task().values["target_yaw"]
+    torch.testing.assert_close(torch.cos(turned), torch.ones(16))
+    assert torch.equal(seen[:, 7:13], torch.cat((gtd["robot_body_linvel"], gtd["robot_body_angvel"]), dim=-1))
+    command = torch.tensor([0.4, -1.0, 2.0, 0.3 * pi / 3])  # m/s², world, the third clamped; rad/s
+    torch.testing.assert_close(seen[:, 13:17], command.expand(16, 4), rtol=1e-6, atol=1e-6)
+    image = gtd["depth_range_pixels"][:, 0]
+    nearest = torch.where(image < 0.0, 10.0, image).view(16, 16, 3, 20, 6).amin(dim=(2, 4)).flatten(1)
+    cells = seen[:, 17:]
+    returned = cells != -1.0
+    torch.testing.assert_close(cells[returned], 1.0 / nearest[returned], rtol=1e-6, atol=0.0)
+    assert returned.any()
+
+
+def test_so_many_cells_give_no_return() -> None:
+    """Over 12 steps of 16 vehicles, and of each cell of the image, within 5 standard deviations of a binomial."""
+    lost = torch.stack([task().step(torch.zeros(16, 4))[0]["observations"][:, 17:] == -1.0 for _ in range(12)]).double()
+    for share, draws in ((lost.mean(), lost.numel()), (lost.mean(dim=(0, 1)), 12 * 16)):
+        assert float((share - SHARE).abs().max()) < 5.0 * (SHARE * (1.0 - SHARE) / draws) ** 0.5
+    same = (lost[1:] == lost[:-1]).double().mean().item()
+    assert same == pytest.approx(SHARE**2 + (1.0 - SHARE) ** 2, abs=0.02)  # drawn anew at every step
+
+
+def states(rows: int = 64) -> dict[str, Tensor]:
+    """Return flights in all directions, about the goal and away from it."""
+    generator = torch.Generator().manual_seed(0)
+
+    def drawn(*shape: int) -> Tensor:
+        return torch.randn(rows, *shape, generator=generator, dtype=torch.float64)
+
+    found = {name: drawn(value.shape[1]) for name, value in at_the_goal().items() if value.ndim == 2}
+    found["robot_orientation"] /= found["robot_orientation"].norm(dim=-1, keepdim=True)
+    found |= {name: drawn().abs() for name in ("robot_clearance", "previous_clearance")} | {"target_yaw": drawn()}
+    return found | {name: torch.tensor(0.5, dtype=torch.float64) for name in ("step_time", "difficulty")}
+
+
+def test_the_reward_differs_from_the_lidar_tasks_by_the_direction_alone() -> None:
+    """2 (exp(-8 v²) - 1) (1 - exp(-2 d²)) of the speed v backwards, there ahead; doubled half way up the levels."""
+    values = states()
+    q, velocity = values["robot_orientation"], values["robot_linvel"]
+    yaw = torch.atan2(2.0 * (q[:, 3] * q[:, 2] + q[:, 0] * q[:, 1]), 1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2))
+    forward = torch.cos(yaw) * velocity[:, 0] + torch.sin(yaw) * velocity[:, 1]
+    away = (values["target_position"] - values["robot_position"]).square().sum(-1)
+    cost = 2.0 * (torch.exp(-8.0 * forward**2) - 1.0) * (1.0 - torch.exp(-2.0 * away))
+    expected = 2.0 * torch.where(forward < 0.0, cost, -cost)
+    found = reward_of(task(), values) - reward_of(make_lidar(1), values)
+    torch.testing.assert_close(found, expected, rtol=0.0, atol=1e-9)
+    assert float(found.abs().max()) > 3.0
+
+
+@pytest.mark.parametrize(("side", "expected"), [(-1.0, 2.7), (1.0, 2.7 + 2.0 * (exp(-32.0) - 1.0))])
+def test_flight_ahead_costs_nothing(side: float, expected: float) -> None:
+    """6 m away, straight to the goal at 2 m/s: 2 + 14/20, nose first; less 2 backwards."""
+    state = at_the_goal(robot_position=[6.0 * side, 0.0, 0.0], robot_linvel=[-2.0 * side, 0.0, 0.0])
+    values = state | {"difficulty": torch.tensor(0.0, dtype=torch.float64)}
+    assert reward_of(task(), values).item() == pytest.approx(expected, abs=2e-6)
+
+
+def test_it_is_trained_with_the_settings_of_the_lidar_task() -> None:
+    file = settings_for("ppo", "radar_navigation_task", device="cuda")
+    assert file == settings_for("ppo", "lidar_navigation_task", device="cuda")
+    assert load_settings(file).task == "lidar_navigation_task"  # the command line puts its own in this place
+    assert settings_for("rl_games", "radar_navigation_task") == settings_for("rl_games", "position_setpoint_task")
