@@ -76,7 +76,7 @@ def rich(num_envs: int, **given: Any) -> Task:
             "policy": (
                 ObservationCfg(term="position_error_world", noise_std=0.01, delay_steps=(0, 4), history=3, scale=0.5),
                 ObservationCfg(term="velocity_error_world", delay_steps=2),
-                ObservationCfg(term="attitude", noise_std=0.02),
+                ObservationCfg(term="attitude", noise_std=0.02, dropout=0.3, dropout_value=-2.0),
                 ObservationCfg(term="policy_action"),
             ),
             "critic": (

@@ -13,7 +13,10 @@ from aerial_gym.task.terms.term import Term
 from tests.unit.task.navigation import make
 
 
-@pytest.fixture(scope="module", params=["position_setpoint_task", "navigation_task", "lidar_navigation_task"])
+@pytest.fixture(
+    scope="module",
+    params=["position_setpoint_task", "navigation_task", "lidar_navigation_task", "radar_navigation_task"],
+)
 def flown(request: pytest.FixtureRequest) -> Task:
     """A task after some steps of random actions."""
     task = make(5, camera=True) if request.param == "navigation_task" else task_registry.make_task(

@@ -37,7 +37,7 @@ def with_everything() -> TaskCfg:
                 ObservationCfg(term="rotation_rows"),
                 ObservationCfg(term="last_action"),
                 ObservationCfg(term="policy_action"),
-                ObservationCfg(term="roll_pitch", delay_steps=1),
+                ObservationCfg(term="roll_pitch", delay_steps=1, dropout=0.3, dropout_value=2.0),
             ),
             "critic": (ObservationCfg(term="lin_vel_body"), ObservationCfg(term="ang_vel_body")),
         },
