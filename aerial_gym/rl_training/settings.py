@@ -244,7 +244,7 @@ class DistillCfg(LearnerCfg):
 
 Section = TypeVar("Section", bound=LearnerCfg)
 
-ALIKE = {"radar_navigation_task": "lidar_navigation_task"}
+ALIKE = {"radar_navigation_task": "lidar_navigation_task", "racing_random_track_task": "racing_task"}
 """Tasks that are trained with the settings of another one, as long as they have none of their own."""
 
 SECTIONS = {"apg": "apg", "distill": "distill"}
@@ -357,8 +357,8 @@ class TrainingCfg:
 def settings_for(trainer: str, task: str, *, device: str = "auto") -> Path:
     """Return the file of settings that come with the package for a trainer, a task and a kind of device.
 
-    A task without settings of its own gets those of the one in ``ALIKE``, a level of a race (``.toml``) those of ``racing_task``,
-    others those of the position task; the file's name is printed with the run.
+    A task without settings of its own gets those of the one in ``ALIKE``, or of the position task, and a level of a race
+    (``.toml``) those of ``racing_task``; the file's name is printed with the run.
 
     Raises:
         UnknownNameError: If there is no such trainer.
