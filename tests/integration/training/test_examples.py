@@ -1,6 +1,8 @@
 """Examples run as they stand, shortly."""
 
+import re
 import runpy
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -28,3 +30,43 @@ def test_a_student_of_noisy_sensors_learns_from_its_teacher(
     runpy.run_path(str(EXAMPLES / "student_of_noise.py"), run_name="__main__")
     told = capsys.readouterr().out
     assert all(f"{run}: " in told for run in ("teacher", "student", "forgetful"))
+
+
+Told = Callable[..., list[tuple[str, list[float]]]]
+"""From a file in ``examples/tasks`` and its arguments to what it prints: of each line what stands before the colon, and its numbers."""
+
+
+@pytest.fixture
+def told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Told:
+    def run(name: str, *arguments: object) -> list[tuple[str, list[float]]]:
+        monkeypatch.syspath_prepend(str(EXAMPLES / "tasks"))
+        monkeypatch.setattr("sys.argv", [name, *map(str, arguments)])
+        runpy.run_path(str(EXAMPLES / "tasks" / name), run_name="__main__")
+        lines = [line.partition(": ") for line in capsys.readouterr().out.splitlines()]
+        return [(what, [float(number) for number in re.findall(r"[\d.]+(?=%| m)", rest)]) for what, _, rest in lines]
+
+    return run
+
+
+def test_a_law_holds_a_point_by_body_rates_and_by_rotor_thrusts(told: Told) -> None:
+    """A thrown vehicle starts in any attitude: a wrong axis or angle loses it."""
+    caught = told("hold.py", 64, "recovery_task", "position_setpoint_task_sim2real_px4")
+    assert all(lost < 15.0 for _, (lost, *_) in caught)
+    assert all(error < 0.01 and stay == 100.0 for what, (_, error, stay, _) in caught if "px4" in what)
+
+
+@pytest.mark.slow
+def test_a_law_holds_a_point_by_attitude_velocities_and_accelerations(told: Told) -> None:
+    sims = ("position_setpoint_task", "position_setpoint_task_sim2real", "position_setpoint_task_acceleration_sim2real")
+    for _, (lost, error, stay, _) in told("hold.py", 16, *sims):
+        assert lost == 0.0
+        assert error < 0.02
+        assert stay == 100.0
+
+
+@pytest.mark.slow
+def test_a_law_that_leads_follows_more_closely(told: Told, tmp_path: Path) -> None:
+    (_, (_, behind)), (_, (_, near)), (_, (_, far)), (_, (_, less)) = told("follow.py", tmp_path / "out.png", 16)
+    assert near < 0.25 * behind
+    assert less < far
+    assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")

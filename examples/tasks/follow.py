@@ -1,0 +1,50 @@
+"""A point on a figure eight, with and without its acceleration as a lead: ``python examples/tasks/follow.py OUT.png [STARTS]``.
+
+Flies ``tracking_task`` and ``agile_tracking_task`` by ``LeePilot`` from fresh starts, prints the distance in the last second
+[m] and draws the second half of one flight each. Needs matplotlib (``pip install 'aerial-gym[sim2real]'``).
+"""
+
+import sys
+
+import torch
+from lee_pilot import LeePilot
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from aerial_gym import task_registry
+from aerial_gym.rl_training import Evaluation, evaluate
+
+
+def flown(name: str, starts: int, *, lead: bool) -> tuple[Evaluation, Tensor, Tensor]:
+    """Return figures of all flights, and where the first robot and its target were in each step [m], (steps, 3) each."""
+    robot, target = [], []
+    with task_registry.make_task(name, num_envs=starts, device="cpu", seed=1) as task:
+
+        def keep(step: int, steps: int) -> None:
+            if step < steps:  # after the last one another episode has begun
+                robot.append(task.env.gtd["robot_position"][0].clone())
+                target.append(task.target_position[0].clone())
+
+        found = evaluate(LeePilot(task, lead=lead), task, on_step=keep)
+    return found, torch.stack(robot), torch.stack(target)
+
+
+def main(out: str, starts: int) -> None:
+    """Print the errors, write the picture."""
+    figure = Figure(figsize=(9.0, 4.0), layout="constrained")
+    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    for name, axes in zip(("tracking_task", "agile_tracking_task"), panels, strict=True):
+        for lead, label in ((False, "by its place and velocity"), (True, "and by its acceleration")):
+            found, robot, target = flown(name, starts, lead=lead)
+            error = "nowhere" if found.final_error_mean_m is None else f"{found.final_error_mean_m:.2f} m away"
+            print(f"{name}, {label}: {found.crash_rate:.1%} lost, the others end {error}")
+            half = len(robot) // 2
+            axes.plot(*robot[half:, :2].T.numpy(), label=f"{label}: {error}")
+        axes.plot(*target[half:, :2].T.numpy(), "k:", label="target")
+        axes.set(title=name, xlabel="x [m]", ylabel="y [m]", aspect="equal")
+        axes.legend(fontsize="small")
+    figure.savefig(out, dpi=80)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 64)
