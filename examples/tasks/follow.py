@@ -1,7 +1,7 @@
 """A point on a figure eight, with and without its acceleration as a lead: ``python examples/tasks/follow.py OUT.png [STARTS]``.
 
 Flies ``tracking_task`` and ``agile_tracking_task`` by ``LeePilot`` from fresh starts, prints the distance in the last second
-[m] and draws the second half of one flight each. Needs matplotlib (``pip install 'aerial-gym[sim2real]'``).
+[m] and draws the last two thirds of one flight each. Needs matplotlib (``pip install 'aerial-gym[sim2real]'``).
 """
 
 import sys
@@ -38,11 +38,11 @@ def main(out: str, starts: int) -> None:
             found, robot, target = flown(name, starts, lead=lead)
             error = "nowhere" if found.final_error_mean_m is None else f"{found.final_error_mean_m:.2f} m away"
             print(f"{name}, {label}: {found.crash_rate:.1%} lost, the others end {error}")
-            half = len(robot) // 2
-            axes.plot(*robot[half:, :2].T.numpy(), label=f"{label}: {error}")
-        axes.plot(*target[half:, :2].T.numpy(), "k:", label="target")
+            late = len(robot) // 3
+            axes.plot(*robot[late:, :2].T.numpy(), label=f"{label}: {error}")
+        axes.plot(*target[late:, :2].T.numpy(), "k:", label="target")
         axes.set(title=name, xlabel="x [m]", ylabel="y [m]", aspect="equal")
-        axes.legend(fontsize="small")
+        axes.legend(fontsize="small", loc="lower center", bbox_to_anchor=(0.5, 1.1))
     figure.savefig(out, dpi=80)
 
 

@@ -33,7 +33,7 @@ def test_a_student_of_noisy_sensors_learns_from_its_teacher(
 
 
 Told = Callable[..., list[tuple[str, list[float]]]]
-"""From a file in ``examples/tasks`` and its arguments to what it prints: of each line what stands before the colon, and its numbers."""
+"""From a file in ``examples/tasks`` and its arguments to its lines: what stands before the colon, and the numbers behind it."""
 
 
 @pytest.fixture
@@ -70,3 +70,17 @@ def test_a_law_that_leads_follows_more_closely(told: Told, tmp_path: Path) -> No
     assert near < 0.25 * behind
     assert less < far
     assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+def test_a_rule_flies_through_obstacles_seen_as_cells_logarithms_and_images(told: Told) -> None:
+    few = told("through_obstacles.py", 32, "navigation_task", "safe_navigation_task", "pixel_navigation_task")[::2]
+    assert all(arrive > 60.0 and crash < 25.0 for _, (arrive, crash) in few)
+    assert len(few) == 3
+
+
+@pytest.mark.slow
+def test_a_rule_flies_backwards_by_lidar(told: Told) -> None:
+    (_, (arrive, crash)), _ = told("backwards_by_lidar.py", 32)
+    assert arrive > 80.0
+    assert crash < 15.0
