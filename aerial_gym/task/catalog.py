@@ -279,6 +279,7 @@ def _radar_navigation() -> TaskCfg:
     So flight backwards is penalised where that task penalises flight ahead.
     """
     task = task_registry.get("lidar_navigation_task")
+    unseen = task.rewards["unseen"]
     assert task.curriculum is not None
     seen = tuple(
         replace(entry, dropout=0.8, dropout_value=-1.0) if entry.term == "inverse_nearest" else entry
@@ -291,10 +292,7 @@ def _radar_navigation() -> TaskCfg:
         robot="lmf2_radar",
         start=None,
         observations={"policy": seen},
-        rewards={
-            name.replace("ahead", "backwards"): replace(entry, term="flight_backwards") if name == "ahead" else entry
-            for name, entry in task.rewards.items()
-        },
+        rewards={**task.rewards, "unseen": replace(unseen, params={**unseen.params, "looks": 1.0})},
         curriculum=replace(task.curriculum, max_level=44),  # there 70, of which 44 exist
         source=(
             f"{task.source}. Aerial Gym Simulator, commit 49598dc, radar_navigation_task: environment, vehicle, start, flight "

@@ -25,11 +25,6 @@ def _there(target_position: Tensor, robot_position: Tensor, radius: float, rewar
     return torch.where((target_position - robot_position).norm(dim=-1) < radius, reward, 0.0)
 
 
-def _forward(robot_linvel: Tensor, robot_orientation: Tensor) -> Tensor:
-    """Return the forward velocity [m/s], vehicle frame, (E,)."""
-    return quat_rotate_inverse(quat_yaw(robot_orientation), robot_linvel)[:, 0]
-
-
 @OBSERVATIONS.term(width=1)
 def heading_error(target_yaw: Tensor, robot_orientation: Tensor) -> Tensor:
     """Return target's yaw minus yaw [rad], in [-pi, pi), (E, 1)."""
@@ -145,43 +140,24 @@ def speeding(robot_linvel: Tensor, *, speed: float, height: float, width: float)
 
 
 @REWARDS.term()
-def flight_ahead(
+def unseen_flight(
     target_position: Tensor,
     robot_position: Tensor,
     robot_linvel: Tensor,
     robot_orientation: Tensor,
     *,
+    looks: float,
     height: float,
     width: float,
     near_width: float,
 ) -> Tensor:
-    """Return ``height (exp(-width f²) - 1) (1 - exp(-near_width d²))``, (E,): for a robot that sees what is behind it.
+    """Return ``height (exp(-width u²) - 1) (1 - exp(-near_width d²))``, (E,), for a robot that looks ahead (1) or back (-1).
 
-    f is the forward velocity [m/s], vehicle frame, 0 where it flies backwards; d the distance to the target [m].
+    u is the velocity to where it does not look [m/s], vehicle frame, 0 to where it does; d the distance to the target [m].
     """
-    ahead = _forward(robot_linvel, robot_orientation).clamp_min(0.0)
+    unseen = (-looks * quat_rotate_inverse(quat_yaw(robot_orientation), robot_linvel)[:, 0]).clamp_min(0.0)
     near = bell((target_position - robot_position).norm(dim=-1), 1.0, near_width)
-    return dip(ahead, height, width) * (1.0 - near)
-
-
-@REWARDS.term()
-def flight_backwards(
-    target_position: Tensor,
-    robot_position: Tensor,
-    robot_linvel: Tensor,
-    robot_orientation: Tensor,
-    *,
-    height: float,
-    width: float,
-    near_width: float,
-) -> Tensor:
-    """Return ``height (exp(-width b²) - 1) (1 - exp(-near_width d²))``, (E,): for a robot that sees what is ahead of it.
-
-    b is the backward velocity [m/s], vehicle frame, 0 where it flies ahead; d the distance to the target [m].
-    """
-    back = (-_forward(robot_linvel, robot_orientation)).clamp_min(0.0)
-    near = bell((target_position - robot_position).norm(dim=-1), 1.0, near_width)
-    return dip(back, height, width) * (1.0 - near)
+    return dip(unseen, height, width) * (1.0 - near)
 
 
 @REWARDS.term()

@@ -33,10 +33,13 @@ def task() -> Task:
 
 def test_it_is_the_lidar_task_but_for_what_it_says() -> None:
     *state, cells = CFG.observations["policy"]
-    rewards = {name: entry for name, entry in CFG.rewards.items() if name != "backwards"}
-    assert (cells.term, cells.dropout, cells.dropout_value, CFG.rewards["backwards"].term) == (
-        "inverse_nearest", SHARE, -1.0, "flight_backwards",
-    )  # fmt: skip
+    unseen = CFG.rewards["unseen"]
+    assert (cells.term, cells.dropout, cells.dropout_value, unseen.params["looks"]) == (
+        "inverse_nearest",
+        SHARE,
+        -1.0,
+        1.0,
+    )
     assert (CFG.env, CFG.robot, CFG.start) == ("env_with_obstacles", "lmf2_radar", None)
     assert CFG.curriculum is not None
     assert LIDAR.curriculum is not None
@@ -44,7 +47,7 @@ def test_it_is_the_lidar_task_but_for_what_it_says() -> None:
     as_lidar = replace(
         CFG,
         observations={"policy": (*state, replace(cells, dropout=0.0, dropout_value=0.0))},
-        rewards=rewards | {"ahead": replace(CFG.rewards["backwards"], term="flight_ahead")},
+        rewards={**CFG.rewards, "unseen": replace(unseen, params={**unseen.params, "looks": -1.0})},
         curriculum=replace(CFG.curriculum, max_level=LIDAR.curriculum.max_level),
         **{name: getattr(LIDAR, name) for name in ("env", "robot", "start", "summary", "source")},
     )

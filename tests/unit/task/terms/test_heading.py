@@ -12,12 +12,12 @@ from aerial_gym.task.terms.heading import (
     aligned_distance_bell,
     aligned_rest_at_target,
     collision_soon,
-    flight_ahead,
     flight_to_target,
     heading_at_target,
     heading_error,
     slow_at_target,
     speeding,
+    unseen_flight,
 )
 
 ORIGIN = torch.zeros(1, 3, dtype=torch.float64)
@@ -120,12 +120,14 @@ def test_speed_costs_above_its_limit(speed: float, expected: float) -> None:
         ((0.0, 0.0, 5.0), 0.0),  # up
     ],
 )
-def test_flight_ahead_costs_where_the_robot_does_not_see(velocity: tuple[float, float, float], expected: float) -> None:
-    """Facing world y, one metre from the target; nose down, as it flies ahead, makes no difference."""
+def test_flight_costs_to_where_the_robot_does_not_look(velocity: tuple[float, float, float], expected: float) -> None:
+    """Facing world y and looking back, one metre from the target; nose down makes no difference, looking ahead mirrors it."""
+    params = {"height": 2.0, "width": 8.0, "near_width": 2.0}
     for pitch in (0.0, 0.4):
-        params = {"height": 2.0, "width": 8.0, "near_width": 2.0}
-        found = flight_ahead(ORIGIN, row(0.0, 0.0, 1.0), row(*velocity), yawed(0.5 * pi, pitch=pitch), **params)
-        assert found.item() == pytest.approx(expected, abs=1e-7)
+        for looks in (-1.0, 1.0):
+            flown = row(*(-looks * axis for axis in velocity))
+            at = (ORIGIN, row(0.0, 0.0, 1.0), flown, yawed(0.5 * pi, pitch=pitch))
+            assert unseen_flight(*at, looks=looks, **params).item() == pytest.approx(expected, abs=1e-7)
 
 
 def test_a_large_command_costs_by_the_difficulty() -> None:
