@@ -21,6 +21,7 @@ import logging
 import os
 import platform
 import sys
+import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib import metadata
@@ -142,7 +143,12 @@ class RunFolder:
         return path
 
     def add_session(self, cfg: TrainingCfg, device: str) -> None:
-        """Append seed, device, versions and machine of this session to ``versions.json``."""
+        """Append seed, device, versions and machine of this session to ``versions.json``.
+
+        Waits until no file of TensorBoard has the present second in its name: one of this session would replace it.
+        """
+        while any(self.path.rglob(f"events.out.tfevents.{int(time.time())}.*")):
+            time.sleep(0.05)
         file = self.path / "versions.json"
         sessions = json.loads(file.read_text(encoding="utf-8")) if file.exists() else []
         sessions.append(
