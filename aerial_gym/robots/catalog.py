@@ -6,6 +6,7 @@ from functools import partial
 from math import pi
 
 from aerial_gym.config import CONFIG_DIR, summary_in
+from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import CapsuleCfg, CollisionCfg, RobotCfg, SphereCfg, load_robot
 from aerial_gym.registry import Registry
 
@@ -63,6 +64,15 @@ def _in_gusts(robot: RobotCfg) -> RobotCfg:
     """Wind that wanders about zero by 3 m/s on each axis, within a second."""
     effects = {**robot.effects, "gusts": {"std": 3.0, "corr_time": 1.0}}
     return replace(robot, effects=effects, effects_source=f"{robot.effects_source}. Gusts: chosen")
+
+
+def _sampled(robot: RobotCfg) -> RobotCfg:
+    """Thrust to weight 1.2 to 5, where the robot has 3.26; inertia, lag and torque of rotors from racers to carriers."""
+    factors = {"rotor.thrust_map": (0.368, 1.533), "body.inertia": (0.5, 5.0), "rotor.time_constant": (0.25, 2.5)}
+    factors |= {"rotor.torque_map": (0.3, 5.0)}
+    randomize = {name: RandomizeCfg(distribution="log_uniform", low=a, high=b) for name, (a, b) in factors.items()}
+    com = RandomizeCfg(how="offset", low=(-0.005, -0.005, 0.0), high=(0.005, 0.005, 0.0))
+    return replace(robot, randomize={**randomize, "body.com": com})
 
 
 def _as_arpl_declares(robot: RobotCfg) -> RobotCfg:
@@ -189,6 +199,12 @@ for _name, _of, _change, _summary in (
         "base_quadrotor_with_drag",
         _in_gusts,
         "base_quadrotor_with_drag in gusts of 3 m/s",
+    ),
+    (
+        "sampled_quadrotor",
+        "base_quadrotor",
+        _sampled,
+        "base_quadrotor of which every episode draws thrust, inertia, centre of mass, lag and torque of the rotors",
     ),
     (
         "crazyflie_2x_arpl",

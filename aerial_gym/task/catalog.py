@@ -207,6 +207,7 @@ for _name in (
     "recovery_task",
     "agile_tracking_task",
     "gust_rejection_task",
+    "any_quadrotor_task",
     "racing_task",
 ):
     task_registry.register_later(_name, partial(load, TaskCfg, CONFIG_DIR / "tasks" / f"{_name}.yaml"))

@@ -1,15 +1,17 @@
 """From the configuration of a task to its terms: names are looked up, numbers and the controller are checked."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import torch
 
+from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg, RewardCfg, TerminationCfg
 from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
 from aerial_gym.task.step.shapes import check_number, check_truth, width_of
-from aerial_gym.task.terms.actions import ACTIONS, Action
+from aerial_gym.task.terms.actions import ACTIONS, ROTOR_RANGE, Action
 from aerial_gym.task.terms.catalog import OBSERVATIONS, REWARDS, TERMINATIONS
 from aerial_gym.task.terms.observations import whole
 from aerial_gym.task.terms.term import ACTION, BoundTerm, Term, TermRegistry, bind, checked
@@ -36,6 +38,32 @@ def resolve_action(cfg: TaskCfg, command: tuple[str, ...]) -> tuple[Action, dict
     action = ACTIONS.get(name)
     _check_command(f"action {name}: gives", action.command, cfg, command)
     return action, checked(action.value, cfg.action.params, f"action {name}")
+
+
+def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) -> TaskCfg:
+    """Return a task whose action is ``rotor_range`` with the numbers that this is for a robot; another one as it is.
+
+    An action of -1 and 1 is then the lowest and the highest speed [rad/s] or thrust [N] that a rotor can be told, whichever the
+    controller takes: one policy fits many vehicles.
+
+    Raises:
+        ConfigError: If the controller takes neither.
+    """
+    if cfg.action.transform != ROTOR_RANGE:
+        return cfg
+    ranges: list[tuple[float, float]] = []
+    for name, rotor in zip(command, robot.rotor_types, strict=False):
+        low, high = rotor.thrust_range
+        if name.startswith("speed"):
+            low, high = rotor.speed_at(low), rotor.speed_at(high)
+        elif not name.startswith("thrust") or len(command) != robot.num_rotors:
+            known = "no_control, rotor_speed_control"
+            raise ConfigError(
+                f"action {ROTOR_RANGE}: controller {cfg.controller} tells no rotors. Choose one of {known}"
+            )
+        ranges.append((low, high))
+    low, high = zip(*ranges, strict=True)
+    return replace(cfg, action=replace(cfg.action, transform="affine", params={"low": low, "high": high}))
 
 
 def resolve_groups(cfg: TaskCfg, values: Values, *, num_commands: int) -> dict[str, Observed]:

@@ -27,6 +27,7 @@ from aerial_gym.task.resolve import (
     resolve_groups,
     resolve_rewards,
     resolve_terminations,
+    with_rotor_range,
 )
 from aerial_gym.task.spaces import action_space, key_of, observation_space
 from aerial_gym.task.step.act import Actor, declare_delay
@@ -91,10 +92,11 @@ class Task:
             UnknownNameError: If there is no such term, generator or action, or what it reads.
             ConfigError: If these do not fit together, or not the robot or the environment.
         """
+        num_commands, command = env.robot_manager.num_actions, env.robot_manager.controller.action_names
+        cfg = with_rotor_range(cfg, env.robot_manager.cfg, command)
         self.cfg, self.env = cfg, env
         self.num_envs, self.device = env.num_envs, env.device
         self._gtd = env.gtd
-        num_commands, command = env.robot_manager.num_actions, env.robot_manager.controller.action_names
         action, params = resolve_action(cfg, command)
         self.num_actions = num_commands if action.width is None else action.width
         """Entries of an action, V."""

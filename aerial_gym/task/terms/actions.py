@@ -58,6 +58,9 @@ class ActionRegistry(Registry[Action]):
 ACTIONS = ActionRegistry("action")
 """Transforms by the name that a task configuration uses."""
 
+ROTOR_RANGE = "rotor_range"
+"""Name of an ``affine`` whose numbers are those of the robot's rotors (``task.resolve.with_rotor_range``)."""
+
 
 @ACTIONS.transform()
 def direct(actions: Tensor) -> Tensor:
