@@ -97,3 +97,6 @@ def affine(actions: Tensor, *, low: tuple[float, ...], high: tuple[float, ...]) 
     clamped = actions.clamp(-1.0, 1.0).unbind(-1)
     stretched = [0.5 * (b - a) * (u + 1.0) + a for u, a, b in zip(clamped, low, high, strict=True)]
     return torch.stack(stretched, dim=-1)
+
+
+ACTIONS.register(ROTOR_RANGE, Action(value=affine))  # of which a task fills in the numbers

@@ -8,6 +8,7 @@ import torch
 
 from aerial_gym import SimBuilder, task_registry
 from aerial_gym.config.randomize import RandomizeCfg
+from aerial_gym.config.task_terms import ActionCfg
 from aerial_gym.task import Task
 
 RANDOMIZE = {
@@ -33,7 +34,8 @@ def test_a_step_makes_no_tensor_of_numbers(name: str, randomize: dict, monkeypat
         device="cpu",
         randomize=randomize,
     )
-    task = Task(replace(cfg, controller=controller), env)
+    fits = not randomize or cfg.action.transform != "rotor_range"  # which tells rotors
+    task = Task(replace(cfg, controller=controller, action=cfg.action if fits else ActionCfg()), env)
     task.reset()
     actions = torch.zeros(4, task.action_space.shape[0])
     task.step(actions)
