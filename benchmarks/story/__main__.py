@@ -7,6 +7,7 @@ All flights are those of the independent plant, of setpoints that nothing was fi
 """
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import asdict, dataclass, replace
@@ -82,6 +83,7 @@ class Story:
                 max_time_s=None,
                 max_env_steps=self.steps,
             )
+            shutil.rmtree(folder, ignore_errors=True)  # of a training that was cut off
             train(cfg, folder)
             done.touch()
         return folder

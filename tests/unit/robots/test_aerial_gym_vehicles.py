@@ -64,3 +64,18 @@ def test_variants_differ_by_their_sensor_alone() -> None:
     for name, sensor in (("lmf2_with_camera", "base_depth_camera"), ("lmf2_radar", "fake_radar")):
         assert replace(lmf2, sensors=(sensor,), summary=ROBOTS.get(name).summary) == ROBOTS.get(name)
     assert ROBOTS.get("magpie").sensors == ROBOTS.get("base_quadrotor_with_dome_lidar").sensors
+
+
+@pytest.mark.parametrize(
+    ("robot", "base", "motor", "arm"),
+    [("x500", (0.0139, 0.0139, 0.0246), 0.064, 0.174)]
+    + [(name, (0.013, 0.014, 0.013), 0.01, 0.1) for name in ("lmf1", "lmf2", "magpie")],
+)
+def test_the_inertia_is_that_of_the_body_and_its_four_motors(
+    robot: str, base: tuple[float, float, float], motor: float, arm: float
+) -> None:
+    """Steiner: a motor at (±a, ±a) adds m a² about x and y, and 2 m a² about z; to the four digits of the files."""
+    inertia = ROBOTS.get(robot).body.inertia
+    for axis, share in enumerate((1.0, 1.0, 2.0)):
+        expected = base[axis] + 4.0 * motor * share * arm**2
+        assert inertia[axis][axis] == pytest.approx(expected, rel=2e-3)
