@@ -164,7 +164,13 @@ def decision(
     """Return verdict, reason and candidates."""
     declared = refitted.declared
     known = unexplained.floor is not None
-    made = decide(refitted.selection, unexplained.channels, known, open_to=unexplained.open_to)
+    made = decide(
+        refitted.selection,
+        unexplained.channels,
+        known,
+        open_to=unexplained.open_to,
+        left_open=unexplained.left_open,
+    )
     kind, reason, candidates = unexplained.wind.decision(made) if gusts else made
     if judges_forces(declared.flights) or all(channel.kind != "specific_force" for channel in declared.channels):
         return kind, reason, candidates

@@ -36,16 +36,20 @@ PASSES = 3
 """Of weighing the test flights by what is left of them."""
 
 
-def left_open(test: Predictor, params: ModelParams, selection: Selection) -> Array:
+def left_open(
+    test: Predictor, params: ModelParams, selection: Selection, fitted: NDArray[np.bool_] | None = None
+) -> Array:
     """Return the largest mean square of each channel that tolerances and named effects may leave on test flights, (C,).
 
     Larger ones have the probability ``Criteria.significance``. Parameters of named effects that training does not show have a
-    standard deviation of their scale.
+    standard deviation of their scale. Where training flights are predicted down to noise, parameters that scatter between
+    flights are no surer than their intervals; where not, it is what the model lacks that scatters, which leaves nothing open.
 
     Args:
         test: Test flights.
         params: The final model.
         selection: With its linearisation on the training flights.
+        fitted: Whether noise is all that is left of each channel of the training flights, (C,); None: of all.
     """
     fit = selection.final.fit
     predicted = test.predict(params)
@@ -60,9 +64,17 @@ def left_open(test: Predictor, params: ModelParams, selection: Selection) -> Arr
     )
     product, _ = normal_equations(fit, selection.weights.weight)
     covariance = np.linalg.inv((product + np.diag(precision))[np.ix_(chosen, chosen)])
+    wider = np.ones(chosen.size)
+    for place, std in zip(selection.final.spread.columns, selection.final.spread.std, strict=True):
+        own = np.flatnonzero(chosen == place)
+        wider[own] = np.maximum(1.0, std / np.sqrt(np.diag(covariance)[own]))
     columns = jacobian[:, :, chosen]
     mean_product = np.einsum("rck,rcl->ckl", columns, columns) / columns.shape[0]
-    return quantile_of_squares(mean_product, covariance, selection.criteria.significance)
+    by_noise, by_scatter = (
+        quantile_of_squares(mean_product, one, selection.criteria.significance)
+        for one in (covariance, covariance * np.outer(wider, wider))
+    )
+    return by_scatter if fitted is None else np.where(fitted, by_scatter, by_noise)
 
 
 def quantile_of_squares(product: Array, covariance: Array, significance: float) -> Array:

@@ -93,7 +93,9 @@ def find_unexplained(
     rms = np.minimum(rms, [channel.value for channel in after.residual])  # tolerances only ever explain
     judged = np.array([channel.kind not in not_judged(flights) for channel in test.channels])
     suspected = judged & material_excess(rms, floor, tolerated)
-    limit = left_open(test, params, selection) if suspected.any() else np.zeros(rms.size)
+    seen = train.residuals(within)
+    fitted = ~material_excess(np.sqrt(np.mean(np.square(np.concatenate(seen)), axis=0)), floor, tolerated)
+    limit = left_open(test, params, selection, fitted) if suspected.any() else np.zeros(rms.size)
 
     def remains(floor: Array | None) -> NDArray[np.bool_]:
         return suspected & material_excess(rms, floor, tolerated) & (excess_over(rms, floor) > limit)
@@ -108,7 +110,7 @@ def find_unexplained(
             remaining = remains(floor)
     structure, could = Structure(), ()
     if remaining.any():
-        seen, places = train.residuals(within), np.flatnonzero(remaining).tolist()
+        places = np.flatnonzero(remaining).tolist()
         structure = find_structure(flights, [*train.times, *test.times], [*seen, *left], test.channels, places)
         if structure.kind == "none":  # test flights may be elsewhere, where what the others agree on does not reach
             structure = find_structure(train.flights, train.times, seen, test.channels, places)

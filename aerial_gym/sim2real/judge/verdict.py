@@ -239,9 +239,22 @@ def tied_rivals(name: str, selection: Selection) -> list[str]:
 
 
 def decide(
-    selection: Selection, unexplained: tuple[str, ...], floor_known: bool, *, open_to: Sequence[str] = ()
+    selection: Selection,
+    unexplained: Sequence[str],
+    floor_known: bool,
+    *,
+    open_to: Sequence[str] = (),
+    left_open: Sequence[str] = (),
 ) -> tuple[str, str, tuple[str, ...]]:
-    """Return verdict, reason and candidates; ``open_to`` would make what remains, and training flights do not show it."""
+    """Return verdict, reason and candidates.
+
+    Args:
+        selection: What the training flights ask for.
+        unexplained: Channels of the test flights in which more remains than is allowed.
+        floor_known: Whether the logs show a noise floor.
+        open_to: Effects that would make what remains, and that training flights do not show.
+        left_open: Channels in which more than noise remains, and no more than training flights leave open.
+    """
     tied = {name: tied_rivals(name, selection) for name in selection.accepted}
     candidates = list(selection.accepted)
     for name in selection.accepted:
@@ -264,10 +277,12 @@ def decide(
         start = "no registered effect explains more of the flights than the declared model, but the logs are too slow or short"
         return "none", f"{start} to show a noise floor: whether more than noise remains cannot be told", unique
     if not selection.accepted:
-        return "none", "the declared model explains the flights within noise and tolerances", unique
-    rest = (
-        "what remains is near the noise floor"
-        if floor_known
-        else "the logs are too slow or short to show a noise floor"
-    )
+        rest = f"; what the training flights do not show remains in {', '.join(left_open)}" if left_open else ""
+        return "none", f"the declared model explains the flights within noise and tolerances{rest}", unique
+    if left_open:
+        rest = f"what remains in {', '.join(left_open)} is no more than they leave open: fly more to know it better"
+    elif floor_known:
+        rest = "what remains is near the noise floor"
+    else:
+        rest = "the logs are too slow or short to show a noise floor"
     return "explained", f"the flights show {names}; {rest}", unique

@@ -3,7 +3,7 @@
 Letters: E rows, C channels, R rotors.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -18,6 +18,7 @@ from aerial_gym.sim2real.logs.checks.conventions import body_rate_of
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 from aerial_gym.sim2real.predict.channels import Channel
+from aerial_gym.sim2real.predict.rotor_estimate import RotorEstimate
 from aerial_gym.sim2real.predict.scene import heights, other_at
 
 Array = NDArray[np.float64]
@@ -51,9 +52,23 @@ class Dataset:
     """Flights whose rows are evaluated at once, one after the other."""
 
     def __init__(
-        self, flights: Sequence[Flight], *, bandwidth: float, channels: Sequence[Channel], every_row: bool
+        self,
+        flights: Sequence[Flight],
+        *,
+        rotors: Sequence[RotorEstimate | None],
+        bandwidth: float,
+        channels: Sequence[Channel],
+        every_row: bool,
     ) -> None:
-        """Take flights; ``every_row`` keeps all rows of the log instead of thinning them to the band."""
+        """Take flights.
+
+        Args:
+            flights: With what was measured.
+            rotors: Rotor speeds of each from which it is predicted; None where none were measured.
+            bandwidth: Of the comparison [Hz].
+            channels: What is compared.
+            every_row: Whether all rows of the log are kept instead of thinning them to the band.
+        """
         self.flights, self.bandwidth, self.channels = tuple(flights), bandwidth, tuple(channels)
         self.stride = [1 if every_row else thinned(f, bandwidth) for f in flights]
         self.kept = [self._kept_rows(f, s, every_row) for f, s in zip(flights, self.stride, strict=True)]
@@ -69,7 +84,11 @@ class Dataset:
         rows = [state["attitude"].shape[0] for state in states]
         self.heights, self.other = heights(flights, rows), torch.cat(others)
         self.simulated = all(flight.rotor_speed is None for flight in flights)
-        self.speed = None if self.simulated else torch.cat([self._thin(i, "rotor_speed") for i in range(len(flights))])
+        turning = [(i, rotor) for i, rotor in enumerate(rotors) if rotor is not None]
+        self.speed = torch.cat([self.thinned(i, rotor.speed) for i, rotor in turning]) if turning else None
+        self.unsure_speed = (
+            torch.cat([self._of_modes(i, rotor, self.thinned) for i, rotor in turning], dim=1) if turning else None
+        )
 
         accelerometers = all(flight.specific_force is not None for flight in flights)
         self.force = (
@@ -79,8 +98,11 @@ class Dataset:
         felt = torch.tensor([flight.accelerometer for flight in flights])
         self.felt_force = felt[torch.from_numpy(self.flight)].unsqueeze(1)
         self.ang_acc = torch.cat([self._derivative(i, "ang_vel") for i in range(len(flights))])
-        self.spin_up = (
-            None if self.simulated else torch.cat([self._derivative(i, "rotor_speed") for i in range(len(flights))])
+        self.spin_up = torch.cat([self.derivative_of(i, rotor.speed) for i, rotor in turning]) if turning else None
+        self.unsure_spin_up = (
+            torch.cat([self._of_modes(i, rotor, self.derivative_of) for i, rotor in turning], dim=1)
+            if turning
+            else None
         )
         self.kinematic_force, self.kinematic_rate = (
             torch.cat([of(i) for i in range(len(flights))]) for of in (self._implied_force, self._implied_rate)
@@ -89,6 +111,11 @@ class Dataset:
         self.implied = [
             {kind: self.slow(i, rows[self.spans[i]]) for kind, rows in implied.items()} for i in range(len(flights))
         ]
+
+    @staticmethod
+    def _of_modes(index: int, rotor: RotorEstimate, at_rows: Callable[[int, Array], Tensor]) -> Tensor:
+        """Return what is unsure of a flight's rotors at its rows, mode by mode, (R, E, R)."""
+        return torch.stack([at_rows(index, mode) for mode in rotor.unsure])
 
     def slow(self, index: int, rows: Array) -> Array:
         """Return values at the rows of a flight (E, any) in the band, (rows kept, any)."""

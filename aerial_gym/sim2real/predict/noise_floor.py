@@ -17,10 +17,11 @@ from scipy.optimize import nnls
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.logs.signals import lowpass_gain, without_line
+from aerial_gym.sim2real.logs.signals import lowpass, lowpass_gain, without_line
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.rotor_estimate import RotorEstimate, as_measured, estimate_rotors
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 
 Array = NDArray[np.float64]
@@ -75,17 +76,40 @@ def of_all_flights(floors: Sequence[Array | None]) -> Array | None:
 def floor_of_flight(
     robot: RobotCfg, flight: Flight, point: ModelParams, channels: Sequence[Channel], bandwidth: float
 ) -> Array | None:
-    """Return the floor (rms) of each channel of one flight, (C,); None where its log is too slow to tell."""
-    predictor = wide_predictor(robot, flight, channels)
-    residual = predictor.residuals(point)[0][longest_flight(flight, predictor.times[0], bandwidth)]
-    readings = [is_reading(channel, flight) for channel in channels]
-    return floor_of_columns(residual, flight.rate, bandwidth, readings)
+    """Return the floor (rms) of each channel of one flight, (C,); None where its log is too slow to tell.
+
+    The level is that of a prediction from measured rotor speeds. Of its noise N a prediction from expected ones has the share
+    s of motion, and differs from it by ``(1 - s)² (N + S) = (1 - s) N``: what the two differ by is taken off, as far as the
+    noise of what is predicted allows.
+    """
+    readings, rate = [is_reading(channel, flight) for channel in channels], flight.rate
+    as_logged = wide_predictor(robot, flight, channels, [as_measured(flight)])
+    rows = longest_flight(flight, as_logged.times[0], bandwidth)
+    floor = floor_of_columns(as_logged.residuals(point)[0][rows], rate, bandwidth, readings)
+    expected = estimate_rotors(robot, [flight], bandwidth)
+    if floor is None or expected[0] is None:
+        return floor
+    quiet = wide_predictor(robot, flight, channels, expected)
+    apart = (as_logged.predict(point)[0] - quiet.predict(point)[0])[rows]
+    least = floor_of_columns(as_logged.measured[0][rows], rate, bandwidth, readings)
+    assert least is not None
+    left = floor**2 - (lowpass(apart, rate, bandwidth) ** 2).mean(axis=0)
+    return np.sqrt(np.maximum(left, np.minimum(floor, least) ** 2))
 
 
-def wide_predictor(robot: RobotCfg, flight: Flight, channels: Sequence[Channel]) -> Predictor:
-    """Return what predicts every row of a flight up to frequencies above the band of a comparison."""
-    wide = WIDE_BAND * flight.rate
-    return Predictor(robot, [flight], bandwidth=wide, channels=channels, tolerances=Tolerances(), every_row=True)
+def wide_predictor(
+    robot: RobotCfg, flight: Flight, channels: Sequence[Channel], rotors: Sequence[RotorEstimate | None]
+) -> Predictor:
+    """Return what predicts every row of a flight up to frequencies above the band of a comparison, from some rotor speeds."""
+    return Predictor(
+        robot,
+        [flight],
+        bandwidth=WIDE_BAND * flight.rate,
+        channels=channels,
+        tolerances=Tolerances(),
+        every_row=True,
+        rotors=rotors,
+    )
 
 
 def floor_of_columns(values: Array, rate: float, bandwidth: float, readings: Sequence[bool]) -> Array | None:

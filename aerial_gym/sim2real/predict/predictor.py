@@ -57,6 +57,7 @@ from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at, ke
 from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
 from aerial_gym.sim2real.predict.replay.memory import remembered_along
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
+from aerial_gym.sim2real.predict.rotor_estimate import RotorEstimate, estimate_rotors
 from aerial_gym.sim2real.predict.rows import expand_model, with_known_wind
 from aerial_gym.sim2real.predict.slow_columns import SlowColumns
 from aerial_gym.sim2real.predict.tolerances import (
@@ -65,6 +66,7 @@ from aerial_gym.sim2real.predict.tolerances import (
     deviate,
     deviated,
     joint_start,
+    rotor_motion,
     sensor_biases,
 )
 
@@ -84,7 +86,7 @@ REPLAYS = 3
 MOST_ROWS = 16000
 """Flights are evaluated together up to so many rows: more of them leave the processor's cache, and take longer each."""
 
-PREDICTIONS = 128
+PREDICTIONS = 256
 """Predictions kept: a fit begins where a first look at the same effect has been, and both begin at the present model."""
 
 
@@ -114,7 +116,7 @@ class _Together:
     def felt(self, point: ModelParams) -> list[Array]:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
         vehicle, deviation = self._vehicle(point)
-        _, condition = self._flown(point, vehicle, self._speeds(point, vehicle, deviation))
+        _, condition = self._flown(point, vehicle, self._speeds(point, vehicle, deviation), deviation)
         rows = felt_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed).numpy()
         return [self.data.slow(index, rows[span]) for index, span in enumerate(self.data.spans)]
 
@@ -122,7 +124,7 @@ class _Together:
         """Return how the load swings along each flight."""
         vehicle, deviation = self._vehicle(point)
         speeds = self._speeds(point, vehicle, deviation)
-        model, condition = self._flown(point, vehicle, speeds)
+        model, condition = self._flown(point, vehicle, speeds, deviation)
         state = BodyState(rotor_speed=condition.rotor_speed, **self.data.state)
         load = self._swing(model, state, condition, self._remembered(model, speeds, deviation), deviation).numpy()
         return [
@@ -155,7 +157,7 @@ class _Together:
         kinds = {channel.kind for channel in self.data.channels} - {"rotor_speed"}
         if not kinds:
             return {}
-        model, condition = self._flown(point, vehicle, speeds)
+        model, condition = self._flown(point, vehicle, speeds, deviation)
         state = BodyState(rotor_speed=condition.rotor_speed, **self.data.state)
         remembered = self._remembered(model, speeds, deviation)
         load = self._swing(model, state, condition, remembered, deviation) if model.effects[LoadEffect] else None
@@ -204,15 +206,16 @@ class _Together:
         }
 
     def _flown(
-        self, point: ModelParams, vehicle: Vehicle, speeds: list[Array | None] | None
+        self, point: ModelParams, vehicle: Vehicle, speeds: list[Array | None] | None, deviation: Tensor
     ) -> tuple[Model, Condition]:
         """Return the model in every row, and what its effects see there."""
         model = expand_model(self._model(point, vehicle), self.data.state["attitude"].shape[0])
         model = with_known_wind(model, self.data.flights, self.data.flight)
-        key = _seen_by_condition(model)
+        motion = rotor_motion(deviation)
+        key = (*_seen_by_condition(model), motion.numpy().tobytes())
         known = self._conditions.get(key)
         if known is None or known[0] is not speeds:
-            speed, spin_up = self._turning(model, speeds)
+            speed, spin_up = self._turning(model, speeds, motion)
             known = speeds, condition_in(model, BodyState(rotor_speed=speed, **self.data.state), spin_up)
             self._conditions[key] = known
             while len(self._conditions) > CONDITIONS:
@@ -220,15 +223,22 @@ class _Together:
         self._conditions.move_to_end(key)
         return model, known[1].of_vehicle(model.vehicle)
 
-    def _turning(self, model: Model, speeds: list[Array | None] | None) -> tuple[Tensor, Tensor]:
-        """Return true rotor speeds [rad/s] and their accelerations [rad/s²] in every row, (E, R)."""
-        if self.data.speed is None or self.data.spin_up is None:
+    def _turning(self, model: Model, speeds: list[Array | None] | None, motion: Tensor) -> tuple[Tensor, Tensor]:
+        """Return true rotor speeds [rad/s] and their accelerations [rad/s²] in every row, (E, R).
+
+        ``motion`` (R,): how many standard deviations more than expected the rotors moved in each mode.
+        """
+        data = self.data
+        if data.speed is None or data.spin_up is None or data.unsure_speed is None or data.unsure_spin_up is None:
             assert speeds is not None
             replayed = [(i, s) for i, s in enumerate(speeds) if s is not None]
             speed = torch.cat([self.data.thinned(i, s) for i, s in replayed])
             spin_up = torch.cat([self.data.derivative_of(i, s) for i, s in replayed])
         else:
-            speed, spin_up = self.data.speed, self.data.spin_up
+            speed, spin_up = data.speed, data.spin_up
+            if motion.any():
+                speed = speed + torch.tensordot(motion, data.unsure_speed, dims=1)
+                spin_up = spin_up + torch.tensordot(motion, data.unsure_spin_up, dims=1)
             for effect, params in model.effects[RotorSensorEffect]:
                 speed, spin_up = effect.true_speed(speed, params), effect.true_speed(spin_up, params)
         return speed, spin_up
@@ -323,18 +333,36 @@ class Predictor:
         channels: Sequence[Channel],
         tolerances: Tolerances,
         every_row: bool = False,
+        rotors: Sequence[RotorEstimate | None] | None = None,
     ) -> None:
-        """Take the flights; ``every_row`` keeps all rows of the log instead of thinning them to the band."""
+        """Take the flights.
+
+        Args:
+            robot: As declared.
+            flights: With what was measured.
+            bandwidth: Of the comparison [Hz].
+            channels: What is compared.
+            tolerances: How well the robot is declared.
+            every_row: Whether all rows of the log are kept instead of thinning them to the band.
+            rotors: Rotor speeds from which is predicted; None: what is expected in this band.
+        """
         self.robot, self.flights, self.bandwidth = robot, tuple(flights), bandwidth
         self.channels, self.tolerances = tuple(channels), tolerances
         simulated = [flight.rotor_speed is None for flight in flights]
         if any(simulated) and not all(simulated):
             raise DataError("some flights have measured rotor speeds and some have not; give flights of one kind")
+        turning = estimate_rotors(robot, flights, bandwidth) if rotors is None else rotors
         rows = [flight.num_rows // (1 if every_row else thinned(flight, bandwidth)) for flight in flights]
         self._parts = [
             _Together(
                 robot,
-                Dataset(self.flights[part], bandwidth=bandwidth, channels=channels, every_row=every_row),
+                Dataset(
+                    self.flights[part],
+                    rotors=turning[part],
+                    bandwidth=bandwidth,
+                    channels=channels,
+                    every_row=every_row,
+                ),
                 tolerances,
             )
             for part in together(rows)
@@ -388,6 +416,8 @@ class Predictor:
         biases = () if point.deviation is None else sensor_biases(self.tolerances, torch.from_numpy(point.deviation))
         sensors = [(place, bias.numpy().tobytes()) for place, bias in enumerate(biases) if bias.any()]
         numbers = [rows.numpy().tobytes() for rows in vehicle.rows().values()]
+        if point.deviation is not None and (motion := rotor_motion(torch.from_numpy(point.deviation))).any():
+            sensors.append((len(biases), motion.numpy().tobytes()))
         others_key = key_of(ModelParams(effects=others))
         return (*numbers, *sensors, off.command_shift, off.joint_start, others_key, point.learned)
 

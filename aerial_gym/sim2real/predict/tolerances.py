@@ -1,7 +1,8 @@
 """How well a carefully declared vehicle is known: errors that are no effect, and what they do to a prediction.
 
 A number of a robot file was weighed or measured once, with the standard deviations below. What they can explain is not
-called an effect, and the intervals of the effects carry them. Letters: E environments, R rotors, N tolerances.
+called an effect, and the intervals of the effects carry them. Of the same kind is what noise leaves unsure of how much the
+rotors moved: its size comes from each log (``rotor_estimate``). Letters: E environments, R rotors, N tolerances.
 """
 
 from collections.abc import Collection
@@ -59,7 +60,7 @@ class Tolerances:
 
     def names(self, num_rotors: int) -> tuple[str, ...]:
         """Return the names of the N tolerances, in the order of ``Deviation``."""
-        rotors = [f"thrust_{number}" for number in range(1, num_rotors + 1)]
+        rotors = [f"{name}_{number}" for name in ("thrust", "rotor_motion") for number in range(1, num_rotors + 1)]
         axes = [f"{name}_{axis}" for name in ("inertia", "com", "acc_bias", "gyro_bias") for axis in "xyz"]
         return ("mass", *rotors, *axes, "time_constant", "nominal_voltage", "command_hold", "joint_rest")
 
@@ -73,7 +74,7 @@ class Tolerances:
             absent: Tolerances of what the vehicle or its logs do not have.
             farthest: Where deviations are cut off: what lies there was not measured.
         """
-        names = self.names(deviation.size - len(self.names(0)))
+        names = self.names((deviation.size - len(self.names(0))) // 2)
         pairs = [
             (n, s) for n, s in zip(names, deviation.tolist(), strict=True) if abs(s) > STRAINED and n not in absent
         ]
@@ -94,6 +95,8 @@ class Tolerances:
         known = "give the tolerance that it has (--tolerances)"
         if name.startswith(("acc_bias", "gyro_bias")):
             return f"calibrate it, or {known}"
+        if name.startswith("rotor_motion"):
+            return "the noise of the logged rotor speeds hides how much they moved; log commands, or fly more"
         return known if name in ("command_hold", "joint_rest") else f"declare it anew, or {known}"
 
 
@@ -107,7 +110,7 @@ def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehi
         tolerances: Their sizes.
         deviation: In standard deviations, (N,), in the order of ``Tolerances.names``.
     """
-    mass, rotors, inertia, com, _, _, lag, voltage, _, _ = _parts(deviation)
+    mass, rotors, _, inertia, com, _, _, lag, voltage, _, _ = _parts(deviation)
     factor = (1.0 + tolerances.thrust * rotors).unsqueeze(0)
     stretch = (1.0 + tolerances.inertia * inertia).clamp_min(0.01).sqrt()
     slower = 1.0 + tolerances.time_constant * lag
@@ -166,7 +169,13 @@ def joint_start(tolerances: Tolerances, deviation: Tensor) -> float:
     return float(1.0 + tolerances.joint_rest * deviation[-1])
 
 
+def rotor_motion(deviation: Tensor) -> Tensor:
+    """Return how much more the rotors moved in each of their modes than is expected, in standard deviations of that, (R,)."""
+    return _parts(deviation)[2]
+
+
 def _parts(deviation: Tensor) -> tuple[Tensor, ...]:
-    """Return the deviations of mass, thrust, inertia, com, acc_bias, gyro_bias and of each of the others."""
+    """Return the deviations of mass, thrust, rotor motion, inertia, com, acc_bias, gyro_bias and of each of the others."""
     others = [3, 3, 3, 3, 1, 1, 1, 1]
-    return torch.split(deviation, [1, deviation.numel() - 1 - sum(others), *others])
+    rotors = (deviation.numel() - 1 - sum(others)) // 2
+    return torch.split(deviation, [1, rotors, rotors, *others])

@@ -68,7 +68,6 @@ def chosen_of(best: Fitted, *others: Fitted, named: Fitted | None = None, **foun
         "without": {},
         "adds": {},
         "hidden": (),
-        "drowned": (),
         "surrogates": {},
         "immaterial": {},
         "refused": {},

@@ -66,9 +66,6 @@ class Chosen:
     hidden: tuple[str, ...]
     """Effects of which these flights show no parameter."""
 
-    drowned: tuple[str, ...]
-    """Effects that they show less than noise of the logs does."""
-
     surrogates: dict[str, str]
     """Effects that only stand in for what remains, and what their size follows."""
 
@@ -137,7 +134,7 @@ class _Chooser:
 
     def __init__(self, climber: Climber, material: float) -> None:
         self.predictor, self.declared, self.material = climber.predictor, climber.declared, material
-        self.names, self.drowned = climber.names, climber.drowned
+        self.names = climber.names
 
     def chosen(self, view: View) -> Chosen:
         """Return the result about the last model."""
@@ -161,7 +158,6 @@ class _Chooser:
             without=without,
             adds=self.adds(view),
             hidden=tuple(name for name in self.names if name not in shown),
-            drowned=self.drowned,
             surrogates=surrogates,
             immaterial=immaterial,
             refused={name: reason for name, reason in refused.items() if name not in away},

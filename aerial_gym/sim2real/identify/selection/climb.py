@@ -22,7 +22,6 @@ from aerial_gym.sim2real.identify.candidates.nuisance import (
     beyond_structures,
     structures_of,
 )
-from aerial_gym.sim2real.identify.candidates.testable import noise_shares
 from aerial_gym.sim2real.identify.evidence.fitting import (
     Fitted,
     Fitter,
@@ -50,9 +49,6 @@ MOST_IN_VAIN = 5
 
 FAR_BEHIND = 3.0
 """Times ``reach_of`` that a set is behind another one of which it cannot take any of the probability: odds of 1e-4."""
-
-MOST_NOISE = 0.5
-"""Share of what would show an effect that may be noise of the logs: with more, a fit makes more of noise than of motion."""
 
 MOST_RIVALS = 3
 """Other effects that are fitted in the place of one."""
@@ -145,10 +141,6 @@ class Climber:
         self.predictor, self.declared, self.names, self.progress = predictor, declared, tuple(names), progress
         self.missed = predictor.residuals(declared)
         self.weights = self.weigh(declared)
-        tolerance = tolerance_jacobian(predictor, declared, predictor.predict(declared))
-        shares = noise_shares(predictor, declared, self.names, tolerance, self.weights.weight)
-        self.drowned = tuple(name for name, share in shares.items() if share > MOST_NOISE)
-        self.names = tuple(name for name in self.names if name not in self.drowned)
         self.skipped = tuple(name for name in EFFECTS if name not in self.names)
 
     def run(self) -> View:
@@ -157,7 +149,7 @@ class Climber:
         for _ in range(MOST_WEIGHINGS):
             view = self.climb(params, effects, structures, weights)
             params, effects, structures = view.present.params, view.present.effects, view.present.structures
-            known = params is self.declared and not self.drowned  # nothing was found
+            known = params is self.declared  # nothing was found
             before, weights = weights, self.weights if known else self.weigh(params)
             if np.all(np.abs(np.log(weights.weight / before.weight)) < SETTLED):
                 break

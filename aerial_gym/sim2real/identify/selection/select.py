@@ -137,9 +137,6 @@ def select_effects(
         name: f"these flights do not show it; needed: {EFFECTS.get(name).excitation}"
         for name in chosen.hidden
         if name not in chosen.effects
-    } | {
-        name: f"in these flights it is less than the noise of the logged rotor speeds; needed: {EFFECTS.get(name).excitation}"
-        for name in chosen.drowned
     }
     return Selection(
         declared=scorer.score((), declared),

@@ -12,13 +12,13 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.moments import weights_from
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.judge.predictive import quantile_of_squares
+from aerial_gym.sim2real.judge.predictive import left_open, quantile_of_squares
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained
 from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import complete_flight
 from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.predict.channels import find_channels
-from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
 from aerial_gym.sim2real.predict.noise_floor import noise_floor
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
@@ -72,7 +72,7 @@ def judged(
     fit, _, _ = linearise(train, (), declared, tolerance)
     squares = np.concatenate([(part**2).sum(axis=2) for part in tolerance]).mean(axis=0)
     selection = SimpleNamespace(
-        final=SimpleNamespace(fit=fit),
+        final=SimpleNamespace(fit=fit, spread=SimpleNamespace(columns=(), std=())),
         weights=weights,
         criteria=Criteria(),
         accepted=(),
@@ -95,6 +95,29 @@ def test_what_training_at_rest_does_not_show_is_neither_noise_nor_unexplained(tm
         assert set(found.left_open) & INERTIA
         moved = judged(tmp_path, 1.04, still=False)
     assert (moved.channels, moved.left_open) == ((), ())
+
+
+def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> None:
+    """A drag along x whose flights scatter k times as much as noise leaves k² times the squares open along x, no others."""
+    table = flight(60, drag=0.2, noise=0.1, seconds=8.0, rate=100.0)
+    flown = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / "one.csv"))))
+    channels = find_channels([flown])
+    predictor = Predictor(ROBOT, [flown], bandwidth=10.0, channels=channels, tolerances=Tolerances(acc_bias=1e-6))
+    point = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
+    fit, _, _ = linearise(
+        predictor, ("rotor_drag",), point, tolerance_jacobian(predictor, point, predictor.predict(point))
+    )
+    weights = weights_from(predictor.residuals(point))
+
+    def limit(std: float) -> np.ndarray:
+        spread = SimpleNamespace(columns=np.array([0]), std=np.array([std]))
+        selection = SimpleNamespace(final=SimpleNamespace(fit=fit, spread=spread), weights=weights, criteria=Criteria())
+        return left_open(predictor, point, selection)  # type: ignore[arg-type]
+
+    none, some, more = limit(0.0), limit(10.0), limit(20.0)
+    assert some[0] > 10.0 * none[0]
+    assert more[0] / some[0] == pytest.approx(4.0, rel=1e-3)
+    np.testing.assert_allclose(more[3:6], none[3:6], rtol=0.3)
 
 
 def test_what_no_tolerance_covers_is_open_to_the_effect_that_training_does_not_show(tmp_path) -> None:

@@ -42,6 +42,20 @@ def test_doubt_about_one_effect_is_not_put_on_the_others(monkeypatch: pytest.Mon
     assert "training flights do not show" in meaning("ambiguous", [], {"rotor_drag": []})
 
 
+def test_what_training_leaves_open_is_not_called_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verdict, "tied_rivals", lambda name, selection: [])
+    found, nothing = SimpleNamespace(accepted=("rotor_drag",)), SimpleNamespace(accepted=())
+    _, reason, _ = verdict.decide(found, (), True, left_open=("specific_force.x",))  # type: ignore[arg-type]
+    assert reason.endswith(
+        "what remains in specific_force.x is no more than they leave open: fly more to know it better"
+    )
+    _, reason, _ = verdict.decide(found, (), True)  # type: ignore[arg-type]
+    assert reason == "the flights show rotor_drag; what remains is near the noise floor"
+    kind, reason, _ = verdict.decide(nothing, (), True, left_open=("angular_acceleration.z",))  # type: ignore[arg-type]
+    assert kind == "none"
+    assert reason.endswith("what the training flights do not show remains in angular_acceleration.z")
+
+
 def test_nobody_is_sent_to_fly_for_arms_that_a_vehicle_does_not_have() -> None:
     wind = SimpleNamespace(wind=SimpleNamespace(untestable=""))
     hidden = SimpleNamespace(not_testable={"joint_spring": "needed: x", "ground_effect": "needed: y"}, accepted=())

@@ -160,8 +160,10 @@ def test_a_shifted_centre_of_mass_feels_the_measured_turning(tmp_path: Path) -> 
 def test_thinned_rows_predict_what_all_rows_do(tmp_path: Path) -> None:
     found = load(tmp_path, rate=500.0, noise=1.0)
     channels = find_channels([found])
-    thin = Predictor(ROBOT, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances())
-    full = Predictor(ROBOT, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances(), every_row=True)
+    thin, full = (
+        Predictor(ROBOT, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances(), every_row=every)
+        for every in (False, True)
+    )
     place = np.round((thin.times[0] - full.times[0][0]) * found.rate).astype(int)
     for some, every in (
         (thin.predict(ModelParams())[0], full.predict(ModelParams())[0]),
@@ -419,14 +421,15 @@ def test_the_noise_floor_of_a_filtered_sensor_is_that_below_its_filter(tmp_path:
 def test_the_noise_floor_shows_in_a_log_of_the_highest_band(rate: float, tmp_path: Path) -> None:
     """At 10 Hz there is little left above the band, but noise of a sensor is white: sqrt(400 / rate) times that at 400 Hz.
 
-    Of 30 s some 250 lines of Welch's spectrum tell it to 5 %; where growth may take a share, only to a factor of two.
+    Of 30 s some 250 lines of Welch's spectrum tell it to 5 %; where growth may take a share, only to a factor of two. Along
+    z there is noise of rotors too, which a log of 50 Hz is too slow to tell.
     """
     slow, fast = (load(tmp_path, rate=each, noise=1.0, seconds=30.0) for each in (rate, 400.0))
     channels = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
     floors = [noise_floor(ROBOT, [each], ModelParams(), channels, bandwidth=BAND) for each in (slow, fast)]
     assert floors[0] is not None
     assert floors[1] is not None
-    ratio = floors[0] / floors[1] / np.sqrt(400.0 / rate)
+    ratio = (floors[0] / floors[1] / np.sqrt(400.0 / rate))[: 3 if rate > 50.0 else 2]
     assert np.all((ratio > 0.85) & (ratio < 1.15)), ratio
 
 

@@ -1,0 +1,181 @@
+"""Rotor speeds without the part of their noise that a fit would take for motion: against signals of known make."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.signals import lowpass
+from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.rotor_estimate import _modes, _quietest, _share_of_motion, as_measured, estimate_rotors
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+from tests.unit.sim2real.flat_flights import ROBOT
+from tests.unit.sim2real.predict.test_scene import hover
+
+NOISE, RATE, SECONDS, BAND = 3.0, 200.0, 60.0, 10.0
+PITCH = np.array([1.0, -1.0, -1.0, 1.0])
+"""Rotors that turn the vehicle about y together: the third of their modes."""
+
+Array = np.ndarray
+
+
+def turning(motion: float, seed: int = 0, **more: object) -> tuple[Flight, Array]:
+    """Return a hover whose rotors pitch it by slow random motion (rms, rad/s), logged with noise, and their true speeds."""
+    rng, rows = np.random.default_rng(seed), round(SECONDS * RATE)
+    still = hover("hover", 5.0)
+    assert still.rotor_speed is not None
+    slow = lowpass(rng.standard_normal(rows), RATE, 2.0)
+    true = still.rotor_speed[0] + (motion * slow / slow.std())[:, None] * PITCH
+    zeros = np.zeros((rows, 3))
+    tiled = {name: np.tile(getattr(still, name)[0], (rows, 1)) for name in ("position", "attitude", "specific_force")}
+    logged = {"rotor_speed": true + NOISE * rng.standard_normal(true.shape), "lin_vel": zeros, "ang_vel": zeros}
+    found = replace(still, rate=RATE, time=np.arange(rows) / RATE, **(tiled | logged | more))
+    return found, true
+
+
+def pitching(speed: Array) -> Array:
+    """Return how far speeds (T, R) pitch the vehicle in the band, without ends."""
+    part = lowpass(speed @ PITCH / 2.0, RATE, BAND)[200:-200]
+    return part - part.mean()
+
+
+def slope(true: Array, found: Array) -> float:
+    """Return the slope of what is true over what is found: below 1 for what is found with noise."""
+    a, b = pitching(true), pitching(found)
+    return float(a @ b / (b @ b))
+
+
+@pytest.mark.parametrize("motion", [0.3, 0.6, 3.0])
+def test_what_is_true_follows_what_is_expected_one_to_one(motion: float) -> None:
+    """Measured speeds have S / (S + N) for a slope, N the noise in the band of 10 of 100 Hz; expected ones have 1.
+
+    In the mean over eight flights, and each flight within two deviations of what it says is unsure.
+    """
+    measured, expected, away = [], [], []
+    for seed in range(8):
+        flight, true = turning(motion, seed)
+        found = estimate_rotors(ROBOT, [flight], BAND)[0]
+        assert found is not None
+        assert flight.rotor_speed is not None
+        measured.append(slope(true, flight.rotor_speed))
+        expected.append(slope(true, found.speed))
+        unsure, missed = pitching(found.unsure[2]), pitching(true) - pitching(found.speed)
+        away.append(float(unsure @ missed / (unsure @ unsure)))
+    strength, noise = 4.0 * motion**2, NOISE**2 * BAND / (RATE / 2.0)
+    assert np.mean(measured) == pytest.approx(strength / (strength + noise), rel=0.1)
+    assert np.mean(expected) == pytest.approx(1.0, abs=0.08)
+    assert np.abs(away).max() < 2.0
+
+
+def test_of_a_still_hover_little_scatter_stays() -> None:
+    flight, _ = turning(0.0)
+    found = estimate_rotors(ROBOT, [flight], BAND)[0]
+    assert found is not None
+    assert flight.rotor_speed is not None
+    assert (pitching(found.speed) ** 2).mean() < 0.02 * (pitching(flight.rotor_speed) ** 2).mean()
+    np.testing.assert_allclose(found.speed.mean(axis=0), flight.rotor_speed.mean(axis=0), rtol=1e-6)
+
+
+def test_where_a_vehicle_moves_speeds_stay_as_they_were_measured() -> None:
+    """In the band: 60 rad/s beside noise of 1.3 rad/s; and the share is then sure."""
+    flight, _ = turning(30.0)
+    found = estimate_rotors(ROBOT, [flight], BAND)[0]
+    assert found is not None
+    assert flight.rotor_speed is not None
+    changed = pitching(found.speed) - pitching(flight.rotor_speed)
+    assert np.sqrt((changed**2).mean()) < NOISE * np.sqrt(BAND / (RATE / 2.0))
+    unsure = np.stack([pitching(mode) for mode in found.unsure])
+    assert np.sqrt((unsure**2).mean(axis=1)).max() < 0.01 * 60.0
+
+
+def test_what_commands_lead_to_is_expected_where_noise_is_all_that_differs() -> None:
+    """A lag of 0.04 s behind commands that pitch: the estimate is what the declared rotors do, far closer than the log."""
+    flight, true = turning(0.3)
+    tau, step = ROBOT.rotor.time_constant_up, 1.0 / RATE
+    kept = np.exp(-step / tau)
+    command = (true[1:] - kept * true[:-1]) / (1.0 - kept)
+    led = replace(flight, rotor_command=np.concatenate((command, command[-1:])))
+    found = estimate_rotors(ROBOT, [led], BAND)[0]
+    assert found is not None
+    assert led.rotor_speed is not None
+    missed = (pitching(found.speed) - pitching(true)).std()
+    assert missed < 0.3 * (pitching(led.rotor_speed) - pitching(true)).std()
+
+
+def test_where_motion_is_more_than_noise_a_lag_that_is_wrong_changes_nothing() -> None:
+    """Commands of a vehicle that moves are not asked: what they say cannot spoil what was measured."""
+    flight, true = turning(30.0)
+    wrong = replace(flight, rotor_command=np.roll(true, 20, axis=0))
+    one, other = (estimate_rotors(ROBOT, [which], BAND)[0] for which in (flight, wrong))
+    assert one is not None
+    assert other is not None
+    rms = (pitching(one.speed) - pitching(other.speed)).std()
+    assert rms < 0.01 * pitching(true).std()
+
+
+def test_a_log_that_is_too_slow_or_without_noise_stays_as_it_is() -> None:
+    slow = hover("slow", 5.0, rate=20.0)
+    for flight, band in ((slow, 4.0), (turning(1.0)[0], 80.0), (hover("exact", 5.0), BAND)):
+        found, measured = estimate_rotors(ROBOT, [flight], band)[0], as_measured(flight)
+        assert found is not None
+        assert measured is not None
+        np.testing.assert_array_equal(found.speed, measured.speed)
+        assert not found.unsure.any()
+
+
+def test_a_log_of_commands_alone_has_nothing_to_expect() -> None:
+    flight = hover("told", 5.0, rotor_speed=None, rotor_command=np.full((400, 4), 1000.0))
+    assert estimate_rotors(ROBOT, [flight], BAND) == [None]
+
+
+def test_modes_are_those_of_thrust_roll_pitch_and_yaw_and_what_makes_none() -> None:
+    """Orthonormal, in the order of what they make; six rotors have two that make nothing."""
+    angle = np.pi / 3.0 * np.arange(6)
+    made = np.zeros((6, 6))
+    made[2:] = np.ones(6), np.sin(angle), -np.cos(angle), 0.01 * (-1.0) ** np.arange(6)
+    modes = _modes(made)
+    np.testing.assert_allclose(modes.T @ modes, np.eye(6), atol=1e-12)
+    np.testing.assert_allclose(np.abs(np.diag(made[2:] @ modes[:, :4])), np.linalg.norm(made[2:], axis=1), rtol=1e-12)
+    np.testing.assert_allclose(made @ modes[:, 4:], 0.0, atol=1e-12)
+
+
+def test_the_share_of_motion_is_as_sure_as_it_says() -> None:
+    """Densities of 1 + S with S = 0.2, 1, 10 in 20 lines, of 10 segments: the mean share lies within two mean deviations."""
+    rng, lines, segments = np.random.default_rng(0), 20, 10
+    for motion in (0.2, 1.0, 10.0):
+        away = []
+        for _ in range(200):
+            density = (1.0 + motion) * rng.gamma(segments, 1.0 / segments, lines)
+            share, spread = _share_of_motion(density, float(segments), 0.0)
+            away.append((share.mean() - motion / (1.0 + motion)) / spread.mean())
+        assert np.mean(np.abs(away) < 2.0) > 0.9
+
+
+def test_the_noise_is_that_of_the_quietest_octave() -> None:
+    """A density that falls to its level, and rises again: the mean of the octave between."""
+    frequency = np.arange(0.0, 100.0, 0.5)
+    density = np.where(frequency < 20.0, 50.0, np.where(frequency > 45.0, 9.0, 2.0))[:, None]
+    found = _quietest(frequency, density, 15.0, 90.0)
+    assert found is not None
+    assert found[0] == pytest.approx(2.0)
+    assert found[1] == 30.0
+    assert _quietest(frequency, density, 60.0, 90.0) is None
+
+
+def test_rotors_that_moved_more_than_expected_are_a_deviation_like_any_other() -> None:
+    """One standard deviation in the mode of roll or yaw adds what is unsure of it to that torque, half of one half."""
+    flight, _ = turning(0.6)
+    predictor = Predictor(ROBOT, [flight], bandwidth=BAND, channels=find_channels([flight]), tolerances=Tolerances())
+    names = Tolerances().names(4)
+    base = predictor.predict(ModelParams())[0]
+    place = {"rotor_motion_2": 3, "rotor_motion_4": 5}
+    for name, channel in place.items():
+        one, half = (
+            predictor.predict(ModelParams(deviation=size * np.eye(len(names))[names.index(name)]))[0] - base
+            for size in (1.0, 0.5)
+        )
+        assert np.abs(one[:, channel]).max() > 0.0
+        np.testing.assert_allclose(half[:, channel], 0.5 * one[:, channel], atol=0.01 * np.abs(one[:, channel]).max())
