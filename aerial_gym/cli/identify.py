@@ -133,7 +133,7 @@ class HoverCmd:
 
     def run(self) -> int:
         """Identify and print; return the exit status."""
-        from aerial_gym.sim2real.logs.mapping import find_mapping
+        from aerial_gym.sim2real.logs.readers.mapping import find_mapping
         from aerial_gym.sim2real.teststand.studies import study_hover
 
         if self.baseline:
@@ -152,7 +152,7 @@ class HoverCmd:
         return _show(study, self.out, as_json=self.json)
 
     def _balance(self) -> int:
-        from aerial_gym.sim2real.logs.mapping import find_mapping
+        from aerial_gym.sim2real.logs.readers.mapping import find_mapping
         from aerial_gym.sim2real.teststand.studies import study_balance
 
         robot = _robot(self.robot)

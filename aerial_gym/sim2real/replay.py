@@ -13,7 +13,7 @@ from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate, missing_for_rollouts
 from aerial_gym.sim2real.logs.flights import Flight, load_flights, notes_of
 from aerial_gym.sim2real.logs.inputs import file_digests
-from aerial_gym.sim2real.logs.mapping import find_mapping
+from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
 from aerial_gym.sim2real.predict.noise_floor import noise_floor

@@ -26,9 +26,10 @@ from aerial_gym.sim2real.logs.checks.copies import SeenLogs
 from aerial_gym.sim2real.logs.checks.rotor_law import check_rotor_law
 from aerial_gym.sim2real.logs.checks.rotor_order import check_order
 from aerial_gym.sim2real.logs.checks.rotors import without_copied_commands
-from aerial_gym.sim2real.logs.flight_log import FlightLog, Recording, read_flight_log
-from aerial_gym.sim2real.logs.mapping import LogMapping
 from aerial_gym.sim2real.logs.on_ground import rows_on_ground
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.mapping import LogMapping
+from aerial_gym.sim2real.logs.recording import FlightLog, Recording
 from aerial_gym.sim2real.logs.repeated_samples import mend_repeated_samples
 from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock, clock_offsets, with_rotor_clock
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass, uniform_log, without_gaps

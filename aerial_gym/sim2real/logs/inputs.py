@@ -8,7 +8,7 @@ from pathlib import Path
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.logs.flights import Flight, distinct_files, load_flights
-from aerial_gym.sim2real.logs.mapping import LogMapping
+from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 
 LEFT_OUT = "left out: "
 """How a note on a flight that cannot be used begins."""

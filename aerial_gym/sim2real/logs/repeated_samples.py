@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

@@ -24,7 +24,7 @@ from aerial_gym.sim2real.logs.clock_offset import (
     offset_curve,
     shift_rotor_log,
 )
-from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
 
 FAR_S = 0.25

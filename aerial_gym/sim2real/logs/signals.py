@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog
 
 Array = NDArray[np.float64]
 

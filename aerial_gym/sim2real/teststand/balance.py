@@ -16,7 +16,7 @@ from scipy import special, stats
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
-from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.teststand.causes import OTHER, ROTORS, Cause, causes, priors, tell_apart
 from aerial_gym.sim2real.teststand.hover import FEWEST_WINDOWS, hovering_rows
 from aerial_gym.sim2real.teststand.scatter import Scatter, ScatterFit, fit_scatter, log_evidence, pooled_scatter

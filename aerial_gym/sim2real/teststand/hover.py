@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, DataError
-from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import Estimate, correlated_covariance, held_out_error, rms
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
-from aerial_gym.sim2real.logs.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.mapping import LogMapping
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand import figures
 from aerial_gym.sim2real.teststand.balance import Balance, Change, HoverEffort, hover_effort, judge_balance

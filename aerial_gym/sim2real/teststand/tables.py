@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.mapping import UNIT_G
+from aerial_gym.sim2real.logs.readers.mapping import UNIT_G
 
 Array = NDArray[np.float64]
 

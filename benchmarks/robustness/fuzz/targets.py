@@ -20,7 +20,7 @@ from aerial_gym.env_manager.catalog import SIMS
 from aerial_gym.rl_training import load_policy, load_settings, settings_for
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.sim2real.logs.flights import load_flights
-from aerial_gym.sim2real.logs.mapping import MAPPING_DIR, find_mapping
+from aerial_gym.sim2real.logs.readers.mapping import MAPPING_DIR, find_mapping
 from aerial_gym.task import Task
 from benchmarks.robustness.fuzz.mutations import PLAIN, TEXT, TREE, Mutation
 from tests.unit.sim2real import flat_flights

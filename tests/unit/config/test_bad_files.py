@@ -12,7 +12,7 @@ from aerial_gym.config.sim import SimCfg
 from aerial_gym.env_manager import SimBuilder
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
-from aerial_gym.sim2real.logs.mapping import LogMapping, find_mapping
+from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 
 SIM = "summary: s\ndt: {}\nsubsteps: 1\n"
 

@@ -16,8 +16,8 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.checks.kinematics import kinematic_errors
 from aerial_gym.sim2real.logs.checks.rotors import check_rotors
 from aerial_gym.sim2real.logs.checks.units import check_growth, check_units
-from aerial_gym.sim2real.logs.flight_log import FlightLog
-from aerial_gym.sim2real.logs.mapping import UNITS
+from aerial_gym.sim2real.logs.readers.mapping import UNITS
+from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import lowpass
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog
 
 READINGS = ("ang_vel", "specific_force", "lin_vel", "position")
 """What is compared; the attitude alone where two logs have none of these in common, for it may be integrated from where a log

@@ -14,7 +14,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.checks.conventions import rate_of
 from aerial_gym.sim2real.logs.checks.units import SURE
 from aerial_gym.sim2real.logs.declared_rotors import followed, lift
-from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.declared_rotors import lift
-from aerial_gym.sim2real.logs.flight_log import FlightLog
-from aerial_gym.sim2real.logs.mapping import UNITS
+from aerial_gym.sim2real.logs.readers.mapping import UNITS
+from aerial_gym.sim2real.logs.recording import FlightLog
 
 Array = NDArray[np.float64]
 

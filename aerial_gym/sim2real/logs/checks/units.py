@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.flight_log import FlightLog
-from aerial_gym.sim2real.logs.mapping import UNITS
+from aerial_gym.sim2real.logs.readers.mapping import UNITS
+from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
 
 Array = NDArray[np.float64]

@@ -5,7 +5,7 @@ import pytest
 from scipy import signal
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import (
     continuous_quaternion,
     edge_rows,

@@ -13,8 +13,8 @@ from aerial_gym.physics import EFFECTS, Accelerations, accelerations, build_mode
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import effect_jacobian
-from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_flights
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
 from aerial_gym.sim2real.predict.channels import Channel, find_channels
 from aerial_gym.sim2real.predict.dataset import thinned

@@ -10,9 +10,9 @@ import torch
 from aerial_gym.errors import CapabilityError, DataError
 from aerial_gym.physics import BACKENDS, build_model, vehicle_from_config
 from aerial_gym.sim2real.close_loop import judge_flights
-from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.logs.mapping import LogMapping, find_mapping
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor

@@ -13,8 +13,8 @@ from scipy import integrate, stats
 from aerial_gym.cli.main import main
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.robots.catalog import ROBOTS
-from aerial_gym.sim2real.logs.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.mapping import find_mapping
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.teststand.balance import (
     Balance,
     HoverEffort,

@@ -13,7 +13,7 @@ from aerial_gym.cli.main import main
 from aerial_gym.config import load
 from aerial_gym.config.robot import RobotCfg, RotorCfg
 from aerial_gym.errors import ConfigError, DataError
-from aerial_gym.sim2real.logs.flight_log import FlightLog
+from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.teststand.hover import fit_hover
 from aerial_gym.sim2real.teststand.joint import Release, fit_joint, joint_angle, release_record
 from aerial_gym.sim2real.teststand.static import StaticFit, fit_static

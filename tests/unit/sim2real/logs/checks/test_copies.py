@@ -7,9 +7,9 @@ import pytest
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.checks.copies import SeenLogs
-from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.logs.inputs import read_inputs
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 

@@ -9,8 +9,8 @@ import pytest
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.checks.rotor_law import relative_slope
 from aerial_gym.sim2real.logs.declared_rotors import lift
-from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import load_flight
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 ROTORS = [f"rotor_{n}" for n in range(1, 5)]

@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import ConfigError, DataError, UnknownNameError
-from aerial_gym.sim2real.logs.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.flights import load_flights
-from aerial_gym.sim2real.logs.mapping import ColumnsCfg, LogMapping, find_mapping, mapping_names
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.readers.mapping import ColumnsCfg, LogMapping, find_mapping, mapping_names
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 

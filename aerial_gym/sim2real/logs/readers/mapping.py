@@ -11,7 +11,7 @@ from pathlib import Path
 from aerial_gym.config import load
 from aerial_gym.errors import ConfigError, UnknownNameError
 
-MAPPING_DIR = Path(__file__).parent / "mappings"
+MAPPING_DIR = Path(__file__).parents[1] / "mappings"
 """Folder of the mappings that come with the package."""
 
 UNIT_G = 9.80665

@@ -1,0 +1,1 @@
+"""Files of flights as arrays: CSV in any layout that a mapping describes, and ULog."""

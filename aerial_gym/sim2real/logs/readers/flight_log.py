@@ -1,0 +1,219 @@
+"""The reader of flight logs: a CSV file, or a ULog of PX4, in the layout that a mapping describes.
+
+World is ENU (z up), body is x forward, y left, z up, quaternions are xyzw, body to world, SI units.
+Letters: T rows, R rotors.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.readers.csv_table import (
+    columns_of,
+    mapping_hint,
+    not_there,
+    numbers_in,
+    read_table,
+    time_of,
+    without_copies,
+)
+from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, ColumnsCfg, LogMapping, find_mapping
+from aerial_gym.sim2real.logs.readers.ulog import ulog_table
+from aerial_gym.sim2real.logs.recording import HEADER_LINES, FlightLog
+
+Array = NDArray[np.float64]
+
+LARGEST = 1e9
+"""Size in SI units beyond which no measurement of a flight is one."""
+
+COMPANION_GAP_S = 0.1
+"""Longest gap [s] in another vehicle's log across which its position is interpolated."""
+
+EULER = (("roll", "pitch", "yaw"), ("phi", "theta", "psi"))
+"""Names of columns that hold angles in place of a quaternion."""
+
+FLIP = np.array([1.0, -1.0, -1.0])
+"""From body frd to body flu."""
+
+
+def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hover: bool = False) -> FlightLog:
+    """Return the flight in a CSV file with one header line, or in a PX4 ULog (.ulg).
+
+    Args:
+        path: The file.
+        mapping: Layout; None takes that of this package, or ``px4_ulog`` for a .ulg file.
+        hover: Whether only the rotors at hover are wanted: a log without attitude is taken as level, and needs neither gyro
+            nor accelerometer.
+
+    Raises:
+        DataError: If file, columns or fields cannot be used; the message names file, row or column and the way out.
+    """
+    ulog = Path(path).suffix.lower() == ".ulg"
+    layout = mapping or find_mapping("px4_ulog" if ulog else "aerial_gym")
+    table = ulog_table(Path(path)) if ulog else read_table(Path(path), layout)
+    notes: list[str] = []
+    table = without_copies(table, notes)
+    time = time_of(table, layout, str(path))
+    values: dict[str, Array] = {}
+    for name, quantity in layout.quantities().items():
+        if name == "time":
+            continue
+        columns = columns_of(table, quantity, name, str(path))
+        if columns:
+            gaps, held = name == "other_position", name == "rotor_command"
+            raw = numbers_in(table, columns, quantity, time, str(path), notes, gaps=gaps, held=held)
+            values[name] = _converted(raw, table, quantity, time, str(path)) * UNITS[quantity.unit]
+            if np.nanmax(np.abs(values[name]), initial=0.0) > LARGEST:
+                raise DataError(
+                    f"{path}: {columns[0]} to {columns[-1]} reach {np.nanmax(np.abs(values[name])):.3g} in SI units, at most "
+                    f"{LARGEST:.0g} is of this world; check the unit"
+                )
+    if layout.lacks:
+        notes.append(layout.lacks)
+    integrated = "attitude" not in values and layout.attitude is None and not hover
+    if "attitude" not in values and hover:
+        values["attitude"] = np.tile((0.0, 0.0, 0.0, 1.0), (time.size, 1))
+        notes.append("attitude not logged: taken as level")
+    if integrated:
+        _integrate_attitude(values, time, layout, str(path), notes)
+    _require(values, layout, list(table.columns), str(path), hover=hover)
+    battery = values.pop("battery", None)
+    heights = {name: _height(values.pop(name), layout, name, str(path)) for name in HEIGHTS if name in values}
+    wind = _known_wind(Path(path), layout, notes)
+    command, companion = layout.rotor_command, _companion(Path(path), layout, time, notes)
+    return FlightLog(
+        path=str(path),
+        time=time,
+        battery=None if battery is None else battery[:, 0],
+        collective=command is not None and command.repeat > 1,
+        lift_off=layout.lift_off_m,
+        hover_above=layout.hover_above_m,
+        torques=layout.torques,
+        attitude_integrated=integrated,
+        wind=wind,
+        notes=tuple(notes),
+        **{"other_position": companion, **heights, **_to_package_frames(values, layout)},
+    )
+
+
+def _height(values: Array, layout: LogMapping, name: str, path: str) -> float:
+    """Return the height of a level surface [m], z up; refuse one that changes in the flight."""
+    if np.ptp(values) > 0.0:
+        raise DataError(
+            f"{path}: {name} runs from {values.min():g} to {values.max():g} m; a flight has one number for it: cut the log "
+            "where it changes"
+        )
+    return float(values[0, 0]) * (-1.0 if layout.world_frame == "ned" else 1.0)
+
+
+def _converted(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, time: Array, path: str) -> Array:
+    """Return ``offset + gain (raw times / over)^power``, 0 where raw is 0, once per rotor, (T, columns)."""
+    if quantity.plain:
+        return raw
+    values = raw
+    for column, power in ((quantity.times, 1.0), (quantity.over, -1.0)):
+        if column is None:
+            continue
+        if column not in table.columns:
+            raise DataError(not_there(column, list(table.columns), path))
+        other = numbers_in(table, [column], ColumnsCfg(columns=(column,)), time, path, [])
+        if np.any(other <= 0.0):
+            row = int(np.argmax(other[:, 0] <= 0.0))
+            raise DataError(f"{path}, line {row + 1 + HEADER_LINES}: {column} = {other[row, 0]:g}, must be > 0")
+        values = values * other**power
+    if quantity.power != 1.0 and np.any(values < 0.0):
+        raise DataError(f"{path}: {quantity.columns[0]} is negative and cannot be raised to {quantity.power:g}")
+    values = np.where(raw == 0.0, 0.0, quantity.offset + quantity.gain * values**quantity.power)
+    return np.repeat(values, quantity.repeat, axis=1)
+
+
+def _integrate_attitude(values: dict[str, Array], time: Array, layout: LogMapping, path: str, notes: list[str]) -> None:
+    """Write an attitude that starts level and turns with the gyro; refuse logs in which it would be compared with the world."""
+    if "ang_vel" not in values or "position" in values or "lin_vel" in values:
+        raise DataError(f"{path}: has no attitude. {layout.lacks or 'Log it, or map it.'}")
+    turns = Rotation.from_rotvec(0.5 * (values["ang_vel"][1:] + values["ang_vel"][:-1]) * np.diff(time)[:, None])
+    attitude = [Rotation.identity()]
+    for turn in turns:
+        attitude.append(attitude[-1] * turn)
+    values["attitude"] = np.array([turn.as_quat() for turn in attitude])
+    notes.append("attitude not logged: integrated from the gyro, level at the start; only body axes are compared")
+
+
+def _companion(path: Path, layout: LogMapping, time: Array, notes: list[str]) -> Array | None:
+    """Return the position of the vehicle whose file has a name that the layout derives from this one, (T, 3)."""
+    for text, other in layout.companion.items():
+        partner = path.parent / path.name.replace(text, other)
+        if text not in path.name or partner == path or not partner.exists() or layout.position is None:
+            continue
+        log = read_flight_log(partner, mapping=replace(layout, companion={}))
+        assert log.position is not None
+        place = np.stack([np.interp(time, log.time, p, left=np.nan, right=np.nan) for p in log.position.T], axis=1)
+        after = np.clip(np.searchsorted(log.time, time), 1, log.time.size - 1)
+        place[log.time[after] - log.time[after - 1] > COMPANION_GAP_S] = np.nan
+        notes.append(f"position of the other vehicle from {partner.name}")
+        return place
+    return None
+
+
+def _known_wind(path: Path, layout: LogMapping, notes: list[str]) -> tuple[float, float, float] | None:
+    """Return the wind that the layout declares for a file of this name [m/s], world ENU; None if it declares none."""
+    found = [text for text in layout.wind if text in path.stem]
+    if len(found) > 1:
+        raise DataError(f"{path}: the mapping declares the wind of {' and of '.join(found)}; make the texts differ")
+    if not found:
+        if layout.wind:
+            notes.append("the mapping declares no wind for a file of this name: taken as still air")
+        return None
+    x, y, z = layout.wind[found[0]]
+    wind = (y, x, -z) if layout.world_frame == "ned" else (x, y, z)
+    notes.append(f"declared wind ({', '.join(f'{speed:g}' for speed in wind)}) m/s, world")
+    return wind
+
+
+def _require(values: dict[str, Array], layout: LogMapping, known: list[str], path: str, *, hover: bool) -> None:
+    """Raise ``DataError`` unless the log has what every use of it needs."""
+    if "attitude" not in values and layout.attitude is not None:
+        column = next((name for name in layout.attitude.columns if name not in known), layout.attitude.columns[0])
+        if any(set(angles) <= {name.lower() for name in known} for angles in EULER):
+            raise DataError(
+                f"{path}: column {column!r} is missing or empty. Euler angles are no quaternion: write "
+                "q = qz(yaw) qy(pitch) qx(roll), body to world, into q_x, q_y, q_z, q_w"
+            )
+        raise DataError(not_there(column, known, path))
+    for one, other in (("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")):
+        if one in values or other in values or (hover and one == "ang_vel"):
+            continue
+        options = [q.columns for key, q in layout.quantities().items() if key in (one, other)]
+        wanted = " or ".join(", ".join(columns) for columns in options) or f"{one} or {other} in the mapping"
+        raise DataError(f"{path}: needs the columns {wanted}; they are missing or empty.{mapping_hint(known)}")
+    if "rotor_speed" in values and "rotor_command" in values:
+        speeds, commands = values["rotor_speed"].shape[1], values["rotor_command"].shape[1]
+        if speeds != commands:
+            raise DataError(
+                f"{path}: has {speeds} rotor speeds and {commands} commands; both need one column per rotor"
+            )
+
+
+def _to_package_frames(values: dict[str, Array], layout: LogMapping) -> dict[str, Array]:
+    """Return the quantities in world ENU and body FLU, with the quaternion from body to world."""
+    result = dict(values)
+    if layout.attitude_direction == "world_to_body":
+        result["attitude"] = result["attitude"] * (-1.0, -1.0, -1.0, 1.0)
+    if layout.world_frame == "ned":
+        for name in ("position", "lin_vel", "other_position"):
+            if name in result:
+                result[name] = result[name][:, [1, 0, 2]] * (1.0, 1.0, -1.0)
+        x, y, z, w = result["attitude"].T  # q_ned_to_enu q with q_ned_to_enu = (1, 1, 0, 0) / sqrt(2), xyzw
+        result["attitude"] = np.stack((w + z, w - z, y - x, -x - y), axis=1) / np.sqrt(2.0)
+    if layout.body_frame == "frd":
+        for name in ("ang_vel", "specific_force"):
+            if name in result:
+                result[name] = result[name] * FLIP
+        x, y, z, w = result["attitude"].T  # q q_flu_to_frd with q_flu_to_frd = (1, 0, 0, 0), xyzw
+        result["attitude"] = np.stack((w, z, -y, -x), axis=1)
+    return result

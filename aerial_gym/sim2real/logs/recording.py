@@ -1,0 +1,101 @@
+"""One flight as arrays: what a log holds, row by row.
+
+World is ENU (z up), body is x forward, y left, z up, quaternions are xyzw, body to world, SI units.
+Letters: T rows, R rotors.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+HEADER_LINES = 1
+"""Of a file, before its first row."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """What a log and the flight that is made of it have in common; None: it was not measured. World ENU, body FLU, SI."""
+
+    path: str
+    """File, as error messages and reports call it."""
+
+    time: Array
+    """[s], increasing, (T,)."""
+
+    attitude: Array
+    """Body to world, xyzw, (T, 4)."""
+
+    position: Array | None = None
+    """Body origin [m], world, (T, 3)."""
+
+    lin_vel: Array | None = None
+    """Of the body origin [m/s], world, (T, 3)."""
+
+    specific_force: Array | None = None
+    """At the body origin [m/s²], body: +9.81 on z at hover, (T, 3)."""
+
+    rotor_speed: Array | None = None
+    """Measured [rad/s], (T, R); rotors in force mode have none."""
+
+    rotor_command: Array | None = None
+    """Speeds commanded from each row on [rad/s], in force mode thrusts [N], (T, R)."""
+
+    battery: Array | None = None
+    """Voltage [V], (T,)."""
+
+    attitude_integrated: bool = False
+    """Whether the attitude is that which the gyro implies, and so no check of the gyro."""
+
+    other_position: Array | None = None
+    """Body origin of another vehicle flown at the same time [m], world, (T, 3); NaN where it is not known."""
+
+    ground_height: float = 0.0
+    """World z of the ground [m]."""
+
+    ceiling_height: float | None = None
+    """World z of the ceiling [m]; None if the log does not say."""
+
+    wind: tuple[float, float, float] | None = None
+    """Steady wind that was known to whoever flew [m/s], world; None: still air as far as is known."""
+
+    notes: tuple[str, ...] = ()
+    """What was done to the log, for the report."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightLog(Recording):
+    """What was measured in one flight, row by row of its file; quaternions are not yet made unit."""
+
+    ang_vel: Array | None = None
+    """[rad/s], body, (T, 3)."""
+
+    collective: bool = False
+    """Whether all rotors share one command: it says nothing about torques."""
+
+    lift_off: float = 0.0
+    """Within this of a height at which it stood the vehicle stands on the ground [m]; 0: heights tell nothing."""
+
+    hover_above: float | None = None
+    """Commanded speeds are to be scaled to the thrust measured above this height [m], world; None: they are not."""
+
+    torques: bool = True
+    """Whether the log shows what torques do."""
+
+    @property
+    def name(self) -> str:
+        """File name without folder and ending."""
+        return Path(self.path).stem
+
+    @property
+    def num_rotors(self) -> int:
+        """Number of rotors R in the log."""
+        rotors = self.rotor_speed if self.rotor_speed is not None else self.rotor_command
+        return 0 if rotors is None else rotors.shape[1]
+
+    def where(self, row: int) -> str:
+        """Return how messages name a row: file, line and time."""
+        return f"{self.path}, line {row + 1 + HEADER_LINES} (t = {self.time[row]:.6g} s)"
