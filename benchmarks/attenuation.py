@@ -1,4 +1,4 @@
-"""What noise of logged rotor speeds makes of what is predicted from them: ``python -m benchmarks.undeclared.attenuation``.
+"""What noise of logged rotor speeds makes of what is predicted from them: ``python -m benchmarks.attenuation``.
 
 The plant knows the true speeds. For each force and torque that the rotors make together, the true one is fitted by a multiple
 of that from the logged speeds, and of that from the expected ones (``sim2real/predict/rotor_estimate.py``), below 10 Hz. A
@@ -34,7 +34,7 @@ EDGE_S = 1.0
 """Left out at both ends [s]."""
 
 MODES = {"thrust": (1, 1, 1, 1), "roll": (-1, -1, 1, 1), "pitch": (1, -1, -1, 1), "yaw": (-1, 1, -1, 1)}
-"""Signs of the rotors of the plant, ``MOUNTS`` of vehicle.py."""
+"""Signs of the rotors of the plant, ``benchmarks.undeclared.vehicle``."""
 
 
 @dataclass(frozen=True, kw_only=True)

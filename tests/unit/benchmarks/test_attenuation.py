@@ -1,6 +1,6 @@
 """Rotor speeds of the independent plant: what is expected follows the truth where what is logged does not."""
 
-from benchmarks.undeclared.attenuation import Row, rows_of
+from benchmarks.attenuation import Row, rows_of
 
 TORQUES = ("roll", "pitch", "yaw")
 
