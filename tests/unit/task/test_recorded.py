@@ -38,7 +38,10 @@ def test_the_sum_of_terms_is_the_recorded_reward(name: str) -> None:
 
 @pytest.mark.parametrize("name", TASKS)
 def test_a_flight_is_rewarded_and_ends_as_recorded(name: str) -> None:
-    """Every reward within 1e-6 of its size; what ends, ends in the same step, and the last observation is the same."""
+    """What ends, ends in the same step; rewards and the last observation are the same but for float32 and 30 steps of flight.
+
+    Another processor adds and multiplies in another order: 4e-5 of a reward was seen. The sums are held to 1e-12 above.
+    """
     task = build(name, episode_len_steps=12) if name == "navigation_task" else build(name)
     recorded, generator = RECORDED["flights"][name], torch.Generator().manual_seed(1)
     task.reset()
@@ -49,7 +52,7 @@ def test_a_flight_is_rewarded_and_ends_as_recorded(name: str) -> None:
         if step == 10:
             task.env.gtd["robot_position"][1] += 40.0
         obs, reward, terminated, truncated, info = task.step(actions)
-        torch.testing.assert_close(reward, torch.tensor(recorded["reward"][step]), rtol=1e-6, atol=2e-6)
+        torch.testing.assert_close(reward, torch.tensor(recorded["reward"][step]), rtol=5e-4, atol=5e-4)
         assert (terminated.int() + 2 * truncated.int()).tolist() == recorded["ends"][step]
         torch.testing.assert_close(info["reward_terms"].sum(dim=-1), info["episode_return"], rtol=1e-5, atol=1e-4)
-    torch.testing.assert_close(obs["observations"], torch.tensor(recorded["observation"]), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(obs["observations"], torch.tensor(recorded["observation"]), rtol=5e-4, atol=5e-4)
