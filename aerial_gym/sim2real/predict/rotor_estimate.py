@@ -129,7 +129,8 @@ def _estimate(flight: Flight, led: Array | None, made: Array, bandwidth: float) 
     moved, around = (speed - base) / root @ modes, np.zeros_like(speed)
     if led is not None:
         density = _spectrum(moved, rate)[1]
-        noisy = density[(frequency > 0.0) & (frequency <= bandwidth)].mean(axis=0) < 2.0
+        in_band = density[(frequency > 0.0) & (frequency <= bandwidth)].mean(axis=0)
+        noisy = in_band - 1.0 < 1.0  # motion is less than noise, which is 1 here
         around[:, noisy] = ((led - base) / root @ modes)[:, noisy]
         moved = moved - around
     density, segments = _spectrum(moved, rate)[1], _segments(len(speed), rate)
