@@ -91,13 +91,17 @@ def test_where_a_vehicle_moves_speeds_stay_as_they_were_measured() -> None:
     assert np.sqrt((unsure**2).mean(axis=1)).max() < 0.01 * 60.0
 
 
-def test_what_commands_lead_to_is_expected_where_noise_is_all_that_differs() -> None:
-    """A lag of 0.04 s behind commands that pitch: the estimate is what the declared rotors do, far closer than the log."""
-    flight, true = turning(0.3)
-    tau, step = ROBOT.rotor.time_constant_up, 1.0 / RATE
-    kept = np.exp(-step / tau)
+def led_by_commands(flight: Flight, true: Array, tau: float) -> Flight:
+    """Return the flight with the commands that lead to its true speeds by a lag [s]."""
+    kept = np.exp(-1.0 / RATE / tau)
     command = (true[1:] - kept * true[:-1]) / (1.0 - kept)
-    led = replace(flight, rotor_command=np.concatenate((command, command[-1:])))
+    return replace(flight, rotor_command=np.concatenate((command, command[-1:])))
+
+
+def test_what_commands_lead_to_is_expected_where_noise_is_all_that_differs() -> None:
+    """The declared lag behind commands that pitch: the estimate is what the declared rotors do, far closer than the log."""
+    flight, true = turning(0.3)
+    led = led_by_commands(flight, true, ROBOT.rotor.time_constant_up)
     found = estimate_rotors(ROBOT, [led], BAND)[0]
     assert found is not None
     assert led.rotor_speed is not None
@@ -106,14 +110,13 @@ def test_what_commands_lead_to_is_expected_where_noise_is_all_that_differs() -> 
 
 
 def test_where_motion_is_more_than_noise_a_lag_that_is_wrong_changes_nothing() -> None:
-    """Commands of a vehicle that moves are not asked: what they say cannot spoil what was measured."""
+    """Commands of a vehicle that moves are not asked: a lag that is off by 10 % would be 1.7 rad/s, as large as noise."""
     flight, true = turning(30.0)
-    wrong = replace(flight, rotor_command=np.roll(true, 20, axis=0))
-    one, other = (estimate_rotors(ROBOT, [which], BAND)[0] for which in (flight, wrong))
+    led = led_by_commands(flight, true, 0.9 * ROBOT.rotor.time_constant_up)
+    one, other = (estimate_rotors(ROBOT, [which], BAND)[0] for which in (flight, led))
     assert one is not None
     assert other is not None
-    rms = (pitching(one.speed) - pitching(other.speed)).std()
-    assert rms < 0.01 * pitching(true).std()
+    assert (pitching(one.speed) - pitching(other.speed)).std() < 0.1
 
 
 def test_a_log_that_is_too_slow_or_without_noise_stays_as_it_is() -> None:
