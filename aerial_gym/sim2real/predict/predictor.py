@@ -11,9 +11,8 @@ rate x, y, z. Letters: E rows, C channels, R rotors.
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 import torch
@@ -44,7 +43,6 @@ from aerial_gym.physics.effects import (
     WindEffect,
     WrenchEffect,
 )
-from aerial_gym.physics.effects.imu_errors import imu_errors
 from aerial_gym.physics.effects.learned_residual import felt_inputs
 from aerial_gym.physics.effects.track import Track
 from aerial_gym.physics.model import Model
@@ -53,12 +51,13 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
 from aerial_gym.sim2real.predict.dataset import Dataset, thinned
+from aerial_gym.sim2real.predict.imu_reading import imu_of
 from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at, key_of
 from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
 from aerial_gym.sim2real.predict.replay.memory import remembered_along
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rotor_estimate import RotorEstimate, estimate_rotors
-from aerial_gym.sim2real.predict.rows import expand_model, with_known_wind
+from aerial_gym.sim2real.predict.rows import expand_model, together, with_known_wind
 from aerial_gym.sim2real.predict.slow_columns import SlowColumns
 from aerial_gym.sim2real.predict.tolerances import (
     Tolerances,
@@ -83,8 +82,6 @@ CONDITIONS = 2
 REPLAYS = 3
 """Rotor speeds that are kept in the band."""
 
-MOST_ROWS = 16000
-"""Flights are evaluated together up to so many rows: more of them leave the processor's cache, and take longer each."""
 
 PREDICTIONS = 256
 """Predictions kept: a fit begins where a first look at the same effect has been, and both begin at the present model."""
@@ -168,7 +165,7 @@ class _Together:
         force_bias = force_bias * self.data.felt_force  # (E, 3)
         if not model.effects[ImuEffect]:
             return {"specific_force": (force + force_bias).numpy(), "angular_acceleration": found.ang_acc.numpy()}
-        of_force, of_rate = _read(model)
+        of_force, of_rate = imu_of(model)
         return {
             "specific_force": (torch.where(self.data.felt_force, of_force.of(force), force) + force_bias).numpy(),
             "angular_acceleration": times(found.ang_acc, of_rate.turn).numpy(),  # a constant error has no derivative
@@ -191,7 +188,7 @@ class _Together:
         )
         force = found.specific_force
         if model.effects[ImuEffect]:
-            force = torch.where(self.data.felt_force, _read(model)[0].of(force), force)
+            force = torch.where(self.data.felt_force, imu_of(model)[0].of(force), force)
         force = self.data.force - force - sensor_biases(self.tolerances, deviation)[0] * self.data.felt_force
         missed = quat_rotate(self.data.state["attitude"], force).numpy()
         return self._load_replay.loads(model, self.data.row_times, [missed[span] for span in self.data.spans])
@@ -286,39 +283,11 @@ class _Together:
         return found
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Reading:
-    """What a sensor reads of true vectors: ``turn^T v + offset``."""
-
-    offset: Tensor
-    turn: Tensor
-
-    def of(self, rows: Tensor) -> Tensor:
-        """Return what is read of rows (E, 3)."""
-        return times(rows, self.turn) + self.offset
-
-
-def _read(model: Model) -> tuple[_Reading, _Reading]:
-    """Return what accelerometer and gyroscope read under the errors of a model, which are the same in all rows."""
-    numbers = imu_errors([(effect, params[:1]) for effect, params in model.effects[ImuEffect]]).view(2, 4, 3)
-    accelerometer, gyro = (_Reading(offset=part[0], turn=part[1:]) for part in numbers)
-    return accelerometer, gyro
-
-
 def _seen_by_condition(model: Model) -> tuple[object, ...]:
     """Return what of a model changes what its effects see, rotor speeds that follow commands aside."""
     of_vehicle = [getattr(model.vehicle, name)[0].numpy().tobytes() for name in SEEN_OF_VEHICLE]
     effects = [*model.effects[WindEffect], *model.effects[RotorSensorEffect]]
     return (*of_vehicle, *((effect.name, params[0].numpy().tobytes()) for effect, params in effects))
-
-
-def together(rows: Sequence[int]) -> list[slice]:
-    """Return which neighbouring flights are evaluated together, given the rows of each: MOST_ROWS, or a longer one alone."""
-    ends = [0]
-    for index in range(1, len(rows)):
-        if sum(rows[ends[-1] : index + 1]) > MOST_ROWS:
-            ends.append(index)
-    return [slice(a, b) for a, b in pairwise([*ends, len(rows)])]
 
 
 class Predictor:

@@ -1,7 +1,8 @@
-"""Vehicles and models of one environment in every row of flights. Letters: E rows."""
+"""Rows of flights: which are evaluated together, and vehicles and models of one environment in every one. Letters: E rows."""
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -10,6 +11,18 @@ from numpy.typing import NDArray
 from aerial_gym.physics import Vehicle
 from aerial_gym.physics.model import Model, in_steady_wind
 from aerial_gym.sim2real.logs.flights import Flight
+
+MOST_ROWS = 16000
+"""Flights are evaluated together up to so many rows: more of them leave the processor's cache, and take longer each."""
+
+
+def together(rows: Sequence[int]) -> list[slice]:
+    """Return which neighbouring flights are evaluated together, given the rows of each: MOST_ROWS, or a longer one alone."""
+    ends = [0]
+    for index in range(1, len(rows)):
+        if sum(rows[ends[-1] : index + 1]) > MOST_ROWS:
+            ends.append(index)
+    return [slice(a, b) for a, b in pairwise([*ends, len(rows)])]
 
 
 def expand_rows(vehicle: Vehicle, rows: int) -> Vehicle:

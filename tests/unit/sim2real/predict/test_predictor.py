@@ -20,9 +20,10 @@ from aerial_gym.sim2real.predict.channels import Channel, find_channels
 from aerial_gym.sim2real.predict.dataset import thinned
 from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
 from aerial_gym.sim2real.predict.noise_floor import noise_floor
-from aerial_gym.sim2real.predict.predictor import Predictor, together
+from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rollout import roll_out, roll_out_variants
+from aerial_gym.sim2real.predict.rows import together
 from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_biases
 from aerial_gym.sim2real.predict.windows import find_windows
 from tests.physics.vehicles import BATTERY
@@ -225,7 +226,7 @@ def test_flights_are_predicted_alike_alone_and_together(tmp_path: Path, monkeypa
     channels = find_channels(flights)
     predictors = []
     for most in (1, 10**6):
-        monkeypatch.setattr("aerial_gym.sim2real.predict.predictor.MOST_ROWS", most)
+        monkeypatch.setattr("aerial_gym.sim2real.predict.rows.MOST_ROWS", most)
         predictors.append(Predictor(ROBOT, flights, bandwidth=BAND, channels=channels, tolerances=Tolerances()))
     for name, point in MODELS.items():
         for alone, beside in zip(*(predictor.predict(point) for predictor in predictors), strict=True):
