@@ -173,7 +173,7 @@ def _seen_without_line(length: int) -> Array:
 
 
 def _segments(rows: int, rate: float) -> float:
-    """Return over how many independent segments Welch's mean is: half-overlapping Hann windows, 18 for every 19 apart.
+    """Return over how many independent segments Welch's mean is: half-overlapping Hann windows count 9/11 each.
 
     Source: Welch (1967), The use of fast Fourier transform for the estimation of power spectra, IEEE Transactions on Audio and
     Electroacoustics 15 (variance 11/9 of that of as many independent segments).
