@@ -21,8 +21,9 @@ from aerial_gym.errors import ConfigError
 HOW = ("scale", "offset", "value")
 """What is drawn: a factor on what the file says, something added to it, or the quantity itself."""
 
-DISTRIBUTIONS = ("uniform", "log_uniform", "normal")
-"""How it is distributed. A normal one is truncated at ``low`` and ``high``, where they are given."""
+DISTRIBUTIONS = ("uniform", "log_uniform", "normal", "integer")
+"""How it is distributed. A normal one is truncated at ``low`` and ``high``, where they are given; an integer one draws whole
+numbers from ``low`` to ``high``, all equally often."""
 
 
 LARGEST_NORMAL = 5.4
@@ -99,6 +100,10 @@ class RandomizeCfg:
             )
         if self.distribution == "log_uniform" and not low > 0.0:
             raise ConfigError(f"RandomizeCfg.low = {low!r}: a log_uniform distribution needs 0 < low")
+        if self.distribution == "integer" and not (float(low).is_integer() and float(high).is_integer()):
+            raise ConfigError(
+                f"RandomizeCfg: low = {low!r}, high = {high!r}: an integer distribution needs whole numbers"
+            )
         if self.how == "scale" and not low >= 0.0:
             raise ConfigError(f"RandomizeCfg.low = {low!r}: a factor needs a lowest value >= 0 (how: scale)")
 

@@ -128,12 +128,18 @@ def normal(draw: Draw, state: wp.uint32) -> float:
 
 
 @wp.func
+def integer(draw: Draw, state: wp.uint32) -> float:
+    """Return a draw of whole numbers; ``high`` is one beyond the last."""
+    return wp.clamp(wp.floor(share_of(draw, state)), draw.least, draw.most)
+
+
+@wp.func
 def joint(draw: Draw, weighted: float) -> float:
     """Return a number of a joint normal distribution; ``weighted`` is its row of the factor times independent normal draws."""
     return wp.clamp(draw.mean + draw.std * weighted, draw.least, draw.most)
 
 
-_CALLED = (stream_of, substream, independent_normal, uniform, log_uniform, normal, joint)
+_CALLED = (stream_of, substream, independent_normal, uniform, log_uniform, normal, integer, joint)
 
 
 def drawing(drawn: Sequence[Drawn], random: Randomness, *, device: torch.device) -> Made:
@@ -183,6 +189,8 @@ def _fill(row: np.void, distribution: str, low: float, high: float, mean: float,
         low, high = _normal_share(low, mean, std), _normal_share(high, mean, std)
     elif distribution == "log_uniform":
         low, high = log(low), log(high)
+    elif distribution == "integer":
+        high += 1.0
     row["low"], row["high"] = low, high
 
 

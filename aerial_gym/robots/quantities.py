@@ -168,10 +168,8 @@ def table() -> str:
         rows.append(f"| `{name}` | {each.unit} | {widths[each.width]} | {', '.join(each.how)} | {each.meaning} |")
     for name in EFFECTS.names():
         for each in EFFECTS.get(name).parameters:
-            if each.kind == "number":
-                rows.append(
-                    f"| `effects.{name}.{each.name}` | {each.unit} | 1 | scale, offset, value | {each.meaning} |"
-                )
+            how = "value, integer" if each.kind == "rotor" else "scale, offset, value"
+            rows.append(f"| `effects.{name}.{each.name}` | {each.unit} | 1 | {how} | {each.meaning} |")
     return "\n".join(rows)
 
 

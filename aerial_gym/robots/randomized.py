@@ -16,7 +16,7 @@ from aerial_gym.config.randomize import Randomize, RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS, Vehicle
-from aerial_gym.physics.effects import Effect
+from aerial_gym.physics.effects import Effect, Parameter
 from aerial_gym.physics.vehicle import own_rows, share_row
 from aerial_gym.robots.parameter_draws import Drawn, joint_factor
 from aerial_gym.robots.quantities import QUANTITIES, drawn_value
@@ -235,7 +235,9 @@ class Randomized:
         if trait is not None and trait not in self._declared.traits:
             raise ConfigError(f"randomize: {name}: the rotors of this robot have none. Declare one in its file")
         declared = torch.tensor(self._declared_of(name, cfg)).flatten().tolist()
-        least, most = _limits(name)
+        least, most = _limits(name, self._num_rotors)
+        if _names_rotor(name) and (cfg.distribution, cfg.how) != ("integer", "value"):
+            raise ConfigError(f"randomize: {name} is the number of a rotor. Give how: value, distribution: integer")
         for low, high in cfg.reached(name, declared):
             if not (least <= low and high <= most):
                 raise ConfigError(
@@ -244,12 +246,24 @@ class Randomized:
                 )
 
 
-def _limits(name: str) -> tuple[float, float]:
-    """Return the lowest and highest value of a quantity that is possible."""
+def _parameter(name: str) -> Parameter | None:
+    """Return the parameter of an effect that a quantity is; None of another quantity."""
     family, *rest = name.split(".")
-    if family == "effects":
-        parameter = next(p for p in EFFECTS.get(rest[0]).parameters if p.name == rest[1])
-        return parameter.low, parameter.high
+    return next(p for p in EFFECTS.get(rest[0]).parameters if p.name == rest[1]) if family == "effects" else None
+
+
+def _names_rotor(name: str) -> bool:
+    """Return whether a quantity is the number of a rotor."""
+    parameter = _parameter(name)
+    return parameter is not None and parameter.kind == "rotor"
+
+
+def _limits(name: str, num_rotors: int) -> tuple[float, float]:
+    """Return the lowest and highest value of a quantity that is possible."""
+    parameter = _parameter(name)
+    if parameter is not None:
+        return parameter.low, num_rotors if parameter.kind == "rotor" else parameter.high
+    family = name.partition(".")[0]
     if name == "battery.charge":
         return 1e-3, 1.0
     if name in ("body.com",) or family == "mounts":

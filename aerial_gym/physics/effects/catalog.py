@@ -24,6 +24,7 @@ for _name, _class in (
     ("torque_ratio", "TorqueRatio"),
     ("motor_time_constant", "MotorTimeConstant"),
     ("motor_asymmetry", "MotorAsymmetry"),
+    ("motor_failure", "MotorFailure"),
     ("actuation_delay", "ActuationDelay"),
     ("battery_sag", "BatterySag"),
     ("rotor_inertia", "RotorInertia"),

@@ -36,7 +36,10 @@ def rich(backend: str = "warp", *, env: str = "dynamic_env", seed: int = 1, num_
     robot, effects = ROBOTS.get("tinyprop"), {"rotor_drag": {"dx": 0.3, "dy": 0.3, "dz": 0.3}}
     for name in (name for name in EFFECTS.names() if EFFECTS.get(name).remembers):
         effect = EFFECTS.get(name)
-        row = [a + 0.5 * p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
+        row = [
+            a + 0.5 * p.scale * (p.kind != "rotor")
+            for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)
+        ]
         effects[name] = dict(zip([p.name for p in effect.parameters], row, strict=True))
     sensors = (
         SensorMountCfg(sensor="st_vl53l5cx", name="eye", rate_hz=6.0, latency_s=0.1),

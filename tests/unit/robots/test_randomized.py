@@ -387,3 +387,36 @@ def test_a_joint_distribution_is_read_and_written(tmp_path: Path) -> None:
     path.write_text(dump_yaml(robot), encoding="utf-8")
     assert load(RobotCfg, path).randomize == TOGETHER
     assert "effects.rotor_drag.dx: -0.7" in path.read_text(encoding="utf-8")
+
+
+def test_integers_are_drawn_equally_often_and_name_rotors() -> None:
+    """Chi-square over 20,000 environments and four rotors; a p-value below 1e-4 would be seen once in 10,000 seeds."""
+    failing = {"effects.motor_failure.motor": RandomizeCfg(how="value", distribution="integer", low=1, high=4)}
+    env = make(failing, 20_000)
+    drawn = env.draws()["effects.motor_failure.motor"].flatten()
+    counts = torch.bincount(drawn.long(), minlength=5)
+    assert torch.equal(drawn, drawn.round())
+    assert counts[0] == 0
+    assert len(counts) == 5
+    assert stats.chisquare(counts[1:].numpy()).pvalue > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("how", "message"),
+    [
+        ({"how": "value", "low": 1.0, "high": 4.0}, "is the number of a rotor. Give how: value, distribution: integer"),
+        ({"how": "offset", "distribution": "integer", "low": 0, "high": 3}, "is the number of a rotor"),
+        (
+            {"how": "value", "distribution": "integer", "low": 1, "high": 5},
+            r"reaches 1 to 5: must stay within \[1, 4\]",
+        ),
+    ],
+)
+def test_the_number_of_a_rotor_is_drawn_among_those_that_there_are(how: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        make({"effects.weak_motor.motor": RandomizeCfg(**how)})
+
+
+def test_integers_lie_between_whole_numbers() -> None:
+    with pytest.raises(ConfigError, match="an integer distribution needs whole numbers"):
+        RandomizeCfg(how="value", distribution="integer", low=1.5, high=4.0)

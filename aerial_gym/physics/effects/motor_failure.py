@@ -1,0 +1,90 @@
+"""A motor that fails in flight: from a moment on its rotor follows a part of what it is told, or stands still.
+
+The rotor tends to ``scale`` times the command, with its own lag, from the boundary between two substeps on that is nearest to
+``time`` after the reset; before, to the command. Thrust, drag torque and spin follow from the speed as ever: where thrust goes
+with its square, a rotor is left with ``scale²`` of the thrust.
+Source: loss of effectiveness of an actuator, e.g. Zhang, Jiang (2008), Bibliographical review on reconfigurable fault-tolerant
+control systems, section 2; the lag makes it a motor that runs down rather than a propeller that breaks (``weak_motor``).
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics.effects.base import ANY_ROTOR, CommandEffect, Moment, Parameter
+from aerial_gym.physics.effects.one_rotor import ROTOR, chosen_rotor
+from aerial_gym.physics.vehicle import Vehicle
+
+
+class MotorFailure(CommandEffect):
+    """A factor on the command of one rotor from a moment on."""
+
+    name = "motor_failure"
+    summary = "from a moment on one rotor follows a part of its command, or stands still"
+    parameters = (
+        ROTOR,
+        Parameter(
+            name="scale",
+            unit="-",
+            low=0.0,
+            high=2.0,
+            scale=0.3,
+            meaning="speed, in force mode thrust, per what is told, after it",
+        ),
+        Parameter(
+            name="time",
+            unit="s",
+            low=0.0,
+            high=1e5,
+            scale=0.1,
+            meaning="from the reset to the failure",
+            kind="convention",
+        ),
+    )
+    excitation = "an episode that goes on after it; a log does not say when its reset was"
+    confused_with = ("weak_motor", "com_offset")
+    rotors = ANY_ROTOR
+    memory = (1.0,)
+    """Factor on the command of the rotor."""
+    random = True
+
+    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
+        """Return 1 for the first rotor from the start: it does as it is told."""
+        del robot
+        return 1.0, 1.0, 0.0
+
+    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+        """Return the factor of this substep, (E, 1)."""
+        middle = (moment.since.to(values.dtype) + 0.5) * moment.dt
+        return torch.where(middle.unsqueeze(-1) < values[:, 2:3], 1.0, values[:, 1:2])
+
+    def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
+        """Return the commands with that of one rotor times the factor."""
+        return command * (1.0 + chosen_rotor(vehicle, params[:, 0]) * (params[:, 3:] - 1.0))
+
+    def measured(self, voltage: Tensor) -> Tensor:
+        """Return no failure, (T, 1)."""
+        return torch.ones_like(voltage).unsqueeze(-1)
+
+    def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
+        """Return the same in Warp."""
+
+        @wp.func
+        def failure(plant: vehicle, now: moment, values: wp.vec4) -> wp.vec4:
+            factor = wp.where((float(now.since) + 0.5) * now.dt < values[2], 1.0, values[1])
+            return wp.vec4(values[0], values[1], values[2], factor)
+
+        return failure
+
+    def warp_command(self, vehicle: type, vector: type) -> wp.Function:
+        """Return the same in Warp."""
+
+        @wp.func
+        def motor_failure(command: vector, plant: vehicle, values: wp.vec4) -> vector:
+            followed = vector()
+            for i in range(len(command)):
+                followed[i] = command[i] * wp.where(i + 1 == int(wp.round(values[0])), values[3], 1.0)
+            return followed
+
+        return motor_failure
