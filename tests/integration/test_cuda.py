@@ -173,7 +173,10 @@ def test_a_captured_step_with_effects_that_remember_is_the_eager_step() -> None:
     robot, effects = ROBOTS.get("tinyprop"), {"rotor_drag": {"dx": 0.3, "dy": 0.3, "dz": 0.3}}
     for name in (name for name in EFFECTS.names() if EFFECTS.get(name).remembers):
         effect = EFFECTS.get(name)
-        row = [a + 0.5 * p.scale * (p.kind != "rotor") for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
+        row = [
+            a + 0.5 * p.scale * (p.kind != "rotor")
+            for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)
+        ]
         effects[name] = dict(zip([p.name for p in effect.parameters], row, strict=True))
     battery = BatteryCfg(
         nominal_voltage=11.1, full_voltage=12.6, empty_voltage=10.5, internal_resistance=0.05, capacity=3600.0, source="test"

@@ -64,6 +64,15 @@ def test_a_law_holds_a_point_by_attitude_velocities_and_accelerations(told: Told
         assert stay == 100.0
 
 
+def test_a_law_that_knows_of_a_lost_rotor_hovers_without_it(told: Told) -> None:
+    """Not told, it loses the vehicle also where most of the thrust is left; told, it holds the point with 36 to 81 %."""
+    *_, (_, (lost, *_)), (_, (kept, error)), _, (_, (worst, *_)) = told("lost_rotor.py", 32)
+    assert lost > 90.0
+    assert kept == 0.0
+    assert error < 0.02
+    assert worst < 95.0
+
+
 @pytest.mark.slow
 def test_a_law_that_leads_follows_more_closely(told: Told, tmp_path: Path) -> None:
     (_, (_, behind)), (_, (_, near)), (_, (_, far)), (_, (_, less)) = told("follow.py", tmp_path / "out.png", 16)

@@ -1,0 +1,52 @@
+"""motor_failure_task: one drawn rotor follows a drawn part of its command from a drawn moment on, in every environment."""
+
+import torch
+
+from aerial_gym.task import Task, task_registry
+
+NAME, HOVER = "motor_failure_task", -0.387
+"""The action for 0.613 N of each rotor, a quarter of the weight."""
+
+
+def draws(task: Task) -> list[torch.Tensor]:
+    """Return rotor, factor and moment, each (E,)."""
+    return [task.env.draws()[f"effects.motor_failure.{what}"].flatten().clone() for what in ("motor", "scale", "time")]
+
+
+def test_a_drawn_rotor_keeps_a_drawn_part_of_its_speed_from_a_drawn_moment_on() -> None:
+    """Told the same, rotors turn alike before; 0.3 s after, seven time constants, one has its share, to exp(-7.5)."""
+    with task_registry.make_task(NAME, num_envs=200, device="cpu", seed=0) as task:
+        task.reset()
+        motor, scale, moment = draws(task)
+        gtd, first, told = task.env.gtd, torch.ones(200, dtype=torch.bool), torch.full((200, 4), HOVER)
+        whole, broken = torch.zeros(200, dtype=torch.bool), torch.zeros(200, dtype=torch.bool)
+        for step in range(1, 361):
+            _, _, terminated, truncated, _ = task.step(told)
+            first &= ~(terminated | truncated)
+            speed, time = gtd["rotor_speed"], 0.01 * step
+            sought = speed.gather(1, motor.long().unsqueeze(1) - 1)[:, 0]
+            share = sought / speed.max(dim=1).values
+            before, after = first & (time <= moment - 0.01) & (time > 0.5), first & (time >= moment + 0.31)
+            assert (share[before] > 1.0 - 1e-4).all()
+            torch.testing.assert_close(share[after], scale[after], atol=1e-3, rtol=0.0)
+            whole |= before
+            broken |= after
+        assert whole.all()
+        assert broken.float().mean() > 0.8  # the others had drifted 8 m away before
+
+
+def test_every_episode_draws_another_failure_whatever_the_number_of_environments() -> None:
+    found = []
+    for num in (64, 3):
+        with task_registry.make_task(NAME, num_envs=num, device="cpu", seed=2) as task:
+            task.reset()
+            found.append(draws(task))
+            task.reset()
+            found.append(draws(task))
+    first, second, alone, _ = found
+    assert all(torch.equal(few, many[:3]) for few, many in zip(alone, first, strict=True))
+    assert all((a != b).float().mean() > 0.5 for a, b in zip(first, second, strict=True))
+    motor, scale, moment = first
+    assert set(motor.tolist()) == {1.0, 2.0, 3.0, 4.0}
+    assert 0.0 <= scale.min() < 0.1 < 0.8 < scale.max() <= 0.9
+    assert 1.0 <= moment.min() < 1.2 < 2.8 < moment.max() <= 3.0
