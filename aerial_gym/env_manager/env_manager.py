@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.assets import AssetManager, Bounds, CollisionTest
+from aerial_gym.assets.below import SurfaceBelow
 from aerial_gym.assets.body_shapes import body_reach
 from aerial_gym.config.checks import MAX_COUNT
 from aerial_gym.config.controller import ControllerCfg
@@ -130,6 +131,9 @@ class EnvManager:
             gradients=dtype if differentiable else None,
             randomize={name: each for name, each in random.items() if name not in places},
         )
+        surface, self._below = self.robot_manager.felt.surface_height, None
+        if surface is not None:
+            self._below = SurfaceBelow(scene, position=self.gtd["robot_position"], height_out=surface)
         self.asset_manager.track_from(self.gtd["robot_position"])
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
         range_sensors, imus = mounted_sensors(robot.sensor_mounts, places)
@@ -264,6 +268,8 @@ class EnvManager:
         It looks for contact with the ground after every substep, and obstacles that push back (``contact``) move and push
         between the substeps. Other obstacles wait for ``collide``.
         """
+        if self._below is not None:
+            self._below.find()
         self.robot_manager.advance(self.cfg.physics_steps_per_env_step)
 
     def collide(self) -> None:

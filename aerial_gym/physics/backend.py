@@ -98,6 +98,10 @@ class PhysicsBackend(Protocol):
         """Take other parameters of the same shapes."""
         ...
 
+    def take_ground_heights(self) -> None:
+        """Take what stands in ``Model.ground_height`` now, where that is a tensor (E, 1)."""
+        ...
+
     def prepare(self, dt: float) -> None:
         """Make everything that depends on the length of a substep [s]."""
         ...

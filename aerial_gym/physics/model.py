@@ -44,10 +44,10 @@ class Model:
     """Downward acceleration of free fall [m/s²]."""
 
     ground_height: float | Tensor
-    """Height of the ground [m], world, for effects near it; in plain torch it may differ between environments, (E, 1)."""
+    """Height of the ground [m], world, for effects near it; (E, 1) where it differs between environments."""
 
     ceiling_height: float | Tensor | None
-    """Height of the ceiling [m], world, for effects near it; None where there is none; likewise."""
+    """Height of the ceiling [m], world, for effects near it; None where there is none. In plain torch it may differ, (E, 1)."""
 
     other_position: Tensor
     """Another vehicle, whose wake streams down [m], world, (E, 3)."""
@@ -85,8 +85,9 @@ def build_model(
         vehicle: As declared.
         effects: With their parameters (E, P).
         gravity: Downward acceleration of free fall [m/s²].
-        ground_height: Height of the ground [m], world; (E, 1) where it differs, which plain torch alone can do.
-        ceiling_height: Height of the ceiling [m], world, or likewise; None where there is none.
+        ground_height: Height of the ground [m], world; (E, 1) where it differs.
+        ceiling_height: Height of the ceiling [m], world; (E, 1) where it differs, which plain torch alone can do; None where
+            there is none.
         other_position: Another vehicle, whose wake streams down [m], world, (E, 3); if not given, infinitely high over the
             origin.
 

@@ -176,6 +176,9 @@ class TorchBackend:
         rows = model.vehicle.rows() | {"inertia_inverse": model.inertia_inverse}
         self._own = [name for name, kept in rows.items() if not is_shared(kept)]
 
+    def take_ground_heights(self) -> None:
+        """Do nothing: the tensor is read in every step."""
+
     def prepare(self, dt: float) -> None:
         """Make the memory of effects and control law."""
         self._memory_for(dt)

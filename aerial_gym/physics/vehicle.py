@@ -26,6 +26,11 @@ def is_shared(rows: Tensor) -> bool:
     return rows.stride(0) == 0
 
 
+def is_same_row(new: Tensor, kept: Tensor) -> bool:
+    """Return whether rows are shared as ``kept`` are, with the same numbers; waits for the device."""
+    return is_shared(new) and torch.equal(new[0], kept[0])
+
+
 def own_rows(rows: Tensor) -> Tensor:
     """Return a copy (E, ...) with memory for every row, which is not shared even where E is 1."""
     return torch.empty(rows.shape, dtype=rows.dtype, device=rows.device).copy_(rows)

@@ -41,7 +41,7 @@ from aerial_gym.physics.memory import Memory, make_memory, num_past_commands
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
-from aerial_gym.physics.vehicle import is_shared
+from aerial_gym.physics.vehicle import is_same_row, is_shared
 
 BLOCK_DIM = 128
 """Threads of a block; measured in docs/results/performance.md."""
@@ -129,8 +129,8 @@ class WarpBackend:
                 f"backend warp: a differentiable rollout cannot run effect {model.effects.remembering[0]!r}, which has memory. "
                 "Use backend 'torch'."
             )
-        if isinstance(model.ground_height, torch.Tensor) or isinstance(model.ceiling_height, torch.Tensor):
-            raise CapabilityError("backend warp: one height of ground and ceiling for all. Use backend 'torch'.")
+        if isinstance(model.ceiling_height, torch.Tensor):
+            raise CapabilityError("backend warp: one height of the ceiling for all. Use backend 'torch'.")
         law = control.fused()
         if law is None:
             raise CapabilityError(f"backend warp: {type(control).__name__} has no Warp law. Use backend 'torch'.")
@@ -202,7 +202,7 @@ class WarpBackend:
         old, self._model = self._model, model
         pairs = [*zip(model.vehicle.rows().values(), old.vehicle.rows().values(), strict=True)]
         pairs.append((model.other_position, old.other_position))
-        changed = any(is_shared(kept) and new is not kept and not _same_row(new, kept) for new, kept in pairs)
+        changed = any(is_shared(kept) and new is not kept and not is_same_row(new, kept) for new, kept in pairs)
         if changed or not self._packing.fits(self._numbers(1.0)):
             memory, law_memory = self._memory, self.law_memory
             self.allocate(
@@ -228,6 +228,11 @@ class WarpBackend:
             self.law_memory.since.masked_fill_(mask, 0)
         if self._packing.gains is not None and self._dt != 0.0:
             self._write_gains(self._packing.gains)
+
+    def take_ground_heights(self) -> None:
+        """Write the heights to their place in the packed tensor."""
+        if isinstance(self._model.ground_height, torch.Tensor):
+            self._packed[self._packing.vehicle["ground_height"]].copy_(self._model.ground_height[:, 0])
 
     def prepare(self, dt: float) -> None:
         """Compute everything that depends on the length of a substep [s]."""
@@ -394,8 +399,3 @@ class WarpBackend:
         rollout = Rollout(self.kernel, self._shared, self._ground, self._model.gravity, dt, substeps, self._kinds())
         after = rollout(state.tensors(), command, torch.cat([row.T for row in rows]))
         return BodyState(**dict(zip(vars(state), after, strict=True)))
-
-
-def _same_row(new: Tensor, kept: Tensor) -> bool:
-    """Return whether rows are shared as before, with the same numbers; waits for the device."""
-    return is_shared(new) and torch.equal(new[0], kept[0])

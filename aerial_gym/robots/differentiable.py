@@ -83,6 +83,10 @@ class DifferentiableBackend:
         self._rows = None
         self._inner.set_model(model.to(self._dtype))
 
+    def take_ground_heights(self) -> None:
+        """Take what stands in ``Model.ground_height`` now."""
+        self._inner.take_ground_heights()
+
     def prepare(self, dt: float) -> None:
         """Make the memory of the effects."""
         self._inner.prepare(dt)

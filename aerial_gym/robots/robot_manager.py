@@ -5,7 +5,6 @@ Letters: E environments, R rotors, P parameters of an effect, U entries of an ac
 
 from dataclasses import replace
 from functools import partial
-from math import inf
 
 import torch
 from torch import Tensor
@@ -36,6 +35,7 @@ from aerial_gym.physics.vehicle import is_shared, own_rows
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import below
 from aerial_gym.robots.differentiable import DifferentiableBackend
+from aerial_gym.robots.felt_scene import declare_felt_scene
 from aerial_gym.robots.initial_state import InitialState, StepBegin
 from aerial_gym.robots.noticed import Noticed
 from aerial_gym.robots.parameter_draws import drawing
@@ -161,13 +161,9 @@ class RobotManager:
                 key="robot_imu_errors", shape=("E", WIDTH), unit="m/s², rad/s, -", frame="body", owner="robot",
                 meaning="measured = A true + b of specific force and angular velocity: b and columns of A of each",
             ))  # fmt: skip
-        self._other_position: Tensor | None = None
-        if any("other_position" in effect.needs for effect, _ in self._effects):
-            self._other_position = gtd.declare(TensorSpec(
-                key="downwash_position", shape=("E", 3), unit="m", frame="world", owner="robot",
-                meaning="vehicle whose wake streams down; call refresh_model() after writing",
-            ))  # fmt: skip
-            self._other_position[:, 2] = inf
+        scene, gradients = self._around.scene, self.differentiable is not None
+        obstacles = scene is not None and scene.num_instances > 0
+        self.felt = declare_felt_scene(gtd, self._effects, obstacles=obstacles, gradients=gradients)
 
     def _make_ground(self, spheres: Tensor) -> Ground | None:
         around = self._around
@@ -243,16 +239,15 @@ class RobotManager:
         return {} if self._randomized is None else self._randomized.views(self._values)
 
     def _sources(self) -> tuple[Tensor, ...]:
-        """Return what decides the parameters of each environment: draws, parameters of effects, another vehicle's place."""
+        """Return what decides the parameters of each environment: draws, parameters of effects, the scene that they feel."""
         drawn = () if self._randomized is None else (self._values,)
-        other = () if self._other_position is None else (self._other_position,)
-        return (*drawn, *(params for _, params in self._effects), *other)
+        return (*drawn, *(params for _, params in self._effects), *self.felt.sources)
 
     def _model_of(self, *sources: Tensor, declared: Vehicle | None = None) -> tuple[Model, Followed]:
         """Return the model, and what follows from the draws; plain torch on the rows of ``_sources`` and of ``declared``."""
         rest = list(sources)
         values = rest.pop(0) if self._randomized is not None else None
-        other = rest.pop() if self._other_position is not None else None
+        felt = self.felt.take_from(rest)
         followed = Followed(vehicle=self.declared, params=tuple(rest), gains={})
         if self._randomized is not None and values is not None:
             followed = self._randomized.follow(values, *rest, vehicle=declared)
@@ -260,9 +255,9 @@ class RobotManager:
             followed.vehicle,
             [(effect, params) for (effect, _), params in zip(self._effects, followed.params, strict=True)],
             gravity=self._sim.gravity,
-            ground_height=self._around.ground_height or 0.0,
+            ground_height=(self._around.ground_height or 0.0) if felt.surface_height is None else felt.surface_height,
             ceiling_height=self._around.ceiling_height,
-            other_position=other,
+            other_position=felt.other_position,
         )
         return model, followed
 
@@ -377,6 +372,8 @@ class RobotManager:
 
     def advance(self, substeps: int) -> None:
         """Advance the physics by ``substeps`` with the stored action held; obstacles that push back move and push between."""
+        if self.felt.surface_height is not None:
+            self.backend.take_ground_heights()
         self.backend.step(self.tensors.state, self.tensors.actions, self._sim.dt, substeps)
 
     def refresh(self, span: float) -> None:

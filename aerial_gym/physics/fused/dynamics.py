@@ -6,6 +6,7 @@ Letters: R rotors, P parameters of the effects.
 from typing import Any
 
 import warp as wp
+from torch import Tensor
 
 from aerial_gym.physics.effects import DelayEffect, Effect, LoadEffect, RotorEffect, WindEffect, WrenchEffect
 from aerial_gym.physics.fused.functions import (
@@ -115,7 +116,8 @@ def make_accelerations(model: Model) -> wp.Function:
     gain = _sum_of_rotors(rotors, types.condition, params_type)
     wrench = _sum_of(wrenches, types.condition, params_type, wp.spatial_vector)
     vehicle_type, vector, condition_type = types.vehicle, types.vector, types.condition
-    ground_height, hub_at = model.ground_height, _make_hub_at(num_rotors, general)
+    own_ground, hub_at = isinstance(model.ground_height, Tensor), _make_hub_at(num_rotors, general)
+    ground_height = 0.0 if isinstance(model.ground_height, Tensor) else model.ground_height
     ceiling_height = NO_CEILING if model.ceiling_height is None else model.ceiling_height
     hang = _make_hang(model)
 
@@ -138,6 +140,8 @@ def make_accelerations(model: Model) -> wp.Function:
         thrusts = vector()
         drags = vector()
         ground = float(wp.static(ground_height))
+        if wp.static(own_ground):
+            ground = vehicle.ground_height
         ceiling = float(wp.static(ceiling_height))
         if wp.static(any_rotor or any_wrench):
             at.position = position

@@ -89,6 +89,8 @@ def _vehicle_fields(model: Model, stage: float) -> list[Field]:
         ]
     if model.effects[CommandEffect]:
         fields.append(Field("battery", (v.battery,), _same))
+    if isinstance(model.ground_height, Tensor):
+        fields.append(Field("ground_height", (model.ground_height,), _same))
     if model.effects[WrenchEffect]:
         fields.append(Field("other_position", (model.other_position,), _same))
     if model.effects[RotorEffect] or model.effects[WrenchEffect]:

@@ -115,6 +115,8 @@ def make_vehicle_reader(
             vehicle.decay_down = vector(source, wp.static(at("decay_down", 0)), env)
         if wp.static("battery" in packed):
             vehicle.battery = battery(source, wp.static(at("battery", 0)), env)
+        if wp.static("ground_height" in packed):
+            vehicle.ground_height = source[wp.static(at("ground_height", 0)), env]
         if wp.static("other_position" in packed):
             vehicle.other_position = vec3(source, wp.static(at("other_position", 0)), env)
         return vehicle

@@ -108,6 +108,7 @@ def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
         }
     vehicle |= {
         "battery": six,  # nominal, full, empty voltage [V], resistance [Ohm], capacity [A s], efficiency
+        "ground_height": float,  # [m], world, where environments differ in it
         "other_position": wp.vec3,  # another vehicle [m], world
     }
     command = {

@@ -1,0 +1,80 @@
+"""How high what is below each robot stands: one ray straight down against all that can be touched.
+
+Frames: world of each environment, z up. Letters: E environments, P parts of all instances.
+"""
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.assets.geometry import CYLINDER, shape_distance, unit_distance
+from aerial_gym.assets.scene import Scene
+from aerial_gym.assets.scene_arrays import SceneArrays, part_attitude, part_is_present, part_position
+from aerial_gym.assets.views import check_tensor, vector_view
+from aerial_gym.interop import RecordedLaunch, on_torch_stream
+
+FARTHEST = wp.constant(1.0e4)
+"""Length of the ray [m]: what is farther below is not there."""
+
+
+@wp.func
+def _fall(scene: SceneArrays, env: int, part: int, start: wp.vec3, limit: float) -> float:
+    """Return the way straight down to a part [m], or ``limit`` if that is shorter."""
+    shape = scene.shapes[scene.part_shape[env, part]]
+    turn = part_attitude(scene, env, part)
+    origin = wp.quat_rotate_inv(turn, start - part_position(scene, env, part)) - shape.center
+    down = wp.quat_rotate_inv(turn, wp.vec3(0.0, 0.0, -1.0))
+    origin, down = wp.cw_div(origin, shape.half), wp.cw_div(down, shape.half)
+    if shape.kind <= CYLINDER:
+        return unit_distance(shape.kind, origin, down, limit)
+    return shape_distance(shape, origin, down, limit)
+
+
+@wp.kernel(enable_backward=False)
+def _look_down(
+    # scene
+    scene: SceneArrays,
+    # state
+    position: wp.array[wp.vec3],  # (E,) world [m]
+    # out
+    height_out: wp.array[float],  # (E,) world [m]
+):
+    """Write the height of the first surface below, that of the end of the ray where there is none."""
+    env = wp.tid()
+    start = position[env]
+    way = float(FARTHEST)
+    for part in range(scene.num_solid):
+        if part_is_present(scene, env, part):
+            way = _fall(scene, env, part, start, way)
+    height_out[env] = start[2] - way
+
+
+class SurfaceBelow:
+    """Looks straight down from the body origins, with all views made at construction."""
+
+    def __init__(self, scene: Scene, *, position: Tensor, height_out: Tensor) -> None:
+        """Take views of the tensors, which must stay where they are.
+
+        Args:
+            scene: What can stand below.
+            position: Body origin [m], world, (E, 3); may be strided, but for the last axis.
+            height_out: Receives the height of the first surface below [m], world, ``FARTHEST`` below where there is none,
+                float32, (E, 1).
+
+        Raises:
+            ShapeError: If a tensor does not fit the scene.
+        """
+        check_tensor("height_out", height_out, (scene.num_envs, 1), device=scene.device)
+        height_out.fill_(-float(FARTHEST))
+        self._kept_alive, self._out = scene, height_out
+        self._launch = RecordedLaunch(
+            _look_down,
+            dim=scene.num_envs,
+            inputs=[scene.arrays, vector_view("position", position, (scene.num_envs, 3), device=scene.device)],
+            outputs=[wp.from_torch(height_out.view(-1))],
+            device=wp.device_from_torch(scene.device),
+        )
+
+    def find(self) -> None:
+        """Write the heights; launched on torch's current stream, not waited for."""
+        with on_torch_stream(self._out):
+            self._launch.launch()

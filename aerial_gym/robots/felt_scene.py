@@ -1,0 +1,59 @@
+"""What is around a robot that its effects feel: another vehicle, and the surface below. Letters: E environments."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf
+
+from torch import Tensor
+
+from aerial_gym.errors import CapabilityError
+from aerial_gym.physics.effects import EffectParams, RotorEffect
+from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeltScene:
+    """Tensors of the GTD; None where no effect feels it."""
+
+    other_position: Tensor | None
+    """Vehicle whose wake streams down [m], world, (E, 3)."""
+
+    surface_height: Tensor | None
+    """Height of the first surface below the robot [m], world, (E, 1)."""
+
+    @property
+    def sources(self) -> tuple[Tensor, ...]:
+        """Those that there are, in the order in which ``take_from`` finds them."""
+        return tuple(each for each in (self.other_position, self.surface_height) if each is not None)
+
+    def take_from(self, rest: list[Tensor]) -> "FeltScene":
+        """Return the rows (E, ...) of these at the end of a list, from which they are taken."""
+        surface = None if self.surface_height is None else rest.pop()
+        other = None if self.other_position is None else rest.pop()
+        return FeltScene(other_position=other, surface_height=surface)
+
+
+def declare_felt_scene(
+    gtd: GlobalTensorDictionary, effects: Sequence[EffectParams], *, obstacles: bool, gradients: bool
+) -> FeltScene:
+    """Declare what the effects feel; ``obstacles`` says that there is more below than one ground for all.
+
+    Raises:
+        CapabilityError: If gradients are asked for through a surface that is looked for in every step.
+    """
+    other = surface = None
+    if any("other_position" in effect.needs for effect, _ in effects):
+        other = gtd.declare(TensorSpec(
+            key="downwash_position", shape=("E", 3), unit="m", frame="world", owner="robot",
+            meaning="vehicle whose wake streams down; call refresh_model() after writing",
+        ))  # fmt: skip
+        other[:, 2] = inf
+    near = [effect.name for effect, _ in effects if isinstance(effect, RotorEffect) and "position" in effect.needs]
+    if near and obstacles:
+        if gradients:
+            raise CapabilityError(f"effect {near[0]}: no gradients over obstacles. Leave them or the effect out")
+        surface = gtd.declare(TensorSpec(
+            key="surface_height", shape=("E", 1), unit="m", frame="world", owner="env",
+            meaning=f"first surface straight below the robot at the start of the step, which {', '.join(near)} feel",
+        ))  # fmt: skip
+    return FeltScene(other_position=other, surface_height=surface)
