@@ -16,6 +16,7 @@ for _name in (
     "forest_env",
     "dynamic_env",
     "landing_env",
+    "landing_platform_env",
     "racing_env",
     "racing_random_track_env",
 ):

@@ -50,6 +50,21 @@ def _on_skids(robot: RobotCfg) -> RobotCfg:
     )
 
 
+def _for_landing(robot: RobotCfg) -> RobotCfg:
+    """Propellers of 5 inches, whose wake the ground holds up."""
+    rotor = robot.the_rotor("the landing variant")
+    source = (
+        "Chosen: k of four rotors side by side, Sanchez-Cuevas, Heredia, Ollero (2017), Characterization of the aerodynamic "
+        "ground effect"
+    )
+    return replace(
+        robot,
+        rotor=replace(rotor, radius=0.0635, source=f"{rotor.source} Radius chosen: propellers of 5 inches."),
+        effects={"ground_effect": {"k": 2.5}},
+        effects_source=source,
+    )
+
+
 def _dragged(robot: RobotCfg) -> RobotCfg:
     """The drag of rotors in sideways flow, for each kilogram that of a measured quadrotor."""
     dx, dy = (share * robot.body.mass for share in (0.544, 0.386))  # 1/s
@@ -181,6 +196,12 @@ for _name, _of, _change, _summary in (
         "base_quadrotor",
         _on_skids,
         "base_quadrotor with two skids, on which it stands where it lands",
+    ),
+    (
+        "base_quadrotor_lander",
+        "base_quadrotor_on_skids",
+        _for_landing,
+        "base_quadrotor_on_skids with propellers of 5 inches, in ground effect",
     ),
     (
         "crazyflie_21_brushless_racing",

@@ -29,19 +29,26 @@ class LeePilot:
 
     def __call__(self, observation: Mapping[str, Tensor]) -> Tensor:
         """Return actions (E, 4)."""
-        gains, state, task = self.law.gains, self.state, self.task
-        error = task.target_position - state.position
-        velocity = (
-            task.values.own["target_velocity"] if "target_velocity" in task.values.own else torch.zeros_like(error)
-        )
-        damping = gains.velocity * (velocity - state.lin_vel)
-        wanted = self.quicker * (self.quicker * gains.position * error + damping)
-        if self.lead:
-            wanted += self.leading(velocity, task.env.gtd["sim_steps"].unsqueeze(-1))
-        ends = {"low": (-1.0,) * 4, "high": (1.0,) * 4, **task.cfg.action.params}
+        cfg = self.task.cfg
+        ends = {"low": (-1.0,) * 4, "high": (1.0,) * 4, **cfg.action.params}
         low, high = (observation["observations"].new_tensor(ends[end]) for end in ("low", "high"))
-        wanted = command(task.cfg.controller, self.law, state, wanted)
+        wanted = command(cfg.controller, self.law, self.state, self.wanted())
         return ((2.0 * wanted - low - high) / (high - low)).clamp(-1.0, 1.0)
+
+    def wanted(self) -> Tensor:
+        """Return the acceleration to ask for [m/s²], world, (E, 3)."""
+        gains, state = self.law.gains, self.state
+        goal, velocity = self.goal()
+        damping = gains.velocity * (velocity - state.lin_vel)
+        wanted = self.quicker * (self.quicker * gains.position * (goal - state.position) + damping)
+        if self.lead:
+            wanted += self.leading(velocity, self.task.env.gtd["sim_steps"].unsqueeze(-1))
+        return wanted
+
+    def goal(self) -> tuple[Tensor, Tensor]:
+        """Return where to be [m], world, and at which velocity [m/s], each (E, 3): the target of the task, and its own."""
+        target = self.task.target_position
+        return target, self.task.values.own.get("target_velocity", torch.zeros_like(target))
 
     def leading(self, velocity: Tensor, age: Tensor) -> Tensor:
         """Return by what to lead [m/s²], (E, 3), from the target's velocity [m/s] and the steps since the start, (E, 1)."""

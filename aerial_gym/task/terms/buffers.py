@@ -84,6 +84,12 @@ def previous_position(robot_position: Tensor) -> Tensor:
     return robot_position.clone()
 
 
+@BUFFERS.buffer(shape=(3,), unit="m/s", frame="world")
+def previous_relative_velocity(robot_linvel: Tensor, target_velocity: Tensor) -> Tensor:
+    """Return the velocity relative to the target one step before, or at the reset, (E, 3)."""
+    return robot_linvel - target_velocity
+
+
 @BUFFERS.buffer(shape=("V",))
 def policy_action(policy_action: Tensor, begun: Tensor) -> Tensor:
     """Return what the policy gave last, before transform, delay and filter; 0 where an episode has just begun, (E, V)."""

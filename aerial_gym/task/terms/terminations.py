@@ -13,6 +13,11 @@ TERMINATIONS = TermRegistry("termination term")
 """Terms by the name that a task configuration uses."""
 
 
+def pushed(robot_contact_force: Tensor) -> Tensor:
+    """Return whether ground or obstacles pushed the robot in this step, (E,)."""
+    return (robot_contact_force * robot_contact_force).sum(-1) > 0.0
+
+
 @TERMINATIONS.term()
 def contact(crashes: Tensor) -> Tensor:
     """Return whether the robot touched something (``crashes`` of the GTD), (E,)."""
@@ -37,6 +42,41 @@ def at_rest_at_target(
 ) -> Tensor:
     """Return whether the robot is closer than a radius [m] to its target and slower than a speed [m/s], (E,)."""
     return ((target_position - robot_position).norm(dim=-1) < radius) & (robot_linvel.norm(dim=-1) < speed)
+
+
+@TERMINATIONS.term()
+def touchdown(
+    robot_contact_force: Tensor,
+    target_position: Tensor,
+    robot_position: Tensor,
+    previous_relative_velocity: Tensor,
+    *,
+    radius: float,
+    speed: float,
+) -> Tensor:
+    """Return whether something pushes the robot closer than a radius [m] to its target, which it approached below a speed.
+
+    The speed [m/s] is that relative to the target one step before: the push has changed the present one.
+    """
+    near = at_target(target_position, robot_position, radius=radius)
+    return pushed(robot_contact_force) & near & (previous_relative_velocity.norm(dim=-1) < speed)
+
+
+@TERMINATIONS.term()
+def missed_touchdown(
+    robot_contact_force: Tensor,
+    target_position: Tensor,
+    robot_position: Tensor,
+    previous_relative_velocity: Tensor,
+    *,
+    radius: float,
+    speed: float,
+) -> Tensor:
+    """Return whether something pushes the robot and that is no ``touchdown``, (E,)."""
+    landed = touchdown(
+        robot_contact_force, target_position, robot_position, previous_relative_velocity, radius=radius, speed=speed
+    )
+    return pushed(robot_contact_force) & ~landed
 
 
 @TERMINATIONS.term()

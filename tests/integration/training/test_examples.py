@@ -73,6 +73,13 @@ def test_a_law_that_knows_of_a_lost_rotor_hovers_without_it(told: Told) -> None:
     assert worst < 95.0
 
 
+def test_a_law_that_waits_above_a_platform_lands_on_it(told: Told) -> None:
+    """Straight to it a vehicle touches its edge, or touches it too fast."""
+    (_, (_, crash)), (_, (landed, less)) = told("land.py", 64)
+    assert landed > 40.0
+    assert less < 20.0 < crash
+
+
 @pytest.mark.slow
 def test_a_law_that_leads_follows_more_closely(told: Told, tmp_path: Path) -> None:
     (_, (_, behind)), (_, (_, near)), (_, (_, far)), (_, (_, less)) = told("follow.py", tmp_path / "out.png", 16)
