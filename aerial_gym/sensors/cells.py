@@ -16,7 +16,8 @@ BLOCK_DIM = 256
 """Threads of a block on a GPU: eight cells, of which neighbours read the same sectors of memory."""
 
 LANES = 32
-"""Threads that share a cell on a GPU, a warp: neighbouring ones read neighbouring pixels."""
+"""Threads that share a cell on a GPU, a warp: neighbouring ones read neighbouring pixels. A cell of which fewer than half of
+them would read anything has one thread."""
 
 ROWS = 6
 """Rows of pixels that a thread on a GPU asks for before it waits for the first of them."""
@@ -67,7 +68,8 @@ def make_pool(*, lanes: int, rows: int) -> wp.Kernel:
                 for k in range(wp.static(rows)):  # beyond the cell its last row again: nothing to decide before reading
                     distance = image[env, wp.min(top + k, bottom - 1), x]
                     nearest = wp.min(nearest, wp.where(distance >= 0.0, distance, wp.inf))
-        nearest = least_of_warp(nearest)
+        if wp.static(lanes > 1):
+            nearest = least_of_warp(nearest)
         if lane == 0:
             nearest_out[env, row, column] = wp.where(nearest < wp.inf, nearest / largest, empty)
 
@@ -95,9 +97,9 @@ class NearestInCells:
         (rows, columns), (height, width) = cells, image.shape[2:]
         self.nearest = torch.full((image.shape[0], rows * columns), empty, device=image.device)
         """As a share of the largest, (E, R C), row by row from the upper left cell."""
-        lanes, together = (LANES, ROWS) if image.device.type == "cuda" else (1, 1)
         arrays = wp.from_torch(image[:, 0]), wp.from_torch(self.nearest.view(-1, rows, columns))
         size = -(-height // rows), -(-width // columns)
+        lanes, together = _sharing(size, image.device)
         self._kept_alive = (image, arrays)
         self._launches = [
             RecordedLaunch(
@@ -122,3 +124,10 @@ class NearestInCells:
         """Write the cells of the present image; launched on torch's current stream, not waited for."""
         with on_torch_stream(self.nearest):
             launch_side_by_side(self._launches)
+
+
+def _sharing(size: tuple[int, int], device: torch.device) -> tuple[int, int]:
+    """Return the threads that share a cell of a size, height and width [pixels], and the rows that each reads at once."""
+    if device.type != "cuda":
+        return 1, 1
+    return (LANES, ROWS) if size[1] > LANES // 2 else (1, min(ROWS, size[0]))

@@ -164,8 +164,9 @@ def test_the_collision_kernel_compiles(moves: bool, cores: bool) -> None:
     compile_for_gpu(make_walk(moves=moves, shared=True, cores=cores).module)
 
 
-def test_the_kernel_of_image_cells_compiles() -> None:
-    compile_for_gpu(make_pool(lanes=LANES, rows=ROWS).module)
+@pytest.mark.parametrize(("lanes", "rows"), [(LANES, ROWS), (1, 3)])
+def test_the_kernel_of_image_cells_compiles(lanes: int, rows: int) -> None:
+    compile_for_gpu(make_pool(lanes=lanes, rows=rows).module)
 
 
 @pytest.mark.parametrize(
