@@ -12,7 +12,7 @@ from gymnasium.spaces import Box
 from aerial_gym.errors import ConfigError, MissingDependencyError, UnknownNameError
 from aerial_gym.rl_training import evaluate, load_policy, load_settings, settings_for
 from aerial_gym.rl_training.policies.load import check_fits, policy_from_state
-from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.settings import TRAINING_CONFIGS, TrainingCfg
 from aerial_gym.rl_training.training import require_trainer
 from aerial_gym.task import task_registry
 
@@ -238,6 +238,9 @@ def test_a_cpu_has_settings_of_its_own_where_there_are_some() -> None:
     ]
     for file in sorted(settings_for("ppo", "navigation_task").parent.glob("*.yaml")):
         assert load_settings(file).trainer in file.name
+    for name in ("safe_navigation",):
+        fewer = load_settings(settings_for("ppo", f"{name}_task", device="cpu")).num_envs
+        assert fewer < load_settings(TRAINING_CONFIGS / f"ppo_{name}.yaml").num_envs
 
 
 def test_a_missing_trainer_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
