@@ -238,7 +238,7 @@ def test_a_cpu_has_settings_of_its_own_where_there_are_some() -> None:
     ]
     for file in sorted(settings_for("ppo", "navigation_task").parent.glob("*.yaml")):
         assert load_settings(file).trainer in file.name
-    for name in ("safe_navigation",):
+    for name in ("safe_navigation", "lidar_navigation"):
         fewer = load_settings(settings_for("ppo", f"{name}_task", device="cpu")).num_envs
         assert fewer < load_settings(TRAINING_CONFIGS / f"ppo_{name}.yaml").num_envs
 
