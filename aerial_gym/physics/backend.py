@@ -102,6 +102,10 @@ class PhysicsBackend(Protocol):
         """Take what stands in ``Model.ground_height`` now, where that is a tensor (E, 1)."""
         ...
 
+    def load(self) -> Tensor | None:
+        """Return direction and rate of the link on which a load hangs, world, (E, 6); None without a load."""
+        ...
+
     def prepare(self, dt: float) -> None:
         """Make everything that depends on the length of a substep [s]."""
         ...

@@ -169,3 +169,9 @@ def rotor_wrench(vehicle: Vehicle, thrust: Tensor, torque: Tensor) -> tuple[Tens
         for weight, rows in ((thrust, axis), (thrust, moment), (torque, reaction))
     )
     return force, turn + twist
+
+
+def hover_speed(vehicle: Vehicle, gravity: float) -> Tensor:
+    """Return the rotor states (R,) [rad/s], in force mode [N], at which each rotor carries an equal share of the weight."""
+    share = (vehicle.mass * gravity / vehicle.num_rotors).unsqueeze(-1).expand(-1, vehicle.num_rotors)
+    return torch.clamp(state_for_thrust(vehicle, share)[0], vehicle.speed_low[0], vehicle.speed_high[0])

@@ -15,6 +15,7 @@ from aerial_gym.interop.rows import UntraceableError
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
+from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.ground import Ground, push_off_ground, touches_ground
 from aerial_gym.physics.integrators import INTEGRATORS, MassState, Stepper, to_body_state, to_mass_state
 from aerial_gym.physics.law_memory import (
@@ -178,6 +179,12 @@ class TorchBackend:
 
     def take_ground_heights(self) -> None:
         """Do nothing: the tensor is read in every step."""
+
+    def load(self) -> Tensor | None:
+        """Return direction and rate of the link on which a load hangs, (E, 6); None without one."""
+        return (
+            load_of(self._model, self._memory) if self._memory is not None and self._model.effects[LoadEffect] else None
+        )
 
     def prepare(self, dt: float) -> None:
         """Make the memory of effects and control law."""

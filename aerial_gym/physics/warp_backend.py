@@ -17,7 +17,7 @@ from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
-from aerial_gym.physics.effects import EFFECTS, Effect, LearnedResidual
+from aerial_gym.physics.effects import EFFECTS, Effect, LearnedResidual, LoadEffect
 from aerial_gym.physics.fused.contact import contact_parameters
 from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.fused.gradient import Rollout
@@ -233,6 +233,10 @@ class WarpBackend:
         """Write the heights to their place in the packed tensor."""
         if isinstance(self._model.ground_height, torch.Tensor):
             self._packed[self._packing.vehicle["ground_height"]].copy_(self._model.ground_height[:, 0])
+
+    def load(self) -> Tensor | None:
+        """Return direction and rate of the link on which a load hangs, a view (E, 6); None without one."""
+        return self._memory.numbers[-6:].T if self._memory is not None and self._model.effects[LoadEffect] else None
 
     def prepare(self, dt: float) -> None:
         """Compute everything that depends on the length of a substep [s]."""

@@ -65,6 +65,12 @@ def _for_landing(robot: RobotCfg) -> RobotCfg:
     )
 
 
+def _with_load(robot: RobotCfg) -> RobotCfg:
+    """A fifth of the vehicle's mass on a link of half a metre."""
+    effects = {"slung_payload": {"mass": 0.05, "length": 0.5, "damping": 0.005}}
+    return replace(robot, effects=effects, effects_source="Chosen: a swing that fades in 20 s (2 m / c)")
+
+
 def _dragged(robot: RobotCfg) -> RobotCfg:
     """The drag of rotors in sideways flow, for each kilogram that of a measured quadrotor."""
     dx, dy = (share * robot.body.mass for share in (0.544, 0.386))  # 1/s
@@ -208,6 +214,12 @@ for _name, _of, _change, _summary in (
         "crazyflie_21_brushless",
         _as_raced,
         "crazyflie_21_brushless without decks, with collision spheres that fit through gates",
+    ),
+    (
+        "base_quadrotor_with_payload",
+        "base_quadrotor",
+        _with_load,
+        "base_quadrotor with a load of 50 g that hangs half a metre below it",
     ),
     (
         "base_quadrotor_with_drag",

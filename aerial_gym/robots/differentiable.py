@@ -87,6 +87,11 @@ class DifferentiableBackend:
         """Take what stands in ``Model.ground_height`` now."""
         self._inner.take_ground_heights()
 
+    def load(self) -> Tensor | None:
+        """Return direction and rate of the link on which a load hangs, in float32 and without gradients; None without one."""
+        found = self._inner.load()
+        return None if found is None else found.detach().float()
+
     def prepare(self, dt: float) -> None:
         """Make the memory of the effects."""
         self._inner.prepare(dt)

@@ -30,12 +30,13 @@ from aerial_gym.physics.effects import EffectsByKind, ImuEffect
 from aerial_gym.physics.effects.imu_errors import WIDTH, imu_errors
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model, check_effects, robot_effects
-from aerial_gym.physics.rotors import state_for_thrust
+from aerial_gym.physics.rotors import hover_speed
 from aerial_gym.physics.vehicle import is_shared, own_rows
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import below
 from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.felt_scene import declare_felt_scene
+from aerial_gym.robots.hung_load import hung_load
 from aerial_gym.robots.initial_state import InitialState, StepBegin
 from aerial_gym.robots.noticed import Noticed
 from aerial_gym.robots.parameter_draws import drawing
@@ -108,6 +109,7 @@ class RobotManager:
         self._randomized = self._make_randomized(randomize or {})
         spheres = contact_points(robot.collision.shapes, device=gtd.device)
         self._contact_force = self._declare_contact(spheres)
+        self._load = hung_load(gtd, self._effects, self.tensors.state)
         self.backend.allocate(
             self._build_model(),
             self.controller,
@@ -117,7 +119,7 @@ class RobotManager:
             random=random,
         )
         self.backend.prepare(sim.dt)
-        rest_speed = _hover_speed(self.declared, sim.gravity)
+        rest_speed = hover_speed(self.declared, sim.gravity)
         self.tensors.state.rotor_speed.copy_(rest_speed)
         self.noticed = Noticed.of(gtd)
         """Rows that were not finite."""
@@ -379,6 +381,7 @@ class RobotManager:
     def refresh(self, span: float) -> None:
         """Bring everything that follows from the physics to its instant; ``span`` [s] is the length of the step."""
         self.tensors.derived.refresh()
+        self._show_load()
         if self._contact_force is not None:
             self._contact_force.div_(span)  # impulses until now
 
@@ -389,9 +392,9 @@ class RobotManager:
         if self._update is not None and self.differentiable is not None:
             self._update.mark_written()
         self.backend.reset(mask)
+        self._show_load()
 
-
-def _hover_speed(vehicle: Vehicle, gravity: float) -> Tensor:
-    """Return the rotor states (R,) [rad/s], in force mode [N], at which a reset starts: an equal share of the weight each."""
-    share = (vehicle.mass * gravity / vehicle.num_rotors).unsqueeze(-1).expand(-1, vehicle.num_rotors)
-    return torch.clamp(state_for_thrust(vehicle, share)[0], vehicle.speed_low[0], vehicle.speed_high[0])
+    def _show_load(self) -> None:
+        load = None if self._load is None else self.backend.load()
+        if self._load is not None and load is not None:
+            self._load.refresh(load)

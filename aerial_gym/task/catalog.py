@@ -210,6 +210,7 @@ for _name in (
     "any_quadrotor_task",
     "motor_failure_task",
     "platform_landing_task",
+    "payload_task",
     "racing_task",
 ):
     task_registry.register_later(_name, partial(load, TaskCfg, CONFIG_DIR / "tasks" / f"{_name}.yaml"))

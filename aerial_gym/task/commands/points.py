@@ -39,13 +39,7 @@ class DrawnPoint(Command):
     def __init__(self, values: Values, env: EnvManager, *, low: Vec3, high: Vec3) -> None:
         """Take the lowest and the highest point as shares of the bounds, 0 <= low <= high <= 1."""
         super().__init__(values, env)
-        if not all(0.0 <= a <= b <= 1.0 for a, b in zip(low, high, strict=True)):
-            raise ConfigError(
-                f"command {self.name}: low = {low!r}, high = {high!r}: needs 0 <= low <= high <= 1 on every axis. "
-                "They are shares of the bounds"
-            )
-        bounds = (env.gtd["env_bounds_min"], env.gtd["env_bounds_max"])
-        self._goals = Goals(self._target(), bounds=bounds, ratios=(low, high), random=env.random)
+        self._goals = goals_within(self._target(), env, low, high, self.name)
 
     def draw(self, mask: Tensor) -> None:
         """Draw new points."""
@@ -114,6 +108,17 @@ class PointSequence(Command):
         """Return the point of the next step."""
         index = next_index(values, values["target_reached"], len(self._points), loop=self._loop)
         return {"target_index": index, TARGET: chosen(index, self._points)}
+
+
+def goals_within(goal: Tensor, env: EnvManager, low: Vec3, high: Vec3, name: str) -> Goals:
+    """Return what draws a goal (E, 3) between two shares of the bounds for the command of a name."""
+    if not all(0.0 <= a <= b <= 1.0 for a, b in zip(low, high, strict=True)):
+        raise ConfigError(
+            f"command {name}: low = {low!r}, high = {high!r}: needs 0 <= low <= high <= 1 on every axis. "
+            "They are shares of the bounds"
+        )
+    bounds = (env.gtd["env_bounds_min"], env.gtd["env_bounds_max"])
+    return Goals(goal, bounds=bounds, ratios=(low, high), random=env.random)
 
 
 def next_index(values: Mapping[str, Tensor], passed: Tensor, count: int, *, loop: bool) -> Tensor:

@@ -45,6 +45,18 @@ def velocity_error_world(target_velocity: Tensor, robot_linvel: Tensor) -> Tenso
 
 
 @OBSERVATIONS.term(width=3)
+def load_offset_world(load_position: Tensor, robot_position: Tensor) -> Tensor:
+    """Return where the load hangs from the body origin [m], world, (E, 3)."""
+    return load_position - robot_position
+
+
+@OBSERVATIONS.term(width=3)
+def load_vel_world(load_linvel: Tensor, robot_linvel: Tensor) -> Tensor:
+    """Return the velocity of the load relative to the body origin [m/s], world, (E, 3)."""
+    return load_linvel - robot_linvel
+
+
+@OBSERVATIONS.term(width=3)
 def direction_vehicle(target_position: Tensor, robot_position: Tensor, robot_orientation: Tensor) -> Tensor:
     """Return the unit vector from the robot to the target, vehicle frame (world turned by the yaw), (E, 3)."""
     error = target_position - robot_position

@@ -209,6 +209,18 @@ def slow(robot_linvel: Tensor, *, height: float, width: float) -> Tensor:
 
 
 @REWARDS.term()
+def load_distance_bell(load_target: Tensor, load_position: Tensor, *, height: float, width: float) -> Tensor:
+    """Return ``height exp(-width d²)``, d the distance of the load to its target [m], (E,)."""
+    return bell(_distance(load_target, load_position), height, width)
+
+
+@REWARDS.term()
+def load_slow(load_linvel: Tensor, *, height: float, width: float) -> Tensor:
+    """Return ``height exp(-width v²)``, v the speed of the load [m/s], (E,)."""
+    return bell(load_linvel.norm(dim=-1), height, width)
+
+
+@REWARDS.term()
 def action_size(robot_actions: Tensor, *, entry: int, height: float, width: float) -> Tensor:
     """Return ``height (exp(-width u²) - 1)``, u an entry of the command, (E,)."""
     return dip(robot_actions[:, entry], height, width)

@@ -45,6 +45,14 @@ def at_rest_at_target(
 
 
 @TERMINATIONS.term()
+def load_at_rest(
+    load_target: Tensor, load_position: Tensor, load_linvel: Tensor, *, distance: float, speed: float
+) -> Tensor:
+    """Return whether the load is closer than a distance [m] to its target and slower than a speed [m/s], (E,)."""
+    return ((load_target - load_position).norm(dim=-1) < distance) & (load_linvel.norm(dim=-1) < speed)
+
+
+@TERMINATIONS.term()
 def touchdown(
     robot_contact_force: Tensor,
     target_position: Tensor,

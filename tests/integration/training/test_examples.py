@@ -80,6 +80,13 @@ def test_a_law_that_waits_above_a_platform_lands_on_it(told: Told) -> None:
     assert less < 20.0 < crash
 
 
+def test_a_law_that_knows_its_load_holds_it_at_its_point(told: Told) -> None:
+    (_, (held, far)), (_, (more, near)) = told("carry.py", 64)
+    assert held == 0.0
+    assert more > 50.0
+    assert near < 0.03 < far
+
+
 @pytest.mark.slow
 def test_a_law_that_leads_follows_more_closely(told: Told, tmp_path: Path) -> None:
     (_, (_, behind)), (_, (_, near)), (_, (_, far)), (_, (_, less)) = told("follow.py", tmp_path / "out.png", 16)
