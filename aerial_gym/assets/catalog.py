@@ -18,6 +18,7 @@ for _name in (
     "landing_env",
     "landing_platform_env",
     "racing_env",
+    "racing_split_s_env",
     "racing_random_track_env",
 ):
     _path = CONFIG_DIR / "environments" / f"{_name}.yaml"

@@ -211,6 +211,7 @@ for _name in (
     "motor_failure_task",
     "platform_landing_task",
     "payload_task",
+    "racing_split_s_task",
     "racing_task",
 ):
     task_registry.register_later(_name, partial(load, TaskCfg, CONFIG_DIR / "tasks" / f"{_name}.yaml"))

@@ -15,6 +15,7 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.task.commands.command import COMMANDS, TARGET, Command
 from aerial_gym.task.commands.points import chosen, next_index
+from aerial_gym.task.commands.practice import FIRST_GATE, Practice
 from aerial_gym.task.values import Values
 
 
@@ -45,10 +46,17 @@ def declare_gates(values: Values) -> None:
     values.find("previous_position", "a command of gates")
 
 
+def next_gate(values: Mapping[str, Tensor], count: int, *, loop: bool) -> Tensor:
+    """Return the index of the next one of ``count`` gates, int32, (E,): ``first_gate`` where an episode begins."""
+    index = next_index(values, values["gate_passed"], count, loop=loop)
+    return torch.where(values["begun"], values[FIRST_GATE], index).int()
+
+
 @COMMANDS.generator("gates")
 class Gates(Command):
-    """The next gate's centre is the target, ``target_direction`` the way through it; the first one at every reset.
+    """The next gate's centre is the target, ``target_direction`` and ``target_orientation`` the way through it.
 
+    ``following_position`` and ``following_direction`` are those of the gate behind it. A reset begins with the first gate;
     ``gate_passed`` is true in the step in which the robot crosses the gate's plane in its direction through the opening,
     ``gate_missed`` where it crosses beside it, ``sequence_done`` where it passes the last one.
     """
@@ -63,6 +71,9 @@ class Gates(Command):
         width: float = 1.0,
         height: float = 1.0,
         loop: bool = False,
+        practice_share: float = 0.0,
+        practice_speed: float = 0.0,
+        practice_offset: Vec3 = (0.0, 0.0, 0.0),
     ) -> None:
         """Take the gates.
 
@@ -74,6 +85,9 @@ class Gates(Command):
             width: Of the opening [m], > 0.
             height: Of the opening [m], > 0.
             loop: Whether the first one follows the last one; otherwise that one stays the target.
+            practice_share: Share of the episodes of a training that begin behind a gate: see ``Practice``.
+            practice_speed: Largest speed of these, away from the gate [m/s].
+            practice_offset: Largest distances of their place behind the gate, beside its middle and above it [m].
         """
         super().__init__(values, env)
         if not centers or len(centers) != len(yaws):
@@ -82,14 +96,37 @@ class Gates(Command):
             )
         if not (width > 0.0 and height > 0.0):
             raise ConfigError(f"command gates: width = {width!r}, height = {height!r}: must be > 0")
-        self._gates = [(*center, cos(yaw), sin(yaw)) for center, yaw in zip(centers, yaws, strict=True)]
+        turns = [(cos(yaw), sin(yaw), 0.0, 0.0, sin(0.5 * yaw), cos(0.5 * yaw)) for yaw in yaws]
+        self._gates = [(*center, *turn) for center, turn in zip(centers, turns, strict=True)]
+        behind = [*self._gates[1:], self._gates[0 if loop else -1]]
+        self._following = [gate[:5] for gate in behind]
         self._half, self._loop = (0.5 * width, 0.5 * height), loop
         self._target()
         values.declare("target_direction", (2,), frame="world", meaning="way through the next gate: x and y, unit")
+        values.declare("target_orientation", (4,), frame="world", meaning="how the next gate stands, to world, xyzw")
+        values.declare(
+            "following_position", (3,), unit="m", frame="world", meaning="centre of the gate after the next one"
+        )
+        values.declare("following_direction", (2,), frame="world", meaning="way through that: x and y, unit")
         declare_gates(values)
+        options = {"share": practice_share, "speed": practice_speed, "offset": practice_offset}
+        self._practice = Practice(self.name, values, env, self._stand(env), **options)
         self.reads = (
-            TARGET, "target_direction", "target_index", "gate_passed", "robot_position", "previous_position",
+            TARGET, "target_direction", "target_index", "gate_passed", FIRST_GATE, "robot_position", "previous_position",
         )  # fmt: skip
+
+    def _stand(self, env: EnvManager) -> tuple[Tensor, Tensor]:
+        """Return where the gates stand [m] and how, to world, xyzw, (E, G, 3) and (E, G, 4)."""
+        rows = torch.tensor(self._gates, device=env.device).expand(env.num_envs, -1, -1)
+        return rows[..., :3].contiguous(), rows[..., 5:].contiguous()
+
+    def practise(self) -> None:
+        """Let episodes begin as those of a training from the next resets on."""
+        self._practice.begin()
+
+    def place(self, mask: Tensor) -> None:
+        """Place the robots of new episodes that begin behind a gate."""
+        self._practice.place(mask)
 
     def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return what the way from the last position to this one crosses."""
@@ -106,6 +143,9 @@ class Gates(Command):
 
     def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the gate of the next step."""
-        index = next_index(values, values["gate_passed"], len(self._gates), loop=self._loop)
-        gate = chosen(index, self._gates)
-        return {"target_index": index, TARGET: gate[:, :3], "target_direction": gate[:, 3:]}
+        index = next_gate(values, len(self._gates), loop=self._loop)
+        gate, following = chosen(index, self._gates), chosen(index, self._following)
+        found = {"target_index": index, "target_orientation": gate[:, 5:]}
+        for name, row in (("target", gate), ("following", following)):
+            found |= {f"{name}_position": row[:, :3], f"{name}_direction": row[:, 3:5]}
+        return found

@@ -13,9 +13,8 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.task.commands.command import COMMANDS, TARGET, Command
-from aerial_gym.task.commands.gates import crossing, declare_gates
-from aerial_gym.task.commands.points import next_index
-from aerial_gym.task.kernels.practice import PracticeStarts
+from aerial_gym.task.commands.gates import crossing, declare_gates, next_gate
+from aerial_gym.task.commands.practice import FIRST_GATE, Practice
 from aerial_gym.task.terms.observations import row_of
 from aerial_gym.task.values import Values
 
@@ -70,12 +69,7 @@ class TrackGates(Command):
                 f"command track_gates: width = {width!r}, height = {height!r}: must be > 0; sensor_range = {sensor_range!r}: "
                 "must be >= 0"
             )
-        if not (0.0 <= practice_share <= 1.0 and practice_speed >= 0.0 and min(practice_offset) >= 0.0):
-            raise ConfigError(
-                f"command track_gates: practice_share = {practice_share!r}: must be 0 to 1; practice_speed = "
-                f"{practice_speed!r}, practice_offset = {practice_offset!r}: must be >= 0"
-            )
-        self._half, self._range, self._share = (0.5 * width, 0.5 * height), sensor_range, practice_share
+        self._half, self._range = (0.5 * width, 0.5 * height), sensor_range
         gates, poles = len(env.cfg.track.gates), len(env.cfg.track.poles)
         self._count = gates
         self._target()
@@ -83,28 +77,17 @@ class TrackGates(Command):
         declare_gates(values)
         for name, count, what in (("gates_seen", gates, "gate"), ("poles_seen", poles, "pole")):
             values.declare(name, (count,), dtype=torch.bool, meaning=f"whether the robot has been near each {what}")
-        first = values.declare("first_gate", dtype=torch.int32, meaning="gate with which the episode begins")
-        share = values.declare("practice_share", (1,), rows=False, meaning="share of episodes that begin behind a gate")
-        self._practice_share = share
-        self._practice: PracticeStarts | None = None
-        if practice_share > 0.0 and gates > 1:
-            self._practice = PracticeStarts(
-                env.robot_manager.tensors,
-                tuple(env.gtd[key] for key in GATE_KEYS),
-                share=share,
-                speed=practice_speed,
-                offset=practice_offset,
-                first_out=first,
-                random=env.random,
-            )
+        places, turns = (env.gtd[key] for key in GATE_KEYS)
+        options = {"share": practice_share, "speed": practice_speed, "offset": practice_offset}
+        self._practice = Practice(self.name, values, env, (places, turns), **options)
         self.reads = (
-            TARGET, "target_orientation", "target_index", "gate_passed", "first_gate", "robot_position", "previous_position",
+            TARGET, "target_orientation", "target_index", "gate_passed", FIRST_GATE, "robot_position", "previous_position",
             *GATE_KEYS, *SEEN, "pole_position",
         )  # fmt: skip
 
     def practise(self) -> None:
         """Let episodes begin as those of a training from the next resets on."""
-        self._practice_share.fill_(self._share)
+        self._practice.begin()
 
     def at(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return what the way from the last position to this one crosses."""
@@ -118,8 +101,7 @@ class TrackGates(Command):
 
     def after(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the gate of the next step, and what has been seen by now."""
-        index = next_index(values, values["gate_passed"], self._count, loop=False)
-        index = torch.where(values["begun"], values["first_gate"], index).int()
+        index = next_gate(values, self._count, loop=False)
         position, orientation = (row_of(index, values[key]) for key in GATE_KEYS)
         found = {"target_index": index, TARGET: position, "target_orientation": orientation}
         for name, key in SEEN.items():
@@ -130,5 +112,4 @@ class TrackGates(Command):
 
     def place(self, mask: Tensor) -> None:
         """Place the robots of new episodes that begin behind a gate."""
-        if self._practice is not None:
-            self._practice.draw(mask)
+        self._practice.place(mask)

@@ -45,6 +45,12 @@ def velocity_error_world(target_velocity: Tensor, robot_linvel: Tensor) -> Tenso
 
 
 @OBSERVATIONS.term(width=3)
+def following_gate_world(following_position: Tensor, robot_position: Tensor) -> Tensor:
+    """Return the centre of the gate after the next one minus position [m], world, (E, 3)."""
+    return following_position - robot_position
+
+
+@OBSERVATIONS.term(width=3)
 def load_offset_world(load_position: Tensor, robot_position: Tensor) -> Tensor:
     """Return where the load hangs from the body origin [m], world, (E, 3)."""
     return load_position - robot_position

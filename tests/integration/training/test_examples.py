@@ -88,6 +88,13 @@ def test_a_law_that_knows_its_load_holds_it_at_its_point(told: Told) -> None:
 
 
 @pytest.mark.slow
+def test_a_law_flies_through_gates_one_over_the_other(told: Told) -> None:
+    ((_, (complete, crash, *_)),) = told("race.py", 16)
+    assert complete > 80.0
+    assert crash < 20.0
+
+
+@pytest.mark.slow
 def test_a_law_that_leads_follows_more_closely(told: Told, tmp_path: Path) -> None:
     (_, (_, behind)), (_, (_, near)), (_, (_, far)), (_, (_, less)) = told("follow.py", tmp_path / "out.png", 16)
     assert near < 0.25 * behind

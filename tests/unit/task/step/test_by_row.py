@@ -15,7 +15,15 @@ from tests.unit.task.navigation import make
 
 @pytest.fixture(
     scope="module",
-    params=["position_setpoint_task", "navigation_task", "lidar_navigation_task", "radar_navigation_task"],
+    params=[
+        "position_setpoint_task",
+        "navigation_task",
+        "lidar_navigation_task",
+        "radar_navigation_task",
+        "platform_landing_task",
+        "payload_task",
+        "racing_split_s_task",
+    ],
 )
 def flown(request: pytest.FixtureRequest) -> Task:
     """A task after some steps of random actions."""
