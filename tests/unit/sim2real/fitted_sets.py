@@ -39,7 +39,7 @@ def fitted(
         log_posterior=log,
         parameters=Posterior(columns=np.arange(size), step=np.zeros(size), covariance=np.eye(size), log_evidence=log),
         support={
-            name: Support(log_odds=(odds or {}).get(name, 10.0), wald=0.0, overdispersion=overdispersion)
+            name: Support(log_odds=(odds or {}).get(name, 10.0), wald=0.0, overdispersion=overdispersion, size=1)
             for name in effects
         },
     )
@@ -54,7 +54,7 @@ class Made(Fitter):
         self._derivatives = {}
 
     def fit(
-        self, effects: Sequence[str], structures: Sequence[Nuisance], start: ModelParams, _=None, **_least: object
+        self, effects: Sequence[str], structures: Sequence[Nuisance], start: ModelParams, _=None, **_compared: object
     ) -> Fitted:
         """Return the set; its start has its effects and no others."""
         assert set(start.effects) == set(effects)

@@ -43,10 +43,17 @@ class Support:
     overdispersion: float
     """Variance of its parameters by the scatter between flights over that by noise, the mean over its parameters."""
 
+    size: int
+    """Number P of its parameters."""
+
     @property
     def robust_log_odds(self) -> float:
-        """Return the log odds with the distance over the larger of the two covariances."""
-        return self.log_odds - 0.5 * self.wald * (1.0 - 1.0 / max(self.overdispersion, 1.0))
+        """Return the log odds with the larger of the two covariances.
+
+        It makes the distance from neutral smaller, and what the prior is wider than the posterior (Occam's factor) as well.
+        """
+        wider = max(self.overdispersion, 1.0)
+        return self.log_odds - 0.5 * self.wald * (1.0 - 1.0 / wider) + 0.5 * self.size * float(np.log(wider))
 
     @property
     def holds(self) -> bool:
@@ -114,6 +121,7 @@ def supports(
             log_odds=float(odds),
             wald=float(step[own] @ np.linalg.solve(covariance[block], step[own])),
             overdispersion=float(np.trace(np.linalg.solve(covariance[block], robust[block]))) / own.size,
+            size=own.size,
         )
     return found
 
