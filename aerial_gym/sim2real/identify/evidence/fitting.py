@@ -20,6 +20,7 @@ from aerial_gym.sim2real.identify.evidence.linear import linear_about
 from aerial_gym.sim2real.identify.evidence.search import Sets
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     NOTHING_LEFT,
+    Derivatives,
     Fit,
     Goal,
     bounds_of,
@@ -27,6 +28,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     fit_effects,
     is_number,
     scales,
+    single,
     tolerance_jacobian,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
@@ -39,19 +41,30 @@ Array = NDArray[np.float64]
 Label = tuple[str, ...]
 """Names of a set's effects, with their rotor, and structures, sorted."""
 
-BROAD = 3
-"""Sets of one size from which effects are taken out."""
-
 KEPT = 4
-"""Sets of structures, and derivatives of fitted sets, that are kept for the next fit."""
+"""Fitted sets whose derivatives are kept for the next fit."""
+
+KEPT_BESIDE = 2
+"""Sets of structures that are kept with what is fitted beside them."""
 
 ENOUGH = 2.0
-"""Log likelihood that a fit which is only compared may leave to the linear model about it, which is off by a tenth of it."""
+"""Log likelihood, over the overdispersion of the best, that a fit which is only compared may leave to the model about it."""
 
 NOTHING = Posterior(
     columns=np.zeros(0, dtype=np.int64), step=np.zeros(0), covariance=np.zeros((0, 0)), log_evidence=-np.inf
 )
 """Of a fit that went nowhere."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compared:
+    """How far a fit goes whose set is only compared with the best: its parameters are not wanted to the last digit."""
+
+    least: float
+    """Log posterior that it, or a set with fewer effects, must be able to have; else it is fitted no further."""
+
+    enough: float
+    """Log likelihood that it may leave to the linear model about it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,9 +99,8 @@ class Fitted:
     @property
     def overdispersion(self) -> float:
         """Return by how much more the parameters scatter between flights than by noise, in variance, 1 at least."""
-        sizes = [scales((name,)).size for name in self.support]
-        found = [size * one.overdispersion for size, one in zip(sizes, self.support.values(), strict=True)]
-        return max(1.0, sum(found) / max(1, sum(sizes)))
+        found = [one.size * one.overdispersion for one in self.support.values()]
+        return max(1.0, sum(found) / max(1, sum(one.size for one in self.support.values())))
 
     @property
     def within(self) -> ModelParams:
@@ -115,7 +127,7 @@ class Fitter:
         self.log_names, self._present = float(np.log(max(1, num_names))), present
         self._tolerance: list[Array] | None = None
         self._beside: dict[tuple[Nuisance, ...], Beside] = {}
-        self._derivatives: dict[Label, tuple[Fitted, list[Array]]] = {}
+        self._derivatives: dict[Label, tuple[Fitted, Derivatives]] = {}
 
     def forget(self) -> None:
         """Let go of what takes memory; it is worked out again when it is needed."""
@@ -136,7 +148,7 @@ class Fitter:
         found = Beside(times, flights, self.weights.weight, parts=parts_of_a_flight(len(times)))
         if more is None:
             self._beside[key] = found
-            if len(self._beside) > KEPT:
+            if len(self._beside) > KEPT_BESIDE:
                 del self._beside[next(iter(self._beside))]
         return found
 
@@ -149,24 +161,20 @@ class Fitter:
         effects: Sequence[str],
         structures: Sequence[Nuisance],
         start: ModelParams,
-        derivatives: list[Array] | None = None,
+        derivatives: Derivatives | None = None,
         *,
         fresh: bool = False,
-        least: float = -np.inf,
+        compared: Compared | None = None,
     ) -> Fitted:
-        """Return a set fitted from a start, by ``derivatives`` (rows, C, P) near it if there are, or there (``fresh``).
-
-        Where neither it nor a set with fewer effects can have a log posterior of ``least``, it is fitted no further; with one,
-        the set is only compared, and its parameters are not wanted to the last digit.
-        """
+        """Return a set fitted from a start, by ``derivatives`` (rows, C, P) near it if there are, or there (``fresh``)."""
         beside, effects = self.beside(structures), tuple(effects)
-        enough = ENOUGH if np.isfinite(least) else NOTHING_LEFT
-        goal = Goal(worth=lambda fit: self._about(fit, effects, structures).most, least=least, enough=enough)
+        asked = compared or Compared(least=-np.inf, enough=NOTHING_LEFT)
+        goal = Goal(worth=lambda fit: self._about(fit, effects, structures).most, **vars(asked))
         found, last, more = fit_effects(
             self.predictor, effects, start, beside, derivatives=derivatives, fresh=fresh, goal=goal
         )
         fitted = self._about(found, effects, structures, more)
-        self._derivatives[fitted.label] = fitted, last
+        self._derivatives[fitted.label] = fitted, single(last)
         if len(self._derivatives) > KEPT:
             del self._derivatives[next(iter(self._derivatives))]
         return fitted
@@ -193,7 +201,12 @@ class Fitter:
         )
 
     def fit_of(
-        self, library: Library, sets: Sets, model: Model, structures: Sequence[Nuisance], least: float = -np.inf
+        self,
+        library: Library,
+        sets: Sets,
+        model: Model,
+        structures: Sequence[Nuisance],
+        compared: Compared | None = None,
     ) -> Fitted:
         """Return a set of a library fitted from the present model, best of the starts of its new effects."""
         chosen = [library.candidates[k] for k in model]
@@ -210,7 +223,7 @@ class Fitter:
                 for k in effects
             ]
             derivatives = [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)] if parts else None
-            found.append(self.fit(names, kept, start, derivatives, least=least))
+            found.append(self.fit(names, kept, start, derivatives, compared=compared))
         return max(found, key=lambda one: one.log_posterior)
 
     def starts_of(self, library: Library, sets: Sets, model: Model) -> list[ModelParams]:
@@ -240,7 +253,7 @@ class Fitter:
             return self.fit(fitted.effects, fitted.structures, there)
         return self.fit(fitted.effects, fitted.structures, there, known[1], fresh=True)
 
-    def without(self, fitted: Fitted, names: Sequence[str], least: float = -np.inf) -> Fitted:
+    def without(self, fitted: Fitted, names: Sequence[str], compared: Compared | None = None) -> Fitted:
         """Return a set fitted again without some of its effects, which go back to what is declared."""
         kept = {name: values for name, values in fitted.params.effects.items() if name not in names}
         kept |= {name: self.declared.effects[name] for name in names if name in self.declared.effects}
@@ -253,31 +266,31 @@ class Fitter:
                 [name not in names for name in fitted.effects], [scales((name,)).size for name in fitted.effects]
             )
             derivatives = [part[:, :, rest] for part in known[1]]
-        return self.fit(effects, fitted.structures, start, derivatives, least=least)
+        return self.fit(effects, fitted.structures, start, derivatives, compared=compared)
 
-    def without_weakest(self, fitted: Fitted, least: float = -np.inf) -> Fitted:
+    def without_weakest(self, fitted: Fitted, compared: Compared | None = None) -> Fitted:
         """Return a set fitted again without the effect for which the least speaks; nothing does in a fit that went nowhere."""
         odds = {name: one.robust_log_odds for name, one in fitted.support.items()}
-        return self.without(fitted, (min(fitted.effects, key=lambda name: odds.get(name, -np.inf)),), least)
+        return self.without(fitted, (min(fitted.effects, key=lambda name: odds.get(name, -np.inf)),), compared)
 
     def held(self, fitted: Fitted) -> Fitted:
-        """Return the best of what is left of a set when as few effects go as it takes until all that is left holds.
+        """Return the most probable of a set and all that is left of it without what does not hold.
 
-        An effect for which little speaks beside another may be all that is needed without it: not the weakest goes, but each is
-        tried, from the best few sets of a size.
+        An effect for which little speaks beside another may be all that is needed without it. So not the weakest goes, but each
+        that does not hold is taken out of the most probable set, and in turn of what that leaves.
         """
-        level = [fitted]
-        for _ in fitted.effects:
-            if any(one.holds for one in level):
-                break
-            less: dict[Label, Fitted] = {}
-            for one in sorted(level, key=lambda one: -one.log_posterior)[:BROAD]:
-                for name in one.effects:
-                    kept = label_of([(other, one.params.effects[other]) for other in one.effects if other != name], ())
-                    if kept not in less:
-                        less[kept] = self.without(one, (name,))
-            level = list(less.values())
-        return max([one for one in level if one.holds] or level, key=lambda one: one.log_posterior)
+        waiting, seen = {fitted.label: fitted}, {fitted.label}
+        while True:
+            best = waiting.pop(max(waiting, key=lambda label: waiting[label].log_posterior))
+            if best.holds:
+                return best
+            for name in (name for name in best.effects if name not in best.support or not best.support[name].holds):
+                less = label_of([(other, best.params.effects[other]) for other in best.effects if other != name], ())
+                if less not in seen:
+                    seen.add(less)
+                    waiting[less] = self.without(best, (name,))
+            if not waiting:
+                return best
 
     def in_file(self, fitted: Fitted) -> tuple[Fitted, dict[str, list[str]]]:
         """Return a set without what does not hold or ends where physics does, and what ended so, with the parameters."""
@@ -308,7 +321,7 @@ class Fitter:
             params = params.with_effect(name, np.clip(values, *bounds_of(self.predictor.robot, (name,))))
         return params
 
-    def narrower(self, fitted: Fitted, names: Sequence[str], least: float = -np.inf) -> list[Fitted]:
+    def narrower(self, fitted: Fitted, names: Sequence[str], compared: Compared | None = None) -> list[Fitted]:
         """Return a set with an effect in the place of a wider case of it, fitted, for each that there is.
 
         A wide case can be better only by its curvature where both are far from neutral: two lags follow a bend that one
@@ -322,7 +335,7 @@ class Fitter:
                     start = ModelParams(effects=kept, learned=self.declared.learned)
                     start = start.with_effect(name, self.neutral(name))
                     effects = [name if other == wide else other for other in fitted.effects]
-                    found.append(self.fit(effects, fitted.structures, start, least=least))
+                    found.append(self.fit(effects, fitted.structures, start, compared=compared))
         return found
 
 

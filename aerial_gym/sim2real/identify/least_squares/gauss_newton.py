@@ -21,6 +21,9 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Derivatives = Sequence[NDArray[np.floating]]
+"""By some parameters, per scale, of each flight, (rows, C, P)."""
+
 UNIT = np.ones(1)
 """Weight of the moments of a fit that have the weights of the channels in them (``Beside.moments``)."""
 
@@ -298,7 +301,7 @@ def fit_effects(
     beside: Beside,
     *,
     frozen: Frozen = frozenset(),
-    derivatives: Sequence[Array] | None = None,
+    derivatives: Derivatives | None = None,
     fresh: bool = False,
     goal: Goal = Goal(),
 ) -> tuple[Fit, list[Array], float]:
@@ -309,7 +312,8 @@ def fit_effects(
     A step that overshoots is halved. Tolerances and structures take their share while the effects are fitted; they are not part
     of the model. The moments of the fit have the weights of the channels in them (``UNIT``).
     A step costs one prediction in place of one for each parameter: derivatives are mended along it by what the prediction
-    really did. Where they promise nothing more, or lead nowhere, they are taken anew; the fit ends if nothing comes of that.
+    really did. Where they promise nothing more, or lead nowhere, they are taken anew; the fit ends if nothing comes of that. It
+    ends without where its steps gave what derivatives had promised, as nearly as is enough: they hold here.
 
     Args:
         predictor: Training flights.
@@ -329,8 +333,9 @@ def fit_effects(
     if derivatives is None:
         own, fresh = effect_jacobian(predictor, start, effects, predicted), True
     else:
-        own = [part.copy() for part in derivatives]
+        own = [part.astype(np.float64) for part in derivatives]
     first, steps = (cost := misfit(beside, residuals)), 0
+    off = np.inf  # log likelihood by which the last derivatives were wrong along the steps taken with them
     while True:
         fit = fit_of_moments(predictor.robot, effects, point, beside.moments(residuals, own), frozen)
         if not np.isfinite(cost):
@@ -342,10 +347,13 @@ def fit_effects(
             return fit, own, more
         if promised >= (goal.enough if fresh else NOTHING_LEFT) and steps < MOST_STEPS:
             step, here = whole[: fit.num_effect_params], params_of(point, effects)
-            for gone in (share * step for share in SHARES):
+            for share in SHARES:
+                gone = share * step
                 there = with_params(predictor.robot, point, effects, here + scales(effects) * gone)
                 moved = [m - p for m, p in zip(predictor.measured, predictor.predict(there), strict=True)]
                 if (new_cost := misfit(beside, moved)) <= cost * (1.0 + ROUNDING):
+                    wrong = abs(promised - 0.5 * (cost - new_cost)) if share == 1.0 else np.inf
+                    off = wrong if fresh or steps == 0 else off + wrong
                     own = exact_along(own, gone, [r - m for r, m in zip(residuals, moved, strict=True)])
                     point, residuals, cost, steps, fresh = there, moved, new_cost, steps + 1, False
                     break
@@ -354,6 +362,8 @@ def fit_effects(
         if moved is None:
             if fresh:
                 return fit, own, more
+            if off <= goal.enough and promised < NOTHING_LEFT:
+                return fit, own, (MOST_TO_PROMISE - 1.0) * (promised + off)
             own, fresh = effect_jacobian(predictor, point, effects, predictor.predict(point)), True
 
 
@@ -398,3 +408,8 @@ def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) 
         return list(columns)
     along = step / (step @ step)
     return [c + (d - c @ step)[..., None] * along for c, d in zip(columns, change, strict=True)]
+
+
+def single(columns: Derivatives) -> Derivatives:
+    """Return derivatives in single precision, in which they are kept: differences of predictions know no more digits."""
+    return [part.astype(np.float32) for part in columns]

@@ -23,6 +23,8 @@ from aerial_gym.sim2real.identify.candidates.nuisance import (
     structures_of,
 )
 from aerial_gym.sim2real.identify.evidence.fitting import (
+    ENOUGH,
+    Compared,
     Fitted,
     Fitter,
     Label,
@@ -32,9 +34,7 @@ from aerial_gym.sim2real.identify.evidence.guard import Guard, parts_of_a_flight
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.linear import candidates_of, normal_of
 from aerial_gym.sim2real.identify.evidence.search import Sets, search
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
-    tolerance_jacobian,
-)
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE, Derivatives, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.least_squares.weighting import weighting
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
@@ -103,16 +103,24 @@ class View:
         return label in self.fresh or label in self.own
 
     def fit(self, model: Model) -> None:
-        """Fit a set that is not known, from the best of its starts."""
-        if not self.known(label_in(self.library, model)):
-            beside = any(self.library.candidates[k].structure for k in model)
-            least = self.least(beside=beside)
-            self.add(self.fitter.fit_of(self.library, self.sets, model, self.structures, least))
+        """Fit a set that is not known, from the best of its starts, if it may come near the best.
 
-    def least(self, *, beside: bool) -> float:
-        """Return the log posterior that a set beside structures, or without any, must be able to have."""
+        What the linear model has a set behind the present one is less once that is fitted, as any step may gain more than was
+        promised.
+        """
+        behind, here = self.sets.look([model, self.here])
+        if self.known(label_in(self.library, model)):
+            return
+        beside = any(self.library.candidates[k].structure for k in model)
+        compared = self.compared(beside=beside)
+        if self.present.log_posterior - (here - behind) / MOST_TO_PROMISE > compared.least:
+            self.add(self.fitter.fit_of(self.library, self.sets, model, self.structures, compared))
+
+    def compared(self, *, beside: bool) -> Compared:
+        """Return how far a set beside structures, or without any, is fitted: it must be able to come near the best."""
         best = self.best if beside else self.best_bare
-        return best.log_posterior - FAR_BEHIND * reach_of(best)
+        least = best.log_posterior - FAR_BEHIND * reach_of(best)
+        return Compared(least=least, enough=ENOUGH * best.overdispersion)
 
     def add(self, fitted: Fitted) -> None:
         """Take a fitted set, and as long as it does not hold, the same without the effect for which the least speaks.
@@ -122,9 +130,9 @@ class View:
         while not self.known(fitted.label):
             self.fits[fitted.label] = fitted
             self.fresh.add(fitted.label)
-            least = self.least(beside=bool(fitted.structures))
-            if not fitted.holds and fitted.most > least:
-                fitted = self.fitter.without_weakest(fitted, least)
+            compared = self.compared(beside=bool(fitted.structures))
+            if not fitted.holds and fitted.most > compared.least:
+                fitted = self.fitter.without_weakest(fitted, compared)
 
     def settle(self, fitted: Fitted, fitter: Fitter) -> None:
         """Take a set fitted about itself, and where it does not hold, the same without what does not, fitted as any other."""
@@ -190,6 +198,7 @@ class Climber:
             if (leader := self.leader(view)) is present:
                 return view
             present = leader
+            del view  # its derivatives take memory
         return self.look_around(present, own, fits)
 
     def fitter_about(self, params: ModelParams, weights: Weighting) -> Fitter:
@@ -209,7 +218,7 @@ class Climber:
         A fit takes from a set what its linear model promised too much. So sets are fitted in the order of what they promise,
         until none promises more than the best one holds, or several in a row have not held it. Several structures together
         can make what an effect with a memory or a range makes, better than the effect where it is linear: sets without
-        structures have their own turn.
+        structures have their own turn. No more are fitted about a model that another leaves far behind.
         """
         values, structures = view.sets.log_posterior, view.sets.candidates.structures
         order = sorted(values, key=values.__getitem__, reverse=True)
@@ -219,6 +228,8 @@ class Climber:
             for model in turn:
                 if vain == MOST_IN_VAIN or values[model] <= best.log_posterior:
                     break
+                if view.compared(beside=True).least > view.present.log_posterior:
+                    return
                 label = label_in(view.library, model)
                 if label in seen or view.known(label):
                     continue
@@ -231,8 +242,8 @@ class Climber:
         """Fit the sets with an effect less than the present one, and with a narrower case of an effect."""
         for gone in (k for k in view.here if not view.library.candidates[k].structure):
             view.fit(tuple(k for k in view.here if k != gone))
-        least = view.least(beside=bool(view.present.structures))
-        for fitted in view.fitter.narrower(view.present, self.names, least):
+        compared = view.compared(beside=bool(view.present.structures))
+        for fitted in view.fitter.narrower(view.present, self.names, compared):
             view.add(fitted)
 
     def fit_rivals(self, view: View) -> None:
@@ -244,7 +255,7 @@ class Climber:
             values = dict(zip(swaps, view.sets.look(swaps).tolist(), strict=True))
             for place, model in enumerate(sorted(swaps, key=values.__getitem__, reverse=True)[:MOST_RIVALS]):
                 if np.isfinite(values[model]) and (place == 0 or values[model] > least):
-                    view.fit(model)
+                    view.fit(view.guard.held(model))
 
     def look_around(self, present: Fitted, own: dict[Label, Fitter], fits: dict[Label, Fitted]) -> View:
         """Return all candidates about a model, the posterior over their sets, and the structures among them."""
@@ -254,7 +265,7 @@ class Climber:
             if label != present.label:
                 fitter.forget()
 
-        def of_residuals(residuals: list[Array], effects: dict[str, list[list[Array]]]) -> list[Nuisance]:
+        def of_residuals(residuals: list[Array], effects: dict[str, list[Derivatives]]) -> list[Nuisance]:
             structures.extend(structures_of(flights, times, channels, self.missed, residuals, effects))
             return structures
 

@@ -44,7 +44,7 @@ def test_the_same_effects_beside_other_structures_are_one_set() -> None:
 
 def test_of_a_fit_that_went_nowhere_an_effect_goes(monkeypatch: pytest.MonkeyPatch) -> None:
     """A pendulum over the top has no evidence and no support: it is tried without an effect."""
-    monkeypatch.setattr(Fitter, "without", lambda _self, _fitted, names, _least: names)
+    monkeypatch.setattr(Fitter, "without", lambda _self, _fitted, names, _compared: names)
     nowhere = replace(fitted("slung_payload", "rotor_drag", log=float("-inf")), support={})
     assert not nowhere.holds
     assert Fitter.without_weakest(object.__new__(Fitter), nowhere) == ("slung_payload",)

@@ -1,12 +1,81 @@
 """Which sets are fitted on the way to the most probable one, with fits that are given."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
-from aerial_gym.sim2real.identify.selection.climb import FAR_BEHIND, View, reach_of
+from aerial_gym.sim2real.identify.candidates.library import Candidate
+from aerial_gym.sim2real.identify.evidence.fitting import Fitted
+from aerial_gym.sim2real.identify.evidence.laplace import Model
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
+from aerial_gym.sim2real.identify.selection.climb import FAR_BEHIND, Climber, View, reach_of
 from tests.unit.sim2real.fitted_sets import Made, fitted
+
+NAMES = ("com_offset", "rotor_drag", "quadratic_drag", "constant_wind")
+
+
+class Singles(Made):
+    """Fits of one effect of ``NAMES`` each."""
+
+    def fit_of(self, _library: object, _sets: object, model: Model, *_: object) -> Fitted:  # type: ignore[override]
+        """Return the set."""
+        return self.fit(tuple(NAMES[k] for k in model), (), self.start(model))
+
+    def start(self, model: Model) -> Any:
+        """Return the effects of a set."""
+        return SimpleNamespace(effects={NAMES[k]: None for k in model})
+
+
+def view_of(promised: dict[Model, float], *sets: Fitted) -> View:
+    """Return a view about the first of the sets, a centre of mass, with what the linear model has of all."""
+    none, start = np.zeros(0, dtype=np.int64), np.zeros(3)
+    candidates = [
+        Candidate(name=name, named=k == 0, columns=none, low=start, high=start, start=start)
+        for k, name in enumerate(NAMES)
+    ]
+    linear = SimpleNamespace(
+        log_posterior=promised,
+        look=lambda models: np.array([promised[model] for model in models]),
+        candidates=SimpleNamespace(structures=frozenset()),
+    )
+    return View(
+        present=sets[0],
+        fits={sets[0].label: sets[0]},
+        own={sets[0].label: cast("Any", None)},
+        fresh=set(),
+        fitter=Singles(*sets),
+        library=cast("Any", SimpleNamespace(candidates=candidates)),
+        structures=[],
+        sets=cast("Any", linear),
+        guard=cast("Any", SimpleNamespace(held=lambda model: model)),
+    )
+
+
+@pytest.mark.parametrize(("times", "tried"), [(0.99, True), (1.01, False)])
+def test_a_set_is_not_fitted_that_the_linear_model_has_further_behind_than_a_fit_can_mend(
+    times: float, tried: bool
+) -> None:
+    """A fit gains less than so many times what was promised: what is behind shrinks by no more."""
+    best, drag = fitted("com_offset", overdispersion=4.0), fitted("rotor_drag", log=-1e3)
+    behind = times * MOST_TO_PROMISE * FAR_BEHIND * reach_of(best)
+    view = view_of({(0,): -7.0, (1,): -7.0 - behind}, best, drag)
+    view.fit((1,))
+    assert (drag.label in view.fits) == tried
+
+
+@pytest.mark.parametrize(("ahead", "tried"), [(0.5, 3), (2.0, 1)])
+def test_no_more_is_fitted_about_a_model_that_another_leaves_far_behind(ahead: float, tried: int) -> None:
+    """Three sets are promising; the first one is ahead by half or twice of what is far behind."""
+    here = fitted("com_offset", log=-1e3)
+    drag = fitted("rotor_drag", log=-1e3 + ahead * FAR_BEHIND * reach_of(here))
+    others = [fitted("quadratic_drag", log=-1e3), fitted("constant_wind", log=-1e3)]
+    view = view_of({(0,): -1e3, (1,): -10.0, (2,): -11.0, (3,): -12.0}, here, drag, *others)
+    Climber.fit_probable(cast("Any", None), view)
+    assert len(view.fits) == 1 + tried
+    assert drag.label in view.fits
 
 
 @pytest.mark.parametrize(("ahead", "tried"), [(1.0, True), (-1.0, False)])
