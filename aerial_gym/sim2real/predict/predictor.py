@@ -83,8 +83,9 @@ REPLAYS = 3
 """Rotor speeds that are kept in the band."""
 
 
-PREDICTIONS = 256
-"""Predictions kept: a fit begins where a first look at the same effect has been, and both begin at the present model."""
+KEPT_BYTES = 3e8
+"""Predictions are kept as long as they would take no more [bytes] if they had nothing in common: a fit begins where a first
+look at the same effect has been, and both begin at the present model."""
 
 
 class _Together:
@@ -353,7 +354,7 @@ class Predictor:
         key = self._told_apart(point)
         if key not in self._predictions:
             self._predictions[key] = [found for part in self._parts for found in part.predict(point)]
-            if len(self._predictions) > PREDICTIONS:
+            if len(self._predictions) * sum(part.nbytes for part in self.measured) > KEPT_BYTES:
                 self._predictions.popitem(last=False)
         self._predictions.move_to_end(key)
         return [np.stack(columns, axis=1) for columns in self._predictions[key]]

@@ -15,6 +15,7 @@ from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     UNIT,
     WEAK_PRIOR,
+    Derivatives,
     Frozen,
     bounds_of,
     effect_jacobian,
@@ -22,6 +23,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     is_number,
     params_of,
     scales,
+    single,
     tolerance_jacobian,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments
@@ -31,7 +33,7 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Structures = Callable[[list[Array], dict[str, list[list[Array]]]], Sequence[Nuisance]]
+Structures = Callable[[list[Array], dict[str, list[Derivatives]]], Sequence[Nuisance]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +75,7 @@ class Library:
     tolerances: Indices
     """Places of the tolerances among the K columns."""
 
-    tangents: dict[int, list[Array]] = field(default_factory=dict)
+    tangents: dict[int, Derivatives] = field(default_factory=dict)
     """Derivatives (rows, C, P) by all parameters of an effect where it is linearised, by the number of the candidate; not of
     those that are linearised at several starts."""
 
@@ -111,20 +113,21 @@ def build_library(
     """
     base = predictor.predict(present)
     residuals = here = [m - p for m, p in zip(predictor.measured, base, strict=True)]
-    candidates, width, tangents = [], 0, dict[int, list[Array]]()
-    derivatives, own = list[Sequence[Part]](), dict[str, list[list[Array]]]()
+    candidates, width, tangents = [], 0, dict[int, Derivatives]()
+    derivatives, own = list[Sequence[Part]](), dict[str, list[Derivatives]]()
     for name, point in origins(declared, present, accepted, skipped, predictor.robot):
         named, neutral, scale = point is present, neutral_of(name, declared, predictor.robot), scales((name,))
         columns = effect_jacobian(predictor, point, (name,), base if named else predictor.predict(point))
         if not all(np.isfinite(part).all() for part in columns):
             continue  # a pendulum that goes over the top of the present model
-        if named or not has_starts(name, predictor.robot):
-            tangents[len(candidates)] = columns
-        step = (params_of(point, (name,)) - neutral) / scale
+        step, tangent = (params_of(point, (name,)) - neutral) / scale, single(columns)
         if named:  # back to neutral
             change = [b - n for b, n in zip(base, predictor.predict(point.with_effect(name, neutral)), strict=True)]
             columns = exact_along(columns, step, change)
             residuals = [r + c @ step for r, c in zip(residuals, columns, strict=True)]
+        columns = single(columns) if named else tangent
+        if named or not has_starts(name, predictor.robot):
+            tangents[len(candidates)] = tangent
         free = [k for k in range(scale.size) if is_number(name, k) and not (named and (name, k) in frozen)]
         low, high = (((bound - neutral) / scale)[free] for bound in bounds_of(predictor.robot, (name,)))
         places = np.array(free, dtype=int) + width

@@ -39,7 +39,7 @@ class InChannels:
         return self.values.shape[2]
 
 
-Part = Array | InChannels
+Part = NDArray[np.floating] | InChannels
 """Derivatives of a flight by some parameters, (T, C, P)."""
 
 
@@ -74,7 +74,7 @@ def _gathered(parts: Sequence[Part], channel: int, root: float) -> tuple[Indices
         start += width
     if not places:
         return np.zeros(0, dtype=np.int64), np.zeros((width_of(parts) * 0, 0))
-    return np.concatenate(places), np.concatenate(found, axis=1) * root
+    return np.concatenate(places), np.concatenate(found, axis=1, dtype=np.float64) * root
 
 
 class Blocks:
@@ -148,6 +148,18 @@ def weighted_moments(
     *,
     parts: int = 1,
 ) -> Moments:
-    """Return the sums over blocks, of all channels together: as ``block_moments``, with one channel of weight one."""
-    nothing = [np.zeros((*r.shape, 0)) for r in residuals]
-    return Beside(times, flights, weight, parts=parts).moments(residuals, nothing)
+    """Return the sums over blocks, of all channels together: as ``block_moments``, with one channel of weight one.
+
+    Flight by flight: the columns of all flights need not be held a second time.
+    """
+    found = [
+        Beside([time], [own], weight, parts=parts).moments([r], [np.zeros((*r.shape, 0))])
+        for time, r, own in zip(times, residuals, flights, strict=True)
+    ]
+    return Moments(
+        count=np.concatenate([one.count for one in found]),
+        square=np.concatenate([one.square for one in found]),
+        gradient=np.concatenate([one.gradient for one in found]),
+        product=np.concatenate([one.product for one in found]),
+        flight=np.repeat(np.arange(len(found)), [one.count.size for one in found]),
+    )
