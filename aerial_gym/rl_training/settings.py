@@ -248,7 +248,6 @@ ALIKE = {
     "radar_navigation_task": "lidar_navigation_task",
     "racing_random_track_task": "racing_task",
     "racing_split_s_task": "racing_task",
-    "motor_failure_task": "any_quadrotor_task",
 }
 """Tasks that are trained with the settings of another one, as long as they have none of their own."""
 
