@@ -151,10 +151,10 @@ def test_gaps_in_the_place_of_another_vehicle_stay_gaps(tmp_path: Path) -> None:
     np.testing.assert_array_equal(log.other_position[80], (1.0, 2.0, 3.0))
 
 
-def test_the_warp_backend_takes_one_height_only() -> None:
+def test_the_warp_backend_takes_one_height_of_the_ceiling_only() -> None:
     vehicle = vehicle_from_config(ROBOT, num_envs=2)
-    model = build_model(vehicle, ground_height=torch.zeros(2, 1))
-    with pytest.raises(CapabilityError, match="one height of ground and ceiling for all"):
+    model = build_model(vehicle, ceiling_height=torch.ones(2, 1))
+    with pytest.raises(CapabilityError, match="one height of the ceiling for all"):
         BACKENDS.get("warp")().allocate(model, _NoControl(), integrator="rk4")
 
 
