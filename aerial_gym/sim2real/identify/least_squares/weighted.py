@@ -74,7 +74,9 @@ def _gathered(parts: Sequence[Part], channel: int, root: float) -> tuple[Indices
         start += width
     if not places:
         return np.zeros(0, dtype=np.int64), np.zeros((width_of(parts) * 0, 0))
-    return np.concatenate(places), np.concatenate(found, axis=1, dtype=np.float64) * root
+    columns = np.concatenate(found, axis=1, dtype=np.float64)
+    columns *= root
+    return np.concatenate(places), columns
 
 
 class Blocks:

@@ -224,15 +224,16 @@ class _Chooser:
             parameters = posterior(linear.candidates, linear.whole, linear.model)
             return parameters.log_evidence - len(structures) * fitter.log_names, parameters
 
-        kinds = {structure.kind for structure in present.structures} - {"periodic"}
-        for name, kind in ((name, kind) for name in present.effects for kind in sorted(kinds)):
+        kinds = sorted({structure.kind for structure in present.structures} - {"periodic"})
+        functions = {kind: functions_of(kind, predictor.flights, predictor.times) for kind in kinds}
+        steady = log_posterior(present.structures)[0] if kinds else 0.0
+        for name, kind in ((name, kind) for name in present.effects for kind in kinds):
             if kind in EFFECTS.get(name).follows or name in found:
                 continue
             without = predictor.predict(present.params.with_effect(name, neutral[name]))
-            functions = functions_of(kind, predictor.flights, predictor.times)
-            columns = [(p - w)[..., None] * f[:, None] for p, w, f in zip(predicted, without, functions, strict=True)]
+            parts = zip(predicted, without, functions[kind], strict=True)
+            columns = [(p - w)[..., None] * f[:, None] for p, w, f in parts]
             rest = [structure for structure in present.structures if structure.kind != kind]
-            steady, _ = log_posterior(present.structures)
             for beside in (present.structures, rest):
                 varied, parameters = log_posterior(beside, columns)
                 share = float(np.sqrt((parameters.step[-columns[0].shape[2] :] ** 2).sum()))

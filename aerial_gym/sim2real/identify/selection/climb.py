@@ -102,8 +102,8 @@ class View:
         """
         return label in self.fresh or label in self.own
 
-    def fit(self, model: Model) -> None:
-        """Fit a set that is not known, from the best of its starts, if it may come near the best.
+    def fit(self, model: Model, *, however_far: bool = False) -> None:
+        """Fit a set that is not known, from the best of its starts, if it may come near the best or ``however_far`` it is.
 
         What the linear model has a set behind the present one is less once that is fitted, as any step may gain more than was
         promised.
@@ -113,7 +113,7 @@ class View:
             return
         beside = any(self.library.candidates[k].structure for k in model)
         compared = self.compared(beside=beside)
-        if self.present.log_posterior - (here - behind) / MOST_TO_PROMISE > compared.least:
+        if however_far or self.present.log_posterior - (here - behind) / MOST_TO_PROMISE > compared.least:
             self.add(self.fitter.fit_of(self.library, self.sets, model, self.structures, compared))
 
     def compared(self, *, beside: bool) -> Compared:
@@ -247,7 +247,10 @@ class Climber:
             view.add(fitted)
 
     def fit_rivals(self, view: View) -> None:
-        """Fit the best sets with another effect in the place of one of the present: the best, and what may be as probable."""
+        """Fit the best sets with another effect in the place of one of the present: the best, and what may be as probable.
+
+        The best however far it is behind: it is what a reader would ask for.
+        """
         candidates, least = view.library.candidates, view.present.log_posterior - reach_of(view.present)
         others = [k for k, one in enumerate(candidates) if not one.structure and one.name not in view.present.effects]
         for gone in (k for k in view.here if not candidates[k].structure):
@@ -255,7 +258,7 @@ class Climber:
             values = dict(zip(swaps, view.sets.look(swaps).tolist(), strict=True))
             for place, model in enumerate(sorted(swaps, key=values.__getitem__, reverse=True)[:MOST_RIVALS]):
                 if np.isfinite(values[model]) and (place == 0 or values[model] > least):
-                    view.fit(view.guard.held(model))
+                    view.fit(view.guard.held(model), however_far=place == 0)
 
     def look_around(self, present: Fitted, own: dict[Label, Fitter], fits: dict[Label, Fitted]) -> View:
         """Return all candidates about a model, the posterior over their sets, and the structures among them."""
