@@ -41,6 +41,9 @@ Array = NDArray[np.float64]
 Label = tuple[str, ...]
 """Names of a set's effects, with their rotor, and structures, sorted."""
 
+BROAD = 3
+"""Sets of one size from which effects are taken out."""
+
 KEPT = 4
 """Fitted sets whose derivatives are kept for the next fit."""
 
@@ -274,23 +277,27 @@ class Fitter:
         return self.without(fitted, (min(fitted.effects, key=lambda name: odds.get(name, -np.inf)),), compared)
 
     def held(self, fitted: Fitted) -> Fitted:
-        """Return the most probable of a set and all that is left of it without what does not hold.
+        """Return the most probable of a set and all that is left of it without some effects of which every effect holds.
 
-        An effect for which little speaks beside another may be all that is needed without it. So not the weakest goes, but each
-        that does not hold is taken out of the most probable set, and in turn of what that leaves.
+        An effect for which little speaks beside another may be all that is needed without it, and one that holds may be what
+        another lacks: not the weakest goes, but each is tried, from the best few sets of a size that do not hold, as long as
+        these are more probable than the best that does.
         """
-        waiting, seen = {fitted.label: fitted}, {fitted.label}
-        while True:
-            best = waiting.pop(max(waiting, key=lambda label: waiting[label].log_posterior))
-            if best.holds:
-                return best
-            for name in (name for name in best.effects if name not in best.support or not best.support[name].holds):
-                less = label_of([(other, best.params.effects[other]) for other in best.effects if other != name], ())
-                if less not in seen:
-                    seen.add(less)
-                    waiting[less] = self.without(best, (name,))
-            if not waiting:
-                return best
+        level, best = [fitted], None
+        while level:
+            best = max([one for one in level if one.holds] + ([best] if best else []), key=_probable, default=None)
+            rest = [one for one in level if not one.holds and (best is None or one.log_posterior > best.log_posterior)]
+            less: dict[Label, Fitted] = {}
+            for one in sorted(rest, key=_probable, reverse=True)[:BROAD]:
+                for name in one.effects:
+                    kept = label_of([(other, one.params.effects[other]) for other in one.effects if other != name], ())
+                    if kept not in less:
+                        less[kept] = self.without(one, (name,))
+            if not less and best is None:
+                return max(level, key=_probable)
+            level = list(less.values())
+        assert best is not None
+        return best
 
     def in_file(self, fitted: Fitted) -> tuple[Fitted, dict[str, list[str]]]:
         """Return a set without what does not hold or ends where physics does, and what ended so, with the parameters."""
@@ -337,6 +344,10 @@ class Fitter:
                     effects = [name if other == wide else other for other in fitted.effects]
                     found.append(self.fit(effects, fitted.structures, start, compared=compared))
         return found
+
+
+def _probable(fitted: Fitted) -> float:
+    return fitted.log_posterior
 
 
 def label_of(effects: Iterable[tuple[str, Array]], structures: Iterable[str]) -> Label:

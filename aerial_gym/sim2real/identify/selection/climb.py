@@ -218,7 +218,7 @@ class Climber:
         A fit takes from a set what its linear model promised too much. So sets are fitted in the order of what they promise,
         until none promises more than the best one holds, or several in a row have not held it. Several structures together
         can make what an effect with a memory or a range makes, better than the effect where it is linear: sets without
-        structures have their own turn. No more are fitted about a model that another leaves far behind.
+        structures have their own turn.
         """
         values, structures = view.sets.log_posterior, view.sets.candidates.structures
         order = sorted(values, key=values.__getitem__, reverse=True)
@@ -228,8 +228,6 @@ class Climber:
             for model in turn:
                 if vain == MOST_IN_VAIN or values[model] <= best.log_posterior:
                     break
-                if view.compared(beside=True).least > view.present.log_posterior:
-                    return
                 label = label_in(view.library, model)
                 if label in seen or view.known(label):
                     continue

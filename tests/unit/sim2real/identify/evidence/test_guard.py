@@ -38,20 +38,10 @@ def test_overdispersion_is_the_variance_between_flights_over_that_of_noise(sprea
 def test_a_distance_counts_over_the_larger_of_two_variances() -> None:
     """Log odds of 90 of which 100 are the distance's: over four times the variance it is 25; flights never add to it."""
     one = Support(log_odds=90.0, wald=200.0, overdispersion=4.0, size=1)
-    assert one.robust_log_odds == pytest.approx(15.0 + np.log(2.0))
+    assert one.robust_log_odds == pytest.approx(15.0)
     assert replace(one, overdispersion=0.2).robust_log_odds == 90.0
     assert one.holds
     assert not replace(one, overdispersion=20.0).holds
-
-
-def test_robust_odds_are_those_of_a_likelihood_that_is_so_much_wider() -> None:
-    """Two parameters 6 and 8 standard deviations from neutral, and a prior that is flat over 1,000 of each."""
-
-    def log_odds(variance: float) -> float:
-        return 0.5 * 100.0 / variance + np.log(2.0 * np.pi * variance) - 2.0 * np.log(1000.0)
-
-    found = Support(log_odds=log_odds(1.0), wald=100.0, overdispersion=7.0, size=2)
-    assert found.robust_log_odds == pytest.approx(log_odds(7.0))
 
 
 def library(values: Array) -> Library:

@@ -11,7 +11,7 @@ from aerial_gym.sim2real.identify.candidates.library import Candidate
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
-from aerial_gym.sim2real.identify.selection.climb import FAR_BEHIND, Climber, View, reach_of
+from aerial_gym.sim2real.identify.selection.climb import FAR_BEHIND, View, reach_of
 from tests.unit.sim2real.fitted_sets import Made, fitted
 
 NAMES = ("com_offset", "rotor_drag", "quadratic_drag", "constant_wind")
@@ -64,18 +64,6 @@ def test_a_set_is_not_fitted_that_the_linear_model_has_further_behind_than_a_fit
     view = view_of({(0,): -7.0, (1,): -7.0 - behind}, best, drag)
     view.fit((1,))
     assert (drag.label in view.fits) == tried
-
-
-@pytest.mark.parametrize(("ahead", "tried"), [(0.5, 3), (2.0, 1)])
-def test_no_more_is_fitted_about_a_model_that_another_leaves_far_behind(ahead: float, tried: int) -> None:
-    """Three sets are promising; the first one is ahead by half or twice of what is far behind."""
-    here = fitted("com_offset", log=-1e3)
-    drag = fitted("rotor_drag", log=-1e3 + ahead * FAR_BEHIND * reach_of(here))
-    others = [fitted("quadratic_drag", log=-1e3), fitted("constant_wind", log=-1e3)]
-    view = view_of({(0,): -1e3, (1,): -10.0, (2,): -11.0, (3,): -12.0}, here, drag, *others)
-    Climber.fit_probable(cast("Any", None), view)
-    assert len(view.fits) == 1 + tried
-    assert drag.label in view.fits
 
 
 @pytest.mark.parametrize(("ahead", "tried"), [(1.0, True), (-1.0, False)])
