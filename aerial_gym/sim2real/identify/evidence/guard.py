@@ -50,8 +50,8 @@ class Support:
     def robust_log_odds(self) -> float:
         """Return the log odds with the distance over the larger of the two covariances.
 
-        Occam's factor stays that of noise, the stricter one: with the larger covariance there as well, motors were tilted by
-        gusts (docs/results/undeclared.md).
+        Occam's factor stays that of noise, the stricter one: with the larger covariance there as well, structures were let in
+        beside which a measured ground effect was lost (docs/results/measured.md).
         """
         return self.log_odds - 0.5 * self.wald * (1.0 - 1.0 / max(self.overdispersion, 1.0))
 
