@@ -305,13 +305,13 @@ class Fitter:
         while True:
             fitted = self.held(fitted)
             again = self.fit(fitted.effects, fitted.structures, self.most_probable(fitted))
-            fitted = max(fitted, again, key=lambda one: one.log_posterior)
+            fitted = max([fitted, *([again] if again.holds else [])], key=_probable)
             found = {
                 name: at_bounds(name, fitted.params, self.neutral(name), self.predictor.robot)
                 for name in fitted.effects
             }
             found = {name: parameters for name, parameters in found.items() if parameters}
-            if not found and fitted.holds:
+            if not found:
                 return fitted, ends
             ends |= found
             fitted = self.without(fitted, tuple(found))

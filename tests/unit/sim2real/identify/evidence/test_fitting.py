@@ -64,6 +64,15 @@ def test_where_even_nothing_is_no_fit_the_search_ends() -> None:
     assert Made(nothing).held(fitted("rotor_drag", odds={"rotor_drag": -1.0})) is nothing
 
 
+def test_a_fit_that_no_longer_holds_from_its_most_probable_parameters_is_not_taken() -> None:
+    """It is more probable by a hair and just beside the edge: the search ends with the one that holds."""
+    drag = fitted("rotor_drag", log=-2.0)
+    beside = fitted("rotor_drag", log=-1.9, odds={"rotor_drag": -0.1})
+    found, ends = Made(beside).in_file(drag)
+    assert found is drag
+    assert ends == {}
+
+
 def test_what_does_not_hold_goes_until_all_that_is_left_holds() -> None:
     """The mass goes, and then the wind as well, which held only beside it."""
     odds = {"payload_mass": -2.0, "constant_wind": -1.0}
