@@ -256,7 +256,7 @@ class Climber:
             values = dict(zip(swaps, view.sets.look(swaps).tolist(), strict=True))
             for place, model in enumerate(sorted(swaps, key=values.__getitem__, reverse=True)[:MOST_RIVALS]):
                 if np.isfinite(values[model]) and (place == 0 or values[model] > least):
-                    view.fit(view.guard.held(model), however_far=place == 0)
+                    view.fit(model, however_far=place == 0)
 
     def look_around(self, present: Fitted, own: dict[Label, Fitter], fits: dict[Label, Fitted]) -> View:
         """Return all candidates about a model, the posterior over their sets, and the structures among them."""
