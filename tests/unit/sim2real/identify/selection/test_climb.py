@@ -11,7 +11,7 @@ from aerial_gym.sim2real.identify.candidates.library import Candidate
 from aerial_gym.sim2real.identify.evidence.fitting import Fitted
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
-from aerial_gym.sim2real.identify.selection.climb import FAR_BEHIND, View, reach_of
+from aerial_gym.sim2real.identify.selection.climb import FAR_BEHIND, Climber, View, reach_of
 from tests.unit.sim2real.fitted_sets import Made, fitted
 
 NAMES = ("com_offset", "rotor_drag", "quadratic_drag", "constant_wind")
@@ -64,6 +64,15 @@ def test_a_set_is_not_fitted_that_the_linear_model_has_further_behind_than_a_fit
     view = view_of({(0,): -7.0, (1,): -7.0 - behind}, best, drag)
     view.fit((1,))
     assert (drag.label in view.fits) == tried
+
+
+def test_the_best_other_effect_is_fitted_however_far_and_whether_or_not_it_holds_where_it_is_linear() -> None:
+    """Drag is a million behind and does not hold in the linear model: it is fitted; the others, further behind, are not."""
+    best, drag = fitted("com_offset"), fitted("rotor_drag", log=-1e6)
+    view = view_of({(0,): 0.0, (1,): -1e6, (2,): -2e6, (3,): -3e6}, best, drag)
+    view.guard.held = lambda _model: ()  # type: ignore[method-assign]
+    Climber.fit_rivals(cast("Any", None), view)
+    assert set(view.fits) == {best.label, drag.label}
 
 
 @pytest.mark.parametrize(("ahead", "tried"), [(1.0, True), (-1.0, False)])
