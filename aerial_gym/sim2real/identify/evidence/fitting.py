@@ -169,7 +169,10 @@ class Fitter:
         fresh: bool = False,
         compared: Compared | None = None,
     ) -> Fitted:
-        """Return a set fitted from a start, by ``derivatives`` (rows, C, P) near it if there are, or there (``fresh``)."""
+        """Return a set fitted from a start, by ``derivatives`` (rows, C, P) near it if there are, or there (``fresh``).
+
+        ``compared`` says how far it goes if it is only compared with others; None: to the end.
+        """
         beside, effects = self.beside(structures), tuple(effects)
         asked = compared or Compared(least=-np.inf, enough=NOTHING_LEFT)
         goal = Goal(worth=lambda fit: self._about(fit, effects, structures).most, **vars(asked))
