@@ -12,18 +12,16 @@ from numpy.typing import NDArray
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
+from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, exact_along, single
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     UNIT,
     WEAK_PRIOR,
-    Derivatives,
     Frozen,
     bounds_of,
     effect_jacobian,
-    exact_along,
     is_number,
     params_of,
     scales,
-    single,
     tolerance_jacobian,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments

@@ -18,9 +18,9 @@ from aerial_gym.sim2real.identify.evidence.guard import Support, parts_of_a_flig
 from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior, posterior
 from aerial_gym.sim2real.identify.evidence.linear import linear_about
 from aerial_gym.sim2real.identify.evidence.search import Sets
+from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, single
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     NOTHING_LEFT,
-    Derivatives,
     Fit,
     Goal,
     bounds_of,
@@ -28,7 +28,6 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     fit_effects,
     is_number,
     scales,
-    single,
     tolerance_jacobian,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting

@@ -14,6 +14,7 @@ from scipy.optimize import lsq_linear
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, exact_along
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments
 from aerial_gym.sim2real.identify.least_squares.weighted import Beside, Weighted
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -21,9 +22,6 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Derivatives = Sequence[NDArray[np.floating]]
-"""By some parameters, per scale, of each flight, (rows, C, P)."""
-
 UNIT = np.ones(1)
 """Weight of the moments of a fit that have the weights of the channels in them (``Beside.moments``)."""
 
@@ -394,22 +392,3 @@ def misfit(beside: Beside, residuals: Sequence[Array]) -> float:
     product = beside.whole + np.eye(beside.width)
     step = _solved(product, gradient, -far, far) if far.size else gradient
     return square - 2.0 * float(gradient @ step) + float(step @ product @ step)
-
-
-def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) -> list[Array]:
-    """Return derivatives (rows, C, k), changed as little as gives exactly the ``change`` (rows, C) over a ``step`` (k).
-
-    A lag of 0 and one of 0.06 s differ by much more or less than what the derivative at 0.06 s says.
-
-    Source:
-        Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
-    """
-    if not np.any(step):
-        return list(columns)
-    along = step / (step @ step)
-    return [c + (d - c @ step)[..., None] * along for c, d in zip(columns, change, strict=True)]
-
-
-def single(columns: Derivatives) -> Derivatives:
-    """Return derivatives in single precision, in which they are kept: differences of predictions know no more digits."""
-    return [part.astype(np.float32) for part in columns]
