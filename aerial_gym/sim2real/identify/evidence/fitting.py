@@ -3,12 +3,11 @@
 Letters: N tolerances.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import Library, has_rotor, has_starts, neutral_of
@@ -382,26 +381,3 @@ def _narrower(one: Fitted, other: Fitted) -> bool:
     new, gone = set(one.effects) - set(other.effects), set(other.effects) - set(one.effects)
     same = [structure.name for structure in one.structures] == [structure.name for structure in other.structures]
     return same and len(new) == len(gone) == 1 and new <= {case for wide in gone for case in EFFECTS.get(wide).contains}
-
-
-def probabilities_of(fits: Iterable[Fitted], *, overdispersion: float) -> dict[tuple[str, ...], float]:
-    """Return the probability of each set of effects among fitted ones, whatever the structure beside them, best first.
-
-    What one set is better than another by counts so much less as parameters scatter more than by noise (guard.py).
-    """
-    found: dict[tuple[str, ...], float] = {}
-    for fitted in fits:
-        key = tuple(sorted(fitted.effects))
-        found[key] = float(np.logaddexp(found.get(key, -np.inf), fitted.log_posterior / overdispersion))
-    logs = np.array(list(found.values()))
-    shares = np.exp(logs - logsumexp(logs)).tolist()
-    return dict(sorted(zip(found, shares, strict=True), key=lambda item: -item[1]))
-
-
-def inclusion_in(sets: Mapping[tuple[str, ...], float]) -> dict[str, float]:
-    """Return the probability of each effect, that of all sets that hold it, the most probable first."""
-    found: dict[str, float] = {}
-    for names, probability in sets.items():
-        for name in names:
-            found[name] = found.get(name, 0.0) + probability
-    return dict(sorted(found.items(), key=lambda item: -item[1]))

@@ -21,12 +21,11 @@ from aerial_gym.sim2real.identify.candidates.nuisance import (
 from aerial_gym.sim2real.identify.evidence.fitting import (
     Fitted,
     Fitter,
-    inclusion_in,
     narrowest,
-    probabilities_of,
 )
 from aerial_gym.sim2real.identify.evidence.laplace import Posterior, posterior
 from aerial_gym.sim2real.identify.evidence.linear import linear_about
+from aerial_gym.sim2real.identify.evidence.probabilities import inclusion_in, probabilities_of
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     effect_jacobian,
     fit_of_moments,

@@ -8,12 +8,8 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library
-from aerial_gym.sim2real.identify.evidence.fitting import (
-    Fitter,
-    inclusion_in,
-    narrowest,
-    probabilities_of,
-)
+from aerial_gym.sim2real.identify.evidence.fitting import Fitter, narrowest
+from aerial_gym.sim2real.identify.evidence.probabilities import inclusion_in, probabilities_of
 from aerial_gym.sim2real.identify.evidence.search import Sets
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
 from tests.unit.sim2real.fitted_sets import PLACE, Made, fitted
