@@ -13,7 +13,7 @@ from torch import Tensor
 from aerial_gym.math.random import Purpose, Randomness, counted_state
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect, LoadEffect, Moment
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rotor_lag import RotorCommand, Succession
+from aerial_gym.physics.rotor_lag import Ramp, RotorCommand, Succession
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ def forget(memory: Memory, mask: Tensor) -> Memory:
 
 
 def begin_substep(
-    model: Model, memory: Memory, rotor_speed: Tensor, command: Tensor, dt: float
+    model: Model, memory: Memory, rotor_speed: Tensor, command: Tensor | Ramp, dt: float
 ) -> tuple[Model, RotorCommand, Memory]:
     """Return the model with what is remembered in it, what the rotors follow, and the memory of a substep.
 
@@ -77,17 +77,20 @@ def begin_substep(
         model: Vehicle and effects.
         memory: At the end of the substep before.
         rotor_speed: Rotor speeds [rad/s], (E, R).
-        command: Speeds that the control law commands in this substep [rad/s], (E, R).
+        command: Speeds that the control law commands in this substep [rad/s], (E, R), or how they are known to change: no
+            effect on commands acts then.
         dt: Its length [s].
     """
     random = counted_state(memory.random.stream(Purpose.EFFECTS), memory.since)
     moment = Moment(rotor_speed=rotor_speed, since=memory.since, random=random, dt=dt, vehicle=model.vehicle)
-    places = model.effects.places(command.shape[1])
+    places = model.effects.places(rotor_speed.shape[1])
     numbers = [
         place.effect.remember(moment, torch.cat((params, memory.numbers[:, place.memory]), dim=-1))
         for place, (_, params) in zip(places, model.effects.forces, strict=True)
     ]
     model, memory = _with_numbers(model, numbers), replace(memory, numbers=torch.cat(numbers, dim=-1))
+    if isinstance(command, Ramp):
+        return model, command, memory
     if not model.effects[DelayEffect]:
         return model, _led_to(model, command), memory
     memory = replace(memory, past=torch.cat((command.unsqueeze(1), memory.past[:, :-1]), dim=1))

@@ -33,8 +33,16 @@ class Succession:
     """From the start of the step to the second ones [s], (E, 1)."""
 
 
-RotorCommand = Tensor | Succession
-"""What the rotors follow in a step: one held command (E, R), or two."""
+@dataclass(frozen=True, kw_only=True)
+class Ramp:
+    """Rotors that are known to turn in a straight line through a step, as a log has them, whatever their lag."""
+
+    rate: Tensor
+    """Change of their states [rad/s²] or [N/s], (E, R)."""
+
+
+RotorCommand = Tensor | Succession | Ramp
+"""What the rotors follow in a step: one held command (E, R), two, or how they turn."""
 
 
 def stop_in_dead_band(vehicle: Vehicle, command: Tensor) -> Tensor:
@@ -46,6 +54,8 @@ def stop_in_dead_band(vehicle: Vehicle, command: Tensor) -> Tensor:
 
 def follow_command(vehicle: Vehicle, state: Tensor, command: RotorCommand, dt: float) -> Tensor:
     """Return the states of the rotors, (E, R), after ``dt`` [s] from the start of a step; exact."""
+    if isinstance(command, Ramp):
+        return state + command.rate * dt
     if isinstance(command, Tensor):
         return _follow_held(vehicle, state, command, dt)
     lag = {name: getattr(vehicle, name).clamp_min(SHORTEST) for name in ("time_constant_up", "time_constant_down")}
@@ -68,6 +78,8 @@ def stage_rates(
     Where the command changes on the way, all are moved alike, so that Simpson's rule over them gives the whole change of the
     states: the momentum that the rotors gain is exact.
     """
+    if isinstance(command, Ramp):
+        return command.rate, command.rate, command.rate
     start, _, end = stages
     if isinstance(command, Tensor):
         return tuple(rate_towards(vehicle, state, command, command - start, dt) for state in stages)

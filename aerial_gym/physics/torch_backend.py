@@ -36,7 +36,7 @@ from aerial_gym.physics.memory import (
     num_past_commands,
 )
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rotor_lag import stop_in_dead_band
+from aerial_gym.physics.rotor_lag import Ramp, stop_in_dead_band
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
 from aerial_gym.physics.torch_rows import SubstepRows
@@ -72,27 +72,34 @@ def advance(
 def advance_remembering(
     model: Model,
     stepper: Stepper,
-    control: ControlLaw,
+    control: ControlLaw | None,
     state: BodyState,
-    command: Tensor,
+    command: Tensor | Ramp,
     dt: float,
     substeps: int,
     memory: Memory | None,
     law_memory: LawMemory | None = None,
 ) -> tuple[BodyState, Memory | None]:
-    """Return what ``advance`` does, from a memory on, and the memory at the end; None if no effect has one."""
+    """Return what ``advance`` does, from a memory on, and the memory at the end; None if no effect has one.
+
+    Without a control law the command is what the rotors follow.
+    """
+    rotor_command = command
     for _ in range(substeps):
-        rotor_command, law_memory = law_command(control, state, command, law_memory)
+        if control is not None:
+            assert isinstance(command, Tensor)
+            rotor_command, law_memory = law_command(control, state, command, law_memory)
         _, after, memory = _substep(model, stepper, state, rotor_command, dt, memory)
         state = to_body_state(model, after)
     return state, memory
 
 
 def _substep(
-    model: Model, stepper: Stepper, state: BodyState, rotor_command: Tensor, dt: float, memory: Memory | None
+    model: Model, stepper: Stepper, state: BodyState, rotor_command: Tensor | Ramp, dt: float, memory: Memory | None
 ) -> tuple[MassState, MassState, Memory | None]:
     """Return the motion before and after a substep, and what is remembered after it."""
-    rotor_command = stop_in_dead_band(model.vehicle, rotor_command)
+    if isinstance(rotor_command, Tensor):
+        rotor_command = stop_in_dead_band(model.vehicle, rotor_command)
     if memory is None:
         before = to_mass_state(model, state)
         return before, stepper(model, before, rotor_command, dt), None

@@ -19,7 +19,7 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.rotor_estimate import RotorEstimate
-from aerial_gym.sim2real.predict.scene import heights, other_at
+from aerial_gym.sim2real.predict.scene import heights, other_along
 
 Array = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ class Dataset:
         self.spans = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self.flight = np.repeat(np.arange(len(flights)), np.diff(ends))
         self.row_times = [flight.time[::stride] for flight, stride in zip(flights, self.stride, strict=True)]
-        others = [other_at(f, np.arange(0, f.num_rows, s)) for f, s in zip(flights, self.stride, strict=True)]
+        others = [torch.from_numpy(other_along(f)[::s]) for f, s in zip(flights, self.stride, strict=True)]
         rows = [state["attitude"].shape[0] for state in states]
         self.heights, self.other = heights(flights, rows), torch.cat(others)
         self.simulated = all(flight.rotor_speed is None for flight in flights)

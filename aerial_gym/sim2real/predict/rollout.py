@@ -1,7 +1,7 @@
 """Open-loop rollouts: every window of the flights is one environment of the simulator, released at a measured state.
 
 The rotors follow the logged commands through dead time, battery and lag of the model; without commands they turn as
-measured. A second variant is given the measured attitude, so that it shows forces alone.
+measured, in straight lines. A second variant is given the measured attitude, so that it shows forces alone.
 Letters: W windows (environments), R rotors.
 """
 
@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import convolve1d
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
@@ -27,6 +28,7 @@ from aerial_gym.physics import (
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, LoadEffect, RotorSensorEffect
 from aerial_gym.physics.memory import Memory, make_memory, place_memory
 from aerial_gym.physics.model import EffectParams
+from aerial_gym.physics.rotor_lag import Ramp
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
@@ -34,7 +36,7 @@ from aerial_gym.sim2real.predict.replay.memory import remembering, track_of
 from aerial_gym.sim2real.predict.replay.rotor_commands import is_commanded, with_arriving_commands
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows import one_row, with_known_wind
-from aerial_gym.sim2real.predict.scene import heights, other_at
+from aerial_gym.sim2real.predict.scene import heights, other_along
 from aerial_gym.sim2real.predict.tolerances import Tolerances, deviated
 from aerial_gym.sim2real.predict.windows import FIRST_WINDOW_S, STEP_S, Windows, find_windows, same_rate
 
@@ -43,8 +45,8 @@ Array = NDArray[np.float64]
 HORIZONS_S = (0.1, 0.5, 1.0, 2.0)
 """When a rollout is compared with the flight [s]."""
 
-LONGEST_STEP_S = 0.01
-"""Of the integrator [s]; Runge-Kutta of order 4 turns by 10 rad/s with an error of 1e-7 rad in such a step."""
+MEMORY_STEP_S = 0.005
+"""Longest substep with effects that remember [s]: what they remember at its end holds throughout."""
 
 QUANTITIES: dict[str, str] = {"position": "m", "velocity": "m/s", "attitude": "rad"}
 """Compared quantities and their units."""
@@ -69,18 +71,6 @@ class RolloutErrors:
 
     driven_by: str
     """commands or measured rotor speeds."""
-
-
-class _Straight:
-    """The control law of a replay: the action is the rotor speed command."""
-
-    def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
-        """Return the action."""
-        del state
-        return action
-
-    def fused(self) -> None:
-        """There is no Warp code: rollouts run in float64 torch."""
 
 
 def roll_out(
@@ -177,7 +167,6 @@ class Batch:
         *,
         load: Array | None = None,
         settled: Sequence[float] | None = None,
-        averaged_s: float = STEP_S,
     ) -> None:
         """Take the windows.
 
@@ -190,25 +179,20 @@ class Batch:
             row: Where it starts, (W,).
             load: Direction and rate of the link of the load there, (W, 6); None: as if it hung still when the log begins.
             settled: Of each model, how far soft arms have come to rest when a log begins in the air; None: all the way.
-            averaged_s: Longest span of a log whose commands are averaged for one step [s].
         """
         self._settled = [1.0] * len(vehicles) if settled is None else settled
         self._flights, self._flight, self._row, self._load, self._of = flights, flight, row, load, of
+        self._tables: dict[str, _Table] = {}
+        self._along_flights: dict[tuple[str, int], Array] = {}
         self._along: dict[
             int, list[Array | None]
         ] = {}  # rotor speeds of each model along all flights, from the commands
         self._rate, self._commanded = flights[flight[0]].rate, is_commanded(flights)
-        self._stride = max(1, int(averaged_s * self._rate + 1e-9))
+        self._stride = max(1, int(STEP_S * self._rate + 1e-9))
         model_of = torch.from_numpy(of)
         tables = [vehicle.rows() for vehicle in vehicles]
         vehicle = replace(vehicles[0], **{n: torch.cat([rows[n] for rows in tables])[model_of] for n in tables[0]})
         self._rotors = vehicle.num_rotors
-        if not self._commanded:  # the speeds are what they were: the rotors follow at once
-            zero = torch.zeros_like(vehicle.time_constant_up)
-            direct = vehicle.traits - {"slew", "dead_band"}
-            vehicle = replace(vehicle, time_constant_up=zero, time_constant_down=zero, traits=direct)
-            unlimited = torch.full_like(zero, torch.inf)
-            vehicle = replace(vehicle, slew_rate=unlimited, slew_rate_down=unlimited)
         names = [n for n in points[0].effects if self._commanded or EFFECTS.get(n).acts_on != "actuation"]
         effects: list[EffectParams] = [
             (EFFECTS.get(n), torch.from_numpy(np.stack([p.effects[n] for p in points]))[model_of]) for n in names
@@ -219,7 +203,7 @@ class Batch:
         model = build_model(vehicle, effects, **scene)
         flown = replace(model, effects=model.effects.without(DelayEffect, CommandEffect))  # they have acted
         self._model = with_known_wind(flown, flights, flight)
-        longest = averaged_s if flown.effects.remembering else LONGEST_STEP_S  # memory is that of the end of a step
+        longest = MEMORY_STEP_S if flown.effects.remembering else STEP_S
         self._substeps = max(1, round(self._stride / (longest * self._rate)))
 
     def steps(self, seconds: float) -> int:
@@ -237,12 +221,12 @@ class Batch:
             torch.from_numpy(given_attitude)[:, None] if given_attitude is not None and given_attitude.any() else None
         )
         span = self._stride / self._rate
-        memory, stepper, law = self._memory(span / self._substeps), INTEGRATORS["rk4"], _Straight()
+        memory, stepper = self._memory(span / self._substeps), INTEGRATORS["rk4"]
         for step in range(max(at)):
-            action = self._action(step)
-            model = replace(self._model, other_position=self._other(step))
+            there = self._gather("other_position", self._row + step * self._stride + self._stride // 2)
+            model, led = replace(self._model, other_position=there), self._led(step, state)
             state, memory = advance_remembering(
-                model, stepper, law, state, action, span / self._substeps, self._substeps, memory
+                model, stepper, None, state, led, span / self._substeps, self._substeps, memory
             )
             if given is not None or step + 1 in at:
                 truth = self.measured(step + 1)
@@ -321,23 +305,13 @@ class Batch:
             true = effect.true_speed(true, params[window : window + 1])
         return true
 
-    def _other(self, step: int) -> Tensor:
-        """Return where the other vehicle is in the middle of a step [m], (W, 3)."""
-        rows, place = self._row + step * self._stride + self._stride // 2, torch.empty(self._row.size, 3).double()
-        for index in np.unique(self._flight):
-            chosen = self._flight == index
-            place[torch.from_numpy(chosen)] = other_at(self._flights[index], rows[chosen])
-        return place
-
-    def _action(self, step: int) -> Tensor:
-        """Return the mean command over a step, or the mean measured speed."""
+    def _led(self, step: int, state: BodyState) -> Tensor | Ramp:
+        """Return what the rotors follow in a step: the mean command, or a straight line to the speeds measured at its end."""
         first = self._row + step * self._stride
-        name = "rotor_command" if self._commanded else "rotor_speed"
-        values = [self._gather(name, first + k) for k in range(self._stride)]
-        if not self._commanded:  # between rows a speed runs in a straight line
-            values += [0.5 * (self._gather(name, first + self._stride) - values[0])]
-            return self._true_speed(sum(values[:-1], values[-1]) / self._stride)
-        return sum(values[1:], values[0]) / self._stride
+        if self._commanded:
+            return self._gather("rotor_command", first[:, None] + np.arange(self._stride)).mean(dim=1)
+        end = self._true_speed(self._gather("rotor_speed", first + self._stride))
+        return Ramp(rate=(end - state.rotor_speed) * (self._rate / self._stride))
 
     def _true_speed(self, measured: Tensor) -> Tensor:
         """Return measured rotor speeds without the errors of their sensors."""
@@ -346,15 +320,52 @@ class Batch:
         return measured
 
     def _gather(self, name: str, rows: NDArray[np.int64]) -> Tensor:
-        """Return a quantity at a row of each window's flight, (W, any); zeros where the log lacks it."""
-        width = {"attitude": 4, "rotor_speed": self._rotors, "rotor_command": self._rotors}.get(name, 3)
-        result = np.zeros((rows.size, width))
-        for index in np.unique(self._flight):
-            values = getattr(self._flights[index], name)
-            if values is not None:
-                chosen = self._flight == index
-                result[chosen] = values[np.minimum(rows[chosen], values.shape[0] - 1)]
-        return torch.from_numpy(result)
+        """Return a quantity at rows (W,) or (W, any) of each window's flight, in one dimension more."""
+        if name not in self._tables:
+            self._tables[name] = _Table([self._along_flight(name, flight) for flight in self._flights], self._flight)
+        return self._tables[name].at(rows)
+
+    def _along_flight(self, name: str, flight: Flight) -> Array:
+        """Return a quantity along a flight, (T, any), or one row of zeros; variants of a flight share it."""
+        values = getattr(flight, name)
+        key = name, id(values)
+        if key not in self._along_flights:
+            width = {"attitude": 4, "rotor_speed": self._rotors, "rotor_command": self._rotors}.get(name, 3)
+            found = np.zeros((1, width)) if values is None else values
+            if name == "other_position":
+                found = other_along(flight)
+            if name == "rotor_speed":
+                found = mean_about(found, self._stride)
+            self._along_flights[key] = found
+        return self._along_flights[key]
+
+
+class _Table:
+    """A quantity along flights, for windows that look it up."""
+
+    def __init__(self, along: Sequence[Array], flight: NDArray[np.int64]) -> None:
+        """Take it along each flight, (T, any), and the flight of each window, (W,); what flights share stands once."""
+        first, parts, length = dict[int, int](), list[Array](), 0
+        for index in np.unique(flight):
+            if id(along[index]) not in first:
+                first[id(along[index])] = length
+                parts.append(along[index])
+                length += len(along[index])
+        self._first = np.array([first.get(id(one), 0) for one in along])[flight]
+        self._last = self._first + np.array([len(one) for one in along])[flight] - 1
+        self._rows = torch.from_numpy(np.concatenate(parts))
+
+    def at(self, rows: NDArray[np.int64]) -> Tensor:
+        """Return it at rows of each window's flight, (W,) or (W, any); after its end the last one."""
+        shape = (-1, *[1] * (rows.ndim - 1))
+        return self._rows[torch.from_numpy(np.minimum(self._first.reshape(shape) + rows, self._last.reshape(shape)))]
+
+
+def mean_about(values: Array, rows: int) -> Array:
+    """Return the mean over so many rows about each row of a log, (T, any), the outermost halved if their number is even."""
+    weights = np.ones(rows + 1 - rows % 2)
+    weights[[0, -1]] = 1.0 if rows % 2 else 0.5
+    return convolve1d(values, weights / rows, axis=0, mode="nearest")
 
 
 def _distances(state: BodyState, truth: BodyState) -> dict[str, Array]:

@@ -64,10 +64,9 @@ def heights(flights: Sequence[Flight], rows: Sequence[int]) -> Heights:
     }
 
 
-def other_at(flight: Flight, rows: NDArray[np.int64]) -> Tensor:
-    """Return the place of the other vehicle in some rows [m], world, (E, 3); far below where it is not known: no wake."""
+def other_along(flight: Flight) -> NDArray[np.float64]:
+    """Return the place of the other vehicle along a flight [m], world, (T, 3); far below where it is not known: no wake."""
     below = np.array([0.0, 0.0, -inf])
     if flight.other_position is None:
-        return torch.from_numpy(np.tile(below, (rows.size, 1)))
-    place = flight.other_position[np.minimum(rows, flight.num_rows - 1)]
-    return torch.from_numpy(np.where(np.isnan(place).any(axis=1, keepdims=True), below, place))
+        return np.tile(below, (flight.num_rows, 1))
+    return np.where(np.isnan(flight.other_position).any(axis=1, keepdims=True), below, flight.other_position)

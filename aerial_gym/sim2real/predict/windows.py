@@ -13,8 +13,9 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import DelayEffect
 from aerial_gym.sim2real.logs.flights import Flight
 
-STEP_S = 0.005
-"""Longest span of a log over which commands are averaged for one step of a rollout [s]."""
+STEP_S = 0.01
+"""Longest step of a rollout [s], over which the rotors of a log are averaged; Runge-Kutta of order 4 turns by 10 rad/s with an
+error of 1e-7 rad in it."""
 
 WINDOW_EVERY_S = 0.5
 """Between the starts of two windows [s]."""
