@@ -2,8 +2,9 @@
 
 Every window of the training flights is flown from its measured state; velocity and attitude are compared along the way. What a
 window was released with is not known exactly: an error of velocity, attitude and rate at its start is fitted to each and
-eliminated. The derivatives are differences of rollouts in one batch: by every parameter, and once, about the first model, by
-every deviation within the tolerances and by the start.
+eliminated. The derivatives are differences of rollouts in one batch: by every parameter, by every deviation within the
+tolerances, and by the start. All are about one model: by derivatives about two, an offset of the centre of mass is told apart
+from what a tolerance does alike.
 Letters: W windows, S samples along a window, K parameters (those of effects in units of their scale, then N tolerances).
 """
 
@@ -75,10 +76,9 @@ class Rollouts:
         self._predictor, self._windows = predictor, windows
         self._declared = vehicle_from_config(predictor.robot, num_envs=1, dtype=torch.float64)
         self._commanded = is_commanded(predictor.flights)
-        self._beside: tuple[Array, Array] | None = None  # derivatives by tolerances and starts
 
     def linearise(self, effects: tuple[str, ...], point: ModelParams, frozen: Frozen) -> Linear:
-        """Return rollouts about a point; later ones must differ from the first in the parameters of effects alone."""
+        """Return rollouts about a point."""
         predictor, scale = self._predictor, scales(effects)
         here, (lowest, highest) = params_of(point, effects), bounds_of(predictor.robot, effects)
         owners = [(name, place) for name in effects for place in range(len(EFFECTS.get(name).parameters))]
@@ -89,18 +89,15 @@ class Rollouts:
             there[k] += step * scale[k] * is_number(*owner)
             points.append(with_params(predictor.robot, point, effects, there))
             steps.append(step)
-        for k in range(predictor.num_tolerances if self._beside is None else 0):
+        for k in range(predictor.num_tolerances):
             deviation = np.zeros(predictor.num_tolerances) if point.deviation is None else point.deviation.copy()
             deviation[k] += STEP
             points.append(replace(point, deviation=deviation))
             steps.append(STEP)
-        missed = self._fly(points, 0.0 if self._beside else NUDGE)  # (1 + K, or with all beside it + N + 9, W, S, 6)
+        missed = self._fly(points)  # (1 + K + 9, W, S, 6)
         residual, count = missed[0], len(points)
         jacobian = (residual - missed[1:count]) / np.array(steps)[:, None, None, None]
-        if self._beside is None:
-            self._beside = jacobian[len(owners) :], (residual - missed[count:]) / NUDGE
-        tolerance, start = self._beside
-        jacobian = np.concatenate((jacobian[: len(owners)], tolerance))
+        start = (residual - missed[count:]) / NUDGE
         weight = 1.0 / np.maximum((residual**2).mean(axis=0), 1e-18)
         for _ in range(3):
             sums = eliminated(residual, jacobian, start, weight)
@@ -124,8 +121,8 @@ class Rollouts:
     def _of_flights(self, moments: Moments) -> Moments:
         return replace(moments, flight=self._windows.flight)
 
-    def _fly(self, points: Sequence[ModelParams], nudge: float) -> Array:
-        """Return what each model misses, and the first one from starts with a nudge, (models + 9, W, S, 6); if zero, without.
+    def _fly(self, points: Sequence[ModelParams]) -> Array:
+        """Return what is missed, of each model, and of the first one from each nudged start, (models + 9, W, S, 6).
 
         Measured minus flown velocity [m/s], world, and the turn from the flown to the measured attitude [rad], body.
         """
@@ -134,9 +131,8 @@ class Rollouts:
         flights, variant = self._flights_under(points, off)
         num_models, each, num_windows = len(points), len(predictor.flights), windows.row.size
         num_samples = round(WINDOW_S / SAMPLE_S)
-        nudged = nudge * np.diag(START_STD)[: len(START_STD) if nudge else 0]
-        of = np.concatenate((np.arange(num_models), np.zeros(len(nudged), dtype=int)))
-        nudges = np.concatenate((np.zeros((num_models, len(START_STD))), nudged))
+        of = np.concatenate((np.arange(num_models), np.zeros(len(START_STD), dtype=int)))
+        nudges = np.concatenate((np.zeros((num_models, len(START_STD))), NUDGE * np.diag(START_STD)))
         vehicles, settled = [one.vehicle for one in off], [one.joint_start for one in off]
         missed = np.zeros((of.size, num_windows, num_samples, 6))
         for members in same_rate(predictor.flights, windows):
@@ -145,8 +141,8 @@ class Rollouts:
             row = np.tile(windows.row[members], of.size)
             run = Batch(vehicles, points, model_of, flights, flight, row, settled=settled)
             at = {run.steps(SAMPLE_S * (place + 1)): place for place in range(num_samples)}
-            off_start = torch.from_numpy(nudges).repeat_interleave(members.size, dim=0)
-            for step, state, truth in run.fly(_nudged(run.measured(0), off_start), at):
+            nudge = torch.from_numpy(nudges).repeat_interleave(members.size, dim=0)
+            for step, state, truth in run.fly(_nudged(run.measured(0), nudge), at):
                 turn = quat_log(quat_multiply(quat_conjugate(state.attitude), truth.attitude))
                 both = torch.cat((truth.lin_vel - state.lin_vel, turn), dim=1).numpy()
                 missed[:, members, at[step]] = both.reshape(of.size, members.size, 6)
