@@ -91,6 +91,13 @@ def rotation_rows(robot_orientation: Tensor) -> Tensor:
     return torch.stack((*first, *second), dim=-1)
 
 
+@OBSERVATIONS.term(width=3)
+def up_body(robot_orientation: Tensor) -> Tensor:
+    """Return where up is, body, the third row of the rotation matrix body to world, (E, 3)."""
+    x, y, z, w = robot_orientation.unbind(-1)
+    return torch.stack((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)), dim=-1)
+
+
 @OBSERVATIONS.term(width=2)
 def roll_pitch(robot_orientation: Tensor) -> Tensor:
     """Return roll and pitch [rad], (E, 2)."""
