@@ -247,7 +247,6 @@ Section = TypeVar("Section", bound=LearnerCfg)
 ALIKE = {
     "radar_navigation_task": "lidar_navigation_task",
     "racing_random_track_task": "racing_task",
-    "racing_split_s_task": "racing_task",
 }
 """Tasks that are trained with the settings of another one, as long as they have none of their own."""
 

@@ -8,6 +8,7 @@ from math import pi
 from aerial_gym.config import CONFIG_DIR, summary_in
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import CapsuleCfg, CollisionCfg, RobotCfg, SphereCfg, load_robot
+from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.registry import Registry
 
 ROBOTS: Registry[RobotCfg] = Registry("robot")
@@ -81,6 +82,23 @@ def _dragged(robot: RobotCfg) -> RobotCfg:
     return replace(robot, effects={"rotor_drag": {"dx": dx, "dy": dy, "dz": 0.0}}, effects_source=source)
 
 
+def _braked_in_spin(robot: RobotCfg) -> RobotCfg:
+    """The drag of each rotor where it is, in the plane in which it turns: it brakes a spin as a measured quadrotor's is.
+
+    At hover four rotors at a distance l give the torque ``-4 kh w l² r`` to a spin r: that of the source for each kilogram and
+    squared metre.
+    """
+    damping, mass, arm = 2.75e-3, 0.5, 0.17  # N m s/rad, kg, m
+    rotor = robot.the_rotor("a drag of its spin")
+    hover = 4.0 * rotor.speed_at(0.25 * robot.body.mass * STANDARD_GRAVITY)
+    source = (
+        "Mueller, D'Andrea (2014), Stability and control of a quadrocopter despite the complete loss of one, two, or three "
+        "propellers: a spin of their 0.5 kg with arms of 0.17 m is braked by 2.75e-3 N m s/rad; here as the drag of rotors"
+    )
+    kh = damping / (mass * arm**2) * robot.body.mass / hover
+    return replace(robot, effects={"h_force_flapping": {"kh": kh, "kf": 0.0}}, effects_source=source)
+
+
 def _in_gusts(robot: RobotCfg) -> RobotCfg:
     """Wind that wanders about zero by 3 m/s on each axis, within a second."""
     effects = {**robot.effects, "gusts": {"std": 3.0, "corr_time": 1.0}}
@@ -88,9 +106,9 @@ def _in_gusts(robot: RobotCfg) -> RobotCfg:
 
 
 def _sampled(robot: RobotCfg) -> RobotCfg:
-    """Thrust to weight 1.2 to 5, where the robot has 3.26; inertia, lag and torque of rotors from racers to carriers."""
-    factors = {"rotor.thrust_map": (0.368, 1.533), "body.inertia": (0.5, 5.0), "rotor.time_constant": (0.25, 2.5)}
-    factors |= {"rotor.torque_map": (0.3, 5.0)}
+    """Thrust to weight 1.15 to 7, where the robot has 3.26; inertia, lag and torque of rotors from racers to carriers."""
+    factors = {"rotor.thrust_map": (0.353, 2.146), "body.inertia": (0.5, 5.0), "rotor.time_constant": (0.25, 2.5)}
+    factors |= {"rotor.torque_map": (0.3, 7.0)}
     randomize = {name: RandomizeCfg(distribution="log_uniform", low=a, high=b) for name, (a, b) in factors.items()}
     com = RandomizeCfg(how="offset", low=(-0.005, -0.005, 0.0), high=(0.005, 0.005, 0.0))
     return replace(robot, randomize={**randomize, "body.com": com})
@@ -226,6 +244,12 @@ for _name, _of, _change, _summary in (
         "base_quadrotor",
         _dragged,
         "base_quadrotor with the drag of rotors in sideways flow, by which wind pushes it",
+    ),
+    (
+        "base_quadrotor_braked_in_spin",
+        "base_quadrotor",
+        _braked_in_spin,
+        "base_quadrotor with the drag of each rotor where it is, which brakes a spin",
     ),
     (
         "base_quadrotor_in_gusts",

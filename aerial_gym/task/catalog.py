@@ -251,7 +251,7 @@ def _random_track() -> TaskCfg:
     low, high = (0.0833333, 0.25, 0.0), (0.9166667, 0.75, 0.008)
     return replace(
         task,
-        summary="race through four gates and past poles of a track that every reset draws anew; attitude commands at 50 Hz",
+        summary="race through four gates and past poles of a track that every reset draws anew; thrust and body rates at 50 Hz",
         env="racing_random_track_env",
         start=replace(task.start, position_ratio_low=low, position_ratio_high=high),
         source=task.source.replace("level 2", "level 3"),

@@ -92,9 +92,16 @@ def forward_flight(actions: Tensor, *, max_speed: float, max_inclination: float,
 
 
 @ACTIONS.transform()
-def affine(actions: Tensor, *, low: tuple[float, ...], high: tuple[float, ...]) -> Tensor:
-    """Return the action, clamped to -1..1 and stretched so that -1 is ``low`` and 1 is ``high``, entry by entry, (E, U)."""
+def affine(
+    actions: Tensor, *, low: tuple[float, ...], high: tuple[float, ...], order: tuple[int, ...] | None = None
+) -> Tensor:
+    """Return the action, clamped to -1..1 and stretched so that -1 is ``low`` and 1 is ``high``, entry by entry, (E, U).
+
+    With an ``order`` an entry of the command is the entry of the action that has this number.
+    """
     clamped = actions.clamp(-1.0, 1.0).unbind(-1)
+    if order is not None:
+        clamped = [clamped[number] for number in order]
     stretched = [0.5 * (b - a) * (u + 1.0) + a for u, a, b in zip(clamped, low, high, strict=True)]
     return torch.stack(stretched, dim=-1)
 

@@ -7,8 +7,9 @@ Letters: E environments, W entries.
 import torch
 from torch import Tensor
 
-from aerial_gym.math.quaternion import euler_from_quat, quat_rotate_inverse, quat_yaw
+from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse, quat_yaw
 from aerial_gym.task.terms.term import ACTION, Term, TermRegistry
+from aerial_gym.task.terms.way import way_direction
 
 OBSERVATIONS = TermRegistry("observation term")
 """Terms by the name that a task configuration uses."""
@@ -88,6 +89,13 @@ def rotation_rows(robot_orientation: Tensor) -> Tensor:
     first = (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y))
     second = (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x))
     return torch.stack((*first, *second), dim=-1)
+
+
+@OBSERVATIONS.term(width=3)
+def up_body(robot_orientation: Tensor) -> Tensor:
+    """Return where up is, body, the third row of the rotation matrix body to world, (E, 3)."""
+    x, y, z, w = robot_orientation.unbind(-1)
+    return torch.stack((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)), dim=-1)
 
 
 @OBSERVATIONS.term(width=2)
@@ -177,6 +185,28 @@ def next_gates(
         row = row_of(torch.where(index >= number, index - number, index), rows)
         found += [quat_rotate_inverse(robot_vehicle_orientation, part) for part in row.split(3, dim=-1)]
     return torch.cat(found, dim=-1)
+
+
+@OBSERVATIONS.term(width=6)
+def way_ahead(
+    target_index: Tensor,
+    gates_seen: Tensor,
+    gate_position: Tensor,
+    gate_orientation: Tensor,
+    gate_nominal_position: Tensor,
+    gate_nominal_orientation: Tensor,
+    robot_position: Tensor,
+    robot_vehicle_orientation: Tensor,
+) -> Tensor:
+    """Return where the way to and through the next gate leads (``way_direction``), vehicle frame, and the robot's place in
+    the frame of that gate [m], as far as it is known, (E, 6).
+    """
+    seen = gates_seen.unsqueeze(-1)
+    position = row_of(target_index, torch.where(seen, gate_position, gate_nominal_position))
+    orientation = row_of(target_index, torch.where(seen, gate_orientation, gate_nominal_orientation))
+    place = quat_rotate_inverse(orientation, robot_position - position)
+    toward = quat_rotate(orientation, way_direction(place))
+    return torch.cat((quat_rotate_inverse(robot_vehicle_orientation, toward), place), dim=-1)
 
 
 @OBSERVATIONS.term()

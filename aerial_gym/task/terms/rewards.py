@@ -11,17 +11,12 @@ import torch
 from torch import Tensor
 
 from aerial_gym.control.laws import LAWS
-from aerial_gym.math.quaternion import quat_rotate_inverse, yaw_from_quat
+from aerial_gym.math.quaternion import yaw_from_quat
 from aerial_gym.task.terms.term import TermRegistry
+from aerial_gym.task.terms.way import way_through
 
 REWARDS = TermRegistry("reward term")
 """Terms by the name that a task configuration uses."""
-
-WAY_AROUND = 0.6
-"""Radius of the way round a gate [m]: half the diagonal of a frame of 0.72 m is 0.51 m, and a vehicle needs room."""
-
-WAY_STRAIGHT = 0.4
-"""Length of the way along the axis of a gate [m]: the edge of its opening."""
 
 VELOCITY = LAWS["velocity"].action
 """Command of which entries 0 to 3 are forward, left and upward velocity, and yaw rate."""
@@ -49,26 +44,6 @@ def body_up_component(attitude: Tensor) -> Tensor:
 
 def _distance(a: Tensor, b: Tensor) -> Tensor:
     return (a - b).norm(dim=-1)
-
-
-def way_through(position: Tensor, orientation: Tensor, robot: Tensor) -> Tensor:
-    """Return the length of a way to the middle of a gate that ends on its front side [m], (E,).
-
-    In front it leads to a point on the gate's axis, ``WAY_STRAIGHT`` before it, and then along the axis; nearer than that,
-    straight to the axis and along it. From behind it leads to the nearest point of a circle of ``WAY_AROUND`` about the gate,
-    and from there to its middle. Continuous but where the plane is crossed within the circle.
-
-    Args:
-        position: Middle of the gate [m], world, (E, 3).
-        orientation: Gate to world, xyzw, (E, 4); it is flown through along its x.
-        robot: Where the robot is [m], world, (E, 3).
-    """
-    x, y, z = quat_rotate_inverse(orientation, robot - position).unbind(-1)
-    beside = (y * y + z * z).sqrt()
-    straight = (-x).clamp(0.0, WAY_STRAIGHT)
-    in_front = ((x + straight) ** 2 + beside * beside).sqrt() + straight
-    around = (x * x + (beside - WAY_AROUND) ** 2).sqrt() + WAY_AROUND
-    return torch.where(x <= 0.0, in_front, around)
 
 
 @REWARDS.term()

@@ -96,6 +96,12 @@ def tilted(robot_orientation: Tensor, *, angle: float) -> Tensor:
 
 
 @TERMINATIONS.term()
+def spinning(robot_body_angvel: Tensor, *, rate: float) -> Tensor:
+    """Return whether the robot turns faster than a rate [rad/s], about whichever axis, (E,)."""
+    return robot_body_angvel.norm(dim=-1) > rate
+
+
+@TERMINATIONS.term()
 def outside_bounds(robot_position: Tensor, env_bounds_min: Tensor, env_bounds_max: Tensor) -> Tensor:
     """Return whether the robot is outside the bounds of its environment, (E,)."""
     return ((robot_position < env_bounds_min) | (robot_position > env_bounds_max)).any(dim=-1)

@@ -6,6 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import torch
+
+from aerial_gym import task_registry
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
@@ -30,6 +33,21 @@ def test_a_student_of_noisy_sensors_learns_from_its_teacher(
     runpy.run_path(str(EXAMPLES / "student_of_noise.py"), run_name="__main__")
     told = capsys.readouterr().out
     assert all(f"{run}: " in told for run in ("teacher", "student", "forgetful"))
+
+
+def test_a_drawn_flight_ends_where_its_episode_does() -> None:
+    """At full thrust a vehicle leaves the arena, 2.5 m high, within two seconds; after that there are no places."""
+    flights = runpy.run_path(str(EXAMPLES / "race_picture.py"))["flights"]
+    with task_registry.make_task("racing_random_track_task", num_envs=3, device="cpu", seed=0) as task:
+        observation, _ = task.reset()
+        full = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).expand(3, 4)
+        places, speeds = flights(lambda seen: full, task, observation)
+    height, steps = places[..., 2], places.shape[1]
+    assert steps < 100
+    assert bool((height[:, 0] < 0.1).all())
+    assert 2.3 < float(height.nan_to_num(0.0).max()) < 2.5
+    assert torch.equal(height.isnan(), speeds.isnan())
+    assert int(height[:, -1].isnan().sum()) < 3  # the last one is in flight in the last row
 
 
 Told = Callable[..., list[tuple[str, list[float]]]]

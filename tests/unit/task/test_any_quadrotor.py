@@ -1,11 +1,14 @@
 """One policy for many vehicles: actions that are shares of what rotors can be told, and a robot that every episode draws."""
 
+from math import copysign
+
 import pytest
 import torch
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import task_registry
+from aerial_gym.task.resolve import order_of_places
 
 NAME = "any_quadrotor_task"
 
@@ -29,12 +32,44 @@ def test_an_action_is_a_share_of_what_the_rotors_can_be_told(
             torch.testing.assert_close(told, torch.full((2, 4), expected), rtol=1e-6, atol=1e-3)
 
 
+@pytest.mark.parametrize("robot", ["base_quadrotor", "x500"])
+def test_an_action_goes_to_the_rotor_at_its_place(robot: str) -> None:
+    """Clockwise from the nose: front right, back right, back left, front left, whichever number the rotor has."""
+    places = ((1, -1), (-1, -1), (-1, 1), (1, 1))
+    mounts = ROBOTS.get(robot).mounts.layout
+    with task_registry.make_task(NAME, num_envs=1, device="cpu", robot=robot) as task:
+        task.reset()
+        task.step(torch.tensor([[-0.5, 0.0, 0.5, 1.0]]))
+        told = task.env.gtd["robot_actions"][0].argsort().argsort()
+    signs = [(int(copysign(1.0, x)), int(copysign(1.0, y))) for x, y, _ in (mount.position for mount in mounts)]
+    assert told.tolist() == [places.index(sign) for sign in signs]
+
+
+def test_places_are_counted_clockwise_from_the_nose_on() -> None:
+    """A rotor at the nose is the first one, on whichever side of it rounding has put it; those of one direction keep order."""
+    assert order_of_places([(0.0, 1.0, 0.0), (1.0, 1e-9, 0.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0)]) == (3, 0, 1, 2)
+    assert order_of_places([(1.0, -1.0, 0.1), (1.0, -1.0, -0.1), (-1.0, -1.0, 0.0)]) == (0, 1, 2)
+
+
+def test_a_vehicle_that_spins_away_is_lost_before_it_is_infinite() -> None:
+    """Full thrust on the right of every vehicle: an episode ends as a crash where a step leads beyond 35 rad/s."""
+    with task_registry.make_task(NAME, num_envs=500, device="cpu", seed=0) as task:
+        task.reset()
+        crashed, fastest = torch.zeros(500, dtype=torch.bool), torch.zeros(())
+        for _ in range(60):
+            *_, info = task.step(torch.tensor([[1.0, 1.0, -1.0, -1.0]]).expand(500, 4).contiguous())
+            crashed |= info["crashes"]
+            fastest = fastest.maximum(task.env.gtd["robot_body_angvel"].norm(dim=-1).max())
+    assert crashed.float().mean() > 0.9
+    assert 30.0 < float(fastest) <= 35.0
+
+
 def test_a_controller_that_tells_no_rotors_is_refused() -> None:
     with pytest.raises(ConfigError, match="action rotor_range: controller lee_attitude_control tells no rotors"):
         task_registry.make_task(NAME, num_envs=2, device="cpu", controller="lee_attitude_control")
 
 
-def test_every_episode_draws_a_vehicle_of_thrust_to_weight_from_1_2_to_5() -> None:
+def test_every_episode_draws_a_vehicle_of_thrust_to_weight_from_1_15_to_7() -> None:
     """What the robot has at full thrust, 3.26, times the factor that is drawn; another one in the next episode."""
     robot = ROBOTS.get("sampled_quadrotor")
     own = 4.0 * robot.the_rotor("the test").thrust_range[1] / (robot.body.mass * 9.81)
@@ -42,7 +77,7 @@ def test_every_episode_draws_a_vehicle_of_thrust_to_weight_from_1_2_to_5() -> No
         task.reset()
         first = {name: drawn.clone() for name, drawn in task.env.draws().items()}
         ratio = own * first["rotor.thrust_map"].flatten(1)[:, -1]
-        assert 1.2 <= float(ratio.min()) < 1.25
-        assert 4.8 < float(ratio.max()) < 5.01
+        assert 1.149 < float(ratio.min()) < 1.2
+        assert 6.7 < float(ratio.max()) < 7.01
         task.reset()
         assert float((task.env.draws()["body.inertia"] != first["body.inertia"]).float().mean()) > 0.99

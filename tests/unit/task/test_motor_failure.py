@@ -1,8 +1,12 @@
 """motor_failure_task: one drawn rotor follows a drawn part of its command from a drawn moment on, in every environment."""
 
+from math import exp
+
 import torch
 
+from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.task import Task, task_registry
+from aerial_gym.task.terms.catalog import OBSERVATIONS
 
 NAME, HOVER = "motor_failure_task", -0.387
 """The action for 0.613 N of each rotor, a quarter of the weight."""
@@ -50,3 +54,26 @@ def test_every_episode_draws_another_failure_whatever_the_number_of_environments
     assert set(motor.tolist()) == {1.0, 2.0, 3.0, 4.0}
     assert 0.0 <= scale.min() < 0.1 < 0.8 < scale.max() <= 0.9
     assert 1.0 <= moment.min() < 1.2 < 2.8 < moment.max() <= 3.0
+
+
+def test_the_drag_of_its_rotors_brakes_a_spin_as_that_of_the_source() -> None:
+    """At hover ``r = r0 exp(-c t)`` with ``c = g M L² / (m l² Izz)``: g = 2.75e-3 N m s of m = 0.5 kg with arms l = 0.17 m."""
+    with task_registry.make_task(NAME, num_envs=2, device="cpu", seed=0) as task:
+        task.reset()
+        state, body = task.env.robot_manager.tensors.state, task.env.robot_manager.cfg.body
+        arm = sum(x * x for x in task.env.robot_manager.cfg.mounts.layout[0].position)
+        rate = 2.75e-3 * body.mass * arm / (0.5 * 0.17**2 * body.inertia[2][2])
+        for _ in range(30):  # rotors come to hover
+            task.step(torch.full((2, 4), HOVER))
+        state.ang_vel.copy_(torch.tensor([[0.0, 0.0, 5.0], [0.0, 0.0, -5.0]]))
+        for _ in range(50):
+            task.step(torch.full((2, 4), HOVER))
+        expected = 5.0 * exp(-0.5 * rate)
+        assert 0.2 < expected / 5.0 < 0.8
+        torch.testing.assert_close(state.ang_vel[:, 2], torch.tensor([expected, -expected]), rtol=0.02, atol=0.0)
+
+
+def test_up_is_told_in_the_body() -> None:
+    turn = torch.nn.functional.normalize(torch.randn(50, 4, generator=torch.Generator().manual_seed(0)), dim=-1)
+    expected = quat_rotate_inverse(turn, torch.tensor([[0.0, 0.0, 1.0]]).expand(50, 3))
+    torch.testing.assert_close(OBSERVATIONS.get("up_body").value(turn), expected)

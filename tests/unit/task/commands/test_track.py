@@ -15,7 +15,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.task import Task
 from aerial_gym.task.commands.gates import crossing
-from aerial_gym.task.terms.rewards import WAY_AROUND, WAY_STRAIGHT, way_through
+from aerial_gym.task.terms.way import AT_AXIS, WAY_AROUND, WAY_STRAIGHT, way_direction, way_through
 from tests.unit.task.hover import make
 
 STAY = torch.zeros(1, 4)
@@ -103,7 +103,7 @@ def test_from_behind_and_beside_is_not_through(
 
 def offsets_of(task: Task, obs: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
     """Return what the policy is told of its next gate, turned back into the world: place (E, 3) and way through it (E, 3)."""
-    told = obs["observations"][:, 20:26]
+    told = obs["observations"][:, 26:32]
     turn, position = task.env.gtd["robot_vehicle_orientation"], task.env.gtd["robot_position"]
     return position + quat_rotate(turn, told[:, :3]), quat_rotate(turn, told[:, 3:])
 
@@ -159,6 +159,34 @@ def test_the_way_through_a_gate_by_hand(place: tuple[float, float, float], lengt
     middle = torch.tensor([[1.0, 2.0, 3.0]])
     robot = middle + quat_rotate(turn, torch.tensor([place]))
     torch.testing.assert_close(way_through(middle, turn, robot), torch.tensor([length]), atol=1e-5, rtol=0.0)
+
+
+def test_the_way_leads_where_it_gets_shorter() -> None:
+    """Away from axis and circle its direction is that of the negative gradient of the length, found by autograd."""
+    generator = torch.Generator().manual_seed(0)
+    place = (4.0 * torch.rand(5000, 3, dtype=torch.float64, generator=generator) - 2.0).requires_grad_()
+    upright = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64).expand(5000, 4)
+    (gradient,) = torch.autograd.grad(way_through(torch.zeros_like(place), upright, place).sum(), place)
+    x, beside = place[:, 0], place[:, 1:].norm(dim=-1)
+    clear = (beside > AT_AXIS) & ((x < 0.0) | ((x.square() + (beside - WAY_AROUND).square()).sqrt() > AT_AXIS))
+    expected = -torch.nn.functional.normalize(gradient, dim=-1)[clear]
+    assert int(clear.sum()) > 4500
+    torch.testing.assert_close(way_direction(place)[clear], expected, atol=1e-12, rtol=0.0)
+
+
+def test_the_way_ahead_is_told_in_the_vehicle_frame() -> None:
+    """Turned back into the world it leads to the gate's axis, along the axis near the gate; of a gate that has been seen."""
+    task = race(20)
+    task.reset()
+    gtd, ahead = task.env.gtd, torch.tensor([[1.0, 0.0, 0.0]]).expand(20, 3)
+    put(task, in_gate(task, 0, (-0.2, 0.0, 0.0)))
+    obs, *_ = task.step(torch.zeros(20, 4))
+    told = obs["observations"][:, 20:26]
+    world = quat_rotate(gtd["robot_vehicle_orientation"], told[:, :3])
+    along = quat_rotate(gtd["gate_orientation"][:, 0], ahead)
+    assert float((world * along).sum(-1).min()) > 0.98
+    place = quat_rotate_inverse(gtd["gate_orientation"][:, 0], gtd["robot_position"] - gtd["gate_position"][:, 0])
+    torch.testing.assert_close(told[:, 3:], place, atol=1e-5, rtol=0.0)
 
 
 def test_what_is_rewarded_is_the_way_from_gate_to_gate() -> None:
