@@ -1,0 +1,141 @@
+"""How a tree of links accelerates: ``M a + h = f``, in the coordinates of its motion.
+
+Derived by virtual power: every link obeys Newton's and Euler's laws, and what joints hold does no work along their motion.
+Pure functions of tensors, any float type, differentiable; no loop over environments.
+Letters: E environments, D joints, L = D + 1 links, N = 6 + D.
+
+Sources:
+    Kane, Levinson (1985), Dynamics: Theory and Applications, section 6.1;
+    Featherstone (2008), Rigid Body Dynamics Algorithms, sections 6.1 and 6.2 (mass matrix; factor of a positive definite one).
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
+from aerial_gym.physics.articulated.motion import Motion, Places, cross, move_links, moving, place_links, turning
+from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
+
+
+@dataclass(frozen=True, kw_only=True)
+class Equations:
+    """``mass a = force`` for the accelerations ``a`` of the coordinates of motion."""
+
+    mass: Tensor
+    """M, symmetric and positive definite, (E, N, N)."""
+
+    force: Tensor
+    """What acts less what turning and swinging take, (E, N): force [N] and torque [N m] on the base, efforts of joints."""
+
+    places: Places
+    motion: Motion
+
+
+@dataclass(frozen=True, kw_only=True)
+class Accelerations:
+    """How a tree accelerates."""
+
+    lin_acc: Tensor
+    """Of the base's origin [m/s²], world, (E, 3)."""
+
+    ang_acc: Tensor
+    """Of the base [rad/s²], base axes, (E, 3)."""
+
+    joint_acc: Tensor
+    """[rad/s²] or [m/s²], (E, D)."""
+
+
+def equations(
+    tree: Tree,
+    links: Links,
+    state: TreeState,
+    *,
+    gravity: float,
+    wrench: Tensor | None = None,
+    effort: Tensor | None = None,
+) -> Equations:
+    """Return the equations of motion.
+
+    Args:
+        tree: How links hang together.
+        links: What they weigh.
+        state: Their motion.
+        gravity: Downward acceleration of free fall [m/s²].
+        wrench: Force [N] on each link at its origin and torque [N m], axes of the link, (E, L, 6); none if not given.
+        effort: Of each joint [N m] or [N], (E, D); none if not given.
+    """
+    places = place_links(tree, links, state.joint_pos)
+    lin_vel = quat_rotate_inverse(state.attitude, state.lin_vel)
+    motion = move_links(tree, places, lin_vel, state.ang_vel, state.joint_vel)
+    turns, moves = turning(tree, places), moving(tree, places, places.com)
+    mass = links.mass.expand(len(moves), -1).unsqueeze(-1)
+    matrix = torch.einsum("elan,elam->enm", moves * mass.unsqueeze(-1), moves)
+    matrix = matrix + torch.einsum("elan,elab,elbm->enm", turns, places.inertia, turns)
+    down = quat_rotate_inverse(state.attitude, state.lin_vel.new_tensor((0.0, 0.0, -gravity)).expand_as(state.lin_vel))
+    momentum = (places.inertia @ motion.ang_vel.unsqueeze(-1)).squeeze(-1)
+    bend = (places.inertia @ motion.ang_acc.unsqueeze(-1)).squeeze(-1) + cross(motion.ang_vel, momentum)
+    force = torch.einsum("elan,ela->en", moves, mass * (down.unsqueeze(1) - motion.com_acc))
+    force = force - torch.einsum("elan,ela->en", turns, bend)
+    if wrench is not None:
+        push, twist = (
+            (places.rotation @ part.unsqueeze(-1)).squeeze(-1) for part in (wrench[..., :3], wrench[..., 3:])
+        )
+        force = force + torch.einsum("elan,ela->en", moving(tree, places, places.origin), push)
+        force = force + torch.einsum("elan,ela->en", turns, twist)
+    if effort is not None:
+        force = torch.cat((force[:, :6], force[:, 6:] + effort), dim=-1)
+    return Equations(mass=matrix, force=force, places=places, motion=motion)
+
+
+def solve(tree: Tree, state: TreeState, mass: Tensor, force: Tensor) -> Accelerations:
+    """Return the accelerations that ``mass`` (E, N, N) and ``force`` (E, N) ask for; a base that stands still has none."""
+    first = 0 if tree.floating else 6
+    root = torch.linalg.cholesky(mass[:, first:, first:])
+    found = torch.cholesky_solve(force[:, first:].unsqueeze(-1), root).squeeze(-1)
+    found = torch.cat((found.new_zeros(len(found), first), found), dim=-1)
+    return Accelerations(
+        lin_acc=quat_rotate(state.attitude, found[:, :3]), ang_acc=found[:, 3:6], joint_acc=found[:, 6:]
+    )
+
+
+def accelerations(
+    tree: Tree,
+    links: Links,
+    state: TreeState,
+    *,
+    gravity: float,
+    wrench: Tensor | None = None,
+    effort: Tensor | None = None,
+) -> Accelerations:
+    """Return how a tree accelerates; arguments as for ``equations``."""
+    found = equations(tree, links, state, gravity=gravity, wrench=wrench, effort=effort)
+    return solve(tree, state, found.mass, found.force)
+
+
+def kinetic_energy(tree: Tree, links: Links, state: TreeState) -> Tensor:
+    """Return the energy of motion [J], (E,)."""
+    found = equations(tree, links, state, gravity=0.0)
+    lin_vel = quat_rotate_inverse(state.attitude, state.lin_vel)
+    rates = torch.cat((lin_vel, state.ang_vel, state.joint_vel), dim=-1)
+    return 0.5 * torch.einsum("en,enm,em->e", rates, found.mass, rates)
+
+
+def com_position(tree: Tree, links: Links, state: TreeState) -> Tensor:
+    """Return the centre of mass of all links [m], world, (E, 3)."""
+    places = place_links(tree, links, state.joint_pos)
+    mean = (links.mass.unsqueeze(-1) * places.com).sum(1) / links.total_mass
+    return state.position + quat_rotate(state.attitude, mean)
+
+
+def momenta(tree: Tree, links: Links, state: TreeState) -> tuple[Tensor, Tensor]:
+    """Return momentum [kg m/s] and angular momentum about the world's origin [kg m²/s], world, (E, 3) each."""
+    found = equations(tree, links, state, gravity=0.0)
+    places, motion, mass = found.places, found.motion, links.mass.unsqueeze(-1)
+    velocity = motion.lin_vel + cross(motion.ang_vel, places.com - places.origin)
+    push = mass * velocity
+    spin = (places.inertia @ motion.ang_vel.unsqueeze(-1)).squeeze(-1)
+    about_base = (spin + cross(places.com, push)).sum(1)
+    momentum = quat_rotate(state.attitude, push.sum(1))
+    return momentum, quat_rotate(state.attitude, about_base) + cross(state.position, momentum)

@@ -1,0 +1,155 @@
+"""Where the links of a tree are and how they move, in axes of the base.
+
+Pure functions of tensors. All vectors are in the axes of the base at this instant; velocities and accelerations are those that
+an observer at rest sees, so that Newton's and Euler's laws hold as they stand.
+Letters: E environments, D joints, L = D + 1 links, N = 6 + D coordinates of motion: velocity and angular velocity of the base,
+rates of the joints.
+
+Sources:
+    Kane, Levinson (1985), Dynamics: Theory and Applications, sections 2.14 (partial velocities) and 4.9 (accelerations);
+    Featherstone (2008), Rigid Body Dynamics Algorithms, section 4.1 (trees).
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.math.quaternion import quat_exp, quat_to_matrix
+from aerial_gym.physics.articulated.tree import Links, Tree
+
+cross = torch.linalg.cross
+
+
+@dataclass(frozen=True, kw_only=True)
+class Places:
+    """Where links are."""
+
+    rotation: Tensor
+    """Axes of each link to those of the base, (E, L, 3, 3)."""
+
+    origin: Tensor
+    """Of each link from that of the base [m], (E, L, 3)."""
+
+    axis: Tensor
+    """Direction of each joint, (E, D, 3)."""
+
+    com: Tensor
+    """Centre of mass of each link from the origin of the base [m], (E, L, 3)."""
+
+    inertia: Tensor
+    """Of each link about its centre of mass [kg m²], (E, L, 3, 3)."""
+
+
+def place_links(tree: Tree, links: Links, joint_pos: Tensor) -> Places:
+    """Return where links are for joint coordinates (E, D)."""
+    num_envs, like = joint_pos.shape[0], joint_pos
+    rotations = [torch.eye(3, dtype=like.dtype, device=like.device).expand(num_envs, 3, 3)]
+    origins, axes = [like.new_zeros(num_envs, 3)], []
+    for k, joint in enumerate(tree.joints):
+        parent, own = rotations[joint.parent], like.new_tensor(joint.axis)
+        mounted = parent @ quat_to_matrix(like.new_tensor(joint.attitude))
+        origin = origins[joint.parent] + (parent @ like.new_tensor(joint.position))
+        axis = mounted @ own
+        if joint.kind == "revolute":
+            rotations.append(mounted @ quat_to_matrix(quat_exp(joint_pos[:, k : k + 1] * own)))
+            origins.append(origin)
+        else:
+            rotations.append(mounted)
+            origins.append(origin + axis * joint_pos[:, k : k + 1])
+        axes.append(axis)
+    rotation, origin = torch.stack(rotations, dim=1), torch.stack(origins, dim=1)
+    return Places(
+        rotation=rotation,
+        origin=origin,
+        axis=torch.stack(axes, dim=1) if axes else like.new_zeros(num_envs, 0, 3),
+        com=origin + (rotation @ links.com.unsqueeze(-1)).squeeze(-1),
+        inertia=rotation @ links.inertia @ rotation.transpose(-1, -2),
+    )
+
+
+def turning(tree: Tree, places: Places) -> Tensor:
+    """Return the angular velocity of each link per coordinate of motion, (E, L, 3, N)."""
+    like, num_envs = places.axis, places.axis.shape[0]
+    base = torch.eye(3, dtype=like.dtype, device=like.device).expand(num_envs, tree.num_links, 3, 3)
+    turns = _of_joints(tree, like, "revolute").unsqueeze(2) * places.axis.transpose(1, 2).unsqueeze(1)
+    return torch.cat((torch.zeros_like(base), base, turns), dim=-1)
+
+
+def moving(tree: Tree, places: Places, points: Tensor) -> Tensor:
+    """Return the velocity of a point of each link, (E, L, 3) from the base's origin, per coordinate of motion, (E, L, 3, N)."""
+    like, num_envs = places.axis, places.axis.shape[0]
+    base = torch.eye(3, dtype=like.dtype, device=like.device).expand(num_envs, tree.num_links, 3, 3)
+    lever = points.unsqueeze(2) - places.origin[:, 1:].unsqueeze(1)  # (E, L, D, 3)
+    swept = cross(places.axis.unsqueeze(1).expand_as(lever), lever)
+    slid = places.axis.unsqueeze(1).expand_as(lever)
+    joints = _of_joints(tree, like, "revolute").unsqueeze(-1) * swept
+    joints = joints + _of_joints(tree, like, "prismatic").unsqueeze(-1) * slid
+    return torch.cat((base, -_skew(points), joints.transpose(2, 3)), dim=-1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """How links move, and how they accelerate where no coordinate of motion does."""
+
+    ang_vel: Tensor
+    """[rad/s], (E, L, 3)."""
+
+    lin_vel: Tensor
+    """Of the origins [m/s], (E, L, 3)."""
+
+    ang_acc: Tensor
+    """[rad/s²], (E, L, 3)."""
+
+    lin_acc: Tensor
+    """Of the origins [m/s²], (E, L, 3)."""
+
+    com_acc: Tensor
+    """Of the centres of mass [m/s²], (E, L, 3)."""
+
+
+def move_links(tree: Tree, places: Places, lin_vel: Tensor, ang_vel: Tensor, joint_vel: Tensor) -> Motion:
+    """Return the motion for velocity [m/s] and angular velocity [rad/s] of the base, (E, 3), and rates of joints, (E, D)."""
+    turns, moves = [ang_vel], [lin_vel]
+    bends, pulls = [torch.zeros_like(ang_vel)], [torch.zeros_like(lin_vel)]
+    for k, joint in enumerate(tree.joints):
+        turn, parent = turns[joint.parent], joint.parent
+        lever = places.origin[:, k + 1] - places.origin[:, parent]
+        own = places.axis[:, k] * joint_vel[:, k : k + 1]
+        swept = cross(turn, lever)
+        pull = pulls[parent] + cross(bends[parent], lever) + cross(turn, swept)
+        if joint.kind == "revolute":
+            turns.append(turn + own)
+            moves.append(moves[parent] + swept)
+            bends.append(bends[parent] + cross(turn, own))
+            pulls.append(pull)
+        else:
+            turns.append(turn)
+            moves.append(moves[parent] + swept + own)
+            bends.append(bends[parent])
+            pulls.append(pull + 2.0 * cross(turn, own))
+    turn, bend, pull = (torch.stack(parts, dim=1) for parts in (turns, bends, pulls))
+    lever = places.com - places.origin
+    return Motion(
+        ang_vel=turn,
+        lin_vel=torch.stack(moves, dim=1),
+        ang_acc=bend,
+        lin_acc=pull,
+        com_acc=pull + cross(bend, lever) + cross(turn, cross(turn, lever)),
+    )
+
+
+def _of_joints(tree: Tree, like: Tensor, kind: str) -> Tensor:
+    """Return 1 where a joint of a kind moves a link, (1, L, D)."""
+    rows = [
+        [float(moves and joint.kind == kind) for moves, joint in zip(row, tree.joints, strict=True)]
+        for row in tree.moves
+    ]
+    return like.new_tensor(rows).reshape(1, tree.num_links, tree.num_joints)
+
+
+def _skew(vectors: Tensor) -> Tensor:
+    """Return the matrices (..., 3, 3) that take a vector to the cross product of these, (..., 3), with it."""
+    x, y, z = vectors.unbind(-1)
+    zero = torch.zeros_like(x)
+    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).unflatten(-1, (3, 3))

@@ -1,0 +1,108 @@
+"""Steps in time of a tree of links.
+
+``implicit_euler``: the efforts of joints are those at the end of the step, linearised; all else is semi-implicit Euler. It is
+of order 1 and stable however stiff a joint is. ``rk4``: order 4, for motion that no stiff joint is in.
+Letters: E environments, D joints, L links.
+
+Sources:
+    Hairer, Lubich, Wanner (2006), Geometric Numerical Integration, I.1.2 (symplectic Euler);
+    Hairer, Wanner (1996), Solving Ordinary Differential Equations II, section IV.8 (linearly implicit Euler);
+    Hairer, Norsett, Wanner (1993), Solving Ordinary Differential Equations I, table II.1.2 (Runge-Kutta of order 4).
+"""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize
+from aerial_gym.physics.articulated.dynamics import accelerations, equations, solve
+from aerial_gym.physics.articulated.joint_laws import JointLaw, joint_effort
+from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
+
+
+def implicit_euler(
+    tree: Tree,
+    links: Links,
+    laws: Sequence[JointLaw],
+    state: TreeState,
+    dt: float,
+    *,
+    gravity: float,
+    wrench: Tensor | None = None,
+    effort: Tensor | None = None,
+) -> TreeState:
+    """Return the state after one step.
+
+    With the effort ``f - K (q' dt + a dt²) - C a dt`` of stiffness K and damping C at the step's end:
+    ``(M + C dt + K dt²) a = f - h - K q' dt``.
+
+    Args:
+        tree: How links hang together.
+        links: What they weigh.
+        laws: What acts in the joints.
+        state: Motion at the start.
+        dt: Length of the step [s].
+        gravity: Downward acceleration of free fall [m/s²].
+        wrench: Held through the step, as for ``equations``, (E, L, 6).
+        effort: Of the joints beside the laws, held through the step, (E, D).
+    """
+    acts = joint_effort(laws, state.joint_pos, state.joint_vel)
+    soft = acts.stiffness * dt
+    held = acts.value - soft * state.joint_vel
+    found = equations(
+        tree, links, state, gravity=gravity, wrench=wrench, effort=held if effort is None else held + effort
+    )
+    stiff = torch.nn.functional.pad(dt * (acts.damping + soft), (6, 0))
+    now = solve(tree, state, found.mass + torch.diag_embed(stiff), found.force)
+    lin_vel, ang_vel = state.lin_vel + dt * now.lin_acc, state.ang_vel + dt * now.ang_acc
+    joint_vel = state.joint_vel + dt * now.joint_acc
+    return TreeState(
+        position=state.position + dt * lin_vel,
+        attitude=quat_normalize(quat_multiply(state.attitude, quat_exp(dt * ang_vel))),
+        lin_vel=lin_vel,
+        ang_vel=ang_vel,
+        joint_pos=state.joint_pos + dt * joint_vel,
+        joint_vel=joint_vel,
+    )
+
+
+def rk4(
+    tree: Tree,
+    links: Links,
+    laws: Sequence[JointLaw],
+    state: TreeState,
+    dt: float,
+    *,
+    gravity: float,
+    wrench: Tensor | None = None,
+    effort: Tensor | None = None,
+) -> TreeState:
+    """Return the state after one classical Runge-Kutta step; arguments as for ``implicit_euler``."""
+
+    def slope(at: TreeState) -> tuple[Tensor, ...]:
+        acts = joint_effort(laws, at.joint_pos, at.joint_vel).value
+        now = accelerations(
+            tree, links, at, gravity=gravity, wrench=wrench, effort=acts if effort is None else acts + effort
+        )
+        turning = 0.5 * quat_multiply(at.attitude, torch.nn.functional.pad(at.ang_vel, (0, 1)))
+        return at.lin_vel, turning, now.lin_acc, now.ang_acc, at.joint_vel, now.joint_acc
+
+    first = slope(state)
+    second = slope(_moved(state, first, 0.5 * dt))
+    third = slope(_moved(state, second, 0.5 * dt))
+    last = slope(_moved(state, third, dt))
+    mean = tuple((a + 2.0 * b + 2.0 * c + d) / 6.0 for a, b, c, d in zip(first, second, third, last, strict=True))
+    return _moved(state, mean, dt)
+
+
+def _moved(state: TreeState, slope: tuple[Tensor, ...], dt: float) -> TreeState:
+    position, attitude, lin_vel, ang_vel, joint_pos, joint_vel = slope
+    return TreeState(
+        position=state.position + dt * position,
+        attitude=quat_normalize(state.attitude + dt * attitude),
+        lin_vel=state.lin_vel + dt * lin_vel,
+        ang_vel=state.ang_vel + dt * ang_vel,
+        joint_pos=state.joint_pos + dt * joint_pos,
+        joint_vel=state.joint_vel + dt * joint_vel,
+    )

@@ -1,0 +1,140 @@
+"""Trees of rigid links: which link hangs on which, by which joint, and what each link weighs.
+
+Each joint has one degree of freedom and carries one link; a universal joint is two of them with a link without mass between.
+Link 0 is the base; joint k carries link k + 1, so that a parent always has a smaller number than its child.
+Frames: a link's frame is its joint's, turned or moved by the joint; SI units.
+Letters: E environments, D joints, L = D + 1 links.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import isclose, isfinite, sqrt
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from aerial_gym.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joint:
+    """A joint of one degree of freedom, and where it sits on its parent."""
+
+    parent: int
+    """Number of the link that it hangs on."""
+
+    kind: Literal["revolute", "prismatic"] = "revolute"
+
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Direction, in the joint's frame, that it turns about or moves along; of length 1."""
+
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Origin of the joint's frame on its parent [m]."""
+
+    attitude: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    """The joint's frame to its parent's where its coordinate is zero, xyzw, unit."""
+
+    def __post_init__(self) -> None:
+        """Refuse what is no joint."""
+        numbers = (*self.axis, *self.position, *self.attitude)
+        if not all(isfinite(number) for number in numbers):
+            raise ConfigError(f"a joint on link {self.parent} has numbers that are not finite")
+        if self.kind not in ("revolute", "prismatic"):
+            raise ConfigError(f"a joint on link {self.parent} is {self.kind!r}: choose revolute or prismatic")
+        for name, values in (("axis", self.axis), ("attitude", self.attitude)):
+            length = sqrt(sum(value * value for value in values))
+            if not isclose(length, 1.0, abs_tol=1e-6):
+                raise ConfigError(f"a joint on link {self.parent}: {name} has length {length:.6g}, and must have 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tree:
+    """How links hang together; the same in all environments."""
+
+    joints: tuple[Joint, ...]
+    floating: bool = True
+    """Whether the base moves; else it stands still."""
+
+    def __post_init__(self) -> None:
+        """Refuse joints on links that come later, or are not there."""
+        for k, joint in enumerate(self.joints):
+            if not 0 <= joint.parent <= k:
+                raise ConfigError(
+                    f"joint {k} hangs on link {joint.parent}: a parent is 0, the base, or a link before it (up to {k})"
+                )
+
+    @property
+    def num_joints(self) -> int:
+        """Number D of joints."""
+        return len(self.joints)
+
+    @property
+    def num_links(self) -> int:
+        """Number L of links, the base among them."""
+        return len(self.joints) + 1
+
+    @cached_property
+    def moves(self) -> tuple[tuple[bool, ...], ...]:
+        """Return of each link whether each joint moves it: L rows of D."""
+        rows = [(False,) * self.num_joints]
+        for k, joint in enumerate(self.joints):
+            rows.append(tuple(above or k == place for place, above in enumerate(rows[joint.parent])))
+        return tuple(rows)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Links:
+    """What links weigh; the first dimension is E, or 1 where all environments have the same."""
+
+    mass: Tensor
+    """[kg], (E, L); zero for a link between the two joints of a universal one."""
+
+    com: Tensor
+    """Centres of mass [m], axes of each link, (E, L, 3)."""
+
+    inertia: Tensor
+    """About the centres of mass [kg m²], axes of each link, (E, L, 3, 3)."""
+
+    @property
+    def total_mass(self) -> Tensor:
+        """Mass of all [kg], (E, 1)."""
+        return self.mass.sum(-1, keepdim=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TreeState:
+    """Motion of the base, as of any body, and of the joints."""
+
+    position: Tensor
+    """Of the base's origin [m], world, (E, 3)."""
+
+    attitude: Tensor
+    """Base to world, xyzw, (E, 4)."""
+
+    lin_vel: Tensor
+    """Of the base's origin [m/s], world, (E, 3)."""
+
+    ang_vel: Tensor
+    """Of the base [rad/s], base axes, (E, 3)."""
+
+    joint_pos: Tensor
+    """[rad] or [m], (E, D)."""
+
+    joint_vel: Tensor
+    """[rad/s] or [m/s], (E, D)."""
+
+    @classmethod
+    def at_rest(cls, num_envs: int, num_joints: int, *, like: Tensor) -> "TreeState":
+        """Return trees at the origin that do not move; float type and device are those of ``like``."""
+        attitude = like.new_zeros(num_envs, 4)
+        attitude[:, 3] = 1.0
+        three, joints = like.new_zeros(num_envs, 3), like.new_zeros(num_envs, num_joints)
+        return cls(
+            position=three,
+            attitude=attitude,
+            lin_vel=torch.zeros_like(three),
+            ang_vel=torch.zeros_like(three),
+            joint_pos=joints,
+            joint_vel=torch.zeros_like(joints),
+        )

@@ -1,0 +1,227 @@
+"""Trees of links against what physics conserves, closed forms, and the order of the steps."""
+
+from math import cos, exp, sin, sqrt
+
+import pytest
+import torch
+from scipy.special import ellipk
+from torch import Tensor
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics.articulated.dynamics import accelerations, com_position, kinetic_energy, momenta
+from aerial_gym.physics.articulated.joint_laws import Drive, Limits, Spring
+from aerial_gym.physics.articulated.steppers import implicit_euler, rk4
+from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
+from tests.physics.articulated.trees import F64, pendulum, random_links, random_motion, random_tree
+
+G = 9.81
+
+
+def row(*numbers: float) -> Tensor:
+    return torch.tensor([numbers], dtype=F64)
+
+
+def hanging(angle: float, rate: float = 0.0) -> TreeState:
+    state = TreeState.at_rest(1, 1, like=row(0.0))
+    return TreeState(**{**vars(state), "joint_pos": row(angle), "joint_vel": row(rate)})
+
+
+def free(tree: Tree, links: Links, state: TreeState, dt: float, steps: int, *, gravity: float = 0.0) -> TreeState:
+    for _ in range(steps):
+        state = rk4(tree, links, (), state, dt, gravity=gravity)
+    return state
+
+
+def test_a_free_tree_keeps_momentum_and_energy_to_the_order_of_the_integrator() -> None:
+    """No force acts; over 0.4 s at 4 and 2 ms what is lost falls by 2^4 or more, and momentum is kept in the mean motion."""
+    tree = random_tree(6, 5)
+    links, start = random_links(tree, 4, 5), random_motion(tree, 4, 5)
+    energy, (push, spin) = kinetic_energy(tree, links, start), momenta(tree, links, start)
+    lost = []
+    for dt in (4e-3, 2e-3):
+        end = free(tree, links, start, dt, round(0.4 / dt))
+        after, (push_after, spin_after) = kinetic_energy(tree, links, end), momenta(tree, links, end)
+        lost.append([(after / energy - 1.0).abs().max(), (push_after - push).norm(), (spin_after - spin).norm()])
+    for coarse, fine in zip(*lost, strict=True):
+        assert fine < 1e-6
+        assert fine < coarse / 14.0 or coarse < 1e-12
+
+
+def test_the_centre_of_mass_of_a_falling_tree_falls_as_a_point() -> None:
+    """``p + v t - g t²/2``, whatever its links do, with an error of the integrator: 1e-7 m."""
+    tree = random_tree(5, 8)
+    links, start = random_links(tree, 3, 8), random_motion(tree, 3, 8)
+    first = com_position(tree, links, start)
+    speed = momenta(tree, links, start)[0] / links.total_mass
+    end = free(tree, links, start, 3e-3, 100, gravity=G)
+    expected = first + 0.3 * speed - torch.tensor([0.0, 0.0, 0.5 * G * 0.09], dtype=F64)
+    torch.testing.assert_close(com_position(tree, links, end), expected, rtol=0.0, atol=1e-7)
+
+
+def test_a_pendulum_swings_in_its_period() -> None:
+    """From 2 rad back to it after ``4 sqrt(l / g) K(sin 1)``, K the complete elliptic integral; RK4 at T / 200: 1e-5."""
+    tree, links = pendulum(0.7, 0.3)
+    period = 4.0 * sqrt(0.7 / G) * float(ellipk(sin(1.0) ** 2))
+    end = free(tree, links, hanging(2.0), period / 200, 200, gravity=G)
+    torch.testing.assert_close(end.joint_pos, row(2.0), rtol=0.0, atol=1e-5)
+    torch.testing.assert_close(end.joint_vel, row(0.0), rtol=0.0, atol=1e-5)
+
+
+def test_forces_on_a_link_push_the_base() -> None:
+    """At rest and straight: a force across the end of an arm on a fixed joint axis, ``q'' = F l / (m l²)``."""
+    tree, links = pendulum(0.5, 0.2)
+    wrench = torch.zeros(1, 2, 6, dtype=F64)
+    wrench[0, 1] = torch.tensor(
+        [3.0, 0.0, 0.0, 0.0, -0.5 * 3.0, 0.0]
+    )  # at the end: moment of a force there about the hinge
+    found = accelerations(tree, links, hanging(0.0), gravity=G, wrench=wrench)
+    torch.testing.assert_close(found.joint_acc, row(-3.0 / (0.2 * 0.5)))
+
+
+@pytest.mark.parametrize("dt", [2e-3, 4e-3, 1e-2])
+def test_a_stiff_damper_is_stable_at_any_step_and_exact_at_rest(dt: float) -> None:
+    """Damping over inertia of 230 1/s: an arm let go a quarter of a radian off comes to rest where spring and weight balance,
+    without a swing; effort held through the step would diverge at 10 ms."""
+    length, mass = 0.07, 0.01625
+    tree, links = pendulum(length, mass)
+    inertia = mass * length**2
+    spring = Spring(
+        stiffness=row(4000.0 * inertia), quadratic=row(5834.0 * inertia), damping=row(230.0 * inertia), rest=row(0.1)
+    )
+    state, before = hanging(0.35), 0.35
+    for _ in range(round(1.0 / dt)):
+        state = implicit_euler(tree, links, (spring,), state, dt, gravity=G)
+        assert state.joint_pos.item() <= before + 1e-12  # creeps down, never up
+        before = state.joint_pos.item()
+    away = before - 0.1
+    left = -(4000.0 + 5834.0 * abs(away)) * away - G / length * sin(before)
+    assert abs(left) < 1e-4  # [1/s²]; 1400 at the start, and the slow mode fades with 19 1/s
+    assert abs(state.joint_vel.item()) < 1e-6
+
+
+def test_a_spring_that_is_stiffer_than_a_step_resolves_comes_to_rest() -> None:
+    """50 rad in a step, no damper: implicit Euler shrinks the swing by ``1 + (w dt)²`` in square, to rest within rounding."""
+    tree, links = pendulum(1.0, 1.0)
+    spring = Spring(stiffness=row(5000.0**2), quadratic=row(0.0), damping=row(0.0), rest=row(0.0))
+    state = hanging(0.2)
+    for _ in range(8):
+        state = implicit_euler(tree, links, (spring,), state, 0.01, gravity=0.0)
+    assert abs(state.joint_pos.item()) < 0.2 * 50.0**-7
+
+
+def test_implicit_steps_are_of_order_one() -> None:
+    """A damped spring without weight, ``exp(-z w t) (cos + ...)``: the error of 0.5 s halves with the step."""
+    tree, links = pendulum(1.0, 1.0)
+    natural, share = 6.0, 0.3
+    damped = natural * sqrt(1.0 - share**2)
+    spring = Spring(stiffness=row(natural**2), quadratic=row(0.0), damping=row(2.0 * share * natural), rest=row(0.0))
+    exact = 0.2 * exp(-share * natural * 0.5) * (cos(damped * 0.5) + share * natural / damped * sin(damped * 0.5))
+    errors = []
+    for dt in (4e-3, 2e-3, 1e-3):
+        state = hanging(0.2)
+        for _ in range(round(0.5 / dt)):
+            state = implicit_euler(tree, links, (spring,), state, dt, gravity=0.0)
+        errors.append(abs(state.joint_pos.item() - exact))
+    assert errors[0] / errors[1] == pytest.approx(2.0, abs=0.1)
+    assert errors[1] / errors[2] == pytest.approx(2.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("limit", "reaches"), [(100.0, True), (0.5, False)])
+def test_a_drive_holds_its_place_within_what_it_can(limit: float, reaches: bool) -> None:
+    """To 1 rad against a weight of 1.96 N m times sin q, with 50 N m/rad; a drive of 0.5 N m holds asin(0.5 / 1.96)."""
+    tree, links = pendulum(0.5, 0.4)
+    drive = Drive(stiffness=row(50.0), damping=row(10.0), position=row(1.0), rate=row(0.0), limit=row(limit))
+    still = Spring(stiffness=row(0.0), quadratic=row(0.0), damping=row(1.0), rest=row(0.0))
+    state = hanging(0.0)
+    for _ in range(700):
+        state = implicit_euler(tree, links, (drive, still), state, 2e-2, gravity=G)
+    angle, weight = state.joint_pos.item(), 0.4 * G * 0.5
+    held = 50.0 * (1.0 - angle) if reaches else limit
+    assert held == pytest.approx(weight * sin(angle), rel=1e-6)
+
+
+def test_a_drive_to_a_rate_turns_at_it() -> None:
+    tree, links = pendulum(0.5, 0.4)
+    drive = Drive(stiffness=row(0.0), damping=row(10.0), position=row(0.0), rate=row(1.5), limit=row(9.0))
+    state = hanging(0.0)
+    for _ in range(100):
+        state = implicit_euler(tree, links, (drive,), state, 2e-2, gravity=0.0)
+    assert state.joint_vel.item() == pytest.approx(1.5, rel=1e-9)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_soft_ends_stop_a_joint_and_never_pull(side: float) -> None:
+    """Flung at an end at 0.3 rad: it goes past it by no more than ``v / sqrt(k / I)``, comes back, and leaves freely."""
+    tree, links = pendulum(0.5, 0.4)
+    inertia, stiffness = 0.4 * 0.25, 500.0
+    ends = Limits(low=row(-0.3), high=row(0.3), stiffness=row(stiffness), damping=row(1.0))
+    state, most = hanging(0.0, side * 2.0), 0.0
+    for _ in range(500):
+        state = implicit_euler(tree, links, (ends,), state, 1e-3, gravity=0.0)
+        most = max(most, side * state.joint_pos.item())
+    assert 0.3 < most < 0.3 + 2.0 / sqrt(stiffness / inertia)
+    assert -2.0 < side * state.joint_vel.item() < 0.0
+    sticky = ends.effort(row(side * 0.31), row(-side * 100.0))
+    assert sticky.value.item() == 0.0
+
+
+def test_a_tree_without_joints_is_a_body_that_turns_by_euler() -> None:
+    """Torque-free about its own axes: ``I w' = -w x I w``; a force at the origin moves the centre of mass."""
+    tree = Tree(joints=())
+    inertia = torch.diag(torch.tensor([1.0, 2.0, 3.0], dtype=F64)).reshape(1, 1, 3, 3)
+    links = Links(mass=row(2.0), com=torch.zeros(1, 1, 3, dtype=F64), inertia=inertia)
+    state = TreeState.at_rest(1, 0, like=row(0.0))
+    state = TreeState(**{**vars(state), "ang_vel": row(1.0, 2.0, 3.0)})
+    wrench = torch.tensor([[[4.0, 0.0, 0.0, 0.0, 0.0, 0.0]]], dtype=F64)
+    found = accelerations(tree, links, state, gravity=G, wrench=wrench)
+    torch.testing.assert_close(found.lin_acc, row(2.0, 0.0, -G))
+    torch.testing.assert_close(found.ang_acc, row(-6.0, 3.0, -2.0 / 3.0))
+
+
+def test_gradients_flow_through_steps() -> None:
+    """The end of a swing by its start and by the mass at its end, against differences."""
+    tree = random_tree(3, 2)
+    links, state = random_links(tree, 1, 2), random_motion(tree, 1, 2)
+
+    def end(angles: Tensor, mass: Tensor) -> Tensor:
+        own = Links(mass=mass, com=links.com, inertia=links.inertia)
+        now = TreeState(**{**vars(state), "joint_pos": angles})
+        for _ in range(3):
+            now = implicit_euler(tree, own, (), now, 0.01, gravity=G)
+        return now.joint_vel
+
+    inputs = (state.joint_pos.requires_grad_(), links.mass.requires_grad_())
+    assert torch.autograd.gradcheck(end, inputs)
+
+
+def test_float32_loses_no_more_than_rounding() -> None:
+    """A chain of ten links, 16 motions: 1e-3 of the largest acceleration (4e-4 seen), as its mass matrix allows."""
+    tree = random_tree(10, 4, chain=True)
+    links, state = random_links(tree, 16, 4), random_motion(tree, 16, 4)
+    exact = accelerations(tree, links, state, gravity=G).joint_acc
+    single = {name: value.float() for name, value in vars(links).items()}
+    moving = {name: value.float() for name, value in vars(state).items()}
+    found = accelerations(tree, Links(**single), TreeState(**moving), gravity=G).joint_acc
+    assert ((found - exact).abs().amax(1) / exact.abs().amax(1)).max() < 1e-3
+    assert found.dtype == torch.float32
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Joint(parent=0, axis=(1.0, 1.0, 0.0)), "axis has length 1.41421"),
+        (lambda: Joint(parent=0, attitude=(0.0, 0.0, 0.0, 0.5)), "attitude has length 0.5"),
+        (lambda: Joint(parent=0, kind="ball"), "choose revolute or prismatic"),  # type: ignore[arg-type]
+        (lambda: Joint(parent=0, position=(float("nan"), 0.0, 0.0)), "not finite"),
+        (lambda: Tree(joints=(Joint(parent=1),)), "joint 0 hangs on link 1"),
+    ],
+)
+def test_what_is_no_tree_is_refused(make, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        make()
+
+
+def test_a_joint_moves_what_hangs_on_it() -> None:
+    """A fork: link 1 carries 2 and 3; each joint moves its own branch alone."""
+    tree = Tree(joints=(Joint(parent=0), Joint(parent=1), Joint(parent=1)))
+    assert tree.moves == ((False,) * 3, (True, False, False), (True, True, False), (True, False, True))
