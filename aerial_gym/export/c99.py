@@ -163,10 +163,10 @@ def _forward_flight(layout: Layout, params: Mapping[str, Any]) -> str:
 
 def _affine(layout: Layout, params: Mapping[str, Any]) -> str:
     del layout
-    pairs = zip(params["low"], params["high"], strict=True)
+    places = params.get("order") or range(len(params["low"]))
     lines = [
-        f"    command[{i}] = {_number(0.5 * (b - a))} * (action[{i}] + 1.0f) + {_number(a)};"
-        for i, (a, b) in enumerate(pairs)
+        f"    command[{i}] = {_number(0.5 * (b - a))} * (action[{place}] + 1.0f) + {_number(a)};"
+        for i, (place, a, b) in enumerate(zip(places, params["low"], params["high"], strict=True))
     ]
     return "\n".join(lines)
 

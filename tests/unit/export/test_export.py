@@ -69,8 +69,12 @@ def test_onnx_gives_what_torch_gives(memory: int, tmp_path: Path) -> None:
             ActionCfg(transform="affine", params={"low": [-1.0, -0.5, -3.0, 0.0], "high": [2.0, 0.5, 1.0, 0.25]}),
             "lee_attitude_control",
         ),
+        (
+            ActionCfg(transform="affine", params={"low": [-1.0] * 4, "high": [2.0] * 4, "order": [2, 0, 3, 1]}),
+            "lee_attitude_control",
+        ),
     ],
-    ids=["direct", "forward_flight", "affine"],
+    ids=["direct", "forward_flight", "affine", "affine in another order"],
 )
 def test_commands_are_those_of_the_task(action: ActionCfg, controller: str, tmp_path: Path) -> None:
     """Transform and limits are inside: what comes out is what the controller of the simulation takes."""
