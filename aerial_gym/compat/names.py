@@ -27,19 +27,8 @@ _TASK = "write it as a task file, or as a class derived from BaseTask"
 ABSENT: dict[str, dict[str, str]] = {
     "sim": {},
     "environment": {},
-    "robot": dict.fromkeys(
-        (
-            "base_quad_root_link_control",
-            "base_random",
-        ),
-        _BODY,
-    )
-    | dict.fromkeys(("morphy", "morphy_fixed_base", "morphy_stiff", "snakey", "snakey5", "snakey6"), _JOINTS)
-    | {
-        "base_octarotor": "omnidirectional_octarotor has its body and its rotors in force mode, with other axes; or "
-        + _BODY,
-        "base_rov": "there it is an octarotor without gravity; " + _BODY,
-    },
+    "robot": dict.fromkeys(("morphy", "morphy_fixed_base", "morphy_stiff", "snakey", "snakey5", "snakey6"), _JOINTS)
+    | {"base_rov": "there it is an octarotor without gravity, base_octarotor here; or " + _BODY},
     "controller": {
         f"{robot}_{kind}_control": _GAINS
         for robot in ("lmf2", "magpie", "octarotor")

@@ -25,6 +25,13 @@ for _name in (
     "lmf2",
     "magpie",
     "x500",
+    "base_quad_root_link_control",
+    "base_octarotor",
+    "base_random",
+    "typhoon_hexarotor",
+    "tilted_hexarotor",
+    "coaxial_octarotor",
+    "racing_quadrotor",
 ):
     _path = _FOLDER / f"{_name}.yaml"
     ROBOTS.register_later(_name, partial(load_robot, _path), summary=partial(summary_in, _path))
