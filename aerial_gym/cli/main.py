@@ -22,6 +22,7 @@ class Command(Protocol):
 
 COMMANDS: dict[str, Home] = {
     "list": Home("aerial_gym.cli.list_names:ListCmd"),
+    "check": Home("aerial_gym.cli.check:CheckCmd"),
     "train": Home("aerial_gym.cli.train:TrainCmd"),
     "play": Home("aerial_gym.cli.play:PlayCmd"),
     "evaluate": Home("aerial_gym.cli.evaluate:EvaluateCmd"),

@@ -253,7 +253,8 @@ class ClosedLoop:
             )
         weak = allocation.torque_authority(weight) == 0.0
         idle = {name for pair, none in zip(_TURNS, weak.tolist(), strict=True) if none for name in pair}
-        self._axes = " ".join(name for name in LAWS[controller.law].trim.split() if name not in idle)
+        self.axes = " ".join(name for name in LAWS[controller.law].trim.split() if name not in idle)
+        """Of ``AXES``, what the law and the rotors control."""
 
     def radius(self, dt: float) -> float:
         """Return the spectral radius at a time step [s]; where gains are drawn, the largest of ``radii``."""
@@ -284,7 +285,7 @@ class ClosedLoop:
             self._vehicle,
             make_law,
             torch.zeros(len(LAWS[self._controller.law].action)),
-            axes=self._axes,
+            axes=self.axes,
             gravity=self._gravity,
             dt=dt,
             integrator=self._integrator,
