@@ -1,4 +1,4 @@
-"""``aerial-gym check``: what it prints, draws and returns."""
+"""``aerial-gym check`` and ``import-robot``: what they print, draw, write and return."""
 
 import json
 from dataclasses import replace
@@ -9,6 +9,7 @@ import pytest
 from aerial_gym.cli.main import main
 from aerial_gym.config.loader import dump_yaml
 from aerial_gym.robots import ROBOTS
+from tests.unit.robots.importers.files import x500
 
 
 def test_a_robot_by_name_as_json(capsys: pytest.CaptureFixture[str]) -> None:
@@ -45,3 +46,24 @@ def test_one_that_cannot_be_ends_with_status_2(capsys: pytest.CaptureFixture[str
     assert "check digits and units" in capsys.readouterr().err
     assert main(["check", "lmf1", "x500", "--picture", "both.png"]) == 2
     assert "--picture takes one robot" in capsys.readouterr().err
+
+
+def test_a_model_of_gazebo_becomes_a_file_that_can_be_checked(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    model, out = x500(tmp_path), tmp_path / "mine.yaml"
+    assert main(["import-robot", str(model), "--out", str(out), "--summary", "mine"]) == 0
+    captured = capsys.readouterr()
+    assert captured.out == f"{out}\n"
+    assert captured.err.startswith("left out: rollingMomentCoefficient")
+    assert main(["check", str(out), "--no-fly", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["summary"] == "mine"
+    assert report["thrust_to_weight"] == pytest.approx(4.0 * 8.54858 / (2.0643076923 * 9.81))
+
+
+def test_a_file_that_is_no_vehicle_ends_with_status_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "page.xml"
+    path.write_text("<html/>", encoding="utf-8")
+    assert main(["import-robot", str(path), "--out", str(tmp_path / "out.yaml")]) == 2
+    assert "must be <robot> (URDF), <mujoco> (MJCF) or <sdf> (SDF)" in capsys.readouterr().err

@@ -115,7 +115,7 @@ def check_robot(
     limiting = allocation.limiting_rotors(weight).tolist()
     ends = tuple(rotor + 1 if given > 0.0 else None for rotor, given in zip(limiting, authority.tolist(), strict=True))
     ratio = allocation.largest_thrust() / weight
-    problems = tuple(_problems(hover, low, high, matrix @ hover, weight))
+    problems = (*_problems(hover, low, high, matrix @ hover, weight), *_coupled(matrix))
     names = _with_gains() if controllers is None else tuple(controllers)
     steps = []
     for number, controller in enumerate(names if not problems else ()):
@@ -164,6 +164,20 @@ def _problems(
                 f"at hover a {kind} {AXES[row % 3]} of {share * weight:.3g} {unit} is left over that no thrusts take away: "
                 "check positions, axes and spins of the mounts, and the centre of mass"
             )
+
+
+def _coupled(matrix: torch.Tensor) -> Iterator[str]:
+    """Yield which of lift, roll, pitch and yaw the rotors give only together, from the effectiveness matrix, (6, R)."""
+    rows, names = matrix[2:], ("lift", "torque about x", "torque about y", "torque about z")
+    size = rows.norm(dim=-1, keepdim=True)
+    unit = torch.where(size > ROUND_OFF * size.max(), rows / size, 0.0)
+    share = (unit @ torch.linalg.pinv(unit, rtol=ROUND_OFF)).diagonal().tolist()  # 1 of an independent row, 0 of none
+    together = [name for name, part in zip(names, share, strict=True) if ROUND_OFF < part < 1.0 - ROUND_OFF]
+    if together:
+        yield (
+            f"{' and '.join(together)} come only together, so that it cannot be steered: check the spins of the mounts (rotors "
+            "that turn one way all on one side?) and their positions"
+        )
 
 
 def _control_warnings(ratio: float, turn: Sequence[float]) -> Iterator[str]:
