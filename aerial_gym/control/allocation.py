@@ -221,10 +221,13 @@ class Allocation:
 
         Of the first environment; 0 where there is none.
         """
-        limit, given = self._room(weight).amin(0), (self._matrix * self.inverse[0].detach().T).sum(-1)
-        return torch.where(
-            limit.isfinite(), limit * given, 0.0
-        )  # given is 1 where the axis is the rotors' to give, else 0
+        limit = self._room(weight).amin(0)
+        return torch.where(limit.isfinite(), limit * self.given, 0.0)
+
+    @property
+    def given(self) -> Tensor:
+        """Which share of an asked force or torque along each body axis comes, (6,): 1 where they give it by itself, else 0."""
+        return (self._matrix * self.inverse[0].detach().T).sum(-1)
 
     def limiting_rotors(self, weight: float) -> Tensor:
         """Return the number from 0 of the rotor that ends ``wrench_authority`` along each axis, int64, (6,)."""

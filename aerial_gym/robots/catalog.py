@@ -32,6 +32,8 @@ for _name in (
     "tilted_hexarotor",
     "coaxial_octarotor",
     "racing_quadrotor",
+    "base_rov",
+    "bluerov2_heavy",
 ):
     _path = _FOLDER / f"{_name}.yaml"
     ROBOTS.register_later(_name, partial(load_robot, _path), summary=partial(summary_in, _path))

@@ -15,6 +15,7 @@ from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import make_controller
 from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.gains import apparent_gravity
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.stability import AXES, ClosedLoop
 from aerial_gym.errors import ConfigError
@@ -111,7 +112,8 @@ def _last_tenth(robot: RobotCfg, controller: ControllerCfg, dt: float, size: Ten
     backend = choose_backend("auto", needs=needs_of(robot, torch.device("cpu"), integrator="euler"))
     backend.allocate(model, law, integrator="euler")
     backend.prepare(dt)
-    state = _starts(size, _hover(vehicle, gravity))
+    felt = apparent_gravity(robot.control, robot.body.mass, gravity)
+    state = _starts(size, _hover(vehicle, felt))
     action = torch.zeros(NUM_FLIGHTS, len(law.action_names))
     steps, found = ceil(0.01 * (SPAN / dt + STEPS)), []
     backend.step(state, action, dt, 90 * steps)

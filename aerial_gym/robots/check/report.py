@@ -14,6 +14,7 @@ from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape, RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.control.allocation import Allocation, allocation_matrix
+from aerial_gym.control.gains import apparent_gravity
 from aerial_gym.control.laws import LAWS
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.model import check_effects
@@ -109,13 +110,14 @@ def check_robot(
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
     allocation, matrix = Allocation(vehicle, gravity), allocation_matrix(vehicle, gravity)[0]
     weight = robot.body.mass * gravity
-    hover = allocation.inverse[0, :, 2] * weight
+    held = robot.body.mass * apparent_gravity(robot.control, robot.body.mass, gravity)
+    hover = allocation.inverse[0, :, 2] * held
     low, high = allocation.low[0], allocation.high[0]
-    authority = allocation.wrench_authority(weight)
-    limiting = allocation.limiting_rotors(weight).tolist()
+    authority = allocation.wrench_authority(held)
+    limiting = allocation.limiting_rotors(held).tolist()
     ends = tuple(rotor + 1 if given > 0.0 else None for rotor, given in zip(limiting, authority.tolist(), strict=True))
     ratio = allocation.largest_thrust() / weight
-    problems = (*_problems(hover, low, high, matrix @ hover, weight), *_coupled(matrix))
+    problems = (*_problems(hover, low, high, matrix @ hover, held, weight), *_coupled(matrix))
     names = _with_gains() if controllers is None else tuple(controllers)
     steps = []
     for number, controller in enumerate(names if not problems else ()):
@@ -143,11 +145,11 @@ def check_robot(
 
 
 def _with_gains() -> tuple[str, ...]:
-    return tuple(name for name in CONTROLLERS.names() if CONTROLLERS.get(name).law in LAWS)
+    return tuple(n for n in CONTROLLERS.names() if CONTROLLERS.get(n).law in LAWS and CONTROLLERS.get(n).gains is None)
 
 
 def _problems(
-    hover: torch.Tensor, low: torch.Tensor, high: torch.Tensor, wrench: torch.Tensor, weight: float
+    hover: torch.Tensor, low: torch.Tensor, high: torch.Tensor, wrench: torch.Tensor, held: float, weight: float
 ) -> Iterator[str]:
     """Yield why a vehicle cannot hover: rotors beyond their limits, or a force or torque that is left over."""
     for number, (thrust, least, most) in enumerate(zip(hover.tolist(), low.tolist(), high.tolist(), strict=True), 1):
@@ -156,7 +158,7 @@ def _problems(
                 f"to hover, rotor {number} must give {thrust:.3g} N, but its limits are {least:.3g} to {most:.3g} N: change "
                 "its thrust_range or thrust_map, the mass, or the centre of mass"
             )
-    left = (wrench / weight - torch.eye(6, dtype=wrench.dtype)[2]).tolist()
+    left = ((wrench - held * torch.eye(6, dtype=wrench.dtype)[2]) / weight).tolist()
     for row, share in enumerate(left):
         if abs(share) > ROUND_OFF:
             kind, unit = ("force along", "N") if row < 3 else ("torque about", "N m")
