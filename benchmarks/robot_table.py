@@ -45,8 +45,8 @@ def table(reports: list[RobotReport]) -> str:
 
 
 def _steps(report: RobotReport) -> str:
-    """Return the smallest of the largest stable time steps and its controller."""
-    worst = min(report.stable_steps, key=lambda step: step.largest_s or 0.0)
+    """Return the smallest of the largest stable time steps and its controller, of those that fit."""
+    worst = min((step for step in report.stable_steps if step.refused is None), key=lambda step: step.largest_s or 0.0)
     if worst.largest_s is None:
         return f"none (`{worst.controller}`)"
     return "100 ms or more" if worst.at_least else f"{1e3 * worst.largest_s:.3g} ms (`{worst.controller}`)"

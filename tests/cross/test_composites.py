@@ -40,6 +40,10 @@ PARTS: dict[str, list[Part]] = {
     "coaxial_octarotor": [*X500, *UNDER],
     "typhoon_hexarotor": TYPHOON,
     "tilted_hexarotor": TYPHOON,
+    "base_quadrotor_true_inertia": [
+        base(0.225, 0.0, 0.0, 0.0),
+        *((0.00625, (x, y, 0.0), (0.0, 0.0, 0.0)) for x in (-0.13, 0.13) for y in (-0.13, 0.13)),
+    ],
     "base_octarotor": [
         base(0.3, 0.0, 0.0, 0.0),
         *((0.1, (x, y, z), (0.0, 0.0, 0.0)) for x in (-0.1732051, 0.1732051) for y in (-0.1732051, 0.1732051)

@@ -140,7 +140,11 @@ def check_robot(
         first_at_limit=ends,
         stable_steps=tuple(steps),
         problems=problems,
-        warnings=(*_warnings(robot), *_control_warnings(ratio, turn.tolist()), *_step_warnings(steps)),
+        warnings=(
+            *_warnings(robot),
+            *_control_warnings(inf if robot.control.buoyancy else ratio, turn.tolist()),
+            *_step_warnings(steps),
+        ),
     )
 
 
