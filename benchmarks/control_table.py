@@ -22,9 +22,10 @@ from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
-from aerial_gym.control import CONTROLLERS
+from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.errors import ConfigError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.robots import ROBOTS
@@ -37,8 +38,24 @@ SAMPLE = 0.02
 SETTLED = 0.02
 """Share of the step."""
 
-STEPS = {"position": 1.0, "velocity": 1.0, "acceleration": 1.0, "attitude": 0.2, "rates": 0.5}
-UNITS = {"position": "m", "velocity": "m/s", "acceleration": "m/s²", "attitude": "rad", "rates": "rad/s"}
+STEPS = {
+    "position": 1.0,
+    "pose": 1.0,
+    "steering": 1.0,
+    "velocity": 1.0,
+    "acceleration": 1.0,
+    "attitude": 0.2,
+    "rates": 0.5,
+}
+UNITS = {
+    "position": "m",
+    "pose": "m",
+    "steering": "m/s",
+    "velocity": "m/s",
+    "acceleration": "m/s²",
+    "attitude": "rad",
+    "rates": "rad/s",
+}
 
 
 @dataclass(frozen=True)
@@ -70,14 +87,26 @@ def different_robots() -> dict[str, RobotCfg]:
     found: dict[str, RobotCfg] = {}
     for name in ROBOTS:
         robot = ROBOTS.get(name)
-        if all((robot.body, robot.rotor, robot.mounts) != (r.body, r.rotor, r.mounts) for r in found.values()):
+        flies = (robot.body, robot.rotor, robot.mounts, robot.control.buoyancy)
+        if all(flies != (r.body, r.rotor, r.mounts, r.control.buoyancy) for r in found.values()):
             found[name] = robot
     return found
 
 
 def geometric_controllers() -> dict[str, ControllerCfg]:
-    """Return the registered controllers whose law has gains."""
-    return {name: CONTROLLERS.get(name) for name in CONTROLLERS if CONTROLLERS.get(name).law in STEPS}
+    """Return the registered controllers whose law has gains that are the robot's own."""
+    found = {name: CONTROLLERS.get(name) for name in CONTROLLERS}
+    return {name: cfg for name, cfg in found.items() if cfg.law in STEPS and cfg.gains is None}
+
+
+def unfit(robot: RobotCfg, controller: ControllerCfg) -> str:
+    """Return why a controller does not fit a robot; empty if it does."""
+    try:
+        vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+        make_controller(controller, vehicle, 9.81, dt=0.01, control=robot.control)
+    except ConfigError as error:
+        return str(error)
+    return ""
 
 
 def axes_of(robot: RobotCfg) -> tuple[bool, ...]:
@@ -128,6 +157,8 @@ def _measured(law: str, gtd: GlobalTensorDictionary, acceleration: Tensor, can_t
     """Return what the law should have brought to zero."""
     return {
         "position": gtd["robot_position"],
+        "pose": gtd["robot_position"],
+        "steering": gtd["robot_linvel"],
         "velocity": gtd["robot_linvel"],
         "acceleration": acceleration,
         "attitude": gtd["robot_euler_angles"][:, :2],
@@ -139,6 +170,8 @@ def _step_of(law: str, gtd: GlobalTensorDictionary, acceleration: Tensor) -> Ten
     """Return what answers to the step, (3,)."""
     rows = {
         "position": gtd["robot_position"],
+        "pose": gtd["robot_position"],
+        "steering": gtd["robot_vehicle_linvel"],
         "velocity": gtd["robot_vehicle_linvel"],
         "acceleration": acceleration,
         "attitude": gtd["robot_euler_angles"],
@@ -215,6 +248,7 @@ def main() -> None:
         fly(robot, controller, SIMS.get(sim), names=(name, controller_name, sim))
         for name, robot in different_robots().items()
         for controller_name, controller in geometric_controllers().items()
+        if not unfit(robot, controller)
         for sim in SIMS
     ]
     if options.json:

@@ -1,8 +1,9 @@
-"""Mass and inertia of a URDF file as one rigid body, joints fixed at zero.
+"""Mass and inertia of links that are welded together, and of a URDF file as one rigid body, joints fixed at zero.
 
-Frames: axes and origin of the root link; SI units.
+Frames: axes and origin of the root link; SI units. Letters: L links.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,27 +27,38 @@ class RigidBody:
     """About the centre of mass, axes of the root link [kg m²], (3, 3)."""
 
 
-def urdf_body(path: str | Path) -> RigidBody:
-    """Return the links of a URDF as one body, by the parallel axis theorem.
+def weld(masses: Sequence[float], poses: Sequence[np.ndarray], inertias: Sequence[np.ndarray]) -> RigidBody:
+    """Return links as one body, by the parallel axis theorem.
 
-    Raises:
-        ConfigError: If the file cannot be read, or no link has a mass.
+    Args:
+        masses: Of the links [kg], L of them, not all 0.
+        poses: Frames of their centres of mass, whose axes those of their inertia are, in that of the root, (4, 4) each.
+        inertias: About their own centres of mass [kg m²], (3, 3) each.
 
     Source:
         Derived: ``J = sum R_i J_i R_i^T + m_i (|r_i|² 1 - r_i r_i^T)`` with r_i from the common centre of mass.
     """
+    places, weights = np.array([pose[:3, 3] for pose in poses]), np.array(masses)
+    com = weights @ places / weights.sum()
+    inertia = np.zeros((3, 3))
+    for own, pose, mass, place in zip(inertias, poses, masses, places, strict=True):
+        turn, arm = pose[:3, :3], place - com
+        inertia += turn @ own @ turn.T + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return RigidBody(float(weights.sum()), com, 0.5 * (inertia + inertia.T))
+
+
+def urdf_body(path: str | Path) -> RigidBody:
+    """Return the links of a URDF as one body.
+
+    Raises:
+        ConfigError: If the file cannot be read, or no link has a mass.
+    """
     robot = read_urdf(path)
     at = link_poses(robot)
     links = [(link.inertial, at[name]) for name, link in robot.link_map.items() if link.inertial is not None]
-    poses = [pose if inertial.origin is None else pose @ inertial.origin for inertial, pose in links]
-    masses = np.array([inertial.mass or 0.0 for inertial, _ in links])
-    if not masses.sum() > 0.0:
+    masses = [inertial.mass or 0.0 for inertial, _ in links]
+    if not sum(masses) > 0.0:
         raise ConfigError(f"URDF {path}: no link has a mass")
-    places = np.array([pose[:3, 3] for pose in poses])
-    com = masses @ places / masses.sum()
-    inertia = np.zeros((3, 3))
-    for (inertial, _), pose, mass, place in zip(links, poses, masses, places, strict=True):
-        turn, arm = pose[:3, :3], place - com
-        own = np.zeros((3, 3)) if inertial.inertia is None else np.asarray(inertial.inertia, dtype=float)
-        inertia += turn @ own @ turn.T + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    return RigidBody(float(masses.sum()), com, 0.5 * (inertia + inertia.T))
+    poses = [pose if inertial.origin is None else pose @ inertial.origin for inertial, pose in links]
+    none = np.zeros((3, 3))
+    return weld(masses, poses, [none if i.inertia is None else np.asarray(i.inertia, dtype=float) for i, _ in links])

@@ -17,38 +17,14 @@ class Name:
     """What differs, defects that are mended."""
 
 
-_BODY = "bring your robot class with its URDF, or a robot file (docs/coming_from_aerial_gym.md, 'A robot')"
 _JOINTS = "no robot has joints yet"
-_GAINS = (
-    "gains belong to the robot here: take the lee_ controller of the same kind, or register one with a class of gains"
-)
 _TASK = "write it as a task file, or as a class derived from BaseTask"
 
 ABSENT: dict[str, dict[str, str]] = {
     "sim": {},
     "environment": {},
-    "robot": dict.fromkeys(
-        (
-            "base_quad_root_link_control",
-            "base_random",
-        ),
-        _BODY,
-    )
-    | dict.fromkeys(("morphy", "morphy_fixed_base", "morphy_stiff", "snakey", "snakey5", "snakey6"), _JOINTS)
-    | {
-        "base_octarotor": "omnidirectional_octarotor has its body and its rotors in force mode, with other axes; or "
-        + _BODY,
-        "base_rov": "there it is an octarotor without gravity; " + _BODY,
-    },
-    "controller": {
-        f"{robot}_{kind}_control": _GAINS
-        for robot in ("lmf2", "magpie", "octarotor")
-        for kind in ("position", "velocity", "attitude", "rates", "acceleration")
-    }
-    | dict.fromkeys(
-        ("rov_fully_actuated_control", "fully_actuated_control"),
-        "a full pose is no command of a law here yet; lee_position_control holds position and yaw",
-    ),
+    "robot": dict.fromkeys(("morphy", "morphy_fixed_base", "morphy_stiff", "snakey", "snakey5", "snakey6"), _JOINTS),
+    "controller": {},
     "task": dict.fromkeys(
         (
             "position_setpoint_task_reconfigurable",

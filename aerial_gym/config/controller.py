@@ -91,6 +91,9 @@ class ControlCfg:
     """Largest tilt that position, velocity and acceleration control ask for [rad], > 0 and < pi/2. If not given it leaves half
     of the thrust beyond the weight for climbing and turning, and is pi/3 at most."""
 
+    buoyancy: float = 0.0
+    """Upward force of water that the autopilot counts on [N], >= 0: that of the effect ``buoyancy``, if it is known."""
+
     gains: LeeGainsCfg | None = None
     """Explicit gains in place of all of the above, as identified or published for this robot."""
 
@@ -114,6 +117,8 @@ class ControlCfg:
             if value is not None and not all(0.0 <= number < inf for number in value):
                 raise ConfigError(f"ControlCfg.{name} = {value!r}: must be >= 0 and finite")
         require_positive(self, "max_yaw_rate", *(("max_inclination",) if self.max_inclination is not None else ()))
+        if not 0.0 <= self.buoyancy < inf:
+            raise ConfigError(f"ControlCfg.buoyancy = {self.buoyancy!r}: must be >= 0 and finite")
         if self.max_inclination is not None:
             _require_tilt(self, self.max_inclination)
 

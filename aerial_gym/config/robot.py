@@ -73,7 +73,8 @@ class BodyCfg:
         if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
             raise ConfigError(
                 f"BodyCfg.inertia: principal moments {moments.tolist()} violate the triangle inequality; "
-                "the largest must not exceed the sum of the others"
+                "the largest must not exceed the sum of the others. No body is like that: check digits and units, and that it "
+                "is of the whole vehicle"
             )
 
 

@@ -214,13 +214,32 @@ class Allocation:
 
         Of the first environment; 0 where there is none.
         """
+        return self.wrench_authority(weight)[3:]
+
+    def wrench_authority(self, weight: float) -> Tensor:
+        """Return force [N] and torque [N m], (6,), that the rotors give both ways along each body axis on top of a weight [N].
+
+        Of the first environment; 0 where there is none.
+        """
+        limit = self._room(weight).amin(0)
+        return torch.where(limit.isfinite(), limit * self.given, 0.0)
+
+    @property
+    def given(self) -> Tensor:
+        """Which share of an asked force or torque along each body axis comes, (6,): 1 where they give it by itself, else 0."""
+        return (self._matrix * self.inverse[0].detach().T).sum(-1)
+
+    def limiting_rotors(self, weight: float) -> Tensor:
+        """Return the number from 0 of the rotor that ends ``wrench_authority`` along each axis, int64, (6,)."""
+        return self._room(weight).argmin(0)
+
+    def _room(self, weight: float) -> Tensor:
+        """Return the force and torque at which each rotor reaches a limit, if it carries its part of a weight [N], (R, 6)."""
         inverse, low, high = self.inverse[0].detach(), self.low[0], self.high[0]
         hover = inverse[:, 2] * weight
         room = torch.minimum(high - hover, hover - low).clamp_min(0.0).unsqueeze(-1)
-        need = inverse[:, 3:].abs()
-        limit = torch.where(need > 0.0, room / torch.where(need > 0.0, need, 1.0), torch.inf).amin(0)
-        given = (self._matrix[3:] * inverse[:, 3:].T).sum(-1)  # 1 where the axis can be turned, else 0
-        return torch.where(limit.isfinite(), limit * given, 0.0)
+        need = inverse.abs()
+        return torch.where(need > 0.0, room / torch.where(need > 0.0, need, 1.0), torch.inf)
 
     @property
     def idle(self) -> bool:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from aerial_gym.config import CONFIG_DIR, load
 from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg, RateLoopCfg
+from aerial_gym.config.loader import build, read_yaml
 from aerial_gym.registry import Registry
 
 CONTROLLERS: Registry[ControllerCfg] = Registry("controller")
@@ -19,6 +20,12 @@ for _name, _law, _summary in (
     ("lee_acceleration_control", "acceleration", "acceleration [m/s²], world, and yaw rate [rad/s]"),
     ("lee_attitude_control", "attitude", "thrust (0 is hover), roll, pitch [rad], yaw rate [rad/s]"),
     ("lee_rates_control", "rates", "thrust (0 is hover) and body rates [rad/s]"),
+    ("lee_velocity_steering_angle_control", "steering", "velocity [m/s], vehicle frame, and yaw [rad]"),
+    (
+        "fully_actuated_control",
+        "pose",
+        "position [m] and attitude (xyzw), world, for rotors that push in every direction",
+    ),
 ):
     CONTROLLERS.register(_name, ControllerCfg(summary=_summary, law=_law))
 
@@ -28,3 +35,28 @@ for _law in ("position", "velocity", "acceleration", "attitude", "rates"):
         f"pid_{_law}_control",
         replace(_cfg, summary=f"{_cfg.summary}; over a rate loop with an integral", rate_loop=RateLoopCfg()),
     )
+
+
+def _gains_of(robot: str) -> LeeGainsCfg:
+    """Return the published gains in a robot file."""
+    path = CONFIG_DIR / "robots" / f"{robot}.yaml"
+    control = read_yaml(path)["control"]
+    return build(LeeGainsCfg, control["gains"], where=f"{path}: control: gains")  # type: ignore[index]
+
+
+for _robot in ("lmf2", "magpie", "octarotor"):
+    _file = CONFIG_DIR / "controllers" / f"{_robot}_gains.yaml"
+    _gains = load(LeeGainsCfg, _file) if _file.is_file() else _gains_of(_robot)
+    for _law in ("position", "velocity", "acceleration", "attitude", "rates"):
+        _cfg = CONTROLLERS.get(f"lee_{_law}_control")
+        _summary = f"{_cfg.summary}; with the published gains of the {_robot}"
+        CONTROLLERS.register(f"{_robot}_{_law}_control", replace(_cfg, summary=_summary, gains=_gains))
+
+CONTROLLERS.register(
+    "rov_fully_actuated_control",
+    replace(
+        CONTROLLERS.get("fully_actuated_control"),
+        summary="position [m] and attitude (xyzw), world; with the published gains of the base_rov",
+        gains=load(LeeGainsCfg, CONFIG_DIR / "controllers" / "rov_gains.yaml"),
+    ),
+)

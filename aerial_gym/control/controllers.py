@@ -103,6 +103,11 @@ class LeeController:
         law = LAWS[cfg.law]
         self.action_names, self._law = law.action, law
         self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
+        if law.lateral and not bool((self.allocation.given > 0.999).all()):
+            raise ConfigError(
+                f"law {cfg.law!r}: pushes sideways without leaning, and the rotors of this vehicle do not. Take "
+                "lee_position_control, or a robot with rotors that point in several directions (aerial-gym check: rank 6)"
+            )
         self.gains = gains_for(cfg, control, vehicle, self.allocation, gravity=gravity, dt=dt)
 
     @property
@@ -127,7 +132,7 @@ class LeeController:
             self.allocation,
             len(self.action_names),
             saturation=self.allocation.saturation,
-            lateral=False,
+            lateral=self._law.lateral,
             idle=self.allocation.idle,
             wrench=self._law.fused,
             prepare=self._law.prepare,
@@ -181,6 +186,8 @@ def make_controller(
             f"gravity = {gravity!r}: the law {cfg.law!r} holds a vehicle against its weight; without weight use no_control or "
             "rotor_speed_control"
         )
+    if cfg.law in LAWS and LAWS[cfg.law].lateral and remembers(cfg):
+        raise ConfigError(f"law {cfg.law!r}: runs at every physics step and without a rate loop. Leave those out")
     if cfg.law in LAWS and not remembers(cfg):
         return LeeController(cfg, vehicle, gravity, dt=dt, control=control)
     if cfg.law in LAWS:

@@ -33,6 +33,10 @@ LARGEST_INCLINATION = pi / 3
 """Of a vehicle with thrust to spare [rad]. Source: Aerial Gym Simulator 2.0.1, max_inclination_angle_rad."""
 
 
+LEAST_GRAVITY = 1.0
+"""Against which a leaning thrust accelerates sideways by 1.7 m/s² at most, at ``LARGEST_INCLINATION`` [m/s²]."""
+
+
 def loop_shape(lag: float, phase_margin: float) -> tuple[float, float]:
     """Return natural frequency [rad/s] and damping ratio of a loop with a lag T [s] and a phase margin [rad].
 
@@ -114,6 +118,8 @@ def derived_inclination(vehicle: Vehicle, allocation: Allocation, gravity: float
     Derived: ``cos tilt (1 + (F / (m g) - 1) / 2) = 1`` with the largest thrust F along body z.
     """
     weight = float(vehicle.mass[0]) * gravity
+    if weight <= 0.0:
+        return LARGEST_INCLINATION
     surplus = max(allocation.largest_thrust() / weight - 1.0, 0.0)
     return min(acos(1.0 / (1.0 + 0.5 * surplus)), LARGEST_INCLINATION)
 
@@ -136,14 +142,30 @@ def gains_for(
     """Return the gains of a controller: explicit ones where there are any, else ``derived_gains``.
 
     Raises:
-        ConfigError: If gains must be derived and there is no time step.
+        ConfigError: If gains must be derived and there is no time step, or the law needs a weight that water carries.
     """
+    gravity = apparent_gravity(control, float(vehicle.mass[0]), gravity)
+    _require_weight(cfg.law, gravity)
     explicit = explicit_gains_of(cfg, control)
     if explicit is not None:
         return explicit_gains(explicit, vehicle, gravity)
     if dt is None:
         raise ConfigError(f"law {cfg.law!r}: gains are derived from the time step. Give dt [s]")
     return derived_gains(control, vehicle, allocation, gravity=gravity, dt=dt, extra_lag=extra_lag)
+
+
+def apparent_gravity(control: ControlCfg, mass: float, gravity: float) -> float:
+    """Return the gravity [m/s²] that is left for the rotors of a mass [kg] to hold, with the buoyancy that is declared."""
+    return gravity - control.buoyancy / mass
+
+
+def _require_weight(law: str, gravity: float) -> None:
+    """Raise ``ConfigError`` for a law that leans its thrust against the weight, where water carries that."""
+    if law != "pose" and gravity < LEAST_GRAVITY:
+        raise ConfigError(
+            f"law {law!r}: moves sideways by leaning against the weight, of which water leaves {gravity:.3g} N per kg "
+            f"(control: buoyancy); needs {LEAST_GRAVITY:g}. Take rov_fully_actuated_control"
+        )
 
 
 def explicit_gains(cfg: LeeGainsCfg, vehicle: Vehicle, gravity: float) -> LeeGains:

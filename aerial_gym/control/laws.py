@@ -11,8 +11,10 @@ from aerial_gym.control.lee import (
     LeeGains,
     acceleration_control,
     attitude_control,
+    pose_control,
     position_control,
     rates_control,
+    steering_control,
     velocity_control,
 )
 from aerial_gym.physics.state import BodyState
@@ -34,6 +36,9 @@ class Law:
     action: tuple[str, ...]
     """What each entry of the action is, with its unit."""
 
+    lateral: bool = False
+    """Whether it pushes sideways as well, for which the rotors must point in more than one direction."""
+
     trim: str
     """Axes of ``control.stability`` that the law brings to rest; it leaves the others to themselves."""
 
@@ -45,6 +50,21 @@ LAWS: dict[str, Law] = {
         prepare=lee_fused.prepare_position,
         action=("x [m]", "y [m]", "z [m]", "yaw [rad]"),
         trim="x y z roll pitch yaw vx vy vz p q r",
+    ),
+    "pose": Law(
+        wrench=pose_control,
+        fused=lee_fused.pose_control,
+        prepare=lee_fused.prepare_pose,
+        action=("x [m]", "y [m]", "z [m]", "q_x [-]", "q_y [-]", "q_z [-]", "q_w [-]"),
+        lateral=True,
+        trim="x y z roll pitch yaw vx vy vz p q r",
+    ),
+    "steering": Law(
+        wrench=steering_control,
+        fused=lee_fused.steering_control,
+        prepare=lee_fused.prepare_steering,
+        action=("vx [m/s]", "vy [m/s]", "vz [m/s]", "yaw [rad]"),
+        trim="roll pitch yaw vx vy vz p q r",
     ),
     "velocity": Law(
         wrench=velocity_control,

@@ -12,7 +12,7 @@ from math import tan
 import torch
 from torch import Tensor
 
-from aerial_gym.math.quaternion import quat_from_yaw, quat_rotate, quat_to_matrix, yaw_from_quat
+from aerial_gym.math.quaternion import quat_from_yaw, quat_rotate, quat_rotate_inverse, quat_to_matrix, yaw_from_quat
 from aerial_gym.physics.state import BodyState
 
 
@@ -144,6 +144,29 @@ def position_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tenso
     """Return the wrench for x, y, z [m, world] and yaw [rad], action (E, 4): ``a = K_p e_p + K_v e_v``."""
     acceleration = gains.position * (action[:, :3] - state.position) - gains.velocity * state.lin_vel
     return acceleration_wrench(state, acceleration, action[:, 3], None, gains)
+
+
+def pose_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
+    """Return the wrench for x, y, z [m] and attitude, xyzw, world, action (E, 7): position and attitude by themselves.
+
+    ``F = R^T m (K_p e_p - K_v v - g)`` pushes in any direction, and the torque turns to the attitude. A quaternion of zeros
+    stands for no turn.
+    """
+    acceleration = gains.position * (action[:, :3] - state.position) - gains.velocity * state.lin_vel
+    force = gains.mass.unsqueeze(-1) * torch.cat((acceleration[:, :2], acceleration[:, 2:] + gains.gravity), dim=-1)
+    size = action[:, 3:].norm(dim=-1, keepdim=True)
+    level = torch.zeros_like(action[:, 3:])
+    level[:, 3] = 1.0
+    desired = quat_to_matrix(torch.where(size > 0.0, action[:, 3:] / torch.where(size > 0.0, size, 1.0), level))
+    rotation, still = quat_to_matrix(state.attitude), torch.zeros_like(state.ang_vel)
+    torque = attitude_torque(gains, rotation, desired, state.ang_vel, still)
+    return torch.cat((quat_rotate_inverse(state.attitude, force), torque), dim=-1)
+
+
+def steering_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
+    """Return the wrench for vx, vy, vz [m/s, vehicle frame] and yaw [rad], action (E, 4)."""
+    wanted = quat_rotate(quat_from_yaw(yaw_from_quat(state.attitude)), action[:, :3])
+    return acceleration_wrench(state, gains.velocity * (wanted - state.lin_vel), action[:, 3], None, gains)
 
 
 def velocity_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:

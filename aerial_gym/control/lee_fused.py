@@ -13,7 +13,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.control.lee import LeeGains
-from aerial_gym.physics.fused.functions import inverse_root, rotate_inverse, unit
+from aerial_gym.physics.fused.functions import inverse_root, rotate, rotate_inverse, unit
 
 
 @wp.struct
@@ -152,6 +152,7 @@ def force_wrench(
 
 vec5 = wp.types.vector(length=5, dtype=wp.float32)
 vec6 = wp.types.vector(length=6, dtype=wp.float32)
+vec7 = wp.types.vector(length=7, dtype=wp.float32)
 
 
 @wp.func
@@ -172,6 +173,57 @@ def position_control(
 
 
 @wp.func
+def prepare_pose(action: vec7, gains: Gains) -> vec7:
+    """Return x, y, z [m] and a unit quaternion; that of no turn in place of zeros."""
+    q = wp.quat(action[3], action[4], action[5], action[6])
+    if wp.length(q) == 0.0:
+        q = wp.quat_identity()
+    q = wp.normalize(q)
+    return vec7(action[0], action[1], action[2], q[0], q[1], q[2], q[3])
+
+
+@wp.func
+def pose_control(
+    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: vec7, gains: Gains
+) -> wp.spatial_vector:
+    """Return the wrench for x, y, z [m, world] and an attitude."""
+    error = wp.vec3(wanted[0], wanted[1], wanted[2]) - position
+    acceleration = wp.cw_mul(gains.position, error) - wp.cw_mul(gains.velocity, lin_vel)
+    force = gains.mass * rotate_inverse(attitude, acceleration + wp.vec3(0.0, 0.0, gains.gravity))
+    turn = wp.quat(wanted[3], wanted[4], wanted[5], wanted[6])
+    d1 = rotate_inverse(attitude, rotate(turn, wp.vec3(1.0, 0.0, 0.0)))
+    d2 = rotate_inverse(attitude, rotate(turn, wp.vec3(0.0, 1.0, 0.0)))
+    torque = rate_torque(gains, ang_vel, wp.vec3()) + attitude_torque(gains, d1, d2, wp.cross(d1, d2))
+    return wp.spatial_vector(force, torque)
+
+
+@wp.func
+def prepare_steering(action: wp.vec4, gains: Gains) -> vec5:
+    """Return vx, vy, vz [m/s] and cosine and sine of the yaw."""
+    return vec5(action[0], action[1], action[2], wp.cos(action[3]), wp.sin(action[3]))
+
+
+@wp.func
+def steering_control(
+    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: vec5, gains: Gains
+) -> wp.spatial_vector:
+    """Return the wrench for vx, vy, vz [m/s, vehicle frame] and yaw [rad]."""
+    inverse = inverse_cos_pitch(up_of(attitude))
+    velocity = from_vehicle_frame(attitude, inverse, wp.vec3(wanted[0], wanted[1], wanted[2]))
+    force = limited_force(gains, wp.cw_mul(gains.velocity, velocity - lin_vel))
+    heading = rotate_inverse(attitude, wp.vec3(wanted[3], wanted[4], 0.0))
+    return force_wrench(gains, attitude, ang_vel, force, heading, wp.vec3())
+
+
+@wp.func
+def from_vehicle_frame(q: wp.quat, inverse: float, vector: wp.vec3) -> wp.vec3:
+    """Return a vector of the vehicle frame in the world, from ``1 / cos pitch``."""
+    cosine = inverse * (1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]))
+    sine = inverse * 2.0 * (q[0] * q[1] + q[3] * q[2])
+    return wp.vec3(cosine * vector[0] - sine * vector[1], sine * vector[0] + cosine * vector[1], vector[2])
+
+
+@wp.func
 def prepare_velocity(action: wp.vec4, gains: Gains) -> wp.vec4:
     """Return vx, vy, vz [m/s] and the limited yaw rate [rad/s]."""
     return wp.vec4(action[0], action[1], action[2], limited_yaw_rate(action[3], gains))
@@ -185,9 +237,7 @@ def velocity_control(
     q = attitude
     up = up_of(q)
     inverse = inverse_cos_pitch(up)
-    cosine = inverse * (1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]))
-    sine = inverse * 2.0 * (q[0] * q[1] + q[3] * q[2])
-    velocity = wp.vec3(cosine * wanted[0] - sine * wanted[1], sine * wanted[0] + cosine * wanted[1], wanted[2])
+    velocity = from_vehicle_frame(q, inverse, wp.vec3(wanted[0], wanted[1], wanted[2]))
     force = limited_force(gains, wp.cw_mul(gains.velocity, velocity - lin_vel))
     return force_wrench(gains, q, ang_vel, force, heading_of(up, inverse), wanted[3] * up)
 

@@ -24,7 +24,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.cascade import CascadeController
 from aerial_gym.control.controllers import LeeController, make_controller
-from aerial_gym.control.gains import GAINS, ends_of, explicit_gains_of
+from aerial_gym.control.gains import GAINS, apparent_gravity, ends_of, explicit_gains_of
 from aerial_gym.control.laws import LAWS
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_log
@@ -243,7 +243,8 @@ class ClosedLoop:
         self._corners = [None, *(product((0, 1), repeat=len(self.drawn)) if self.drawn else ())]
         self._vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         allocation = Allocation(self._vehicle, gravity)
-        weight = robot.body.mass * gravity
+        self._felt = apparent_gravity(robot.control, robot.body.mass, gravity)
+        weight = robot.body.mass * self._felt
         self._hover = allocation.inverse[0, :, 2] * weight
         low, high = allocation.low[0], allocation.high[0]
         if bool(((self._hover < low) | (self._hover > high)).any()):
@@ -253,7 +254,8 @@ class ClosedLoop:
             )
         weak = allocation.torque_authority(weight) == 0.0
         idle = {name for pair, none in zip(_TURNS, weak.tolist(), strict=True) if none for name in pair}
-        self._axes = " ".join(name for name in LAWS[controller.law].trim.split() if name not in idle)
+        self.axes = " ".join(name for name in LAWS[controller.law].trim.split() if name not in idle)
+        """Of ``AXES``, what the law and the rotors control."""
 
     def radius(self, dt: float) -> float:
         """Return the spectral radius at a time step [s]; where gains are drawn, the largest of ``radii``."""
@@ -284,8 +286,8 @@ class ClosedLoop:
             self._vehicle,
             make_law,
             torch.zeros(len(LAWS[self._controller.law].action)),
-            axes=self._axes,
-            gravity=self._gravity,
+            axes=self.axes,
+            gravity=self._felt,
             dt=dt,
             integrator=self._integrator,
             hover_thrust=self._hover,

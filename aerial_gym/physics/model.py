@@ -20,6 +20,7 @@ from aerial_gym.physics.effects import (
     Effect,
     EffectParams,
     EffectsByKind,
+    FluidEffect,
     LearnedResidual,
     LoadEffect,
     VehicleEffect,
@@ -145,7 +146,7 @@ def _check_scene(effects: Sequence[EffectParams], ceiling_height: float | Tensor
             raise ConfigError(
                 f"effect {effect.name}: there is no ceiling. Give ceiling_height [m] in the environment file"
             )
-    for kind, what in ((LoadEffect, "load"), (DelayEffect, "delay")):
+    for kind, what in ((LoadEffect, "load"), (DelayEffect, "delay"), (FluidEffect, "fluid")):
         names = [effect.name for effect, _ in effects if effect.kind is kind]
         if len(names) > 1:
             raise ConfigError(f"effects {names[0]} and {names[1]}: a vehicle has one {what} at most. Drop one of them")

@@ -19,6 +19,7 @@ from aerial_gym.physics.answers import Answers
 from aerial_gym.physics.effects import (
     Condition,
     Effect,
+    FluidEffect,
     LoadEffect,
     RotorEffect,
     Suspension,
@@ -30,7 +31,7 @@ from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import is_shared
 
-_FORCES = (WindEffect, RotorEffect, WrenchEffect, LoadEffect)
+_FORCES = (WindEffect, RotorEffect, WrenchEffect, FluidEffect, LoadEffect)
 """Kinds on which the acceleration in a state depends."""
 
 
@@ -69,7 +70,7 @@ def body_wrench(
         rotor_acc: Angular accelerations of the rotors [rad/s²], (E, R).
     """
     vehicle = model.vehicle
-    if not model.effects[RotorEffect] and not model.effects[WrenchEffect]:
+    if not any(model.effects[kind] for kind in (RotorEffect, WrenchEffect, FluidEffect)):
         thrust, drag = rotor_thrust(vehicle, rotor_speed), rotor_torque(vehicle, rotor_speed)
         return rotor_wrench(vehicle, thrust, drag)
     return _wrench_in(model, _condition_in(model, position, attitude, com_vel, ang_vel, rotor_speed, rotor_acc))
@@ -130,6 +131,9 @@ def _wrench_in(model: Model, condition: Condition, answers: Answers[Condition] |
     for effect, params in model.effects[WrenchEffect]:
         wrench = asked(effect.wrench, condition, params)
         force, torque = force + wrench[:, :3], torque + wrench[:, 3:]
+    for effect, params in model.effects[FluidEffect]:
+        wrench = effect.entrain(torch.cat((force, torque), dim=-1), condition, model.gravity, params)
+        force, torque = wrench[:, :3], wrench[:, 3:]
     return force, torque
 
 

@@ -26,6 +26,15 @@ for _name in (
     "lmf2",
     "magpie",
     "x500",
+    "base_quad_root_link_control",
+    "base_octarotor",
+    "base_random",
+    "typhoon_hexarotor",
+    "tilted_hexarotor",
+    "coaxial_octarotor",
+    "racing_quadrotor",
+    "base_rov",
+    "bluerov2_heavy",
 ):
     _path = _FOLDER / f"{_name}.yaml"
     ROBOTS.register_later(_name, partial(load_robot, _path), summary=partial(summary_in, _path))
@@ -38,6 +47,16 @@ def _variant(summary: str, change: Callable[[RobotCfg], RobotCfg], *, of: str = 
 
 def _carrying(*sensors: str) -> Callable[[RobotCfg], RobotCfg]:
     return partial(replace, sensors=sensors)
+
+
+def _counted_once(robot: RobotCfg) -> RobotCfg:
+    """Half the inertia: that of the motors, which stands in the base link there, and the motors were added once more."""
+    rows = tuple(tuple(0.5 * number for number in row) for row in robot.body.inertia)
+    source = (
+        "Aerial Gym Simulator 2.0.1, quad URDF: the inertia of its base link, 4 * 6.25 g * (0.13 m)² about x and y, twice that "
+        "about z, is that of the motors, which are then added once more. Here it counts once"
+    )
+    return replace(robot, body=replace(robot.body, inertia=(rows[0], rows[1], rows[2]), source=source))
 
 
 def _on_skids(robot: RobotCfg) -> RobotCfg:
@@ -149,6 +168,12 @@ def _as_raced(robot: RobotCfg) -> RobotCfg:
 
 
 for _name, _of, _change, _summary in (
+    (
+        "base_quadrotor_true_inertia",
+        "base_quadrotor",
+        _counted_once,
+        "base_quadrotor with its motors counted once in the inertia, not twice",
+    ),
     (
         "base_quadrotor_with_camera",
         "base_quadrotor",

@@ -4,7 +4,6 @@ A column of the matrix is force and torque per thrust of a rotor: its axis a, an
 direction d and torque ratio c. The place along the axis changes nothing and is that of the origin.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +12,9 @@ from aerial_gym.assets.urdf import load_urdf
 from aerial_gym.assets.urdf_body import urdf_body
 from aerial_gym.compat.config.fields import Changes, Values, same
 from aerial_gym.compat.directory import AERIAL_GYM_DIRECTORY
-from aerial_gym.config.robot import (
-    BodyCfg,
-    BoxCfg,
-    CollisionCfg,
-    MountCfg,
-    MountsCfg,
-    PartCfg,
-    RobotCfg,
-    SphereCfg,
-    Vec3,
-)
+from aerial_gym.config.robot import BodyCfg, MountCfg, MountsCfg, RobotCfg, Vec3
 from aerial_gym.errors import ConfigError
+from aerial_gym.robots.importers.shapes import collision_of, shape_of
 
 FOLDER = f"{AERIAL_GYM_DIRECTORY}/resources/robots/quad"
 """Folder of the URDF in a class that stands for a robot of ours; it need not be there."""
@@ -102,36 +92,9 @@ def body(values: Values) -> Changes:
             com=_vec3(whole.com),
             source=f"URDF {path.name}, all links at zero joint angles",
         ),
-        "collision": _collision(load_urdf(path).parts or (), path.name),
+        "collision": collision_of([shape_of(part) for part in load_urdf(path).parts or ()], f"URDF {path.name}"),
         "summary": f"robot of {path.name}",
     }
-
-
-def _collision(parts: Sequence[PartCfg], name: str) -> CollisionCfg:
-    """Return the shapes of a URDF: spheres and boxes as they are, the box around a cylinder or a mesh."""
-    spheres = tuple(
-        SphereCfg(center=p.position, radius=p.shape.radius or 0.0) for p in parts if p.shape.kind == "sphere"
-    )
-    boxes = tuple(_box(part) for part in parts if part.shape.kind != "sphere")
-    return CollisionCfg(
-        spheres=spheres, boxes=boxes, source=f"URDF {name}; boxes around cylinders and around the bounds of meshes"
-    )
-
-
-def _box(part: PartCfg) -> BoxCfg:
-    shape = part.shape
-    if shape.kind == "box" and shape.size is not None:
-        return BoxCfg(center=part.position, size=shape.size, euler=part.euler)
-    if shape.kind == "cylinder":
-        across = 2.0 * (shape.radius or 0.0)
-        return BoxCfg(center=part.position, size=(across, across, shape.height or 0.0), euler=part.euler)
-    import trimesh
-    from trimesh.transformations import euler_matrix
-
-    mesh = trimesh.load(shape.path, force="mesh")
-    low, high = np.asarray(mesh.bounds) * shape.scale  # pyright: ignore[reportAttributeAccessIssue]
-    center = euler_matrix(*part.euler, axes="sxyz")[:3, :3] @ (0.5 * (low + high)) + part.position
-    return BoxCfg(center=_vec3(center), size=_vec3(high - low), euler=part.euler)
 
 
 def _vec3(vector: np.ndarray) -> Vec3:

@@ -240,9 +240,10 @@ class Suspension:
 class Effect(ABC):
     """A named physical effect. Subclasses say where they act.
 
-    ``VehicleEffect``, ``WindEffect``, ``RotorEffect``, ``WrenchEffect``, ``LoadEffect``, ``DelayEffect``, ``CommandEffect``,
-    ``ImuEffect``, ``RotorSensorEffect``. An effect on the wind, rotors, wrench or command may remember M numbers of each
-    environment: the backend keeps them, and passes them behind the parameters wherever it calls the effect, (E, P + M).
+    ``VehicleEffect``, ``WindEffect``, ``RotorEffect``, ``WrenchEffect``, ``FluidEffect``, ``LoadEffect``, ``DelayEffect``,
+    ``CommandEffect``, ``ImuEffect``, ``RotorSensorEffect``. An effect on the wind, rotors, wrench or command may remember M
+    numbers of each environment: the backend keeps them, and passes them behind the parameters wherever it calls the effect,
+    (E, P + M).
     """
 
     kind: ClassVar[type["Effect"]]
@@ -271,6 +272,8 @@ class Effect(ABC):
     """What a log must hold in place of its memory."""
     rotors: ClassVar[tuple[RotorTrait, ...]] = ("slew", "dead_band")
     """What rotors may have beyond a plain speed under it; with others it is refused by name."""
+    medium: ClassVar[Literal["air", "water"]] = "air"
+    """In what it matters; flights are in air."""
     random: ClassVar[bool] = False
     """Whether chance decides what it does, so that it predicts no row of a flight."""
 
@@ -279,6 +282,11 @@ class Effect(ABC):
         super().__init_subclass__()
         if Effect in cls.__bases__:
             cls.kind = cls
+
+    @property
+    def sought(self) -> bool:
+        """Whether it is looked for in flights of which nobody said that it acts there."""
+        return not self.random and self.medium == "air"
 
     @property
     def has_twin(self) -> bool:
@@ -454,6 +462,37 @@ class LinearWrenchEffect(WrenchEffect):
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return force and torque (E, 6), body axes: the regressor times the parameters (E, P)."""
         return dot(self.regressor(condition), params.unsqueeze(1))
+
+
+class FluidEffect(Effect):
+    """Fluid that a body sets in motion with it: it changes the accelerations that all forces together give. One at most."""
+
+    acts_on = "inertia"
+    twin = "warp_entrain"
+    rotors = ANY_ROTOR
+
+    @abstractmethod
+    def entrain(self, wrench: Tensor, condition: Condition, gravity: float, params: Tensor) -> Tensor:
+        """Return the force [N] and torque [N m] under which the body alone would move as it does with the fluid, body, (E, 6).
+
+        Args:
+            wrench: Of everything else but gravity, likewise, (E, 6).
+            condition: At this instant.
+            gravity: Downward acceleration of free fall [m/s²].
+            params: (E, P).
+        """
+
+    def warp_entrain(self, condition: type) -> wp.Function | None:
+        """Return the twin of ``entrain``, or None: the effect then runs on the torch backend only.
+
+        Args:
+            condition: The ``wp.struct`` with the fields of ``Condition`` for this number of rotors.
+
+        Returns:
+            A ``wp.func`` (wrench: wp.spatial_vector, condition, mass [kg], gravity, params: vector of P) -> wp.spatial_vector.
+        """
+        del condition
+        return None
 
 
 class LoadEffect(Effect):

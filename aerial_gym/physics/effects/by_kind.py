@@ -13,6 +13,7 @@ from aerial_gym.physics.effects.base import (
     CommandEffect,
     DelayEffect,
     Effect,
+    FluidEffect,
     LoadEffect,
     RotorEffect,
     WindEffect,
@@ -22,7 +23,15 @@ from aerial_gym.physics.effects.base import (
 EffectParams = tuple[Effect, Tensor]
 """An effect and its parameters, (E, P)."""
 
-STEP_KINDS: tuple[type[Effect], ...] = (WindEffect, RotorEffect, WrenchEffect, CommandEffect, DelayEffect, LoadEffect)
+STEP_KINDS: tuple[type[Effect], ...] = (
+    WindEffect,
+    RotorEffect,
+    WrenchEffect,
+    FluidEffect,
+    CommandEffect,
+    DelayEffect,
+    LoadEffect,
+)
 """Kinds that act in every step, in the order of parameters and memory; a load comes last, as its memory moves with the body."""
 
 Kind = TypeVar("Kind", bound=Effect)

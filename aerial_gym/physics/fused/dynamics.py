@@ -8,7 +8,15 @@ from typing import Any
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.physics.effects import DelayEffect, Effect, LoadEffect, RotorEffect, WindEffect, WrenchEffect
+from aerial_gym.physics.effects import (
+    DelayEffect,
+    Effect,
+    FluidEffect,
+    LoadEffect,
+    RotorEffect,
+    WindEffect,
+    WrenchEffect,
+)
 from aerial_gym.physics.fused.functions import (
     angular_acceleration,
     attitude_rate,
@@ -120,6 +128,9 @@ def make_accelerations(model: Model) -> wp.Function:
     ground_height = 0.0 if isinstance(model.ground_height, Tensor) else model.ground_height
     ceiling_height = NO_CEILING if model.ceiling_height is None else model.ceiling_height
     hang = _make_hang(model)
+    any_fluid = bool(effects[FluidEffect])
+    entrain = effects[FluidEffect][0][0].warp_entrain(types.condition) if any_fluid else None
+    entrain_params = picks[FluidEffect][0].get if any_fluid else None
 
     @wp.func
     def accelerations(
@@ -143,7 +154,7 @@ def make_accelerations(model: Model) -> wp.Function:
         if wp.static(own_ground):
             ground = vehicle.ground_height
         ceiling = float(wp.static(ceiling_height))
-        if wp.static(any_rotor or any_wrench):
+        if wp.static(any_rotor or any_wrench or any_fluid):
             at.position = position
             at.attitude = attitude
             at.air_velocity = rotate_inverse(attitude, lin_vel - wind(position, params))
@@ -176,6 +187,12 @@ def make_accelerations(model: Model) -> wp.Function:
             more = wrench(at, params)
             force += wp.spatial_top(more)
             torque += wp.spatial_bottom(more)
+        if wp.static(any_fluid):
+            whole = entrain(
+                wp.spatial_vector(force, torque), at, 1.0 / vehicle.mass_inverse, gravity, entrain_params(params)
+            )
+            force = wp.spatial_top(whole)
+            torque = wp.spatial_bottom(whole)
         acc = rotate(attitude, vehicle.mass_inverse * force) - wp.vec3(0.0, 0.0, gravity)
         ang_acc = angular_acceleration(vehicle.inertia, vehicle.inertia_inverse, ang_vel, torque)
         swing = wp.spatial_vector()

@@ -16,7 +16,15 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.physics.effects import STEP_KINDS, CommandEffect, Effect, LoadEffect, RotorEffect, WrenchEffect
+from aerial_gym.physics.effects import (
+    STEP_KINDS,
+    CommandEffect,
+    Effect,
+    FluidEffect,
+    LoadEffect,
+    RotorEffect,
+    WrenchEffect,
+)
 from aerial_gym.physics.fused.law import FusedLaw, NoGains
 from aerial_gym.physics.fused.types import RotorTypes, rotor_types, vector_of
 from aerial_gym.physics.model import Model
@@ -91,9 +99,9 @@ def _vehicle_fields(model: Model, stage: float) -> list[Field]:
         fields.append(Field("battery", (v.battery,), _same))
     if isinstance(model.ground_height, Tensor):
         fields.append(Field("ground_height", (model.ground_height,), _same))
-    if model.effects[WrenchEffect]:
+    if model.effects[WrenchEffect] or model.effects[FluidEffect]:
         fields.append(Field("other_position", (model.other_position,), _same))
-    if model.effects[RotorEffect] or model.effects[WrenchEffect]:
+    if any(model.effects[kind] for kind in (RotorEffect, WrenchEffect, FluidEffect)):
         fields += [
             Field("rotor_lever", (v.rotor_position, v.com), lambda position, com: position - com.unsqueeze(1)),
             Field("rotor_radius", (v.rotor_radius,), _same),

@@ -33,9 +33,10 @@ def test_every_robot_survives_writing_and_reading(name: str, tmp_path: Path) -> 
 @pytest.mark.parametrize("name", ROBOTS.names())
 def test_every_robot_can_hover_inside_its_thrust_limits_and_names_its_sources(name: str) -> None:
     robot = ROBOTS.get(name)
-    low, high = robot.rotor.thrust_range
-    assert low < robot.body.mass * 9.81 / robot.num_rotors < 0.9 * high
-    for part in (robot.body, robot.rotor, robot.mounts, robot.collision):
+    for rotor in robot.rotor_types:
+        low, high = rotor.thrust_range
+        assert low < robot.body.mass * 9.81 / robot.num_rotors < 0.9 * high
+    for part in (robot.body, *robot.rotor_types, robot.mounts, robot.collision):
         assert len(part.source) > 10
 
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.config.controller import ControllerCfg
+from aerial_gym.control import make_controller
 from aerial_gym.control.laws import LAWS
 from aerial_gym.physics import BodyState, WarpBackend, build_model, vehicle_from_config
 from aerial_gym.robots import ROBOTS
@@ -20,12 +21,14 @@ def test_a_launch_of_many_substeps_is_as_many_launches(name: str) -> None:
 
     Actions are to both sides of the limits of inclination and yaw rate, and turn all ways.
     """
-    vehicle = vehicle_from_config(ROBOTS.get("base_quadrotor"), num_envs=ENVS)
-    law = make_controller(CONTROLLERS.get(f"lee_{name}_control"), vehicle, 9.81, dt=DT)
+    robot = ROBOTS.get("omnidirectional_octarotor" if name == "pose" else "base_quadrotor")
+    vehicle = vehicle_from_config(robot, num_envs=ENVS)
+    law = make_controller(ControllerCfg(summary="", law=name), vehicle, 9.81, dt=DT)
     backend = WarpBackend()
     backend.allocate(build_model(vehicle), law, integrator="euler")
-    actions = 6.0 * (torch.rand(ENVS, 4, generator=torch.Generator().manual_seed(1)) - 0.5)
+    actions = 6.0 * (torch.rand(ENVS, len(law.action_names), generator=torch.Generator().manual_seed(1)) - 0.5)
     start = random_state(ENVS, seed=2, rotor_speed=400.0)
+    start = replace(start, rotor_speed=start.rotor_speed[:, :1].expand(-1, vehicle.num_rotors))
     start = replace(start, **{key: value.float() for key, value in vars(start).items()})
     once, each = (BodyState(**{key: value.clone() for key, value in vars(start).items()}) for _ in range(2))
     backend.step(once, actions, DT, SUBSTEPS)

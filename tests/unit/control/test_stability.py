@@ -22,7 +22,8 @@ from aerial_gym.physics import TorchBackend, build_model, state_at_rest, vehicle
 from aerial_gym.physics.law_memory import law_command
 from aerial_gym.robots import ROBOTS
 
-LAWS = [name for name in CONTROLLERS.names() if CONTROLLERS.get(name).law not in ("thrust", "rotor_speed")]
+OWN_GAINS = [name for name in CONTROLLERS.names() if CONTROLLERS.get(name).gains is None]
+LAWS = [name for name in OWN_GAINS if CONTROLLERS.get(name).law not in ("thrust", "rotor_speed", "pose")]
 RATES = CONTROLLERS.get("lee_rates_control")
 
 

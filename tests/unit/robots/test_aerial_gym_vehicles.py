@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from aerial_gym import SimBuilder
+from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.allocation import allocation_matrix
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import rotor_thrust
@@ -66,16 +67,56 @@ def test_variants_differ_by_their_sensor_alone() -> None:
     assert ROBOTS.get("magpie").sensors == ROBOTS.get("base_quadrotor_with_dome_lidar").sensors
 
 
-@pytest.mark.parametrize(
-    ("robot", "base", "motor", "arm"),
-    [("x500", (0.0139, 0.0139, 0.0246), 0.064, 0.174)]
-    + [(name, (0.013, 0.014, 0.013), 0.01, 0.1) for name in ("lmf1", "lmf2", "magpie")],
+RANDOM_MATRIX = (
+    (0.0, -0.321393805, -0.454519478, -0.342020143, 0.96984631, 0.342020143, 0.866025404, -0.754406507),
+    (1.0, -0.342020143, -0.707106781, 0.0, -0.173648178, 0.939692621, 0.5, -0.173648178),
+    (0.0, -0.883022222, 0.54167522, 0.939692621, 0.171010072, 0.0, 0.0, 0.633022222),
+    (0.175, 0.123788742, -0.0569783368, 0.134977168, 0.0336959042, -0.266534135, -0.078839746, -0.0206893989),
+    (0.01, 0.278845133, -0.0432852308, -0.272061766, -0.197793856, 0.0863687139, 0.156554446, -0.17126129),
+    (0.282487373, -0.14173549, -0.0858541103, 0.0384858939, -0.333468026, 0.0836741468, 0.00846777988, -0.0874336259),
 )
-def test_the_inertia_is_that_of_the_body_and_its_four_motors(
-    robot: str, base: tuple[float, float, float], motor: float, arm: float
-) -> None:
-    """Steiner: a motor at (±a, ±a) adds m a² about x and y, and 2 m a² about z; to the four digits of the files."""
-    inertia = ROBOTS.get(robot).body.inertia
-    for axis, share in enumerate((1.0, 1.0, 2.0)):
-        expected = base[axis] + 4.0 * motor * share * arm**2
-        assert inertia[axis][axis] == pytest.approx(expected, rel=2e-3)
+"""``base_random_config.allocation_matrix`` of Aerial Gym Simulator 2.0.1."""
+
+OCTAROTOR_MATRIX = (
+    (-0.78867513, 0.21132487, -0.21132487, 0.78867513, 0.78867513, -0.21132487, 0.21132487, -0.78867513),
+    (0.21132487, 0.78867513, -0.78867513, -0.21132487, -0.21132487, -0.78867513, 0.78867513, 0.21132487),
+    (0.57735027, -0.57735027, -0.57735027, 0.57735027, 0.57735027, -0.57735027, -0.57735027, 0.57735027),
+    (0.14226497, -0.21547005, 0.25773503, 0.01547005, -0.01547005, -0.25773503, 0.21547005, -0.14226497),
+    (-0.25773503, 0.01547005, 0.14226497, 0.21547005, -0.21547005, -0.14226497, -0.01547005, 0.25773503),
+    (0.11547005, -0.23094011, -0.11547005, 0.23094011, -0.23094011, 0.11547005, 0.23094011, -0.11547005),
+)
+"""``base_octarotor_config.allocation_matrix`` of the same; its own motors have a tenth of its torque ratio."""
+
+
+def matrix_of(robot: RobotCfg) -> torch.Tensor:
+    return allocation_matrix(vehicle_from_config(robot, num_envs=1, dtype=torch.float64), 9.81)[0]
+
+
+def test_the_derived_matrix_of_base_random_is_the_published_one() -> None:
+    published = torch.tensor(RANDOM_MATRIX, dtype=torch.float64)
+    torch.testing.assert_close(matrix_of(ROBOTS.get("base_random")), published, rtol=0.0, atol=1e-7)
+
+
+def test_the_derived_matrix_of_base_octarotor_is_the_published_one_at_its_torque_ratio() -> None:
+    """With 0.1 m in place of the 0.01 m of its motor model all 48 entries agree."""
+    robot = ROBOTS.get("base_octarotor")
+    assert robot.rotor is not None
+    assert robot.rotor.torque_ratio == 0.01
+    as_allocated = replace(robot, rotor=replace(robot.rotor, torque_ratio=0.1))
+    published = torch.tensor(OCTAROTOR_MATRIX, dtype=torch.float64)
+    torch.testing.assert_close(matrix_of(as_allocated), published, rtol=0.0, atol=1e-6)
+    assert (matrix_of(robot) - published).abs().max() > 0.05
+
+
+@pytest.mark.parametrize("robot", ["base_octarotor", "base_random", "tilted_hexarotor", "omnidirectional_octarotor"])
+def test_fully_actuated_robots_push_and_turn_about_every_axis(robot: str) -> None:
+    """Rank 6, with the smallest singular value a hundred times above round-off."""
+    size = torch.linalg.svdvals(matrix_of(ROBOTS.get(robot)))
+    assert size[5] > 0.01 * size[0]
+
+
+@pytest.mark.parametrize("robot", ["typhoon_hexarotor", "coaxial_octarotor", "racing_quadrotor"])
+def test_flat_robots_push_along_one_axis(robot: str) -> None:
+    matrix = matrix_of(ROBOTS.get(robot))
+    assert int(torch.linalg.matrix_rank(matrix, rtol=1e-9)) == 4
+    torch.testing.assert_close(matrix[:3].sum(1)[:2], torch.zeros(2, dtype=torch.float64))

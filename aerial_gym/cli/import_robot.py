@@ -1,0 +1,52 @@
+"""``aerial-gym import-robot``: a robot file from the file of another simulator."""
+
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportRobotCmd:
+    """Write a robot file (.yaml) from a URDF, MJCF or SDF file; one that cannot be flown is refused with the reason."""
+
+    file: Annotated[Path, tyro.conf.Positional]
+    """URDF, MJCF or SDF file."""
+
+    out: Path
+    """Robot file to write (.yaml)."""
+
+    rotors_of: str | None = None
+    """Robot, by name or file, whose rotor type these are; where the file has no rotors, its mounts are taken too."""
+
+    spins: tuple[int, ...] = ()
+    """1 or -1 for each rotor, in the order of the file and in place of what it says: 1 turns positively about the thrust."""
+
+    lag_s: float | None = None
+    """First-order lag of thrusts that follow at once in the file [s]."""
+
+    rotor_links: str | None = None
+    """Regular expression of links that are rotors, in a URDF without motors; names with motor, rotor or prop if not given."""
+
+    summary: str | None = None
+    """One line for people who choose a robot."""
+
+    def run(self) -> int:
+        """Import, write and say what was left out; return the exit status."""
+        from aerial_gym.config.loader import dump_yaml
+        from aerial_gym.env_manager.sim_builder import robot_by_name
+        from aerial_gym.robots.importers import RotorHints, import_robot
+
+        others = None if self.rotors_of is None else robot_by_name(self.rotors_of)
+        hints = RotorHints(rotors_of=others, spins=self.spins, lag=self.lag_s)
+        if self.rotor_links is not None:
+            hints = replace(hints, rotor_links=self.rotor_links)
+        imported = import_robot(self.file, hints)
+        robot = imported.robot if self.summary is None else replace(imported.robot, summary=self.summary)
+        self.out.write_text(dump_yaml(robot), encoding="utf-8")
+        for note in imported.notes:
+            print(f"left out: {note}", file=sys.stderr)
+        print(self.out)
+        return 0

@@ -1,0 +1,57 @@
+"""Water that a hull pushes aside has to be accelerated with it: as if it had another mass along each body axis.
+
+With added masses M_A = diag(x, y, z) at the centre of mass, v through water in steady uniform motion, and the weight m g::
+
+    (m + M_A) a = F + m g + M_A (w x v) - w x (M_A v)      in body axes, a the acceleration in the world
+    J w' = tau - w x J w - v x (M_A v)
+
+The last term, Munk's moment, turns a slender hull across its motion. A pendulum, a terminal speed and the energy
+``1/2 v (m + M_A) v + 1/2 w J w`` come out as they should. ``added_inertia`` is the same for turning.
+Source: Lamb (1932), Hydrodynamics, articles 121-124 (Kirchhoff's equations); Fossen (2021), section 6.3.
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.physics.effects.base import Condition, FluidEffect, Parameter
+from aerial_gym.physics.fused.functions import rotate_inverse
+
+
+class AddedMass(FluidEffect):
+    """Mass of the fluid along each body axis."""
+
+    name = "added_mass"
+    summary = "water that is accelerated with a hull: added mass along each body axis, and the moment of Munk"
+    parameters = tuple(
+        Parameter(name=axis, unit="kg", low=0.0, high=1e4, scale=1.0, meaning=f"added mass along body {axis}")
+        for axis in "xyz"
+    )
+    excitation = "accelerations along each body axis"
+    confused_with = ("payload_mass", "thrust_coefficient")
+    medium = "water"
+
+    def entrain(self, wrench: Tensor, condition: Condition, gravity: float, params: Tensor) -> Tensor:
+        """Return ``S (F + N) + (1 - S) m g up`` with ``S = m / (m + M_A)``, and ``tau - v x (M_A v)``."""
+        mass, v, w = condition.vehicle.mass.unsqueeze(-1), condition.air_velocity, condition.ang_vel
+        share, momentum = mass / (mass + params), params * v
+        turning = params * torch.linalg.cross(w, v) - torch.linalg.cross(w, momentum)
+        force = share * (wrench[:, :3] + turning) + (1.0 - share) * mass * gravity * condition.up
+        return torch.cat((force, wrench[:, 3:] - torch.linalg.cross(v, momentum)), dim=-1)
+
+    def warp_entrain(self, condition: type) -> wp.Function:
+        """Return the same in Warp."""
+
+        @wp.func
+        def added_mass(
+            wrench: wp.spatial_vector, at: condition, mass: float, gravity: float, added: wp.vec3
+        ) -> wp.spatial_vector:
+            v = at.air_velocity
+            momentum = wp.cw_mul(added, v)
+            turning = wp.cw_mul(added, wp.cross(at.ang_vel, v)) - wp.cross(at.ang_vel, momentum)
+            weight = rotate_inverse(at.attitude, wp.vec3(0.0, 0.0, mass * gravity))
+            share = wp.vec3(mass / (mass + added[0]), mass / (mass + added[1]), mass / (mass + added[2]))
+            force = wp.cw_mul(share, wp.spatial_top(wrench) + turning - weight) + weight
+            return wp.spatial_vector(force, wp.spatial_bottom(wrench) - wp.cross(v, momentum))
+
+        return added_mass

@@ -1,0 +1,61 @@
+"""Damping of a hull in water: linear and quadratic, along and about each body axis.
+
+``F_i = -(l_i + q_i |v_i|) v_i`` and ``tau_i = -(a_i + b_i |w_i|) w_i`` at the centre of mass, v through the water. Each axis is
+by itself, as tank tests give it; ``quadratic_drag`` is the law for a body in air, with the speed in place of ``|v_i|``.
+Source: Fossen (2021), Handbook of Marine Craft Hydrodynamics and Motion Control, section 8.1 (uncoupled motions).
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, LinearWrenchEffect, Parameter
+from aerial_gym.physics.fused.types import vector_of
+
+_MEANING = {
+    "l": ("N s/m", "force per speed along body"),
+    "q": ("N s²/m²", "force per speed squared along body"),
+    "a": ("N m s/rad", "torque per rate about body"),
+    "b": ("N m s²/rad²", "torque per rate squared about body"),
+}
+
+
+class HullDrag(LinearWrenchEffect):
+    """Twelve coefficients of damping."""
+
+    name = "hull_drag"
+    summary = "damping of a hull in water: linear and quadratic, along and about each body axis"
+    parameters = tuple(
+        Parameter(name=f"{letter}{axis}", unit=unit, low=0.0, high=1e4, scale=1.0, meaning=f"{meaning} {axis}")
+        for letter, (unit, meaning) in _MEANING.items()
+        for axis in "xyz"
+    )
+    excitation = "several speeds through the water and rates along and about each body axis"
+    confused_with = ("rotor_drag", "quadratic_drag", "constant_wind")
+    rotors = ANY_ROTOR
+    medium = "water"
+    follows = ("velocity",)
+
+    def regressor(self, condition: Condition) -> Tensor:
+        """Return ``-diag(v), -diag(|v| v), -diag(w), -diag(|w| w)`` in their places, (E, 6, 12)."""
+        v, w = condition.air_velocity, condition.ang_vel
+        along, about = (torch.cat([torch.diag_embed(u), torch.diag_embed(u.abs() * u)], dim=-1) for u in (v, w))
+        none = torch.zeros_like(along)
+        return -torch.cat((torch.cat((along, none), dim=-1), torch.cat((none, about), dim=-1)), dim=1)
+
+    def warp_wrench(self, condition: type) -> wp.Function:
+        """Return the same in Warp."""
+        twelve = vector_of(12)
+
+        @wp.func
+        def hull_drag(at: condition, p: twelve) -> wp.spatial_vector:
+            force = wp.vec3()
+            torque = wp.vec3()
+            for i in range(3):
+                v = at.air_velocity[i]
+                w = at.ang_vel[i]
+                force[i] = -(p[i] + p[3 + i] * wp.abs(v)) * v
+                torque[i] = -(p[6 + i] + p[9 + i] * wp.abs(w)) * w
+            return wp.spatial_vector(force, torque)
+
+        return hull_drag

@@ -1,0 +1,14 @@
+"""What a robot file describes: whether it can be, hover, turn and be controlled, before anything is trained on it."""
+
+from typing import TYPE_CHECKING
+
+from aerial_gym.lazy import exports
+
+if TYPE_CHECKING:
+    from aerial_gym.robots.check.flights import StableStep, largest_stable_step
+    from aerial_gym.robots.check.picture import draw_rotors
+    from aerial_gym.robots.check.report import RobotReport, check_robot
+
+__all__ = ["RobotReport", "StableStep", "check_robot", "draw_rotors", "largest_stable_step"]
+
+__getattr__, __dir__ = exports(__name__, __file__)

@@ -1,0 +1,141 @@
+"""The largest time step at which a robot comes to rest under a controller, found by flying it.
+
+Where ``control.stability`` looks at the linearised loop, this flies the loop itself, limits, effects and all, from disturbed
+starts near hover, in the physics backend in which it will fly.
+Letters: E environments, U entries of an action.
+"""
+
+from dataclasses import dataclass
+from math import ceil, exp, log
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.controller import ControllerCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.control import make_controller
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.gains import apparent_gravity
+from aerial_gym.control.laws import LAWS
+from aerial_gym.control.stability import AXES, ClosedLoop
+from aerial_gym.errors import ConfigError
+from aerial_gym.math.quaternion import quat_exp, quat_log
+from aerial_gym.physics import BodyState, build_model, vehicle_from_config
+from aerial_gym.physics.capabilities import choose_backend, needs_of
+from aerial_gym.physics.effects import EffectParams, WindEffect
+from aerial_gym.physics.model import robot_effects
+from aerial_gym.physics.vehicle import Vehicle
+
+NUM_FLIGHTS = 8
+"""Starts of each time step, side by side."""
+
+DISTURBANCE = (0.1, 0.1, 0.1, 0.2)
+"""Largest distance [m], turn [rad], speed [m/s] and rate [rad/s] of a start from hover, on each axis."""
+
+SPAN, STEPS = 60.0, 400
+"""Of a flight [s], and steps beyond it: gains that are derived for a long time step are slower."""
+
+STEP_RANGE = (5e-4, 0.1)
+"""Time steps [s] between which the largest one is looked for."""
+
+AT_REST = 0.05
+"""Share of the disturbance."""
+
+HALVINGS = 9
+"""Of the logarithm of that range: to 1 % of the time step."""
+
+CEILING = 1e3
+"""Height of the ceiling [m] for effects that ask for one: out of reach."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StableStep:
+    """What came of a controller."""
+
+    controller: str
+    """Its name."""
+
+    largest_s: float | None = None
+    """Largest time step at which all flights come to rest [s]; None if there is none, or the controller does not fit."""
+
+    at_least: bool = False
+    """Whether that is the end of ``STEP_RANGE``, and the true one is larger."""
+
+    refused: str | None = None
+    """Why the controller does not fit the robot."""
+
+
+def largest_stable_step(robot: RobotCfg, controller: ControllerCfg, *, name: str, gravity: float = 9.81) -> StableStep:
+    """Return the largest time step at which a robot comes to rest under a controller, which is built for each time step.
+
+    Flights start disturbed on the axes that law and rotors control, each another way, and come to rest if in their last tenth
+    these differ by less than ``AT_REST`` of the disturbance between flights and moments. Where that is need not be hover of the
+    declared vehicle: a hung load pulls it down. Effects of wind are left out: in gusts nothing comes to rest.
+
+    Args:
+        robot: As declared, with its effects.
+        controller: A law with gains.
+        name: Of the controller, for people.
+        gravity: Downward acceleration of free fall [m/s²].
+    """
+    if controller.law not in LAWS:
+        return StableStep(controller=name, refused="commands rotors, and holds nothing")
+    try:
+        axes = ClosedLoop(robot, controller, gravity=gravity, integrator="euler", names=("this", name)).axes
+        low, high = STEP_RANGE
+        if _comes_to_rest(robot, controller, high, axes, gravity):
+            return StableStep(controller=name, largest_s=high, at_least=True)
+        if not _comes_to_rest(robot, controller, low, axes, gravity):
+            return StableStep(controller=name)
+        for _ in range(HALVINGS):
+            middle = exp(0.5 * (log(low) + log(high)))
+            low, high = (middle, high) if _comes_to_rest(robot, controller, middle, axes, gravity) else (low, middle)
+    except ConfigError as error:
+        return StableStep(controller=name, refused=str(error))
+    return StableStep(controller=name, largest_s=low)
+
+
+def _comes_to_rest(robot: RobotCfg, controller: ControllerCfg, dt: float, axes: str, gravity: float) -> bool:
+    """Return whether all flights with a time step [s] end at one and the same rest on the named axes."""
+    size = torch.tensor(DISTURBANCE).repeat_interleave(3)
+    kept = torch.tensor([name in axes.split() for name in AXES])
+    last = _last_tenth(robot, controller, dt, torch.where(kept, size, 0.0), gravity) / size
+    apart = last.amax((0, 1)) - last.amin((0, 1))
+    return bool((apart[kept] < AT_REST).all())  # written so that NaN fails as well
+
+
+def _last_tenth(robot: RobotCfg, controller: ControllerCfg, dt: float, size: Tensor, gravity: float) -> Tensor:
+    """Return distances from hover at ten moments at the end of flights, (10, E, 12), with starts of a size on ``AXES``."""
+    vehicle = vehicle_from_config(robot, num_envs=NUM_FLIGHTS)
+    model = build_model(vehicle, _in_still_air(robot), gravity=gravity, ceiling_height=CEILING)
+    law = make_controller(controller, vehicle, gravity, dt=dt, control=robot.control)
+    backend = choose_backend("auto", needs=needs_of(robot, torch.device("cpu"), integrator="euler"))
+    backend.allocate(model, law, integrator="euler")
+    backend.prepare(dt)
+    felt = apparent_gravity(robot.control, robot.body.mass, gravity)
+    state = _starts(size, _hover(vehicle, felt))
+    action = torch.zeros(NUM_FLIGHTS, len(law.action_names))
+    steps, found = ceil(0.01 * (SPAN / dt + STEPS)), []
+    backend.step(state, action, dt, 90 * steps)
+    for _ in range(10):
+        backend.step(state, action, dt, steps)
+        found.append(torch.cat((state.position, quat_log(state.attitude), state.lin_vel, state.ang_vel), dim=-1))
+    return torch.stack(found)
+
+
+def _hover(vehicle: Vehicle, gravity: float) -> Tensor:
+    weight = torch.zeros(NUM_FLIGHTS, 6)
+    weight[:, 2] = vehicle.mass * gravity
+    return Allocation(vehicle, gravity).speed_for_wrench(weight)
+
+
+def _in_still_air(robot: RobotCfg) -> list[EffectParams]:
+    effects = robot_effects(robot, num_envs=NUM_FLIGHTS, device=torch.device("cpu"), dtype=torch.float32)
+    return [(effect, params) for effect, params in effects if not isinstance(effect, WindEffect)]
+
+
+def _starts(size: Tensor, rotors: Tensor) -> BodyState:
+    """Return the disturbed starts: the corners of a cube, in another order for each quantity."""
+    corners = torch.tensor([[1.0 if (i >> axis) & 1 else -1.0 for axis in range(3)] for i in range(NUM_FLIGHTS)])
+    place, turn, lin_vel, ang_vel = (part * corners.roll(3 * i, 0) for i, part in enumerate(size.split(3)))
+    return BodyState(position=place, attitude=quat_exp(turn), lin_vel=lin_vel, ang_vel=ang_vel, rotor_speed=rotors)

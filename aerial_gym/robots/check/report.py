@@ -1,0 +1,242 @@
+"""What a robot file describes, in numbers and in sentences about what is odd about it.
+
+Frames: body is x forward, y left, z up. Letters: R rotors.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from itertools import combinations
+from math import dist, inf, sqrt
+
+import torch
+
+from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape, RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.control.allocation import Allocation, allocation_matrix
+from aerial_gym.control.gains import apparent_gravity
+from aerial_gym.control.laws import LAWS
+from aerial_gym.physics import vehicle_from_config
+from aerial_gym.physics.model import check_effects
+from aerial_gym.robots.check.flights import StableStep, largest_stable_step
+
+AXES = ("x", "y", "z")
+
+SPEED_OF_SOUND = 340.0
+"""In air of 15 °C [m/s]: no propeller's tips are faster."""
+
+LITTLE_MARGIN = 1.3
+"""Thrust to weight below which a vehicle can lean by 40 degrees at most, ``acos(1 / 1.3)``, with nothing left to turn."""
+
+ROUND_OFF = 1e-6
+"""Of a share of the weight, or of the weight times a metre."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotReport:
+    """A robot that could be built, in numbers."""
+
+    name: str
+    """Registered name, or path of the file."""
+
+    summary: str
+    """Of the robot file."""
+
+    mass_kg: float
+    inertia_kg_m2: tuple[tuple[float, ...], ...]
+    num_rotors: int
+
+    hover_thrust_n: tuple[float, ...]
+    """Of each rotor at hover in still air, as the allocation gives it, (R,)."""
+
+    hover_share: float
+    """How far the hardest working rotor is between its lowest and its highest thrust at hover: 0 to 1."""
+
+    thrust_to_weight: float
+    """Largest thrust along body z without torque, per weight."""
+
+    rank: int
+    """Of the control effectiveness matrix: how many forces and torques are independent; 4 for flat multirotors, 6 for those
+    that push in every direction."""
+
+    force_n: tuple[float, ...]
+    """Which the rotors give both ways along x, y, z at hover and without torque."""
+
+    torque_n_m: tuple[float, ...]
+    """Which the rotors give both ways about x, y, z at hover."""
+
+    angular_acceleration_rad_s2: tuple[float, ...]
+    """Of that torque."""
+
+    first_at_limit: tuple[int | None, ...]
+    """Number from 1 of the rotor that ends force and torque along x, y, z, six of them; None where there is none to end."""
+
+    stable_steps: tuple[StableStep, ...]
+    """Largest time steps, by controller."""
+
+    problems: tuple[str, ...]
+    """Why it cannot fly as described; none of a robot that can."""
+
+    warnings: tuple[str, ...]
+    """What is odd."""
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return everything as JSON takes it."""
+        return asdict(self)
+
+
+def check_robot(
+    robot: RobotCfg,
+    *,
+    name: str,
+    controllers: Sequence[str] | None = None,
+    gravity: float = STANDARD_GRAVITY,
+    progress: Callable[[str, float], None] = lambda _text, _share: None,
+) -> RobotReport:
+    """Return what a robot can do, as its own allocation does it, and the time steps at which controllers hold it.
+
+    Args:
+        robot: A loaded robot: what no body or rotor can be is refused when it is loaded.
+        name: Registered name or path, for people.
+        controllers: Registered controllers to fly it with; all that have gains if not given, none of ``()``.
+        gravity: Downward acceleration of free fall [m/s²].
+        progress: Is told which controller flies and which share is done.
+
+    Raises:
+        ConfigError: If an effect cannot act on this robot.
+        UnknownNameError: If a controller is not registered.
+    """
+    check_effects(robot)
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+    allocation, matrix = Allocation(vehicle, gravity), allocation_matrix(vehicle, gravity)[0]
+    weight = robot.body.mass * gravity
+    held = robot.body.mass * apparent_gravity(robot.control, robot.body.mass, gravity)
+    hover = allocation.inverse[0, :, 2] * held
+    low, high = allocation.low[0], allocation.high[0]
+    authority = allocation.wrench_authority(held)
+    limiting = allocation.limiting_rotors(held).tolist()
+    ends = tuple(rotor + 1 if given > 0.0 else None for rotor, given in zip(limiting, authority.tolist(), strict=True))
+    ratio = allocation.largest_thrust() / weight
+    problems = (*_problems(hover, low, high, matrix @ hover, held, weight), *_coupled(matrix))
+    names = _with_gains() if controllers is None else tuple(controllers)
+    steps = []
+    for number, controller in enumerate(names if not problems else ()):
+        progress(controller, number / len(names))
+        steps.append(largest_stable_step(robot, CONTROLLERS.get(controller), name=controller, gravity=gravity))
+    turn = authority[3:] / vehicle.inertia[0].diagonal()
+    return RobotReport(
+        name=name,
+        summary=robot.summary,
+        mass_kg=robot.body.mass,
+        inertia_kg_m2=robot.body.inertia,
+        num_rotors=robot.num_rotors,
+        hover_thrust_n=tuple(hover.tolist()),
+        hover_share=float(((hover - low) / (high - low)).max()),
+        thrust_to_weight=ratio,
+        rank=int(torch.linalg.matrix_rank(matrix, rtol=1e-6)),
+        force_n=tuple(authority[:3].tolist()),
+        torque_n_m=tuple(authority[3:].tolist()),
+        angular_acceleration_rad_s2=tuple(turn.tolist()),
+        first_at_limit=ends,
+        stable_steps=tuple(steps),
+        problems=problems,
+        warnings=(
+            *_warnings(robot),
+            *_control_warnings(inf if robot.control.buoyancy else ratio, turn.tolist()),
+            *_step_warnings(steps),
+        ),
+    )
+
+
+def _with_gains() -> tuple[str, ...]:
+    return tuple(n for n in CONTROLLERS.names() if CONTROLLERS.get(n).law in LAWS and CONTROLLERS.get(n).gains is None)
+
+
+def _problems(
+    hover: torch.Tensor, low: torch.Tensor, high: torch.Tensor, wrench: torch.Tensor, held: float, weight: float
+) -> Iterator[str]:
+    """Yield why a vehicle cannot hover: rotors beyond their limits, or a force or torque that is left over."""
+    for number, (thrust, least, most) in enumerate(zip(hover.tolist(), low.tolist(), high.tolist(), strict=True), 1):
+        if not least <= thrust <= most:
+            yield (
+                f"to hover, rotor {number} must give {thrust:.3g} N, but its limits are {least:.3g} to {most:.3g} N: change "
+                "its thrust_range or thrust_map, the mass, or the centre of mass"
+            )
+    left = ((wrench - held * torch.eye(6, dtype=wrench.dtype)[2]) / weight).tolist()
+    for row, share in enumerate(left):
+        if abs(share) > ROUND_OFF:
+            kind, unit = ("force along", "N") if row < 3 else ("torque about", "N m")
+            yield (
+                f"at hover a {kind} {AXES[row % 3]} of {share * weight:.3g} {unit} is left over that no thrusts take away: "
+                "check positions, axes and spins of the mounts, and the centre of mass"
+            )
+
+
+def _coupled(matrix: torch.Tensor) -> Iterator[str]:
+    """Yield which of lift, roll, pitch and yaw the rotors give only together, from the effectiveness matrix, (6, R)."""
+    rows, names = matrix[2:], ("lift", "torque about x", "torque about y", "torque about z")
+    size = rows.norm(dim=-1, keepdim=True)
+    unit = torch.where(size > ROUND_OFF * size.max(), rows / size, 0.0)
+    share = (unit @ torch.linalg.pinv(unit, rtol=ROUND_OFF)).diagonal().tolist()  # 1 of an independent row, 0 of none
+    together = [name for name, part in zip(names, share, strict=True) if ROUND_OFF < part < 1.0 - ROUND_OFF]
+    if together:
+        yield (
+            f"{' and '.join(together)} come only together, so that it cannot be steered: check the spins of the mounts (rotors "
+            "that turn one way all on one side?) and their positions"
+        )
+
+
+def _control_warnings(ratio: float, turn: Sequence[float]) -> Iterator[str]:
+    if ratio < LITTLE_MARGIN:
+        yield f"thrust to weight is {ratio:.2f}: little is left to climb, lean and turn with"
+    for axis, acceleration in zip(AXES, turn, strict=True):
+        if acceleration <= 0.0:
+            yield f"nothing turns it about {axis} at hover: controllers leave that axis alone"
+
+
+def _step_warnings(steps: Sequence[StableStep]) -> Iterator[str]:
+    for step in steps:
+        if step.refused is None and step.largest_s is None:
+            yield f"{step.controller} does not bring it to rest at any time step: give other gains (control:)"
+
+
+def _warnings(robot: RobotCfg) -> Iterator[str]:
+    """Yield what is odd about the numbers themselves."""
+    extent = max(
+        (*(dist(m.position, robot.body.com) for m in robot.mounts.layout), *map(_reach, robot.collision.shapes))
+    )
+    for axis in range(3):
+        gyration = sqrt(robot.body.inertia[axis][axis] / robot.body.mass)
+        if gyration > extent:
+            yield (
+                f"inertia about {AXES[axis]}: radius of gyration {gyration:.3g} m, but the vehicle reaches {extent:.3g} m: "
+                "check the units of mass, inertia and positions"
+            )
+    types = {id(rotor): rotor for rotor in robot.rotor_types}.values()
+    for rotor in types:
+        tip = rotor.speed_at(rotor.thrust_range[1]) * (rotor.radius or 0.0)
+        if rotor.mode == "speed" and tip > SPEED_OF_SOUND:
+            yield (
+                f"at {rotor.thrust_range[1]:g} N tips would move at {tip:.0f} m/s, faster than sound: thrust_map is per "
+                "(rad/s)², that per (rev/s)² is divided by (2 pi)²"
+            )
+    yield from _overlaps(robot)
+
+
+def _reach(shape: CollisionShape) -> float:
+    """Return the largest distance of a collision shape from the body origin [m]."""
+    if isinstance(shape, BoxCfg):
+        size = 0.5 * dist(shape.size, (0.0, 0.0, 0.0))
+    else:
+        size = shape.radius + (0.5 * shape.height if isinstance(shape, CapsuleCfg) else 0.0)
+    return dist(shape.center, (0.0, 0.0, 0.0)) + size
+
+
+def _overlaps(robot: RobotCfg) -> Iterator[str]:
+    """Yield pairs of propellers that turn in one plane and would touch."""
+    mounts = list(enumerate(zip(robot.mounts.layout, robot.rotor_types, strict=True), 1))
+    for (one, (a, first)), (other, (b, second)) in combinations(mounts, 2):
+        room = (first.radius or -inf) + (second.radius or -inf) - dist(a.position, b.position)
+        across = sum((p - q) * n for p, q, n in zip(a.position, b.position, a.axis, strict=True))
+        if room > 0.0 and a.axis == b.axis and abs(across) < 1e-3:
+            yield f"propellers {one} and {other} overlap by {room:.3g} m: check positions and radius"

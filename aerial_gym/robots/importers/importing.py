@@ -1,0 +1,133 @@
+"""A robot from a file of another simulator, which hovers, or the reason why it does not."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from aerial_gym.config.robot import BodyCfg, MountCfg, MountsCfg, RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.errors import ConfigError
+from aerial_gym.robots.check import check_robot
+from aerial_gym.robots.importers import mjcf, sdf, urdf
+from aerial_gym.robots.importers.found import Found, FoundRotor, vec3
+from aerial_gym.robots.importers.shapes import collision_of
+
+ROTOR_LINKS = r"(?!.*arm).*(motor|rotor|prop).*"
+"""Names of links of a URDF without motors that are taken for rotors."""
+
+_WAY_OUT = "Give a robot that has some: --rotors-of ROBOT, rotors_of of RotorHints"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorHints:
+    """What a file does not say of its rotors."""
+
+    rotors_of: RobotCfg | None = None
+    """Robot whose rotor type these are; where the file has no rotors, its mounts are taken too."""
+
+    spins: tuple[int, ...] = ()
+    """+1 or -1 for each rotor in the order of the file, in place of what it says."""
+
+    lag: float | None = None
+    """Of thrusts that follow at once in the file [s]."""
+
+    rotor_links: str = ROTOR_LINKS
+    """Regular expression of links of a URDF without motors that are rotors."""
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A robot, and what of its file is not in it."""
+
+    robot: RobotCfg
+    notes: tuple[str, ...]
+
+
+def import_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: float = STANDARD_GRAVITY) -> Imported:
+    """Return the robot in a URDF, MJCF or SDF file.
+
+    Joints are welded at zero. The frame of the root link becomes that of the body.
+
+    Args:
+        path: The file; its first tag says what it is.
+        hints: What it does not say.
+        gravity: Downward acceleration of free fall [m/s²] against which it must hover.
+
+    Raises:
+        ConfigError: If it cannot be read, cannot be, has no rotors, or cannot be flown; the message says which, and what to do.
+    """
+    path, hints = Path(path), hints or RotorHints()
+    kind, found = _found(path, hints)
+    where = f"{kind} {path.name}"
+    inertia = found.body.inertia
+    robot = RobotCfg(
+        summary=f"robot of {path.name}",
+        body=BodyCfg(
+            mass=found.body.mass,
+            inertia=(vec3(inertia[0]), vec3(inertia[1]), vec3(inertia[2])),
+            com=vec3(found.body.com),
+            source=f"{where}: all links, joints welded at zero, by the parallel axis theorem",
+        ),
+        collision=collision_of(found.shapes, where),
+        effects=found.effects,
+        effects_source=f"{where}: rotorDragCoefficient" if found.effects else "",
+        **_rotors(found.rotors, hints, where),
+    )
+    problems = check_robot(robot, name=where, controllers=(), gravity=gravity).problems
+    if problems:
+        raise ConfigError(f"{where}: the vehicle cannot be flown: {'; '.join(problems)}")
+    return Imported(robot, tuple(found.notes))
+
+
+def _found(path: Path, hints: RotorHints) -> tuple[str, Found]:
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such file")
+    try:
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise ConfigError(f"{path}: not valid XML ({error})") from None
+    if path.suffix == ".xacro" or "xacro" in "".join(child.tag for child in root):
+        raise ConfigError(f"{path}: is a xacro. Expand it first: xacro {path.name} > robot.urdf")
+    if root.tag == "robot":
+        return "URDF", urdf.read(path, hints.rotor_links)
+    if root.tag == "mujoco":
+        return "MJCF", mjcf.read(path, hints.lag, take_actuators=hints.rotors_of is None)
+    if root.tag == "sdf":
+        return "SDF", sdf.read(path)
+    raise ConfigError(f"{path}: its first tag is <{root.tag}>: must be <robot> (URDF), <mujoco> (MJCF) or <sdf> (SDF)")
+
+
+def _rotors(found: Sequence[FoundRotor], hints: RotorHints, where: str) -> dict[str, Any]:
+    """Return the fields of ``RobotCfg`` that hold rotors."""
+    other = hints.rotors_of
+    if not found:
+        if other is None:
+            raise ConfigError(f"{where}: there are no rotors in it. {_WAY_OUT}")
+        return {"rotor": other.rotor, "rotors": other.rotors, "mounts": other.mounts}
+    names = ", ".join(rotor.name for rotor in found)
+    if hints.spins and len(hints.spins) != len(found):
+        raise ConfigError(f"{where}: {len(hints.spins)} spins for {len(found)} rotors: {names}")
+    spins = hints.spins or [rotor.spin for rotor in found]
+    if None in spins:
+        raise ConfigError(
+            f"{where}: does not say which way its rotors turn. Give --spins, 1 or -1 for each of: {names}"
+        )
+    like = None if other is None else other.the_rotor("rotors_of")
+    kinds = [rotor.rotor or like for rotor in found]
+    if None in kinds:
+        raise ConfigError(f"{where}: its rotors have no thrust, torque and lag: {names}. {_WAY_OUT}")
+    types = list(dict.fromkeys(kinds))
+    several = {f"type_{number}": kind for number, kind in enumerate(types, 1)} if len(types) > 1 else {}
+    layout = tuple(
+        MountCfg(
+            position=vec3(rotor.position),
+            axis=vec3(rotor.axis),
+            spin=int(spin or 0),
+            rotor=f"type_{types.index(kind) + 1}" if several else None,
+        )
+        for rotor, spin, kind in zip(found, spins, kinds, strict=True)
+    )
+    mounts = MountsCfg(layout=layout, source=f"{where}: {names}")
+    return {"rotor": None if several else types[0], "rotors": several, "mounts": mounts}

@@ -1,0 +1,44 @@
+"""Collision shapes of the files of other simulators."""
+
+from collections.abc import Sequence
+
+from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionCfg, CollisionShape, PartCfg, SphereCfg
+from aerial_gym.robots.importers.found import vec3
+
+
+def shape_of(part: PartCfg) -> CollisionShape:
+    """Return a sphere, capsule or box as it is, and a box around a cylinder or around the bounds of a mesh."""
+    shape = part.shape
+    if shape.kind == "sphere":
+        return SphereCfg(center=part.position, radius=shape.radius or 0.0)
+    if shape.kind == "capsule":
+        return CapsuleCfg(
+            center=part.position, euler=part.euler, radius=shape.radius or 0.0, height=shape.height or 0.0
+        )
+    if shape.kind == "box" and shape.size is not None:
+        return BoxCfg(center=part.position, size=shape.size, euler=part.euler)
+    if shape.kind == "cylinder":
+        across = 2.0 * (shape.radius or 0.0)
+        return BoxCfg(center=part.position, size=(across, across, shape.height or 0.0), euler=part.euler)
+    return _box_around_mesh(part)
+
+
+def _box_around_mesh(part: PartCfg) -> BoxCfg:
+    import numpy as np
+    import trimesh
+    from trimesh.transformations import euler_matrix
+
+    mesh = trimesh.load(part.shape.path, force="mesh")
+    low, high = np.asarray(mesh.bounds) * part.shape.scale  # pyright: ignore[reportAttributeAccessIssue]
+    center = euler_matrix(*part.euler, axes="sxyz")[:3, :3] @ (0.5 * (low + high)) + part.position
+    return BoxCfg(center=vec3(center), size=vec3(high - low), euler=part.euler)
+
+
+def collision_of(shapes: Sequence[CollisionShape], name: str) -> CollisionCfg:
+    """Return shapes by their kinds; ``name`` says of which file."""
+    return CollisionCfg(
+        spheres=tuple(shape for shape in shapes if isinstance(shape, SphereCfg)),
+        boxes=tuple(shape for shape in shapes if isinstance(shape, BoxCfg)),
+        capsules=tuple(shape for shape in shapes if isinstance(shape, CapsuleCfg)),
+        source=f"{name}; boxes around cylinders and around the bounds of meshes",
+    )

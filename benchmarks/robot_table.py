@@ -1,0 +1,86 @@
+"""What can every registered robot do? The tables of ``docs/robots.md``.
+
+    python -m benchmarks.robot_table [--write docs/robots.md]
+
+A row for each robot that flies differently, from ``aerial-gym check``: hover and authority follow from the file; the largest
+stable time steps are flown (8 disturbed starts a time step, 60 s and 400 steps each, backend `auto` on the CPU).
+"""
+
+import argparse
+import platform
+from pathlib import Path
+
+import torch
+import warp
+
+from aerial_gym.robots import ROBOTS
+from aerial_gym.robots.check import RobotReport, check_robot
+from benchmarks.control_table import different_robots
+
+BEGIN, END = "<!-- table: begin, by python -m benchmarks.robot_table -->", "<!-- table: end -->"
+
+
+def variants_of(name: str) -> list[str]:
+    """Return the registered robots that fly like one and differ in sensors, shapes, effects or starts."""
+    first = ROBOTS.get(name)
+    same = [other for other in ROBOTS if (r := ROBOTS.get(other)).body == first.body and r.mounts == first.mounts]
+    return [other for other in same if other != name and ROBOTS.get(other).rotor_types == first.rotor_types]
+
+
+def table(reports: list[RobotReport]) -> str:
+    """Return a row for each robot."""
+    lines = [
+        "| robot | rotors | mass [kg] | inertia [kg m²] | thrust to weight | hover | rank | angular acceleration [rad/s²] | "
+        "largest stable dt |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for report in reports:
+        inertia = ", ".join(f"{report.inertia_kg_m2[i][i]:.4g}" for i in range(3))
+        turn = ", ".join(f"{a:.3g}" for a in report.angular_acceleration_rad_s2)
+        lines.append(
+            f"| `{report.name}` | {report.num_rotors} | {report.mass_kg:.4g} | {inertia} | {report.thrust_to_weight:.2f} | "
+            f"{report.hover_share:.0%} | {report.rank} | {turn} | {_steps(report)} |"
+        )
+    return "\n".join(lines)
+
+
+def _steps(report: RobotReport) -> str:
+    """Return the smallest of the largest stable time steps and its controller, of those that fit."""
+    worst = min((step for step in report.stable_steps if step.refused is None), key=lambda step: step.largest_s or 0.0)
+    if worst.largest_s is None:
+        return f"none (`{worst.controller}`)"
+    return "100 ms or more" if worst.at_least else f"{1e3 * worst.largest_s:.3g} ms (`{worst.controller}`)"
+
+
+def summaries(names: list[str]) -> str:
+    """Return a line for each robot, and its variants."""
+    lines = ["| robot | what it is | the same with other sensors, shapes, starts or effects |", "| --- | --- | --- |"]
+    for name in names:
+        others = ", ".join(f"`{other}`" for other in variants_of(name)) or "-"
+        lines.append(f"| `{name}` | {ROBOTS.get(name).summary} | {others} |")
+    return "\n".join(lines)
+
+
+def page(reports: list[RobotReport]) -> str:
+    """Return both tables and what they were made with."""
+    made = f"{platform.machine()} CPU, torch {torch.__version__.split('+')[0]}, Warp {warp.config.version}."
+    return "\n\n".join((summaries([report.name for report in reports]), made, table(reports)))
+
+
+def main() -> None:
+    """Print the tables; with ``--write`` put them between the marks of a page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", type=Path, help="page with the marks")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    text = page([check_robot(robot, name=name) for name, robot in different_robots().items()])
+    if options.write is None:
+        print(text)
+        return
+    before, _, rest = options.write.read_text(encoding="utf-8").partition(BEGIN)
+    _, _, after = rest.partition(END)
+    options.write.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

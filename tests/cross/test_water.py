@@ -1,0 +1,21 @@
+"""Effects under water: the fused backend against the torch reference."""
+
+import pytest
+
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.robots import ROBOTS
+from tests.cross.test_backends import assert_same_flight
+from tests.physics.vehicles import lopsided_robot
+
+WATER = ("buoyancy", "hull_drag", "added_mass", "added_inertia", "constant_wind")
+
+
+@pytest.mark.parametrize("effects", [("added_mass",), WATER])
+@pytest.mark.parametrize("integrator", ["euler", "rk4"])
+def test_a_hull_moves_like_torch(effects: tuple[str, ...], integrator: str) -> None:
+    assert_same_flight(lopsided_robot(), CONTROLLERS.get("no_control"), integrator, effects=effects)
+
+
+def test_a_vehicle_in_water_moves_like_torch() -> None:
+    """With reversible rotors in force mode."""
+    assert_same_flight(ROBOTS.get("base_octarotor"), CONTROLLERS.get("no_control"), "euler", effects=WATER)

@@ -1,0 +1,69 @@
+"""``aerial-gym check`` and ``import-robot``: what they print, draw, write and return."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from aerial_gym.cli.main import main
+from aerial_gym.config.loader import dump_yaml
+from aerial_gym.robots import ROBOTS
+from tests.unit.robots.importers.files import x500
+
+
+def test_a_robot_by_name_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "lmf1", "x500", "--controllers", "lee_rates_control", "no_control", "--json"]) == 0
+    first, second = map(json.loads, capsys.readouterr().out.splitlines())
+    assert (first["name"], second["name"]) == ("lmf1", "x500")
+    assert first["thrust_to_weight"] == pytest.approx(80.0 / (1.235 * 9.81))
+    flown, refused = first["stable_steps"]
+    assert (flown["controller"], flown["largest_s"], flown["at_least"]) == ("lee_rates_control", 0.1, True)
+    assert refused["refused"] == "commands rotors, and holds nothing"
+
+
+def test_a_file_with_a_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path, picture = tmp_path / "mine.yaml", tmp_path / "rotors.png"
+    path.write_text(dump_yaml(ROBOTS.get("neural_fly_quad")), encoding="utf-8")
+    assert main(["check", str(path), "--no-fly", "--picture", str(picture)]) == 0
+    out = capsys.readouterr().out
+    assert "note: nothing turns it about z at hover" in out
+    assert "thrust to weight" in out
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_one_that_cannot_hover_ends_with_status_1(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    robot, path = ROBOTS.get("lmf1"), tmp_path / "heavy.yaml"
+    path.write_text(dump_yaml(replace(robot, body=replace(robot.body, mass=9.0))), encoding="utf-8")
+    assert main(["check", str(path)]) == 1
+    assert "problem: to hover, rotor 1 must give 22.1 N" in " ".join(capsys.readouterr().out.split())
+
+
+def test_one_that_cannot_be_ends_with_status_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "impossible.yaml"
+    path.write_text(dump_yaml(ROBOTS.get("lmf1")).replace("0.013804", "0.1"), encoding="utf-8")
+    assert main(["check", str(path)]) == 2
+    assert "check digits and units" in capsys.readouterr().err
+    assert main(["check", "lmf1", "x500", "--picture", "both.png"]) == 2
+    assert "--picture takes one robot" in capsys.readouterr().err
+
+
+def test_a_model_of_gazebo_becomes_a_file_that_can_be_checked(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    model, out = x500(tmp_path), tmp_path / "mine.yaml"
+    assert main(["import-robot", str(model), "--out", str(out), "--summary", "mine"]) == 0
+    captured = capsys.readouterr()
+    assert captured.out == f"{out}\n"
+    assert captured.err.startswith("left out: rollingMomentCoefficient")
+    assert main(["check", str(out), "--no-fly", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["summary"] == "mine"
+    assert report["thrust_to_weight"] == pytest.approx(4.0 * 8.54858 / (2.0643076923 * 9.81))
+
+
+def test_a_file_that_is_no_vehicle_ends_with_status_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "page.xml"
+    path.write_text("<html/>", encoding="utf-8")
+    assert main(["import-robot", str(path), "--out", str(tmp_path / "out.yaml")]) == 2
+    assert "must be <robot> (URDF), <mujoco> (MJCF) or <sdf> (SDF)" in capsys.readouterr().err

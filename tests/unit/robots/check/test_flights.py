@@ -1,0 +1,46 @@
+"""The largest stable time step, flown, against the linearised loop, which shares nothing of the flight but the law."""
+
+from dataclasses import replace
+
+import pytest
+
+from aerial_gym.control import CONTROLLERS
+from aerial_gym.control.stability import ClosedLoop
+from aerial_gym.robots import ROBOTS
+from aerial_gym.robots.check import largest_stable_step
+from aerial_gym.robots.check.flights import STEP_RANGE
+
+
+def test_published_gains_are_stable_up_to_the_linear_limit() -> None:
+    """magpie has gains of its own, whatever the time step; the search is to 1 % of it."""
+    robot, controller = ROBOTS.get("magpie"), CONTROLLERS.get("lee_attitude_control")
+    found = largest_stable_step(robot, controller, name="lee_attitude_control")
+    loop = ClosedLoop(robot, controller, gravity=9.81, integrator="euler", names=("magpie", "lee_attitude_control"))
+    assert found.largest_s == pytest.approx(loop.largest_stable_dt(1.0), rel=0.02)
+    assert not found.at_least
+
+
+def test_derived_gains_follow_the_time_step() -> None:
+    found = largest_stable_step(ROBOTS.get("lmf1"), CONTROLLERS.get("lee_attitude_control"), name="it")
+    assert (found.largest_s, found.at_least) == (STEP_RANGE[1], True)
+
+
+def test_gains_that_hold_nothing_have_no_step() -> None:
+    """Without damping an attitude swings for ever."""
+    robot = ROBOTS.get("magpie")
+    assert robot.control.gains is not None
+    loose = replace(robot.control, gains=replace(robot.control.gains, rate=(0.0, 0.0, 0.0388)))
+    found = largest_stable_step(replace(robot, control=loose), CONTROLLERS.get("lee_attitude_control"), name="it")
+    assert (found.largest_s, found.refused) == (None, None)
+
+
+def test_gusts_are_left_out_and_a_hung_load_is_not() -> None:
+    """In its own gusts of 3 m/s this robot is never at rest; the load pulls the other one to a rest below hover."""
+    controller = CONTROLLERS.get("lee_velocity_control")
+    for name in ("base_quadrotor_in_gusts", "base_quadrotor_with_payload"):
+        assert largest_stable_step(ROBOTS.get(name), controller, name="it").at_least
+
+
+def test_a_controller_that_holds_nothing_is_refused() -> None:
+    found = largest_stable_step(ROBOTS.get("lmf1"), CONTROLLERS.get("no_control"), name="no_control")
+    assert found.refused == "commands rotors, and holds nothing"

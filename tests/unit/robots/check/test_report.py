@@ -1,0 +1,101 @@
+"""Numbers of a robot against those worked out by hand, and what is said of robots that cannot be."""
+
+from dataclasses import replace
+
+import pytest
+
+from aerial_gym.config.robot import BodyCfg, MountCfg, RobotCfg
+from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.robots import ROBOTS
+from aerial_gym.robots.check import RobotReport, check_robot
+
+
+def report_of(robot: RobotCfg) -> RobotReport:
+    return check_robot(robot, name="it", controllers=())
+
+
+def with_mounts(robot: RobotCfg, *mounts: MountCfg) -> RobotCfg:
+    return replace(robot, mounts=replace(robot.mounts, layout=mounts))
+
+
+def test_a_flat_quadrotor_is_what_is_worked_out_by_hand() -> None:
+    """Each rotor of lmf1 carries m g / 4 of 20 N and can give up all of it: 4 h a about x, and 4 h k about z.
+
+    Downwards there is the same room as the weight, upwards more, and it is the lesser that is given both ways.
+    """
+    report, hover = report_of(ROBOTS.get("lmf1")), 1.235 * 9.81 / 4.0
+    assert report.hover_thrust_n == pytest.approx((hover,) * 4)
+    assert report.hover_share == pytest.approx(hover / 20.0)
+    assert report.thrust_to_weight == pytest.approx(20.0 / hover)
+    assert report.rank == 4
+    assert report.force_n == pytest.approx((0.0, 0.0, 4.0 * hover), abs=1e-9)
+    assert report.torque_n_m == pytest.approx((0.4 * hover, 0.4 * hover, 0.2 * hover))
+    turn = (0.4 * hover / 0.013404, 0.4 * hover / 0.014404, 0.2 * hover / 0.013804)
+    assert report.angular_acceleration_rad_s2 == pytest.approx(turn)
+    assert report.first_at_limit[:2] == (None, None)
+    assert report.problems == report.warnings == ()
+
+
+def test_the_rotor_that_ends_an_axis_is_named() -> None:
+    """Where three rotors give 20 N and the third 3.2 N, that one ends all that turns or lifts."""
+    robot = ROBOTS.get("lmf1")
+    assert robot.rotor is not None
+    weak, strong = (replace(robot.rotor, thrust_range=(0.0, most)) for most in (3.2, 20.0))
+    layout = tuple(replace(mount, rotor="weak" if i == 2 else "strong") for i, mount in enumerate(robot.mounts.layout))
+    mounts, rotors = replace(robot.mounts, layout=layout), {"weak": weak, "strong": strong}
+    report = report_of(replace(robot, mounts=mounts, rotor=None, rotors=rotors))
+    assert report.first_at_limit == (None, None, 3, 3, 3, 3)
+    assert report.thrust_to_weight == pytest.approx(4.0 * 3.2 / (1.235 * 9.81))
+
+
+def test_only_tilted_rotors_push_sideways() -> None:
+    """About 30 degrees each: with one newton of hover thrust per rotor some of them at most half of that to the side."""
+    flat, tilted = (report_of(ROBOTS.get(name)) for name in ("typhoon_hexarotor", "tilted_hexarotor"))
+    assert (flat.rank, tilted.rank) == (4, 6)
+    assert flat.force_n[:2] == (0.0, 0.0)
+    assert min(tilted.force_n[:2]) > 0.2 * tilted.mass_kg * 9.81
+    assert max(tilted.force_n[:2]) < 0.5 * sum(tilted.hover_thrust_n)
+
+
+def test_a_centre_of_mass_beyond_the_rotors_cannot_hover() -> None:
+    """0.05 m before the front rotors, 0.25 m before the rear ones: 0.05 f + 0.25 b = 0, 2 f + 2 b = m g, so b = -m g / 8."""
+    robot = ROBOTS.get("lmf1")
+    report = report_of(replace(robot, body=replace(robot.body, com=(0.15, 0.0, 0.0))))
+    assert len(report.problems) == 2
+    assert "rotor 2 must give -1.51 N, but its limits are 0 to 20 N" in report.problems[0]
+    assert report.stable_steps == ()
+
+
+def test_a_torque_that_nothing_takes_away_is_a_problem() -> None:
+    """Three rotors that spin one way turn the vehicle by m g k, less the thrust given up for less of it, 1 / (1 + k²)."""
+    robot = ROBOTS.get("lmf1")
+    places = ((0.1, 0.0, 0.0), (-0.05, 0.0866, 0.0), (-0.05, -0.0866, 0.0))
+    report = report_of(with_mounts(robot, *(MountCfg(position=place, spin=1) for place in places)))
+    assert len(report.problems) == 3
+    assert "a torque about z of -0.604 N m is left over" in report.problems[1]  # 0.05 m of 1.235 * 9.81 N / 1.0025
+    assert "lift and torque about z come only together" in report.problems[2]
+    assert report.rank == 3
+
+
+def test_numbers_in_other_units_are_noticed() -> None:
+    robot = ROBOTS.get("racing_quadrotor")
+    assert robot.rotor is not None
+    assert report_of(robot).warnings == ()
+    inertia = tuple(tuple(1e3 * n for n in row) for row in robot.body.inertia)
+    in_grams = replace(robot, body=replace(robot.body, inertia=inertia))
+    assert "radius of gyration 1.82 m, but the vehicle reaches" in report_of(in_grams).warnings[0]
+    per_turn = replace(robot, rotor=replace(robot.rotor, thrust_map=(0.0, 0.0, 1.562522e-6 / 39.4784)))
+    assert "tips would move at 931 m/s, faster than sound" in report_of(per_turn).warnings[0]
+    wide = replace(robot, rotor=replace(robot.rotor, radius=0.08))
+    assert "propellers 1 and 3 overlap by 0.01 m" in report_of(wide).warnings[0]
+    heavy = replace(robot, body=replace(robot.body, mass=2.8))
+    assert "thrust to weight is 1.24" in report_of(heavy).warnings[0]
+
+
+def test_what_cannot_be_is_refused_with_a_way_out() -> None:
+    """The better known hexarotor model of public simulators: its largest moment is beyond the sum of the others."""
+    rows = ((0.0347563, 0.0, 0.0), (0.0, 0.0458929, 0.0), (0.0, 0.0, 0.0977))
+    with pytest.raises(ConfigError, match=r"triangle inequality.*check digits and units"):
+        BodyCfg(mass=1.5, inertia=rows, source="RotorS, firefly.xacro")
+    with pytest.raises(UnknownNameError, match="Did you mean 'lee_position_control'"):
+        check_robot(ROBOTS.get("lmf1"), name="it", controllers=("lee_positon_control",))
