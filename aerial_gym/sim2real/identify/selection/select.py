@@ -123,14 +123,16 @@ def select_effects(
         UnknownNameError: If there is no such effect.
     """
     named = tuple(EFFECTS) if candidates is None else tuple(candidates)
-    steady = [name for name in named if not EFFECTS.get(name).random]
-    if candidates is not None and len(steady) < len(named):
-        wrong = next(name for name in named if name not in steady)
+    sought = [name for name in named if EFFECTS.get(name).sought]
+    if candidates is not None and len(sought) < len(named):
+        wrong = next(name for name in named if name not in sought)
         raise ConfigError(
             f"{wrong} is random and predicts no row: it is looked for in what remains, and cannot be asked for"
+            if EFFECTS.get(wrong).random
+            else f"{wrong} acts under water, and flights are in air: a robot file may hold it, but it cannot be asked for"
         )
-    reasons = {name: lacks(name, predictor.robot, predictor.flights, test) for name in steady}
-    able = [name for name in steady if not reasons[name]]
+    reasons = {name: lacks(name, predictor.robot, predictor.flights, test) for name in sought}
+    able = [name for name in sought if not reasons[name]]
     chosen = choose_effects(predictor, declared, able, material=criteria.material, progress=progress)
     scorer = _Scorer(predictor, declared, criteria, chosen)
     unseen = {

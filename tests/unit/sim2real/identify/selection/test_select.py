@@ -145,11 +145,12 @@ def test_a_wider_case_is_a_rival_and_no_tie() -> None:
 
 
 def test_only_effects_that_can_be_looked_for_are(tmp_path: Path) -> None:
-    """An unknown one and a random one are refused, before anything is fitted; gusts are found in what remains."""
+    """An unknown, a random and one under water are refused, before anything is fitted; gusts are found in what remains."""
     predictor = predictor_of(tmp_path, [flight(1, seconds=4.0, rate=100.0)])
     for name, error, message in (
         ("rotor_dragg", UnknownNameError, "Did you mean 'rotor_drag'"),
         ("gusts", ConfigError, "gusts is random and predicts no row"),
+        ("buoyancy", ConfigError, "buoyancy acts under water"),
     ):
         with pytest.raises(error, match=message):
             select_effects(predictor, declared_params(ROBOT), Criteria(), candidates=("rotor_drag", name))
