@@ -13,10 +13,10 @@ from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, LinearWrenchEf
 from aerial_gym.physics.fused.types import vector_of
 
 _MEANING = {
-    "l": ("N s/m", "force per speed along body"),
-    "q": ("N s²/m²", "force per speed squared along body"),
-    "a": ("N m s/rad", "torque per rate about body"),
-    "b": ("N m s²/rad²", "torque per rate squared about body"),
+    "l": ("N s/m", 1.0, "force per speed along body"),
+    "q": ("N s²/m²", 1.0, "force per speed squared along body"),
+    "a": ("N m s/rad", 0.01, "torque per rate about body"),
+    "b": ("N m s²/rad²", 0.01, "torque per rate squared about body"),
 }
 
 
@@ -26,8 +26,8 @@ class HullDrag(LinearWrenchEffect):
     name = "hull_drag"
     summary = "damping of a hull in water: linear and quadratic, along and about each body axis"
     parameters = tuple(
-        Parameter(name=f"{letter}{axis}", unit=unit, low=0.0, high=1e4, scale=1.0, meaning=f"{meaning} {axis}")
-        for letter, (unit, meaning) in _MEANING.items()
+        Parameter(name=f"{letter}{axis}", unit=unit, low=0.0, high=1e4, scale=scale, meaning=f"{meaning} {axis}")
+        for letter, (unit, scale, meaning) in _MEANING.items()
         for axis in "xyz"
     )
     excitation = "several speeds through the water and rates along and about each body axis"
