@@ -112,7 +112,8 @@ def _braked_in_spin(robot: RobotCfg) -> RobotCfg:
     hover = 4.0 * rotor.speed_at(0.25 * robot.body.mass * STANDARD_GRAVITY)
     source = (
         "Mueller, D'Andrea (2014), Stability and control of a quadrocopter despite the complete loss of one, two, or three "
-        "propellers: a spin of their 0.5 kg with arms of 0.17 m is braked by 2.75e-3 N m s/rad; here as the drag of rotors"
+        "propellers: a spin of their 0.5 kg with arms of 0.17 m is braked by 2.75e-3 N m s/rad (quoted, not yet "
+        "checked against the paper); here as the drag of rotors"
     )
     kh = damping / (mass * arm**2) * robot.body.mass / hover
     return replace(robot, effects={"h_force_flapping": {"kh": kh, "kf": 0.0}}, effects_source=source)
