@@ -86,12 +86,14 @@ class Flight:
 
 
 def different_robots() -> dict[str, RobotCfg]:
-    """Return the registered robots that fly differently, by the first name of each."""
+    """Return the registered rigid robots that fly differently, by the first name of each."""
     found: dict[str, RobotCfg] = {}
     for name in ROBOTS:
         robot = ROBOTS.get(name)
         flies = (robot.body, robot.rotor, robot.mounts, robot.control.buoyancy)
-        if all(flies != (r.body, r.rotor, r.mounts, r.control.buoyancy) for r in found.values()):
+        if robot.joints is None and all(
+            flies != (r.body, r.rotor, r.mounts, r.control.buoyancy) for r in found.values()
+        ):
             found[name] = robot
     return found
 

@@ -102,8 +102,8 @@ def test_an_effect_whose_size_follows_the_time_only_stands_in_for_what_does(tmp_
 def test_an_effect_beside_a_structure_keeps_its_name(tmp_path: Path) -> None:
     """Drag beside the spring: both are found, and the drag is right.
 
-    Along z it is 7 % off, 4.3 of its deviations: what the spring does along the z of a leaning vehicle is in no structure, which
-    has one channel, so that the interval there is too short.
+    Along z it is 7 % off, 4.3 of its deviations: what the spring does along the z of a leaning vehicle is in no structure,
+    which has one channel, so that the interval there is too short.
     """
     found = chosen(tmp_path, FEW, 100.0, spring=0.05, drag=0.05)
     assert found.effects == ("rotor_drag",)
