@@ -140,14 +140,7 @@ GONE: dict[str, str] = {
         f"config.{kind}_config": "configurations are YAML files here; classes that have a counterpart are listed there"
         for kind in ("sim", "env", "asset", "robot", "sensor", "controller", "task")
     },
-    **{
-        f"task.{name}": "write it as a task file or a class derived from BaseTask"
-        for name in (
-            "custom_task",
-            "position_setpoint_task_reconfigurable",
-            "position_setpoint_task_morphy",
-        )
-    },
+    **{f"task.{name}": "write it as a task file or a class derived from BaseTask" for name in ("custom_task",)},
     **{
         f"task.{name}": "the task is registered by that name: task_registry.make_task makes it"
         for name in (
@@ -155,6 +148,8 @@ GONE: dict[str, str] = {
             "position_setpoint_task_acceleration_sim2real",
             "position_setpoint_task_sim2real_end_to_end",
             "position_setpoint_task_sim2real_px4",
+            "position_setpoint_task_reconfigurable",
+            "position_setpoint_task_morphy",
             "lidar_navigation_task",
             "radar_navigation_task",
         )

@@ -25,11 +25,7 @@ ABSENT: dict[str, dict[str, str]] = {
     "robot": {},
     "controller": {},
     "task": dict.fromkeys(
-        (
-            "position_setpoint_task_reconfigurable",
-            "position_setpoint_task_morphy",
-            "dce_navigation_task",
-        ),
+        ("dce_navigation_task",),
         _TASK,
     ),
 }

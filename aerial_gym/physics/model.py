@@ -15,7 +15,6 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.short import inverse_3x3
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.tree import Links
 from aerial_gym.physics.effects import (
     EFFECTS,
     DelayEffect,
@@ -58,9 +57,6 @@ class Model:
     articulation: Articulation | None = None
     """How it bends; None for a rigid one. ``vehicle`` is then that of the reference pose."""
 
-    links: Links | None = None
-    """What its links weigh."""
-
     def to(self, dtype: torch.dtype) -> "Model":
         """Return the model in another float type."""
         vehicle = self.vehicle.to(dtype)
@@ -79,7 +75,6 @@ class Model:
             inertia_inverse=inverse,
             other_position=other,
             articulation=bends,
-            links=None if bends is None else bends.links(vehicle),
             **heights,
         )
 
@@ -138,7 +133,6 @@ def build_model(
         ceiling_height=ceiling_height,
         other_position=other_position,
         articulation=articulation,
-        links=None if articulation is None else articulation.links(vehicle),
     )
 
 

@@ -201,6 +201,8 @@ for _name in (
     "position_setpoint_task_acceleration_sim2real",
     "position_setpoint_task_sim2real_end_to_end",
     "position_setpoint_task_sim2real_px4",
+    "position_setpoint_task_morphy",
+    "position_setpoint_task_reconfigurable",
     "navigation_task",
     "lidar_navigation_task",
     "tracking_task",

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from aerial_gym.config.task import POLICY, TaskCfg
 from aerial_gym.env_manager import EnvManager
-from aerial_gym.errors import CapabilityError
+from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.math.random import Purpose, counted_uniform
 from aerial_gym.registry.state import below, check_state, identity, restore, saved
 from aerial_gym.robots.watch import Watch
@@ -258,7 +258,15 @@ class Task:
         age.copy_(counted_uniform(self.env.random.stream(Purpose.AGE), dtype=torch.float64).mul_(steps))
 
     def step(self, actions: Tensor) -> StepResult:
-        """Advance by one action, (E, V); return observation, reward (E,), terminated, truncated (E,) bool, info."""
+        """Advance by one action, (E, V); return observation, reward (E,), terminated, truncated (E,) bool, info.
+
+        Raises:
+            ShapeError: If the action is not (E, V).
+        """
+        if tuple(actions.shape) != (self.num_envs, self.num_actions):  # a kernel would read beside it
+            raise ShapeError(
+                f"actions has shape {tuple(actions.shape)}, expected (E, V) = {(self.num_envs, self.num_actions)}"
+            )
         result = self._step(actions) if self._graph is None else self._graph.replay(actions)
         self._watch.look()
         return result

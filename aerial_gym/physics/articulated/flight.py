@@ -35,9 +35,8 @@ def jointed_step(
         joint_command: Of the drives, (E, C).
         dt: Length of the step [s].
     """
-    articulation, links = model.articulation, model.links
+    articulation = model.articulation
     assert articulation is not None
-    assert links is not None
     if not articulation.tree.floating:
         state = replace(state, lin_vel=torch.zeros_like(state.lin_vel), ang_vel=torch.zeros_like(state.ang_vel))
     rotor_speed = follow_command(model.vehicle, state.rotor_speed, rotor_command, dt)
@@ -59,7 +58,7 @@ def jointed_step(
     )
     after = implicit_euler(
         articulation.tree,
-        links,
+        articulation.links(model.vehicle),  # anew: a reset draws masses in place
         articulation.laws,
         before,
         dt,

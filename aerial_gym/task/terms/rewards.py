@@ -178,6 +178,30 @@ def still(robot_body_angvel: Tensor, *, height: float) -> Tensor:
 
 
 @REWARDS.term()
+def calm(robot_body_angvel: Tensor, *, height: float, width: float) -> Tensor:
+    """Return ``height exp(-width w²)``, w the size of the angular velocity [rad/s], (E,)."""
+    return bell(robot_body_angvel.norm(dim=-1), height, width)
+
+
+@REWARDS.term()
+def yaw_rate_bell(robot_body_angvel: Tensor, *, height: float, width: float) -> Tensor:
+    """Return ``height exp(-width w_z²)``, w_z the rate about body z [rad/s], (E,)."""
+    return bell(robot_body_angvel[:, 2], height, width)
+
+
+@REWARDS.term()
+def roll_pitch_bells(robot_euler_angles: Tensor, *, height: float, width: float) -> Tensor:
+    """Return the sum over roll and pitch [rad] of ``height exp(-width angle²)``, (E,)."""
+    return bell(robot_euler_angles[:, :2], height, width).sum(dim=-1)
+
+
+@REWARDS.term()
+def joint_rates_size(dof_velocity: Tensor, *, height: float, width: float) -> Tensor:
+    """Return the sum over joints of ``height (exp(-width q'²) - 1)``, q' the rate of a joint [rad/s], (E,)."""
+    return dip(dof_velocity, height, width).sum(dim=-1)
+
+
+@REWARDS.term()
 def slow(robot_linvel: Tensor, *, height: float, width: float) -> Tensor:
     """Return ``height exp(-width v²)``, v the speed [m/s], (E,)."""
     return bell(robot_linvel.norm(dim=-1), height, width)
@@ -213,6 +237,12 @@ def action_change(
 def all_actions_size(robot_actions: Tensor, *, offset: float, height: float, width: float) -> Tensor:
     """Return the sum over entries of ``height (exp(-width (u - offset)²) - 1)``, u an entry of the command, (E,)."""
     return dip(robot_actions - offset, height, width).sum(dim=-1)
+
+
+@REWARDS.term()
+def all_actions_square(robot_actions: Tensor, *, offset: float, weight: float) -> Tensor:
+    """Return the sum over entries of ``weight (u - offset)²``, u an entry of the command, (E,)."""
+    return weight * (robot_actions - offset).square().sum(dim=-1)
 
 
 @REWARDS.term()

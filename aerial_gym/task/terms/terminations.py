@@ -96,6 +96,12 @@ def tilted(robot_orientation: Tensor, *, angle: float) -> Tensor:
 
 
 @TERMINATIONS.term()
+def leaning(robot_euler_angles: Tensor, *, angle: float) -> Tensor:
+    """Return whether roll or pitch is beyond an angle [rad], (E,)."""
+    return (robot_euler_angles[:, :2].abs() > angle).any(dim=-1)
+
+
+@TERMINATIONS.term()
 def spinning(robot_body_angvel: Tensor, *, rate: float) -> Tensor:
     """Return whether the robot turns faster than a rate [rad/s], about whichever axis, (E,)."""
     return robot_body_angvel.norm(dim=-1) > rate

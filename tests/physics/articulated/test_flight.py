@@ -109,9 +109,10 @@ def test_all_links_together_weigh_what_the_robot_file_says(name: str) -> None:
     model = model_of(robot, num_envs=1)
     state = at_rest(model)
     assert model.articulation is not None
-    assert model.links is not None
     tree = TreeState(**{n: v for n, v in vars(state).items() if n != "rotor_speed"})
-    mass = equations(model.articulation.tree, model.links, tree, gravity=0.0).mass[0, :6, :6]
+    mass = equations(model.articulation.tree, model.articulation.links(model.vehicle), tree, gravity=0.0).mass[
+        0, :6, :6
+    ]
     m, c = robot.body.mass, torch.tensor(robot.body.com, dtype=F64)
     inertia = torch.tensor(robot.body.inertia, dtype=F64) + m * (c @ c * torch.eye(3, dtype=F64) - torch.outer(c, c))
     torch.testing.assert_close(mass[:3, :3], m * torch.eye(3, dtype=F64))

@@ -46,10 +46,10 @@ def build(
     )
 
 
-def actions_of(num_envs: int, first: int = 0) -> Tensor:
-    """Return an action (E, 4) for each environment, by its number."""
+def actions_of(num_envs: int, first: int = 0, *, width: int = 4) -> Tensor:
+    """Return an action (E, width) for each environment, by its number."""
     number = torch.arange(first, first + num_envs, dtype=torch.float32).unsqueeze(-1)
-    return torch.sin(number + torch.arange(4.0)).clamp(-0.5, 0.5)
+    return torch.sin(number + torch.arange(float(width))).clamp(-0.5, 0.5)
 
 
 def snapshot(gtd: Mapping[str, Tensor], rows: slice) -> dict[str, Tensor]:
@@ -149,7 +149,9 @@ def roll_out(task: Task, first: int = 0, steps: int = 5) -> list[dict[str, Tenso
     number = torch.arange(first, first + task.num_envs)
     for step in range(steps):
         task.env.gtd["sim_steps"].masked_fill_((number + step) % 3 == 0, task.cfg.episode_len_steps)
-        observation, reward, terminated, truncated, info = task.step(actions_of(task.num_envs, first))
+        observation, reward, terminated, truncated, info = task.step(
+            actions_of(task.num_envs, first, width=task.num_actions)
+        )
         row = {
             "observation": observation["observations"],
             "reward": reward,

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from aerial_gym import task_registry
 from aerial_gym.env_manager import SimBuilder
-from aerial_gym.errors import CapabilityError, ClosedError, ConfigError
+from aerial_gym.errors import CapabilityError, ClosedError, ConfigError, ShapeError
 from aerial_gym.rl_training import GymnasiumVectorEnv
 from aerial_gym.task import OBSERVATIONS, REWARDS, Task
 
@@ -77,3 +77,13 @@ def test_whatever_is_used_after_close_says_so() -> None:
         with pytest.raises(ClosedError, match="this simulation is closed. Build a new one"):
             use()
     assert isinstance(task, Task)
+
+
+@pytest.mark.parametrize("width", [1, 3, 5])
+@pytest.mark.parametrize("name", ["position_setpoint_task", "position_setpoint_task_sim2real_px4"])
+def test_actions_of_another_width_are_refused(name: str, width: int) -> None:
+    """Also where a kernel works on them, which would read numbers beside them."""
+    with task_registry.make_task(name, num_envs=4, device="cpu") as task:
+        task.reset()
+        with pytest.raises(ShapeError, match=r"expected \(E, V\) = \(4, 4\)"):
+            task.step(torch.zeros(4, width))

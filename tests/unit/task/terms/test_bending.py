@@ -1,0 +1,77 @@
+"""Rewards of the tasks with joints, written out once more in NumPy from the Aerial Gym Simulator 2.0.1."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.task import task_registry
+
+Values = Mapping[str, np.ndarray]
+
+
+def bell(x: np.ndarray, a: float, b: float) -> np.ndarray:
+    return a * np.exp(-b * x**2)
+
+
+def of_morphy(now: Values) -> np.ndarray:
+    d = np.linalg.norm(now["p"], axis=1)
+    pos = bell(d, 4, 12) + bell(d, 1, 3)
+    up, spin = bell(1 - now["R"][:, 2, 2], 5, 25), bell(np.linalg.norm(now["w"], axis=1), 3, 10.5)
+    change = (bell(now["u"] - now["last"], 0.2, 5) - 0.2).sum(1)
+    size = -0.15 * ((now["u"] - 0.711225) ** 2).sum(1)
+    joint = (bell(now["joint_vel"], 0.3, 30) - 0.3).sum(1)
+    return pos + (20 - d) / 40 + pos * (up + spin) + change + change * pos + size + joint
+
+
+def of_snake(now: Values) -> np.ndarray:
+    d = np.linalg.norm(now["p"], axis=1)
+    pos, yaw = bell(d, 3, 8) + bell(d, 0.5, 1), bell(now["w"][:, 2], 5, 20.5)
+    up, spin = bell(now["euler"][:, :2], 3, 5).sum(1), bell(np.linalg.norm(now["w"], axis=1), 3, 10.5)
+    return pos + (20 - d) / 40 + yaw + pos * (up + spin + yaw)
+
+
+@pytest.mark.parametrize(
+    ("name", "formula", "entries"),
+    [("position_setpoint_task_morphy", of_morphy, 33), ("position_setpoint_task_reconfigurable", of_snake, 49)],
+)
+def test_the_reward_is_what_is_coded_there(name: str, formula: Callable[[Values], np.ndarray], entries: int) -> None:
+    with task_registry.make_task(name, num_envs=32, device="cpu", seed=2) as task:
+        assert task.num_observations == entries
+        assert task.cfg.episode_len_steps * task.env.dt == pytest.approx(5.0)
+        gtd, generator = task.env.gtd, torch.Generator().manual_seed(0)
+        task.reset()
+        shown = 0
+        for _ in range(12):
+            last = gtd["robot_actions"].double().numpy().copy()
+            actions = 2.0 * torch.rand(32, task.num_actions, generator=generator) - 1.0
+            obs, reward, terminated, truncated, _ = task.step(actions)
+            flying = ~(terminated | truncated).numpy()
+            turn = Rotation.from_quat(gtd["robot_orientation"].double().numpy())
+            now = {
+                "p": gtd["robot_position"].double().numpy(),
+                "w": gtd["robot_body_angvel"].double().numpy(),
+                "u": gtd["robot_actions"].double().numpy(),
+                "joint_vel": gtd["dof_velocity"].double().numpy(),
+                "last": last,
+                "R": turn.as_matrix(),
+                "euler": turn.as_euler("ZYX")[:, ::-1],
+            }
+            np.testing.assert_allclose(reward.numpy()[flying], formula(now)[flying], rtol=1e-4, atol=1e-5)
+            joints = np.concatenate([gtd["dof_position"].numpy(), gtd["dof_velocity"].numpy()], axis=1)
+            np.testing.assert_allclose(obs["observations"].numpy()[:, -joints.shape[1] :], joints, rtol=1e-6)
+            shown += flying.sum()
+        assert shown > 100
+
+
+def test_a_crash_is_worth_what_it_is_there() -> None:
+    with task_registry.make_task("position_setpoint_task_morphy", num_envs=8, device="cpu", seed=2) as task:
+        task.reset()
+        for _ in range(200):
+            _, reward, terminated, _, _ = task.step(-torch.ones(8, 4))
+            if bool(terminated.any()):
+                assert bool((reward[terminated] == -20.0).all())
+                return
+        raise AssertionError("nobody fell three metres")
