@@ -13,7 +13,7 @@ class PhysicsBench:
     """Measure how many substeps of how many environments the physics takes per second."""
 
     backend: str = "warp"
-    """Registered physics backend: warp or torch."""
+    """Registered physics backend: warp, torch or mujoco."""
 
     device: str = "auto"
     """Torch device; auto takes the GPU if there is one."""

@@ -140,6 +140,9 @@ def in_places(places: dict[str, Tensor], tensors: Mapping[str, Tensor]) -> dict[
 class TorchBackend:
     """Physics in plain torch operations."""
 
+    name = "torch"
+    """Under which it is registered."""
+
     capabilities = Capabilities(
         devices=("cpu", "cuda"),
         dtypes=(torch.float32, torch.float64),
@@ -169,14 +172,19 @@ class TorchBackend:
         random: Randomness | None = None,
     ) -> None:
         """Take model, control law, stepper by name, ground, hook and the random numbers."""
-        if integrator not in INTEGRATORS:
-            raise CapabilityError(f"backend torch: no integrator {integrator!r}. Known: {', '.join(INTEGRATORS)}")
-        self._stepper, self._control, self._ground = INTEGRATORS[integrator], control, ground
+        if integrator not in self.capabilities.integrators:
+            known = ", ".join(self.capabilities.integrators)
+            raise CapabilityError(f"backend {self.name}: no integrator {integrator!r}. Known: {known}")
+        self._stepper, self._control, self._ground = self._make_stepper(integrator), control, ground
         self._hook = hook
         self._share = POSITION_SHARE[integrator]
         self._memory, self.law_memory, self._random = None, None, random
         self._places: tuple[dict[str, Tensor], dict[str, Tensor]] = ({}, {})
         self.set_model(model)
+
+    def _make_stepper(self, integrator: str) -> Stepper:
+        """Return what moves the body in a substep."""
+        return INTEGRATORS[integrator]
 
     def set_model(self, model: Model) -> None:
         """Take other parameters."""
