@@ -175,15 +175,15 @@ class TorchBackend:
         if integrator not in self.capabilities.integrators:
             known = ", ".join(self.capabilities.integrators)
             raise CapabilityError(f"backend {self.name}: no integrator {integrator!r}. Known: {known}")
-        self._stepper, self._control, self._ground = self._make_stepper(integrator), control, ground
+        self._stepper, self._control, self._ground = self.make_stepper(integrator), control, ground
         self._hook = hook
         self._share = POSITION_SHARE[integrator]
         self._memory, self.law_memory, self._random = None, None, random
         self._places: tuple[dict[str, Tensor], dict[str, Tensor]] = ({}, {})
         self.set_model(model)
 
-    def _make_stepper(self, integrator: str) -> Stepper:
-        """Return what moves the body in a substep."""
+    def make_stepper(self, integrator: str) -> Stepper:
+        """Return what moves the body in a substep, for one of ``capabilities.integrators``; other engines give their own."""
         return INTEGRATORS[integrator]
 
     def set_model(self, model: Model) -> None:

@@ -21,8 +21,9 @@ from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.ground import Ground, crash_at, ground_contacts
 from aerial_gym.physics.integrators import MassState, Stepper, held_wrench, swing_on, to_body_state
 from aerial_gym.physics.model import Model
+from aerial_gym.physics.mujoco.bodies import Bodies, body_rows, load
 from aerial_gym.physics.mujoco.mjcf import Floor
-from aerial_gym.physics.mujoco.rigid_bodies import RigidBodies, body_rows, load_mujoco
+from aerial_gym.physics.mujoco.rollout_bodies import RolloutBodies
 from aerial_gym.physics.rigid_body import angular_acceleration, com_acceleration, pull_of_load
 from aerial_gym.physics.rotor_lag import RotorCommand
 from aerial_gym.physics.state import BodyState
@@ -44,7 +45,7 @@ class MujocoBackend(TorchBackend):
         contact=True,
     )
 
-    _bodies: RigidBodies | None = None
+    _bodies: Bodies | None = None
     _force: Tensor
     """Of the last substep but gravity and contact [N], body at its start, (E, 3)."""
 
@@ -59,7 +60,7 @@ class MujocoBackend(TorchBackend):
         random: Randomness | None = None,
     ) -> None:
         """Take what the torch backend takes; raise ``MissingDependencyError`` where MuJoCo is not installed."""
-        load_mujoco()
+        load("mujoco", backend=self.name, extra="mujoco")
         self._bodies = None
         super().allocate(model, control, integrator=integrator, ground=ground, hook=hook, random=random)
 
@@ -68,7 +69,8 @@ class MujocoBackend(TorchBackend):
         super().prepare(dt)
         self._bodies_for(self._model, dt)
 
-    def _make_stepper(self, integrator: str) -> Stepper:
+    def make_stepper(self, integrator: str) -> Stepper:
+        """Return the one that hands the wrench to MuJoCo."""
         del integrator  # there is one
         return self._move
 
@@ -87,12 +89,12 @@ class MujocoBackend(TorchBackend):
         moved = self._bodies_for(model, dt).move(state, force, torque)
         return MassState(**moved, rotor_speed=rotor_speed, load=load)
 
-    def _bodies_for(self, model: Model, dt: float) -> RigidBodies:
+    def _bodies_for(self, model: Model, dt: float) -> Bodies:
         """Return the bodies with the parameters of a model, for steps of ``dt`` [s]."""
         rows, bodies = body_rows(model), self._bodies
         if bodies is None or bodies.dt != dt or bodies.num_rows != len(rows):
             floor, cfg = _floor_of(self._ground)
-            bodies = self._bodies = RigidBodies(rows, model.vehicle.num_envs, dt, floor=floor, cfg=cfg)
+            bodies = self._bodies = RolloutBodies(rows, model.vehicle.num_envs, dt, floor=floor, cfg=cfg)
         bodies.follow(rows)
         return bodies
 

@@ -70,7 +70,7 @@ def test_a_backend_that_is_not_installed_names_its_extra(monkeypatch: pytest.Mon
     monkeypatch.setitem(sys.modules, "mujoco", None)
     names = {"sim_name": "base_sim", "env_name": "empty_env", "robot_name": "base_quadrotor"}
     with pytest.raises(
-        MissingDependencyError, match=r"backend 'mujoco' needs MuJoCo: pip install 'aerial-gym\[mujoco\]'"
+        MissingDependencyError, match=r"backend 'mujoco' needs mujoco: pip install 'aerial-gym\[mujoco\]'"
     ):
         SimBuilder().build_env(**names, controller_name="no_control", num_envs=1, device="cpu", backend="mujoco")
 
