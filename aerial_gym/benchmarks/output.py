@@ -27,9 +27,13 @@ def device_name(device: torch.device) -> str:
     return next(models, platform.processor() or platform.machine())
 
 
-def provenance() -> dict[str, object]:
-    """Return versions, commit and the load of the machine [processes that want a core, mean of a minute]."""
-    versions = {name.removesuffix("-lang").replace("-", "_"): _version(name) for name in PACKAGES}
+def provenance(*packages: str) -> dict[str, object]:
+    """Return versions, commit and the load of the machine [processes that want a core, mean of a minute].
+
+    Args:
+        packages: Others whose versions are told as well.
+    """
+    versions = {name.removesuffix("-lang").replace("-", "_"): _version(name) for name in (*PACKAGES, *packages)}
     return {
         "versions": {**versions, "python": platform.python_version()},
         "commit": commit(),

@@ -9,6 +9,8 @@ Python. Parameters that environments do not share cost a MuJoCo model each, some
 Letters: E environments.
 """
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -24,6 +26,7 @@ from aerial_gym.physics.model import Model
 from aerial_gym.physics.mujoco.bodies import Bodies, body_rows, load
 from aerial_gym.physics.mujoco.mjcf import Floor
 from aerial_gym.physics.mujoco.rollout_bodies import RolloutBodies
+from aerial_gym.physics.mujoco.warp_bodies import WarpBodies
 from aerial_gym.physics.rigid_body import angular_acceleration, com_acceleration, pull_of_load
 from aerial_gym.physics.rotor_lag import RotorCommand
 from aerial_gym.physics.state import BodyState
@@ -35,6 +38,9 @@ class MujocoBackend(TorchBackend):
     """MuJoCo on the CPU: an independent engine moves the rigid body and resolves its contact with the ground."""
 
     name = "mujoco"
+    packages = ("mujoco",)
+    """What it cannot do without; benchmarks tell their versions."""
+
     capabilities = Capabilities(
         devices=("cpu",),
         dtypes=(torch.float32, torch.float64),
@@ -45,6 +51,7 @@ class MujocoBackend(TorchBackend):
         contact=True,
     )
 
+    _engine: type[RolloutBodies] | type[WarpBodies] = RolloutBodies
     _bodies: Bodies | None = None
     _force: Tensor
     """Of the last substep but gravity and contact [N], body at its start, (E, 3)."""
@@ -60,7 +67,8 @@ class MujocoBackend(TorchBackend):
         random: Randomness | None = None,
     ) -> None:
         """Take what the torch backend takes; raise ``MissingDependencyError`` where MuJoCo is not installed."""
-        load("mujoco", backend=self.name, extra="mujoco")
+        for package in self.packages:
+            load(package.replace("-", "_"), backend=self.name)
         self._bodies = None
         super().allocate(model, control, integrator=integrator, ground=ground, hook=hook, random=random)
 
@@ -94,7 +102,7 @@ class MujocoBackend(TorchBackend):
         rows, bodies = body_rows(model), self._bodies
         if bodies is None or bodies.dt != dt or bodies.num_rows != len(rows):
             floor, cfg = _floor_of(self._ground)
-            bodies = self._bodies = RolloutBodies(rows, model.vehicle.num_envs, dt, floor=floor, cfg=cfg)
+            bodies = self._bodies = self._engine(rows, model.vehicle.num_envs, dt, floor=floor, cfg=cfg)
         bodies.follow(rows)
         return bodies
 
@@ -113,6 +121,18 @@ class MujocoBackend(TorchBackend):
         impulse = torch.where(touches, mass * (after.lin_vel - before.lin_vel - dt * free), 0.0)
         crashes = crash_at(ground_contacts(ground, self._model, after), cfg, before, after)
         return before, to_body_state(self._model, after), impulse, crashes
+
+
+class MujocoWarpBackend(MujocoBackend):
+    """MuJoCo Warp on the CPU, in float32: as backend ``mujoco``, with the engine that NVIDIA's GPUs run.
+
+    It has not been run on a GPU, so that it does not claim to; see ``docs/backends.md``.
+    """
+
+    name = "mujoco_warp"
+    packages = ("mujoco-warp", "mujoco")
+    capabilities = replace(MujocoBackend.capabilities, dtypes=(torch.float32,))
+    _engine = WarpBodies
 
 
 def _floor_of(ground: Ground | None) -> tuple[Floor | None, ContactCfg | None]:

@@ -28,14 +28,13 @@ MASS, INERTIA, COM, GRAVITY = 0, slice(1, 10), slice(10, 13), 13
 """Places in a row of ``body_rows``."""
 
 
-def load(package: str, *, backend: str, extra: str) -> Any:
-    """Return an optional package; raise ``MissingDependencyError`` that names the extra where it is not installed."""
+def load(module: str, *, backend: str) -> Any:
+    """Return an optional module; raise ``MissingDependencyError`` that names the backend's extra where it is not installed."""
     try:
-        return import_module(package)
+        return import_module(module)
     except ImportError:
-        raise MissingDependencyError(
-            f"backend {backend!r} needs {package}: pip install 'aerial-gym[{extra}]'"
-        ) from None
+        extra = backend.replace("_", "-")
+        raise MissingDependencyError(f"backend {backend!r} needs {module}: pip install 'aerial-gym[{extra}]'") from None
 
 
 def body_rows(model: Model) -> Tensor:
@@ -61,7 +60,6 @@ def compile_body(mujoco: Any, floor: Floor | None, cfg: ContactCfg | None, dt: f
     unit = torch.ones(1, 1, dtype=torch.float64)
     links = Links(mass=unit, com=torch.zeros(1, 1, 3), inertia=torch.eye(3).expand(1, 1, 3, 3))
     model = mujoco.MjModel.from_xml_string(write_mjcf(Tree(joints=()), links, gravity=0.0, dt=dt, floor=floor))
-    model.body_sameframe[:] = model.geom_sameframe[:] = 0  # MuJoCo would leave out turns that are none here
     if cfg is not None:
         model.geom_solref[:], model.geom_solimp[:] = solver_numbers(cfg, dt)
     return model

@@ -64,7 +64,7 @@ def write_mjcf(
     option = SubElement(
         root, "option", timestep=repr(dt), integrator=integrator, gravity=_numbers((0.0, 0.0, -gravity))
     )
-    flags = {"autoreset": "disable", "warmstart": "disable"}  # a row depends on nothing but its state
+    flags = {"warmstart": "disable"}  # a step depends on nothing but its state
     world = SubElement(root, "worldbody")
     if floor is None:
         flags |= {"contact": "disable", "constraint": "disable"}

@@ -37,9 +37,12 @@ class RolloutBodies(Bodies):
         Raises:
             MissingDependencyError: If MuJoCo is not installed.
         """
-        self._mujoco, rollout = (load(name, backend="mujoco", extra="mujoco") for name in ("mujoco", "mujoco.rollout"))
+        self._mujoco, rollout = (load(name, backend="mujoco") for name in ("mujoco", "mujoco.rollout"))
         self._floor, self.dt, self.num_rows = floor, dt, len(rows)
         first = compile_body(self._mujoco, floor, cfg, dt)
+        first.opt.disableflags |= (
+            self._mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        )  # of a body that accelerates beyond measure
         self._models = [first, *(copy.copy(first) for _ in range(len(rows) - 1))]
         self._scratch = self._mujoco.MjData(first)
         self._rows = torch.full_like(rows, torch.nan)

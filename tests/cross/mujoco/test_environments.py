@@ -122,6 +122,7 @@ def test_the_benchmark_prints_its_figure(capsys: pytest.CaptureFixture[str]) -> 
     assert main(["bench", "physics", "--backend", "mujoco", "--json", *quick]) == 0
     figures = json.loads(capsys.readouterr().out)
     assert figures["backend"] == "mujoco"
+    assert figures["versions"]["mujoco"]
     assert figures["steps_per_s"] > 0.0
 
 

@@ -32,11 +32,11 @@ class Plain(WarpBackend):
         ),
         (
             Needs(device=CPU, effects=("rotor_drag",)),
-            r"cannot run effect 'rotor_drag'. Use backend 'warp', 'torch', 'mujoco'",
+            r"cannot run effect 'rotor_drag'. Use backend 'warp', 'torch', 'mujoco', 'mujoco_warp'",
         ),
         (
             Needs(device=CPU, rotors=frozenset({"reversible"})),
-            r"cannot run reversible rotors. Use backend 'warp', 'torch', 'mujoco'",
+            r"cannot run reversible rotors. Use backend 'warp', 'torch', 'mujoco', 'mujoco_warp'",
         ),
         (Needs(device=CPU, rotors=frozenset({"force"})), r"cannot run rotors in force mode"),
         (Needs(device=CPU, rotors=frozenset({"slew"})), r"cannot run rotors with a slew rate"),
