@@ -35,6 +35,9 @@ SPAN = 10.0
 SAMPLE = 0.02
 """Time between two looks at the state [s]."""
 
+FAR_BELOW = -1000.0
+"""Height of the ground [m]: a robot with ground effect flies as if there were none."""
+
 SETTLED = 0.02
 """Share of the step."""
 
@@ -83,12 +86,14 @@ class Flight:
 
 
 def different_robots() -> dict[str, RobotCfg]:
-    """Return the registered robots that fly differently, by the first name of each."""
+    """Return the registered rigid robots that fly differently, by the first name of each."""
     found: dict[str, RobotCfg] = {}
     for name in ROBOTS:
         robot = ROBOTS.get(name)
         flies = (robot.body, robot.rotor, robot.mounts, robot.control.buoyancy)
-        if all(flies != (r.body, r.rotor, r.mounts, r.control.buoyancy) for r in found.values()):
+        if robot.joints is None and all(
+            flies != (r.body, r.rotor, r.mounts, r.control.buoyancy) for r in found.values()
+        ):
             found[name] = robot
     return found
 
@@ -120,7 +125,9 @@ def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple
     law, can_turn = controller.law, axes_of(robot)
     env = EnvManager(
         sim=sim,
-        env=replace(ENVIRONMENTS.get("empty_env"), physics_steps_per_env_step=round(SAMPLE / sim.dt)),
+        env=replace(
+            ENVIRONMENTS.get("empty_env"), physics_steps_per_env_step=round(SAMPLE / sim.dt), ground_height=FAR_BELOW
+        ),
         robot=robot,
         controller=controller,
         num_envs=1 + NUM_DRAWN,

@@ -132,8 +132,8 @@ GONE: dict[str, str] = {
     "env_manager.IGE_env_manager": "there is no Isaac Gym here; the physics is aerial_gym.physics",
     "env_manager.warp_env_manager": "shapes are shared and moved by transforms: aerial_gym.assets.Scene",
     "robots.base_robot": "robots have no code of their own here; what acts on a body is an effect",
-    "robots.base_reconfigurable": "no robot has joints yet",
-    "robots.morphy": "no robot has joints yet",
+    "robots.base_reconfigurable": "robots have no code of their own here; joints are in the robot file",
+    "robots.morphy": "robots have no code of their own here; the law of the arms is in the robot file",
     "rl_training.cleanrl": "training is the command aerial-gym train; aerial_gym.rl_training.gymnasium is a vector environment",
     "examples": "examples/coming_from_aerial_gym/ in the repository",
     **{

@@ -17,13 +17,12 @@ class Name:
     """What differs, defects that are mended."""
 
 
-_JOINTS = "no robot has joints yet"
 _TASK = "write it as a task file, or as a class derived from BaseTask"
 
 ABSENT: dict[str, dict[str, str]] = {
     "sim": {},
     "environment": {},
-    "robot": dict.fromkeys(("morphy", "morphy_fixed_base", "morphy_stiff", "snakey", "snakey5", "snakey6"), _JOINTS),
+    "robot": {},
     "controller": {},
     "task": dict.fromkeys(
         (

@@ -64,8 +64,13 @@ def _colours(env: EnvManager) -> Tensor:
     return torch.cat((colours, torch.ones_like(colours[..., :1])), dim=-1)
 
 
+def _drive_mode(env: EnvManager) -> str:
+    bends = env.robot_manager.articulation
+    return bends.modes[0] if bends is not None and bends.modes else "none"
+
+
 _FLAT = "a view of vec_root_tensor"
-_JOINTS = "no robot has joints yet"
+_DRIVES = "commands of drives are the last entries of the action, in the mode that the robot file gives each"
 _FORCES = "forces are not stored: the fused step keeps them in registers. An effect adds one (docs: effects)"
 _MESHES = "shapes are shared and moved by transforms: there is no mesh per environment"
 
@@ -110,12 +115,18 @@ KEYS: dict[str, Key] = {
     "obstacle_body_linvel": _gone("never filled there; rotate obstacle_linvel by obstacle_orientation"),
     "obstacle_body_angvel": _gone("never filled there; rotate obstacle_angvel by obstacle_orientation"),
     "obstacle_euler_angles": _gone("never filled there; get_euler_xyz_tensor(obstacle_orientation)"),
-    "dof_state_tensor": _gone(_JOINTS),
-    "unfolded_dof_state_tensor": _gone(_JOINTS),
-    "dof_position_setpoint_tensor": _gone(_JOINTS),
-    "dof_velocity_setpoint_tensor": _gone(_JOINTS),
-    "dof_effort_tensor": _gone(_JOINTS),
-    "dof_control_mode": Key(ours='"none"', remark=_JOINTS, read=lambda _: "none"),
+    "dof_state_tensor": _own("a copy of dof_position and dof_velocity; only of robots with joints"),
+    "unfolded_dof_state_tensor": Key(
+        ours='gtd["dof_state_tensor"].view(-1, 2)',
+        remark="only of robots with joints",
+        read=lambda env: env.gtd["dof_state_tensor"].view(-1, 2),
+    ),
+    "dof_position_setpoint_tensor": _gone(_DRIVES),
+    "dof_velocity_setpoint_tensor": _gone(_DRIVES),
+    "dof_effort_tensor": _gone(_DRIVES),
+    "dof_control_mode": Key(
+        ours="robot_manager.articulation.modes", remark="that of the first drive; each has its own", read=_drive_mode
+    ),
     "env_bounds_min": _own(),
     "env_bounds_max": _own(),
     "asset_min_state_ratio": _gone("ranges stand in the environment file: position_ratio_low, euler_low of an asset"),

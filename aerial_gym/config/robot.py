@@ -11,6 +11,7 @@ from pathlib import Path
 
 from aerial_gym.config.checks import Vec3, require_finite, require_ordered, require_positive
 from aerial_gym.config.controller import ControlCfg
+from aerial_gym.config.joint import BASE, JointsCfg
 from aerial_gym.config.learned_residual import LearnedResidualCfg
 from aerial_gym.config.loader import load
 from aerial_gym.config.randomize import RandomizeCfg
@@ -44,7 +45,7 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class BodyCfg:
-    """Mass and inertia of the whole vehicle, rotors included."""
+    """Mass and inertia of the whole vehicle, rotors and links included, in its reference pose."""
 
     mass: float
     """Mass [kg], > 0."""
@@ -130,6 +131,9 @@ class MountCfg:
 
     rotor: str | None = None
     """Name in ``rotors`` of its type; none where all mounts have the one type ``rotor``."""
+
+    link: str = BASE
+    """What carries it: ``base``, or the joint by whose name the link goes (``config.joint``)."""
 
     def __post_init__(self) -> None:
         require_finite(self, "position", "axis")
@@ -308,6 +312,9 @@ class RobotCfg:
     mounts: MountsCfg
     """Where the rotors are."""
 
+    joints: JointsCfg | None = None
+    """Where it bends; None for a rigid vehicle. Everything else is of its reference pose."""
+
     collision: CollisionCfg
     """Collision shapes."""
 
@@ -386,6 +393,7 @@ class RobotCfg:
     def __post_init__(self) -> None:
         _ = self.sensor_mounts  # refuses equal names
         self._check_rotors()
+        self._check_joints()
         if self.visible and not self.visual and not self.collision.shapes:
             raise ConfigError("RobotCfg.visible: there is nothing to see. List shapes in visual, or collision shapes")
         for effect, params in self.effects.items():
@@ -411,6 +419,15 @@ class RobotCfg:
                 )
         if unused := set(self.rotors) - {mount.rotor for mount in self.mounts.layout}:
             raise ConfigError(f"RobotCfg.rotors.{min(unused)}: no mount has this type")
+
+    def _check_joints(self) -> None:
+        for number, mount in enumerate(self.mounts.layout, 1):
+            if self.joints is not None:
+                self.joints.link_of(mount.link)
+            elif mount.link != BASE:
+                raise ConfigError(
+                    f"RobotCfg.mounts.layout: mount {number} sits on link {mount.link!r}, but the robot has no joints"
+                )
 
 
 def load_robot(path: str | Path) -> RobotCfg:

@@ -161,7 +161,7 @@ def layout_of(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source
         controller=cfg.controller or task.cfg.controller,
         rate_hz=1.0 / task.env.dt,
         observation=tuple(seen),
-        command=tuple(manager.controller.action_names),
+        command=tuple(manager.action_names),
         num_actions=policy.num_actions,
         transform=action.transform,
         params=dict(action.params),

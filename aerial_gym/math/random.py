@@ -57,6 +57,8 @@ class Purpose(IntEnum):
     """Places of gates and poles; indices: what of which, attempt."""
     PRACTICE = 20
     """Where on a track an episode of a training begins; index: quantity."""
+    JOINTS = 21
+    """Coordinates and rates of joints; index: which, all coordinates first."""
 
 
 def _scramble(state: Word) -> Word:

@@ -50,6 +50,7 @@ class Needs:
 def needs_of(robot: RobotCfg, device: torch.device, **others: object) -> Needs:
     """Return what a robot needs, with other fields of ``Needs`` by name."""
     learned = () if robot.learned_residual is None else (LearnedResidual.name,)
+    others.setdefault("joints", robot.joints is not None)
     return Needs(device=device, effects=(*robot.effects, *learned), rotors=robot.rotor_traits, **others)  # type: ignore[arg-type]
 
 
@@ -84,15 +85,15 @@ _ROTOR_WORDS = {
 def choose_backend(name: str, *, needs: Needs | None = None) -> PhysicsBackend:
     """Return a new backend by name.
 
-    ``auto`` takes the first registered one of ``BACKEND_PREFERENCE``; where gradients or another float type than float32 are
-    asked for, which are asked for by name as well, the first that has them.
+    ``auto`` takes the first registered one of ``BACKEND_PREFERENCE``; where gradients, another float type than float32 or
+    joints are asked for, the first that has them.
 
     Raises:
         CapabilityError: If it lacks something that is needed.
     """
     if name == "auto":
         present = [candidate for candidate in BACKEND_PREFERENCE if candidate in BACKENDS]
-        special = needs is not None and (needs.gradients or needs.dtype != torch.float32)
+        special = needs is not None and (needs.gradients or needs.joints or needs.dtype != torch.float32)
         able = [n for n in present if not special or needs is None or _has_type(BACKENDS.get(n)().capabilities, needs)]
         name = (able or present)[0]
     backend = BACKENDS.get(name)()
@@ -102,7 +103,8 @@ def choose_backend(name: str, *, needs: Needs | None = None) -> PhysicsBackend:
 
 
 def _has_type(able: Capabilities, needs: Needs) -> bool:
-    return needs.dtype in able.dtypes and (able.differentiable or not needs.gradients)
+    able_to_bend = able.joints or not needs.joints
+    return needs.dtype in able.dtypes and (able.differentiable or not needs.gradients) and able_to_bend
 
 
 def require(backend: PhysicsBackend, needs: Needs, *, name: str | None = None) -> None:

@@ -14,6 +14,8 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.short import inverse_3x3
+from aerial_gym.physics.articulated.articulation import Articulation
+from aerial_gym.physics.articulated.tree import Links
 from aerial_gym.physics.effects import (
     EFFECTS,
     DelayEffect,
@@ -53,6 +55,12 @@ class Model:
     other_position: Tensor
     """Another vehicle, whose wake streams down [m], world, (E, 3)."""
 
+    articulation: Articulation | None = None
+    """How it bends; None for a rigid one. ``vehicle`` is then that of the reference pose."""
+
+    links: Links | None = None
+    """What its links weigh."""
+
     def to(self, dtype: torch.dtype) -> "Model":
         """Return the model in another float type."""
         vehicle = self.vehicle.to(dtype)
@@ -63,7 +71,17 @@ class Model:
         }
         other = _as_type(self.other_position, dtype)
         inverse = _inverse(vehicle.inertia)
-        return replace(self, vehicle=vehicle, effects=effects, inertia_inverse=inverse, other_position=other, **heights)
+        bends = None if self.articulation is None else self.articulation.to(vehicle.mass)
+        return replace(
+            self,
+            vehicle=vehicle,
+            effects=effects,
+            inertia_inverse=inverse,
+            other_position=other,
+            articulation=bends,
+            links=None if bends is None else bends.links(vehicle),
+            **heights,
+        )
 
     @property
     def longest_delay(self) -> float:
@@ -79,6 +97,7 @@ def build_model(
     ground_height: float | Tensor = 0.0,
     ceiling_height: float | Tensor | None = None,
     other_position: Tensor | None = None,
+    articulation: Articulation | None = None,
 ) -> Model:
     """Return the model of a declared vehicle with effects added; differentiable in vehicle and parameters.
 
@@ -91,6 +110,7 @@ def build_model(
             there is none.
         other_position: Another vehicle, whose wake streams down [m], world, (E, 3); if not given, infinitely high over the
             origin.
+        articulation: How the vehicle bends, which is then that of the reference pose; None for a rigid one.
 
     Raises:
         ShapeError: If the parameters of an effect are not (E, P).
@@ -102,6 +122,8 @@ def build_model(
         other_position = share_row(above, vehicle.num_envs)
     for effect, params in effects:
         check_rotors(effect, vehicle.traits)
+        if articulation is not None:
+            check_joints(effect)
         expected = (vehicle.num_envs, len(effect.parameters))
         if tuple(params.shape) != expected:
             raise ShapeError(f"effect {effect.name}: parameters have shape {tuple(params.shape)}, expected {expected}")
@@ -115,6 +137,8 @@ def build_model(
         ground_height=ground_height,
         ceiling_height=ceiling_height,
         other_position=other_position,
+        articulation=articulation,
+        links=None if articulation is None else articulation.links(vehicle),
     )
 
 
@@ -129,6 +153,14 @@ def check_rotors(effect: Effect | type[Effect], traits: Set[str]) -> None:
         raise ConfigError(
             f"effect {effect.name}: its law does not hold for {_TRAIT_WORDS[missing[0]]}. Leave the effect out, or give the "
             "robot plain rotors (mode: speed, thrust_range from 0 on, no slew_rate)"
+        )
+
+
+def check_joints(effect: Effect | type[Effect]) -> None:
+    """Raise ``ConfigError`` if a vehicle that bends cannot have an effect (``docs/joints.md``)."""
+    if not effect.on_joints:
+        raise ConfigError(
+            f"effect {effect.name}: is for rigid vehicles, and this one has joints. Leave the effect out, or the joints"
         )
 
 
@@ -192,6 +224,8 @@ def check_effects(robot: RobotCfg) -> None:
     for name, values in robot.effects.items():
         effect = EFFECTS.get(name)
         check_rotors(effect, robot.rotor_traits)
+        if robot.joints is not None:
+            check_joints(effect)
         effect.check(robot)
         row = dict(zip((p.name for p in effect.parameters), effect.params_from(values), strict=True))
         for parameter in effect.parameters:

@@ -119,22 +119,30 @@ def _condition_in(
 
 def _wrench_in(model: Model, condition: Condition, answers: Answers[Condition] | None = None) -> tuple[Tensor, Tensor]:
     """Return all force but gravity [N] and torque about the centre of mass [N m], body, each (E, 3)."""
+    thrust, others = loads_in(model, condition, answers)
+    force, torque = rotor_wrench(model.vehicle, thrust, rotor_torque(model.vehicle, condition.rotor_speed))
+    for wrench in others:
+        force, torque = force + wrench[:, :3], torque + wrench[:, 3:]
+    for effect, params in model.effects[FluidEffect]:
+        wrench = effect.entrain(
+            torch.cat((force, torque), dim=-1), condition.with_thrust(thrust), model.gravity, params
+        )
+        force, torque = wrench[:, :3], wrench[:, 3:]
+    return force, torque
+
+
+def loads_in(
+    model: Model, condition: Condition, answers: Answers[Condition] | None = None
+) -> tuple[Tensor, list[Tensor]]:
+    """Return the thrusts [N], (E, R), and of each effect on the whole its force and torque about the centre of mass, (E, 6)."""
 
     def asked(law: Callable[[Condition, Tensor], Tensor], source: Condition, params: Tensor) -> Tensor:
         return law(source, params) if answers is None else answers.ask(law, source, params)
 
-    vehicle, drag = model.vehicle, rotor_torque(model.vehicle, condition.rotor_speed)
     more = [asked(effect.thrust, condition, params) for effect, params in model.effects[RotorEffect]]
     thrust = sum(more, condition.rotor_thrust)
-    force, torque = rotor_wrench(vehicle, thrust, drag)
     condition = condition.with_thrust(thrust)
-    for effect, params in model.effects[WrenchEffect]:
-        wrench = asked(effect.wrench, condition, params)
-        force, torque = force + wrench[:, :3], torque + wrench[:, 3:]
-    for effect, params in model.effects[FluidEffect]:
-        wrench = effect.entrain(torch.cat((force, torque), dim=-1), condition, model.gravity, params)
-        force, torque = wrench[:, :3], wrench[:, 3:]
-    return force, torque
+    return thrust, [asked(effect.wrench, condition, params) for effect, params in model.effects[WrenchEffect]]
 
 
 def angular_acceleration(model: Model, ang_vel: Tensor, torque: Tensor) -> Tensor:

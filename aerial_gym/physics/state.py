@@ -1,6 +1,6 @@
 """The state of a batch of multirotors.
 
-Letters: E environments, R rotors.
+Letters: E environments, R rotors, D joints.
 """
 
 from dataclasses import dataclass
@@ -41,6 +41,21 @@ class BodyState:
         """Write the values of ``other`` into these tensors."""
         for mine, theirs in zip(self.tensors(), other.tensors(), strict=True):
             mine.copy_(theirs)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointedState(BodyState):
+    """The same of a vehicle that bends: its body is the base of a tree of links."""
+
+    joint_pos: Tensor
+    """Coordinates of the joints [rad] or [m], (E, D)."""
+
+    joint_vel: Tensor
+    """Their rates [rad/s] or [m/s], (E, D)."""
+
+    def tensors(self) -> tuple[Tensor, ...]:
+        """Return the tensors in the order of the fields."""
+        return *super().tensors(), self.joint_pos, self.joint_vel
 
 
 def state_at_rest(num_envs: int, num_rotors: int, *, device: torch.device, dtype: torch.dtype) -> BodyState:

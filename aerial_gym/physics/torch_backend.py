@@ -13,6 +13,7 @@ from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop.rows import UntraceableError
 from aerial_gym.math.random import Randomness
+from aerial_gym.physics.articulated.flight import jointed_step
 from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
 from aerial_gym.physics.effects import LoadEffect
@@ -37,7 +38,7 @@ from aerial_gym.physics.memory import (
 )
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotor_lag import Ramp, stop_in_dead_band
-from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.state import BodyState, JointedState
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
 from aerial_gym.physics.torch_rows import SubstepRows
 from aerial_gym.physics.vehicle import is_shared
@@ -137,6 +138,19 @@ def in_places(places: dict[str, Tensor], tensors: Mapping[str, Tensor]) -> dict[
     return {name: places[name] for name in tensors}
 
 
+def check_jointed(integrator: str, ground: Ground | None) -> None:
+    """Raise ``CapabilityError`` for what a vehicle that bends cannot have yet."""
+    if integrator != "euler":
+        raise CapabilityError(
+            f"joints: no integrator {integrator!r}. Efforts in joints are stiff; only 'euler' takes them at the end of a step"
+        )
+    if ground is not None and ground.cfg is not None:
+        raise CapabilityError(
+            "joints: ground and obstacles end an episode, but cannot push back on a vehicle that bends. Leave contact out of "
+            "the environment"
+        )
+
+
 class TorchBackend:
     """Physics in plain torch operations."""
 
@@ -151,6 +165,7 @@ class TorchBackend:
         effects=None,
         rotors=ROTOR_TRAITS,
         contact=True,
+        joints=True,
     )
 
     _model: Model
@@ -175,6 +190,8 @@ class TorchBackend:
         if integrator not in self.capabilities.integrators:
             known = ", ".join(self.capabilities.integrators)
             raise CapabilityError(f"backend {self.name}: no integrator {integrator!r}. Known: {known}")
+        if model.articulation is not None:
+            check_jointed(integrator, ground)
         self._stepper, self._control, self._ground = self.make_stepper(integrator), control, ground
         self._hook = hook
         self._share = POSITION_SHARE[integrator]
@@ -230,11 +247,32 @@ class TorchBackend:
         """
         for _ in range(substeps):
             if self._ground is None or self._ground.cfg is None:
-                _, after = self._free_substep(state, command, dt)
-                state = to_body_state(self._model, after)
+                _, state = self._free_substep_of_body(state, command, dt)
             else:
                 _, state, _, _ = self._advance_on_ground(self._ground, self._ground.cfg, state, command, dt)
         return state
+
+    def _free_substep_of_body(self, state: BodyState, command: Tensor, dt: float) -> tuple[MassState, BodyState]:
+        """Return the motion before and the state after a substep without contact, of a rigid vehicle or one that bends."""
+        if self._model.articulation is None:
+            before, after = self._free_substep(state, command, dt)
+            return before, to_body_state(self._model, after)
+        assert isinstance(state, JointedState)
+        return to_mass_state(self._model, state), self._jointed_substep(state, command, dt)
+
+    def _jointed_substep(self, state: JointedState, command: Tensor, dt: float) -> JointedState:
+        """Return the state after a substep; the last entries of the action are commands of the joints' drives."""
+        memory, model = self._memory_for(dt), self._model
+        assert model.articulation is not None
+        num_actions = command.shape[1] - model.articulation.num_driven
+        command, joint_command = command[:, :num_actions], command[:, num_actions:]
+        followed, law_memory = law_command(self._control, state, command, self._law_memory_for(state.position, dt))
+        followed = stop_in_dead_band(model.vehicle, followed)
+        self.law_memory = _kept(self.law_memory, law_memory)
+        if memory is not None:
+            model, followed, memory = begin_substep(model, memory, state.rotor_speed, followed, dt)
+            self._memory = _kept(self._memory, end_substep(memory, state.position[:, :0]))
+        return jointed_step(model, state, followed, joint_command, dt)
 
     def _free_substep(self, state: BodyState, command: Tensor, dt: float) -> tuple[MassState, MassState]:
         """Return the motion before and after a substep without contact."""
@@ -294,7 +332,7 @@ class TorchBackend:
         """
         ground, model = self._ground, self._model
         remembers = model.effects.remembering or needs_of(self._control) is not None
-        if remembers or (ground is not None and ground.cfg is not None):
+        if remembers or model.articulation is not None or (ground is not None and ground.cfg is not None):
             return None
 
         def substep(state: BodyState, command: Tensor, dt: float) -> BodyState:
@@ -310,8 +348,7 @@ class TorchBackend:
         """Return the motion before and the state after one substep, differentiable, and tell the ground."""
         ground = self._ground
         if ground is None or ground.cfg is None:
-            before, free = self._free_substep(state, command, dt)
-            after = to_body_state(self._model, free)
+            before, after = self._free_substep_of_body(state, command, dt)
             if ground is not None:
                 ground.contact.logical_or_(touches_ground(ground, after))
             return before, after

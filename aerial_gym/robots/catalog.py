@@ -6,10 +6,12 @@ from functools import partial
 from math import pi
 
 from aerial_gym.config import CONFIG_DIR, summary_in
+from aerial_gym.config.joint import BASE
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import CapsuleCfg, CollisionCfg, RobotCfg, SphereCfg, load_robot
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.registry import Registry
+from aerial_gym.robots.joints.snakes import snake
 
 ROBOTS: Registry[RobotCfg] = Registry("robot")
 
@@ -35,6 +37,7 @@ for _name in (
     "racing_quadrotor",
     "base_rov",
     "bluerov2_heavy",
+    "morphy",
 ):
     _path = _FOLDER / f"{_name}.yaml"
     ROBOTS.register_later(_name, partial(load_robot, _path), summary=partial(summary_in, _path))
@@ -168,7 +171,21 @@ def _as_raced(robot: RobotCfg) -> RobotCfg:
     )
 
 
+def _held(robot: RobotCfg) -> RobotCfg:
+    """The base on a stand."""
+    assert robot.joints is not None
+    return replace(robot, joints=replace(robot.joints, floating=False))
+
+
+def _stiff(robot: RobotCfg) -> RobotCfg:
+    """Without joints: rigid in the reference pose."""
+    layout = tuple(replace(mount, link=BASE) for mount in robot.mounts.layout)
+    return replace(robot, joints=None, mounts=replace(robot.mounts, layout=layout))
+
+
 for _name, _of, _change, _summary in (
+    ("morphy_fixed_base", "morphy", _held, "morphy whose base is held, to look at its arms"),
+    ("morphy_stiff", "morphy", _stiff, "morphy with rigid arms"),
     (
         "base_quadrotor_true_inertia",
         "base_quadrotor",
@@ -297,3 +314,9 @@ for _name, _of, _change, _summary in (
     ),
 ):
     ROBOTS.register_later(_name, partial(_variant, _summary, _change, of=_of), summary=partial(str, _summary))
+
+for _rods in (4, 5, 6):
+    for _mode in ("velocity", "position", "effort"):
+        _name = f"snakey{'' if _rods == 4 else _rods}{'' if _mode == 'velocity' else f'_{_mode}'}"
+        _summary = f"{_rods} rods of 1 m with a rotor each and universal joints between, driven by {_mode}"
+        ROBOTS.register_later(_name, partial(snake, _rods, _mode), summary=partial(str, _summary))

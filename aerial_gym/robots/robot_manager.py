@@ -16,7 +16,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import Controller, make_controller
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.errors import ConfigError, ShapeError
+from aerial_gym.errors import CapabilityError, ConfigError, ShapeError
 from aerial_gym.interop.rows import MaskedRows
 from aerial_gym.math.random import Randomness, take_mask
 from aerial_gym.physics import (
@@ -25,12 +25,14 @@ from aerial_gym.physics import (
     build_model,
     vehicle_from_config,
 )
+from aerial_gym.physics.articulated.articulation import articulation_of
 from aerial_gym.physics.capabilities import choose_backend, needs_of
 from aerial_gym.physics.effects import EffectsByKind, ImuEffect
 from aerial_gym.physics.effects.imu_errors import WIDTH, imu_errors
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model, check_effects, robot_effects
 from aerial_gym.physics.rotors import hover_speed
+from aerial_gym.physics.state import JointedState
 from aerial_gym.physics.vehicle import is_shared, own_rows
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import below
@@ -38,6 +40,7 @@ from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.felt_scene import declare_felt_scene
 from aerial_gym.robots.hung_load import hung_load
 from aerial_gym.robots.initial_state import InitialState, StepBegin
+from aerial_gym.robots.joints.states import JointStates
 from aerial_gym.robots.noticed import Noticed
 from aerial_gym.robots.parameter_draws import drawing
 from aerial_gym.robots.randomized import Followed, Randomized, with_drawn_effects
@@ -87,6 +90,13 @@ class RobotManager:
         self.declared: Vehicle = vehicle_from_config(robot, num_envs=self._num_envs, device=gtd.device)
         self._effects = robot_effects(robot, num_envs=self._num_envs, device=gtd.device, dtype=root_state.dtype)
         self._com = torch.zeros(self._num_envs, 3, device=gtd.device)
+        self.articulation = articulation_of(robot, like=root_state)
+        """How it bends; None for a rigid robot."""
+        if self.articulation is not None and (gradients is not None or around.contact is not None):
+            raise CapabilityError(
+                "a robot with joints: neither gradients through the environment nor contact that pushes back. Leave out "
+                "differentiable=True, or contact of the environment"
+            )
         asked = {"integrator": sim.integrator, "contact": around.contact is not None}
         if gradients is not None:
             asked |= {"gradients": True, "dtype": gradients}
@@ -98,8 +108,8 @@ class RobotManager:
             dt=sim.dt,
             control=robot.control,
         )
-        gtd.define_size("U", len(self.controller.action_names))
-        self.tensors: RobotTensors = declare_robot_tensors(gtd, root_state)
+        gtd.define_size("U", len(self.action_names))
+        self.tensors: RobotTensors = declare_robot_tensors(gtd, root_state, robot.joints)
         self.differentiable: DifferentiableBackend | None = None
         if gradients is not None:
             self.backend = self.differentiable = DifferentiableBackend(
@@ -134,6 +144,10 @@ class RobotManager:
             random=random,
             noticed=self.noticed,
         )
+        self._joints: JointStates | None = None
+        if robot.joints is not None:
+            assert isinstance(self.tensors.state, JointedState)
+            self._joints = JointStates(robot.joints, gtd, self.tensors.state, random)
         self._update = self._make_update()
         self._begin = StepBegin(self.tensors.actions, self.tensors.prev_actions, self.noticed)
 
@@ -216,9 +230,15 @@ class RobotManager:
         ))  # fmt: skip
 
     @property
+    def action_names(self) -> tuple[str, ...]:
+        """Meaning and unit of each entry of an action: those of the controller, then commands of the joints' drives."""
+        joints = () if self.articulation is None else self.articulation.action_names
+        return (*self.controller.action_names, *joints)
+
+    @property
     def num_actions(self) -> int:
         """Width U of an action."""
-        return len(self.controller.action_names)
+        return len(self.action_names)
 
     def _make_randomized(self, cfg: Randomize) -> Randomized | None:
         """Return the layout of what is drawn, and declare its numbers; None where nothing is drawn."""
@@ -260,6 +280,7 @@ class RobotManager:
             ground_height=(self._around.ground_height or 0.0) if felt.surface_height is None else felt.surface_height,
             ceiling_height=self._around.ceiling_height,
             other_position=felt.other_position,
+            articulation=self.articulation,
         )
         return model, followed
 
@@ -364,7 +385,7 @@ class RobotManager:
         if actions.shape != self.tensors.actions.shape:
             raise ShapeError(
                 f"actions has shape {tuple(actions.shape)}, expected (E, U) = {tuple(self.tensors.actions.shape)}: "
-                f"{', '.join(self.controller.action_names)}"
+                f"{', '.join(self.action_names)}"
             )
         self._begin.take(actions)
         if self.differentiable is not None:
@@ -382,6 +403,8 @@ class RobotManager:
         """Bring everything that follows from the physics to its instant; ``span`` [s] is the length of the step."""
         self.tensors.derived.refresh()
         self._show_load()
+        if self._joints is not None:
+            self._joints.refresh()
         if self._contact_force is not None:
             self._contact_force.div_(span)  # impulses until now
 
@@ -393,6 +416,8 @@ class RobotManager:
             self._update.mark_written()
         self.backend.reset(mask)
         self._show_load()
+        if self._joints is not None:
+            self._joints.reset()
 
     def _show_load(self) -> None:
         load = None if self._load is None else self.backend.load()

@@ -8,9 +8,12 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from aerial_gym.config.joint import JointsCfg
 from aerial_gym.physics import BodyState
+from aerial_gym.physics.state import JointedState
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.robots.derived import Checked, DerivedStates
+from aerial_gym.robots.joints.states import declare_joints
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +42,10 @@ def _spec(key: str, width: int | str, unit: str, frame: str, owner: str, meaning
     return TensorSpec(key=key, shape=("E", width), unit=unit, frame=frame, owner=owner, meaning=meaning)
 
 
-def declare_robot_tensors(gtd: GlobalTensorDictionary, root_state: Tensor) -> RobotTensors:
-    """Declare every key of a robot; ``root_state`` is its row (E, 13) of ``vec_root_tensor``.
+def declare_robot_tensors(
+    gtd: GlobalTensorDictionary, root_state: Tensor, joints: JointsCfg | None = None
+) -> RobotTensors:
+    """Declare every key of a robot; ``root_state`` is its row (E, 13) of ``vec_root_tensor``, ``joints`` where it bends.
 
     The physics works on tensors of its own for each quantity: rows of 13 numbers would halve its speed on a GPU, where
     neighbouring threads then touch memory 52 bytes apart (``docs/results/performance.md``).
@@ -60,6 +65,8 @@ def declare_robot_tensors(gtd: GlobalTensorDictionary, root_state: Tensor) -> Ro
             "rotor_speed", "R", "rad/s", "-", "physics", "speed of each rotor; in force mode its thrust [N]"
         ),
     )
+    if joints is not None:
+        state = JointedState(**vars(state), **declare_joints(gtd, joints))
     state.attitude[:, 3] = 1.0
     actions = new("robot_actions", "U", "see controller", "-", "robot", "last action")
     derived = DerivedStates(

@@ -92,7 +92,7 @@ class Task:
             UnknownNameError: If there is no such term, generator or action, or what it reads.
             ConfigError: If these do not fit together, or not the robot or the environment.
         """
-        num_commands, command = env.robot_manager.num_actions, env.robot_manager.controller.action_names
+        num_commands, command = env.robot_manager.num_actions, env.robot_manager.action_names
         cfg = with_rotor_range(cfg, env.robot_manager.cfg, command)
         self.cfg, self.env = cfg, env
         self.num_envs, self.device = env.num_envs, env.device

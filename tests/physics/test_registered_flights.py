@@ -24,7 +24,9 @@ def assert_flies(flight: Flight, cfg: RobotCfg) -> None:
     assert flight.tilt_rad < pi / 2
     assert flight.settling_s < 10.0
     if cfg.control.gains is None:  # published ones were not derived for it: those of lmf2 overshoot by 13 % in velocity
-        assert flight.overshoot < (0.2 if flight.controller.startswith("pid_rates") else 0.05)  # an integral overshoots
+        assert flight.overshoot < (
+            0.25 if flight.controller.startswith("pid_rates") else 0.05
+        )  # an integral overshoots
 
 
 FAST = [n for n, cfg in geometric_controllers().items() if cfg.rate_loop is None or cfg.law in ("position", "rates")]

@@ -90,9 +90,12 @@ def equations(
 
 
 def solve(tree: Tree, state: TreeState, mass: Tensor, force: Tensor) -> Accelerations:
-    """Return the accelerations that ``mass`` (E, N, N) and ``force`` (E, N) ask for; a base that stands still has none."""
+    """Return the accelerations that ``mass`` (E, N, N) and ``force`` (E, N) ask for; a base that stands still has none.
+
+    Where the motion of an environment is not finite any more, its accelerations are not: nothing is raised, nothing waited for.
+    """
     first = 0 if tree.floating else 6
-    root = torch.linalg.cholesky(mass[:, first:, first:])
+    root = torch.linalg.cholesky_ex(mass[:, first:, first:]).L
     found = torch.cholesky_solve(force[:, first:].unsqueeze(-1), root).squeeze(-1)
     found = torch.cat((found.new_zeros(len(found), first), found), dim=-1)
     return Accelerations(

@@ -40,14 +40,14 @@ class Effort:
 class JointLaw(Protocol):
     """What acts in joints, by their position and rate."""
 
-    def effort(self, position: Tensor, rate: Tensor) -> Effort:
+    def effort_at(self, position: Tensor, rate: Tensor) -> Effort:
         """Return what acts at positions and rates (E, D)."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spring:
-    """``-(k + k2 |q - q0|) (q - q0) - c q'``: a spring, linear and quadratic, with a damper; tensors (E, D) or (1, D)."""
+    """``p - (k + k2 |q - q0|) (q - q0) - c q'``: a spring, linear and quadratic, with a damper; tensors (E, D) or (1, D)."""
 
     stiffness: Tensor
     """k [N m/rad]."""
@@ -61,11 +61,14 @@ class Spring:
     rest: Tensor
     """q0 [rad]."""
 
-    def effort(self, position: Tensor, rate: Tensor) -> Effort:
+    preload: Tensor
+    """p, what it holds at rest [N m]."""
+
+    def effort_at(self, position: Tensor, rate: Tensor) -> Effort:
         """Return the effort of spring and damper."""
         away = position - self.rest
         return Effort(
-            value=-(self.stiffness + self.quadratic * away.abs()) * away - self.damping * rate,
+            value=self.preload - (self.stiffness + self.quadratic * away.abs()) * away - self.damping * rate,
             stiffness=self.stiffness + 2.0 * self.quadratic * away.abs(),
             damping=self.damping.expand_as(rate),
         )
@@ -73,7 +76,7 @@ class Spring:
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """A drive to a position and a rate, ``k (q_c - q) + c (q'_c - q')``, within what it can; tensors (E, D) or (1, D)."""
+    """A drive to a position and a rate, ``k (q_c - q) + c (q'_c - q') + f``, within what it can; tensors (E, D) or (1, D)."""
 
     stiffness: Tensor
     """k; zero for a drive to a rate."""
@@ -87,12 +90,15 @@ class Drive:
     rate: Tensor
     """q'_c."""
 
+    effort: Tensor
+    """f, asked for as it is."""
+
     limit: Tensor
     """Largest effort."""
 
-    def effort(self, position: Tensor, rate: Tensor) -> Effort:
+    def effort_at(self, position: Tensor, rate: Tensor) -> Effort:
         """Return the effort; a drive at its limit gives way: its effort falls with nothing."""
-        wanted = self.stiffness * (self.position - position) + self.damping * (self.rate - rate)
+        wanted = self.stiffness * (self.position - position) + self.damping * (self.rate - rate) + self.effort
         free = wanted.abs() < self.limit
         return Effort(
             value=torch.minimum(torch.maximum(wanted, -self.limit), self.limit),
@@ -114,7 +120,7 @@ class Limits:
     damping: Tensor
     """[N m s/rad]."""
 
-    def effort(self, position: Tensor, rate: Tensor) -> Effort:
+    def effort_at(self, position: Tensor, rate: Tensor) -> Effort:
         """Return the effort beyond the ends."""
         past = (position - self.high).clamp_min(0.0) - (self.low - position).clamp_min(0.0)
         side = torch.sign(past)
@@ -132,5 +138,5 @@ def joint_effort(laws: Sequence[JointLaw], position: Tensor, rate: Tensor) -> Ef
     nothing = torch.zeros_like(rate)
     found = Effort(value=nothing, stiffness=nothing, damping=nothing)
     for law in laws:
-        found = found + law.effort(position, rate)
+        found = found + law.effort_at(position, rate)
     return found

@@ -272,6 +272,8 @@ class Effect(ABC):
     """What a log must hold in place of its memory."""
     rotors: ClassVar[tuple[RotorTrait, ...]] = ("slew", "dead_band")
     """What rotors may have beyond a plain speed under it; with others it is refused by name."""
+    on_joints: ClassVar[bool] = True
+    """Whether a vehicle that bends can have it: at its base, with the geometry of its reference pose."""
     medium: ClassVar[Literal["air", "water"]] = "air"
     """In what it matters; flights are in air."""
     random: ClassVar[bool] = False
@@ -470,6 +472,7 @@ class FluidEffect(Effect):
     acts_on = "inertia"
     twin = "warp_entrain"
     rotors = ANY_ROTOR
+    on_joints = False
 
     @abstractmethod
     def entrain(self, wrench: Tensor, condition: Condition, gravity: float, params: Tensor) -> Tensor:
@@ -505,6 +508,7 @@ class LoadEffect(Effect):
     acts_on = "wrench"
     twin = "warp_pull"
     rotors = ANY_ROTOR
+    on_joints = False
     memory = (0.0, 0.0, -1.0, 0.0, 0.0, 0.0)
 
     @abstractmethod

@@ -86,7 +86,11 @@ def test_a_stiff_damper_is_stable_at_any_step_and_exact_at_rest(dt: float) -> No
     tree, links = pendulum(length, mass)
     inertia = mass * length**2
     spring = Spring(
-        stiffness=row(4000.0 * inertia), quadratic=row(5834.0 * inertia), damping=row(230.0 * inertia), rest=row(0.1)
+        stiffness=row(4000.0 * inertia),
+        quadratic=row(5834.0 * inertia),
+        damping=row(230.0 * inertia),
+        rest=row(0.1),
+        preload=row(0.0),
     )
     state, before = hanging(0.35), 0.35
     for _ in range(round(1.0 / dt)):
@@ -102,7 +106,7 @@ def test_a_stiff_damper_is_stable_at_any_step_and_exact_at_rest(dt: float) -> No
 def test_a_spring_that_is_stiffer_than_a_step_resolves_comes_to_rest() -> None:
     """50 rad in a step, no damper: implicit Euler shrinks the swing by ``1 + (w dt)²`` in square, to rest within rounding."""
     tree, links = pendulum(1.0, 1.0)
-    spring = Spring(stiffness=row(5000.0**2), quadratic=row(0.0), damping=row(0.0), rest=row(0.0))
+    spring = Spring(stiffness=row(5000.0**2), quadratic=row(0.0), damping=row(0.0), rest=row(0.0), preload=row(0.0))
     state = hanging(0.2)
     for _ in range(8):
         state = implicit_euler(tree, links, (spring,), state, 0.01, gravity=0.0)
@@ -114,7 +118,13 @@ def test_implicit_steps_are_of_order_one() -> None:
     tree, links = pendulum(1.0, 1.0)
     natural, share = 6.0, 0.3
     damped = natural * sqrt(1.0 - share**2)
-    spring = Spring(stiffness=row(natural**2), quadratic=row(0.0), damping=row(2.0 * share * natural), rest=row(0.0))
+    spring = Spring(
+        stiffness=row(natural**2),
+        quadratic=row(0.0),
+        damping=row(2.0 * share * natural),
+        rest=row(0.0),
+        preload=row(0.0),
+    )
     exact = 0.2 * exp(-share * natural * 0.5) * (cos(damped * 0.5) + share * natural / damped * sin(damped * 0.5))
     errors = []
     for dt in (4e-3, 2e-3, 1e-3):
@@ -130,8 +140,10 @@ def test_implicit_steps_are_of_order_one() -> None:
 def test_a_drive_holds_its_place_within_what_it_can(limit: float, reaches: bool) -> None:
     """To 1 rad against a weight of 1.96 N m times sin q, with 50 N m/rad; a drive of 0.5 N m holds asin(0.5 / 1.96)."""
     tree, links = pendulum(0.5, 0.4)
-    drive = Drive(stiffness=row(50.0), damping=row(10.0), position=row(1.0), rate=row(0.0), limit=row(limit))
-    still = Spring(stiffness=row(0.0), quadratic=row(0.0), damping=row(1.0), rest=row(0.0))
+    drive = Drive(
+        stiffness=row(50.0), damping=row(10.0), position=row(1.0), rate=row(0.0), effort=row(0.0), limit=row(limit)
+    )
+    still = Spring(stiffness=row(0.0), quadratic=row(0.0), damping=row(1.0), rest=row(0.0), preload=row(0.0))
     state = hanging(0.0)
     for _ in range(700):
         state = implicit_euler(tree, links, (drive, still), state, 2e-2, gravity=G)
@@ -142,7 +154,9 @@ def test_a_drive_holds_its_place_within_what_it_can(limit: float, reaches: bool)
 
 def test_a_drive_to_a_rate_turns_at_it() -> None:
     tree, links = pendulum(0.5, 0.4)
-    drive = Drive(stiffness=row(0.0), damping=row(10.0), position=row(0.0), rate=row(1.5), limit=row(9.0))
+    drive = Drive(
+        stiffness=row(0.0), damping=row(10.0), position=row(0.0), rate=row(1.5), effort=row(0.0), limit=row(9.0)
+    )
     state = hanging(0.0)
     for _ in range(100):
         state = implicit_euler(tree, links, (drive,), state, 2e-2, gravity=0.0)
@@ -161,7 +175,7 @@ def test_soft_ends_stop_a_joint_and_never_pull(side: float) -> None:
         most = max(most, side * state.joint_pos.item())
     assert 0.3 < most < 0.3 + 2.0 / sqrt(stiffness / inertia)
     assert -2.0 < side * state.joint_vel.item() < 0.0
-    sticky = ends.effort(row(side * 0.31), row(-side * 100.0))
+    sticky = ends.effort_at(row(side * 0.31), row(-side * 100.0))
     assert sticky.value.item() == 0.0
 
 

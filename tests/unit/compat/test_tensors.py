@@ -44,7 +44,8 @@ NUMBERS = {
     "dof_control_mode": "none",
 }
 ELSEWHERE = {"robot_contact_force_tensor", "curriculum_level", "rgb_pixels"}
-"""Keys of other environments, tasks and cameras."""
+ELSEWHERE |= {"dof_state_tensor", "unfolded_dof_state_tensor"}
+"""Keys of other environments, tasks, cameras and robots."""
 
 
 @pytest.mark.parametrize("name", KEYS)

@@ -1,0 +1,242 @@
+"""Where a vehicle bends: joints, what their links weigh, and what acts in them.
+
+A robot file describes the vehicle in its reference pose as if it were rigid: ``body`` is all of it, and hubs, centres and axes
+are in body axes. Joints say where that pose bends: every number here is of the reference pose too, in body axes, so that a
+joint of coordinate ``reference`` leaves everything where the rest of the file has it.
+SI units; coordinates of revolute joints in rad, of prismatic ones in m.
+"""
+
+from dataclasses import dataclass
+from math import inf, isclose, isfinite, sqrt
+
+from aerial_gym.config.checks import Vec3, require_finite
+from aerial_gym.errors import ConfigError
+
+BASE = "base"
+"""Name of the link that is no joint's: the body itself."""
+
+DRIVE_MODES = ("position", "velocity", "effort")
+
+
+def _require_no_less(cfg: object, *names: str) -> None:
+    for name in names:
+        if not 0.0 <= getattr(cfg, name) < inf:
+            raise ConfigError(f"{type(cfg).__name__}.{name} = {getattr(cfg, name)!r}: must be >= 0 and finite")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkCfg:
+    """What a joint carries; the rest of the vehicle's mass is that of the base."""
+
+    mass: float
+    """[kg], > 0."""
+
+    com: Vec3
+    """Centre of mass from the body origin [m], body axes, reference pose."""
+
+    inertia: tuple[Vec3, Vec3, Vec3]
+    """About that centre of mass [kg m²], body axes, reference pose; symmetric, and not negative."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.mass < inf:
+            raise ConfigError(f"LinkCfg.mass = {self.mass!r}: must be > 0 and finite; leave out a link without mass")
+        require_finite(self, "com", "inertia")
+        import numpy as np
+
+        matrix = np.asarray(self.inertia, dtype=float)
+        if not np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9 * max(float(np.abs(matrix).max()), 1e-30)):
+            raise ConfigError(f"LinkCfg.inertia = {self.inertia!r}: must be symmetric")
+        if np.linalg.eigvalsh(matrix)[0] < -1e-12:
+            raise ConfigError(f"LinkCfg.inertia = {self.inertia!r}: principal moments must be >= 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpringCfg:
+    """A passive joint: ``preload - (k + k2 |q - rest|) (q - rest) - damping q'``."""
+
+    stiffness: float = 0.0
+    """k [N m/rad], >= 0."""
+
+    quadratic: float = 0.0
+    """k2 [N m/rad²], >= 0."""
+
+    damping: float = 0.0
+    """[N m s/rad], >= 0."""
+
+    rest: float = 0.0
+    """[rad]."""
+
+    preload: float = 0.0
+    """What it holds at rest [N m], such as the weight of an arm."""
+
+    def __post_init__(self) -> None:
+        _require_no_less(self, "stiffness", "quadratic", "damping")
+        require_finite(self, "rest", "preload")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveCfg:
+    """A joint that follows a command: one more entry of the action."""
+
+    mode: str
+    """``position``: ``stiffness (command - q) - damping q'``; ``velocity``: ``damping (command - q')``; ``effort``: the
+    command itself. In rad, rad/s and N m."""
+
+    stiffness: float = 0.0
+    """[N m/rad], > 0 in position mode, and only there."""
+
+    damping: float = 0.0
+    """[N m s/rad], > 0 in velocity mode, >= 0 in position mode."""
+
+    limit: float
+    """Largest effort [N m], > 0."""
+
+    command_range: tuple[float, float]
+    """Lowest and highest command."""
+
+    def __post_init__(self) -> None:
+        if self.mode not in DRIVE_MODES:
+            raise ConfigError(f"DriveCfg.mode = {self.mode!r}: choose {', '.join(DRIVE_MODES)}")
+        _require_no_less(self, "stiffness", "damping")
+        if not 0.0 < self.limit < inf:
+            raise ConfigError(f"DriveCfg.limit = {self.limit!r}: must be > 0 and finite")
+        low, high = self.command_range
+        if not (isfinite(low) and isfinite(high) and low < high):
+            raise ConfigError(f"DriveCfg.command_range = {self.command_range!r}: needs low < high")
+        if (self.stiffness > 0.0) != (self.mode == "position"):
+            raise ConfigError(f"DriveCfg.stiffness = {self.stiffness!r}: > 0 in position mode, and only there")
+        if self.mode == "velocity" and self.damping == 0.0:
+            raise ConfigError("DriveCfg.damping: must be > 0 in velocity mode")
+        if self.mode == "effort" and self.damping > 0.0:
+            raise ConfigError("DriveCfg.damping: none in effort mode. Give the joint a spring: {damping: ...}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EndsCfg:
+    """Soft ends of a joint's range: beyond them a spring with a damper pushes back, and never pulls."""
+
+    low: float
+    high: float
+    stiffness: float
+    """[N m/rad], > 0."""
+
+    damping: float = 0.0
+    """[N m s/rad], >= 0."""
+
+    def __post_init__(self) -> None:
+        require_finite(self, "low", "high")
+        if not self.low < self.high:
+            raise ConfigError(f"EndsCfg: low = {self.low!r} must be below high = {self.high!r}")
+        if not 0.0 < self.stiffness < inf:
+            raise ConfigError(f"EndsCfg.stiffness = {self.stiffness!r}: must be > 0 and finite")
+        _require_no_less(self, "damping")
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointCfg:
+    """One joint of one degree of freedom; a universal joint is two, the first without a link."""
+
+    name: str
+    """By which mounts and other joints name its link."""
+
+    parent: str = BASE
+    """The joint on whose link it sits, or ``base``."""
+
+    kind: str = "revolute"
+    """``revolute`` or ``prismatic``."""
+
+    axis: Vec3
+    """Unit vector that it turns about or moves along, body axes, reference pose."""
+
+    position: Vec3
+    """A point of the axis from the body origin [m], body axes, reference pose."""
+
+    reference: float = 0.0
+    """Its coordinate in the reference pose [rad] or [m]."""
+
+    link: LinkCfg | None = None
+    """What it carries beside joints and rotors; nothing if not given."""
+
+    spring: SpringCfg | None = None
+    drive: DriveCfg | None = None
+    ends: EndsCfg | None = None
+
+    initial: tuple[float, float] | None = None
+    """Range from which a reset draws its coordinate; ``reference`` if not given."""
+
+    initial_rate: tuple[float, float] = (0.0, 0.0)
+    """Likewise its rate."""
+
+    def __post_init__(self) -> None:
+        if self.name == BASE or not self.name:
+            raise ConfigError(f"JointCfg.name = {self.name!r}: {BASE!r} is the body itself. Choose another name")
+        if self.kind not in ("revolute", "prismatic"):
+            raise ConfigError(f"JointCfg.kind = {self.kind!r}: choose revolute or prismatic")
+        require_finite(self, "axis", "position", "reference", "initial_rate")
+        if not isclose(sqrt(sum(a * a for a in self.axis)), 1.0, abs_tol=1e-6):
+            raise ConfigError(f"JointCfg.axis = {self.axis!r}: must have length 1")
+        if self.initial is not None:
+            require_finite(self, "initial")
+        for name in ("initial", "initial_rate"):
+            values = getattr(self, name)
+            if values is not None and values[0] > values[1]:
+                raise ConfigError(f"JointCfg.{name} = {values!r}: needs low <= high")
+
+    @property
+    def start(self) -> tuple[float, float]:
+        """Range from which a reset draws its coordinate."""
+        return (self.reference, self.reference) if self.initial is None else self.initial
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointsCfg:
+    """All joints, in the order of joint states."""
+
+    layout: tuple[JointCfg, ...]
+    """A joint stands behind the one on whose link it sits."""
+
+    floating: bool = True
+    """Whether the base flies; else it is held where a reset puts it."""
+
+    source: str
+    """Where the numbers come from."""
+
+    def __post_init__(self) -> None:
+        known = [BASE]
+        if not self.layout:
+            raise ConfigError("JointsCfg.layout: needs at least one joint. Leave joints out for a rigid vehicle")
+        for joint in self.layout:
+            if joint.name in known:
+                raise ConfigError(f"JointsCfg.layout: two joints are named {joint.name!r}")
+            if joint.parent not in known:
+                raise ConfigError(
+                    f"JointsCfg.layout: {joint.name} sits on {joint.parent!r}: must be {BASE} or a joint before it"
+                )
+            known.append(joint.name)
+        carriers = {joint.parent for joint in self.layout}
+        for joint in self.layout:
+            if joint.link is None and joint.name not in carriers:
+                raise ConfigError(
+                    f"JointsCfg.layout: {joint.name} carries no mass and no joint: nothing would hold it. Give it a link"
+                )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the joints."""
+        return tuple(joint.name for joint in self.layout)
+
+    def link_of(self, name: str) -> int:
+        """Return the number of a link: 0 of the base, k + 1 of joint k.
+
+        Raises:
+            ConfigError: If there is none of that name.
+        """
+        names = (BASE, *self.names)
+        if name not in names:
+            raise ConfigError(f"no link {name!r}: the links are {', '.join(names)}")
+        return names.index(name)
+
+    @property
+    def driven(self) -> tuple[int, ...]:
+        """Numbers of the joints with a drive, in the order of their commands."""
+        return tuple(k for k, joint in enumerate(self.layout) if joint.drive is not None)

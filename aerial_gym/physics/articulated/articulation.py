@@ -1,0 +1,236 @@
+"""How a vehicle bends: its tree, what acts in its joints, and where its rotors sit, from the joints of a robot file.
+
+A vehicle is declared in its reference pose (``config.joint``); the tree has all frames along the body's axes there.
+Letters: E environments, D joints, L = D + 1 links, R rotors, C joints with a drive.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.joint import DRIVE_MODES, JointCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.math.quaternion import quat_exp
+from aerial_gym.physics.articulated.joint_laws import Drive, JointLaw, Limits, Spring
+from aerial_gym.physics.articulated.tree import Joint, Links, Tree
+from aerial_gym.physics.vehicle import Vehicle, is_shared
+
+UNBOUNDED = 1e9
+"""Where a joint without ends has them [rad], and the effort of a drive without limit [N m]: finite in float32."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Articulation:
+    """What of a vehicle is not rigid; shared by all environments."""
+
+    tree: Tree
+    """Frames of links are along those of the base in the reference pose."""
+
+    origins: Tensor
+    """Origins of the links from the body origin [m], body axes, reference pose, (L, 3)."""
+
+    link_mass: Tensor
+    """Of the links but the base [kg], (D,)."""
+
+    link_com: Tensor
+    """Centres of mass of these from the body origin [m], body axes, reference pose, (D, 3)."""
+
+    link_inertia: Tensor
+    """About these [kg m²], (D, 3, 3)."""
+
+    rotor_links: tuple[int, ...]
+    """Link of each rotor, R of them."""
+
+    reference: Tensor
+    """Coordinates in the reference pose [rad] or [m], (D,)."""
+
+    spring: Spring
+    """Passive law of every joint, tensors (1, D)."""
+
+    ends: Limits
+    """Soft ends of every joint, tensors (1, D)."""
+
+    drive_gains: Tensor
+    """Stiffness, damping and largest effort of each drive, (C, 3)."""
+
+    driven: tuple[int, ...]
+    """Joints that have one, C of them."""
+
+    modes: tuple[str, ...]
+    """What their commands are, of ``DRIVE_MODES``, C of them."""
+
+    command_low: Tensor
+    """Lowest commands, (C,)."""
+
+    command_high: Tensor
+    """Highest commands, (C,)."""
+
+    names: tuple[str, ...]
+    """Of the joints, D of them."""
+
+    @property
+    def num_joints(self) -> int:
+        """Number D of joints."""
+        return self.tree.num_joints
+
+    @property
+    def num_driven(self) -> int:
+        """Number C of joints with a drive."""
+        return len(self.driven)
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """What the entries of a joint command are called."""
+        return tuple(f"{self.names[k]} {mode}" for k, mode in zip(self.driven, self.modes, strict=True))
+
+    def to(self, like: Tensor) -> "Articulation":
+        """Return it with float type and device of ``like``."""
+
+        def moved(value: object) -> object:
+            if isinstance(value, Tensor):
+                return value.to(like)
+            if isinstance(value, (Spring, Limits)):
+                return replace(value, **{name: rows.to(like) for name, rows in vars(value).items()})
+            return value
+
+        return replace(self, **{name: moved(value) for name, value in vars(self).items() if name != "tree"})
+
+    def links(self, vehicle: Vehicle) -> Links:
+        """Return what links weigh where the whole vehicle in its reference pose weighs what ``vehicle`` does, (E, L, ...).
+
+        Links weigh what was declared; what is drawn or changed of the whole is the base's. (1, L, ...) if it is shared.
+        """
+        whole = (vehicle.mass, vehicle.com, vehicle.inertia)
+        mass, com, inertia = (rows[:1] for rows in whole) if all(map(is_shared, whole)) else whole
+        carried = self.link_mass.sum()
+        own = mass - carried
+        first = (mass.unsqueeze(-1) * com - self.link_mass @ self.link_com) / own.unsqueeze(-1)
+        about = inertia - _shifted(self.link_inertia, self.link_mass, self.link_com - com.unsqueeze(1)).sum(1)
+        about = about - _shifted(torch.zeros_like(inertia), own, first - com)
+        num_envs = mass.shape[0]
+        return Links(
+            mass=torch.cat((own.unsqueeze(1), self.link_mass.expand(num_envs, -1)), dim=1),
+            com=torch.cat((first.unsqueeze(1), (self.link_com - self.origins[1:]).expand(num_envs, -1, -1)), dim=1),
+            inertia=torch.cat((about.unsqueeze(1), self.link_inertia.expand(num_envs, -1, -1, -1)), dim=1),
+        )
+
+    def laws(self, command: Tensor) -> tuple[JointLaw, ...]:
+        """Return what acts in the joints under a command of the drives, (E, C); drives not commanded do not exist."""
+        if not self.driven:
+            return self.spring, self.ends
+        command = torch.minimum(torch.maximum(command, self.command_low), self.command_high)
+        zero = command.new_zeros(command.shape[0], self.num_joints)
+        columns = {name: list(zero.unbind(1)) for name in ("position", "velocity", "effort")}
+        gains = [list(zero[:1].unbind(1)) for _ in range(3)]
+        for place, (k, mode) in enumerate(zip(self.driven, self.modes, strict=True)):
+            columns[mode][k] = command[:, place]
+            for gain, value in zip(gains, self.drive_gains[place], strict=True):
+                gain[k] = value.expand(1)
+        stiffness, damping, limit = (torch.stack(gain, dim=1) for gain in gains)
+        position, rate, effort = (torch.stack(columns[name], dim=1) for name in ("position", "velocity", "effort"))
+        drive = Drive(stiffness=stiffness, damping=damping, position=position, rate=rate, effort=effort, limit=limit)
+        return self.spring, self.ends, drive
+
+
+def _shifted(inertia: Tensor, mass: Tensor, lever: Tensor) -> Tensor:
+    """Return inertias about a point from which the centres are ``lever`` away: ``J + m (l² 1 - l l^T)``."""
+    square = lever.square().sum(-1)[..., None, None] * torch.eye(3, dtype=lever.dtype, device=lever.device)
+    return inertia + mass[..., None, None] * (square - lever.unsqueeze(-1) * lever.unsqueeze(-2))
+
+
+def articulation_of(robot: RobotCfg, *, like: Tensor) -> Articulation | None:
+    """Return how a robot bends, in float type and on the device of ``like``; None for a rigid one.
+
+    Raises:
+        ConfigError: If its links weigh more than all of it, or leave a base that no body can be.
+    """
+    cfg = robot.joints
+    if cfg is None:
+        return None
+    origins = [(0.0, 0.0, 0.0), *(joint.position for joint in cfg.layout)]
+    joints = []
+    for joint in cfg.layout:
+        parent = cfg.link_of(joint.parent)
+        joints.append(_joint(joint, parent, origins[parent]))
+
+    def column(part: str, name: str, default: float) -> Tensor:
+        values = [getattr(getattr(joint, part), name, default) for joint in cfg.layout]
+        return like.new_tensor(values).unsqueeze(0)
+
+    drives = [joint.drive for joint in cfg.layout if joint.drive is not None]
+    nothing = ((0.0, 0.0, 0.0),) * 3
+    links = [joint.link for joint in cfg.layout]
+    found = Articulation(
+        tree=Tree(joints=tuple(joints), floating=cfg.floating),
+        origins=like.new_tensor(origins),
+        link_mass=like.new_tensor([0.0 if link is None else link.mass for link in links]),
+        link_com=like.new_tensor([j.position if j.link is None else j.link.com for j in cfg.layout]),
+        link_inertia=like.new_tensor([nothing if link is None else link.inertia for link in links]),
+        rotor_links=tuple(cfg.link_of(mount.link) for mount in robot.mounts.layout),
+        reference=like.new_tensor([joint.reference for joint in cfg.layout]),
+        spring=Spring(
+            **{n: column("spring", n, 0.0) for n in ("stiffness", "quadratic", "damping", "rest", "preload")}
+        ),
+        ends=Limits(
+            low=column("ends", "low", -UNBOUNDED),
+            high=column("ends", "high", UNBOUNDED),
+            stiffness=column("ends", "stiffness", 0.0),
+            damping=column("ends", "damping", 0.0),
+        ),
+        drive_gains=like.new_tensor([[d.stiffness, d.damping, d.limit] for d in drives]).reshape(-1, 3),
+        driven=cfg.driven,
+        modes=tuple(drive.mode for drive in drives),
+        command_low=like.new_tensor([drive.command_range[0] for drive in drives]),
+        command_high=like.new_tensor([drive.command_range[1] for drive in drives]),
+        names=cfg.names,
+    )
+    assert set(found.modes) <= set(DRIVE_MODES)
+    _check_base(robot, found)
+    return found
+
+
+def _joint(cfg: JointCfg, parent: int, parent_origin: tuple[float, float, float]) -> Joint:
+    """Return a joint whose link stands as declared where the coordinate is ``reference``."""
+    offset = tuple(p - q for p, q in zip(cfg.position, parent_origin, strict=True))
+    attitude = (0.0, 0.0, 0.0, 1.0)
+    axis = torch.tensor(cfg.axis, dtype=torch.float64)
+    if cfg.kind == "revolute":
+        back = quat_exp((-cfg.reference * axis).unsqueeze(0))[0]
+        attitude = tuple(back.tolist())
+    else:
+        offset = tuple(p - cfg.reference * a for p, a in zip(offset, cfg.axis, strict=True))
+    return Joint(parent=parent, kind=cfg.kind, axis=cfg.axis, position=offset, attitude=attitude)  # type: ignore[arg-type]
+
+
+def _check_base(robot: RobotCfg, articulation: Articulation) -> None:
+    """Raise ``ConfigError`` where what is left for the base is no body."""
+    exact = articulation.to(torch.zeros(1, dtype=torch.float64))
+
+    def rows(values: object) -> Tensor:
+        return torch.tensor(values, dtype=torch.float64).unsqueeze(0)
+
+    carried = float(exact.link_mass.sum())
+    if carried >= robot.body.mass:
+        raise ConfigError(
+            f"robot: its links weigh {carried:.6g} kg, all of it {robot.body.mass:.6g} kg. body.mass is that of the whole "
+            "vehicle: the base must weigh something"
+        )
+    whole = _Whole(mass=rows(robot.body.mass), com=rows(robot.body.com), inertia=rows(robot.body.inertia))
+    left = exact.links(whole).inertia[0, 0]  # type: ignore[arg-type]
+    moments = torch.linalg.eigvalsh(left)
+    if moments[0] < 0.0 or moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-6):
+        raise ConfigError(
+            f"robot: what the links leave of body.inertia for the base has principal moments {moments.tolist()} kg m², which "
+            "no body has. body.inertia is that of the whole vehicle in its reference pose, about its centre of mass"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Whole:
+    """Of a vehicle, what its links are worked out from."""
+
+    mass: Tensor
+    com: Tensor
+    inertia: Tensor

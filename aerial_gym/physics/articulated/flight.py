@@ -1,0 +1,89 @@
+"""A vehicle that bends, in the air: what its rotors and effects do to its links, and one step of it.
+
+Each rotor pushes the link that it sits on. Effects on the whole act on the base, at the centre of mass and with the geometry of
+the reference pose: the drag of an arm that has moved is that of one that has not.
+Letters: E environments, R rotors, D joints, L links, C joints with a drive.
+"""
+
+import torch
+from torch import Tensor
+
+from aerial_gym.physics.articulated.articulation import Articulation
+from aerial_gym.physics.articulated.steppers import implicit_euler
+from aerial_gym.physics.articulated.tree import TreeState
+from aerial_gym.physics.effects import RotorEffect, WrenchEffect
+from aerial_gym.physics.model import Model
+from aerial_gym.physics.rigid_body import condition_in, loads_in
+from aerial_gym.physics.rotor_lag import RotorCommand, follow_command
+from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
+from aerial_gym.physics.state import BodyState, JointedState
+
+
+def jointed_step(
+    model: Model, state: JointedState, rotor_command: RotorCommand, joint_command: Tensor, dt: float
+) -> JointedState:
+    """Return the state after one step of ``steppers.implicit_euler``; the rotors follow their exact solution.
+
+    Args:
+        model: With its articulation.
+        state: Motion of the base, joints and rotors.
+        rotor_command: What the rotors follow.
+        joint_command: Of the drives, (E, C).
+        dt: Length of the step [s].
+    """
+    articulation, links = model.articulation, model.links
+    assert articulation is not None
+    assert links is not None
+    rotor_speed = follow_command(model.vehicle, state.rotor_speed, rotor_command, dt)
+    rotor_acc = (rotor_speed - state.rotor_speed) / dt
+    body = BodyState(
+        position=state.position,
+        attitude=state.attitude,
+        lin_vel=state.lin_vel,
+        ang_vel=state.ang_vel,
+        rotor_speed=rotor_speed,
+    )
+    before = TreeState(
+        position=state.position,
+        attitude=state.attitude,
+        lin_vel=state.lin_vel,
+        ang_vel=state.ang_vel,
+        joint_pos=state.joint_pos,
+        joint_vel=state.joint_vel,
+    )
+    after = implicit_euler(
+        articulation.tree,
+        links,
+        articulation.laws(joint_command),
+        before,
+        dt,
+        gravity=model.gravity,
+        wrench=link_wrenches(model, articulation, body, rotor_acc),
+    )
+    return JointedState(**vars(after), rotor_speed=rotor_speed)
+
+
+def link_wrenches(model: Model, articulation: Articulation, body: BodyState, rotor_acc: Tensor) -> Tensor:
+    """Return force [N] on each link at its origin and torque [N m], axes of the link, (E, L, 6).
+
+    Args:
+        model: Vehicle and effects.
+        articulation: Its own.
+        body: Motion of the base, and states of the rotors.
+        rotor_acc: Angular accelerations of the rotors [rad/s²], (E, R).
+    """
+    vehicle = model.vehicle
+    thrust, others = rotor_thrust(vehicle, body.rotor_speed), []
+    if model.effects[RotorEffect] or model.effects[WrenchEffect]:
+        thrust, others = loads_in(model, condition_in(model, body, rotor_acc))
+    force = thrust.unsqueeze(-1) * vehicle.rotor_axis
+    drag = (vehicle.rotor_spin * rotor_torque(vehicle, body.rotor_speed)).unsqueeze(-1) * vehicle.rotor_axis
+    hub = vehicle.rotor_position - articulation.origins[list(articulation.rotor_links)]
+    each = torch.cat((force, torch.linalg.cross(hub.expand_as(force), force) - drag), dim=-1)
+    on_links = each.new_zeros(len(each), articulation.tree.num_links, 6)
+    on_links = on_links.index_add(1, torch.tensor(articulation.rotor_links, device=each.device), each)
+    for wrench in others:
+        push, twist = wrench[:, :3], wrench[:, 3:] + torch.linalg.cross(vehicle.com, wrench[:, :3])
+        whole = torch.cat((push, twist), dim=-1).unsqueeze(1)
+        on_links = on_links + torch.nn.functional.pad(whole, (0, 0, 0, articulation.num_joints))
+    return on_links

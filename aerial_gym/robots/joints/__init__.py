@@ -1,0 +1,1 @@
+"""Robots that bend: the states of their joints, and families of them."""

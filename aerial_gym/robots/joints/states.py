@@ -1,0 +1,64 @@
+"""The joints of a robot in the Global Tensor Dictionary, and where an episode begins with them.
+
+Letters: E environments, D joints.
+"""
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.joint import JointsCfg
+from aerial_gym.math.random import Purpose, Randomness, counted_state, counted_uniform
+from aerial_gym.physics.state import JointedState
+from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+
+
+def declare_joints(gtd: GlobalTensorDictionary, cfg: JointsCfg) -> dict[str, Tensor]:
+    """Declare coordinates and rates of the joints, and return them as ``JointedState`` names them, each (E, D)."""
+    gtd.define_size("D", len(cfg.layout))
+    names = ", ".join(cfg.names)
+    return {
+        field: gtd.declare(
+            TensorSpec(key=key, shape=("E", "D"), unit=unit, frame="-", owner="physics", meaning=f"{what} of {names}")
+        )
+        for field, key, unit, what in (
+            ("joint_pos", "dof_position", "rad or m", "coordinates"),
+            ("joint_vel", "dof_velocity", "rad/s or m/s", "rates"),
+        )
+    }
+
+
+class JointStates:
+    """Draws joints where episodes begin and keeps ``dof_state_tensor``; captured with the step that it belongs to."""
+
+    def __init__(self, cfg: JointsCfg, gtd: GlobalTensorDictionary, state: JointedState, random: Randomness) -> None:
+        """Take the ranges, the state that is written, and the random numbers."""
+        self._state, self._random = state, random
+        self._together = gtd.declare(TensorSpec(
+            key="dof_state_tensor", shape=("E", "D", 2), unit="rad, rad/s", frame="-", owner="robot",
+            meaning="copy of dof_position and dof_velocity, side by side",
+        ))  # fmt: skip
+        like = state.joint_pos
+        self._ranges = tuple(
+            (state_part, like.new_tensor([low for low, _ in ranges]), like.new_tensor([high for _, high in ranges]))
+            for state_part, ranges in (
+                (state.joint_pos, [joint.start for joint in cfg.layout]),
+                (state.joint_vel, [joint.initial_rate for joint in cfg.layout]),
+            )
+        )
+
+    @torch.no_grad()
+    def reset(self) -> None:
+        """Draw joints in the environments of the mask that ``random`` keeps."""
+        stream, mask = self._random.stream(Purpose.JOINTS), self._random.mask.unsqueeze(1)
+        for which, (target, low, high) in enumerate(self._ranges):
+            first = which * len(low)
+            shares = [counted_uniform(counted_state(stream, first + k), dtype=low.dtype) for k in range(len(low))]
+            drawn = low + (high - low) * torch.stack(shares, dim=1)
+            target.copy_(torch.where(mask, drawn, target))
+        self.refresh()
+
+    @torch.no_grad()
+    def refresh(self) -> None:
+        """Bring ``dof_state_tensor`` to the instant of the state."""
+        self._together[..., 0].copy_(self._state.joint_pos)
+        self._together[..., 1].copy_(self._state.joint_vel)
