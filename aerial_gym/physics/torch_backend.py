@@ -1,7 +1,7 @@
 """The readable reference backend in torch: any float type, CPU or GPU, differentiable through a whole rollout."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TypeVar
 
@@ -14,6 +14,8 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.interop.rows import UntraceableError
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics.articulated.flight import jointed_step
+from aerial_gym.physics.articulated.steppers import implicit_euler
+from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
 from aerial_gym.physics.effects import LoadEffect
@@ -203,6 +205,11 @@ class TorchBackend:
         """Return what moves the body in a substep, for one of ``capabilities.integrators``; other engines give their own."""
         return INTEGRATORS[integrator]
 
+    def tree_stepper(self, model: Model, dt: float) -> Callable[..., TreeState]:
+        """Return what moves the links of a vehicle that bends in a substep of ``dt`` [s]: as ``implicit_euler``."""
+        del model, dt
+        return implicit_euler
+
     def set_model(self, model: Model) -> None:
         """Take other parameters."""
         self._model = model
@@ -272,7 +279,7 @@ class TorchBackend:
         if memory is not None:
             model, followed, memory = begin_substep(model, memory, state.rotor_speed, followed, dt)
             self._memory = _kept(self._memory, end_substep(memory, state.position[:, :0]))
-        return jointed_step(model, state, followed, joint_command, dt)
+        return jointed_step(model, state, followed, joint_command, dt, stepper=self.tree_stepper(model, dt))
 
     def _free_substep(self, state: BodyState, command: Tensor, dt: float) -> tuple[MassState, MassState]:
         """Return the motion before and after a substep without contact."""

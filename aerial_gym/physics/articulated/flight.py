@@ -5,6 +5,8 @@ the reference pose: the drag of an arm that has moved is that of one that has no
 Letters: E environments, R rotors, D joints, L links, C joints with a drive.
 """
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -20,7 +22,13 @@ from aerial_gym.physics.state import BodyState, JointedState
 
 
 def jointed_step(
-    model: Model, state: JointedState, rotor_command: RotorCommand, joint_command: Tensor, dt: float
+    model: Model,
+    state: JointedState,
+    rotor_command: RotorCommand,
+    joint_command: Tensor,
+    dt: float,
+    *,
+    stepper: Callable[..., TreeState] = implicit_euler,
 ) -> JointedState:
     """Return the state after one step of ``steppers.implicit_euler``; the rotors follow their exact solution.
 
@@ -30,6 +38,7 @@ def jointed_step(
         rotor_command: What the rotors follow.
         joint_command: Of the drives, (E, C).
         dt: Length of the step [s].
+        stepper: What moves the tree, in place of ``implicit_euler``.
     """
     articulation, links = model.articulation, model.links
     assert articulation is not None
@@ -51,7 +60,7 @@ def jointed_step(
         joint_pos=state.joint_pos,
         joint_vel=state.joint_vel,
     )
-    after = implicit_euler(
+    after = stepper(
         articulation.tree,
         links,
         articulation.laws(joint_command),

@@ -9,6 +9,7 @@ Python. Parameters that environments do not share cost a MuJoCo model each, some
 Letters: E environments.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
@@ -18,6 +19,7 @@ from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.math.random import Randomness
+from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.ground import Ground, crash_at, ground_contacts
@@ -26,6 +28,7 @@ from aerial_gym.physics.model import Model
 from aerial_gym.physics.mujoco.bodies import Bodies, body_rows, load
 from aerial_gym.physics.mujoco.mjcf import Floor
 from aerial_gym.physics.mujoco.rollout_bodies import RolloutBodies
+from aerial_gym.physics.mujoco.rollout_trees import RolloutTrees
 from aerial_gym.physics.mujoco.warp_bodies import WarpBodies
 from aerial_gym.physics.rigid_body import angular_acceleration, com_acceleration, pull_of_load
 from aerial_gym.physics.rotor_lag import RotorCommand
@@ -49,10 +52,12 @@ class MujocoBackend(TorchBackend):
         effects=None,
         rotors=ROTOR_TRAITS,
         contact=True,
+        joints=True,
     )
 
     _engine: type[RolloutBodies] | type[WarpBodies] = RolloutBodies
     _bodies: Bodies | None = None
+    _trees: RolloutTrees | None = None
     _force: Tensor
     """Of the last substep but gravity and contact [N], body at its start, (E, 3)."""
 
@@ -69,18 +74,26 @@ class MujocoBackend(TorchBackend):
         """Take what the torch backend takes; raise ``MissingDependencyError`` where MuJoCo is not installed."""
         for package in self.packages:
             load(package.replace("-", "_"), backend=self.name)
-        self._bodies = None
+        self._bodies = self._trees = None
         super().allocate(model, control, integrator=integrator, ground=ground, hook=hook, random=random)
 
     def prepare(self, dt: float) -> None:
         """Make the memory of effects and control law, and MuJoCo's models."""
         super().prepare(dt)
-        self._bodies_for(self._model, dt)
+        if self._model.articulation is None:
+            self._bodies_for(self._model, dt)
 
     def make_stepper(self, integrator: str) -> Stepper:
         """Return the one that hands the wrench to MuJoCo."""
         del integrator  # there is one
         return self._move
+
+    def tree_stepper(self, model: Model, dt: float) -> Callable[..., TreeState]:
+        """Return MuJoCo's, which takes the efforts of joints at the end of a step as ``implicit_euler`` does."""
+        assert model.articulation is not None
+        if self._trees is None or self._trees.dt != dt:
+            self._trees = RolloutTrees(model.articulation.tree, model.vehicle.num_envs, dt)
+        return self._trees.move
 
     @torch.no_grad()
     def _move(self, model: Model, state: MassState, rotor_command: RotorCommand, dt: float) -> MassState:
@@ -131,7 +144,7 @@ class MujocoWarpBackend(MujocoBackend):
 
     name = "mujoco_warp"
     packages = ("mujoco-warp", "mujoco")
-    capabilities = replace(MujocoBackend.capabilities, dtypes=(torch.float32,))
+    capabilities = replace(MujocoBackend.capabilities, dtypes=(torch.float32,), joints=False)
     _engine = WarpBodies
 
 

@@ -44,6 +44,7 @@ def write_mjcf(
     dt: float,
     integrator: str = "Euler",
     floor: Floor | None = None,
+    actuated: bool = False,
 ) -> str:
     """Return the MJCF of one environment.
 
@@ -58,6 +59,8 @@ def write_mjcf(
         dt: Time step [s].
         integrator: Of MuJoCo's: ``Euler`` (semi-implicit), ``RK4``, ``implicit``, ``implicitfast``.
         floor: What can be touched.
+        actuated: Whether controls push: force and torque of each link at its origin, in its axes, (L, 6), then the efforts of
+            joints, (D,).
     """
     root = Element("mujoco")
     SubElement(root, "compiler", boundmass="0", boundinertia="0", balanceinertia="false")
@@ -78,19 +81,32 @@ def write_mjcf(
         bodies.append(_add_body(bodies[joint.parent], tree, k + 1, links, env))
     for x, y, z, radius in () if floor is None else floor.spheres:
         SubElement(bodies[0], "geom", type="sphere", pos=_numbers((x, y, z)), size=repr(max(radius, LEAST_RADIUS)))
+    if actuated:
+        _add_actuators(root, tree, bodies)
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def _add_actuators(root: Element, tree: Tree, bodies: Sequence[Element]) -> None:
+    actuator = SubElement(root, "actuator")
+    for link, body in enumerate(bodies):
+        SubElement(body, "site", name=f"link{link}")
+        for axis in range(6):
+            gear = _numbers(float(axis == place) for place in range(6))
+            SubElement(actuator, "general", site=f"link{link}", gear=gear)
+    for k in range(tree.num_joints):
+        SubElement(actuator, "general", joint=f"joint{k}")
 
 
 def _add_body(parent: Element, tree: Tree, link: int, links: Links, env: int) -> Element:
     """Return the body of a link, hung on its parent by its joint."""
     body = SubElement(parent, "body", name=f"link{link}")
+    body.set("simple", "false")  # MuJoCo would leave out what is zero here, and numbers are written later
     if link:
         joint = tree.joints[link - 1]
         x, y, z, w = joint.attitude
         body.attrib |= {"pos": _numbers(joint.position), "quat": _numbers((w, x, y, z))}
         SubElement(body, "joint", name=f"joint{link - 1}", type=_JOINT_TYPES[joint.kind], axis=_numbers(joint.axis))
     elif tree.floating:
-        body.set("simple", "false")  # MuJoCo would leave out what is zero here, and numbers are written later
         SubElement(body, "freejoint")
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = links.inertia[env, link].tolist()
     SubElement(

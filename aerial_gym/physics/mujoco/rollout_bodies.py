@@ -1,9 +1,7 @@
-"""Free bodies in MuJoCo on the CPU, all advanced in one call of its threaded rollout, in float64.
+"""Free bodies in MuJoCo on the CPU, in float64.
 
 Letters: E environments, N rows of parameters: 1 where all environments share them, else E.
 """
-
-import copy
 
 import numpy as np
 import torch
@@ -12,15 +10,11 @@ from torch import Tensor
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.physics.mujoco.bodies import COM, GRAVITY, INERTIA, MASS, Bodies, compile_body, load
 from aerial_gym.physics.mujoco.mjcf import Floor
-
-_WIDTH = 14
-"""Of MuJoCo's full state of a free body: time, qpos, qvel."""
-
-_POSE, _TWIST = slice(1, 8), slice(8, 14)
+from aerial_gym.physics.mujoco.rollouts import Rollouts
 
 
 class RolloutBodies(Bodies):
-    """A MuJoCo model for each row of parameters, and a thread for each that torch uses."""
+    """A MuJoCo model for each row of parameters."""
 
     def __init__(
         self, rows: Tensor, num_envs: int, dt: float, *, floor: Floor | None = None, cfg: ContactCfg | None = None
@@ -37,57 +31,37 @@ class RolloutBodies(Bodies):
         Raises:
             MissingDependencyError: If MuJoCo is not installed.
         """
-        self._mujoco, rollout = (load(name, backend="mujoco") for name in ("mujoco", "mujoco.rollout"))
         self._floor, self.dt, self.num_rows = floor, dt, len(rows)
-        first = compile_body(self._mujoco, floor, cfg, dt)
-        first.opt.disableflags |= (
-            self._mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        )  # of a body that accelerates beyond measure
-        self._models = [first, *(copy.copy(first) for _ in range(len(rows) - 1))]
-        self._scratch = self._mujoco.MjData(first)
+        first = compile_body(load("mujoco", backend="mujoco"), floor, cfg, dt)
+        self._rollouts = Rollouts(first, len(rows), num_envs, "mjSTATE_XFRC_APPLIED")
         self._rows = torch.full_like(rows, torch.nan)
         self.follow(rows)
-        self._of_env = self._models * (num_envs // len(rows))
-        threads = torch.get_num_threads()
-        self._data = [self._mujoco.MjData(first) for _ in range(threads)]
-        self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)  # 0: the calling thread
-        self._spec = self._mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
-        self._start, self._push = np.zeros((num_envs, _WIDTH)), np.zeros((num_envs, 1, 12))
-        self._end, self._sensed = np.zeros((num_envs, 1, _WIDTH)), np.zeros((num_envs, 1, 0))
 
     def follow(self, rows: Tensor) -> None:
         """Write the parameters (N, 14) that have changed since the last call into the models."""
         changed = (rows != self._rows).any(dim=-1).nonzero().squeeze(-1).tolist()
         if not changed:
             return
-        moments, axes = torch.linalg.eigh(rows[changed, INERTIA].unflatten(-1, (3, 3)))
-        axes[..., 0] *= torch.linalg.det(axes).sign().unsqueeze(-1)
-        for k, row, moment, axis in zip(changed, rows[changed].numpy(), moments.numpy(), axes.numpy(), strict=True):
-            model = self._models[k]
-            model.body_mass[1], model.body_inertia[1], model.opt.gravity[2] = row[MASS], moment, -row[GRAVITY]
-            self._mujoco.mju_mat2Quat(model.body_iquat[1], axis.flatten())
-            if self._floor is not None:
-                model.geom_pos[1:] = np.asarray(self._floor.spheres)[:, :3] - row[COM]
-            self._mujoco.mj_setConst(model, self._scratch)
-        self._rows[changed] = rows[changed]
+        new = rows[changed]
+        self._rows[changed] = new
+        inertia = new[:, INERTIA].unflatten(-1, (1, 3, 3))
+        mass = new[:, MASS : MASS + 1]
+        gravity = torch.zeros_like(new[:, COM])
+        gravity[:, 2] = -new[:, GRAVITY]
+        self._rollouts.write_bodies(changed, [1], mass, torch.zeros_like(inertia[..., 0]), inertia, gravity)
+        if self._floor is not None:
+            centers = np.asarray(self._floor.spheres)[:, :3]
+            for k, com in zip(changed, new[:, COM].numpy(), strict=True):
+                self._rollouts.models[k].geom_pos[1:] = centers - com
+        self._rollouts.settle(changed)
 
     def _inputs(self) -> tuple[Tensor, Tensor, Tensor]:
-        start = torch.from_numpy(self._start)
-        return start[:, _POSE], start[:, _TWIST], torch.from_numpy(self._push)[:, 0, 6:]
+        all_, start = self._rollouts, self._rollouts.start
+        return start[:, all_.pose], start[:, all_.twist], all_.control[:, 6:]
 
     def _step(self) -> None:
-        self._rollout.rollout(
-            self._of_env,
-            self._data,
-            self._start,
-            self._push,
-            control_spec=self._spec,
-            skip_checks=True,
-            nstep=1,
-            state=self._end,
-            sensordata=self._sensed,
-        )
+        self._rollouts.step()
 
     def _outputs(self) -> tuple[Tensor, Tensor]:
-        end = torch.from_numpy(self._end)[:, 0]
-        return end[:, _POSE], end[:, _TWIST]
+        end = self._rollouts.end
+        return end[:, self._rollouts.pose], end[:, self._rollouts.twist]

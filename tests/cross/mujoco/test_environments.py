@@ -126,9 +126,9 @@ def test_the_benchmark_prints_its_figure(capsys: pytest.CaptureFixture[str]) -> 
     assert figures["steps_per_s"] > 0.0
 
 
-def test_every_registered_robot_flies() -> None:
+def test_every_registered_rigid_robot_flies() -> None:
     """One step of each, as on torch: R from 1 to 8, rotors of every kind, vehicles under water."""
-    for robot in ROBOTS.names():
+    for robot in (name for name in ROBOTS.names() if ROBOTS.get(name).joints is None):
         sims = [build(b, robot_name=robot, controller_name="no_control", num_envs=1) for b in ("torch", "mujoco")]
         for sim in sims:
             sim.step(sim.gtd["robot_actions"] * 0.0)
