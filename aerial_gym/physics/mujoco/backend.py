@@ -18,9 +18,8 @@ from torch import Tensor
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
-from aerial_gym.math.random import Randomness
 from aerial_gym.physics.articulated.tree import TreeState
-from aerial_gym.physics.backend import Capabilities, ControlLaw
+from aerial_gym.physics.backend import Capabilities
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.ground import Ground, crash_at, ground_contacts
 from aerial_gym.physics.integrators import MassState, Stepper, held_wrench, swing_on, to_body_state
@@ -33,7 +32,6 @@ from aerial_gym.physics.mujoco.warp_bodies import WarpBodies
 from aerial_gym.physics.rigid_body import angular_acceleration, com_acceleration, pull_of_load
 from aerial_gym.physics.rotor_lag import RotorCommand
 from aerial_gym.physics.state import BodyState
-from aerial_gym.physics.substep_hook import SubstepHook
 from aerial_gym.physics.torch_backend import TorchBackend
 
 
@@ -61,22 +59,6 @@ class MujocoBackend(TorchBackend):
     _force: Tensor
     """Of the last substep but gravity and contact [N], body at its start, (E, 3)."""
 
-    def allocate(
-        self,
-        model: Model,
-        control: ControlLaw,
-        *,
-        integrator: str,
-        ground: Ground | None = None,
-        hook: SubstepHook | None = None,
-        random: Randomness | None = None,
-    ) -> None:
-        """Take what the torch backend takes; raise ``MissingDependencyError`` where MuJoCo is not installed."""
-        for package in self.packages:
-            load(package.replace("-", "_"), backend=self.name)
-        self._bodies = self._trees = None
-        super().allocate(model, control, integrator=integrator, ground=ground, hook=hook, random=random)
-
     def prepare(self, dt: float) -> None:
         """Make the memory of effects and control law, and MuJoCo's models."""
         super().prepare(dt)
@@ -84,8 +66,11 @@ class MujocoBackend(TorchBackend):
             self._bodies_for(self._model, dt)
 
     def make_stepper(self, integrator: str) -> Stepper:
-        """Return the one that hands the wrench to MuJoCo."""
+        """Return the one that hands the wrench to MuJoCo; raise ``MissingDependencyError`` where that is not installed."""
         del integrator  # there is one
+        for package in self.packages:
+            load(package.replace("-", "_"), backend=self.name)
+        self._bodies = self._trees = None
         return self._move
 
     def tree_stepper(self, model: Model, dt: float) -> Callable[..., TreeState]:

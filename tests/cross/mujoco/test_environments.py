@@ -74,17 +74,25 @@ def test_a_simulation_goes_on_from_what_was_kept_bit_for_bit() -> None:
         assert torch.equal(sim.gtd[key], other.gtd[key]), key
 
 
-def test_a_robot_at_rest_shows_its_weight_and_no_crash() -> None:
-    """Rotors off, on the ground of ``landing_env``: force m g."""
-    sim = build("mujoco", "landing_env", controller_name="no_control")
+def put_down(backend: str) -> EnvManager:
+    """Return robots with still rotors after 0.6 s on the ground of ``landing_env``, put down some millimetres above."""
+    sim = build(backend, "landing_env", controller_name="no_control")
     for key, value in (("robot_linvel", 0.0), ("robot_body_angvel", 0.0), ("rotor_speed", 0.0)):
         sim.gtd[key].fill_(value)
     sim.gtd["robot_orientation"][:] = torch.tensor([0.0, 0.0, 0.0, 1.0])
     sim.gtd["robot_position"][:, 2] = 0.184
     for _ in range(60):
         sim.step(torch.zeros(4, 4))
-    expected = torch.tensor([[0.0, 0.0, 0.25 * 9.81]]).repeat(4, 1)
-    torch.testing.assert_close(sim.gtd["robot_contact_force"], expected, rtol=1e-3, atol=1e-3)
+    return sim
+
+
+WEIGHT = torch.tensor([[0.0, 0.0, 0.25 * 9.81]]).repeat(4, 1)
+"""Of ``base_quadrotor`` [N]."""
+
+
+def test_a_robot_at_rest_shows_its_weight_and_no_crash() -> None:
+    sim = put_down("mujoco")
+    torch.testing.assert_close(sim.gtd["robot_contact_force"], WEIGHT, rtol=1e-3, atol=1e-3)
     assert not sim.gtd["crashes"].any()
 
 

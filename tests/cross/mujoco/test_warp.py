@@ -3,11 +3,11 @@
 import pytest
 import torch
 
-from aerial_gym import SimBuilder
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import BACKENDS, TorchBackend
+from tests.cross.mujoco.test_environments import WEIGHT, put_down
 from tests.cross.mujoco.test_flight import by_env
 from tests.cross.test_backends import NUDGES, actions_for, as_type, assert_near, build, nudged, start_of
 from tests.physics.contact_rig import BALL, FEET, GRAVITY, MASS, OnGround, start
@@ -62,18 +62,7 @@ def test_a_row_that_is_not_finite_stays_so_and_alone() -> None:
     assert ends[1].position[1].isnan().all()
 
 
-def test_a_simulation_lands_on_it() -> None:
-    env = SimBuilder().build_env(
-        sim_name="base_sim", env_name="landing_env", robot_name="base_quadrotor", controller_name="no_control",
-        num_envs=2, device="cpu", backend="mujoco_warp",
-    )  # fmt: skip
-    env.reset()
-    for key, value in (("robot_linvel", 0.0), ("robot_body_angvel", 0.0), ("rotor_speed", 0.0)):
-        env.gtd[key].fill_(value)
-    env.gtd["robot_orientation"][:] = torch.tensor([0.0, 0.0, 0.0, 1.0])
-    env.gtd["robot_position"][:, 2] = 0.184
-    for _ in range(60):
-        env.step(torch.zeros(2, 4))
-    expected = torch.tensor([[0.0, 0.0, 0.25 * 9.81]]).repeat(2, 1)
-    torch.testing.assert_close(env.gtd["robot_contact_force"], expected, rtol=1e-2, atol=1e-2)
-    assert not env.gtd["crashes"].any()
+def test_a_robot_at_rest_shows_its_weight_and_no_crash() -> None:
+    sim = put_down("mujoco_warp")
+    torch.testing.assert_close(sim.gtd["robot_contact_force"], WEIGHT, rtol=1e-2, atol=1e-2)
+    assert not sim.gtd["crashes"].any()
