@@ -12,6 +12,8 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
+from aerial_gym.physics import BACKENDS
+
 PACKAGES = ("torch", "warp-lang", "aerial-gym")
 
 
@@ -39,6 +41,11 @@ def provenance(*packages: str) -> dict[str, object]:
         "commit": commit(),
         "load1": round(os.getloadavg()[0], 2),
     }
+
+
+def packages_of(backend: str | None) -> tuple[str, ...]:
+    """Return the packages that a registered backend cannot do without, beside those of every figure."""
+    return () if backend in (None, "auto") else getattr(BACKENDS.get(backend), "packages", ())
 
 
 def commit() -> str | None:

@@ -5,6 +5,7 @@ All in float64 but for whole simulations.
 
 from dataclasses import replace
 from math import cos, exp, pi
+from pathlib import Path
 
 import pytest
 import torch
@@ -120,7 +121,11 @@ def test_a_link_without_mass_between_two_joints_moves_as_in_torch() -> None:
     assert_same(ours, theirs, bound=1e-6)
 
 
-def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so() -> None:
+def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MuJoCo is not told of what is not finite: it would write a file."""
+    monkeypatch.chdir(tmp_path)
     tree = random_tree(4, 8)
     links, first = random_links(tree, 3, 8), random_motion(tree, 3, 8)
     first.joint_vel[1, 2] = torch.nan
@@ -133,6 +138,7 @@ def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so()
         batch = bodies.move(tree, links, (law,), batch, DT, gravity=G, wrench=no_wrench(tree, 3))
         alone = one.move(tree, weights, (law,), alone, DT, gravity=G, wrench=no_wrench(tree, 1))
     assert batch.position[1].isnan().all()
+    assert not list(tmp_path.iterdir())
     for name, rows in vars(alone).items():
         assert torch.equal(rows[0], getattr(batch, name)[2]), name
     with pytest.raises(ShapeError, match="of another tree, or of steps of 0.002 s"):
