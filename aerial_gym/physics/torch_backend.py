@@ -13,7 +13,7 @@ from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop.rows import UntraceableError
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics.articulated.flight import jointed_step
+from aerial_gym.physics.articulated.flight import check_jointed, jointed_step
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.backend import Capabilities, ControlLaw
@@ -138,19 +138,6 @@ def in_places(places: dict[str, Tensor], tensors: Mapping[str, Tensor]) -> dict[
         elif places[name] is not tensor:
             places[name].copy_(tensor)
     return {name: places[name] for name in tensors}
-
-
-def check_jointed(integrator: str, ground: Ground | None) -> None:
-    """Raise ``CapabilityError`` for what a vehicle that bends cannot have yet."""
-    if integrator != "euler":
-        raise CapabilityError(
-            f"joints: no integrator {integrator!r}. Efforts in joints are stiff; only 'euler' takes them at the end of a step"
-        )
-    if ground is not None and ground.cfg is not None:
-        raise CapabilityError(
-            "joints: ground and obstacles end an episode, but cannot push back on a vehicle that bends. Leave contact out of "
-            "the environment"
-        )
 
 
 class TorchBackend:

@@ -15,6 +15,8 @@ from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop import RecordedLaunch, compile_ahead, launch_side_by_side, on_torch_stream, split, start_warp
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
+from aerial_gym.physics.articulated.flight import check_jointed
+from aerial_gym.physics.articulated.fused.kernel import make_jointed_kernel
 from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
 from aerial_gym.physics.effects import EFFECTS, Effect, LearnedResidual, LoadEffect
@@ -99,6 +101,7 @@ class WarpBackend:
             effects=(*named, LearnedResidual.name),
             rotors=ROTOR_TRAITS,
             contact=not self._differentiable,
+            joints=not self._differentiable,
         )
 
     def _can_run(self, effect: Effect) -> bool:
@@ -129,6 +132,10 @@ class WarpBackend:
                 f"backend warp: a differentiable rollout cannot run effect {model.effects.remembering[0]!r}, which has memory. "
                 "Use backend 'torch'."
             )
+        if model.articulation is not None:
+            if self._differentiable:
+                raise CapabilityError("backend warp: a differentiable rollout moves no joints. Use backend 'torch'.")
+            check_jointed(integrator, ground)
         if isinstance(model.ceiling_height, torch.Tensor):
             raise CapabilityError("backend warp: one height of the ceiling for all. Use backend 'torch'.")
         law = control.fused()
@@ -152,6 +159,7 @@ class WarpBackend:
         self._given_ground, self._hook, self._random = ground, hook, random
         self._device = model.vehicle.mass.device
         self._num_envs, self._num_rotors = model.vehicle.num_envs, model.vehicle.num_rotors
+        self._num_actions = law.num_actions + (0 if model.articulation is None else model.articulation.num_driven)
         self._dt, self._memory, self.law_memory = 0.0, None, None
         self._packing: Packing = arrange(self._numbers(1.0), all_packed=self._differentiable)
         rows = torch.zeros(max(self._packing.total, 1), self._num_envs + ROW_GAP, device=self._device)
@@ -159,17 +167,21 @@ class WarpBackend:
         self._ground = self._ground_arrays(ground)
         fused_hook = None if hook is None else hook.fused()
         self._hook_data = NoHook() if fused_hook is None else fused_hook.data
-        self.kernel = make_kernel(
-            model,
-            law,
-            integrator,
-            self._packing,
-            num_spheres=0 if ground is None else ground.spheres.shape[0],
-            compliant=ground is not None and ground.cfg is not None,
-            hook=fused_hook,
-            com_offset=not is_shared(model.vehicle.com) or bool(model.vehicle.com.any()),
-            differentiable=self._differentiable,
-        )
+        num_spheres = 0 if ground is None else ground.spheres.shape[0]
+        if model.articulation is not None:
+            self.kernel = make_jointed_kernel(model, law, self._packing, num_spheres=num_spheres, hook=fused_hook)
+        else:
+            self.kernel = make_kernel(
+                model,
+                law,
+                integrator,
+                self._packing,
+                num_spheres=num_spheres,
+                compliant=ground is not None and ground.cfg is not None,
+                hook=fused_hook,
+                com_offset=not is_shared(model.vehicle.com) or bool(model.vehicle.com.any()),
+                differentiable=self._differentiable,
+            )
         if not self._differentiable:
             compile_ahead(self.kernel, wp.device_from_torch(self._device))
         self._binding: _Binding | None = None
@@ -344,7 +356,7 @@ class WarpBackend:
         """Record the launches for tensors of fixed address, so that a step makes no views."""
         check_substeps(self._hook, substeps)
         arrays = self._arrays(state)
-        inputs = [*arrays, self._view(command, vector_of(self._law.num_actions), "command"), *self._shared]
+        inputs = [*arrays, self._view(command, vector_of(self._num_actions), "command"), *self._shared]
         ground = self._ground
         inputs += [wp.from_torch(self._packed), *ground[:3], self._model.gravity, dt, substeps]
         launches = []
@@ -370,6 +382,8 @@ class WarpBackend:
 
     def _arrays(self, state: BodyState) -> list[wp.array]:
         kinds = self._kinds()[:-1]
+        if self._model.articulation is not None:
+            kinds = (*kinds, *(vector_of(self._model.articulation.num_joints),) * 2)
         return [self._view(tensor, kind, name) for (name, tensor), kind in zip(vars(state).items(), kinds, strict=True)]
 
     def _kinds(self) -> tuple[type, ...]:
@@ -396,7 +410,7 @@ class WarpBackend:
         if dt != self._dt:
             self._prepare(dt)
         if not self._differentiable:
-            after = BodyState(**{name: tensor.clone() for name, tensor in vars(state).items()})
+            after = replace(state, **{name: tensor.clone() for name, tensor in vars(state).items()})
             self.step(after, command, dt, substeps)
             return after
         rows = packed_rows(self._packing, self._numbers(dt))

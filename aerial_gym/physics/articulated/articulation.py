@@ -116,22 +116,26 @@ class Articulation:
             inertia=torch.cat((about.unsqueeze(1), self.link_inertia.expand(num_envs, -1, -1, -1)), dim=1),
         )
 
-    def laws(self, command: Tensor) -> tuple[JointLaw, ...]:
-        """Return what acts in the joints under a command of the drives, (E, C); drives not commanded do not exist."""
+    @property
+    def laws(self) -> tuple[JointLaw, ...]:
+        """What acts in the joints beside their drives."""
+        return self.spring, self.ends
+
+    def drive(self, command: Tensor) -> Drive | None:
+        """Return the drives under a command, (E, C); None where there are none."""
         if not self.driven:
-            return self.spring, self.ends
+            return None
         command = torch.minimum(torch.maximum(command, self.command_low), self.command_high)
         zero = command.new_zeros(command.shape[0], self.num_joints)
         columns = {name: list(zero.unbind(1)) for name in ("position", "velocity", "effort")}
-        gains = [list(zero[:1].unbind(1)) for _ in range(3)]
+        gains = [list(zero[:1].unbind(1)) for _ in range(2)] + [list((zero[:1] + UNBOUNDED).unbind(1))]
         for place, (k, mode) in enumerate(zip(self.driven, self.modes, strict=True)):
             columns[mode][k] = command[:, place]
             for gain, value in zip(gains, self.drive_gains[place], strict=True):
                 gain[k] = value.expand(1)
         stiffness, damping, limit = (torch.stack(gain, dim=1) for gain in gains)
         position, rate, effort = (torch.stack(columns[name], dim=1) for name in ("position", "velocity", "effort"))
-        drive = Drive(stiffness=stiffness, damping=damping, position=position, rate=rate, effort=effort, limit=limit)
-        return self.spring, self.ends, drive
+        return Drive(stiffness=stiffness, damping=damping, position=position, rate=rate, effort=effort, limit=limit)
 
 
 def _shifted(inertia: Tensor, mass: Tensor, lever: Tensor) -> Tensor:

@@ -6,14 +6,17 @@ Letters: E environments, R rotors, D joints, L links, C joints with a drive.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
+from aerial_gym.errors import CapabilityError
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.effects import RotorEffect, WrenchEffect
+from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import condition_in, loads_in
 from aerial_gym.physics.rotor_lag import RotorCommand, follow_command
@@ -43,6 +46,8 @@ def jointed_step(
     articulation, links = model.articulation, model.links
     assert articulation is not None
     assert links is not None
+    if not articulation.tree.floating:
+        state = replace(state, lin_vel=torch.zeros_like(state.lin_vel), ang_vel=torch.zeros_like(state.ang_vel))
     rotor_speed = follow_command(model.vehicle, state.rotor_speed, rotor_command, dt)
     rotor_acc = (rotor_speed - state.rotor_speed) / dt
     body = BodyState(
@@ -63,10 +68,11 @@ def jointed_step(
     after = stepper(
         articulation.tree,
         links,
-        articulation.laws(joint_command),
+        articulation.laws,
         before,
         dt,
         gravity=model.gravity,
+        drive=articulation.drive(joint_command),
         wrench=link_wrenches(model, articulation, body, rotor_acc),
     )
     return JointedState(**vars(after), rotor_speed=rotor_speed)
@@ -96,3 +102,16 @@ def link_wrenches(model: Model, articulation: Articulation, body: BodyState, rot
         whole = torch.cat((push, twist), dim=-1).unsqueeze(1)
         on_links = on_links + torch.nn.functional.pad(whole, (0, 0, 0, articulation.num_joints))
     return on_links
+
+
+def check_jointed(integrator: str, ground: Ground | None) -> None:
+    """Raise ``CapabilityError`` for what a vehicle that bends cannot have yet."""
+    if integrator != "euler":
+        raise CapabilityError(
+            f"joints: no integrator {integrator!r}. Efforts in joints are stiff; only 'euler' takes them at the end of a step"
+        )
+    if ground is not None and ground.cfg is not None:
+        raise CapabilityError(
+            "joints: ground and obstacles end an episode, but cannot push back on a vehicle that bends. Leave contact out of "
+            "the environment"
+        )

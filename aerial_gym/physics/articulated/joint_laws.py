@@ -96,12 +96,20 @@ class Drive:
     limit: Tensor
     """Largest effort."""
 
-    def effort_at(self, position: Tensor, rate: Tensor) -> Effort:
-        """Return the effort; a drive at its limit gives way: its effort falls with nothing."""
-        wanted = self.stiffness * (self.position - position) + self.damping * (self.rate - rate) + self.effort
-        free = wanted.abs() < self.limit
+    def wanted(self, position: Tensor, rate: Tensor) -> Tensor:
+        """Return the effort that is asked for, beyond the limit or not."""
+        return self.stiffness * (self.position - position) + self.damping * (self.rate - rate) + self.effort
+
+    def beyond(self, position: Tensor, rate: Tensor) -> Tensor:
+        """Return 1 or -1 where more is asked for than the drive can, to which side; else 0."""
+        wanted = self.wanted(position, rate)
+        return torch.where(wanted.abs() > self.limit, torch.sign(wanted), 0.0)
+
+    def effort_at(self, position: Tensor, rate: Tensor, at_limit: Tensor) -> Effort:
+        """Return the effort; where ``at_limit`` is 1 or -1 it is the limit to that side, and falls with nothing."""
+        free = at_limit == 0.0
         return Effort(
-            value=torch.minimum(torch.maximum(wanted, -self.limit), self.limit),
+            value=torch.where(free, self.wanted(position, rate), at_limit * self.limit),
             stiffness=torch.where(free, self.stiffness, 0.0),
             damping=torch.where(free, self.damping, 0.0),
         )

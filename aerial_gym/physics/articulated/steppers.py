@@ -1,7 +1,9 @@
 """Steps in time of a tree of links.
 
 ``implicit_euler``: the efforts of joints are those at the end of the step, linearised; all else is semi-implicit Euler. It is
-of order 1 and stable however stiff a joint is. ``rk4``: order 4, for motion that no stiff joint is in.
+of order 1 and stable however stiff a joint is. A drive that would be beyond its limit at the end of the step is at its limit
+through it: whether it would is found by a step without limits. (Judged at the start, a drive that moves a light link to its
+place within a step would overshoot in each.) ``rk4``: order 4, for motion that no stiff joint is in.
 Letters: E environments, D joints, L links.
 
 Sources:
@@ -10,14 +12,14 @@ Sources:
     Hairer, Norsett, Wanner (1993), Solving Ordinary Differential Equations I, table II.1.2 (Runge-Kutta of order 4).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize
-from aerial_gym.physics.articulated.dynamics import accelerations, equations, solve
-from aerial_gym.physics.articulated.joint_laws import JointLaw, joint_effort
+from aerial_gym.physics.articulated.dynamics import Equations, accelerations, equations, solve
+from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw, joint_effort
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 
 
@@ -29,6 +31,7 @@ def implicit_euler(
     dt: float,
     *,
     gravity: float,
+    drive: Drive | None = None,
     wrench: Tensor | None = None,
     effort: Tensor | None = None,
 ) -> TreeState:
@@ -44,17 +47,39 @@ def implicit_euler(
         state: Motion at the start.
         dt: Length of the step [s].
         gravity: Downward acceleration of free fall [m/s²].
+        drive: Of the joints that have one; the gains of others are zero.
         wrench: Held through the step, as for ``equations``, (E, L, 6).
         effort: Of the joints beside the laws, held through the step, (E, D).
     """
+    found = equations(tree, links, state, gravity=gravity, wrench=wrench, effort=effort)
+    return with_drive(lambda acts: _implicit(tree, state, found, acts, dt), laws, drive, state)
+
+
+def with_drive(
+    step: Callable[[Effort], TreeState], laws: Sequence[JointLaw], drive: Drive | None, state: TreeState
+) -> TreeState:
+    """Return the state after a step under laws and a drive, which gives way where a first step would take it to its limit.
+
+    Args:
+        step: A step from ``state`` under efforts of joints, taken at its end.
+        laws: What acts in the joints.
+        drive: Of the joints that have one; None for no drive.
+        state: Motion at the start.
+    """
     acts = joint_effort(laws, state.joint_pos, state.joint_vel)
+    if drive is None:
+        return step(acts)
+    trial = step(acts + drive.effort_at(state.joint_pos, state.joint_vel, torch.zeros_like(state.joint_pos)))
+    at_limit = drive.beyond(trial.joint_pos, trial.joint_vel)
+    return step(acts + drive.effort_at(state.joint_pos, state.joint_vel, at_limit))
+
+
+def _implicit(tree: Tree, state: TreeState, found: Equations, acts: Effort, dt: float) -> TreeState:
+    """Return the state after a step under equations without the efforts of joints, and these."""
     soft = acts.stiffness * dt
-    held = acts.value - soft * state.joint_vel
-    found = equations(
-        tree, links, state, gravity=gravity, wrench=wrench, effort=held if effort is None else held + effort
-    )
+    held = torch.nn.functional.pad(acts.value - soft * state.joint_vel, (6, 0))
     stiff = torch.nn.functional.pad(dt * (acts.damping + soft), (6, 0))
-    now = solve(tree, state, found.mass + torch.diag_embed(stiff), found.force)
+    now = solve(tree, state, found.mass + torch.diag_embed(stiff), found.force + held)
     lin_vel, ang_vel = state.lin_vel + dt * now.lin_acc, state.ang_vel + dt * now.ang_acc
     joint_vel = state.joint_vel + dt * now.joint_acc
     return TreeState(

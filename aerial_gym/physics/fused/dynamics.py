@@ -105,8 +105,9 @@ def _make_hub_at(num_rotors: int, general: bool) -> wp.Function:
     return hub_at
 
 
-def make_accelerations(model: Model) -> wp.Function:
-    """Return a function to linear [m/s², world] and angular acceleration [rad/s², body] with just the model's effects."""
+def make_loads(model: Model) -> wp.Function:
+    """Return a function to thrusts [N] and drag torques [N m] of the rotors, force and torque of the effects on the whole about
+    the centre of mass, body, and the condition that they saw: ``rigid_body.loads_in`` for one environment."""
     num_rotors, general = model.vehicle.num_rotors, not model.vehicle.plain
     types = rotor_types(num_rotors, general)
     thrust_of, torque_of = make_maps(types.vehicle)
@@ -119,7 +120,7 @@ def make_accelerations(model: Model) -> wp.Function:
     winds = with_picks(WindEffect, [effect.warp_wind() for effect, _ in effects[WindEffect]])
     rotors = with_picks(RotorEffect, [effect.warp_thrust(types.condition, Hub) for effect, _ in effects[RotorEffect]])
     wrenches = with_picks(WrenchEffect, [effect.warp_wrench(types.condition) for effect, _ in effects[WrenchEffect]])
-    any_rotor, any_wrench, any_load = bool(rotors), bool(wrenches), bool(effects[LoadEffect])
+    any_rotor, any_wrench, any_fluid = bool(rotors), bool(wrenches), bool(effects[FluidEffect])
     wind = _sum_of(winds, wp.vec3, params_type, wp.vec3)
     gain = _sum_of_rotors(rotors, types.condition, params_type)
     wrench = _sum_of(wrenches, types.condition, params_type, wp.spatial_vector)
@@ -127,26 +128,19 @@ def make_accelerations(model: Model) -> wp.Function:
     own_ground, hub_at = isinstance(model.ground_height, Tensor), _make_hub_at(num_rotors, general)
     ground_height = 0.0 if isinstance(model.ground_height, Tensor) else model.ground_height
     ceiling_height = NO_CEILING if model.ceiling_height is None else model.ceiling_height
-    hang = _make_hang(model)
-    any_fluid = bool(effects[FluidEffect])
-    entrain = effects[FluidEffect][0][0].warp_entrain(types.condition) if any_fluid else None
-    entrain_params = picks[FluidEffect][0].get if any_fluid else None
 
     @wp.func
-    def accelerations(
+    def loads(
         vehicle: vehicle_type,
         params: params_type,
-        gravity: float,
         position: wp.vec3,
         attitude: wp.quat,
         lin_vel: wp.vec3,
         ang_vel: wp.vec3,
         rotor_speed: vector,
         rotor_acc: vector,
-        load: wp.spatial_vector,
     ):
-        force = wp.vec3()
-        torque = wp.vec3()
+        more = wp.spatial_vector()
         at = condition_type()
         thrusts = vector()
         drags = vector()
@@ -171,20 +165,53 @@ def make_accelerations(model: Model) -> wp.Function:
             thrust = thrust_of(vehicle, i, n)
             if wp.static(any_rotor):
                 thrust = thrust + gain(at, hub_at(vehicle, at, i, thrust, ground, ceiling), params)
-            drag = torque_of(vehicle, i, n)
-            force += thrust * wp.vec3(vehicle.rotor_axis[i, 0], vehicle.rotor_axis[i, 1], vehicle.rotor_axis[i, 2])
-            torque += thrust * wp.vec3(
-                vehicle.rotor_moment[i, 0], vehicle.rotor_moment[i, 1], vehicle.rotor_moment[i, 2]
-            )
-            torque += drag * wp.vec3(
-                vehicle.rotor_reaction[i, 0], vehicle.rotor_reaction[i, 1], vehicle.rotor_reaction[i, 2]
-            )
             thrusts[i] = thrust
-            drags[i] = drag
+            drags[i] = torque_of(vehicle, i, n)
         if wp.static(any_wrench):
             at.rotor_thrust = thrusts
             at.rotor_drag = drags
             more = wrench(at, params)
+        return thrusts, drags, more, at
+
+    return loads
+
+
+def make_accelerations(model: Model) -> wp.Function:
+    """Return a function to linear [m/s², world] and angular acceleration [rad/s², body] with just the model's effects."""
+    num_rotors, general = model.vehicle.num_rotors, not model.vehicle.plain
+    types, effects, params_type = rotor_types(num_rotors, general), model.effects, values_type(model)
+    vehicle_type, vector = types.vehicle, types.vector
+    loads, hang = make_loads(model), _make_hang(model)
+    any_wrench, any_load, any_fluid = bool(effects[WrenchEffect]), bool(effects[LoadEffect]), bool(effects[FluidEffect])
+    entrain = effects[FluidEffect][0][0].warp_entrain(types.condition) if any_fluid else None
+    entrain_params = pickers(model)[FluidEffect][0].get if any_fluid else None
+
+    @wp.func
+    def accelerations(
+        vehicle: vehicle_type,
+        params: params_type,
+        gravity: float,
+        position: wp.vec3,
+        attitude: wp.quat,
+        lin_vel: wp.vec3,
+        ang_vel: wp.vec3,
+        rotor_speed: vector,
+        rotor_acc: vector,
+        load: wp.spatial_vector,
+    ):
+        force = wp.vec3()
+        torque = wp.vec3()
+        thrusts, drags, more, at = loads(vehicle, params, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
+        for i in range(wp.static(num_rotors)):
+            thrust = thrusts[i]
+            force += thrust * wp.vec3(vehicle.rotor_axis[i, 0], vehicle.rotor_axis[i, 1], vehicle.rotor_axis[i, 2])
+            torque += thrust * wp.vec3(
+                vehicle.rotor_moment[i, 0], vehicle.rotor_moment[i, 1], vehicle.rotor_moment[i, 2]
+            )
+            torque += drags[i] * wp.vec3(
+                vehicle.rotor_reaction[i, 0], vehicle.rotor_reaction[i, 1], vehicle.rotor_reaction[i, 2]
+            )
+        if wp.static(any_wrench):
             force += wp.spatial_top(more)
             torque += wp.spatial_bottom(more)
         if wp.static(any_fluid):

@@ -101,11 +101,13 @@ def _vehicle_fields(model: Model, stage: float) -> list[Field]:
         fields.append(Field("ground_height", (model.ground_height,), _same))
     if model.effects[WrenchEffect] or model.effects[FluidEffect]:
         fields.append(Field("other_position", (model.other_position,), _same))
-    if any(model.effects[kind] for kind in (RotorEffect, WrenchEffect, FluidEffect)):
-        fields += [
-            Field("rotor_lever", (v.rotor_position, v.com), lambda position, com: position - com.unsqueeze(1)),
-            Field("rotor_radius", (v.rotor_radius,), _same),
-        ]
+    hubs = any(model.effects[kind] for kind in (RotorEffect, WrenchEffect, FluidEffect))
+    if hubs or model.articulation is not None:
+        fields.append(
+            Field("rotor_lever", (v.rotor_position, v.com), lambda position, com: position - com.unsqueeze(1))
+        )
+    if hubs:
+        fields.append(Field("rotor_radius", (v.rotor_radius,), _same))
     return fields
 
 

@@ -11,13 +11,15 @@ Letters: E environments, L links, D joints.
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 from torch import Tensor
 
 from aerial_gym.errors import ShapeError
 from aerial_gym.math.quaternion import quat_rotate_inverse
-from aerial_gym.physics.articulated.joint_laws import JointLaw, joint_effort
+from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw
+from aerial_gym.physics.articulated.steppers import with_drive
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.mujoco.bodies import LARGEST, load
 from aerial_gym.physics.mujoco.mjcf import write_mjcf
@@ -73,6 +75,7 @@ class RolloutTrees:
         *,
         gravity: float,
         wrench: Tensor,
+        drive: Drive | None = None,
     ) -> TreeState:
         """Return the state after one step; arguments as for ``steppers.implicit_euler``.
 
@@ -83,7 +86,11 @@ class RolloutTrees:
         """
         if tree is not self._tree or dt != self.dt:
             raise ShapeError(f"MuJoCo's models are of another tree, or of steps of {self.dt:g} s. Make them anew")
-        acts = joint_effort(laws, state.joint_pos, state.joint_vel)
+        return with_drive(partial(self._step, links, state, gravity, wrench), laws, drive, state)
+
+    def _step(self, links: Links, state: TreeState, gravity: float, wrench: Tensor, acts: Effort) -> TreeState:
+        """Return the state after one step under efforts of joints, taken at its end."""
+        tree, dt = self._tree, self.dt
         damping = (acts.damping + dt * acts.stiffness).double()
         push = torch.cat((wrench.flatten(1), acts.value + acts.damping * state.joint_vel), dim=-1).double()
         start = torch.zeros_like(self._rollouts.start)

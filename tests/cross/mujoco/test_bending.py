@@ -14,7 +14,7 @@ from aerial_gym import SimBuilder
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics import BACKENDS
-from aerial_gym.physics.articulated.joint_laws import Limits, Spring
+from aerial_gym.physics.articulated.joint_laws import Drive, Limits, Spring
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.mujoco.rollout_trees import RolloutTrees
@@ -56,7 +56,7 @@ def on_a_stand(state: TreeState) -> TreeState:
 @pytest.mark.parametrize("floating", [True, False])
 @pytest.mark.parametrize(("num_joints", "chain"), [(1, False), (6, False), (10, True)])
 def test_trees_move_as_by_implicit_euler(num_joints: int, chain: bool, floating: bool) -> None:
-    """Forces on links, springs of both kinds with dampers, soft ends, weights of links by environment: 50 steps to 1e-9.
+    """Forces on links, springs, soft ends, drives at their limits and not, links by environment: 50 steps to 1e-9.
 
     Condition numbers of mass matrices, some 1e4, and the growth of differences in 0.1 s stand between that and rounding.
     """
@@ -69,10 +69,14 @@ def test_trees_move_as_by_implicit_euler(num_joints: int, chain: bool, floating:
         spring(num_joints, stiffness=0.4, quadratic=0.7, damping=0.05, rest=0.1),
         Limits(**{name: torch.full((1, num_joints), value, dtype=F64) for name, value in ends.items()}),
     )
-    bodies, ours, theirs = RolloutTrees(tree, 3, DT), first, first
+    gains = {"stiffness": 2.0, "damping": 0.1, "position": 0.3, "rate": 0.2, "effort": 0.01, "limit": 0.4}
+    drive = Drive(**{name: torch.full((1, num_joints), value, dtype=F64) for name, value in gains.items()})
+    bodies, ours, theirs, at_limit = RolloutTrees(tree, 3, DT), first, first, []
     for _ in range(50):
-        ours = implicit_euler(tree, links, laws, ours, DT, gravity=G, wrench=wrench)
-        theirs = bodies.move(tree, links, laws, theirs, DT, gravity=G, wrench=wrench)
+        ours = implicit_euler(tree, links, laws, ours, DT, gravity=G, drive=drive, wrench=wrench)
+        theirs = bodies.move(tree, links, laws, theirs, DT, gravity=G, drive=drive, wrench=wrench)
+        at_limit.append(drive.beyond(ours.joint_pos, ours.joint_vel) != 0.0)
+    assert 0.0 < torch.stack(at_limit).double().mean() < 1.0
     assert_same(ours, theirs, bound=1e-9)
 
 
@@ -174,7 +178,9 @@ def test_every_robot_with_joints_flies_as_on_torch(robot: str) -> None:
 
 
 def test_mujoco_warp_refuses_joints_by_name() -> None:
-    with pytest.raises(CapabilityError, match="backend mujoco_warp: cannot move joints. Use backend 'torch', 'mujoco'"):
+    with pytest.raises(
+        CapabilityError, match="backend mujoco_warp: cannot move joints. Use backend 'warp', 'torch', 'mujoco'"
+    ):
         SimBuilder().build_env(
             sim_name="base_sim", env_name="empty_env", robot_name="morphy", controller_name="no_control", num_envs=1,
             device="cpu", backend="mujoco_warp",

@@ -190,7 +190,7 @@ def test_an_arm_on_a_stand_falls_back_by_the_published_law() -> None:
     """``q'' = -k |q - q0| (q - q0) - c q'`` per inertia about the hinge, whatever the arm weighs; a fine step, 1e-4 rad."""
     robot = ROBOTS.get("morphy_fixed_base")
     model = model_of(robot, num_envs=1)
-    state = replace(at_rest(model), joint_pos=torch.tensor([[0.24, 0.0] * 4], dtype=F64))
+    state = replace(thrown(at_rest(model)), joint_pos=torch.tensor([[0.24, 0.0] * 4], dtype=F64))
     angle, rate, dt = 0.24, 0.0, 1e-4
     off = torch.zeros(1, 4, dtype=F64)
     for k in range(5000):

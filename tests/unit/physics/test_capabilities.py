@@ -18,7 +18,9 @@ CPU = torch.device("cpu")
 class Plain(WarpBackend):
     """A backend that knows nothing but plain rotors that are held by nothing."""
 
-    capabilities = replace(WarpBackend().capabilities, rotors=(), contact=False, effects=(), integrators=("euler",))  # type: ignore[assignment]
+    capabilities = replace(
+        WarpBackend().capabilities, rotors=(), contact=False, effects=(), integrators=("euler",), joints=False
+    )  # type: ignore[assignment]
 
 
 @pytest.mark.parametrize(
@@ -42,7 +44,7 @@ class Plain(WarpBackend):
         (Needs(device=CPU, rotors=frozenset({"slew"})), r"cannot run rotors with a slew rate"),
         (Needs(device=CPU, contact=True), r"cannot push back at a contact. Use backend 'warp', 'torch', 'mujoco'"),
         (Needs(device=CPU, gradients=True), r"cannot pass gradients through a step. Use backend 'torch'"),
-        (Needs(device=CPU, joints=True), r"cannot move joints. Use backend 'torch', 'mujoco'"),
+        (Needs(device=CPU, joints=True), r"cannot move joints. Use backend 'warp', 'torch', 'mujoco'"),
     ],
 )
 def test_a_lack_is_refused_by_name_with_the_way_out(needs: Needs, message: str) -> None:

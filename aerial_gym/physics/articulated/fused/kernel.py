@@ -1,0 +1,284 @@
+"""The kernel that advances every environment of a vehicle that bends, composed for one model and control law.
+
+One step of ``steppers.implicit_euler`` per substep; the state stays in registers over the substeps.
+Letters: E environments, R rotors, D joints, C joints with a drive, U entries of an action, N numbers per environment.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from aerial_gym.physics.articulated.articulation import Articulation
+from aerial_gym.physics.articulated.fused.efforts import make_beyond
+from aerial_gym.physics.articulated.fused.recursion import Inertia, inertia_of, joint_types, make_recursion, plus
+from aerial_gym.physics.effects import DelayEffect, WrenchEffect
+from aerial_gym.physics.fused.command import make_command
+from aerial_gym.physics.fused.contact import ContactParameters
+from aerial_gym.physics.fused.dynamics import make_loads
+from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn, unit_quat
+from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
+from aerial_gym.physics.fused.law import FusedLaw, NoGains, preparation
+from aerial_gym.physics.fused.memory import make_begin, memory_type
+from aerial_gym.physics.fused.packing import Packing, num_values, types_of, values_type
+from aerial_gym.physics.fused.readers import make_command_reader, make_gains_reader, make_reader, make_vehicle_reader
+from aerial_gym.physics.fused.rotors import make_dead_band, make_follow
+from aerial_gym.physics.fused.types import vector_of
+from aerial_gym.physics.model import Model
+
+
+@cache
+def _make_split(num_actions: int, num_driven: int) -> tuple[wp.Function, wp.Function]:
+    """Return functions to the part of an action that the control law takes, and to the commands of the drives."""
+    whole, law, drives = vector_of(num_actions + num_driven), vector_of(num_actions), vector_of(max(num_driven, 1))
+
+    @wp.func
+    def of_law(action: whole) -> law:
+        part = law()
+        for i in range(wp.static(num_actions)):
+            part[i] = action[i]
+        return part
+
+    @wp.func
+    def of_drives(action: whole) -> drives:
+        part = drives()
+        for i in range(wp.static(num_driven)):
+            part[i] = action[wp.static(num_actions) + i]
+        return part
+
+    return of_law, of_drives
+
+
+def _make_base(articulation: Articulation, vehicle_type: Any) -> wp.Function:
+    """Return a function to the inertia of the base: (vehicle, angular velocity, velocity) -> ``Inertia``.
+
+    It is what the links leave of the whole vehicle in its reference pose, as in ``Articulation.links``; about the base's origin
+    inertias are sums.
+    """
+    carried = float(articulation.link_mass.sum())
+    moment = wp.vec3(*(articulation.link_mass @ articulation.link_com).tolist())
+    inertia = articulation.link_inertia.new_zeros(3, 3)
+    for mass, com, own in zip(articulation.link_mass, articulation.link_com, articulation.link_inertia, strict=True):
+        inertia = inertia + own + mass * (com @ com * inertia.new_ones(3).diag() - com.outer(com))
+    links = wp.mat33(*inertia.flatten().tolist())
+
+    @wp.func
+    def base(vehicle: vehicle_type, ang_vel: wp.vec3, lin_vel: wp.vec3) -> Inertia:
+        mass = 1.0 / vehicle.mass_inverse
+        lever = wp.skew(vehicle.com)
+        own = mass - wp.static(carried)
+        com = (mass * vehicle.com - moment) / own
+        about = vehicle.inertia - mass * (lever * lever) - links  # about the origin
+        own_lever = wp.skew(com)
+        return inertia_of(own, com, about + own * (own_lever * own_lever), ang_vel, lin_vel)
+
+    return base
+
+
+def make_jointed_kernel(
+    model: Model, law: FusedLaw, packing: Packing, *, num_spheres: int, hook: FusedHook | None
+) -> wp.Kernel:
+    """Return the kernel; what it does not need costs nothing.
+
+    Args:
+        model: Gives articulation, rotors and effects.
+        law: Control law.
+        packing: Where what differs between environments stands.
+        num_spheres: How many spheres of the base are tested against the ground; 0 where there is none.
+        hook: What follows every substep; it sees the base's origin in place of a centre of mass.
+    """
+    articulation = model.articulation
+    assert articulation is not None
+    num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
+    general, types, joints = not model.vehicle.plain, types_of(model), joint_types(articulation.num_joints)
+    vector, params_type, joint_vector = types.vector, values_type(model), joints.vector
+    action_type = vector_of(law.num_actions + articulation.num_driven)
+    drive_type = vector_of(max(articulation.num_driven, 1))
+    prepare = preparation(law.prepare, law.num_actions)
+    law_part, drive_part = _make_split(law.num_actions, articulation.num_driven)
+    remembers, law_remembers = bool(model.effects.remembering), law.remembering is not None
+    begin = make_begin(model) if remembers else None
+    memories_type = memory_type(effects=remembers, law=law_remembers)
+    remembered_command = law.remembering(law, num_rotors, general) if law.remembering is not None else None
+    vehicle_type, command_type, gains_type = types.vehicle, types.command, law.gains_type or NoGains
+    command_of = make_command(law, num_rotors, general)
+    stop = make_dead_band(num_rotors) if general else None
+    late = bool(model.effects[DelayEffect])
+    follow_rotors = make_follow(num_rotors, general, late)
+    loads, any_wrench = make_loads(model), bool(model.effects[WrenchEffect])
+    way_in, way_back = make_recursion(articulation, types, joints)
+    base, floating = _make_base(articulation, vehicle_type), articulation.tree.floating
+    beyond, driven = make_beyond(articulation), bool(articulation.driven)
+    read_vehicle = make_vehicle_reader(types, packing.vehicle, packing.entries)
+    read_command = make_command_reader(types, packing.command, packing.command_entries)
+    read_gains = make_gains_reader(law, packing.gains)
+    read_params = make_reader(params_type, num_params, 0)
+    first_param = packing.effects
+    follows, hook_type = hook is not None, NoHook if hook is None else hook.struct
+    follow = None if hook is None else hook.function
+
+    @wp.func
+    def solve(whole: Inertia):
+        """Return angular acceleration and acceleration of the base under what it carries, by elimination of the latter."""
+        inverse = wp.inverse(whole.push)
+        across = whole.mixed * inverse
+        turn = -wp.inverse(whole.turn - across * wp.transpose(whole.mixed)) * (whole.torque - across * whole.force)
+        return turn, -inverse * (whole.force + wp.transpose(whole.mixed) * turn)
+
+    @wp.func
+    def find(
+        vehicle: vehicle_type, own: Inertia, held: wp.vec3, pos: joint_vector, vel: joint_vector, drives: drive_type,
+        at_limit: joint_vector, thrusts: vector, drags: vector, w: wp.vec3, move: wp.vec3, dt: float,
+    ):  # fmt: skip
+        """Return rates of joints at the end of the step, angular acceleration and acceleration of the base, which weight is not
+        taken off."""
+        carried, kept = way_in(vehicle, pos, vel, drives, at_limit, thrusts, drags, w, move, dt)
+        turn = wp.vec3()
+        rise = held
+        if wp.static(floating):
+            turn, rise = solve(plus(carried, own))
+        return vel + dt * way_back(kept, turn, rise), turn, rise
+
+    @wp.func
+    def step_once(
+        vehicle: vehicle_type, params: params_type, gravity: float, x: wp.vec3, q: wp.quat, v: wp.vec3, w: wp.vec3,
+        before: vector, n: vector, pos: joint_vector, vel: joint_vector, drives: drive_type, dt: float,
+    ):  # fmt: skip
+        com = rotate(q, vehicle.com)
+        com_vel = v + rotate(q, wp.cross(w, vehicle.com))
+        thrusts, drags, more, _at = loads(vehicle, params, x + com, q, com_vel, w, n, (n - before) / dt)
+        move = rotate_inverse(q, v)
+        own = base(vehicle, w, move)
+        if wp.static(any_wrench):
+            push = wp.spatial_top(more)
+            own.force -= push
+            own.torque -= wp.spatial_bottom(more) + wp.cross(vehicle.com, push)
+        held = rotate_inverse(q, wp.vec3(0.0, 0.0, gravity))
+        at_limit = joint_vector()
+        rates, turn, rise = find(vehicle, own, held, pos, vel, drives, at_limit, thrusts, drags, w, move, dt)
+        if wp.static(driven):
+            at_limit = beyond(pos + dt * rates, rates, drives)
+            rates, turn, rise = find(vehicle, own, held, pos, vel, drives, at_limit, thrusts, drags, w, move, dt)
+        lin_vel = v
+        ang_vel = w
+        if wp.static(floating):
+            lin_vel = v + dt * (rotate(q, rise + wp.cross(w, move)) - wp.vec3(0.0, 0.0, gravity))
+            ang_vel = w + dt * turn
+        return (
+            x + dt * lin_vel,
+            unit_quat(q * small_turn(dt * ang_vel)),
+            lin_vel,
+            ang_vel,
+            pos + dt * rates,
+            rates,
+        )
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def advance(
+        # state
+        position: wp.array[wp.vec3],  # (E,) base origin, world [m]
+        attitude: wp.array[wp.quat],  # (E,) base to world, xyzw, unit
+        lin_vel: wp.array[wp.vec3],  # (E,) world [m/s]
+        ang_vel: wp.array[wp.vec3],  # (E,) body [rad/s]
+        rotor_speed: wp.array[vector],  # (E,) [rad/s]
+        joint_pos: wp.array[joint_vector],  # (E,) [rad]
+        joint_vel: wp.array[joint_vector],  # (E,) [rad/s]
+        action: wp.array[action_type],  # (E,)
+        # params
+        shared_vehicle: vehicle_type,
+        shared_command: command_type,
+        shared_gains: gains_type,
+        packed: wp.array2d[float],  # (N, E)
+        spheres: wp.array[wp.vec4],  # (C,) centre in the body frame, radius [m]
+        ground_height: float,  # [m] world
+        ground_law: ContactParameters,  # of the rigid kernel; not used
+        gravity: float,  # [m/s²]
+        dt: float,  # [s]
+        substeps: int,
+        first: int,  # environment of the first thread
+        memory: memories_type,  # read and written
+        hook_data: hook_type,  # read and written
+        # out
+        position_out: wp.array[wp.vec3],
+        attitude_out: wp.array[wp.quat],
+        lin_vel_out: wp.array[wp.vec3],
+        ang_vel_out: wp.array[wp.vec3],
+        rotor_speed_out: wp.array[vector],
+        joint_pos_out: wp.array[joint_vector],
+        joint_vel_out: wp.array[joint_vector],
+        contact_out: wp.array[wp.bool],  # (E,) set where the base touches the ground
+        impulse_out: wp.array[wp.vec3],  # (E,) of the rigid kernel; not written
+    ):
+        """Advance one environment."""
+        env = wp.tid() + first
+        vehicle = read_vehicle(shared_vehicle, packed, env)
+        command_params = read_command(shared_command, packed, env)
+        gains = read_gains(shared_gains, packed, env)
+        params = read_params(packed, wp.static(first_param), env)
+        x = position[env]
+        q = attitude[env]
+        v = lin_vel[env]
+        w = ang_vel[env]
+        n = rotor_speed[env]
+        pos = joint_pos[env]
+        vel = joint_vel[env]
+        if wp.static(not floating):
+            v = wp.vec3()
+            w = wp.vec3()
+        u = prepare(law_part(action[env]), gains)
+        drives = drive_part(action[env])
+        since = wp.int32(0)
+        if wp.static(remembers and law_remembers):
+            effects = memory.effects
+        elif wp.static(remembers):
+            effects = memory
+        if wp.static(remembers):
+            since = effects.since[env]
+            for i in range(wp.static(num_memory)):
+                params[wp.static(num_params) + i] = effects.numbers[i, env]
+        for k in range(substeps):
+            if wp.static(law_remembers):
+                command = remembered_command(command_params, gains, x, q, v, w, u, memory.law, env, dt)
+            else:
+                command = command_of(command_params, gains, x, q, v, w, u)
+            if wp.static(general):
+                command = stop(vehicle, command)
+            if wp.static(remembers):
+                params, followed = begin(vehicle, params, command, n, effects, env, since + k, dt)
+            else:
+                followed = command
+            before = n
+            first_v = v
+            first_w = w
+            n = follow_rotors(vehicle, before, followed, dt)
+            x, q, v, w, pos, vel = step_once(vehicle, params, gravity, x, q, v, w, before, n, pos, vel, drives, dt)
+            if wp.static(num_spheres > 0):
+                for i in range(wp.static(num_spheres)):
+                    center = wp.vec3(spheres[i][0], spheres[i][1], spheres[i][2])
+                    if x[2] + rotate(q, center)[2] - spheres[i][3] < ground_height:
+                        contact_out[env] = True
+            if wp.static(follows):
+                done = Substep()
+                done.dt = dt
+                done.mass = 1.0 / vehicle.mass_inverse
+                done.inertia = vehicle.inertia
+                done.first_lin_vel = first_v
+                done.first_ang_vel = first_w
+                done.position = x
+                done.attitude = q
+                done.lin_vel = v
+                done.ang_vel = w
+                x, q, v, w = follow(hook_data, env, k, done)
+        if wp.static(remembers):
+            effects.since[env] = since + substeps
+            for i in range(wp.static(num_memory)):
+                effects.numbers[i, env] = params[wp.static(num_params) + i]
+        position_out[env] = x
+        attitude_out[env] = q
+        lin_vel_out[env] = v
+        ang_vel_out[env] = w
+        rotor_speed_out[env] = n
+        joint_pos_out[env] = pos
+        joint_vel_out[env] = vel
+
+    return advance

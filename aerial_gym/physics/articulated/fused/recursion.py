@@ -1,0 +1,344 @@
+"""Accelerations of a tree for one environment by articulated inertias, unrolled for its topology.
+
+All is in axes of the base at this instant, so that nothing is turned on the way from link to link, and each link's about its
+own origin: about one for all, the small inertia of a rod about itself would be a difference of large ones, and a thousandth off
+in float32 at the end of a snake. Each link is a function that calls those of the links it carries: an arm is eliminated into
+what carries it before the next one is looked at, and 19 numbers of each joint are kept for the way back. What
+``implicit_euler`` adds to the mass matrix stands on its diagonal, in the rows of the joints: it is added to each joint's own
+inertia.
+Topology, the shape of links and the laws in the joints are numbers in the code; mass and inertia of the base are read.
+Letters: D joints, R rotors, C joints with a drive.
+
+Source: Featherstone (2008), Rigid Body Dynamics Algorithms, section 7.3 (articulated-body algorithm).
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from aerial_gym.physics.articulated.articulation import Articulation
+from aerial_gym.physics.articulated.fused.efforts import make_effort
+from aerial_gym.physics.fused.types import RotorTypes, vector_of
+
+
+@wp.struct
+class Inertia:
+    """Inertia of a link with all that it carries, about its origin, and what it takes to keep it unaccelerated."""
+
+    turn: wp.mat33  # torque per angular acceleration [kg m²]
+    mixed: wp.mat33  # torque per acceleration [kg m]; transposed, force per angular acceleration
+    push: wp.mat33  # force per acceleration [kg]
+    torque: wp.vec3  # [N m]
+    force: wp.vec3  # [N]
+
+
+@wp.func
+def plus(a: Inertia, b: Inertia) -> Inertia:
+    """Return both together."""
+    both = Inertia()
+    both.turn = a.turn + b.turn
+    both.mixed = a.mixed + b.mixed
+    both.push = a.push + b.push
+    both.torque = a.torque + b.torque
+    both.force = a.force + b.force
+    return both
+
+
+@wp.func
+def inertia_of(mass: float, com: wp.vec3, about: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3) -> Inertia:
+    """Return that of one rigid link.
+
+    Args:
+        mass: [kg].
+        com: Centre of mass from the link's origin [m].
+        about: Inertia about it, axes of the base [kg m²].
+        ang_vel: Of the link [rad/s].
+        lin_vel: Of its origin [m/s].
+    """
+    own = Inertia()
+    lever = wp.skew(com)
+    own.turn = about - mass * (lever * lever)
+    own.mixed = mass * lever
+    own.push = mass * wp.identity(n=3, dtype=float)
+    momentum = mass * (lin_vel + wp.cross(ang_vel, com))
+    spin = own.turn * ang_vel + mass * wp.cross(com, lin_vel)
+    own.torque = wp.cross(ang_vel, spin) + wp.cross(lin_vel, momentum)
+    own.force = wp.cross(ang_vel, momentum)
+    return own
+
+
+@dataclass(frozen=True)
+class JointTypes:
+    """Types of a vehicle with D joints."""
+
+    vector: Any
+    """A number of each joint."""
+
+    way_back: Any
+    """``wp.struct`` of what is kept of each joint until the acceleration of the base is known."""
+
+
+def joint_types(num_joints: int) -> JointTypes:
+    """Return the types for a number of joints."""
+    vector, rows = vector_of(num_joints), wp.types.matrix(shape=(num_joints, 3), dtype=wp.float32)
+    fields = {
+        "free": vector,  # acceleration of the joint where its parent has none
+        "by_turn": rows,  # less of it per angular acceleration of the parent
+        "by_push": rows,  # less of it per acceleration
+        "axis": rows,
+        "lever": rows,  # origin of the link from that of its parent [m]
+        "bend": rows,  # acceleration by turning and moving alone: angular
+        "swing": rows,
+    }
+    struct = wp.struct(type("WayBack", (), {"__annotations__": fields, "__module__": __name__}))
+    return JointTypes(vector, struct)
+
+
+def make_recursion(
+    articulation: Articulation, types: RotorTypes, joints: JointTypes
+) -> tuple[wp.Function, wp.Function]:
+    """Return the ways in and back.
+
+    The way in: (vehicle, position and rate of joints, joint command, sides of limits, thrusts, drag torques, angular velocity
+    and velocity of the base, dt) -> ``Inertia`` of all that the base carries, with what its own rotors do, and what is kept.
+    The way back: (kept, angular acceleration and acceleration of the base, weight not taken off it) -> accelerations of joints.
+    """
+    vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
+    command_type = vector_of(max(articulation.num_driven, 1))
+    links = [_make_link(articulation, k, types, joints) for k in range(articulation.num_joints)]
+    inward, back = _make_nothing(types, joints, command_type)
+    into: dict[int, wp.Function] = {}
+    out: dict[int, wp.Function] = {}
+    for k in reversed(range(articulation.num_joints)):  # links that are carried come later
+        into[k] = links[k](_children(articulation, k + 1, into, inward, True))
+        revolute = articulation.tree.joints[k].kind == "revolute"
+        out[k] = _make_back(k, revolute, joints, _children(articulation, k + 1, out, back, False))
+    way_in = _children(articulation, 0, into, inward, True)
+    way_back = _children(articulation, 0, out, back, False)
+    base_rotors = _make_rotors(articulation, 0, types)
+
+    @wp.func
+    def all_in(
+        vehicle: vehicle_type, pos: vector, vel: vector, command: command_type, at_limit: vector, thrusts: types.vector,
+        drags: types.vector, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
+    ):  # fmt: skip
+        kept = back_type()
+        rotation = wp.identity(n=3, dtype=float)
+        carried, kept = way_in(
+            vehicle, pos, vel, command, at_limit, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept
+        )
+        carried = base_rotors(vehicle, thrusts, drags, rotation, carried)
+        return carried, kept
+
+    @wp.func
+    def all_back(kept: back_type, turn: wp.vec3, push: wp.vec3) -> vector:
+        return way_back(kept, turn, push, vector())
+
+    return all_in, all_back
+
+
+def _children(
+    articulation: Articulation, link: int, functions: dict[int, wp.Function], nothing: wp.Function, way_in: bool
+) -> wp.Function:
+    """Return the functions of all joints on a link as one."""
+    total = nothing
+    for k, joint in enumerate(articulation.tree.joints):
+        if joint.parent == link:
+            total = (_beside_in if way_in else _beside_back)(total, functions[k])
+    return total
+
+
+def _make_nothing(types: RotorTypes, joints: JointTypes, command_type: Any) -> tuple[wp.Function, wp.Function]:
+    """Return the functions of a link that carries nothing."""
+    vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
+
+    @wp.func
+    def nothing_in(
+        vehicle: vehicle_type, pos: vector, vel: vector, command: command_type, at_limit: vector, thrusts: types.vector,
+        drags: types.vector, rotation: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
+        kept: back_type,
+    ):  # fmt: skip
+        return Inertia(), kept
+
+    @wp.func
+    def nothing_back(kept: back_type, turn: wp.vec3, push: wp.vec3, found: vector) -> vector:
+        return found
+
+    return nothing_in, nothing_back
+
+
+def _beside_in(rest: wp.Function, one: wp.Function) -> wp.Function:
+    @wp.func
+    def both_in(
+        vehicle: Any, pos: Any, vel: Any, command: Any, at_limit: Any, thrusts: Any, drags: Any, rotation: wp.mat33,
+        ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float, kept: Any,
+    ):  # fmt: skip
+        first, kept_first = rest(
+            vehicle, pos, vel, command, at_limit, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept
+        )
+        second, kept_both = one(
+            vehicle, pos, vel, command, at_limit, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept_first
+        )
+        return plus(first, second), kept_both
+
+    return both_in
+
+
+def _beside_back(rest: wp.Function, one: wp.Function) -> wp.Function:
+    @wp.func
+    def both_back(kept: Any, turn: wp.vec3, push: wp.vec3, found: Any):
+        return one(kept, turn, push, rest(kept, turn, push, found))
+
+    return both_back
+
+
+def _make_back(k: int, revolute: bool, joints: JointTypes, carried: wp.Function) -> wp.Function:
+    """Return the way back through one joint, and on through what its link carries."""
+    vector, back_type = joints.vector, joints.way_back
+
+    @wp.func
+    def joint_back(kept: back_type, turn: wp.vec3, push: wp.vec3, found: vector) -> vector:
+        after = found
+        by_turn = wp.vec3(kept.by_turn[k, 0], kept.by_turn[k, 1], kept.by_turn[k, 2])
+        by_push = wp.vec3(kept.by_push[k, 0], kept.by_push[k, 1], kept.by_push[k, 2])
+        lever = wp.vec3(kept.lever[k, 0], kept.lever[k, 1], kept.lever[k, 2])
+        moved = push + wp.cross(turn, lever)
+        acc = kept.free[k] - wp.dot(by_turn, turn) - wp.dot(by_push, moved)
+        after[k] = acc
+        axis = wp.vec3(kept.axis[k, 0], kept.axis[k, 1], kept.axis[k, 2])
+        own_turn = turn + wp.vec3(kept.bend[k, 0], kept.bend[k, 1], kept.bend[k, 2])
+        own_push = moved + wp.vec3(kept.swing[k, 0], kept.swing[k, 1], kept.swing[k, 2])
+        if wp.static(revolute):
+            own_turn = own_turn + acc * axis
+        else:
+            own_push = own_push + acc * axis
+        return carried(kept, own_turn, own_push, after)
+
+    return joint_back
+
+
+@wp.func
+def carry(of: Inertia, lever: wp.vec3) -> Inertia:
+    """Return an inertia about another origin, from which the first one is ``lever`` away."""
+    after = Inertia()
+    cross = wp.skew(lever)
+    after.mixed = of.mixed + cross * of.push
+    after.turn = of.turn + cross * wp.transpose(of.mixed) - after.mixed * cross
+    after.push = of.push
+    after.torque = of.torque + wp.cross(lever, of.force)
+    after.force = of.force
+    return after
+
+
+def _make_link(articulation: Articulation, k: int, types: RotorTypes, joints: JointTypes) -> Any:
+    """Return what makes the way in through joint k of that through what its link carries."""
+    vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
+    command_type = vector_of(max(articulation.num_driven, 1))
+    joint, revolute = articulation.tree.joints[k], articulation.tree.joints[k].kind == "revolute"
+    own_axis, offset = wp.vec3(*joint.axis), wp.vec3(*joint.position)
+    reference = float(articulation.reference[k])
+    if not revolute:
+        offset = offset + reference * own_axis
+    mass = float(articulation.link_mass[k])
+    com = wp.vec3(*(articulation.link_com[k] - articulation.origins[k + 1]).tolist())
+    inertia = wp.mat33(*articulation.link_inertia[k].flatten().tolist())
+    has_mass, has_inertia = mass > 0.0, bool(articulation.link_inertia[k].any())
+    effort, rotors = make_effort(articulation, k), _make_rotors(articulation, k + 1, types)
+
+    def around(carried: wp.Function) -> wp.Function:
+        @wp.func
+        def link_in(
+            vehicle: vehicle_type, pos: vector, vel: vector, command: command_type, at_limit: vector, thrusts: types.vector,
+            drags: types.vector, rotation: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
+            kept: back_type,
+        ):  # fmt: skip
+            after = kept
+            q = pos[k]
+            rate = vel[k]
+            axis = rotation * own_axis
+            lever = rotation * offset
+            turned = rotation
+            if wp.static(revolute):
+                turned = rotation * wp.quat_to_matrix(wp.quat_from_axis_angle(own_axis, q - wp.static(reference)))
+            else:
+                lever = lever + axis * (q - wp.static(reference))
+            turn = ang_vel
+            move = lin_vel + wp.cross(ang_vel, lever)
+            bend = wp.vec3()
+            swing = rate * wp.cross(ang_vel, axis)
+            if wp.static(revolute):
+                turn = ang_vel + rate * axis
+                bend = swing
+                swing = rate * wp.cross(move, axis)
+            else:
+                move = move + rate * axis
+            whole, after = carried(vehicle, pos, vel, command, at_limit, thrusts, drags, turned, turn, move, dt, after)
+            if wp.static(has_mass):
+                about = wp.mat33()
+                if wp.static(has_inertia):
+                    about = turned * inertia * wp.transpose(turned)
+                whole = plus(whole, inertia_of(wp.static(mass), turned * com, about, turn, move))
+            whole = rotors(vehicle, thrusts, drags, turned, whole)
+            acts, stiff = effort(q, rate, command, at_limit[k], dt)
+            if wp.static(revolute):
+                by_turn = whole.turn * axis
+                by_push = wp.transpose(whole.mixed) * axis
+                inverse = 1.0 / (wp.dot(axis, by_turn) + stiff)
+                left = acts - wp.dot(axis, whole.torque)
+            else:
+                by_turn = whole.mixed * axis
+                by_push = whole.push * axis
+                inverse = 1.0 / (wp.dot(axis, by_push) + stiff)
+                left = acts - wp.dot(axis, whole.force)
+            free = inverse * (left - wp.dot(by_turn, bend) - wp.dot(by_push, swing))
+            beyond = Inertia()
+            beyond.turn = whole.turn - inverse * wp.outer(by_turn, by_turn)
+            beyond.mixed = whole.mixed - inverse * wp.outer(by_turn, by_push)
+            beyond.push = whole.push - inverse * wp.outer(by_push, by_push)
+            beyond.torque = whole.torque + whole.turn * bend + whole.mixed * swing + free * by_turn
+            beyond.force = whole.force + wp.transpose(whole.mixed) * bend + whole.push * swing + free * by_push
+            after.free[k] = free
+            for i in range(3):
+                after.by_turn[k, i] = inverse * by_turn[i]
+                after.by_push[k, i] = inverse * by_push[i]
+                after.axis[k, i] = axis[i]
+                after.lever[k, i] = lever[i]
+                after.bend[k, i] = bend[i]
+                after.swing[k, i] = swing[i]
+            return carry(beyond, lever), after
+
+        return link_in
+
+    return around
+
+
+def _make_rotors(articulation: Articulation, link: int, types: RotorTypes) -> wp.Function:
+    """Return what the rotors of a link do to it: (vehicle, thrusts, drag torques, rotation, inertia) -> inertia."""
+    vector, vehicle_type = types.vector, types.vehicle
+    start = wp.vec3(*articulation.origins[link].tolist())
+
+    @wp.func
+    def none(vehicle: vehicle_type, thrusts: vector, drags: vector, rotation: wp.mat33, of: Inertia) -> Inertia:
+        return of
+
+    def with_rotor(rest: wp.Function, i: int) -> wp.Function:
+        @wp.func
+        def rotor(vehicle: vehicle_type, thrusts: vector, drags: vector, rotation: wp.mat33, of: Inertia) -> Inertia:
+            more = rest(vehicle, thrusts, drags, rotation, of)
+            lever = wp.vec3(vehicle.rotor_lever[i, 0], vehicle.rotor_lever[i, 1], vehicle.rotor_lever[i, 2])
+            hub = rotation * (lever + vehicle.com - start)
+            axis = wp.vec3(vehicle.rotor_axis[i, 0], vehicle.rotor_axis[i, 1], vehicle.rotor_axis[i, 2])
+            reaction = wp.vec3(vehicle.rotor_reaction[i, 0], vehicle.rotor_reaction[i, 1], vehicle.rotor_reaction[i, 2])
+            force = thrusts[i] * (rotation * axis)
+            more.torque -= wp.cross(hub, force) + drags[i] * (rotation * reaction)
+            more.force -= force
+            return more
+
+        return rotor
+
+    total = none
+    for number, place in enumerate(articulation.rotor_links):
+        if place == link:
+            total = with_rotor(total, number)
+    return total

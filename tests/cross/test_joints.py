@@ -1,0 +1,186 @@
+"""Vehicles that bend on the fused backend, which eliminates link by link, against the torch reference, which factors the whole
+mass matrix.
+
+Both follow the same equations in different ways. Float32 torch is itself off the float64 result, so the bound is taken from it:
+the fused step may be ``FACTOR`` times as far from float64 as float32 torch is, plus a few units in the last place.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+import torch
+
+from aerial_gym import SimBuilder
+from aerial_gym.config.joint import DriveCfg, EndsCfg, JointCfg, JointsCfg, LinkCfg, SpringCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.errors import CapabilityError
+from aerial_gym.math.random import Randomness
+from aerial_gym.physics import EFFECTS, TorchBackend, build_model, vehicle_from_config
+from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.state import JointedState
+from aerial_gym.physics.vehicle import Vehicle
+from aerial_gym.physics.warp_backend import WarpBackend
+from aerial_gym.robots import ROBOTS
+from tests.physics.vehicles import CEILING, random_state
+
+FACTOR, ROUND_OFF = 4.0, 4e-6
+
+SLENDER = 20.0
+"""In place of ``FACTOR`` where bare effort turns rods about themselves: 6e-5 kg m² beside 0.025 across, whose unit in the
+last place is 2.5e-5 of the first. It shows as 90 rad/s at the last rod, on its way into its end."""
+
+NUDGES = (0, 1, -1)
+"""Float32 torch flies from starts that differ in the last place: one alone may be lucky where a light rod hits its end."""
+
+NUM_ENVS, DT, SUBSTEPS, STEPS = 24, 0.002, 5, 20
+
+
+def odd_tree() -> RobotCfg:
+    """A robot that has everything: a slide, a bent chain, two joints on one link, each kind of drive, a base that is held."""
+    lump = ((4e-5, 1e-6, 0.0), (1e-6, 5e-5, 2e-6), (0.0, 2e-6, 6e-5))
+    robot = ROBOTS.get("base_quadrotor")
+    ends = EndsCfg(low=-0.2, high=0.3, stiffness=3.0, damping=0.02)
+
+    def joint(
+        name: str, parent: str, axis: tuple[float, float, float], at: tuple[float, float, float], **others: object
+    ):
+        return JointCfg(name=name, parent=parent, axis=axis, position=at, initial=(-0.1, 0.1), **others)  # type: ignore[arg-type]
+
+    def lump_at(*com: float) -> LinkCfg:
+        return LinkCfg(mass=0.02, com=(com[0], com[1], com[2]), inertia=lump)
+
+    layout = (
+        joint(
+            "slide", "base", (0.6, 0.0, 0.8), (0.1, 0.0, 0.02), kind="prismatic", reference=0.01,
+            link=lump_at(0.12, 0.01, 0.0), spring=SpringCfg(stiffness=8.0, damping=0.05, rest=0.02), ends=ends,
+        ),
+        joint(
+            "arm", "slide", (0.0, 1.0, 0.0), (0.13, 0.0, 0.0), reference=0.2, link=lump_at(0.15, 0.0, 0.02),
+            drive=DriveCfg(mode="position", stiffness=0.3, damping=0.01, limit=0.05, command_range=(-0.5, 0.5)),
+        ),
+        joint("hinge", "base", (0.0, 0.0, 1.0), (-0.1, 0.05, 0.0)),
+        joint(
+            "left", "hinge", (1.0, 0.0, 0.0), (-0.12, 0.05, 0.01), link=lump_at(-0.13, 0.1, 0.0),
+            drive=DriveCfg(mode="velocity", damping=0.02, limit=0.03, command_range=(-2.0, 2.0)),
+        ),
+        joint(
+            "right", "hinge", (0.0, 0.8, 0.6), (-0.12, 0.02, -0.01), link=lump_at(-0.15, -0.04, 0.0),
+            drive=DriveCfg(mode="effort", limit=0.01, command_range=(-0.01, 0.01)),
+            spring=SpringCfg(quadratic=0.3, damping=0.002, preload=0.003),
+        ),
+    )  # fmt: skip
+    first, *others = robot.mounts.layout
+    mounts = replace(robot.mounts, layout=(replace(first, link="arm"), *others))
+    inertia = ((0.004, 0.0, 0.0), (0.0, 0.005, 0.0), (0.0, 0.0, 0.006))
+    body = replace(robot.body, mass=0.33, com=(0.004, -0.003, 0.002), inertia=inertia)
+    return replace(robot, body=body, mounts=mounts, joints=JointsCfg(layout=layout, source="test"))
+
+
+def heavier(vehicle: Vehicle) -> Vehicle:
+    """Environments that differ, as after a reset that draws."""
+    scale = 1.0 + 0.2 * torch.linspace(0.0, 1.0, vehicle.num_envs, dtype=vehicle.mass.dtype)
+    com = vehicle.com + 0.002 * scale.unsqueeze(-1)
+    return replace(vehicle, mass=scale * vehicle.mass, inertia=scale[:, None, None] * vehicle.inertia, com=com)
+
+
+def fly(
+    backend: TorchBackend | WarpBackend,
+    robot: RobotCfg,
+    controller: str,
+    dtype: torch.dtype,
+    effects: tuple[str, ...],
+    adjust: Callable[[Vehicle], Vehicle],
+    *,
+    nudge: int = 0,
+) -> tuple[torch.Tensor, ...]:
+    vehicle = vehicle_from_config(robot, num_envs=NUM_ENVS, dtype=dtype)
+    law = make_controller(CONTROLLERS.get(controller), vehicle, 9.81, dt=DT)
+    articulation = articulation_of(robot, like=vehicle.mass)
+    rows = []
+    for name in effects:
+        effect = EFFECTS.get(name)
+        row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
+        rows.append((effect, torch.tensor(row, dtype=dtype).expand(NUM_ENVS, -1).clone()))
+    model = build_model(adjust(vehicle), rows, ceiling_height=CEILING, articulation=articulation)
+    assert articulation is not None
+    hover = vehicle.speed_high[0, 0].item() * 0.5
+    start = random_state(NUM_ENVS, seed=5, rotor_speed=hover)
+    gen = torch.Generator().manual_seed(7)
+
+    def draw(*shape: int) -> torch.Tensor:
+        return torch.rand(*shape, dtype=torch.float64, generator=gen) - 0.5
+
+    joints = articulation.reference.double() + 0.3 * draw(NUM_ENVS, articulation.num_joints)
+    speeds = torch.full((NUM_ENVS, vehicle.num_rotors), hover, dtype=torch.float64)
+    state = JointedState(
+        **{**vars(start), "rotor_speed": speeds}, joint_pos=joints, joint_vel=draw(NUM_ENVS, articulation.num_joints)
+    )
+    signs = torch.where(draw(NUM_ENVS, 1) > 0.0, 1.0, -1.0) * nudge * 2.0**-24
+    state = replace(state, **{name: (tensor * (1.0 + signs)).to(dtype) for name, tensor in vars(state).items()})
+    backend.allocate(model, law, integrator="euler", random=Randomness(NUM_ENVS))
+    weight = 9.81 * robot.body.mass / vehicle.num_rotors
+    for _ in range(STEPS):
+        thrusts = 1.5 * weight * (0.5 + draw(NUM_ENVS, len(law.action_names))) if controller == "no_control" else draw(
+            NUM_ENVS, len(law.action_names)
+        )  # fmt: skip
+        command = torch.cat((thrusts, 2.0 * draw(NUM_ENVS, articulation.num_driven)), dim=1).to(dtype)
+        backend.step(state, command, DT, SUBSTEPS)
+    return tuple(tensor.double() for tensor in state.tensors())
+
+
+CASES = {
+    "morphy": ("morphy", "no_control", (), None),
+    "morphy on a stand": ("morphy_fixed_base", "no_control", (), None),
+    "morphy under a geometric law, all different": ("morphy", "lee_position_control", (), heavier),
+    "snake": ("snakey", "no_control", (), None),
+    "snake of five, position": ("snakey5_position", "no_control", (), None),
+    "snake of six, effort": ("snakey6_effort", "no_control", (), None),
+    "everything": ("odd", "no_control", ("quadratic_drag", "constant_wind", "axial_inflow"), heavier),
+    "everything, late": ("odd", "lee_velocity_control", ("actuation_delay", "gusts", "rotor_drag"), None),
+    "law with memory": ("odd", "pid_rates_control", ("weak_motor", "com_offset"), None),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_fused_step_is_that_of_the_reference(case: str) -> None:
+    name, controller, effects, adjust = CASES[case]
+    robot = odd_tree() if name == "odd" else ROBOTS.get(name)
+    same = adjust or (lambda vehicle: vehicle)
+    exact = fly(TorchBackend(), robot, controller, torch.float64, effects, same)
+    singles = [fly(TorchBackend(), robot, controller, torch.float32, effects, same, nudge=n) for n in NUDGES]
+    fused = fly(WarpBackend(), robot, controller, torch.float32, effects, same)
+    for right, mine, *roughs in zip(exact, fused, *singles, strict=True):
+        size = right.abs().max().clamp_min(1.0)
+        allowed = (SLENDER if case == "snake of six, effort" else FACTOR) * max(
+            (rough - right).abs().max() for rough in roughs
+        ) + ROUND_OFF * size
+        assert bool(right.isfinite().all())
+        assert float((mine - right).abs().max()) <= float(allowed)
+
+
+def test_a_differentiable_fused_rollout_moves_no_joints() -> None:
+    robot = ROBOTS.get("morphy")
+    with pytest.raises(CapabilityError, match="a differentiable rollout moves no joints"):
+        fly(WarpBackend(differentiable=True), robot, "no_control", torch.float32, (), lambda vehicle: vehicle)
+
+
+def test_an_environment_of_bending_robots_among_obstacles_sees_the_ground_and_ends_there() -> None:
+    """Morphy without thrust falls from between obstacles to the ground; sensors and collision test run on."""
+    env = SimBuilder().build_env(
+        sim_name="base_sim_2ms",
+        env_name="forest_env",
+        robot_name=replace(ROBOTS.get("morphy"), sensors=("coarse_depth_camera", "base_imu")),
+        controller_name="no_control",
+        num_envs=4,
+        device="cpu",
+        seed=1,
+    )
+    env.reset()
+    touched = torch.zeros(4, dtype=torch.bool)
+    for _ in range(400):
+        env.step(torch.zeros(4, 4))
+        touched |= env.gtd["crashes"]
+    assert bool(touched.all())
+    assert bool(env.gtd["dof_position"].isfinite().all())
