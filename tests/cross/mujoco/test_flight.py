@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from aerial_gym.benchmarks.measure import torch_threads
 from aerial_gym.config.robot import BodyCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError
@@ -182,14 +183,16 @@ def test_environments_with_bodies_of_their_own_fly_as_in_torch_and_as_alone() ->
     for backend in (TorchBackend(), mujoco_backend()):
         model, law = build(robot, law_cfg, 6, F64, adjust=by_env)
         state, action = start_of(model, 6), actions_for(law, model, 6)
-        ends.append(fly(backend, model, law, state, action))
+        with torch_threads(2):
+            ends.append(fly(backend, model, law, state, action))
     assert_same(*ends)
     rows = {name: rows[4:5].clone() for name, rows in model.vehicle.rows().items()}
     alone = build_model(replace(model.vehicle, **rows))
     declared = vehicle_from_config(robot, num_envs=1, dtype=F64)
     own_law = make_controller(law_cfg, declared, 9.81, dt=DT)
     first = BodyState(**{name: rows[4:5].clone() for name, rows in vars(state).items()})
-    end = fly(mujoco_backend(), alone, own_law, first, action[4:5])
+    with torch_threads(1):
+        end = fly(mujoco_backend(), alone, own_law, first, action[4:5])
     for name, values in vars(end).items():
         assert torch.equal(values, getattr(ends[1], name)[4:5]), name
 
