@@ -4,6 +4,7 @@ Letters: E environments, R rotors, P parameters of an effect, U entries of an ac
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -16,8 +17,9 @@ from aerial_gym.control.allocation import Allocation
 from aerial_gym.env_manager import robot_by_name
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.physics import BACKENDS, EFFECTS, BodyState, PhysicsBackend, build_model, vehicle_from_config
+from aerial_gym.physics.articulated.articulation import Articulation, articulation_of
 from aerial_gym.physics.model import EffectParams
-from aerial_gym.physics.state import state_at_rest
+from aerial_gym.physics.state import JointedState, state_at_rest
 from aerial_gym.physics.vehicle import Vehicle
 
 LAUNCHES_PER_BATCH = 20
@@ -42,7 +44,7 @@ class Flight:
     def __init__(self, backend: PhysicsBackend, state: BodyState, action: Tensor, *, dt: float, substeps: int) -> None:
         """Take what is stepped; ``substeps`` of ``dt`` [s] a launch. The state is kept as the start."""
         self.device = action.device
-        self.state, self._start = state, BodyState(**{name: t.clone() for name, t in vars(state).items()})
+        self.state, self._start = state, replace(state, **{name: t.clone() for name, t in vars(state).items()})
         launches = max(1, int(STRETCH_S / (dt * substeps)))
         self.launches_per_batch = min(LAUNCHES_PER_BATCH, launches) if self.device.type == "cuda" else 1
         self.batches_per_stretch = launches // self.launches_per_batch
@@ -113,14 +115,31 @@ def make_flight(
         able = ", ".join(stepper.capabilities.devices)
         raise CapabilityError(f"backend {backend}: cannot run on {device}. Devices: {able}")
     declared = vehicle_from_config(cfg, num_envs=num_envs, device=device)
-    model = build_model(declared, moderate_effects(effects, cfg, num_envs=num_envs, device=device))
+    articulation = articulation_of(cfg, like=declared.mass)
+    rows = moderate_effects(effects, cfg, num_envs=num_envs, device=device)
+    model = build_model(declared, rows, articulation=articulation)
     control = make_controller(law, declared, model.gravity, dt=dt, control=cfg.control)
     generator = torch.Generator(device=device).manual_seed(seed)
     hover = _hover_thrust(cfg, effects, device)
     state = near_hover(num_envs, hover[1], generator)
     action = hover_action(law.law, len(control.action_names), hover, num_envs, generator)
+    if articulation is not None:
+        state, action = _with_joints(articulation, state, action)
     stepper.allocate(model, control, integrator=integrator)
     return Flight(stepper, state, action, dt=dt, substeps=substeps)
+
+
+def _with_joints(articulation: Articulation, state: BodyState, action: Tensor) -> tuple[JointedState, Tensor]:
+    """Return state and action of vehicles in their reference pose, whose drives hold it."""
+    joint_pos = articulation.reference.repeat(state.num_envs, 1)
+    held = [
+        articulation.reference[k] if mode == "position" else articulation.reference.new_zeros(())
+        for k, mode in zip(articulation.driven, articulation.modes, strict=True)
+    ]
+    jointed = JointedState(**vars(state), joint_pos=joint_pos, joint_vel=torch.zeros_like(joint_pos))
+    if not held:
+        return jointed, action
+    return jointed, torch.cat((action, torch.stack(held).expand(state.num_envs, -1)), dim=1).contiguous()
 
 
 def moderate_effects(
