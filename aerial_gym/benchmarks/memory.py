@@ -57,7 +57,7 @@ class MemoryBench:
         import torch
 
         from aerial_gym.benchmarks.measure import require_at_least
-        from aerial_gym.benchmarks.output import device_name, provenance
+        from aerial_gym.benchmarks.output import device_name, packages_of, provenance
         from aerial_gym.env_manager import SimBuilder
         from aerial_gym.interop import resolve_device
 
@@ -94,7 +94,7 @@ class MemoryBench:
             "images_bytes_per_env": images / self.num_envs,
             "others_bytes_per_env": (total - images) / self.num_envs,
             "device_bytes": taken,
-            **provenance(),
+            **provenance(*packages_of(self.backend)),
         }
         rows = sorted(arrays.items(), key=lambda entry: -entry[1])[: self.largest]
         return [figures, *({"name": name, "bytes": size, "bytes_per_env": size / self.num_envs} for name, size in rows)]

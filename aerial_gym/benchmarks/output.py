@@ -12,6 +12,8 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
+from aerial_gym.physics import BACKENDS
+
 PACKAGES = ("torch", "warp-lang", "aerial-gym")
 
 
@@ -27,14 +29,23 @@ def device_name(device: torch.device) -> str:
     return next(models, platform.processor() or platform.machine())
 
 
-def provenance() -> dict[str, object]:
-    """Return versions, commit and the load of the machine [processes that want a core, mean of a minute]."""
-    versions = {name.removesuffix("-lang").replace("-", "_"): _version(name) for name in PACKAGES}
+def provenance(*packages: str) -> dict[str, object]:
+    """Return versions, commit and the load of the machine [processes that want a core, mean of a minute].
+
+    Args:
+        packages: Others whose versions are told as well.
+    """
+    versions = {name.removesuffix("-lang").replace("-", "_"): _version(name) for name in (*PACKAGES, *packages)}
     return {
         "versions": {**versions, "python": platform.python_version()},
         "commit": commit(),
         "load1": round(os.getloadavg()[0], 2),
     }
+
+
+def packages_of(backend: str | None) -> tuple[str, ...]:
+    """Return the packages that a registered backend cannot do without, beside those of every figure."""
+    return () if backend in (None, "auto") else getattr(BACKENDS.get(backend), "packages", ())
 
 
 def commit() -> str | None:

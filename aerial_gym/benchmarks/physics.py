@@ -13,7 +13,7 @@ class PhysicsBench:
     """Measure how many substeps of how many environments the physics takes per second."""
 
     backend: str = "warp"
-    """Registered physics backend: warp or torch."""
+    """Registered physics backend: warp, torch or mujoco."""
 
     device: str = "auto"
     """Torch device; auto takes the GPU if there is one."""
@@ -72,12 +72,12 @@ class PhysicsBench:
         """
         from aerial_gym.benchmarks.flight import make_flight
         from aerial_gym.benchmarks.measure import require_at_least, spread, time_launches, torch_threads
-        from aerial_gym.benchmarks.output import device_name, provenance
+        from aerial_gym.benchmarks.output import device_name, packages_of, provenance
         from aerial_gym.interop import resolve_device
 
         require_at_least(1, num_envs=self.num_envs, substeps=self.substeps)
         device = resolve_device(self.device)
-        beside = provenance()
+        beside = provenance(*packages_of(self.backend))
         with torch_threads(self.threads) as threads:  # no progress bar: its thread would take part of a measured core
             flight = make_flight(
                 backend=self.backend,

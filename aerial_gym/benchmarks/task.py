@@ -60,13 +60,13 @@ class TaskBench:
         """
         from aerial_gym.benchmarks.episodes import Episodes
         from aerial_gym.benchmarks.measure import spread, time_launches, torch_threads
-        from aerial_gym.benchmarks.output import device_name, provenance
+        from aerial_gym.benchmarks.output import device_name, packages_of, provenance
         from aerial_gym.benchmarks.parts import time_parts
         from aerial_gym.interop import resolve_device
         from aerial_gym.task import task_registry
 
         device = resolve_device(self.device)
-        beside = provenance()
+        beside = provenance(*packages_of(self.backend))
         with (
             torch_threads(self.threads) as threads,
             task_registry.make_task(

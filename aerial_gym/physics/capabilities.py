@@ -112,7 +112,10 @@ def require(backend: PhysicsBackend, needs: Needs, *, name: str | None = None) -
     lacking = list(_lacking(backend.capabilities, needs))
     if not lacking:
         return
-    others = [n for n in BACKENDS.names() if n != name and not any(_lacking(BACKENDS.get(n)().capabilities, needs))]
+    known = dict.fromkeys((*BACKEND_PREFERENCE, *BACKENDS.names()))
+    others = [
+        n for n in known if n != name and n in BACKENDS and not any(_lacking(BACKENDS.get(n)().capabilities, needs))
+    ]
     way_out = f"Use backend {', '.join(map(repr, others))}." if others else "No registered backend can: leave it out."
     raise CapabilityError(f"backend {name or type(backend).__name__}: cannot {lacking[0]}. {way_out}")
 

@@ -15,6 +15,8 @@ BACKENDS: "Registry[Callable[[], PhysicsBackend]]" = Registry("physics backend")
 for _name, _place in (
     ("torch", "aerial_gym.physics.torch_backend:TorchBackend"),
     ("warp", "aerial_gym.physics.warp_backend:WarpBackend"),
+    ("mujoco", "aerial_gym.physics.mujoco.backend:MujocoBackend"),
+    ("mujoco_warp", "aerial_gym.physics.mujoco.backend:MujocoWarpBackend"),
 ):
     _home = Home(_place)
     BACKENDS.register_later(_name, _home.load, summary=_home.summary)

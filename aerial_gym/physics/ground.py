@@ -39,7 +39,8 @@ class Ground:
 
 def touches_ground(ground: Ground, state: BodyState) -> Tensor:
     """Return whether the lowest point of a sphere is below the plane, ``p_z + (R c)_z - r < h``, bool (E,)."""
-    center, radius = ground.spheres[:, :3], ground.spheres[:, 3]
+    spheres = ground.spheres.to(state.position.dtype)
+    center, radius = spheres[:, :3], spheres[:, 3]
     offset = quat_rotate(state.attitude.unsqueeze(1), center.unsqueeze(0).expand(state.num_envs, -1, -1))
     return (state.position[:, 2:] + offset[..., 2] - radius < ground.height).any(dim=1)
 
@@ -58,16 +59,26 @@ def push_off_ground(
         dt: Length of the step [s].
         share: Entry of ``contact.POSITION_SHARE``.
     """
-    spheres = ground.spheres.to(after.position.dtype)
-    center = spheres[:, :3] - model.vehicle.com.unsqueeze(1)
-    offset = quat_rotate(after.attitude.unsqueeze(1), center)
-    gap = after.position[:, 2:] + offset[..., 2] - spheres[:, 3] - ground.height
-    normal = torch.zeros_like(offset)
-    normal[..., 2] = 1.0
-    lever = offset - spheres[:, 3:] * normal
-    turn = quat_rotate(after.attitude, before.ang_vel).unsqueeze(1).expand_as(lever)
-    approach = -(before.lin_vel.unsqueeze(1) + torch.linalg.cross(turn, lever))[..., 2]
-    crashes = ((gap < 0.0) & (approach >= cfg.least_approach)).any(dim=1)
-    contacts = Contacts(gap=gap, lever=lever, normal=normal)
+    contacts = ground_contacts(ground, model, after)
+    crashes = crash_at(contacts, cfg, before, after)
     state, impulse = push(contacts, cfg, model, after, dt=dt, share=share)
     return state, impulse, crashes
+
+
+def ground_contacts(ground: Ground, model: Model, state: MassState) -> Contacts:
+    """Return where a vehicle may touch the ground: a contact for every sphere."""
+    spheres = ground.spheres.to(state.position.dtype)
+    center = spheres[:, :3] - model.vehicle.com.unsqueeze(1)
+    offset = quat_rotate(state.attitude.unsqueeze(1), center)
+    gap = state.position[:, 2:] + offset[..., 2] - spheres[:, 3] - ground.height
+    normal = torch.zeros_like(offset)
+    normal[..., 2] = 1.0
+    return Contacts(gap=gap, lever=offset - spheres[:, 3:] * normal, normal=normal)
+
+
+def crash_at(contacts: Contacts, cfg: ContactCfg, before: MassState, after: MassState) -> Tensor:
+    """Return whether a contact after a step is a crash, bool (E,): it came at ``cfg.crash_speed`` or faster before the step."""
+    lever = contacts.lever
+    turn = quat_rotate(after.attitude, before.ang_vel).unsqueeze(1).expand_as(lever)
+    approach = -(before.lin_vel.unsqueeze(1) + torch.linalg.cross(turn, lever))[..., 2]
+    return ((contacts.gap < 0.0) & (approach >= cfg.least_approach)).any(dim=1)

@@ -70,10 +70,44 @@ def to_body_state(model: Model, state: MassState) -> BodyState:
 
 
 def _derivative(model: Model, state: MassState, rotor_acc: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    position, attitude, lin_vel, ang_vel, rotor_speed, load = vars(state).values()
-    force, torque = body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
+    position, attitude, lin_vel, ang_vel, rotor_speed, _ = vars(state).values()
+    return _accelerated(model, state, body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc))
+
+
+def _accelerated(model: Model, state: MassState, wrench: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the accelerations under a force and a torque, with those of the load."""
+    (force, torque), attitude, ang_vel = wrench, state.attitude, state.ang_vel
     acc, ang_acc = com_acceleration(model, attitude, force), angular_acceleration(model, ang_vel, torque)
-    return with_load(model, attitude, ang_vel, load, acc, ang_acc)
+    return with_load(model, attitude, ang_vel, state.load, acc, ang_acc)
+
+
+def held_wrench(
+    model: Model, state: MassState, rotor_command: RotorCommand, dt: float
+) -> tuple[Tensor, tuple[Tensor, Tensor]]:
+    """Return the rotor speeds after a step (E, R), and the wrench that a stepper of order 1 holds over it.
+
+    Rotors are those of the end of the step, the motion that of its start.
+
+    Args:
+        model: Vehicle and effects.
+        state: At the start.
+        rotor_command: What the rotors follow.
+        dt: Length of the step [s].
+
+    Returns:
+        Speeds [rad/s], and the pair of all force but gravity and the pull of a load [N] and the torque about the centre of
+        mass [N m], body, each (E, 3).
+    """
+    position, attitude, lin_vel, ang_vel, before, _ = vars(state).values()
+    rotor_speed = follow_command(model.vehicle, before, rotor_command, dt)
+    rotor_acc = (rotor_speed - before) / dt  # over the step: the momentum that the rotors gain is exact
+    return rotor_speed, body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
+
+
+def swing_on(load: Tensor, swing: Tensor, dt: float) -> Tensor:
+    """Return direction and rate of the link of a load, (E, 6), after a semi-implicit step under n'' [1/s²], (E, 3)."""
+    rate = load[:, 3:] + dt * swing
+    return _settle(torch.cat((load[:, :3] + dt * rate, rate), dim=-1))
 
 
 def _settle(load: Tensor) -> Tensor:
@@ -91,18 +125,16 @@ def semi_implicit_euler(model: Model, state: MassState, rotor_command: RotorComm
     The attitude is turned by the exact rotation ``exp(w dt)``. Source: Hairer, Lubich, Wanner (2006), Geometric Numerical
     Integration, I.1.2 (symplectic Euler).
     """
-    rotor_speed = follow_command(model.vehicle, state.rotor_speed, rotor_command, dt)
-    rotor_acc = (rotor_speed - state.rotor_speed) / dt  # over the step: the momentum that the rotors gain is exact
-    acc, ang_acc, swing = _derivative(model, MassState(**{**vars(state), "rotor_speed": rotor_speed}), rotor_acc)
+    rotor_speed, wrench = held_wrench(model, state, rotor_command, dt)
+    acc, ang_acc, swing = _accelerated(model, state, wrench)
     lin_vel, ang_vel = state.lin_vel + dt * acc, state.ang_vel + dt * ang_acc
-    rate = state.load[:, 3:] + dt * swing
     return MassState(
         position=state.position + dt * lin_vel,
         attitude=quat_normalize(quat_multiply(state.attitude, quat_exp(dt * ang_vel))),
         lin_vel=lin_vel,
         ang_vel=ang_vel,
         rotor_speed=rotor_speed,
-        load=_settle(torch.cat((state.load[:, :3] + dt * rate, rate), dim=-1)),
+        load=swing_on(state.load, swing, dt),
     )
 
 

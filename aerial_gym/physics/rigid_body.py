@@ -169,29 +169,40 @@ def with_load(
         load: Direction n of the link and its rate n' [1/s], world, (E, 6).
         acc: Acceleration of the centre of mass without the load [m/s²], world, (E, 3).
         ang_acc: Angular acceleration without it [rad/s²], body, (E, 3).
+    """
+    if not model.effects[LoadEffect]:
+        return acc, ang_acc, load[:, :0]
+    force, torque, swing = pull_of_load(model, attitude, ang_vel, load, acc, ang_acc)
+    acc = acc + force / model.vehicle.mass.unsqueeze(-1)
+    return acc, ang_acc + multiply_rows(model.inertia_inverse, torque), swing
+
+
+def pull_of_load(
+    model: Model, attitude: Tensor, ang_vel: Tensor, load: Tensor, acc: Tensor, ang_acc: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return how a load pulls its vehicle; arguments as for ``with_load``, of a model that has a load.
+
+    Returns:
+        Force [N], world, its torque about the centre of mass [N m], body, and n'' of the load [1/s²], each (E, 3).
 
     Source:
         Derived: a force F at the origin o, at r = -c from the centre of mass, gives ``a_o = a + (1/m - [r] J^-1 [r]) F``.
     """
-    swing = load[:, :0]
-    for effect, params in model.effects[LoadEffect]:
-        lever = -model.vehicle.com
-        cross = _skew(lever)
-        rotation = quat_to_matrix(attitude)
-        turning = torch.linalg.cross(ang_acc, lever)
-        turning = turning + torch.linalg.cross(ang_vel, torch.linalg.cross(ang_vel, lever))
-        mobility = -cross @ model.inertia_inverse @ cross
-        mobility = mobility + torch.eye(3, dtype=cross.dtype, device=cross.device) / model.vehicle.mass[:, None, None]
-        suspension = Suspension(
-            acceleration=acc + quat_rotate(attitude, turning),
-            mobility=rotation @ mobility @ rotation.mT,
-            gravity=model.gravity,
-        )
-        force, swing = effect.pull(suspension, load, params)
-        acc = acc + force / model.vehicle.mass.unsqueeze(-1)
-        torque = torch.linalg.cross(lever, quat_rotate_inverse(attitude, force))
-        ang_acc = ang_acc + multiply_rows(model.inertia_inverse, torque)
-    return acc, ang_acc, swing
+    ((effect, params),) = model.effects[LoadEffect]
+    lever = -model.vehicle.com
+    cross = _skew(lever)
+    rotation = quat_to_matrix(attitude)
+    turning = torch.linalg.cross(ang_acc, lever)
+    turning = turning + torch.linalg.cross(ang_vel, torch.linalg.cross(ang_vel, lever))
+    mobility = -cross @ model.inertia_inverse @ cross
+    mobility = mobility + torch.eye(3, dtype=cross.dtype, device=cross.device) / model.vehicle.mass[:, None, None]
+    suspension = Suspension(
+        acceleration=acc + quat_rotate(attitude, turning),
+        mobility=rotation @ mobility @ rotation.mT,
+        gravity=model.gravity,
+    )
+    force, swing = effect.pull(suspension, load, params)
+    return force, torch.linalg.cross(lever, quat_rotate_inverse(attitude, force)), swing
 
 
 def _skew(vector: Tensor) -> Tensor:

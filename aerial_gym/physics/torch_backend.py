@@ -1,7 +1,7 @@
 """The readable reference backend in torch: any float type, CPU or GPU, differentiable through a whole rollout."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TypeVar
 
@@ -14,6 +14,8 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.interop.rows import UntraceableError
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics.articulated.flight import check_jointed, jointed_step
+from aerial_gym.physics.articulated.steppers import implicit_euler
+from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.backend import Capabilities, ControlLaw
 from aerial_gym.physics.contact import POSITION_SHARE
 from aerial_gym.physics.effects import LoadEffect
@@ -141,6 +143,9 @@ def in_places(places: dict[str, Tensor], tensors: Mapping[str, Tensor]) -> dict[
 class TorchBackend:
     """Physics in plain torch operations."""
 
+    name = "torch"
+    """Under which it is registered."""
+
     capabilities = Capabilities(
         devices=("cpu", "cuda"),
         dtypes=(torch.float32, torch.float64),
@@ -171,16 +176,26 @@ class TorchBackend:
         random: Randomness | None = None,
     ) -> None:
         """Take model, control law, stepper by name, ground, hook and the random numbers."""
-        if integrator not in INTEGRATORS:
-            raise CapabilityError(f"backend torch: no integrator {integrator!r}. Known: {', '.join(INTEGRATORS)}")
+        if integrator not in self.capabilities.integrators:
+            known = ", ".join(self.capabilities.integrators)
+            raise CapabilityError(f"backend {self.name}: no integrator {integrator!r}. Known: {known}")
         if model.articulation is not None:
             check_jointed(integrator, ground)
-        self._stepper, self._control, self._ground = INTEGRATORS[integrator], control, ground
+        self._stepper, self._control, self._ground = self.make_stepper(integrator), control, ground
         self._hook = hook
         self._share = POSITION_SHARE[integrator]
         self._memory, self.law_memory, self._random = None, None, random
         self._places: tuple[dict[str, Tensor], dict[str, Tensor]] = ({}, {})
         self.set_model(model)
+
+    def make_stepper(self, integrator: str) -> Stepper:
+        """Return what moves the body in a substep, for one of ``capabilities.integrators``; other engines give their own."""
+        return INTEGRATORS[integrator]
+
+    def tree_stepper(self, model: Model, dt: float) -> Callable[..., TreeState]:
+        """Return what moves the links of a vehicle that bends in a substep of ``dt`` [s]: as ``implicit_euler``."""
+        del model, dt
+        return implicit_euler
 
     def set_model(self, model: Model) -> None:
         """Take other parameters."""
@@ -251,7 +266,7 @@ class TorchBackend:
         if memory is not None:
             model, followed, memory = begin_substep(model, memory, state.rotor_speed, followed, dt)
             self._memory = _kept(self._memory, end_substep(memory, state.position[:, :0]))
-        return jointed_step(model, state, followed, joint_command, dt)
+        return jointed_step(model, state, followed, joint_command, dt, stepper=self.tree_stepper(model, dt))
 
     def _free_substep(self, state: BodyState, command: Tensor, dt: float) -> tuple[MassState, MassState]:
         """Return the motion before and after a substep without contact."""

@@ -5,6 +5,7 @@ the reference pose: the drag of an arm that has moved is that of one that has no
 Letters: E environments, R rotors, D joints, L links, C joints with a drive.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
@@ -24,7 +25,13 @@ from aerial_gym.physics.state import BodyState, JointedState
 
 
 def jointed_step(
-    model: Model, state: JointedState, rotor_command: RotorCommand, joint_command: Tensor, dt: float
+    model: Model,
+    state: JointedState,
+    rotor_command: RotorCommand,
+    joint_command: Tensor,
+    dt: float,
+    *,
+    stepper: Callable[..., TreeState] = implicit_euler,
 ) -> JointedState:
     """Return the state after one step of ``steppers.implicit_euler``; the rotors follow their exact solution.
 
@@ -34,6 +41,7 @@ def jointed_step(
         rotor_command: What the rotors follow.
         joint_command: Of the drives, (E, C).
         dt: Length of the step [s].
+        stepper: What moves the tree, in place of ``implicit_euler``.
     """
     articulation = model.articulation
     assert articulation is not None
@@ -56,7 +64,7 @@ def jointed_step(
         joint_pos=state.joint_pos,
         joint_vel=state.joint_vel,
     )
-    after = implicit_euler(
+    after = stepper(
         articulation.tree,
         articulation.links(model.vehicle),  # anew: a reset draws masses in place
         articulation.laws,

@@ -12,7 +12,7 @@ Sources:
     Hairer, Norsett, Wanner (1993), Solving Ordinary Differential Equations I, table II.1.2 (Runge-Kutta of order 4).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
@@ -51,14 +51,27 @@ def implicit_euler(
         wrench: Held through the step, as for ``equations``, (E, L, 6).
         effort: Of the joints beside the laws, held through the step, (E, D).
     """
-    acts = joint_effort(laws, state.joint_pos, state.joint_vel)
     found = equations(tree, links, state, gravity=gravity, wrench=wrench, effort=effort)
+    return with_drive(lambda acts: _implicit(tree, state, found, acts, dt), laws, drive, state)
+
+
+def with_drive(
+    step: Callable[[Effort], TreeState], laws: Sequence[JointLaw], drive: Drive | None, state: TreeState
+) -> TreeState:
+    """Return the state after a step under laws and a drive, which gives way where a first step would take it to its limit.
+
+    Args:
+        step: A step from ``state`` under efforts of joints, taken at its end.
+        laws: What acts in the joints.
+        drive: Of the joints that have one; None for no drive.
+        state: Motion at the start.
+    """
+    acts = joint_effort(laws, state.joint_pos, state.joint_vel)
     if drive is None:
-        return _implicit(tree, state, found, acts, dt)
-    free = drive.effort_at(state.joint_pos, state.joint_vel, torch.zeros_like(state.joint_pos))
-    trial = _implicit(tree, state, found, acts + free, dt)
+        return step(acts)
+    trial = step(acts + drive.effort_at(state.joint_pos, state.joint_vel, torch.zeros_like(state.joint_pos)))
     at_limit = drive.beyond(trial.joint_pos, trial.joint_vel)
-    return _implicit(tree, state, found, acts + drive.effort_at(state.joint_pos, state.joint_vel, at_limit), dt)
+    return step(acts + drive.effort_at(state.joint_pos, state.joint_vel, at_limit))
 
 
 def _implicit(tree: Tree, state: TreeState, found: Equations, acts: Effort, dt: float) -> TreeState:

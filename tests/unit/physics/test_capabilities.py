@@ -1,12 +1,13 @@
 """What a backend lacks is refused by its name, with one that has it."""
 
+import sys
 from dataclasses import replace
 
 import pytest
 import torch
 
 from aerial_gym import SimBuilder, task_registry
-from aerial_gym.errors import CapabilityError, UnknownNameError
+from aerial_gym.errors import CapabilityError, MissingDependencyError, UnknownNameError
 from aerial_gym.physics import BACKENDS, TorchBackend, WarpBackend
 from aerial_gym.physics.capabilities import Needs, choose_backend, needs_of, require
 from tests.physics.mixed_rotors import mixed_robot
@@ -29,23 +30,51 @@ class Plain(WarpBackend):
         (Needs(device=CPU, dtype=torch.float64), r"cannot compute in torch.float64 .*. Use backend 'torch'"),
         (
             Needs(device=CPU, integrator="rk4"),
-            r"cannot run integrator 'rk4' \(integrators: euler\). Use backend 'torch'",
+            r"cannot run integrator 'rk4' \(integrators: euler\). Use backend 'warp', 'torch'.$",
         ),
-        (Needs(device=CPU, effects=("rotor_drag",)), r"cannot run effect 'rotor_drag'. Use backend 'torch', 'warp'"),
+        (
+            Needs(device=CPU, effects=("rotor_drag",)),
+            r"cannot run effect 'rotor_drag'. Use backend 'warp', 'torch', 'mujoco', 'mujoco_warp'",
+        ),
         (
             Needs(device=CPU, rotors=frozenset({"reversible"})),
-            r"cannot run reversible rotors. Use backend 'torch', 'warp'",
+            r"cannot run reversible rotors. Use backend 'warp', 'torch', 'mujoco', 'mujoco_warp'",
         ),
         (Needs(device=CPU, rotors=frozenset({"force"})), r"cannot run rotors in force mode"),
         (Needs(device=CPU, rotors=frozenset({"slew"})), r"cannot run rotors with a slew rate"),
-        (Needs(device=CPU, contact=True), r"cannot push back at a contact. Use backend 'torch', 'warp'"),
+        (Needs(device=CPU, contact=True), r"cannot push back at a contact. Use backend 'warp', 'torch', 'mujoco'"),
         (Needs(device=CPU, gradients=True), r"cannot pass gradients through a step. Use backend 'torch'"),
-        (Needs(device=CPU, joints=True), r"cannot move joints. Use backend 'torch', 'warp'"),
+        (Needs(device=CPU, joints=True), r"cannot move joints. Use backend 'warp', 'torch', 'mujoco'"),
     ],
 )
 def test_a_lack_is_refused_by_name_with_the_way_out(needs: Needs, message: str) -> None:
     with pytest.raises(CapabilityError, match=f"backend plain: {message}"):
         require(Plain(), needs, name="plain")
+
+
+@pytest.mark.parametrize(
+    ("needs", "message"),
+    [
+        (Needs(device=torch.device("cuda")), r"cannot run on cuda \(devices: cpu\). Use backend 'warp', 'torch'.$"),
+        (
+            Needs(device=CPU, integrator="rk4"),
+            r"cannot run integrator 'rk4' \(integrators: euler\). Use backend 'warp'",
+        ),
+        (Needs(device=CPU, gradients=True), r"cannot pass gradients through a step. Use backend 'torch'.$"),
+    ],
+)
+def test_what_mujoco_cannot_is_refused_by_name(needs: Needs, message: str) -> None:
+    with pytest.raises(CapabilityError, match=f"backend mujoco: {message}"):
+        choose_backend("mujoco", needs=needs)
+
+
+def test_a_backend_that_is_not_installed_names_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    names = {"sim_name": "base_sim", "env_name": "empty_env", "robot_name": "base_quadrotor"}
+    with pytest.raises(
+        MissingDependencyError, match=r"backend 'mujoco' needs mujoco: pip install 'aerial-gym\[mujoco\]'"
+    ):
+        SimBuilder().build_env(**names, controller_name="no_control", num_envs=1, device="cpu", backend="mujoco")
 
 
 def test_both_backends_run_rotors_of_any_kind() -> None:

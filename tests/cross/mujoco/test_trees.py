@@ -10,40 +10,16 @@ from aerial_gym.math.quaternion import quat_rotate, quat_to_matrix
 from aerial_gym.physics.articulated.dynamics import accelerations, equations
 from aerial_gym.physics.articulated.steppers import rk4
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
+from aerial_gym.physics.mujoco.mjcf import write_mjcf
 from tests.physics.articulated.trees import random_links, random_motion, random_tree
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[dev]'")
 G = 9.81
 
 
-def numbers(values: Any) -> str:
-    return " ".join(repr(float(value)) for value in values)
-
-
 def model_of(tree: Tree, links: Links, env: int) -> Any:
     """Return the tree with the links of one environment in MuJoCo."""
-
-    def body(link: int) -> str:
-        inertia = links.inertia[env, link].tolist()
-        full = (inertia[0][0], inertia[1][1], inertia[2][2], inertia[0][1], inertia[0][2], inertia[1][2])
-        if link:
-            joint = tree.joints[link - 1]
-            kind = {"revolute": "hinge", "prismatic": "slide"}[joint.kind]
-            x, y, z, w = joint.attitude
-            place = f'pos="{numbers(joint.position)}" quat="{numbers((w, x, y, z))}"'
-            moves = f'<joint name="j{link - 1}" type="{kind}" axis="{numbers(joint.axis)}"/>'
-        else:
-            place, moves = "", "<freejoint/>" if tree.floating else ""
-        children = "".join(body(k + 1) for k, joint in enumerate(tree.joints) if joint.parent == link)
-        return (
-            f'<body name="b{link}" {place}>{moves}<inertial pos="{numbers(links.com[env, link])}" '
-            f'mass="{float(links.mass[env, link])!r}" fullinertia="{numbers(full)}"/>{children}</body>'
-        )
-
-    return mujoco.MjModel.from_xml_string(
-        f'<mujoco><compiler boundmass="0" boundinertia="0" balanceinertia="false"/>'
-        f'<option timestep="1e-4" integrator="RK4" gravity="0 0 {-G}"/><worldbody>{body(0)}</worldbody></mujoco>'
-    )
+    return mujoco.MjModel.from_xml_string(write_mjcf(tree, links, env=env, gravity=G, dt=1e-4, integrator="RK4"))
 
 
 class Theirs:
@@ -52,8 +28,8 @@ class Theirs:
     def __init__(self, tree: Tree, links: Links, state: TreeState, env: int) -> None:
         self.tree, self.model = tree, model_of(tree, links, env)
         self.data = mujoco.MjData(self.model)
-        self.position = [int(self.model.joint(f"j{k}").qposadr[0]) for k in range(tree.num_joints)]
-        self.rate = [int(self.model.joint(f"j{k}").dofadr[0]) for k in range(tree.num_joints)]
+        self.position = [int(self.model.joint(f"joint{k}").qposadr[0]) for k in range(tree.num_joints)]
+        self.rate = [int(self.model.joint(f"joint{k}").dofadr[0]) for k in range(tree.num_joints)]
         if tree.floating:
             x, y, z, w = state.attitude[env].tolist()
             self.data.qpos[:7] = [*state.position[env].tolist(), w, x, y, z]
@@ -69,11 +45,11 @@ class Theirs:
         """Apply forces and torques (L, 6) at the origins of links, in their axes."""
         mujoco.mj_kinematics(self.model, self.data)
         for link in range(self.tree.num_links):
-            place = self.data.body(f"b{link}")
+            place = self.data.body(f"link{link}")
             turn = place.xmat.reshape(3, 3)
             force, torque = turn @ wrench[link, :3].numpy(), turn @ wrench[link, 3:].numpy()
             lever = place.xpos - place.xipos
-            self.data.body(f"b{link}").xfrc_applied[:] = np.concatenate((force, torque + np.cross(lever, force)))
+            self.data.body(f"link{link}").xfrc_applied[:] = np.concatenate((force, torque + np.cross(lever, force)))
 
 
 def level(state: TreeState) -> TreeState:
@@ -138,5 +114,5 @@ def test_half_a_second_of_a_falling_tree_is_that_of_mujoco() -> None:
         np.testing.assert_allclose(end.joint_pos[env].numpy(), theirs.data.qpos[theirs.position], atol=1e-8)
         np.testing.assert_allclose(end.position[env].numpy(), theirs.data.qpos[:3], atol=1e-8)
         tip = quat_rotate(end.attitude[env], torch.ones(3, dtype=torch.float64))
-        x, y, z = theirs.data.body("b0").xmat.reshape(3, 3) @ np.ones(3)
+        x, y, z = theirs.data.body("link0").xmat.reshape(3, 3) @ np.ones(3)
         np.testing.assert_allclose(tip.numpy(), (x, y, z), atol=1e-8)

@@ -1,0 +1,141 @@
+"""The torch backend with MuJoCo in place of its own steppers: an independent engine for rigid body and contact with the ground.
+
+Control law, rotors, effects and what they remember are the torch backend's own code. Over a substep the wrench is held, as in
+semi-implicit Euler, and so MuJoCo's ``Euler`` is the torch backend's ``euler`` to rounding as long as nothing is touched.
+MuJoCo computes in float64, whatever the float type of the state.
+
+Environments are spread over as many threads as torch has when the backend is told its model, by MuJoCo's rollout: no loop in
+Python. Parameters that environments do not share cost a MuJoCo model each, some 0.1 MB.
+Letters: E environments.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.rotor import ROTOR_TRAITS
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
+from aerial_gym.physics.articulated.tree import TreeState
+from aerial_gym.physics.backend import Capabilities
+from aerial_gym.physics.effects import LoadEffect
+from aerial_gym.physics.ground import Ground, crash_at, ground_contacts
+from aerial_gym.physics.integrators import MassState, Stepper, held_wrench, swing_on, to_body_state
+from aerial_gym.physics.model import Model
+from aerial_gym.physics.mujoco.bodies import Bodies, body_rows, load
+from aerial_gym.physics.mujoco.mjcf import Floor
+from aerial_gym.physics.mujoco.rollout_bodies import RolloutBodies
+from aerial_gym.physics.mujoco.rollout_trees import RolloutTrees
+from aerial_gym.physics.mujoco.warp_bodies import WarpBodies
+from aerial_gym.physics.rigid_body import angular_acceleration, com_acceleration, pull_of_load
+from aerial_gym.physics.rotor_lag import RotorCommand
+from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.torch_backend import TorchBackend
+
+
+class MujocoBackend(TorchBackend):
+    """MuJoCo on the CPU: an independent engine moves the rigid body and resolves its contact with the ground."""
+
+    name = "mujoco"
+    packages = ("mujoco",)
+    """What it cannot do without; benchmarks tell their versions."""
+
+    capabilities = Capabilities(
+        devices=("cpu",),
+        dtypes=(torch.float32, torch.float64),
+        integrators=("euler",),
+        differentiable=False,
+        effects=None,
+        rotors=ROTOR_TRAITS,
+        contact=True,
+        joints=True,
+    )
+
+    _engine: type[RolloutBodies] | type[WarpBodies] = RolloutBodies
+    _bodies: Bodies | None = None
+    _trees: RolloutTrees | None = None
+    _force: Tensor
+    """Of the last substep but gravity and contact [N], body at its start, (E, 3)."""
+
+    def prepare(self, dt: float) -> None:
+        """Make the memory of effects and control law, and MuJoCo's models."""
+        super().prepare(dt)
+        if self._model.articulation is None:
+            self._bodies_for(self._model, dt)
+
+    def make_stepper(self, integrator: str) -> Stepper:
+        """Return the one that hands the wrench to MuJoCo; raise ``MissingDependencyError`` where that is not installed."""
+        del integrator  # there is one
+        for package in self.packages:
+            load(package.replace("-", "_"), backend=self.name)
+        self._bodies = self._trees = None
+        return self._move
+
+    def tree_stepper(self, model: Model, dt: float) -> Callable[..., TreeState]:
+        """Return MuJoCo's, which takes the efforts of joints at the end of a step as ``implicit_euler`` does."""
+        assert model.articulation is not None
+        if self._trees is None or self._trees.dt != dt:
+            self._trees = RolloutTrees(model.articulation.tree, model.vehicle.num_envs, dt)
+        return self._trees.move
+
+    @torch.no_grad()
+    def _move(self, model: Model, state: MassState, rotor_command: RotorCommand, dt: float) -> MassState:
+        """Return the motion after ``dt`` [s]: a ``Stepper``."""
+        rotor_speed, (force, torque) = held_wrench(model, state, rotor_command, dt)
+        load = state.load
+        if model.effects[LoadEffect]:
+            acc = com_acceleration(model, state.attitude, force)
+            ang_acc = angular_acceleration(model, state.ang_vel, torque)
+            pull, turn, swing = pull_of_load(model, state.attitude, state.ang_vel, load, acc, ang_acc)
+            force, torque = force + quat_rotate_inverse(state.attitude, pull), torque + turn
+            load = swing_on(load, swing, dt)
+        self._force = force
+        moved = self._bodies_for(model, dt).move(state, force, torque)
+        return MassState(**moved, rotor_speed=rotor_speed, load=load)
+
+    def _bodies_for(self, model: Model, dt: float) -> Bodies:
+        """Return the bodies with the parameters of a model, for steps of ``dt`` [s]."""
+        rows, bodies = body_rows(model), self._bodies
+        if bodies is None or bodies.dt != dt or bodies.num_rows != len(rows):
+            floor, cfg = _floor_of(self._ground)
+            bodies = self._bodies = self._engine(rows, model.vehicle.num_envs, dt, floor=floor, cfg=cfg)
+        bodies.follow(rows)
+        return bodies
+
+    def _advance_on_ground(
+        self, ground: Ground, cfg: ContactCfg, state: BodyState, command: Tensor, dt: float
+    ) -> tuple[MassState, BodyState, Tensor, Tensor]:
+        """Return the motion before and the state after one substep, the impulse of the ground (E, 3), and which crash (E,).
+
+        The impulse is what Newton's equation lacks: ``m (v' - v) - dt (R f + m g)``; exactly zero where nothing touches.
+        """
+        before, after = self._free_substep(state, command, dt)
+        mass = self._model.vehicle.mass.unsqueeze(-1)
+        free = quat_rotate(before.attitude, self._force) / mass
+        free[:, 2] -= self._model.gravity
+        touches = (ground_contacts(ground, self._model, before).gap < 0.0).any(dim=1, keepdim=True)
+        impulse = torch.where(touches, mass * (after.lin_vel - before.lin_vel - dt * free), 0.0)
+        crashes = crash_at(ground_contacts(ground, self._model, after), cfg, before, after)
+        return before, to_body_state(self._model, after), impulse, crashes
+
+
+class MujocoWarpBackend(MujocoBackend):
+    """MuJoCo Warp on the CPU, in float32: as backend ``mujoco``, with the engine that NVIDIA's GPUs run.
+
+    It has not been run on a GPU, so that it does not claim to; see ``docs/backends.md``.
+    """
+
+    name = "mujoco_warp"
+    packages = ("mujoco-warp", "mujoco")
+    capabilities = replace(MujocoBackend.capabilities, dtypes=(torch.float32,), joints=False)
+    _engine = WarpBodies
+
+
+def _floor_of(ground: Ground | None) -> tuple[Floor | None, ContactCfg | None]:
+    """Return the ground as MuJoCo has it and how it gives way; None and None if it does not push."""
+    if ground is None or ground.cfg is None:
+        return None, None
+    spheres = ground.spheres.double().tolist()
+    return Floor(height=ground.height, spheres=spheres, friction=ground.cfg.friction), ground.cfg

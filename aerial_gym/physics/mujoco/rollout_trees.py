@@ -1,0 +1,128 @@
+"""Trees of links in MuJoCo on the CPU, in float64: vehicles that bend.
+
+Springs and dampers in joints are those of the end of a step, as in ``steppers.implicit_euler``, with the stiffness K and the
+damping C that the laws have in each state:
+
+    (M + C dt + K dt²) a = f - h - K q' dt.
+
+MuJoCo's ``Euler`` takes the damping D of a joint so: ``(M + D dt) a = u - h - D q'``. With ``D = C + K dt`` and
+``u = f + C q'`` it is the same step. A fixed base is level in MuJoCo and stands still: gravity is turned instead.
+Letters: E environments, L links, D joints.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from aerial_gym.errors import ShapeError
+from aerial_gym.math.quaternion import quat_rotate_inverse
+from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw
+from aerial_gym.physics.articulated.steppers import with_drive
+from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
+from aerial_gym.physics.mujoco.bodies import LARGEST, load
+from aerial_gym.physics.mujoco.mjcf import write_mjcf
+from aerial_gym.physics.mujoco.rollouts import Rollouts
+
+LEAST_MASS = 1e-9
+"""Of links without mass [kg], and the moments of those without inertia [kg m²]: MuJoCo's links have some."""
+
+
+class RolloutTrees:
+    """A MuJoCo model for each environment, whose ``move`` is a step as ``steppers.implicit_euler`` is."""
+
+    def __init__(self, tree: Tree, num_envs: int, dt: float) -> None:
+        """Make the models for steps of ``dt`` [s]; raise ``MissingDependencyError`` if MuJoCo is not installed."""
+        self.dt, self._tree, shape = dt, tree, (1, tree.num_links)
+        links = Links(mass=torch.ones(shape), com=torch.zeros(*shape, 3), inertia=torch.eye(3).expand(*shape, 3, 3))
+        mujoco = load("mujoco", backend="mujoco")
+        first = mujoco.MjModel.from_xml_string(write_mjcf(tree, links, gravity=0.0, dt=dt, actuated=True))
+        self._rollouts = Rollouts(first, num_envs, num_envs, "mjSTATE_CTRL")
+        names = [f"joint{k}" for k in range(tree.num_joints)]
+        self._joint_pos = [1 + int(first.joint(name).qposadr[0]) for name in names]
+        self._rates = [int(first.joint(name).dofadr[0]) for name in names]
+        self._joint_vel = [1 + first.nq + place for place in self._rates]
+        self._places = [int(first.body(f"link{link}").id) for link in range(tree.num_links)]
+        self._weights = torch.full((num_envs, 13 * tree.num_links + 3), torch.nan, dtype=torch.float64)
+        self._damping = torch.zeros(num_envs, tree.num_joints, dtype=torch.float64)
+
+    def _follow(self, links: Links, gravity: Tensor, damping: Tensor) -> None:
+        """Write what has changed into the models; gravity is its acceleration, axes of a fixed base, (E, 3)."""
+        every = (links.mass, links.com, links.inertia)
+        mass, com, inertia = (rows.double().expand(len(gravity), *rows.shape[1:]) for rows in every)
+        weights = torch.cat((mass, com.flatten(1), inertia.flatten(1), gravity), dim=1)
+        changed = (weights != self._weights).any(dim=-1).nonzero().squeeze(-1).tolist()
+        if changed:
+            self._weights[changed] = weights[changed]
+            some = LEAST_MASS * torch.eye(3, dtype=inertia.dtype)
+            inertia = torch.where((inertia == 0.0).flatten(2).all(-1)[..., None, None], some, inertia)[changed]
+            mass = mass[changed].clamp_min(LEAST_MASS)
+            self._rollouts.write_bodies(changed, self._places, mass, com[changed], inertia, gravity[changed])
+            self._rollouts.settle(changed)
+        changed = (damping != self._damping).any(dim=-1).nonzero().squeeze(-1).tolist()
+        self._damping[changed] = damping[changed]
+        for k, row in zip(changed, damping[changed].numpy(), strict=True):
+            self._rollouts.models[k].dof_damping[self._rates] = row
+
+    def move(
+        self,
+        tree: Tree,
+        links: Links,
+        laws: Sequence[JointLaw],
+        state: TreeState,
+        dt: float,
+        *,
+        gravity: float,
+        wrench: Tensor,
+        drive: Drive | None = None,
+    ) -> TreeState:
+        """Return the state after one step; arguments as for ``steppers.implicit_euler``.
+
+        Rows with a number that is not finite, or beyond ``bodies.LARGEST``, come out NaN; they are not stepped.
+
+        Raises:
+            ShapeError: If it was made for another tree or for steps of another length.
+        """
+        if tree is not self._tree or dt != self.dt:
+            raise ShapeError(f"MuJoCo's models are of another tree, or of steps of {self.dt:g} s. Make them anew")
+        return with_drive(partial(self._step, links, state, gravity, wrench), laws, drive, state)
+
+    def _step(self, links: Links, state: TreeState, gravity: float, wrench: Tensor, acts: Effort) -> TreeState:
+        """Return the state after one step under efforts of joints, taken at its end."""
+        tree, dt = self._tree, self.dt
+        damping = (acts.damping + dt * acts.stiffness).double()
+        push = torch.cat((wrench.flatten(1), acts.value + acts.damping * state.joint_vel), dim=-1).double()
+        start = torch.zeros_like(self._rollouts.start)
+        start[:, self._joint_pos], start[:, self._joint_vel] = state.joint_pos.double(), state.joint_vel.double()
+        if tree.floating:
+            pose, rate = self._rollouts.pose.start, self._rollouts.twist.start
+            start[:, pose : pose + 7] = torch.cat((state.position, state.attitude.roll(1, dims=-1)), dim=-1).double()
+            start[:, rate : rate + 6] = torch.cat((state.lin_vel, state.ang_vel), dim=-1).double()
+        sane = (torch.cat((start, push, damping), dim=-1).abs() < LARGEST).all(dim=-1, keepdim=True)
+        rest = torch.zeros_like(start[:1])
+        if tree.floating:
+            rest[:, self._rollouts.pose.start + 3] = 1.0
+        self._rollouts.start.copy_(torch.where(sane, start, rest))
+        self._rollouts.control.copy_(torch.where(sane, push, 0.0))
+        down = torch.zeros_like(start[:, :3])
+        down[:, 2] = -gravity
+        if not tree.floating:
+            down = quat_rotate_inverse(state.attitude.double(), down)
+        self._follow(links, torch.where(sane, down, 0.0), torch.where(sane, damping, 0.0))
+        self._rollouts.step()
+        end = torch.where(sane, self._rollouts.end, torch.nan).to(state.position.dtype)
+        position, attitude = state.position, state.attitude
+        lin_vel, ang_vel = torch.zeros_like(state.lin_vel), torch.zeros_like(state.ang_vel)
+        if tree.floating:
+            base, twist = end[:, pose : pose + 7], end[:, rate : rate + 6]
+            position, attitude = base[:, :3], base[:, 3:].roll(-1, dims=-1)
+            lin_vel, ang_vel = twist[:, :3], twist[:, 3:]
+        return TreeState(
+            position=position,
+            attitude=attitude,
+            lin_vel=lin_vel,
+            ang_vel=ang_vel,
+            joint_pos=end[:, self._joint_pos],
+            joint_vel=end[:, self._joint_vel],
+        )

@@ -1,0 +1,97 @@
+"""MuJoCo's threaded rollout of one step of all environments, with models, states and controls kept in place.
+
+Letters: E environments, N models: 1 where all environments share it, else E.
+"""
+
+import copy
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from aerial_gym.physics.mujoco.bodies import load
+
+
+class Rollouts:
+    """Models, and a thread for each that torch uses."""
+
+    def __init__(self, xml_model: Any, num_models: int, num_envs: int, control: str) -> None:
+        """Make the models.
+
+        Args:
+            xml_model: An ``MjModel``, the first of them.
+            num_models: N.
+            num_envs: E.
+            control: What is held over a step, an entry of ``mjtState``.
+        """
+        self.mujoco, rollout = (load(name, backend="mujoco") for name in ("mujoco", "mujoco.rollout"))
+        xml_model.opt.disableflags |= self.mujoco.mjtDisableBit.mjDSBL_AUTORESET  # of what accelerates beyond measure
+        self.models = [xml_model, *(copy.copy(xml_model) for _ in range(num_models - 1))]
+        self._scratch = self.mujoco.MjData(xml_model)
+        self._of_env = self.models * (num_envs // num_models)
+        threads = torch.get_num_threads()
+        self._data = [self.mujoco.MjData(xml_model) for _ in range(threads)]
+        self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)  # 0: the calling thread
+        self._spec = getattr(self.mujoco.mjtState, control).value
+        width = 1 + xml_model.nq + xml_model.nv  # the time, qpos, qvel
+        self._start, self._end = np.zeros((num_envs, width)), np.zeros((num_envs, 1, width))
+        self._control = np.zeros((num_envs, 1, self.mujoco.mj_stateSize(xml_model, self._spec)))
+        self._sensed = np.zeros((num_envs, 1, 0))
+        self.pose, self.twist = slice(1, 1 + xml_model.nq), slice(1 + xml_model.nq, width)
+
+    @property
+    def start(self) -> Tensor:
+        """Where a step begins: time, qpos and qvel, (E, 1 + nq + nv)."""
+        return torch.from_numpy(self._start)
+
+    @property
+    def control(self) -> Tensor:
+        """What is held over it, (E, ...)."""
+        return torch.from_numpy(self._control)[:, 0]
+
+    @property
+    def end(self) -> Tensor:
+        """Where a step ends, as ``start``."""
+        return torch.from_numpy(self._end)[:, 0]
+
+    def step(self) -> None:
+        """Go from ``start`` to ``end``."""
+        self._rollout.rollout(
+            self._of_env,
+            self._data,
+            self._start,
+            self._control,
+            control_spec=self._spec,
+            skip_checks=True,
+            nstep=1,
+            state=self._end,
+            sensordata=self._sensed,
+        )
+
+    def write_bodies(
+        self, changed: list[int], places: list[int], mass: Tensor, com: Tensor, inertia: Tensor, gravity: Tensor
+    ) -> None:
+        """Write what bodies weigh into some models.
+
+        Args:
+            changed: Which, K of them.
+            places: MuJoCo's numbers of the bodies, L of them.
+            mass: Of each [kg], (K, L).
+            com: Centres of mass, axes of each body [m], (K, L, 3).
+            inertia: About these [kg m²], (K, L, 3, 3).
+            gravity: Acceleration of free fall, world [m/s²], (K, 3).
+        """
+        moments, axes = torch.linalg.eigh(inertia)
+        axes[..., 0] *= torch.linalg.det(axes).sign().unsqueeze(-1)
+        for k, *of_model, fall in zip(changed, *(t.numpy() for t in (mass, com, moments, axes, gravity)), strict=True):
+            model = self.models[k]
+            model.body_mass[places], model.body_ipos[places], model.body_inertia[places], turns = of_model
+            for place, turn in zip(places, turns, strict=True):
+                self.mujoco.mju_mat2Quat(model.body_iquat[place], turn.flatten())
+            model.opt.gravity[:] = fall
+
+    def settle(self, changed: list[int]) -> None:
+        """Let MuJoCo work out what follows from the numbers that were written into some models."""
+        for k in changed:
+            self.mujoco.mj_setConst(self.models[k], self._scratch)

@@ -1,0 +1,116 @@
+"""Free bodies in MuJoCo Warp, in float32.
+
+Letters: E environments, N rows of parameters: 1 where all environments share them, else E; C collision spheres.
+"""
+
+import logging
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.contact import ContactCfg
+from aerial_gym.interop import on_torch_stream, start_warp
+from aerial_gym.physics.mujoco.bodies import COM, GRAVITY, INERTIA, MASS, Bodies, compile_body, load
+from aerial_gym.physics.mujoco.mjcf import Floor
+
+_WRITTEN = ("body_mass", "body_subtreemass", "body_inertia", "body_iquat", "body_invweight0", "geom_pos")
+"""Of MuJoCo's model."""
+
+_mass, _com, _gravity = wp.constant(MASS), wp.constant(COM.start), wp.constant(GRAVITY)
+_inertia = wp.constant(INERTIA.start)
+
+
+@wp.kernel(enable_backward=False)
+def _write_rows(
+    # params
+    rows: wp.array2d[float],  # (N, 14) of ``body_rows``
+    spheres: wp.array[wp.vec3],  # (C,) centres, body frame of the robot file [m]
+    # out
+    mass_out: wp.array2d[float],  # (N, 2) [kg], of the world and of the body, as the others
+    subtree_mass_out: wp.array2d[float],  # (N, 2) [kg]
+    moments_out: wp.array2d[wp.vec3],  # (N, 2) [kg m²]
+    axes_out: wp.array2d[wp.quat],  # (N, 2) principal axes to body, wxyz
+    mobility_out: wp.array2d[wp.vec2],  # (N, 2) mean [1/kg] and [1/(kg m²)]
+    geom_pos_out: wp.array2d[wp.vec3],  # (N, 1 + C) [m], the floor first
+    gravity_out: wp.array[wp.vec3],  # (N,) [m/s²]
+):
+    """Write mass, principal moments and their axes, the mobility to which contacts refer, places of spheres, and gravity."""
+    n = wp.tid()
+    mass = rows[n, _mass]
+    inertia = wp.mat33()
+    for i in range(3):
+        for j in range(3):
+            inertia[i, j] = rows[n, _inertia + 3 * i + j]
+    size = wp.trace(inertia)
+    axes, moments = wp.eig3(inertia / size)
+    if wp.determinant(axes) < 0.0:
+        axes = -axes
+    turn = wp.quat_from_matrix(axes)
+    moments = size * moments
+    mass_out[n, 1] = mass
+    subtree_mass_out[n, 0] = mass
+    subtree_mass_out[n, 1] = mass
+    moments_out[n, 1] = moments
+    axes_out[n, 1] = wp.quat(turn[3], turn[0], turn[1], turn[2])
+    mobility_out[n, 1] = wp.vec2(1.0 / mass, (1.0 / moments[0] + 1.0 / moments[1] + 1.0 / moments[2]) / 3.0)
+    gravity_out[n] = wp.vec3(0.0, 0.0, -rows[n, _gravity])
+    com = wp.vec3(rows[n, _com], rows[n, _com + 1], rows[n, _com + 2])
+    for k in range(spheres.shape[0]):
+        geom_pos_out[n, 1 + k] = spheres[k] - com
+
+
+class WarpBodies(Bodies):
+    """One model with parameters of their own for each row, and all environments in one set of launches."""
+
+    def __init__(
+        self,
+        rows: Tensor,
+        num_envs: int,
+        dt: float,
+        *,
+        floor: Floor | None = None,
+        cfg: ContactCfg | None = None,
+    ) -> None:
+        """Make model and data on the device of ``rows``; other arguments as for ``RolloutBodies``.
+
+        Raises:
+            MissingDependencyError: If MuJoCo Warp is not installed.
+        """
+        self._engine = load("mujoco_warp", backend="mujoco_warp")
+        mujoco = load("mujoco", backend="mujoco_warp")
+        logging.getLogger("mujoco_warp").setLevel(logging.WARNING)
+        start_warp()
+        self.dt, self.num_rows, self._device = dt, len(rows), rows.device
+        template = compile_body(mujoco, floor, cfg, dt)
+        spheres = [] if floor is None else [list(sphere[:3]) for sphere in floor.spheres]
+        contacts = max(1, len(spheres))
+        with wp.ScopedDevice(wp.device_from_torch(rows.device)):
+            self._model = self._engine.put_model(template, dict.fromkeys(_WRITTEN, len(rows)))
+            self._model.opt.gravity = wp.zeros(len(rows), dtype=wp.vec3)
+            self._data = self._engine.make_data(template, nworld=num_envs, nconmax=contacts, njmax=3 * contacts)
+            self._spheres = wp.array(spheres, dtype=wp.vec3)
+        self._pose, self._twist = wp.to_torch(self._data.qpos), wp.to_torch(self._data.qvel)
+        self._push = wp.to_torch(self._data.xfrc_applied)[:, 1]
+        self.follow(rows)
+
+    def follow(self, rows: Tensor) -> None:
+        """Write the parameters (N, 14) into the model."""
+        rows = rows.float().contiguous()
+        with on_torch_stream(rows):
+            wp.launch(
+                _write_rows,
+                dim=len(rows),
+                inputs=[wp.from_torch(rows), self._spheres],
+                outputs=[*(getattr(self._model, name) for name in _WRITTEN), self._model.opt.gravity],
+                device=self._spheres.device,
+            )
+
+    def _inputs(self) -> tuple[Tensor, Tensor, Tensor]:
+        return self._pose, self._twist, self._push
+
+    def _step(self) -> None:
+        with wp.ScopedDevice(self._spheres.device), on_torch_stream(self._pose):
+            self._engine.step(self._model, self._data)
+
+    def _outputs(self) -> tuple[Tensor, Tensor]:
+        return self._pose, self._twist

@@ -1,0 +1,188 @@
+"""Vehicles that bend on MuJoCo as a backend: its step of a tree against ``implicit_euler``, and against closed forms.
+
+All in float64 but for whole simulations.
+"""
+
+from dataclasses import replace
+from math import cos, exp, pi
+from pathlib import Path
+
+import pytest
+import torch
+
+from aerial_gym import SimBuilder
+from aerial_gym.errors import CapabilityError, ShapeError
+from aerial_gym.math.quaternion import quat_from_euler
+from aerial_gym.physics import BACKENDS
+from aerial_gym.physics.articulated.joint_laws import Drive, Limits, Spring
+from aerial_gym.physics.articulated.steppers import implicit_euler
+from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
+from aerial_gym.physics.mujoco.rollout_trees import RolloutTrees
+from aerial_gym.robots import ROBOTS
+from tests.physics.articulated.trees import pendulum, random_links, random_motion, random_tree
+from tests.physics.vehicles import F64
+
+pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
+
+G, DT = 9.81, 0.002
+
+
+def spring(num_joints: int, *, stiffness=0.0, quadratic=0.0, damping=0.0, rest=0.0) -> Spring:
+    values = {"stiffness": stiffness, "quadratic": quadratic, "damping": damping, "rest": rest}
+    return Spring(
+        **{k: torch.full((1, num_joints), v, dtype=F64) for k, v in values.items()},
+        preload=torch.zeros(1, num_joints, dtype=F64),
+    )
+
+
+def no_wrench(tree: Tree, num_envs: int) -> torch.Tensor:
+    return torch.zeros(num_envs, tree.num_links, 6, dtype=F64)
+
+
+def assert_same(one: TreeState, other: TreeState, *, bound: float) -> None:
+    for name, values in vars(one).items():
+        size = 1.0 + values.abs().max().item()
+        error = (getattr(other, name) - values).abs().max().item()
+        assert error <= bound * size, f"{name}: {error:.1e}"
+
+
+def on_a_stand(state: TreeState) -> TreeState:
+    """Return the state with a base that stands still, turned."""
+    still = {name: torch.zeros_like(getattr(state, name)) for name in ("lin_vel", "ang_vel")}
+    turns = torch.tensor([[0.3, -0.5, 0.2], [-1.0, 0.4, 0.0], [0.0, 0.0, 1.0]], dtype=F64)
+    return replace(state, **still, attitude=quat_from_euler(turns))
+
+
+@pytest.mark.parametrize("floating", [True, False])
+@pytest.mark.parametrize(("num_joints", "chain"), [(1, False), (6, False), (10, True)])
+def test_trees_move_as_by_implicit_euler(num_joints: int, chain: bool, floating: bool) -> None:
+    """Forces on links, springs, soft ends, drives at their limits and not, links by environment: 50 steps to 1e-9.
+
+    Condition numbers of mass matrices, some 1e4, and the growth of differences in 0.1 s stand between that and rounding.
+    """
+    tree = random_tree(num_joints, 5, floating=floating, chain=chain)
+    links, first = random_links(tree, 3, 5), random_motion(tree, 3, 5)
+    first = first if floating else on_a_stand(first)
+    wrench = torch.randn(3, tree.num_links, 6, generator=torch.Generator().manual_seed(1), dtype=F64)
+    ends = {"low": -0.1, "high": 0.2, "stiffness": 3.0, "damping": 0.02}
+    laws = (
+        spring(num_joints, stiffness=0.4, quadratic=0.7, damping=0.05, rest=0.1),
+        Limits(**{name: torch.full((1, num_joints), value, dtype=F64) for name, value in ends.items()}),
+    )
+    gains = {"stiffness": 2.0, "damping": 0.1, "position": 0.3, "rate": 0.2, "effort": 0.01, "limit": 0.4}
+    drive = Drive(**{name: torch.full((1, num_joints), value, dtype=F64) for name, value in gains.items()})
+    bodies, ours, theirs, at_limit = RolloutTrees(tree, 3, DT), first, first, []
+    for _ in range(50):
+        ours = implicit_euler(tree, links, laws, ours, DT, gravity=G, drive=drive, wrench=wrench)
+        theirs = bodies.move(tree, links, laws, theirs, DT, gravity=G, drive=drive, wrench=wrench)
+        at_limit.append(drive.beyond(ours.joint_pos, ours.joint_vel) != 0.0)
+    assert 0.0 < torch.stack(at_limit).double().mean() < 1.0
+    assert_same(ours, theirs, bound=1e-9)
+
+
+def swung(dt: float) -> float:
+    """Return where a pendulum of 1 m on a stand is after half a small swing from 0.02 rad."""
+    tree, links = pendulum(1.0, 0.5)
+    state = TreeState.at_rest(1, 1, like=links.mass)
+    state = replace(state, joint_pos=state.joint_pos + 0.02)
+    bodies, period = RolloutTrees(tree, 1, dt), 2.0 * pi / G**0.5
+    for _ in range(round(0.5 * period / dt)):
+        state = bodies.move(tree, links, (), state, dt, gravity=G, wrench=no_wrench(tree, 1))
+    return state.joint_pos.item()
+
+
+def test_a_small_pendulum_swings_to_the_other_side_in_half_its_period() -> None:
+    """``0.02 cos(sqrt(g / l) t)``: the step ends within dt / 2 of the turning point, where the cosine is flat, and order 1
+    of the amplitude is ``dt sqrt(g) / 2``."""
+    assert swung(1e-3) == pytest.approx(0.02 * cos(pi), rel=2e-3)
+
+
+def test_a_damper_that_is_stiff_for_its_step_is_stable() -> None:
+    """``q'' = -(c / J) q'`` with c / J = 230 1/s in steps of 10 ms: each leaves 1 / (1 + c dt / J) of the rate."""
+    tree, links = pendulum(0.2, 0.1)
+    inertia = 0.1 * 0.2**2
+    law = spring(1, damping=230.0 * inertia)
+    state = TreeState.at_rest(1, 1, like=links.mass)
+    state = replace(state, joint_vel=state.joint_vel + 1.0)
+    bodies = RolloutTrees(tree, 1, 0.01)
+    for _ in range(3):
+        state = bodies.move(tree, links, (law,), state, 0.01, gravity=0.0, wrench=no_wrench(tree, 1))
+    assert state.joint_vel.item() == pytest.approx(3.3**-3, rel=1e-6)
+    assert exp(-230.0 * 0.03) < state.joint_vel.item()
+
+
+def test_a_link_without_mass_between_two_joints_moves_as_in_torch() -> None:
+    """A universal joint; MuJoCo's link between them weighs 1e-9 kg, 1e-8 of the arm."""
+    tree = random_tree(2, 3, chain=True)
+    links, state = random_links(tree, 2, 3), random_motion(tree, 2, 3)
+    mass, inertia = links.mass.clone(), links.inertia.clone()
+    mass[:, 1], inertia[:, 1] = 0.0, 0.0
+    links = Links(mass=mass, com=links.com, inertia=inertia)
+    bodies, ours, theirs = RolloutTrees(tree, 2, DT), state, state
+    for _ in range(25):
+        ours = implicit_euler(tree, links, (), ours, DT, gravity=G, wrench=no_wrench(tree, 2))
+        theirs = bodies.move(tree, links, (), theirs, DT, gravity=G, wrench=no_wrench(tree, 2))
+    assert_same(ours, theirs, bound=1e-6)
+
+
+def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MuJoCo is not told of what is not finite: it would write a file."""
+    monkeypatch.chdir(tmp_path)
+    tree = random_tree(4, 8)
+    links, first = random_links(tree, 3, 8), random_motion(tree, 3, 8)
+    first.joint_vel[1, 2] = torch.nan
+    law = spring(4, stiffness=0.4, quadratic=0.7, damping=0.05)
+    batch, bodies = first, RolloutTrees(tree, 3, DT)
+    own = {name: rows[2:] for name, rows in vars(first).items()}
+    alone, one = TreeState(**own), RolloutTrees(tree, 1, DT)
+    weights = Links(**{name: rows[2:] for name, rows in vars(links).items()})
+    for _ in range(20):
+        batch = bodies.move(tree, links, (law,), batch, DT, gravity=G, wrench=no_wrench(tree, 3))
+        alone = one.move(tree, weights, (law,), alone, DT, gravity=G, wrench=no_wrench(tree, 1))
+    assert batch.position[1].isnan().all()
+    assert not list(tmp_path.iterdir())
+    for name, rows in vars(alone).items():
+        assert torch.equal(rows[0], getattr(batch, name)[2]), name
+    with pytest.raises(ShapeError, match="of another tree, or of steps of 0.002 s"):
+        bodies.move(tree, links, (), first, 0.01, gravity=G, wrench=no_wrench(tree, 3))
+
+
+@pytest.mark.parametrize("robot", [name for name in ROBOTS.names() if ROBOTS.get(name).joints is not None])
+def test_every_robot_with_joints_flies_as_on_torch(robot: str) -> None:
+    """0.3 s in float32, from draws; joints and base agree to 1e-4 of their size (snakes whip at up to 50 rad/s)."""
+    sims = []
+    for backend in ("torch", "mujoco"):
+        sim = SimBuilder().build_env(
+            sim_name="base_sim", env_name="empty_env", robot_name=robot, controller_name="no_control", num_envs=3,
+            device="cpu", seed=2, backend=backend,
+        )  # fmt: skip
+        sim.reset()
+        if "fixed" in robot:
+            sim.gtd["robot_linvel"].zero_()
+            sim.gtd["robot_body_angvel"].zero_()
+        for _ in range(30):
+            sim.step(torch.full_like(sim.gtd["robot_actions"], 0.4))
+        sims.append(sim)
+    for key in (
+        "robot_position",
+        "robot_orientation",
+        "robot_linvel",
+        "robot_body_angvel",
+        "dof_position",
+        "dof_velocity",
+    ):
+        one, other = (sim.gtd[key] for sim in sims)
+        assert (one - other).abs().max() <= 1e-4 * (1.0 + one.abs().max()), key
+
+
+def test_mujoco_warp_refuses_joints_by_name() -> None:
+    with pytest.raises(
+        CapabilityError, match="backend mujoco_warp: cannot move joints. Use backend 'warp', 'torch', 'mujoco'"
+    ):
+        SimBuilder().build_env(
+            sim_name="base_sim", env_name="empty_env", robot_name="morphy", controller_name="no_control", num_envs=1,
+            device="cpu", backend="mujoco_warp",
+        )  # fmt: skip
+    assert BACKENDS.get("mujoco")().capabilities.joints

@@ -1,0 +1,273 @@
+"""MuJoCo as a backend in free flight: against closed forms, and against the torch backend, whose euler it repeats.
+
+All in float64.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym.benchmarks.measure import torch_threads
+from aerial_gym.config.robot import BodyCfg
+from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.errors import CapabilityError
+from aerial_gym.math.random import Randomness
+from aerial_gym.physics import (
+    BACKENDS,
+    EFFECTS,
+    BodyState,
+    PhysicsBackend,
+    TorchBackend,
+    build_model,
+    vehicle_from_config,
+)
+from aerial_gym.physics.vehicle import Vehicle, own_rows
+from aerial_gym.robots import ROBOTS
+from tests.cross.test_backends import actions_for, as_type, build, start_of
+from tests.physics.contact_rig import start
+from tests.physics.mixed_rotors import mixed_robot
+from tests.physics.vehicles import F64, lopsided_robot, random_state
+
+pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
+
+ROUND_OFF = 1e-11
+"""Both backends take the same steps: in 0.2 s of flight, 50 steps, rounding of 1e-16 grows by less than five digits."""
+
+DT = 0.004
+
+
+def mujoco_backend() -> PhysicsBackend:
+    return BACKENDS.get("mujoco")()
+
+
+def fly(backend: PhysicsBackend, model, law, state: BodyState, action: Tensor, *, steps: int = 50, dt: float = DT):
+    """Return the state after some steps of one substep each; the one that is given stays."""
+    backend.allocate(model, law, integrator="euler", random=Randomness(state.num_envs))
+    state = as_type(state, state.position.dtype)
+    for _ in range(steps):
+        backend.step(state, action, dt, 1)
+    return state
+
+
+def assert_same(one: BodyState, other: BodyState, *, bound: float = ROUND_OFF) -> None:
+    for name, values in vars(one).items():
+        size = 1.0 + values.abs().max().item()
+        error = (getattr(other, name) - values).abs().max().item()
+        assert error <= bound * size, f"{name}: {error:.1e}"
+
+
+@pytest.mark.parametrize("name", [None, *EFFECTS.names()])
+def test_every_effect_flies_as_in_torch(name: str | None) -> None:
+    """Each moderately far from neutral, beside drag, which shows wind, on a vehicle with products of inertia."""
+    robot, ends = lopsided_robot(), []
+    for backend in (TorchBackend(), mujoco_backend()):
+        model, law = build(
+            robot, CONTROLLERS.get("no_control"), 5, F64, tuple({"rotor_drag": 0, name: 0} if name else ())
+        )
+        ends.append(fly(backend, model, law, start_of(model, 5), actions_for(law, model, 5)))
+    assert_same(*ends)
+
+
+@pytest.mark.parametrize("controller", ["lee_position_control", "pid_velocity_control"])
+def test_control_laws_fly_as_in_torch(controller: str) -> None:
+    """One without and one with memory."""
+    robot, ends = ROBOTS.get("tinyprop"), []
+    for backend in (TorchBackend(), mujoco_backend()):
+        model, law = build(robot, CONTROLLERS.get(controller), 5, F64)
+        ends.append(fly(backend, model, law, start_of(model, 5), actions_for(law, model, 5)))
+    assert_same(*ends)
+
+
+def test_rotors_of_all_kinds_fly_as_in_torch() -> None:
+    robot, ends = mixed_robot(), []
+    for backend in (TorchBackend(), mujoco_backend()):
+        vehicle = vehicle_from_config(robot, num_envs=3, dtype=F64)
+        law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81, dt=DT)
+        action = torch.tensor([[2.0, -1.0, 3.0, 0.004]], dtype=F64).repeat(3, 1)
+        ends.append(fly(backend, build_model(vehicle), law, random_state(3, rotor_speed=1.0), action))
+    assert_same(*ends)
+
+
+def still(num_envs: int, body: BodyCfg):
+    """Return model and law of bodies whose rotors stand still, and their action."""
+    vehicle = vehicle_from_config(replace(lopsided_robot(), body=body), num_envs=num_envs, dtype=F64)
+    return build_model(vehicle), make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, 9.81)
+
+
+def body(*moments: float, com=(0.0, 0.0, 0.0), mass: float = 0.5) -> BodyCfg:
+    a, b, c = moments
+    return BodyCfg(mass=mass, inertia=((a, 0.0, 0.0), (0.0, b, 0.0), (0.0, 0.0, c)), com=com, source="test")
+
+
+def test_a_thrown_body_falls_as_semi_implicit_euler_does() -> None:
+    """``z = z0 + v t - g t (t + dt) / 2``: the sum of the velocities at the ends of the steps."""
+    model, law = still(1, body(2e-3, 3e-3, 4e-3))
+    end = fly(mujoco_backend(), model, law, start(height=1.0, lin_vel=(1.0, 0.0, 2.0)), torch.zeros(1, 4, dtype=F64))
+    t = 50 * DT
+    expected = torch.tensor([[t, 0.0, 1.0 + 2.0 * t - 9.81 * t * (t + DT) / 2.0]], dtype=F64)
+    torch.testing.assert_close(end.position, expected, rtol=0.0, atol=1e-12)
+    torch.testing.assert_close(end.lin_vel[0, 2].item(), 2.0 - 9.81 * t, rtol=0.0, atol=1e-12)
+
+
+def top_error(dt: float, steps: int) -> float:
+    """Return how far the spin of a symmetric top is from its closed form."""
+    slow, fast = 2e-3, 3.2e-3
+    model, law = still(1, body(slow, slow, fast))
+    first = start(ang_vel=(1.0, 0.0, 5.0))
+    end = fly(mujoco_backend(), model, law, first, torch.zeros(1, 4, dtype=F64), steps=steps, dt=dt)
+    turn = torch.tensor((fast - slow) / slow * 5.0 * dt * steps, dtype=F64)
+    expected = torch.stack((turn.cos(), turn.sin(), torch.tensor(5.0, dtype=F64)))
+    return (end.ang_vel[0] - expected).norm().item()
+
+
+def test_a_symmetric_top_precesses_with_order_one() -> None:
+    """Euler: w_x + i w_y turns at ``(J_3 - J_1) / J_1 w_3``, here forwards, from x to y; the error falls with dt."""
+    errors = [top_error(dt, round(0.4 / dt)) for dt in (2e-3, 1e-3)]
+    slope = torch.tensor(errors[0] / errors[1]).log2().item()
+    assert errors[1] < 2e-3
+    assert abs(slope - 1.0) < 0.1
+
+
+def test_thrust_in_front_of_the_centre_of_mass_pitches_up() -> None:
+    """Centre of mass behind the rotors by c, thrust F: the lever + c x, ``x × z = -y``, so w_y = -c F t / J_yy < 0."""
+    c, inertia_y = 0.02, 3e-3
+    robot = ROBOTS.get("base_quadrotor")
+    robot = replace(robot, body=body(2e-3, inertia_y, 4e-3, com=(-c, 0.0, 0.0)))
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
+    model = build_model(vehicle)
+    law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, 9.81)
+    speed = 0.5 * vehicle.speed_high
+    state = start(rotor_speed=speed)
+    thrust = (
+        vehicle.thrust_map[..., 0] + vehicle.thrust_map[..., 1] * speed + vehicle.thrust_map[..., 2] * speed**2
+    ).sum()
+    end = fly(mujoco_backend(), model, law, state, speed, steps=1)
+    expected = -c * thrust * DT / inertia_y
+    assert expected < -0.01
+    torch.testing.assert_close(end.ang_vel[0, 1], expected, rtol=1e-9, atol=0.0)
+
+
+def test_a_hover_ends_at_its_place_with_the_weight_on_the_rotors() -> None:
+    """Lee's position law from 0.3 m away: after 8 s the thrusts sum up to m g and the vehicle is where it should be."""
+    robot = ROBOTS.get("base_quadrotor")
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
+    law = make_controller(CONTROLLERS.get("lee_position_control"), vehicle, 9.81, dt=0.01, control=robot.control)
+    state = start(height=1.3, rotor_speed=0.5 * vehicle.speed_high)
+    action = torch.tensor([[0.0, 0.0, 1.0, 0.0]], dtype=F64)
+    end = fly(mujoco_backend(), build_model(vehicle), law, state, action, steps=800, dt=0.01)
+    torch.testing.assert_close(end.position[0], action[0, :3], rtol=0.0, atol=1e-3)
+    powers = torch.stack([end.rotor_speed**k for k in range(3)], dim=-1)
+    torch.testing.assert_close((vehicle.thrust_map * powers).sum(), 9.81 * vehicle.mass[0], rtol=1e-3, atol=0.0)
+
+
+def by_env(vehicle: Vehicle) -> Vehicle:
+    """Return a vehicle whose mass, inertia and centre of mass differ between environments."""
+    grow = torch.linspace(0.8, 1.3, vehicle.num_envs, dtype=vehicle.mass.dtype)
+    inertia = vehicle.inertia.clone()
+    inertia[:, 0, 1] = inertia[:, 1, 0] = 2e-4 * grow
+    return replace(
+        vehicle,
+        mass=vehicle.mass * grow,
+        inertia=inertia * grow.flip(0)[:, None, None],
+        com=vehicle.com * grow[:, None],
+    )
+
+
+def test_environments_with_bodies_of_their_own_fly_as_in_torch_and_as_alone() -> None:
+    """Mass, inertia and centre of mass by environment. Alone is bit for bit the same, on any number of threads."""
+    robot, law_cfg = lopsided_robot(), CONTROLLERS.get("no_control")
+    ends = []
+    for backend in (TorchBackend(), mujoco_backend()):
+        model, law = build(robot, law_cfg, 6, F64, adjust=by_env)
+        state, action = start_of(model, 6), actions_for(law, model, 6)
+        with torch_threads(2):
+            ends.append(fly(backend, model, law, state, action))
+    assert_same(*ends)
+    rows = {name: rows[4:5].clone() for name, rows in model.vehicle.rows().items()}
+    alone = build_model(replace(model.vehicle, **rows))
+    declared = vehicle_from_config(robot, num_envs=1, dtype=F64)
+    own_law = make_controller(law_cfg, declared, 9.81, dt=DT)
+    first = BodyState(**{name: rows[4:5].clone() for name, rows in vars(state).items()})
+    with torch_threads(1):
+        end = fly(mujoco_backend(), alone, own_law, first, action[4:5])
+    for name, values in vars(end).items():
+        assert torch.equal(values, getattr(ends[1], name)[4:5]), name
+
+
+def test_parameters_that_are_written_in_place_are_followed_in_their_rows_alone() -> None:
+    """As a masked reset writes them: twice the mass at equal thrust; the other row goes on bit for bit."""
+    vehicle = vehicle_from_config(lopsided_robot(com=(0.0, 0.0, 0.0)), num_envs=2, dtype=F64)
+    vehicle = replace(vehicle, mass=own_rows(vehicle.mass))
+    law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, 9.81)
+    state, speeds = start(2, rotor_speed=800.0), torch.full((2, 4), 800.0, dtype=F64)
+    backends = [mujoco_backend(), mujoco_backend()]
+    states = [as_type(state, F64) for _ in backends]
+    for backend, moved in zip(backends, states, strict=True):
+        backend.allocate(build_model(replace(vehicle, mass=vehicle.mass.clone())), law, integrator="euler")
+        backend.prepare(DT)
+        backend.step(moved, speeds, DT, 1)
+    before = states[1].lin_vel.clone()
+    (mass,) = (rows for rows in backends[1].parameter_targets() if rows.shape == (2,))
+    mass[1] *= 2.0
+    for backend, moved in zip(backends, states, strict=True):
+        backend.step(moved, speeds, DT, 1)
+    assert torch.equal(states[0].lin_vel[0], states[1].lin_vel[0])
+    weight = torch.tensor([0.0, 0.0, 9.81], dtype=F64)
+    felt, expected = ((moved.lin_vel - before)[1] / DT + weight for moved in (states[1], states[0]))
+    assert expected.norm() > 5.0
+    torch.testing.assert_close(felt, 0.5 * expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("effect", ["slung_payload", "gusts", "actuation_delay"])
+def test_reset_by_mask_forgets_rows_of_the_mask_alone(effect: str) -> None:
+    """As in torch; rows outside fly on bit for bit as without the reset."""
+    robot, ends = lopsided_robot(), {}
+    for name, reset in (("torch", True), ("mujoco", True), ("mujoco", False)):
+        backend = BACKENDS.get(name)()
+        model, law = build(robot, CONTROLLERS.get("no_control"), 4, F64, (effect, "rotor_drag"))
+        state = start_of(model, 4)
+        backend.allocate(model, law, integrator="euler", random=Randomness(4))
+        for _ in range(2):
+            backend.step(state, actions_for(law, model, 4), DT, 20)
+            if reset:
+                backend.reset(torch.tensor([True, False, True, False]))
+        ends[name, reset] = state
+    assert_same(ends["torch", True], ends["mujoco", True])
+    for name, values in vars(ends["mujoco", True]).items():
+        other = getattr(ends["mujoco", False], name)
+        assert torch.equal(values[1::2], other[1::2]), name
+    assert not torch.equal(ends["mujoco", True].position[::2], ends["mujoco", False].position[::2])
+
+
+def test_a_row_that_is_not_finite_stays_so_and_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo would put it back to its start and write a file."""
+    monkeypatch.chdir(tmp_path)
+    model, law = build(lopsided_robot(), CONTROLLERS.get("no_control"), 3, F64)
+    state, action = start_of(model, 3), actions_for(law, model, 3)
+    well = fly(mujoco_backend(), model, law, state, action)
+    state.lin_vel[1, 0], state.position[2, 1] = torch.nan, 1e10
+    ill = fly(mujoco_backend(), model, law, state, action)
+    assert torch.equal(well.position[0], ill.position[0])
+    assert ill.position[1:].isnan().all()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_state_in_float32_is_stepped_in_float64_and_rounded_once() -> None:
+    """One step from the same numbers: half a unit in the last place beside the rounding of the wrench."""
+    ends = []
+    for dtype in (torch.float32, F64):
+        model, law = build(ROBOTS.get("base_quadrotor"), CONTROLLERS.get("no_control"), 8, dtype)
+        state = as_type(as_type(start_of(model, 8), torch.float32), dtype)
+        ends.append(fly(mujoco_backend(), model, law, state, actions_for(law, model, 8).float().to(dtype), steps=1))
+    assert ends[0].position.dtype == torch.float32
+    assert_same(ends[1], as_type(ends[0], F64), bound=2e-6)
+
+
+def test_rk4_is_refused_by_name() -> None:
+    """Its stages would see a wrench that does not change."""
+    model, law = build(lopsided_robot(), CONTROLLERS.get("no_control"), 1, F64)
+    with pytest.raises(CapabilityError, match="backend mujoco: no integrator 'rk4'. Known: euler"):
+        mujoco_backend().allocate(model, law, integrator="rk4")
