@@ -219,6 +219,22 @@ for _name in (
     task_registry.register_later(_name, partial(load, TaskCfg, CONFIG_DIR / "tasks" / f"{_name}.yaml"))
 
 
+def _rigid_morphy() -> TaskCfg:
+    """position_setpoint_task_morphy by a policy that knows no joints, learned on the rigid vehicle; flies others by --robot."""
+    task = task_registry.get("position_setpoint_task_morphy")
+    joints = ("dof_position", "dof_velocity")
+    return replace(
+        task,
+        summary="position_setpoint_task_morphy on the vehicle with rigid arms, 17 observations without joints",
+        robot="morphy_stiff",
+        observations={"policy": tuple(each for each in task.observations["policy"] if each.term not in joints)},
+        rewards={name: reward for name, reward in task.rewards.items() if name != "joints"},
+    )
+
+
+task_registry.register_later("position_setpoint_task_morphy_stiff", _rigid_morphy)
+
+
 def _safe_navigation() -> TaskCfg:
     """navigation_task as an optimum of its reward would not fly it.
 
