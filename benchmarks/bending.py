@@ -140,7 +140,8 @@ def _mujoco_warp(
 
     del substeps
     _, model, rotor_links, thrust = _mujoco_model(robot)
-    where = wp.device_from_torch(device)
+    wp.init()
+    where = wp.get_device("cuda:0" if device.type == "cuda" else "cpu")
     with wp.ScopedDevice(where):
         compiled = mujoco_warp.put_model(model)
         data = mujoco_warp.make_data(model, nworld=num_envs, nconmax=1, njmax=1)
