@@ -18,8 +18,8 @@ from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types, vector_of
 
 if TYPE_CHECKING:
-    from aerial_gym.control.cascade import Layout
     from aerial_gym.control.laws import Law
+    from aerial_gym.control.remembering import Layout
 
 
 @wp.struct

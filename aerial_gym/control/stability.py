@@ -26,6 +26,7 @@ from aerial_gym.control.cascade import CascadeController
 from aerial_gym.control.controllers import LeeController, make_controller
 from aerial_gym.control.gains import GAINS, apparent_gravity, ends_of, explicit_gains_of
 from aerial_gym.control.laws import LAWS
+from aerial_gym.control.remembering import RememberingController
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_log
 from aerial_gym.physics.backend import ControlLaw
@@ -83,9 +84,9 @@ def spectral_radius(
         hover_thrust: Thrusts at rest [N], (R,).
     """
     law = make_law(single_vehicle(vehicle, 1))
-    memory = law.resting(hover_thrust) if isinstance(law, CascadeController) else None
+    memory = law.resting(hover_thrust) if isinstance(law, RememberingController) else None
     extra = 0 if memory is None else memory.shape[0]
-    width, steps = len(AXES) + vehicle.num_rotors + extra, law.period if isinstance(law, CascadeController) else 1
+    width, steps = len(AXES) + vehicle.num_rotors + extra, law.period if isinstance(law, RememberingController) else 1
     plant = single_vehicle(vehicle, 2 * width)
     trim = _speed(plant, hover_thrust)
     rest = trim if memory is None else torch.cat((trim, memory.to(trim)))
@@ -95,12 +96,12 @@ def spectral_radius(
     action, slopes = hover_action.to(trim).expand(2 * width, -1), {}
     slope = torch.eye(width, dtype=trim.dtype)
     for step in range(steps):
-        phase = law.phase(step) if isinstance(law, CascadeController) else None
+        phase = law.phase(step) if isinstance(law, RememberingController) else None
         if phase not in slopes:
             end = loop.after(nudges * size, rest, action, step) / size
             slopes[phase] = (end[:width] - end[width:]).T / (2.0 * NUDGE)
         slope = slopes[phase] @ slope
-    if isinstance(law, CascadeController):
+    if isinstance(law, RememberingController):
         slope = torch.cat((slope[: width - extra], law.turned_back(slope[width - extra :].T).T))
     kept = [AXES.index(name) for name in axes.split()] + list(range(len(AXES), width))
     return float(torch.linalg.eigvals(slope[kept][:, kept]).abs().max()) ** (1.0 / steps)
@@ -116,7 +117,7 @@ class _Loop:
         """Return where the offsets are after a step of the period; ``rest`` is that of rotors and memory."""
         num_rotors = self._model.vehicle.num_rotors
         state = _state(offsets[:, : len(AXES) + num_rotors], rest[:num_rotors])
-        cascade = self._law if isinstance(self._law, CascadeController) else None
+        cascade = self._law if isinstance(self._law, RememberingController) else None
         resting, changes = rest[num_rotors:], offsets[:, len(AXES) + num_rotors :]
         memory = None if cascade is None else cascade.memory_from(resting + changes, step)
         command, memory = law_command(self._law, state, action, memory)
