@@ -160,20 +160,8 @@ class CascadeController(RememberingController):
         """Return the twin in Warp."""
         if self._law.fused is None:
             return None
-        has_loop, allocation = self.rate_gains is not None, self.allocation
-        return FusedLaw(
-            output="wrench",
-            num_actions=len(self.action_names),
-            low=allocation.low,
-            high=allocation.high,
-            thrust_map=allocation.vehicle.thrust_map,
-            reverse_thrust_map=allocation.vehicle.reverse_thrust_map,
-            allocation=allocation.inverse,
-            follow=allocation.rows_for if allocation.rows else None,
-            saturation=allocation.saturation,
-            lateral=False,
-            idle=allocation.idle,
-            needs=self.needs,
+        has_loop = self.rate_gains is not None
+        return self._fused(
             remembering=cascade_fused.maker(self._law, self.timing, self._layout, has_loop=has_loop),
             gains_type=cascade_fused.CascadeGains if has_loop else lee_fused.Gains,
             load_gains=cascade_fused.load_gains if has_loop else lee_fused.load_gains,

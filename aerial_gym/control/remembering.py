@@ -7,12 +7,14 @@ Letters: E environments, R rotors, U entries of an action, S slots of a ring, M 
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.timing import Timing
+from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.law_memory import LawMemory, LawNeeds, fresh_law_memory
 from aerial_gym.physics.state import BodyState
 
@@ -47,6 +49,9 @@ class RememberingController(ABC):
 
     It has a timing, a layout and an allocation, and says what one run of it does to the numbers that are its own.
     """
+
+    action_names: tuple[str, ...]
+    """Meaning and unit of each entry of an action."""
 
     allocation: Allocation
     """From wrenches to thrusts."""
@@ -133,6 +138,25 @@ class RememberingController(ABC):
             numbers = torch.where(due, numbers, memory.numbers[:, : layout.held])
             numbers = torch.cat((numbers, command), dim=-1)
         return command, LawMemory(numbers=numbers, past=torch.cat((sent, actions), dim=-1), since=since + 1)
+
+    def _fused(self, **law: Any) -> FusedLaw:
+        """Return the Warp law with this allocation and memory, and with what is given of gains and code."""
+        allocation = self.allocation
+        return FusedLaw(
+            output="wrench",
+            num_actions=len(self.action_names),
+            low=allocation.low,
+            high=allocation.high,
+            thrust_map=allocation.vehicle.thrust_map,
+            reverse_thrust_map=allocation.vehicle.reverse_thrust_map,
+            allocation=allocation.inverse,
+            follow=allocation.rows_for if allocation.rows else None,
+            saturation=allocation.saturation,
+            lateral=False,
+            idle=allocation.idle,
+            needs=self.needs,
+            **law,
+        )
 
     def _pass_on(self, setpoint: Tensor, sent: Tensor, since: Tensor) -> tuple[Tensor, Tensor]:
         """Return the thrust and body rates (E, 4) that have come through by now, and what is on its way."""

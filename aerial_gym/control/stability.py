@@ -24,7 +24,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.cascade import CascadeController
 from aerial_gym.control.controllers import LeeController, make_controller
-from aerial_gym.control.gains import GAINS, apparent_gravity, ends_of, explicit_gains_of
+from aerial_gym.control.gains import GAINS, apparent_gravity, ends_of, has_explicit_gains
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.remembering import RememberingController
 from aerial_gym.errors import ConfigError
@@ -198,7 +198,7 @@ def check_closed_loop(
     radii = loop.radii(dt)
     if max(radii) <= 1.0 + ROUND_OFF:
         return
-    explicit = explicit_gains_of(controller, robot.control) is not None
+    explicit = has_explicit_gains(controller, robot.control)
     with_gains, way_out = (
         ("the explicit gains given", "lower the gains, or leave them out to have them derived")
         if explicit
