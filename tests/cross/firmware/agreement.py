@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from tests.cross.firmware import px4_pairs
+from tests.cross.firmware import crazyflie_pairs, px4_pairs
 
 BEGIN, END = "<!-- table: begin, by python -m tests.cross.firmware.agreement -->", "<!-- table: end -->"
 
@@ -23,7 +23,23 @@ def pairs() -> dict[str, tuple[Tensor, Tensor]]:
         "PX4: normalised torque": px4_pairs.rate_pair(vectors)[:2],
         "PX4: body rates of attitude control [rad/s]": px4_pairs.attitude_pair(vectors),
         **position,
+        **_crazyflie(),
     }
+
+
+def _crazyflie() -> dict[str, tuple[Tensor, Tensor]]:
+    vectors = crazyflie_pairs.read_vectors()
+    ours, theirs = crazyflie_pairs.lee_pair(vectors)
+    lifts = theirs[:, 0] > 1e-3
+    found = {
+        "Crazyflie, Lee: thrust [N]": (ours[:, :1], theirs[:, :1]),
+        "Crazyflie, Lee: torque [N m] where thrust is along the body": (ours[lifts, 1:], theirs[lifts, 1:]),
+    }
+    for name, pair in (("Mellinger", crazyflie_pairs.mellinger_pair), ("PID", crazyflie_pairs.pid_pair)):
+        ours, theirs = pair(vectors)
+        found[f"Crazyflie, {name}: thrust [counts]"] = ours[..., :1], theirs[..., :1]
+        found[f"Crazyflie, {name}: moments [whole counts]"] = ours[..., 1:], theirs[..., 1:]
+    return found
 
 
 def table() -> str:

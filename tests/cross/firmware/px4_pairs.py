@@ -23,7 +23,7 @@ Pair = tuple[Tensor, Tensor, Tensor]
 def read_vectors() -> dict[str, Tensor]:
     """Return PX4's answers by name, as they stand in the file."""
     with np.load(made.VECTORS) as file:
-        if int(file["checksum"]) != made.checksum():
+        if int(file["checksum"]) != made.states_checksum():
             raise ValueError("the random states are not those of the vectors: make them anew (px4_vectors.py)")
         return {name: torch.from_numpy(file[name]).double() for name in ("torque", "rate", "position")}
 

@@ -13,12 +13,10 @@ import ctypes
 import subprocess
 import tempfile
 from pathlib import Path
-from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float32]
+from tests.cross.firmware.draws import Array, Draws, checksum, pointer
 
 VECTORS = Path(__file__).with_name("px4_vectors.npz")
 SEED = 17
@@ -63,19 +61,9 @@ struct vehicle_local_position_setpoint_s { float x, y, z, vx, vy, vz, accelerati
 """Headers that PX4 generates, or that ask for its operating system."""
 
 
-class _Draws:
-    def __init__(self, stream: int) -> None:
-        self._bits = np.random.PCG64(SEED + stream)
-
-    def __call__(self, *shape: int, low: float = -1.0, high: float = 1.0) -> Array:
-        """Return numbers between two ends from the bits themselves, whose stream numpy promises to keep."""
-        share = (self._bits.random_raw(int(np.prod(shape))) >> np.uint64(40)).astype(np.float32) / np.float32(2**24)
-        return (np.float32(low) + np.float32(high - low) * share.reshape(shape)).astype(np.float32)
-
-
 def rate_states() -> tuple[Array, Array]:
     """Return gains (RUNS, 15) and steps (RUNS, STEPS, 13) of ``rate_control`` in ``px4_host.cpp``."""
-    draw = _Draws(0)
+    draw = Draws(SEED)
     gains = np.concatenate([draw(RUNS, 3, low=0.0, high=top) for top in (0.5, 2.0, 0.02, 0.1, 0.3)], axis=-1)
     saturation = np.round(1.3 * draw(RUNS, STEPS, 3)).astype(np.float32)
     parts = (draw(RUNS, STEPS, 3, low=-6.0, high=6.0), draw(RUNS, STEPS, 3, low=-6.0, high=6.0))
@@ -86,9 +74,8 @@ def rate_states() -> tuple[Array, Array]:
 
 def attitude_states() -> Array:
     """Return rows (RUNS STEPS, 16) of ``attitude_control`` in ``px4_host.cpp``."""
-    draw, rows = _Draws(1), RUNS * STEPS
-    attitude, goal = draw(rows, 4), draw(rows, 4)
-    unit = [q / np.linalg.norm(q, axis=-1, keepdims=True) for q in (attitude, goal)]
+    draw, rows = Draws(SEED + 1), RUNS * STEPS
+    unit = [draw.unit_quaternions(rows)[:, (3, 0, 1, 2)] for _ in range(2)]
     gains, weight = draw(rows, 3, low=0.5, high=8.0), draw(rows, 1, low=0.05, high=1.0)
     limit = draw(rows, 3, low=1.0, high=15.0)
     return np.concatenate((*unit, 2.0 * draw(rows, 1), gains, weight, limit), axis=-1).astype(np.float32)
@@ -96,7 +83,7 @@ def attitude_states() -> Array:
 
 def position_states() -> tuple[Array, Array]:
     """Return gains (RUNS, 20) and steps (RUNS, STEPS, 15) of ``position_control`` in ``px4_host.cpp``."""
-    draw = _Draws(2)
+    draw = Draws(SEED + 2)
     ends = (
         *[(0.3, 2.0)] * 3, *[(1.0, 6.0)] * 3, *[(0.0, 3.0)] * 3, *[(0.0, 0.5)] * 3,
         (1.0, 12.0), (1.0, 5.0), (1.0, 4.0), (0.02, 0.15), (0.6, 1.0), (0.1, 0.4), (0.3, 1.2), (0.2, 0.6),
@@ -109,9 +96,9 @@ def position_states() -> tuple[Array, Array]:
     return gains, np.concatenate((*moves, *rest, mode), axis=-1).astype(np.float32)
 
 
-def checksum() -> int:
+def states_checksum() -> int:
     """Return a number of all states."""
-    return crc32(b"".join(x.tobytes() for x in (*rate_states(), attitude_states(), *position_states())))
+    return checksum(*rate_states(), attitude_states(), *position_states())
 
 
 def _library(px4: Path, folder: Path) -> ctypes.CDLL:
@@ -132,16 +119,10 @@ def answers(px4: Path) -> dict[str, Array]:
         library = _library(px4, Path(folder))
         torque, rate = np.zeros((RUNS, STEPS, 3), np.float32), np.zeros((RUNS * STEPS, 3), np.float32)
         position = np.zeros((RUNS, STEPS, 10), np.float32)
-        library.rate_control(RUNS, STEPS, *map(_pointer, (*rate_states(), torque)))
-        library.attitude_control(RUNS * STEPS, *map(_pointer, (attitude_states(), rate)))
-        library.position_control(RUNS, STEPS, *map(_pointer, (*position_states(), position)))
+        library.rate_control(RUNS, STEPS, *map(pointer, (*rate_states(), torque)))
+        library.attitude_control(RUNS * STEPS, *map(pointer, (attitude_states(), rate)))
+        library.position_control(RUNS, STEPS, *map(pointer, (*position_states(), position)))
     return {"torque": torque, "rate": rate, "position": position}
-
-
-def _pointer(array: Array) -> ctypes.c_void_p:
-    assert array.dtype == np.float32
-    assert array.flags.c_contiguous
-    return array.ctypes.data_as(ctypes.c_void_p)
 
 
 def main() -> None:
@@ -151,7 +132,7 @@ def main() -> None:
     parser.add_argument("--version", default="", help="which version that is, to be written beside the numbers")
     parser.add_argument("--out", type=Path, default=VECTORS)
     args = parser.parse_args()
-    np.savez_compressed(args.out, checksum=checksum(), version=args.version, **answers(args.px4))
+    np.savez_compressed(args.out, checksum=states_checksum(), version=args.version, **answers(args.px4))
 
 
 if __name__ == "__main__":
