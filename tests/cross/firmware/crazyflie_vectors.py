@@ -140,12 +140,13 @@ def _states(draw: Draws, *shape: int, upright: float, rate: float) -> Array:
 def pid_states() -> Array:
     """Return angles [deg], nose down positive, position, velocity, gyro [deg/s], wanted position, yaw, (RUNS, STEPS, 16)."""
     draw = Draws(SEED + 2)
-    ends = np.array((30.0, 30.0, 170.0), np.float32)
+    ends = np.array((30.0, 30.0, 180.0), np.float32)
     angles = ends * draw(RUNS, 1, 3) + np.float32(0.5) * draw(RUNS, STEPS, 3)
     gyro = np.float32(40.0) * draw(RUNS, 1, 3) + np.float32(3.0) * draw(RUNS, STEPS, 3)
     gyro[:, 0] *= np.float32(0.2)
     places = [np.float32(size) * draw(RUNS, STEPS, 3) for size in (0.4, 0.6)]
     yaw = np.repeat(angles[:, :1, 2:] + np.float32(25.0) * draw(RUNS, 1, 1), STEPS, axis=1)
+    angles[..., 2:], yaw = (x - np.float32(360.0) * np.round(x / np.float32(360.0)) for x in (angles[..., 2:], yaw))
     return np.concatenate((angles, *places, gyro, np.float32(0.4) * draw(RUNS, STEPS, 3), yaw), axis=-1)
 
 
