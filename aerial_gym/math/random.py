@@ -57,6 +57,10 @@ class Purpose(IntEnum):
     """Places of gates and poles; indices: what of which, attempt."""
     PRACTICE = 20
     """Where on a track an episode of a training begins; index: quantity."""
+    FAULT_STEPS = 21
+    """When faults of sensors begin and how long they last; index: which of them."""
+    FAULT = 22
+    """Whether an episode has a fault, and how far a jump goes; index: which of them."""
 
 
 def _scramble(state: Word) -> Word:
