@@ -58,7 +58,7 @@ def single_vehicle(vehicle: Vehicle, num_rows: int) -> Vehicle:
     return vehicle.map_rows(lambda rows: share_row(rows[0].detach().cpu().double(), num_rows))
 
 
-def spectral_radius(
+def closed_loop_modes(
     vehicle: Vehicle,
     make_law: Callable[[Vehicle], ControlLaw],
     hover_action: Tensor,
@@ -68,10 +68,10 @@ def spectral_radius(
     dt: float,
     integrator: str,
     hover_thrust: Tensor,
-) -> float:
-    """Return the largest modulus of the eigenvalues of the closed loop at hover, by physics step.
+) -> Tensor:
+    """Return the eigenvalues of the closed loop at hover, complex, by physics step: ``exp(s dt)`` of its poles s.
 
-    A law with memory is followed over its own period, together with what it remembers; the modulus is the root of that.
+    A law with memory is followed over its own period, together with what it remembers; they are the roots of those.
 
     Args:
         vehicle: As declared.
@@ -104,7 +104,7 @@ def spectral_radius(
     if isinstance(law, RememberingController):
         slope = torch.cat((slope[: width - extra], law.turned_back(slope[width - extra :].T).T))
     kept = [AXES.index(name) for name in axes.split()] + list(range(len(AXES), width))
-    return float(torch.linalg.eigvals(slope[kept][:, kept]).abs().max()) ** (1.0 / steps)
+    return torch.linalg.eigvals(slope[kept][:, kept]) ** (1.0 / steps)
 
 
 class _Loop:
@@ -274,7 +274,14 @@ class ClosedLoop:
             best = largest_stable_dt(partial(self._radius_with, worst), best)
         return best
 
+    def modes(self, dt: float) -> Tensor:
+        """Return ``exp(s dt)`` of the poles s [1/s] of the loop with the declared gains at a time step [s], complex."""
+        return self._modes_with(None, dt)
+
     def _radius_with(self, corner: tuple[int, ...] | None, dt: float) -> float:
+        return float(self._modes_with(corner, dt).abs().max())
+
+    def _modes_with(self, corner: tuple[int, ...] | None, dt: float) -> Tensor:
         def make_law(vehicle: Vehicle) -> ControlLaw:
             law = make_controller(self._controller, vehicle, self._gravity, dt=dt, control=self._robot.control)
             if corner is not None and isinstance(law, LeeController | CascadeController):
@@ -283,7 +290,7 @@ class ClosedLoop:
                 law.gains = replace(law.gains, **ends)
             return law
 
-        return spectral_radius(
+        return closed_loop_modes(
             self._vehicle,
             make_law,
             torch.zeros(len(LAWS[self._controller.law].action)),
