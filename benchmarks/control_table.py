@@ -218,11 +218,12 @@ def draw(flights: list[Flight], path: Path) -> None:
     from matplotlib import pyplot
 
     shape = {"figsize": (15, 8.5), "sharey": True, "sharex": "col", "layout": "constrained"}
-    figure, rows = pyplot.subplots(3, len(STEPS), **shape)
+    laws = ("position", "velocity", "acceleration", "attitude", "rates")
+    figure, rows = pyplot.subplots(3, len(laws), **shape)
     robots = dict.fromkeys(flight.robot for flight in flights)
     colours = dict(zip(robots, pyplot.get_cmap("tab20").colors, strict=False))  # 20 of them
     for family, panels in zip(("lee", "pid", "px4"), rows, strict=True):
-        for panel, law in zip(panels, STEPS, strict=True):
+        for panel, law in zip(panels, laws, strict=True):
             name = f"{family}_{'rate' if (family, law) == ('px4', 'rates') else law}_control"
             for flight in flights:
                 if flight.controller == name and flight.sim == "base_sim":

@@ -70,24 +70,29 @@ def test_poles_and_bandwidth_are_met_with_lag_and_dead_time_in_every_environment
 
 def test_the_sampled_loop_has_the_placed_poles() -> None:
     """Its eigenvalues ``exp(s dt)``: half a step of holding is all but what sampling does, to the square of the time step."""
-    vehicle, missed = vehicle_from_config(X500, num_envs=1, dtype=F64), []
     quick = replace(X500, rotor=replace(X500.rotor, time_constant_up=0.02, time_constant_down=0.02))
-    vehicle = vehicle_from_config(quick, num_envs=1, dtype=F64)
+    vehicle, missed = vehicle_from_config(quick, num_envs=1, dtype=F64), []
     for dt in (0.008, 0.004):
-        found = tune_attitude(vehicle, bandwidth=8.0, damping=0.7, delay=0.0, dt=dt)
-        control = ControlCfg(
-            attitude_frequency=tuple(found.natural_frequency[0].tolist()),  # type: ignore[arg-type]
-            attitude_damping=tuple(found.damping[0].tolist()),  # type: ignore[arg-type]
-        )
+        attitude = tune_attitude(vehicle, bandwidth=8.0, damping=0.7, delay=0.0, dt=dt)
+        position = tune_position(attitude, bandwidth=1.0, damping=0.8)
+        loops = {"attitude": attitude, "position": position}
+        numbers = {
+            f"{name}_{kind}": tuple(getattr(found, "natural_frequency" if kind == "frequency" else kind)[0].tolist())
+            for name, found in loops.items()
+            for kind in ("frequency", "damping")
+        }
         loop = ClosedLoop(
-            replace(quick, control=control), CONTROLLERS.get("lee_attitude_control"), gravity=9.81, integrator="rk4",
-            names=("x500", "lee_attitude_control"),
+            replace(quick, control=ControlCfg(**numbers)),  # type: ignore[arg-type]
+            CONTROLLERS.get("lee_position_control"), gravity=9.81, integrator="rk4", names=("x500", "lee_position_control"),
         )  # fmt: skip
         poles = torch.log(loop.modes(dt)) / dt
-        placed = complex(found.frequency[0, 0]) * complex(-0.7, sqrt(1.0 - 0.49))
-        missed.append(float((poles - placed).abs().min()) / abs(placed))
-    assert missed[0] < 0.01
-    assert missed[1] < 0.3 * missed[0]
+        yaw, sideways, up = (attitude, 2, 0.7), (position, 0, 0.8), (position, 2, 0.8)
+        for found, axis, damping in (yaw, sideways, up):
+            placed = complex(found.frequency[0, axis]) * complex(-damping, sqrt(1.0 - damping**2))
+            missed.append(float((poles - placed).abs().min()) / abs(placed))
+    assert max(missed[:3]) < 0.01
+    for coarse, fine in zip(missed[:3], missed[3:], strict=True):
+        assert fine < 0.3 * coarse
 
 
 def test_a_flight_with_lag_and_dead_time_has_the_bandwidth() -> None:
