@@ -28,16 +28,12 @@ from aerial_gym.robots import ROBOTS
 F64 = torch.float64
 CPU = torch.device("cpu")
 X500 = ROBOTS.get("x500")
-GAZEBO = replace(X500, rotor=replace(X500.rotor, thrust_range=(8.54858e-6 * 150.0**2, 8.54858e-6 * 1000.0**2)))
-"""With the motor limits of PX4's Gazebo model, 150 to 1000 rad/s."""
+GAZEBO = ROBOTS.get("x500_px4")
+"""With the motor limits of PX4's Gazebo model, 150 to 1000 rad/s, and PX4's default parameters."""
 
-PX4_DEFAULTS = Px4Cfg(
-    MC_ROLLRATE_P=0.15, MC_ROLLRATE_I=0.2, MC_ROLLRATE_D=0.003, MC_RR_INT_LIM=0.3, MC_PITCHRATE_P=0.15, MC_PITCHRATE_I=0.2,
-    MC_PITCHRATE_D=0.003, MC_PR_INT_LIM=0.3, MC_YAWRATE_P=0.2, MC_YAWRATE_I=0.1, MC_YR_INT_LIM=0.3, IMU_GYRO_CUTOFF=40.0,
-    MC_ROLL_P=6.5, MC_PITCH_P=6.5, MC_YAW_P=2.8, MPC_XY_P=0.95, MPC_Z_P=1.0, MPC_XY_VEL_P_ACC=1.8, MPC_Z_VEL_P_ACC=4.0,
-    MPC_XY_VEL_I_ACC=0.4, MPC_Z_VEL_I_ACC=2.0, MPC_XY_VEL_D_ACC=0.2, MPC_TILTMAX_AIR=45.0, MPC_THR_MIN=0.12, THR_MDL_FAC=0.0,
-)  # fmt: skip
-"""PX4's own defaults, of its parameter reference."""
+assert GAZEBO.control.px4 is not None
+PX4_DEFAULTS = replace(GAZEBO.control.px4, IMU_GYRO_CUTOFF=40.0)
+"""With its gyro filter too."""
 
 
 def law_of(
