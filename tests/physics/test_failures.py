@@ -1,4 +1,4 @@
-"""Rotors that are stuck and supplies that break down at a moment of each environment's own: speeds against closed forms."""
+"""Motors that fail, rotors that are stuck, supplies that break down at a moment of each environment's own, in closed form."""
 
 from math import exp
 
@@ -17,8 +17,11 @@ from tests.physics.vehicles import F64, lopsided_robot
 TOLD, START = 900.0, 500.0
 """Speeds [rad/s]."""
 
+FAILING = [(1.0, 0.5, 0.03), (3.0, 0.0, 0.1), (4.0, 0.8, 0.0), (2.0, 0.3, 1e4)]
+"""Rotor, factor and moment [s] of four environments; the last one does not live to see it."""
+
 STUCK = [(1.0, 0.03), (3.0, 0.1), (4.0, 0.0), (2.0, 1e4)]
-"""Rotor and moment [s] of four environments; the last one does not live to see it."""
+"""Rotor and moment [s] likewise."""
 
 BROWN = [(0.5, 0.03, 0.05), (0.0, 0.1, 1.0), (0.8, 0.0, 0.07), (0.3, 1e4, 1.0)]
 """Factor, moment and duration [s] likewise."""
@@ -32,6 +35,15 @@ def model_of(name: str, rows: list[tuple[float, ...]], dtype: torch.dtype = F64)
 def lagged(speed: float, rest: float, span: float) -> float:
     """Return the speed a span [s] later of a rotor that tends to ``rest``."""
     return rest + (speed - rest) * exp(-max(span, 0.0) / (TAU_UP if rest > speed else TAU_DOWN))
+
+
+def failing_speeds(time: float) -> Tensor:
+    """Return those of all rotors, (E, R): the failing one tends to a part of the command from its moment on."""
+    found = torch.full((4, 4), lagged(START, TOLD, time), dtype=F64)
+    for env, (motor, scale, moment) in enumerate(FAILING):
+        before = lagged(START, TOLD, min(time, moment))
+        found[env, int(motor) - 1] = lagged(before, scale * TOLD, time - moment)
+    return found
 
 
 def stuck_speeds(time: float) -> Tensor:
@@ -52,7 +64,11 @@ def brown_speeds(time: float) -> Tensor:
     return torch.tensor(rows, dtype=F64)
 
 
-CASES = {"stuck_rotor": (STUCK, stuck_speeds), "brown_out": (BROWN, brown_speeds)}
+CASES = {
+    "motor_failure": (FAILING, failing_speeds),
+    "stuck_rotor": (STUCK, stuck_speeds),
+    "brown_out": (BROWN, brown_speeds),
+}
 
 
 @pytest.mark.parametrize("integrator", list(INTEGRATORS))

@@ -25,7 +25,9 @@ def assert_flies(flight: Flight, cfg: RobotCfg) -> None:
     if flight.controller != "px4_velocity_control":  # the last of an integral decays slowly
         assert flight.settling_s < 10.0
     published = cfg.control.gains is not None or (flight.controller.startswith("px4_") and cfg.control.px4 is not None)
-    if not published:  # those were not derived for it: those of lmf2 overshoot by 13 % in velocity, of x500_px4 in position
+    if (
+        not published
+    ):  # those were not derived for it: those of lmf2 overshoot by 13 % in velocity, of x500_px4 in position
         assert flight.overshoot < OVERSHOOT.get(flight.controller, 0.05)
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR, CommandEffect, Moment, Parameter
-from aerial_gym.physics.effects.stuck_rotor import LATEST
+from aerial_gym.physics.effects.failure import LATEST, TIME, middle_of
 from aerial_gym.physics.vehicle import Vehicle
 
 
@@ -30,15 +30,7 @@ class BrownOut(CommandEffect):
             scale=0.3,
             meaning="speed, in force mode thrust, per what is told, while it lasts",
         ),
-        Parameter(
-            name="time",
-            unit="s",
-            low=0.0,
-            high=LATEST,
-            scale=0.1,
-            meaning="from the reset to its begin",
-            kind="convention",
-        ),
+        TIME,
         Parameter(
             name="duration",
             unit="s",
@@ -63,7 +55,7 @@ class BrownOut(CommandEffect):
 
     def remember(self, moment: Moment, values: Tensor) -> Tensor:
         """Return the factor of this substep, (E, 1)."""
-        since = ((moment.since.to(values.dtype) + 0.5) * moment.dt).unsqueeze(-1) - values[:, 1:2]
+        since = middle_of(moment, values).unsqueeze(-1) - values[:, 1:2]
         return torch.where((since >= 0.0) & (since < values[:, 2:3]), values[:, :1], 1.0)
 
     def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:

@@ -11,15 +11,10 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.physics.effects.base import ANY_ROTOR, CommandEffect, Moment, Parameter
+from aerial_gym.physics.effects.base import ANY_ROTOR, CommandEffect, Moment
+from aerial_gym.physics.effects.failure import NEVER, TIME, middle_of
 from aerial_gym.physics.effects.one_rotor import ROTOR, chosen_rotor
 from aerial_gym.physics.vehicle import Vehicle
-
-LATEST = 1e5
-"""Bound of a moment [s]."""
-
-NEVER = 1e4
-"""A moment that no episode lives to see [s]."""
 
 
 class StuckRotor(CommandEffect):
@@ -29,15 +24,7 @@ class StuckRotor(CommandEffect):
     summary = "from a moment on one rotor keeps the speed that it has"
     parameters = (
         ROTOR,
-        Parameter(
-            name="time",
-            unit="s",
-            low=0.0,
-            high=LATEST,
-            scale=0.1,
-            meaning="from the reset to the failure",
-            kind="convention",
-        ),
+        TIME,
     )
     excitation = "an episode that goes on after it; a log does not say when its reset was"
     confused_with = ("motor_failure",)
@@ -53,8 +40,7 @@ class StuckRotor(CommandEffect):
 
     def remember(self, moment: Moment, values: Tensor) -> Tensor:
         """Return whether it is stuck in this substep, and at which speed, (E, 2)."""
-        middle = (moment.since.to(values.dtype) + 0.5) * moment.dt
-        stuck = middle >= values[:, 1]
+        stuck = middle_of(moment, values) >= values[:, 1]
         now = (chosen_rotor(moment.vehicle, values[:, 0]) * moment.rotor_speed).sum(-1)
         kept = torch.where(values[:, 2] > 0.0, values[:, 3], now)
         return torch.stack((stuck.to(values.dtype), torch.where(stuck, kept, 0.0)), dim=-1)
