@@ -102,7 +102,7 @@ def _name(device: torch.device) -> str:
     return torch.cuda.get_device_name(device) if device.type == "cuda" else f"cpu, {torch.get_num_threads()} threads"
 
 
-def _mujoco_model(robot: str):  # noqa: ANN202 - MuJoCo's type
+def _mujoco_model(robot: str):
     import mujoco
 
     cfg = ROBOTS.get(robot)

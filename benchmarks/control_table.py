@@ -224,21 +224,23 @@ def draw(flights: list[Flight], path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    shape = {"figsize": (15, 6.0), "sharey": True, "sharex": "col", "layout": "constrained"}
-    figure, rows = pyplot.subplots(2, len(STEPS), **shape)
+    shape = {"figsize": (15, 8.5), "sharey": True, "sharex": "col", "layout": "constrained"}
+    laws = ("position", "velocity", "acceleration", "attitude", "rates")
+    figure, rows = pyplot.subplots(3, len(laws), **shape)
     robots = dict.fromkeys(flight.robot for flight in flights)
     colours = dict(zip(robots, pyplot.get_cmap("tab20").colors, strict=False))  # 20 of them
-    for family, panels in zip(("lee", "pid"), rows, strict=True):
-        for panel, law in zip(panels, STEPS, strict=True):
+    for family, panels in zip(("lee", "pid", "px4"), rows, strict=True):
+        for panel, law in zip(panels, laws, strict=True):
+            name = f"{family}_{'rate' if (family, law) == ('px4', 'rates') else law}_control"
             for flight in flights:
-                if flight.controller == f"{family}_{law}_control" and flight.sim == "base_sim":
+                if flight.controller == name and flight.sim == "base_sim":
                     times = [SAMPLE * (i + 1) for i in range(len(flight.response))]
                     panel.plot(times, flight.response, label=flight.robot, lw=1.2, color=colours.get(flight.robot))
             panel.axhline(1.0, color="0.7", lw=0.8, zorder=0)
-            panel.set(title=f"{family}_{law}_control", ylim=(-0.1, 1.4))
+            panel.set(title=name, ylim=(-0.1, 1.4))
             panel.set_xlim(0.0, 8.0 if law in ("position", "velocity") else 3.0)
         panels[0].set_ylabel("share of the step")
-    for panel in rows[1]:
+    for panel in rows[-1]:
         panel.set_xlabel("t [s]")
     figure.legend(*rows[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=8)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -24,6 +24,7 @@ COMMANDS: dict[str, Home] = {
     "list": Home("aerial_gym.cli.list_names:ListCmd"),
     "check": Home("aerial_gym.cli.check:CheckCmd"),
     "import-robot": Home("aerial_gym.cli.import_robot:ImportRobotCmd"),
+    "tune": Home("aerial_gym.cli.tune:TuneCmd"),
     "train": Home("aerial_gym.cli.train:TrainCmd"),
     "play": Home("aerial_gym.cli.play:PlayCmd"),
     "evaluate": Home("aerial_gym.cli.evaluate:EvaluateCmd"),

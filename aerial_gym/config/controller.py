@@ -6,6 +6,7 @@ from math import inf, pi
 from typing import ClassVar, Literal
 
 from aerial_gym.config.checks import Vec3, require_finite, require_positive
+from aerial_gym.config.px4 import Px4Cfg
 from aerial_gym.errors import ConfigError
 
 _DRAWN_BY_NAME = (
@@ -96,6 +97,9 @@ class ControlCfg:
 
     gains: LeeGainsCfg | None = None
     """Explicit gains in place of all of the above, as identified or published for this robot."""
+
+    px4: Px4Cfg | None = None
+    """Parameters of PX4's cascade, as flown or published for this robot; derived if not given."""
 
     effectiveness: str = "nominal"
     """``nominal`` or ``actual``: which control effectiveness matrix the allocation inverts, and with which thrust maps it goes
@@ -189,6 +193,9 @@ class ControllerCfg:
     """A loop with memory between the law and the rotors: the law then wants body rates of it. None where the law itself
     asks for torque."""
 
+    px4: Px4Cfg | None = None
+    """PX4's cascade with these parameters in place of gains and rate loop; those of the robot if all are left out."""
+
     rate_hz: float | None = None
     """How often the law runs [1/s], > 0; every physics step, or with a rate loop as often as that, if not given. What it
     wants is held in between."""
@@ -206,7 +213,9 @@ class ControllerCfg:
         for name in ("delay", "action_delay"):
             if not 0.0 <= getattr(self, name) < inf:
                 raise ConfigError(f"ControllerCfg.{name} = {getattr(self, name)!r}: must be >= 0 and finite")
-        if self.delay > 0.0 and self.rate_loop is None:
+        if self.px4 is not None and (self.rate_loop is not None or self.gains is not None):
+            raise ConfigError("ControllerCfg.px4: has gains and a rate loop of its own. Leave gains and rate_loop out")
+        if self.delay > 0.0 and self.rate_loop is None and self.px4 is None:
             raise ConfigError(
                 f"ControllerCfg.delay = {self.delay!r}: there is no rate loop to reach. Give rate_loop, or action_delay"
             )

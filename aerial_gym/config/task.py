@@ -13,6 +13,7 @@ from aerial_gym.config.task_terms import (
     ActionCfg,
     CommandCfg,
     EndRewardCfg,
+    FaultCfg,
     ImageCfg,
     ObservationCfg,
     RewardCfg,
@@ -147,6 +148,9 @@ class TaskCfg:
     """Groups of terms in the order in which they stand side by side: ``policy``, and as many others as wanted, such as
     ``critic`` with what only a simulation knows."""
 
+    faults: Mapping[str, FaultCfg] = field(default_factory=dict)
+    """Faults of sensors by a name of their own, which observations name."""
+
     images: Mapping[str, ImageCfg] = field(default_factory=dict)
     """Raw images beside the groups, by the name under which they are given."""
 
@@ -181,6 +185,7 @@ class TaskCfg:
             if name == OBSERVATIONS or (name in self.observations and name in self.images):
                 raise ConfigError(f"TaskCfg: observation {name!r}: the name is taken. Choose another")
         self._check_times()
+        self._check_faults()
         if self.success_reward is not None and not self._successes:
             raise ConfigError("TaskCfg.success_reward: needs a termination of kind success")
         if self.curriculum is not None and not self._successes:
@@ -188,6 +193,13 @@ class TaskCfg:
         radius = self.success_radius
         if radius is not None and not 0.0 < radius < inf:
             raise ConfigError(f"TaskCfg.terminations: radius = {radius!r}: must be > 0 and finite")
+
+    def _check_faults(self) -> None:
+        named = {term.fault for group in self.observations.values() for term in group if term.fault is not None}
+        for name in sorted(named - set(self.faults)):
+            raise ConfigError(f"TaskCfg.observations: no fault {name!r}. Known: {', '.join(self.faults) or 'none'}")
+        for name in sorted(set(self.faults) - named):
+            raise ConfigError(f"TaskCfg.faults.{name}: no observation has it. Give one fault: {name}")
 
     def _check_times(self) -> None:
         for name, reward in self.rewards.items():

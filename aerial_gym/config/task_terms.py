@@ -30,9 +30,45 @@ def steps_range(steps: Steps) -> tuple[int, int]:
     return (steps, steps) if isinstance(steps, int) else steps
 
 
+FAULTS = ("lost", "jump")
+"""What a fault does to what a sensor says."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaultCfg:
+    """A fault of a sensor that begins at a moment of each episode's own: all terms that name it have it at once."""
+
+    how: str
+    """``lost``: the terms show their ``dropout_value``; ``jump``: an offset is added, drawn for each entry and episode, as
+    where a satellite receiver takes an echo for the signal."""
+
+    begin_steps: Steps
+    """Environment step of the episode at which it begins, >= 0; two numbers: each episode draws one from the first to the
+    second."""
+
+    duration_steps: Steps
+    """For how many steps it lasts, likewise."""
+
+    size: float = 0.0
+    """Largest offset of a jump, in the unit of the term, > 0; of each entry it is uniform from minus it to it."""
+
+    share: float = 1.0
+    """Of the episodes that have it, > 0 and <= 1."""
+
+    def __post_init__(self) -> None:
+        if self.how not in FAULTS:
+            raise ConfigError(f"FaultCfg.how = {self.how!r}: must be {' or '.join(FAULTS)}")
+        _check_steps(self, "begin_steps")
+        _check_steps(self, "duration_steps")
+        if (self.how == "jump") != (0.0 < self.size < inf):
+            raise ConfigError(f"FaultCfg.size = {self.size!r}: must be > 0 and finite of a jump, and 0 of others")
+        if not 0.0 < self.share <= 1.0:
+            raise ConfigError(f"FaultCfg.share = {self.share!r}: must be > 0 and <= 1")
+
+
 @dataclass(frozen=True, kw_only=True)
 class ObservationCfg:
-    """One term of a group of observations: noise is added, entries drop out, then it is delayed, kept and scaled."""
+    """One term of a group of observations: noise, dropout, fault, then delay, history and scale, in this order."""
 
     term: str
     """Name in ``aerial_gym.task.OBSERVATIONS``, or a key of the GTD or a task buffer itself."""
@@ -47,7 +83,10 @@ class ObservationCfg:
     """Probability that an entry is dropped, of each by itself at every step, 0 <= dropout < 1."""
 
     dropout_value: float = 0.0
-    """What a dropped entry holds, in the unit of the term; finite."""
+    """What a dropped or lost entry holds, in the unit of the term; finite."""
+
+    fault: str | None = None
+    """Name in ``TaskCfg.faults``."""
 
     delay_steps: Steps = 0
     """Environment steps by which it is late, >= 0; two numbers: each episode draws one from the first to the second. Before

@@ -1,7 +1,5 @@
 """Controllers with memory: a law over a rate loop, each at its own rate, with delays between them.
 
-    action --(action delay)--> law --(delay, held)--> rate loop --> allocation --(held)--> rotors
-
 A law of ``control.lee`` is given unit gain on the rate and no inertia: its torque is then the error of the body rates that it
 wants. Without a rate loop the law asks for torque itself, and only its rate and the delay of the action are new.
 Frames: body is x forward, y left, z up. Letters: E environments, R rotors, U entries of an action, S slots of a ring,
@@ -22,9 +20,10 @@ from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.gains import GAINS, gains_for, spacing_of, with_own_rows
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.lee import LeeGains, wrench_from
-from aerial_gym.control.timing import Timing, timing_of
+from aerial_gym.control.remembering import RememberingController, layout_of
+from aerial_gym.control.timing import timing_of
 from aerial_gym.physics.fused.law import FusedLaw
-from aerial_gym.physics.law_memory import LawMemory, LawNeeds, fresh_law_memory
+from aerial_gym.physics.law_memory import LawMemory
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle, own_rows, share_row
 
@@ -83,33 +82,11 @@ def setpoint_gains(base: LeeGains) -> LeeGains:
     return replace(base, attitude=attitude, rate=torch.ones_like(base.rate), inertia=torch.zeros_like(base.inertia))
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Where each remembered number stands."""
-
-    held: int
-    """First commanded speed; (R,) numbers, if the rotors' command is held."""
-
-    width: int
-    """M."""
-
-    actions: int
-    """First number of the ring of actions, behind that of setpoints."""
-
-    past: int
-    """P."""
+OWN_NUMBERS = 9
+"""Of a rate loop: integral (3), derivative (3), angular velocity of the run before (3)."""
 
 
-def layout_of(timing: Timing, *, has_loop: bool, num_rotors: int, num_actions: int) -> Layout:
-    """Return the places: integral (3), derivative (3), angular velocity of the run before (3), held command (R)."""
-    held = 9 if has_loop else 0
-    actions = 4 * timing.setpoint_slots if has_loop else 0
-    return Layout(
-        held, held + (num_rotors if timing.loop > 1 else 0), actions, actions + timing.action_slots * num_actions
-    )
-
-
-class CascadeController:
+class CascadeController(RememberingController):
     """A law with memory; ``command`` is one physics step of it."""
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
@@ -128,95 +105,23 @@ class CascadeController:
             margin, span = control.phase_margin, timing.loop * dt
             self.rate_gains = rate_gains(loop, base, vehicle, self.allocation, phase_margin=margin, dt=span)
         self._layout = layout_of(
-            timing, has_loop=loop is not None, num_rotors=vehicle.num_rotors, num_actions=len(law.action)
+            timing,
+            own=OWN_NUMBERS if loop is not None else 0,
+            num_rotors=vehicle.num_rotors,
+            num_actions=len(law.action),
         )
 
     @property
-    def needs(self) -> LawNeeds:
-        """What it must be given to remember."""
-        return LawNeeds(width=self._layout.width, past=self._layout.past, dt=self.timing.dt)
+    def _wish_at_rest(self) -> Tensor:
+        return self.gains.mass[0] * self.gains.gravity
 
-    @property
-    def period(self) -> int:
-        """Physics steps after which every level begins anew."""
-        return self.timing.law
-
-    def resting(self, thrust: Tensor) -> Tensor:
-        """Return what the first environment remembers at rest under thrusts [N], (R,): numbers and wishes of the law."""
-        numbers, sent = thrust.new_zeros(self._layout.width), thrust.new_zeros(self._layout.actions)
-        if self.timing.loop > 1:
-            numbers[self._layout.held :] = self.allocation.speed(
-                thrust.to(self._inertia).expand(len(self._inertia), -1)
-            )[0]
-        sent[::4] = self.gains.mass[0].to(thrust) * self.gains.gravity
-        return torch.cat((numbers, sent))
-
-    def phase(self, step: int) -> tuple[bool, bool, int]:
-        """Return what step of a period it is: which levels run, and which wish of the law has come through by then.
-
-        Steps of equal phases map states and memory alike.
-        """
-        timing = self.timing
-        return step % timing.law == 0, step % timing.loop == 0, (step - timing.delay) // timing.law
-
-    def memory_from(self, remembered: Tensor, step: int) -> LawMemory:
-        """Return the memory with numbers and wishes (E, ...) as in ``resting``, at a step of a period long after a reset.
-
-        No action is late.
-        """
-        numbers, sent = remembered.split((self._layout.width, self._layout.actions), dim=-1)
-        actions = sent.new_zeros(len(sent), self._layout.past - self._layout.actions)
-        long_ago = 1000 * self.period * max(self.timing.setpoint_slots, 1) + step
-        since = torch.full((len(sent),), long_ago, dtype=torch.int32, device=sent.device)
-        return LawMemory(numbers=numbers, past=torch.cat((sent, actions), dim=-1), since=since)
-
-    def remembered(self, memory: LawMemory) -> Tensor:
-        """Return numbers and wishes of a memory, as ``memory_from`` takes them."""
-        return torch.cat((memory.numbers, memory.past[:, : self._layout.actions]), dim=-1)
-
-    def turned_back(self, remembered: Tensor) -> Tensor:
-        """Return numbers and wishes (N, ...) after a period with the ring turned: equal places are then equally old."""
-        numbers, sent = remembered.split((self._layout.width, self._layout.actions), dim=-1)
-        slots = self.timing.setpoint_slots
-        if slots:
-            sent = sent.unflatten(-1, (slots, 4)).roll(-1, dims=1).flatten(1)
-        return torch.cat((numbers, sent), dim=-1)
-
-    def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
-        """Return the command of the first step after a reset."""
-        return self.command(state, action, fresh_law_memory(self.needs, state.num_envs, state.position))[0]
-
-    def command(self, state: BodyState, action: Tensor, memory: LawMemory) -> tuple[Tensor, LawMemory]:
-        """Return commanded rotor speeds [rad/s], (E, R), of one physics step, and the memory after it."""
-        layout, timing, since = self._layout, self.timing, memory.since
-        setpoints, actions = memory.past[:, : layout.actions], memory.past[:, layout.actions :]
-        if timing.action_delay:
-            actions = _write(actions, action, since, timing.action_slots)
-            action = _read(actions, (since - timing.action_delay).clamp_min(0), timing.action_slots)
-        wanted = self._law.wrench(state, action, self.gains)
-        gains = self.rate_gains
+    def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        wanted, gains = self._law.wrench(state, action, self.gains), self.rate_gains
         if gains is None:
-            command, numbers = self.allocation.speed_for_wrench(wanted), memory.numbers
-        else:
-            setpoint = torch.cat((wanted[:, 2:3], wanted[:, 3:] + state.ang_vel), dim=-1)
-            setpoint, setpoints = self._pass_on(setpoint, setpoints, since)
-            command, numbers = self._run_loop(gains, state.ang_vel, setpoint, memory)
-        if timing.loop > 1:
-            due = (since % timing.loop == 0).unsqueeze(-1)
-            command = torch.where(due, command, memory.numbers[:, layout.held :])
-            numbers = torch.where(due, numbers, memory.numbers)
-            numbers = torch.cat((numbers[:, : layout.held], command), dim=-1)
-        return command, LawMemory(numbers=numbers, past=torch.cat((setpoints, actions), dim=-1), since=since + 1)
-
-    def _pass_on(self, setpoint: Tensor, sent: Tensor, since: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the thrust and body rates (E, 4) that have come through by now, and what is on its way."""
-        timing = self.timing
-        if not timing.setpoint_slots:
-            return setpoint, sent
-        due = (since % timing.law == 0).unsqueeze(-1)
-        sent = torch.where(due, _write(sent, setpoint, since // timing.law, timing.setpoint_slots), sent)
-        arrived = (since - timing.delay).clamp_min(0) // timing.law
-        return _read(sent, arrived, timing.setpoint_slots), sent
+            return self.allocation.speed_for_wrench(wanted), memory.numbers[:, :0], sent
+        setpoint = torch.cat((wanted[:, 2:3], wanted[:, 3:] + state.ang_vel), dim=-1)
+        setpoint, sent = self._pass_on(setpoint, sent, memory.since)
+        return *self._run_loop(gains, state.ang_vel, setpoint, memory), sent
 
     def _run_loop(
         self, gains: RateGains, ang_vel: Tensor, setpoint: Tensor, memory: LawMemory
@@ -236,8 +141,7 @@ class CascadeController:
         grows = (given >= 1.0) | (error * wanted <= 0.0)  # no further where the rotors give less than was asked
         integral = integral + torch.where(grows, gains.integral * span * error, 0.0)
         integral = torch.minimum(torch.maximum(integral, -gains.integral_limit), gains.integral_limit)
-        numbers = torch.cat((integral, slope, ang_vel, memory.numbers[:, 9:]), dim=-1)
-        return self.allocation.speed(allotted.thrust), numbers
+        return self.allocation.speed(allotted.thrust), torch.cat((integral, slope, ang_vel), dim=-1)
 
     @property
     def named_gains(self) -> dict[str, Tensor]:
@@ -256,20 +160,8 @@ class CascadeController:
         """Return the twin in Warp."""
         if self._law.fused is None:
             return None
-        has_loop, allocation = self.rate_gains is not None, self.allocation
-        return FusedLaw(
-            output="wrench",
-            num_actions=len(self.action_names),
-            low=allocation.low,
-            high=allocation.high,
-            thrust_map=allocation.vehicle.thrust_map,
-            reverse_thrust_map=allocation.vehicle.reverse_thrust_map,
-            allocation=allocation.inverse,
-            follow=allocation.rows_for if allocation.rows else None,
-            saturation=allocation.saturation,
-            lateral=False,
-            idle=allocation.idle,
-            needs=self.needs,
+        has_loop = self.rate_gains is not None
+        return self._fused(
             remembering=cascade_fused.maker(self._law, self.timing, self._layout, has_loop=has_loop),
             gains_type=cascade_fused.CascadeGains if has_loop else lee_fused.Gains,
             load_gains=cascade_fused.load_gains if has_loop else lee_fused.load_gains,
@@ -284,17 +176,3 @@ class CascadeController:
         loop = {name: value for name, value in vars(self.rate_gains).items() if isinstance(value, Tensor)}
         smoothing = share_row(self.gains.mass.new_tensor(self.rate_gains.smoothing), self._inertia.shape[0])
         return of_law | loop | {"smoothing": smoothing, "body_inertia": self._inertia}
-
-
-def _write(ring: Tensor, row: Tensor, count: Tensor, slots: int) -> Tensor:
-    """Return a ring (E, S W) with a row (E, W) in the slot of a count (E,)."""
-    here = torch.arange(slots, device=ring.device) == (count % slots).unsqueeze(-1)
-    rows = torch.where(here.unsqueeze(-1), row.unsqueeze(1), ring.unflatten(-1, (slots, -1)))
-    return rows.flatten(1)
-
-
-def _read(ring: Tensor, count: Tensor, slots: int) -> Tensor:
-    """Return the row (E, W) of a ring (E, S W) in the slot of a count (E,)."""
-    rows = ring.unflatten(-1, (slots, -1))
-    index = (count.long() % slots)[:, None, None].expand(-1, 1, rows.shape[-1])
-    return rows.gather(1, index).squeeze(1)

@@ -18,8 +18,8 @@ from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types, vector_of
 
 if TYPE_CHECKING:
-    from aerial_gym.control.cascade import Layout
     from aerial_gym.control.laws import Law
+    from aerial_gym.control.remembering import Layout
 
 
 @wp.struct
@@ -37,18 +37,6 @@ class CascadeGains:
 
 NUM_LEE_GAINS = 25
 """Numbers of ``lee_fused.Gains``."""
-
-
-@wp.func
-def lee_gains_of(gains: CascadeGains) -> Gains:
-    """Return the gains of the law."""
-    return gains.lee
-
-
-@wp.func
-def own_gains(gains: Gains) -> Gains:
-    """Return the gains: without a rate loop they are the law's."""
-    return gains
 
 
 @wp.func
@@ -74,55 +62,38 @@ def maker(
     """Return what composes the controller for a number of rotors: ``FusedLaw.remembering``."""
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
-        return make_cascade(law, num_rotors, general, lee_law, timing, layout, has_loop=has_loop)
+        if has_loop:
+            wish, run_loop = make_wish(law, lee_law), make_rate_loop(law, num_rotors, general, timing)
+            run = make_two_levels(law, num_rotors, general, timing, wish, run_loop)
+        else:
+            run = make_one_level(law, num_rotors, general, lee_law)
+        return make_remembering(law, num_rotors, general, timing, layout, run)
 
     return make
 
 
-def make_cascade(
-    law: FusedLaw,
-    num_rotors: int,
-    general: bool,
-    lee_law: "Law",
-    timing: Timing,
-    layout: "Layout",
-    *,
-    has_loop: bool,
+def make_remembering(
+    law: FusedLaw, num_rotors: int, general: bool, timing: Timing, layout: "Layout", run: wp.Function
 ) -> wp.Function:
-    """Return a function of one physics step: from motion and action to commanded rotor speeds [rad/s]; memory is written."""
+    """Return a function of one physics step: from motion and action to commanded rotor speeds [rad/s]; memory is written.
+
+    Twin of ``remembering.RememberingController.command``.
+
+    Args:
+        law: Whose gains and actions.
+        num_rotors: R.
+        general: Whether rotors are of any kind.
+        timing: When levels run.
+        layout: Where numbers stand.
+        run: ``wp.func`` of one run, with the arguments of ``remembering`` below and ``since``.
+    """
     types = rotor_types(num_rotors, general)
     command_type, vector, action_type = types.command, types.vector, vector_of(law.num_actions)
-    gains_type, lee_of = law.gains_type, lee_gains_of if has_loop else own_gains
-    period, held, loop_steps = timing.law, layout.held, timing.loop
-    slots, delay = timing.setpoint_slots, timing.delay
+    gains_type, held, loop_steps = law.gains_type, layout.held, timing.loop
     late = make_late_action(law.num_actions, timing, layout)
-    allot, speed_of = make_allot(law, num_rotors, general), make_speed_of(num_rotors, general)
-    run_loop = make_rate_loop(law, num_rotors, general, timing) if has_loop else None
-    law_wrench, prepare = lee_law.fused, preparation(lee_law.prepare, law.num_actions)
 
     @wp.func
-    def wanted_by_law(
-        gains: gains_type, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3,
-        action: action_type, arrays: LawArrays, env: int, since: int,
-    ) -> wp.vec4:  # fmt: skip
-        """Return the thrust and body rates that have come through by now."""
-        setpoint = wp.vec4()
-        if since % wp.static(period) == 0:
-            wrench = law_wrench(position, attitude, lin_vel, ang_vel, prepare(action, lee_of(gains)), lee_of(gains))
-            setpoint = wp.vec4(
-                wrench[2], wrench[3] + ang_vel[0], wrench[4] + ang_vel[1], wrench[5] + ang_vel[2]
-            )  # fmt: skip
-            if wp.static(slots > 0):
-                for i in range(4):
-                    arrays.past[4 * ((since / wp.static(period)) % wp.static(slots)) + i, env] = setpoint[i]
-        if wp.static(slots > 0):
-            arrived = wp.max(since - wp.static(delay), 0) / wp.static(period)
-            for i in range(4):
-                setpoint[i] = arrays.past[4 * (arrived % wp.static(slots)) + i, env]
-        return setpoint
-
-    @wp.func
-    def cascade(
+    def remembering(
         params: command_type, gains: gains_type, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3,
         ang_vel: wp.vec3, action: action_type, arrays: LawArrays, env: int, dt: float,
     ) -> vector:  # fmt: skip
@@ -131,16 +102,7 @@ def make_cascade(
         arrived = late(arrays, env, since, action)
         command = vector()
         if since % wp.static(loop_steps) == 0:
-            if wp.static(has_loop):
-                setpoint = wanted_by_law(
-                    gains, position, attitude, lin_vel, ang_vel, arrived, arrays, env, since
-                )  # fmt: skip
-                command = run_loop(params, gains, ang_vel, setpoint, arrays, env, since, dt)
-            else:
-                thrust, _turn, _rest = allot(
-                    params, law_wrench(position, attitude, lin_vel, ang_vel, prepare(arrived, lee_of(gains)), lee_of(gains))
-                )  # fmt: skip
-                command = speed_of(params, thrust)
+            command = run(params, gains, position, attitude, lin_vel, ang_vel, arrived, arrays, env, since, dt)
             if wp.static(loop_steps > 1):
                 for i in range(wp.static(num_rotors)):
                     arrays.numbers[wp.static(held) + i, env] = command[i]
@@ -149,7 +111,71 @@ def make_cascade(
                 command[i] = arrays.numbers[wp.static(held) + i, env]
         return command
 
-    return cascade
+    return remembering
+
+
+def make_one_level(law: FusedLaw, num_rotors: int, general: bool, lee_law: "Law") -> wp.Function:
+    """Return the run of a law without a rate loop."""
+    types = rotor_types(num_rotors, general)
+    command_type, vector, action_type = types.command, types.vector, vector_of(law.num_actions)
+    allot, speed_of = make_allot(law, num_rotors, general), make_speed_of(num_rotors, general)
+    law_wrench, prepare, gains_type = lee_law.fused, preparation(lee_law.prepare, law.num_actions), law.gains_type
+
+    @wp.func
+    def run(
+        params: command_type, gains: gains_type, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3,
+        ang_vel: wp.vec3, action: action_type, arrays: LawArrays, env: int, since: int, dt: float,
+    ) -> vector:  # fmt: skip
+        thrust, _turn, _rest = allot(
+            params, law_wrench(position, attitude, lin_vel, ang_vel, prepare(action, gains), gains)
+        )
+        return speed_of(params, thrust)
+
+    return run
+
+
+def make_wish(law: FusedLaw, lee_law: "Law") -> wp.Function:
+    """Return the thrust [N] and the body rates [rad/s] that a geometric law wants of its rate loop."""
+    action_type, gains_type = vector_of(law.num_actions), law.gains_type
+    law_wrench, prepare = lee_law.fused, preparation(lee_law.prepare, law.num_actions)
+
+    @wp.func
+    def wish(
+        gains: gains_type, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3,
+        action: action_type, arrays: LawArrays, env: int, since: int, dt: float,
+    ) -> wp.vec4:  # fmt: skip
+        wrench = law_wrench(position, attitude, lin_vel, ang_vel, prepare(action, gains.lee), gains.lee)
+        return wp.vec4(wrench[2], wrench[3] + ang_vel[0], wrench[4] + ang_vel[1], wrench[5] + ang_vel[2])
+
+    return wish
+
+
+def make_two_levels(
+    law: FusedLaw, num_rotors: int, general: bool, timing: Timing, wish: wp.Function, run_loop: wp.Function
+) -> wp.Function:
+    """Return the run of a law over a rate loop, with what is on its way between them."""
+    types = rotor_types(num_rotors, general)
+    command_type, vector, action_type = types.command, types.vector, vector_of(law.num_actions)
+    gains_type, period, slots, delay = law.gains_type, timing.law, timing.setpoint_slots, timing.delay
+
+    @wp.func
+    def run(
+        params: command_type, gains: gains_type, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3,
+        ang_vel: wp.vec3, action: action_type, arrays: LawArrays, env: int, since: int, dt: float,
+    ) -> vector:  # fmt: skip
+        setpoint = wp.vec4()
+        if since % wp.static(period) == 0:
+            setpoint = wish(gains, position, attitude, lin_vel, ang_vel, action, arrays, env, since, dt)
+            if wp.static(slots > 0):
+                for i in range(4):
+                    arrays.past[4 * ((since / wp.static(period)) % wp.static(slots)) + i, env] = setpoint[i]
+        if wp.static(slots > 0):
+            arrived = wp.max(since - wp.static(delay), 0) / wp.static(period)
+            for i in range(4):
+                setpoint[i] = arrays.past[4 * (arrived % wp.static(slots)) + i, env]
+        return run_loop(params, gains, ang_vel, setpoint, arrays, env, since, dt)
+
+    return run
 
 
 def make_late_action(num_actions: int, timing: Timing, layout: "Layout") -> wp.Function:

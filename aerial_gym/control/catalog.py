@@ -5,6 +5,7 @@ from dataclasses import replace
 from aerial_gym.config import CONFIG_DIR, load
 from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg, RateLoopCfg
 from aerial_gym.config.loader import build, read_yaml
+from aerial_gym.config.px4 import Px4Cfg
 from aerial_gym.registry import Registry
 
 CONTROLLERS: Registry[ControllerCfg] = Registry("controller")
@@ -34,6 +35,13 @@ for _law in ("position", "velocity", "acceleration", "attitude", "rates"):
     CONTROLLERS.register(
         f"pid_{_law}_control",
         replace(_cfg, summary=f"{_cfg.summary}; over a rate loop with an integral", rate_loop=RateLoopCfg()),
+    )
+
+
+for _law, _name in (("position", "position"), ("velocity", "velocity"), ("attitude", "attitude"), ("rates", "rate")):
+    _cfg = CONTROLLERS.get(f"lee_{_law}_control")
+    CONTROLLERS.register(
+        f"px4_{_name}_control", replace(_cfg, summary=f"{_cfg.summary}; the cascade of PX4", px4=Px4Cfg())
     )
 
 

@@ -16,6 +16,7 @@ from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.cascade import CascadeController
 from aerial_gym.control.gains import GAINS, gains_for, with_own_rows
 from aerial_gym.control.laws import LAWS
+from aerial_gym.control.px4.controller import OF_PX4, Px4Controller
 from aerial_gym.control.timing import remembers
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.fused import FusedLaw
@@ -186,6 +187,8 @@ def make_controller(
             f"gravity = {gravity!r}: the law {cfg.law!r} holds a vehicle against its weight; without weight use no_control or "
             "rotor_speed_control"
         )
+    if cfg.px4 is not None and cfg.law not in OF_PX4:
+        raise ConfigError(f"law {cfg.law!r}: PX4's cascade has none. It has {', '.join(OF_PX4)}")
     if cfg.law in LAWS and LAWS[cfg.law].lateral and remembers(cfg):
         raise ConfigError(f"law {cfg.law!r}: runs at every physics step and without a rate loop. Leave those out")
     if cfg.law in LAWS and not remembers(cfg):
@@ -195,6 +198,7 @@ def make_controller(
             raise ConfigError(
                 f"law {cfg.law!r}: a controller with rates or memory is built for one time step. Give dt [s]"
             )
-        return CascadeController(cfg, vehicle, gravity, dt=dt, control=control)
+        kind = CascadeController if cfg.px4 is None else Px4Controller
+        return kind(cfg, vehicle, gravity, dt=dt, control=control)
     known = ", ".join(("thrust", "rotor_speed", *LAWS))
     raise ConfigError(f"ControllerCfg.law = {cfg.law!r}: unknown. Known: {known}")

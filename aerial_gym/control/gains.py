@@ -129,6 +129,13 @@ def explicit_gains_of(cfg: ControllerCfg, control: ControlCfg) -> LeeGainsCfg | 
     return cfg.gains if cfg.gains is not None else control.gains
 
 
+def has_explicit_gains(cfg: ControllerCfg, control: ControlCfg) -> bool:
+    """Return whether any gain is someone's own, given for the controller or the robot."""
+    if cfg.px4 is not None:
+        return cfg.px4.explicit or (control.px4 is not None and control.px4.explicit)
+    return explicit_gains_of(cfg, control) is not None
+
+
 def gains_for(
     cfg: ControllerCfg,
     control: ControlCfg,

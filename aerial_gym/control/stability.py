@@ -24,8 +24,9 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.cascade import CascadeController
 from aerial_gym.control.controllers import LeeController, make_controller
-from aerial_gym.control.gains import GAINS, apparent_gravity, ends_of, explicit_gains_of
+from aerial_gym.control.gains import GAINS, apparent_gravity, ends_of, has_explicit_gains
 from aerial_gym.control.laws import LAWS
+from aerial_gym.control.remembering import RememberingController
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_log
 from aerial_gym.physics.backend import ControlLaw
@@ -57,7 +58,7 @@ def single_vehicle(vehicle: Vehicle, num_rows: int) -> Vehicle:
     return vehicle.map_rows(lambda rows: share_row(rows[0].detach().cpu().double(), num_rows))
 
 
-def spectral_radius(
+def closed_loop_modes(
     vehicle: Vehicle,
     make_law: Callable[[Vehicle], ControlLaw],
     hover_action: Tensor,
@@ -67,10 +68,10 @@ def spectral_radius(
     dt: float,
     integrator: str,
     hover_thrust: Tensor,
-) -> float:
-    """Return the largest modulus of the eigenvalues of the closed loop at hover, by physics step.
+) -> Tensor:
+    """Return the eigenvalues of the closed loop at hover, complex, by physics step: ``exp(s dt)`` of its poles s.
 
-    A law with memory is followed over its own period, together with what it remembers; the modulus is the root of that.
+    A law with memory is followed over its own period, together with what it remembers; they are the roots of those.
 
     Args:
         vehicle: As declared.
@@ -83,9 +84,9 @@ def spectral_radius(
         hover_thrust: Thrusts at rest [N], (R,).
     """
     law = make_law(single_vehicle(vehicle, 1))
-    memory = law.resting(hover_thrust) if isinstance(law, CascadeController) else None
+    memory = law.resting(hover_thrust) if isinstance(law, RememberingController) else None
     extra = 0 if memory is None else memory.shape[0]
-    width, steps = len(AXES) + vehicle.num_rotors + extra, law.period if isinstance(law, CascadeController) else 1
+    width, steps = len(AXES) + vehicle.num_rotors + extra, law.period if isinstance(law, RememberingController) else 1
     plant = single_vehicle(vehicle, 2 * width)
     trim = _speed(plant, hover_thrust)
     rest = trim if memory is None else torch.cat((trim, memory.to(trim)))
@@ -95,15 +96,15 @@ def spectral_radius(
     action, slopes = hover_action.to(trim).expand(2 * width, -1), {}
     slope = torch.eye(width, dtype=trim.dtype)
     for step in range(steps):
-        phase = law.phase(step) if isinstance(law, CascadeController) else None
+        phase = law.phase(step) if isinstance(law, RememberingController) else None
         if phase not in slopes:
             end = loop.after(nudges * size, rest, action, step) / size
             slopes[phase] = (end[:width] - end[width:]).T / (2.0 * NUDGE)
         slope = slopes[phase] @ slope
-    if isinstance(law, CascadeController):
+    if isinstance(law, RememberingController):
         slope = torch.cat((slope[: width - extra], law.turned_back(slope[width - extra :].T).T))
     kept = [AXES.index(name) for name in axes.split()] + list(range(len(AXES), width))
-    return float(torch.linalg.eigvals(slope[kept][:, kept]).abs().max()) ** (1.0 / steps)
+    return torch.linalg.eigvals(slope[kept][:, kept]) ** (1.0 / steps)
 
 
 class _Loop:
@@ -116,7 +117,7 @@ class _Loop:
         """Return where the offsets are after a step of the period; ``rest`` is that of rotors and memory."""
         num_rotors = self._model.vehicle.num_rotors
         state = _state(offsets[:, : len(AXES) + num_rotors], rest[:num_rotors])
-        cascade = self._law if isinstance(self._law, CascadeController) else None
+        cascade = self._law if isinstance(self._law, RememberingController) else None
         resting, changes = rest[num_rotors:], offsets[:, len(AXES) + num_rotors :]
         memory = None if cascade is None else cascade.memory_from(resting + changes, step)
         command, memory = law_command(self._law, state, action, memory)
@@ -197,7 +198,7 @@ def check_closed_loop(
     radii = loop.radii(dt)
     if max(radii) <= 1.0 + ROUND_OFF:
         return
-    explicit = explicit_gains_of(controller, robot.control) is not None
+    explicit = has_explicit_gains(controller, robot.control)
     with_gains, way_out = (
         ("the explicit gains given", "lower the gains, or leave them out to have them derived")
         if explicit
@@ -273,7 +274,14 @@ class ClosedLoop:
             best = largest_stable_dt(partial(self._radius_with, worst), best)
         return best
 
+    def modes(self, dt: float) -> Tensor:
+        """Return ``exp(s dt)`` of the poles s [1/s] of the loop with the declared gains at a time step [s], complex."""
+        return self._modes_with(None, dt)
+
     def _radius_with(self, corner: tuple[int, ...] | None, dt: float) -> float:
+        return float(self._modes_with(corner, dt).abs().max())
+
+    def _modes_with(self, corner: tuple[int, ...] | None, dt: float) -> Tensor:
         def make_law(vehicle: Vehicle) -> ControlLaw:
             law = make_controller(self._controller, vehicle, self._gravity, dt=dt, control=self._robot.control)
             if corner is not None and isinstance(law, LeeController | CascadeController):
@@ -282,7 +290,7 @@ class ClosedLoop:
                 law.gains = replace(law.gains, **ends)
             return law
 
-        return spectral_radius(
+        return closed_loop_modes(
             self._vehicle,
             make_law,
             torch.zeros(len(LAWS[self._controller.law].action)),

@@ -52,10 +52,11 @@ def timing_of(cfg: ControllerCfg, dt: float) -> Timing:
     Raises:
         ConfigError: If no whole number of steps fits into a period or a delay, or the law runs between runs of its loop.
     """
-    loop_hz = None if cfg.rate_loop is None else cfg.rate_loop.rate_hz
-    loop = 1 if loop_hz is None else _steps("RateLoopCfg.rate_hz", loop_hz, "Hz", 1.0 / loop_hz, dt)
+    inner = cfg.rate_loop if cfg.px4 is None else cfg.px4
+    loop_hz = None if inner is None else inner.rate_hz
+    loop = 1 if loop_hz is None else _steps(f"{type(inner).__name__}.rate_hz", loop_hz, "Hz", 1.0 / loop_hz, dt)
     law = loop if cfg.rate_hz is None else _steps("ControllerCfg.rate_hz", cfg.rate_hz, "Hz", 1.0 / cfg.rate_hz, dt)
-    if cfg.rate_loop is None:
+    if inner is None:
         loop = law
     if law % loop:
         raise ConfigError(
@@ -70,7 +71,7 @@ def timing_of(cfg: ControllerCfg, dt: float) -> Timing:
 
 def remembers(cfg: ControllerCfg) -> bool:
     """Return whether a controller needs memory."""
-    return cfg.rate_loop is not None or cfg.rate_hz is not None or cfg.action_delay > 0.0
+    return cfg.rate_loop is not None or cfg.px4 is not None or cfg.rate_hz is not None or cfg.action_delay > 0.0
 
 
 def _steps(name: str, value: float, unit: str, span: float, dt: float) -> int:

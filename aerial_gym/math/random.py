@@ -59,6 +59,10 @@ class Purpose(IntEnum):
     """Where on a track an episode of a training begins; index: quantity."""
     JOINTS = 21
     """Coordinates and rates of joints; index: which, all coordinates first."""
+    FAULT_STEPS = 22
+    """When faults of sensors begin and how long they last; index: which of them."""
+    FAULT = 23
+    """Whether an episode has a fault, and how far a jump goes; index: which of them."""
 
 
 def _scramble(state: Word) -> Word:

@@ -5,8 +5,9 @@ from dataclasses import replace
 from functools import partial
 from math import pi
 
-from aerial_gym.config import CONFIG_DIR, summary_in
+from aerial_gym.config import CONFIG_DIR, load, summary_in
 from aerial_gym.config.joint import BASE
+from aerial_gym.config.px4 import Px4Cfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import CapsuleCfg, CollisionCfg, RobotCfg, SphereCfg, load_robot
 from aerial_gym.config.sim import STANDARD_GRAVITY
@@ -135,6 +136,19 @@ def _sampled(robot: RobotCfg) -> RobotCfg:
     randomize = {name: RandomizeCfg(distribution="log_uniform", low=a, high=b) for name, (a, b) in factors.items()}
     com = RandomizeCfg(how="offset", low=(-0.005, -0.005, 0.0), high=(0.005, 0.005, 0.0))
     return replace(robot, randomize={**randomize, "body.com": com})
+
+
+def _as_px4_flies_it(robot: RobotCfg) -> RobotCfg:
+    """PX4's default parameters, and 150 to 1000 rad/s: SIM_GZ_EC_MIN and SIM_GZ_EC_MAX of its airframe 4001_gz_x500."""
+    rotor = robot.the_rotor("the PX4 variant")
+    least, most = (rotor.thrust_map[2] * speed**2 for speed in (150.0, 1000.0))
+    px4 = load(Px4Cfg, CONFIG_DIR / "controllers" / "px4_defaults.yaml")
+    source = f"{rotor.source}; speeds of PX4's airframe 4001_gz_x500"
+    return replace(
+        robot,
+        rotor=replace(rotor, thrust_range=(least, most), source=source),
+        control=replace(robot.control, px4=px4),
+    )
 
 
 def _as_arpl_declares(robot: RobotCfg) -> RobotCfg:
@@ -305,6 +319,12 @@ for _name, _of, _change, _summary in (
         "base_quadrotor",
         _sampled,
         "base_quadrotor of which every episode draws thrust, inertia, centre of mass, lag and torque of the rotors",
+    ),
+    (
+        "x500_px4",
+        "x500",
+        _as_px4_flies_it,
+        "x500 as PX4 flies it: its default parameters, and the rotor speeds of its Gazebo model",
     ),
     (
         "crazyflie_2x_arpl",

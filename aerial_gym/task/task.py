@@ -118,7 +118,7 @@ class Task:
             observed = [term for entries in groups.values() for term, _, _ in entries]
             check_gradients([term for term, _ in rewards.values()], observed, self.values, images=cfg.images)
         terminations = resolve_terminations(cfg, self.values, command)
-        self._observer = Observer(groups, self.values, env.random)
+        self._observer = Observer(groups, self.values, env.random, cfg.faults)
         self.num_observations = self._observer.width(POLICY)
         """Entries of an observation of the group ``policy``, O."""
         self._judge = Judge(
@@ -292,7 +292,7 @@ class Task:
         self._command.draw(mask)
         if self._command.goal:
             self.env.clear_goal(mask, self.target_position)
-        self._observer.draw_delays(mask)
+        self._observer.draw_episodes(mask)
         self._actor.draw_delay(mask)
         if self._memory is not None:
             self._memory()

@@ -73,7 +73,7 @@ def test_parts_of_tasks_are_listed_with_a_line_each(kind: str, name: str, capsys
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
-        (("lst",), "no command 'lst'. Known: list, check, import-robot, train"),
+        (("lst",), "no command 'lst'. Known: list, check, import-robot, tune, train"),
         (("list", "robts"), "no kind 'robts'. Known: sims"),
         (
             ("train", "--task", "position_setpoint_tsk"),

@@ -25,6 +25,8 @@ for _name, _class in (
     ("motor_time_constant", "MotorTimeConstant"),
     ("motor_asymmetry", "MotorAsymmetry"),
     ("motor_failure", "MotorFailure"),
+    ("stuck_rotor", "StuckRotor"),
+    ("brown_out", "BrownOut"),
     ("actuation_delay", "ActuationDelay"),
     ("battery_sag", "BatterySag"),
     ("rotor_inertia", "RotorInertia"),

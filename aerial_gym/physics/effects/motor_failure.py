@@ -13,6 +13,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR, CommandEffect, Moment, Parameter
+from aerial_gym.physics.effects.failure import TIME, middle_of
 from aerial_gym.physics.effects.one_rotor import ROTOR, chosen_rotor
 from aerial_gym.physics.vehicle import Vehicle
 
@@ -32,15 +33,7 @@ class MotorFailure(CommandEffect):
             scale=0.3,
             meaning="speed, in force mode thrust, per what is told, after it",
         ),
-        Parameter(
-            name="time",
-            unit="s",
-            low=0.0,
-            high=1e5,
-            scale=0.1,
-            meaning="from the reset to the failure",
-            kind="convention",
-        ),
+        TIME,
     )
     excitation = "an episode that goes on after it; a log does not say when its reset was"
     confused_with = ("weak_motor", "com_offset")
@@ -56,7 +49,7 @@ class MotorFailure(CommandEffect):
 
     def remember(self, moment: Moment, values: Tensor) -> Tensor:
         """Return the factor of this substep, (E, 1)."""
-        middle = (moment.since.to(values.dtype) + 0.5) * moment.dt
+        middle = middle_of(moment, values)
         return torch.where(middle.unsqueeze(-1) < values[:, 2:3], 1.0, values[:, 1:2])
 
     def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:

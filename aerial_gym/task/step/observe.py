@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from aerial_gym.config.task_terms import ObservationCfg, steps_range
+from aerial_gym.config.task_terms import FaultCfg, ObservationCfg, steps_range
 from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.task.kernels.noise import ObservationNoise
 from aerial_gym.task.kernels.uniform import UniformDraws
 from aerial_gym.task.step.by_row import NamedRows
+from aerial_gym.task.step.faults import Faults, widths_of
 from aerial_gym.task.step.lines import Line
 from aerial_gym.task.terms.term import BoundTerm
 from aerial_gym.task.values import Values
@@ -72,14 +73,17 @@ class Observer:
         groups: Mapping[str, list[tuple[BoundTerm, ObservationCfg, int]]],
         values: Values,
         random: Randomness,
+        faults: Mapping[str, FaultCfg] | None = None,
     ) -> None:
         """Take the terms of each group with their widths.
 
         Args:
             groups: Terms in order, by the name of the group.
             values: What they read; receives their lines.
-            random: Of noise and delays.
+            random: Of noise, delays and faults.
+            faults: By the names that terms give.
         """
+        self._faults = Faults(widths_of(groups), faults or {}, values, random)
         self.groups: dict[str, list[Entry]] = {}
         """Entries in order."""
         noise: dict[int, tuple[float, float]] = {}
@@ -116,7 +120,8 @@ class Observer:
         """Of all groups."""
         self.writes = {name: values[name] for entry in entries for name in entry.past}
         """Lines."""
-        self.reads = {NOISE: self._noise.noise, DELAYS: delays} | self.writes | values.read_by(*self.terms)
+        self.reads = {NOISE: self._noise.noise, DELAYS: delays} | self._faults.reads | self.writes
+        self.reads |= values.read_by(*self.terms)
         """What ``found`` reads."""
         begun = {"begun": values.find("begun", "the observation")}
         self._rows = NamedRows(
@@ -137,8 +142,9 @@ class Observer:
         """Return the entries of a group, O."""
         return sum(entry.width * entry.cfg.history for entry in self.groups[group])
 
-    def draw_delays(self, mask: Tensor) -> None:
-        """Draw the delays of new episodes."""
+    def draw_episodes(self, mask: Tensor) -> None:
+        """Draw the delays and faults of new episodes."""
+        self._faults.draw(mask)
         if self._delays is not None:
             self._delays.draw(mask)
 
@@ -165,6 +171,7 @@ class Observer:
             parts = []
             for entry in entries:
                 finite, value = entry.noisy(values)
+                value = self._faults.shown(entry.cfg, values, value)
                 part, line = entry.shown(values, value, begun)
                 flags.append(finite)
                 parts.append(part)

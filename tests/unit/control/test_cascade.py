@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.controller import ControllerCfg, RateLoopCfg
+from aerial_gym.config.px4 import Px4Cfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.cascade import CascadeController
 from aerial_gym.control.timing import timing_of
@@ -38,6 +39,13 @@ BUSY = replace(
     action_delay=0.006,
 )
 """Everything at once: loop every 2 steps, law every 10, its wish 7 steps late, actions 3."""
+
+
+FILTERED = Px4Cfg(
+    rate_hz=250.0, IMU_GYRO_CUTOFF=40.0, MC_ROLLRATE_D=0.002, MC_PITCHRATE_D=0.002, MC_YAW_TQ_CUTOFF=20.0, THR_MDL_FAC=0.4,
+    MPC_XY_VEL_D_ACC=0.1, MC_ROLLRATE_FF=0.001,
+)  # fmt: skip
+"""Filters, feed-forward and a thrust curve of PX4."""
 
 
 def law_of(cfg: ControllerCfg, num_envs: int = 1, *, dt: float = DT, dtype: torch.dtype = F64) -> CascadeController:
@@ -219,6 +227,8 @@ CASES = {
     "with effects": (replace(BUSY, law="attitude"), ("gusts", "actuation_delay", "rotor_drag")),
     "no loop": (replace(CONTROLLERS.get("lee_velocity_control"), rate_hz=100.0, action_delay=0.004), ()),
     "clamped": (replace(PID, allocation="clamp"), ()),
+    **{name: (CONTROLLERS.get(name), ()) for name in CONTROLLERS.names() if name.startswith("px4_")},
+    "all of PX4": (replace(CONTROLLERS.get("px4_position_control"), rate_hz=50.0, delay=0.014, px4=FILTERED), ()),
 }
 
 

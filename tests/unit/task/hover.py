@@ -9,7 +9,15 @@ from aerial_gym import SimBuilder, task_registry
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
 from aerial_gym.config.task import TaskCfg
-from aerial_gym.config.task_terms import ActionCfg, CommandCfg, ImageCfg, ObservationCfg, RewardCfg, TerminationCfg
+from aerial_gym.config.task_terms import (
+    ActionCfg,
+    CommandCfg,
+    FaultCfg,
+    ImageCfg,
+    ObservationCfg,
+    RewardCfg,
+    TerminationCfg,
+)
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import Task
 
@@ -75,7 +83,7 @@ def rich(num_envs: int, **given: Any) -> Task:
         observations={
             "policy": (
                 ObservationCfg(term="position_error_world", noise_std=0.01, delay_steps=(0, 4), history=3, scale=0.5),
-                ObservationCfg(term="velocity_error_world", delay_steps=2),
+                ObservationCfg(term="velocity_error_world", delay_steps=2, fault="jump"),
                 ObservationCfg(term="attitude", noise_std=0.02, dropout=0.3, dropout_value=-2.0),
                 ObservationCfg(term="policy_action"),
             ),
@@ -85,6 +93,7 @@ def rich(num_envs: int, **given: Any) -> Task:
                 ObservationCfg(term="rotor_speed", scale=1e-3),
             ),
         },
+        faults={"jump": FaultCfg(how="jump", begin_steps=(1, 3), duration_steps=(1, 4), size=0.5, share=0.7)},
         rewards={
             "near": RewardCfg(term="distance_bell", params={"height": 1.0, "width": 1.0}),
             "progress": RewardCfg(term="progress", params={"closer": 1.0, "further": 1.0}, times=("near",)),

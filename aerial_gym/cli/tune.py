@@ -1,0 +1,55 @@
+"""``aerial-gym tune``: gains of a robot from a bandwidth and a damping."""
+
+import json
+from dataclasses import dataclass
+from math import pi
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class TuneCmd:
+    """Say with which ``control:`` a robot meets a bandwidth and a damping, with its lag and dead time."""
+
+    robot: Annotated[str, tyro.conf.Positional]
+    """Registered robot, or robot file (.yaml); its effects motor_time_constant, motor_asymmetry and actuation_delay count."""
+
+    attitude_hz: float
+    """Bandwidth of roll, pitch and yaw [1/s]: where the answer is 0.71 of what is wanted."""
+
+    position_hz: float
+    """Bandwidth along x, y, z [1/s]."""
+
+    damping: float = 0.8
+    """Damping ratio of both loops, 0.3 to 1."""
+
+    dt_s: float = 0.01
+    """Time step of the control law [s]."""
+
+    json: bool = False
+    """Print one JSON object instead of YAML."""
+
+    def run(self) -> int:
+        """Tune and print; return 0, or 1 if the sampled loop would not come to rest."""
+        from aerial_gym.env_manager.sim_builder import robot_by_name
+        from aerial_gym.robots.tune import tune_robot
+
+        found = tune_robot(
+            robot_by_name(self.robot), name=self.robot, attitude=2.0 * pi * self.attitude_hz,
+            position=2.0 * pi * self.position_hz, damping=self.damping, dt=self.dt_s,
+        )  # fmt: skip
+        names = ("attitude_frequency", "attitude_damping", "position_frequency", "position_damping")
+        rows = {name: [round(number, 6) for number in getattr(found.control, name)] for name in names}
+        told = {"lag_s": found.lag, "delay_s": found.delay, "yaw_limited": found.yaw_limited, "radius": found.radius}
+        if self.json:
+            print(json.dumps(rows | told))
+        else:
+            yaw = "; yaw is slower than asked, as the rotors give no more torque" if found.yaw_limited else ""
+            print(
+                f"# rotor lag {found.lag:.4g} s, dead time {found.delay:.4g} s; spectral radius {found.radius:.6f}{yaw}"
+            )
+            print("control:")
+            print("\n".join(f"  {name}: {numbers}" for name, numbers in rows.items()))
+            print(f'  source: "{found.control.source}"')
+        return int(found.radius > 1.0)

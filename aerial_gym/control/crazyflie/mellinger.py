@@ -1,0 +1,119 @@
+"""The controller of Mellinger and Kumar as the Crazyflie flies it: with integrals, a difference of rates, and PWM counts.
+
+Frames: world z up, body x forward, y left, z up. Letters: E environments.
+Source: Mellinger, Kumar (2011), Minimum snap trajectory generation and control for quadrotors, ICRA, section IV; what the
+Crazyflie adds (integrals, difference of rates), its units, gains and rate of 500 Hz are those of its documentation.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.control.lee import attitude_error, attitude_from_force
+from aerial_gym.math.quaternion import quat_to_matrix
+from aerial_gym.physics.state import BodyState
+
+MOST_COUNTS = 32000.0
+"""Largest moment about any axis [counts]."""
+
+WIDTH = 8
+"""Remembered numbers: integrals of position (3) and attitude (3), rates of roll and pitch minus the wanted ones before (2)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MellingerGains:
+    """Gains of every environment, by the parameters of the Crazyflie; vectors are about x, y, z."""
+
+    mass: Tensor
+    """[kg], (E, 1)."""
+
+    mass_thrust: Tensor
+    """``massThrust``: counts per newton, (E, 1)."""
+
+    position: Tensor
+    """``kp_xy``, ``kp_z`` [N/m], (E, 3)."""
+
+    velocity: Tensor
+    """``kd_xy``, ``kd_z`` [N s/m], (E, 3)."""
+
+    position_integral: Tensor
+    """``ki_xy``, ``ki_z`` [N/(m s)], (E, 3)."""
+
+    position_limit: Tensor
+    """``i_range_xy``, ``i_range_z`` [m s], (E, 3)."""
+
+    attitude: Tensor
+    """``kR_xy``, ``kR_z`` [counts], (E, 3)."""
+
+    rate: Tensor
+    """``kw_xy``, ``kw_z`` [counts s/rad], (E, 3)."""
+
+    attitude_integral: Tensor
+    """``ki_m_xy``, ``ki_m_z`` [counts/s], (E, 3)."""
+
+    attitude_limit: Tensor
+    """``i_range_m_xy``, ``i_range_m_z`` [s], (E, 3)."""
+
+    rate_difference: Tensor
+    """``kd_omega_rp`` [counts s²/rad], of roll and pitch, (E, 1)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlatTarget:
+    """What is to be followed."""
+
+    position: Tensor
+    """World [m], (E, 3)."""
+
+    velocity: Tensor
+    """World [m/s], (E, 3)."""
+
+    acceleration: Tensor
+    """World [m/s²], (E, 3)."""
+
+    yaw: Tensor
+    """[rad], (E,)."""
+
+    rates: Tensor
+    """Body [rad/s], (E, 3)."""
+
+
+def mellinger_control(
+    state: BodyState, target: FlatTarget, kept: Tensor, gains: MellingerGains, *, gravity: float, dt: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return thrust [counts], (E, 1), moment [counts], body, (E, 3), and what is kept, (E, 8).
+
+    ``F = K_p e_p + K_v e_v + K_i int e_p + m (g + a)``; the thrust is its part along the body. The moment is
+    ``-K_R e_R - K_w e_w`` with ``e_R = vee(Rd^T R - R^T Rd)``, twice that of the paper, plus the integral of ``-e_R`` and the
+    difference of ``e_w``. Without thrust along the body there is no moment, and the integrals begin anew.
+
+    Args:
+        state: Measured motion.
+        target: What is to be followed.
+        kept: What was kept by the run before, (E, 8); zeros after a reset.
+        gains: Gains.
+        gravity: Downward acceleration of free fall [m/s²].
+        dt: Between runs [s].
+    """
+    far, turned, before = kept.split((3, 3, 2), dim=-1)
+    error, drift = target.position - state.position, target.velocity - state.lin_vel
+    far = _within(far + error * dt, gains.position_limit)
+    weight = target.acceleration + target.acceleration.new_tensor((0.0, 0.0, gravity))
+    force = gains.position * error + gains.velocity * drift + gains.position_integral * far + gains.mass * weight
+    rotation = quat_to_matrix(state.attitude)
+    thrust = (force * rotation[:, :, 2]).sum(-1, keepdim=True)
+    turn = 2.0 * attitude_error(rotation, attitude_from_force(force, target.yaw))
+    turned = _within(turned - turn * dt, gains.attitude_limit)
+    excess = state.ang_vel - target.rates
+    moment = gains.attitude_integral * turned - gains.attitude * turn - gains.rate * excess
+    change = -gains.rate_difference * (excess[:, :2] - before) / dt
+    moment = moment + torch.cat((change, torch.zeros_like(change[:, :1])), dim=-1)
+    lifts = thrust > 0.0
+    moment = torch.where(lifts, moment.clamp(-MOST_COUNTS, MOST_COUNTS), 0.0)
+    integrals = torch.where(lifts, torch.cat((far, turned), dim=-1), 0.0)
+    return gains.mass_thrust * thrust, moment, torch.cat((integrals, excess[:, :2]), dim=-1)
+
+
+def _within(values: Tensor, limit: Tensor) -> Tensor:
+    return torch.minimum(torch.maximum(values, -limit), limit)

@@ -1,0 +1,155 @@
+"""The cascade of PID controllers that the Crazyflie flies by default: position, velocity, attitude, rates.
+
+Each has an integral. Angles are in degrees and moments in PWM counts, as its gains are. Derivatives are those of what is
+measured, not of the error, so that a step of what is wanted gives no kick.
+Frames: world z up, body x forward, y left, z up; pitch is positive with the nose down, which the Crazyflie's own angles invert.
+Letters: E environments.
+Source: the Crazyflie's documentation, "Cascaded PID controller", and its parameters.
+Position and velocity run at 100 Hz, attitude and rates at 500 Hz.
+"""
+
+from dataclasses import dataclass
+from math import degrees
+
+import torch
+from torch import Tensor
+
+from aerial_gym.math.quaternion import euler_from_quat
+from aerial_gym.physics.state import BodyState
+
+THRUST_PER_OUTPUT = 1000.0
+"""Counts per unit of the vertical velocity controller."""
+
+MOST_THRUST = 65535.0
+"""All of the motors' PWM [counts]."""
+
+MOST_MOMENT = 32767.0
+"""About any axis [counts]."""
+
+LEEWAY = 1.1
+"""By which the wanted velocity may exceed the largest one."""
+
+WIDTH = 21
+"""Remembered numbers: integrals of position, velocity, attitude and rates (3 each), attitude and rates before [deg, deg/s] (3
+each), wanted roll and pitch [deg] and thrust [counts]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PidLevel:
+    """Three PID controllers side by side."""
+
+    proportional: Tensor
+    """(E, 3)."""
+
+    integral: Tensor
+    """[1/s], (E, 3)."""
+
+    derivative: Tensor
+    """[s], (E, 3)."""
+
+    limit: Tensor
+    """Of the integrated error, (E, 3); infinite where there is none."""
+
+    def run(self, error: Tensor, change: Tensor, integral: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+        """Return the output (E, 3) for an error and what the measured value changed by, and the integrated error after it."""
+        integral = torch.minimum(torch.maximum(integral + error * dt, -self.limit), self.limit)
+        return self.proportional * error + self.integral * integral - self.derivative * change / dt, integral
+
+
+@dataclass(frozen=True, kw_only=True)
+class PidGains:
+    """The cascade, with the limits between its levels."""
+
+    position: PidLevel
+    """From position [m] to velocity [m/s], in the frame of the heading."""
+
+    velocity: PidLevel
+    """From velocity [m/s] to pitch and roll [deg] and to vertical output."""
+
+    attitude: PidLevel
+    """From roll, pitch, yaw [deg] to rates [deg/s]."""
+
+    rates: PidLevel
+    """From rates [deg/s] to moments [counts]."""
+
+    most_velocity: Tensor
+    """[m/s], (E, 3)."""
+
+    most_tilt: Tensor
+    """Of roll and of pitch [deg], (E, 1)."""
+
+    thrust_base: Tensor
+    """That hovers [counts], (E, 1)."""
+
+    least_thrust: Tensor
+    """[counts], (E, 1)."""
+
+
+def pid_control(
+    state: BodyState,
+    position: Tensor,
+    yaw: Tensor,
+    kept: Tensor,
+    gains: PidGains,
+    *,
+    due: bool,
+    dt: float,
+    slow_dt: float,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return thrust [counts], (E, 1), moment [counts], body, (E, 3), and what is kept, (E, 21).
+
+    Args:
+        state: Measured motion.
+        position: Wanted, world [m], (E, 3).
+        yaw: Wanted heading [rad], (E,).
+        kept: What was kept by the run before, (E, 21); ``fresh`` after a reset.
+        gains: Gains and limits.
+        due: Whether position and velocity run this time.
+        dt: Between runs of attitude and rates [s].
+        slow_dt: Between runs of position and velocity [s].
+    """
+    far, drift, leant, spun, angles_before, rates_before, held = kept.split(3, dim=-1)
+    angles, rates = euler_from_quat(state.attitude) * degrees(1.0), state.ang_vel * degrees(1.0)
+    if due:
+        held, far, drift = _lean(state, angles[:, 2], position, far, drift, gains, slow_dt)
+    wanted = torch.cat((held[:, :2], yaw.unsqueeze(-1) * degrees(1.0)), dim=-1)
+    turn, change = (_wrapped(x) for x in (wanted - angles, angles - angles_before))
+    wanted_rates, leant = gains.attitude.run(turn, change, leant, dt)
+    moment, spun = gains.rates.run(wanted_rates - rates, rates - rates_before, spun, dt)
+    kept = torch.cat((far, drift, leant, spun, angles, rates, held), dim=-1)
+    return held[:, 2:], moment.clamp(-MOST_MOMENT, MOST_MOMENT), kept
+
+
+def fresh(state: BodyState, thrust: Tensor) -> Tensor:
+    """Return what is kept (E, 21) when the controller begins at a state, with a thrust [counts], (E, 1)."""
+    zero = torch.zeros_like(state.position)
+    angles = euler_from_quat(state.attitude) * degrees(1.0)
+    return torch.cat((zero, zero, zero, zero, angles, zero, zero[:, :2], thrust), dim=-1)
+
+
+def _lean(
+    state: BodyState, heading: Tensor, position: Tensor, far: Tensor, drift: Tensor, gains: PidGains, dt: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return wanted roll, pitch [deg] and thrust [counts], (E, 3), and both integrals, for a heading [deg], (E,)."""
+    still = torch.zeros_like(position)
+    error, moving = (_in_heading(x, heading) for x in (position - state.position, state.lin_vel))
+    wanted, far = gains.position.run(error, still, far, dt)
+    most = LEEWAY * gains.most_velocity
+    wanted = torch.minimum(torch.maximum(wanted, -most), most)
+    output, drift = gains.velocity.run(wanted - moving, still, drift, dt)
+    pitch, roll = (output[:, i : i + 1].clamp(-gains.most_tilt, gains.most_tilt) for i in (0, 1))
+    thrust = (gains.thrust_base + THRUST_PER_OUTPUT * output[:, 2:]).clamp_max(MOST_THRUST)
+    return torch.cat((-roll, pitch, torch.maximum(thrust, gains.least_thrust)), dim=-1), far, drift
+
+
+def _in_heading(vector: Tensor, heading: Tensor) -> Tensor:
+    """Return a vector of the world (E, 3) in the frame that is turned by the heading [deg], (E,), alone."""
+    cosine, sine = torch.cos(torch.deg2rad(heading)), torch.sin(torch.deg2rad(heading))
+    x, y, z = vector.unbind(-1)
+    return torch.stack((cosine * x + sine * y, cosine * y - sine * x, z), dim=-1)
+
+
+def _wrapped(angles: Tensor) -> Tensor:
+    """Return roll, pitch, yaw [deg], (E, 3), with the yaw within half a turn."""
+    yaw = torch.remainder(angles[:, 2:] + 180.0, 360.0) - 180.0
+    return torch.cat((angles[:, :2], yaw), dim=-1)

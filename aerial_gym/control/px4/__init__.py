@@ -1,0 +1,1 @@
+"""PX4's control cascade: rate, attitude and position control with its parameters."""

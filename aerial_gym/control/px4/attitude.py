@@ -1,0 +1,99 @@
+"""PX4's attitude controller: from attitudes to body rates, tilt before heading. Pure functions of tensors.
+
+Frames: world z up, body x forward, y left, z up; quaternions xyzw. PX4's frames have y and z the other way round in world and
+body alike, which changes two signs of everything: the law is the same. Letters: E environments.
+Source: Brescianini, Hehn, D'Andrea (2013), Nonlinear quadrocopter attitude control, ETH Zurich; as PX4 Autopilot 1.14 has it in
+``AttitudeControl``.
+"""
+
+import torch
+from torch import Tensor
+
+from aerial_gym.math.quaternion import quat_conjugate, quat_multiply, quat_rotate, quat_rotate_inverse
+from aerial_gym.math.rows import atan2
+
+OPPOSITE = 1e-5
+"""Below this length of ``a x b``, with a and b opposite, there is no shortest turn between them. Source: PX4, ``matrix``."""
+
+
+def shortest_turn(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the quaternion (E, 4) that turns unit vectors a to b (E, 3), and whether there is one, bool (E, 1).
+
+    Source: Derived: ``(a x b, 1 + a . b)``, normalised, is half the turn.
+    """
+    cross, dot = torch.linalg.cross(a, b), (a * b).sum(-1, keepdim=True)
+    exists = ((cross * cross).sum(-1, keepdim=True) >= OPPOSITE**2) | (dot > 0.0)
+    half = torch.cat((cross, torch.where(exists, 1.0 + dot, 1.0)), dim=-1)
+    return half / half.norm(dim=-1, keepdim=True), exists
+
+
+def canonical(q: Tensor) -> Tensor:
+    """Return the quaternion of the same turn with ``w >= 0``, (E, 4)."""
+    return torch.where(q[:, 3:] < 0.0, -q, q)
+
+
+def wanted_rates(
+    attitude: Tensor, wanted: Tensor, yaw_rate: Tensor, *, gain: Tensor, yaw_weight: Tensor, limit: Tensor
+) -> Tensor:
+    """Return the body rates [rad/s], (E, 3), that turn to an attitude: at once to its tilt, less to its heading.
+
+    The wanted turn is that of body z by the shortest way, then a share of the one about it that is left. The rates are twice
+    the vector part of the quaternion of all that, times the gains, plus the yaw rate.
+
+    Args:
+        attitude: Body to world, (E, 4).
+        wanted: Wanted attitude, (E, 4).
+        yaw_rate: Rate of the wanted heading [rad/s], world, (E,).
+        gain: Rates per error [1/s], (E, 3); that of yaw holds as it stands, whatever its weight.
+        yaw_weight: Share of the heading error that is turned to, > 0 and <= 1, (E, 1).
+        limit: Largest rates [rad/s], (E, 3).
+    """
+    up, wanted_up = (quat_rotate(q, _like(q, (0.0, 0.0, 1.0))) for q in (attitude, wanted))
+    turn, exists = shortest_turn(up, wanted_up)
+    tilted = torch.where(exists, quat_multiply(turn, attitude), wanted)
+    heading = canonical(quat_multiply(quat_conjugate(tilted), wanted))
+    half = yaw_weight * atan2(heading[:, 2:3], heading[:, 3:])
+    zero = torch.zeros_like(half)
+    part = torch.cat((zero, zero, torch.sin(half), torch.cos(half)), dim=-1)
+    error = canonical(quat_multiply(quat_conjugate(attitude), quat_multiply(tilted, part)))[:, :3]
+    scaled = torch.cat((gain[:, :2], gain[:, 2:] / yaw_weight), dim=-1)
+    rates = 2.0 * scaled * error + yaw_rate.unsqueeze(-1) * quat_rotate_inverse(attitude, _like(up, (0.0, 0.0, 1.0)))
+    return torch.minimum(torch.maximum(rates, -limit), limit)
+
+
+def _like(rows: Tensor, vector: tuple[float, float, float]) -> Tensor:
+    return rows.new_tensor(vector).expand(len(rows), 3)
+
+
+def attitude_from_thrust(thrust: Tensor, yaw: Tensor) -> Tensor:
+    """Return the attitude (E, 4) with body z along a thrust (E, 3), world, and body x above or below the heading (E,) [rad].
+
+    Body x stays in the vertical plane of the heading, where Lee's law takes the axis nearest to it. Thrusts point upwards.
+
+    Source: PX4, ``ControlMath::bodyzToAttitude``.
+    """
+    b3 = thrust / thrust.norm(dim=-1, keepdim=True)
+    left = torch.stack((-torch.sin(yaw), torch.cos(yaw), torch.zeros_like(yaw)), dim=-1)
+    b1 = torch.linalg.cross(left, b3)
+    b1 = b1 / b1.norm(dim=-1, keepdim=True)
+    return quat_from_axes(b1, torch.linalg.cross(b3, b1), b3)
+
+
+def quat_from_axes(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
+    """Return the quaternion (E, 4) of a body whose axes in the world are x, y, z, (E, 3) each.
+
+    Source: Shepperd (1978), Quaternion from rotation matrix: of four forms the one whose divisor is largest.
+    """
+    xx, yy, zz = x[:, 0], y[:, 1], z[:, 2]
+    a, b, c = y[:, 2] - z[:, 1], z[:, 0] - x[:, 2], x[:, 1] - y[:, 0]
+    d, e, f = x[:, 1] + y[:, 0], z[:, 0] + x[:, 2], y[:, 2] + z[:, 1]
+    forms = (
+        torch.stack((1.0 + xx - yy - zz, d, e, a), dim=-1),
+        torch.stack((d, 1.0 - xx + yy - zz, f, b), dim=-1),
+        torch.stack((e, f, 1.0 - xx - yy + zz, c), dim=-1),
+        torch.stack((a, b, c, 1.0 + xx + yy + zz), dim=-1),
+    )
+    stacked = torch.stack(forms, dim=1)
+    size = torch.stack([form[:, i] for i, form in enumerate(forms)], dim=-1)
+    best = stacked.gather(1, size.argmax(-1)[:, None, None].expand(-1, 1, 4)).squeeze(1)
+    return best / best.norm(dim=-1, keepdim=True)

@@ -1,0 +1,179 @@
+"""PX4's cascade as a controller with memory.
+
+    action -> position and attitude control (at ``ControllerCfg.rate_hz``) -> rate control (at ``Px4Cfg.rate_hz``) -> rotors
+
+It never takes a vehicle for landed, estimates no hover thrust and has no airmode: what the rotors cannot give is shared out as
+``ControllerCfg.allocation`` says, and what of a torque was not given stops the integral at the next run, as in PX4.
+Frames: world z up, body x forward, y left, z up. Letters: E environments, R rotors, M remembered numbers.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.controller import ControlCfg, ControllerCfg
+from aerial_gym.config.px4 import Px4Cfg
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.laws import LAWS
+from aerial_gym.control.lee import wrench_from
+from aerial_gym.control.px4 import px4_fused
+from aerial_gym.control.px4.attitude import attitude_from_thrust, wanted_rates
+from aerial_gym.control.px4.parameters import filters_of, parameters_of, thrust_curve
+from aerial_gym.control.px4.position import limited_velocity, velocity_control
+from aerial_gym.control.px4.rates import grown_integral, low_passed, rate_torque
+from aerial_gym.control.remembering import RememberingController, layout_of
+from aerial_gym.control.timing import timing_of
+from aerial_gym.errors import ConfigError
+from aerial_gym.math.quaternion import quat_from_euler, quat_from_yaw, quat_rotate, yaw_from_quat
+from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.law_memory import LawMemory
+from aerial_gym.physics.rotors import rotor_thrust
+from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.vehicle import Vehicle
+
+RATE_NUMBERS = 19
+"""Integral (3), angular acceleration (3), body rates before (3), inner values of the gyro filter (6), torque not given (3), yaw
+torque (1)."""
+
+OUTER_NUMBERS = 9
+"""Integral of velocity (3), velocity before (3), acceleration (3)."""
+
+OF_PX4 = ("position", "velocity", "attitude", "rates")
+"""Laws that PX4's cascade has."""
+
+
+class Px4Controller(RememberingController):
+    """``px4_rate_control``, ``px4_attitude_control``, ``px4_velocity_control`` and ``px4_position_control``."""
+
+    named_gains: Mapping[str, Tensor] = MappingProxyType({})
+    """None are drawn: they are PX4's parameters, one set for all."""
+
+    def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
+        """Take the configuration, the declared vehicle, gravity [m/s²], the physics step [s] and the robot's own settings."""
+        px4 = px4_of(cfg, control)
+        _require_fit(px4, vehicle)
+        self.timing = timing = timing_of(replace(cfg, px4=px4), dt)
+        law = LAWS[cfg.law]
+        self.action_names, self._law, self._factor = law.action, cfg.law, px4.THR_MDL_FAC
+        self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
+        self.gains = parameters_of(cfg, px4, control, vehicle, self.allocation, gravity=gravity, timing=timing)
+        self.filters = filters_of(px4, timing)
+        self._full, self._low, self._span = _motors(vehicle)
+        self._layout = layout_of(
+            timing, own=RATE_NUMBERS + OUTER_NUMBERS, num_rotors=vehicle.num_rotors, num_actions=len(law.action)
+        )
+
+    @property
+    def _wish_at_rest(self) -> Tensor:
+        return self.gains.position.hover[0]
+
+    def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        own = memory.numbers[:, : self._layout.held]
+        inner, outer = own.split((RATE_NUMBERS, OUTER_NUMBERS), dim=-1)
+        due = (memory.since % self.timing.law == 0).unsqueeze(-1)
+        setpoint, after = self._outer(state, action, outer, (memory.since == 0).unsqueeze(-1))
+        setpoint, sent = self._pass_on(setpoint, sent, memory.since)
+        command, inner = self._rates(state.ang_vel, setpoint, inner, (memory.since == 0).unsqueeze(-1))
+        return command, torch.cat((inner, torch.where(due, after, outer)), dim=-1), sent
+
+    def _outer(self, state: BodyState, action: Tensor, kept: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the normalised thrust and body rates (E, 4) that an action asks for, and what is kept, (E, 9)."""
+        gains, still = self.gains, torch.zeros_like(action[:, 3])
+        if self._law == "rates":
+            return torch.cat(((action[:, :1] + 1.0) * gains.position.hover, action[:, 1:]), dim=-1), torch.zeros_like(
+                kept
+            )
+        if self._law == "attitude":
+            yaw = yaw_from_quat(state.attitude)
+            wanted = quat_from_euler(torch.stack((action[:, 1], action[:, 2], yaw), dim=-1))
+            thrust = (action[:, :1] + 1.0) * gains.position.hover
+            return torch.cat((thrust, self._rates_to(state, wanted, action[:, 3])), dim=-1), torch.zeros_like(kept)
+        if self._law == "velocity":
+            yaw, yaw_rate = yaw_from_quat(state.attitude), action[:, 3]
+            velocity = quat_rotate(quat_from_yaw(yaw), action[:, :3])
+        else:
+            yaw, yaw_rate = action[:, 3], still
+            velocity = gains.position.position * (action[:, :3] - state.position)
+        thrust, kept = self._thrust(state, velocity, kept, begins)
+        rates = self._rates_to(state, attitude_from_thrust(thrust, yaw), yaw_rate)
+        return torch.cat((thrust.norm(dim=-1, keepdim=True), rates), dim=-1), kept
+
+    def _thrust(self, state: BodyState, velocity: Tensor, kept: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the thrust [-], world, (E, 3), for a wanted velocity [m/s], world, and what is kept, (E, 9)."""
+        integral, before, smooth = kept.split(3, dim=-1)
+        span = self.timing.law * self.timing.dt
+        measured = torch.where(begins, 0.0, (state.lin_vel - before) / span)
+        smooth = smooth + self.filters.acceleration * (measured - smooth)
+        error = limited_velocity(velocity, self.gains.position) - state.lin_vel
+        _, thrust, integral = velocity_control(error, integral, smooth, self.gains.position, span)
+        return thrust, torch.cat((integral, state.lin_vel, smooth), dim=-1)
+
+    def _rates_to(self, state: BodyState, wanted: Tensor, yaw_rate: Tensor) -> Tensor:
+        gains = self.gains
+        return wanted_rates(
+            state.attitude, wanted, yaw_rate, gain=gains.attitude, yaw_weight=gains.yaw_weight, limit=gains.rate_limit
+        )
+
+    def _rates(self, ang_vel: Tensor, setpoint: Tensor, kept: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
+        """Return rotor speeds [rad/s], (E, R), for a normalised thrust and body rates, (E, 4), and what is kept, (E, 19)."""
+        gains, filters, span = self.gains, self.filters, self.timing.loop * self.timing.dt
+        integral, ang_acc, before, inner, short, yaw = kept.split((3, 3, 3, 6, 3, 1), dim=-1)
+        if filters.gyro is None:
+            rate, inner = ang_vel, torch.zeros_like(inner)
+        else:
+            rate, inner = low_passed(ang_vel, inner, begins, filters.gyro)
+        measured = torch.where(begins, 0.0, (rate - before) / span)
+        ang_acc = ang_acc + filters.ang_acc * (measured - ang_acc)
+        wanted, error = setpoint[:, 1:], setpoint[:, 1:] - rate
+        torque = rate_torque(error, wanted, ang_acc, integral, (gains.rate, gains.rate_derivative, gains.rate_forward))
+        integral = grown_integral(integral, error, short, gains.rate_integral, gains.integral_limit, span)
+        yaw = yaw + filters.yaw_torque * (torque[:, 2:] - yaw)
+        torque = torch.cat((torque[:, :2], yaw), dim=-1)
+        wrench = wrench_from((setpoint[:, :1] * gains.unit_thrust)[:, 0], torque * gains.unit_torque)
+        allotted = self.allocation.allot(wrench)
+        given = torch.cat((allotted.turn, allotted.turn, allotted.rest), dim=-1)
+        short = torch.where(given < 1.0, torch.sign(torque), 0.0)
+        return self._speeds(allotted.thrust), torch.cat((integral, ang_acc, rate, inner, short, yaw), dim=-1)
+
+    def _speeds(self, thrust: Tensor) -> Tensor:
+        """Return the rotor speeds [rad/s] that PX4 takes for thrusts [N], (E, R)."""
+        if self._factor is None:
+            return self.allocation.speed(thrust)
+        return self._low + self._span * thrust_curve((thrust / self._full).clamp(0.0, 1.0), self._factor)
+
+    def fused(self) -> FusedLaw:
+        """Return the twin in Warp."""
+        return self._fused(
+            remembering=px4_fused.maker(
+                self._law, self.filters, self.timing, self._layout, first=RATE_NUMBERS, factor=self._factor
+            ),
+            gains_type=px4_fused.Px4Rows,
+            load_gains=px4_fused.load_gains,
+            gains=px4_fused.gain_rows(self.gains),
+        )
+
+
+def px4_of(cfg: ControllerCfg, control: ControlCfg) -> Px4Cfg:
+    """Return the parameters of a controller: those of the robot where it has none of its own; its own rate in any case."""
+    own = cfg.px4 if cfg.px4 is not None else Px4Cfg()
+    if own.explicit or control.px4 is None:
+        return own
+    return control.px4 if own.rate_hz is None else replace(control.px4, rate_hz=own.rate_hz)
+
+
+def _require_fit(px4: Px4Cfg, vehicle: Vehicle) -> None:
+    """Raise ``ConfigError`` for a thrust curve for rotors without one."""
+    if px4.THR_MDL_FAC is not None and vehicle.traits & {"reversible", "force"}:
+        raise ConfigError(
+            f"Px4Cfg.THR_MDL_FAC = {px4.THR_MDL_FAC:g}: the curve is one of rotors that turn one way and are told a speed. "
+            "Leave it out"
+        )
+
+
+def _motors(vehicle: Vehicle) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the full thrust [N], the lowest speed and the span of speeds [rad/s] of each rotor, (E, R)."""
+    low, high = vehicle.speed_low, vehicle.speed_high
+    return rotor_thrust(vehicle, high), low, high - low

@@ -1,0 +1,126 @@
+"""PX4's position and velocity controller: from positions to a thrust in the world. Pure functions of tensors.
+
+Frames: world z up. PX4's has y and z the other way round, which changes two signs of everything: the law is the same.
+Letters: E environments.
+Source: PX4 Autopilot 1.14, ``PositionControl`` and ``ControlMath``.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionGains:
+    """Gains and limits of position and velocity control."""
+
+    position: Tensor
+    """MPC_XY_P, MPC_Z_P [1/s], (E, 3)."""
+
+    velocity: Tensor
+    """MPC_XY_VEL_P_ACC, MPC_Z_VEL_P_ACC [1/s], (E, 3)."""
+
+    integral: Tensor
+    """MPC_XY_VEL_I_ACC, MPC_Z_VEL_I_ACC [1/s²], (E, 3)."""
+
+    derivative: Tensor
+    """MPC_XY_VEL_D_ACC, MPC_Z_VEL_D_ACC [-], (E, 3)."""
+
+    speed: Tensor
+    """MPC_XY_VEL_MAX [m/s], (E, 1), as all that follow."""
+
+    up: Tensor
+    """MPC_Z_VEL_MAX_UP [m/s]."""
+
+    down: Tensor
+    """MPC_Z_VEL_MAX_DN [m/s]."""
+
+    least_thrust: Tensor
+    """MPC_THR_MIN [-]."""
+
+    most_thrust: Tensor
+    """MPC_THR_MAX [-]."""
+
+    margin: Tensor
+    """MPC_THR_XY_MARG [-]."""
+
+    tilt: Tensor
+    """MPC_TILTMAX_AIR [rad]."""
+
+    hover: Tensor
+    """MPC_THR_HOVER [-]."""
+
+    gravity: Tensor
+    """Which the hover thrust carries [m/s²]."""
+
+
+def limited_velocity(velocity: Tensor, gains: PositionGains) -> Tensor:
+    """Return a wanted velocity [m/s], world, (E, 3), within the limits of horizontal speed, climb and descent."""
+    rise = torch.minimum(torch.maximum(velocity[:, 2:], -gains.down), gains.up)
+    return torch.cat((_within(velocity[:, :2], gains.speed), rise), dim=-1)
+
+
+def _within(vector: Tensor, most: Tensor) -> Tensor:
+    """Return a vector (E, 2), shortened to a length."""
+    length = vector.norm(dim=-1, keepdim=True)
+    return torch.where(length > most, vector / torch.where(length > most, length, 1.0) * most, vector)
+
+
+def velocity_control(
+    error: Tensor, integral: Tensor, acceleration: Tensor, gains: PositionGains, dt: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the wanted acceleration and thrust, world, (E, 3) each, and the integral after the run, (E, 3).
+
+    Args:
+        error: Velocity error [m/s], world, (E, 3).
+        integral: Before the run [m/s²], world, (E, 3).
+        acceleration: Measured [m/s²], world, (E, 3).
+        gains: Gains and limits.
+        dt: Between runs [s].
+
+    Returns:
+        Acceleration [m/s²], thrust [-] of which 1 is all there is, and the integral [m/s²]. It grows no further where the
+        vertical thrust is at a limit, and is taken back where horizontal thrust is.
+
+    Source:
+        PX4, ``PositionControl::_velocityControl``; the horizontal anti-windup is that of Rundqwist (1990), Anti-reset windup
+        for PID controllers.
+    """
+    wanted = error * gains.velocity + integral - acceleration * gains.derivative
+    asked = thrust_of(wanted, gains)
+    low, high = asked[:, 2:] <= gains.least_thrust, asked[:, 2:] >= gains.most_thrust
+    rise, drift = error[:, 2:], error[:, :2]
+    rise = torch.where((low & (rise <= 0.0)) | (high & (rise >= 0.0)), 0.0, rise)
+    kept = torch.minimum(asked[:, :2].norm(dim=-1, keepdim=True), gains.margin)
+    up = torch.minimum(asked[:, 2:], (gains.most_thrust**2 - kept.square()).sqrt())
+    left = (gains.most_thrust**2 - up.square()).clamp_min(0.0)
+    lateral = _within(asked[:, :2], torch.where(left > 0.0, left, 1.0).sqrt() * (left > 0.0))
+    made, meant = lateral * (gains.gravity / gains.hover), wanted[:, :2]
+    short = meant.square().sum(-1, keepdim=True) > made.square().sum(-1, keepdim=True)
+    drift = drift - torch.where(short, 2.0 / gains.velocity[:, :1] * (meant - made), 0.0)
+    integral = integral + torch.cat((drift, rise), dim=-1) * gains.integral * dt
+    vertical = torch.minimum(torch.maximum(integral[:, 2:], -gains.gravity), gains.gravity)
+    integral = torch.cat((integral[:, :2], vertical), dim=-1)
+    return wanted, torch.cat((lateral, up), dim=-1), integral
+
+
+def thrust_of(acceleration: Tensor, gains: PositionGains) -> Tensor:
+    """Return the thrust (E, 3), world, along which the body is to stand: its direction is that of ``(a_x, a_y, g)``, its size
+    carries the vehicle whatever the tilt.
+
+    Args:
+        acceleration: Wanted [m/s²], world, (E, 3).
+        gains: Gains and limits.
+
+    Source:
+        PX4, ``PositionControl::_accelerationControl`` and ``ControlMath::limitTilt``.
+    """
+    axis = torch.cat((acceleration[:, :2], gains.gravity.expand_as(acceleration[:, 2:])), dim=-1)
+    axis = axis / axis.norm(dim=-1, keepdim=True)
+    flat, largest = axis[:, :2].norm(dim=-1, keepdim=True), torch.sin(gains.tilt)
+    steep = flat > largest
+    leaning = axis[:, :2] / torch.where(steep, flat, 1.0) * largest
+    axis = torch.where(steep, torch.cat((leaning, torch.cos(gains.tilt).expand_as(flat)), dim=-1), axis)
+    collective = (acceleration[:, 2:] / gains.gravity + 1.0) * gains.hover / axis[:, 2:]
+    return axis * torch.maximum(collective, gains.least_thrust)

@@ -1,0 +1,381 @@
+"""PX4's cascade for one environment in the fused kernel, the twin of ``control.px4.controller``.
+
+What is remembered stands in device memory, in the places that ``controller`` names. Filters are the same for all environments
+and stand in the code.
+Frames: world z up, body x forward, y left, z up. Letters: E environments, R rotors.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.control.cascade_fused import make_allot, make_remembering, make_two_levels
+from aerial_gym.control.lee_fused import from_vehicle_frame, inverse_cos_pitch, read_vec3, up_of
+from aerial_gym.control.px4.rates import FADING_RATE, LowPass2
+from aerial_gym.control.timing import Timing
+from aerial_gym.physics.fused.command import make_speed_of
+from aerial_gym.physics.fused.functions import rotate
+from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.fused.memory import LawArrays
+from aerial_gym.physics.fused.types import rotor_types
+
+if TYPE_CHECKING:
+    from aerial_gym.control.px4.parameters import Px4Filters, Px4Gains
+    from aerial_gym.control.remembering import Layout
+
+
+@wp.struct
+class Px4Rows:
+    """All parameters: ``parameters.Px4Gains``."""
+
+    rate: wp.vec3  # [s/rad]
+    rate_integral: wp.vec3  # [1/rad]
+    rate_derivative: wp.vec3  # [s²/rad]
+    rate_forward: wp.vec3  # [s/rad]
+    integral_limit: wp.vec3  # [-]
+    attitude: wp.vec3  # [1/s]
+    rate_limit: wp.vec3  # [rad/s]
+    unit_torque: wp.vec3  # [N m]
+    position: wp.vec3  # [1/s]
+    velocity: wp.vec3  # [1/s]
+    integral: wp.vec3  # [1/s²]
+    derivative: wp.vec3  # [-]
+    unit_thrust: float  # [N]
+    yaw_weight: float  # [-]
+    speed: float  # [m/s]
+    up: float  # [m/s]
+    down: float  # [m/s]
+    least_thrust: float  # [-]
+    most_thrust: float  # [-]
+    margin: float  # [-]
+    tilt: float  # [rad]
+    hover: float  # [-]
+    gravity: float  # [m/s²]
+
+
+def gain_rows(gains: "Px4Gains") -> Mapping[str, Tensor]:
+    """Return the fields of ``Px4Rows`` in their order, each (E, ...)."""
+    rows = {name: tensor for name, tensor in vars(gains).items() if name != "position"} | vars(gains.position)
+    return {
+        name: rows[name][:, 0] if kind is float else rows[name] for name, kind in Px4Rows.cls.__annotations__.items()
+    }
+
+
+@wp.func
+def load_gains(source: wp.array2d[float], first: int, env: int) -> Px4Rows:
+    """Return the parameters of one environment from the rows of (N, E)."""
+    gains = Px4Rows()
+    gains.rate = read_vec3(source, first, env)
+    gains.rate_integral = read_vec3(source, first + 3, env)
+    gains.rate_derivative = read_vec3(source, first + 6, env)
+    gains.rate_forward = read_vec3(source, first + 9, env)
+    gains.integral_limit = read_vec3(source, first + 12, env)
+    gains.attitude = read_vec3(source, first + 15, env)
+    gains.rate_limit = read_vec3(source, first + 18, env)
+    gains.unit_torque = read_vec3(source, first + 21, env)
+    gains.position = read_vec3(source, first + 24, env)
+    gains.velocity = read_vec3(source, first + 27, env)
+    gains.integral = read_vec3(source, first + 30, env)
+    gains.derivative = read_vec3(source, first + 33, env)
+    gains.unit_thrust = source[first + 36, env]
+    gains.yaw_weight = source[first + 37, env]
+    gains.speed = source[first + 38, env]
+    gains.up = source[first + 39, env]
+    gains.down = source[first + 40, env]
+    gains.least_thrust = source[first + 41, env]
+    gains.most_thrust = source[first + 42, env]
+    gains.margin = source[first + 43, env]
+    gains.tilt = source[first + 44, env]
+    gains.hover = source[first + 45, env]
+    gains.gravity = source[first + 46, env]
+    return gains
+
+
+@wp.func
+def write_vec3(out: wp.array2d[float], first: int, env: int, vector: wp.vec3):
+    """Write three numbers of one environment."""
+    for i in range(3):
+        out[first + i, env] = vector[i]
+
+
+@wp.func
+def within(vector: wp.vec2, most: float) -> wp.vec2:
+    """Return a vector, shortened to a length."""
+    length = wp.length(vector)
+    shortened = vector
+    if length > most:
+        shortened = vector / length * most
+    return shortened
+
+
+@wp.func
+def shortest_turn(a: wp.vec3, b: wp.vec3) -> wp.quat:
+    """Return the quaternion that turns unit vectors a to b; zeros where there is none."""
+    cross = wp.cross(a, b)
+    dot = wp.dot(a, b)
+    turn = wp.quat()
+    if wp.dot(cross, cross) >= 1.0e-10 or dot > 0.0:
+        turn = wp.normalize(wp.quat(cross[0], cross[1], cross[2], 1.0 + dot))
+    return turn
+
+
+@wp.func
+def canonical(q: wp.quat) -> wp.quat:
+    """Return the quaternion of the same turn with ``w >= 0``."""
+    return wp.where(q[3] < 0.0, -q, q)
+
+
+@wp.func
+def wanted_rates(gains: Px4Rows, attitude: wp.quat, wanted: wp.quat, yaw_rate: float) -> wp.vec3:
+    """Return ``attitude.wanted_rates`` [rad/s], body."""
+    up = rotate(attitude, wp.vec3(0.0, 0.0, 1.0))
+    turn = shortest_turn(up, rotate(wanted, wp.vec3(0.0, 0.0, 1.0)))
+    tilted = wanted
+    if wp.length_sq(turn) > 0.0:
+        tilted = turn * attitude
+    heading = canonical(wp.quat_inverse(tilted) * wanted)
+    half = gains.yaw_weight * wp.atan2(heading[2], heading[3])
+    part = wp.quat(0.0, 0.0, wp.sin(half), wp.cos(half))
+    error = canonical(wp.quat_inverse(attitude) * (tilted * part))
+    gain = wp.vec3(gains.attitude[0], gains.attitude[1], gains.attitude[2] / gains.yaw_weight)
+    rates = 2.0 * wp.cw_mul(gain, wp.vec3(error[0], error[1], error[2])) + yaw_rate * up_of(attitude)
+    return wp.min(wp.max(rates, -gains.rate_limit), gains.rate_limit)
+
+
+@wp.func
+def attitude_from_thrust(thrust: wp.vec3, cosine: float, sine: float) -> wp.quat:
+    """Return ``attitude.attitude_from_thrust``, from cosine and sine of the yaw."""
+    b3 = wp.normalize(thrust)
+    b1 = wp.normalize(wp.cross(wp.vec3(-sine, cosine, 0.0), b3))
+    return wp.normalize(wp.quat_from_matrix(wp.matrix_from_cols(b1, wp.cross(b3, b1), b3)))
+
+
+@wp.func
+def thrust_of(acceleration: wp.vec3, gains: Px4Rows) -> wp.vec3:
+    """Return ``position.thrust_of`` [-], world."""
+    axis = wp.normalize(wp.vec3(acceleration[0], acceleration[1], gains.gravity))
+    flat = wp.sqrt(axis[0] * axis[0] + axis[1] * axis[1])
+    if flat > wp.sin(gains.tilt):
+        shorter = wp.sin(gains.tilt) / flat
+        axis = wp.vec3(shorter * axis[0], shorter * axis[1], wp.cos(gains.tilt))
+    collective = (acceleration[2] / gains.gravity + 1.0) * gains.hover / axis[2]
+    return wp.max(collective, gains.least_thrust) * axis
+
+
+def make_thrust(alpha: float, span_steps: int, first: int) -> wp.Function:
+    """Return ``controller.Px4Controller._thrust``; memory stands from ``first`` on."""
+
+    @wp.func
+    def thrust_for(
+        gains: Px4Rows, wanted: wp.vec3, lin_vel: wp.vec3, arrays: LawArrays, env: int, since: int, dt: float
+    ) -> wp.vec3:
+        span = wp.static(float(span_steps)) * dt
+        integral = read_vec3(arrays.numbers, wp.static(first), env)
+        smooth = read_vec3(arrays.numbers, wp.static(first + 6), env)
+        measured = wp.vec3()
+        if since > 0:
+            measured = (lin_vel - read_vec3(arrays.numbers, wp.static(first + 3), env)) / span
+        smooth += wp.static(alpha) * (measured - smooth)
+        flat = within(wp.vec2(wanted[0], wanted[1]), gains.speed)
+        error = wp.vec3(flat[0], flat[1], wp.clamp(wanted[2], -gains.down, gains.up)) - lin_vel
+        acceleration = wp.cw_mul(error, gains.velocity) + integral - wp.cw_mul(smooth, gains.derivative)
+        asked = thrust_of(acceleration, gains)
+        rise = error[2]
+        if (asked[2] <= gains.least_thrust and rise <= 0.0) or (asked[2] >= gains.most_thrust and rise >= 0.0):
+            rise = 0.0
+        lateral = wp.vec2(asked[0], asked[1])
+        most = gains.most_thrust * gains.most_thrust
+        kept = wp.min(wp.length(lateral), gains.margin)
+        up = wp.min(asked[2], wp.sqrt(most - kept * kept))
+        lateral = within(lateral, wp.sqrt(wp.max(most - up * up, 0.0)))
+        made = lateral * (gains.gravity / gains.hover)
+        meant = wp.vec2(acceleration[0], acceleration[1])
+        drift = wp.vec2(error[0], error[1])
+        if wp.length_sq(meant) > wp.length_sq(made):
+            drift -= 2.0 / gains.velocity[0] * (meant - made)
+        integral += wp.cw_mul(wp.vec3(drift[0], drift[1], rise), gains.integral) * span
+        integral[2] = wp.clamp(integral[2], -gains.gravity, gains.gravity)
+        write_vec3(arrays.numbers, wp.static(first), env, integral)
+        write_vec3(arrays.numbers, wp.static(first + 3), env, lin_vel)
+        write_vec3(arrays.numbers, wp.static(first + 6), env, smooth)
+        return wp.vec3(lateral[0], lateral[1], up)
+
+    return thrust_for
+
+
+def make_wish(law: str, filters: "Px4Filters", timing: Timing, first: int) -> wp.Function:
+    """Return ``controller.Px4Controller._outer``: the normalised thrust and the body rates [rad/s] that an action asks for."""
+    thrust_for = make_thrust(filters.acceleration, timing.law, first)
+
+    @wp.func
+    def position(
+        gains: Px4Rows, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3,
+        action: wp.vec4, arrays: LawArrays, env: int, since: int, dt: float,
+    ) -> wp.vec4:  # fmt: skip
+        wanted = wp.cw_mul(gains.position, wp.vec3(action[0], action[1], action[2]) - position)
+        thrust = thrust_for(gains, wanted, lin_vel, arrays, env, since, dt)
+        goal = attitude_from_thrust(thrust, wp.cos(action[3]), wp.sin(action[3]))
+        rates = wanted_rates(gains, attitude, goal, 0.0)
+        return wp.vec4(wp.length(thrust), rates[0], rates[1], rates[2])
+
+    @wp.func
+    def velocity(
+        gains: Px4Rows, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3,
+        action: wp.vec4, arrays: LawArrays, env: int, since: int, dt: float,
+    ) -> wp.vec4:  # fmt: skip
+        up = up_of(attitude)
+        inverse = inverse_cos_pitch(up)
+        forward = from_vehicle_frame(attitude, inverse, wp.vec3(1.0, 0.0, 0.0))
+        wanted = from_vehicle_frame(attitude, inverse, wp.vec3(action[0], action[1], action[2]))
+        thrust = thrust_for(gains, wanted, lin_vel, arrays, env, since, dt)
+        rates = wanted_rates(gains, attitude, attitude_from_thrust(thrust, forward[0], forward[1]), action[3])
+        return wp.vec4(wp.length(thrust), rates[0], rates[1], rates[2])
+
+    @wp.func
+    def attitude(
+        gains: Px4Rows, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3,
+        action: wp.vec4, arrays: LawArrays, env: int, since: int, dt: float,
+    ) -> wp.vec4:  # fmt: skip
+        forward = from_vehicle_frame(attitude, inverse_cos_pitch(up_of(attitude)), wp.vec3(1.0, 0.0, 0.0))
+        yaw = wp.atan2(forward[1], forward[0])
+        turn = wp.quat_from_axis_angle(wp.vec3(0.0, 0.0, 1.0), yaw)
+        pitched = turn * wp.quat_from_axis_angle(wp.vec3(0.0, 1.0, 0.0), action[2])
+        goal = pitched * wp.quat_from_axis_angle(wp.vec3(1.0, 0.0, 0.0), action[1])
+        rates = wanted_rates(gains, attitude, goal, action[3])
+        return wp.vec4((action[0] + 1.0) * gains.hover, rates[0], rates[1], rates[2])
+
+    @wp.func
+    def rates(
+        gains: Px4Rows, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3,
+        action: wp.vec4, arrays: LawArrays, env: int, since: int, dt: float,
+    ) -> wp.vec4:  # fmt: skip
+        return wp.vec4((action[0] + 1.0) * gains.hover, action[1], action[2], action[3])
+
+    return {"position": position, "velocity": velocity, "attitude": attitude, "rates": rates}[law]
+
+
+def make_gyro(filter: LowPass2 | None) -> wp.Function:
+    """Return the filter of body rates; its memory stands from number 9 on."""
+
+    @wp.func
+    def as_it_is(ang_vel: wp.vec3, arrays: LawArrays, env: int, since: int) -> wp.vec3:
+        return ang_vel
+
+    if filter is None:
+        return as_it_is
+    a1, a2, b0, b1, b2 = filter.a1, filter.a2, filter.b0, filter.b1, filter.b2
+
+    @wp.func
+    def filtered(ang_vel: wp.vec3, arrays: LawArrays, env: int, since: int) -> wp.vec3:
+        first = read_vec3(arrays.numbers, 9, env)
+        second = read_vec3(arrays.numbers, 12, env)
+        if since == 0:
+            first = ang_vel / wp.static(1.0 + a1 + a2)
+            second = first
+        inner = ang_vel - wp.static(a1) * first - wp.static(a2) * second
+        write_vec3(arrays.numbers, 9, env, inner)
+        write_vec3(arrays.numbers, 12, env, first)
+        return wp.static(b0) * inner + wp.static(b1) * first + wp.static(b2) * second
+
+    return filtered
+
+
+def make_rates(
+    law: FusedLaw, num_rotors: int, general: bool, filters: "Px4Filters", timing: Timing, factor: float | None
+) -> wp.Function:
+    """Return ``controller.Px4Controller._rates``."""
+    types = rotor_types(num_rotors, general)
+    command_type, vector, period = types.command, types.vector, float(timing.loop)
+    allot, gyro = make_allot(law, num_rotors, general), make_gyro(filters.gyro)
+    speed_of = make_motors(num_rotors, general, factor)
+    ang_acc_share, yaw_share, fading = filters.ang_acc, filters.yaw_torque, FADING_RATE
+
+    @wp.func
+    def run_loop(
+        params: command_type, gains: Px4Rows, ang_vel: wp.vec3, setpoint: wp.vec4, arrays: LawArrays, env: int,
+        since: int, dt: float,
+    ) -> vector:  # fmt: skip
+        span = wp.static(period) * dt
+        integral = read_vec3(arrays.numbers, 0, env)
+        ang_acc = read_vec3(arrays.numbers, 3, env)
+        short = read_vec3(arrays.numbers, 15, env)
+        rate = gyro(ang_vel, arrays, env, since)
+        measured = wp.vec3()
+        if since > 0:
+            measured = (rate - read_vec3(arrays.numbers, 6, env)) / span
+        ang_acc += wp.static(ang_acc_share) * (measured - ang_acc)
+        wanted = wp.vec3(setpoint[1], setpoint[2], setpoint[3])
+        error = wanted - rate
+        torque = wp.cw_mul(gains.rate, error) + integral - wp.cw_mul(gains.rate_derivative, ang_acc)
+        torque += wp.cw_mul(gains.rate_forward, wanted)
+        yaw = arrays.numbers[18, env]
+        torque[2] = yaw + wp.static(yaw_share) * (torque[2] - yaw)
+        turning = wp.cw_mul(torque, gains.unit_torque)
+        thrust, turn, rest = allot(
+            params, wp.spatial_vector(0.0, 0.0, setpoint[0] * gains.unit_thrust, turning[0], turning[1], turning[2])
+        )
+        given = wp.vec3(turn, turn, rest)
+        for i in range(3):
+            useful = wp.where(short[i] * error[i] > 0.0, 0.0, error[i])
+            share = useful / wp.static(fading)
+            growth = wp.max(1.0 - share * share, 0.0) * gains.rate_integral[i] * useful * span
+            limit = gains.integral_limit[i]
+            arrays.numbers[i, env] = wp.min(wp.max(integral[i] + growth, -limit), limit)
+            missing = 0.0
+            if given[i] < 1.0 and torque[i] != 0.0:
+                missing = wp.sign(torque[i])
+            arrays.numbers[15 + i, env] = missing
+        write_vec3(arrays.numbers, 3, env, ang_acc)
+        write_vec3(arrays.numbers, 6, env, rate)
+        arrays.numbers[18, env] = torque[2]
+        return speed_of(params, thrust)
+
+    return run_loop
+
+
+def make_motors(num_rotors: int, general: bool, factor: float | None) -> wp.Function:
+    """Return ``controller.Px4Controller._speeds``."""
+    types = rotor_types(num_rotors, general)
+    command_type, vector, known = types.command, types.vector, make_speed_of(num_rotors, general)
+    if factor is None:
+        return known
+    linear, middle, part = factor == 0.0, (1.0 - factor) / (2.0 * max(factor, 1e-6)), 1.0 / max(factor, 1e-6)
+
+    @wp.func
+    def believed(params: command_type, thrust: vector) -> vector:
+        low = known(params, params.low)
+        high = known(params, params.high)
+        speed = vector()
+        for i in range(wp.static(num_rotors)):
+            signal = wp.clamp(thrust[i] / params.high[i], 0.0, 1.0)
+            if wp.static(not linear):
+                signal = wp.sqrt(wp.static(middle * middle) + wp.static(part) * signal) - wp.static(middle)
+            speed[i] = low[i] + (high[i] - low[i]) * signal
+        return speed
+
+    return believed
+
+
+def maker(
+    law_name: str, filters: "Px4Filters", timing: Timing, layout: "Layout", *, first: int, factor: float | None
+) -> Callable[[FusedLaw, int, bool], wp.Function]:
+    """Return what composes the cascade for a number of rotors: ``FusedLaw.remembering``.
+
+    Args:
+        law_name: Of ``controller.OF_PX4``.
+        filters: At their rates.
+        timing: When levels run.
+        layout: Where numbers stand.
+        first: Number at which those of the law begin.
+        factor: THR_MDL_FAC.
+    """
+
+    def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
+        wish = make_wish(law_name, filters, timing, first)
+        run_loop = make_rates(law, num_rotors, general, filters, timing, factor)
+        run = make_two_levels(law, num_rotors, general, timing, wish, run_loop)
+        return make_remembering(law, num_rotors, general, timing, layout, run)
+
+    return make

@@ -1,0 +1,183 @@
+"""What controllers with memory have in common: actions that come late, wishes on their way, a command that is held.
+
+    action --(action delay)--> law --(delay, held)--> rate loop --> allocation --(held)--> rotors
+
+Letters: E environments, R rotors, U entries of an action, S slots of a ring, M remembered numbers, P numbers on their way.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.timing import Timing
+from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.law_memory import LawMemory, LawNeeds, fresh_law_memory
+from aerial_gym.physics.state import BodyState
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each remembered number stands."""
+
+    held: int
+    """First commanded speed; (R,) numbers, if the rotors' command is held."""
+
+    width: int
+    """M."""
+
+    actions: int
+    """First number of the ring of actions, behind that of setpoints."""
+
+    past: int
+    """P."""
+
+
+def layout_of(timing: Timing, *, own: int, num_rotors: int, num_actions: int) -> Layout:
+    """Return the places: ``own`` numbers of the controller (none without a rate loop), then the held command (R)."""
+    actions = 4 * timing.setpoint_slots if own else 0
+    return Layout(
+        own, own + (num_rotors if timing.loop > 1 else 0), actions, actions + timing.action_slots * num_actions
+    )
+
+
+class RememberingController(ABC):
+    """A controller with memory; ``command`` is one physics step of it.
+
+    It has a timing, a layout and an allocation, and says what one run of it does to the numbers that are its own.
+    """
+
+    action_names: tuple[str, ...]
+    """Meaning and unit of each entry of an action."""
+
+    allocation: Allocation
+    """From wrenches to thrusts."""
+
+    timing: Timing
+    """When its levels run."""
+
+    _layout: Layout
+
+    @property
+    def needs(self) -> LawNeeds:
+        """What it must be given to remember."""
+        return LawNeeds(width=self._layout.width, past=self._layout.past, dt=self.timing.dt)
+
+    @property
+    def period(self) -> int:
+        """Physics steps after which every level begins anew."""
+        return self.timing.law
+
+    @abstractmethod
+    def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the rotor commands (E, R) of one run, its own numbers after it, and the wishes on their way."""
+
+    @property
+    @abstractmethod
+    def _wish_at_rest(self) -> Tensor:
+        """The thrust that the law wants of its rate loop at rest, in the unit of that, of the first environment."""
+
+    def resting(self, thrust: Tensor) -> Tensor:
+        """Return what the first environment remembers at rest under thrusts [N], (R,): numbers and wishes of the law."""
+        numbers, sent = thrust.new_zeros(self._layout.width), thrust.new_zeros(self._layout.actions)
+        if self.timing.loop > 1:
+            like = self.allocation.inverse
+            numbers[self._layout.held :] = self.allocation.speed(thrust.to(like).expand(len(like), -1))[0]
+        sent[::4] = self._wish_at_rest.to(thrust)
+        return torch.cat((numbers, sent))
+
+    def phase(self, step: int) -> tuple[bool, bool, int]:
+        """Return what step of a period it is: which levels run, and which wish of the law has come through by then.
+
+        Steps of equal phases map states and memory alike.
+        """
+        timing = self.timing
+        return step % timing.law == 0, step % timing.loop == 0, (step - timing.delay) // timing.law
+
+    def memory_from(self, remembered: Tensor, step: int) -> LawMemory:
+        """Return the memory with numbers and wishes (E, ...) as in ``resting``, at a step of a period long after a reset.
+
+        No action is late.
+        """
+        numbers, sent = remembered.split((self._layout.width, self._layout.actions), dim=-1)
+        actions = sent.new_zeros(len(sent), self._layout.past - self._layout.actions)
+        long_ago = 1000 * self.period * max(self.timing.setpoint_slots, 1) + step
+        since = torch.full((len(sent),), long_ago, dtype=torch.int32, device=sent.device)
+        return LawMemory(numbers=numbers, past=torch.cat((sent, actions), dim=-1), since=since)
+
+    def remembered(self, memory: LawMemory) -> Tensor:
+        """Return numbers and wishes of a memory, as ``memory_from`` takes them."""
+        return torch.cat((memory.numbers, memory.past[:, : self._layout.actions]), dim=-1)
+
+    def turned_back(self, remembered: Tensor) -> Tensor:
+        """Return numbers and wishes (N, ...) after a period with the ring turned: equal places are then equally old."""
+        numbers, sent = remembered.split((self._layout.width, self._layout.actions), dim=-1)
+        slots = self.timing.setpoint_slots
+        if slots:
+            sent = sent.unflatten(-1, (slots, 4)).roll(-1, dims=1).flatten(1)
+        return torch.cat((numbers, sent), dim=-1)
+
+    def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
+        """Return the command of the first step after a reset."""
+        return self.command(state, action, fresh_law_memory(self.needs, state.num_envs, state.position))[0]
+
+    def command(self, state: BodyState, action: Tensor, memory: LawMemory) -> tuple[Tensor, LawMemory]:
+        """Return commanded rotor speeds [rad/s], (E, R), of one physics step, and the memory after it."""
+        layout, timing, since = self._layout, self.timing, memory.since
+        sent, actions = memory.past[:, : layout.actions], memory.past[:, layout.actions :]
+        if timing.action_delay:
+            actions = write_ring(actions, action, since, timing.action_slots)
+            action = read_ring(actions, (since - timing.action_delay).clamp_min(0), timing.action_slots)
+        command, numbers, sent = self._run(state, action, memory, sent)
+        if timing.loop > 1:
+            due = (since % timing.loop == 0).unsqueeze(-1)
+            command = torch.where(due, command, memory.numbers[:, layout.held :])
+            numbers = torch.where(due, numbers, memory.numbers[:, : layout.held])
+            numbers = torch.cat((numbers, command), dim=-1)
+        return command, LawMemory(numbers=numbers, past=torch.cat((sent, actions), dim=-1), since=since + 1)
+
+    def _fused(self, **law: Any) -> FusedLaw:
+        """Return the Warp law with this allocation and memory, and with what is given of gains and code."""
+        allocation = self.allocation
+        return FusedLaw(
+            output="wrench",
+            num_actions=len(self.action_names),
+            low=allocation.low,
+            high=allocation.high,
+            thrust_map=allocation.vehicle.thrust_map,
+            reverse_thrust_map=allocation.vehicle.reverse_thrust_map,
+            allocation=allocation.inverse,
+            follow=allocation.rows_for if allocation.rows else None,
+            saturation=allocation.saturation,
+            lateral=False,
+            idle=allocation.idle,
+            needs=self.needs,
+            **law,
+        )
+
+    def _pass_on(self, setpoint: Tensor, sent: Tensor, since: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the thrust and body rates (E, 4) that have come through by now, and what is on its way."""
+        timing = self.timing
+        if not timing.setpoint_slots:
+            return setpoint, sent
+        due = (since % timing.law == 0).unsqueeze(-1)
+        sent = torch.where(due, write_ring(sent, setpoint, since // timing.law, timing.setpoint_slots), sent)
+        arrived = (since - timing.delay).clamp_min(0) // timing.law
+        return read_ring(sent, arrived, timing.setpoint_slots), sent
+
+
+def write_ring(ring: Tensor, row: Tensor, count: Tensor, slots: int) -> Tensor:
+    """Return a ring (E, S W) with a row (E, W) in the slot of a count (E,)."""
+    here = torch.arange(slots, device=ring.device) == (count % slots).unsqueeze(-1)
+    rows = torch.where(here.unsqueeze(-1), row.unsqueeze(1), ring.unflatten(-1, (slots, -1)))
+    return rows.flatten(1)
+
+
+def read_ring(ring: Tensor, count: Tensor, slots: int) -> Tensor:
+    """Return the row (E, W) of a ring (E, S W) in the slot of a count (E,)."""
+    rows = ring.unflatten(-1, (slots, -1))
+    index = (count.long() % slots)[:, None, None].expand(-1, 1, rows.shape[-1])
+    return rows.gather(1, index).squeeze(1)

@@ -1,0 +1,188 @@
+"""Gains that meet a bandwidth and a damping ratio on vehicles with rotor lag and dead time, in all environments at once.
+
+The attitude loop is ``L(s) = (k_p + k_d s) H(s) / s²`` with what is between a wanted and a given angular acceleration,
+``H(s) = exp(-d s) / (T s + 1)``. A pair of poles at ``s = w (-z + i sqrt(1 - z²))`` asks for ``k_p + k_d s = -s² / H(s)``: one
+complex equation, linear in both gains, exact with lag and dead time. What is left is the frequency w at which the closed loop
+``k_p H / (s² + (k_p + k_d s) H)`` has the wanted bandwidth, by bisection. The position loop is the same around the closed
+attitude loop, whose response is its H.
+Letters: E environments.
+Source: Derived, above; dominant poles placed by two gains: Astrom, Hagglund (2006), Advanced PID Control, section 6.4.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import inf, sqrt
+
+import torch
+from torch import Tensor
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics.vehicle import Vehicle
+
+HALVINGS = 60
+"""Of the frequency: to the last place of float64."""
+
+HELD = 0.5
+"""Of a time step by which a command is late in the mean while it is held."""
+
+LEAST_DAMPING, MOST_DAMPING = 0.3, 1.0
+"""Damping ratios that can be asked for; 1 is taken as a pair just short of it."""
+
+FAR_POLE = 1.5
+"""How much faster than the placed pair other poles must decay, at least, for the pair to be what one sees."""
+
+Bandwidth = float | tuple[float, float, float]
+"""[rad/s], of all axes or of x, y, z."""
+
+Response = Callable[[Tensor], Tensor]
+"""From s, complex (E, 3), to the response there, likewise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tuning:
+    """Gains of one loop that meet what was asked for."""
+
+    frequency: Tensor
+    """Of the placed pair w [rad/s], (E, 3)."""
+
+    proportional: Tensor
+    """Acceleration per error k_p [1/s²], (E, 3)."""
+
+    derivative: Tensor
+    """Acceleration per rate k_d [1/s], (E, 3)."""
+
+    inner: Response
+    """From a wanted to a given acceleration, H."""
+
+    @property
+    def closed(self) -> Response:
+        """From the wanted to the given angle or position."""
+        return _closed(self.proportional, self.derivative, self.inner)
+
+    @property
+    def natural_frequency(self) -> Tensor:
+        """``sqrt k_p`` [rad/s], (E, 3): what ``ControlCfg.attitude_frequency`` and ``position_frequency`` call so."""
+        return self.proportional.sqrt()
+
+    @property
+    def damping(self) -> Tensor:
+        """``k_d / (2 sqrt k_p)``, (E, 3), as ``ControlCfg.attitude_damping`` and ``position_damping``."""
+        return self.derivative / (2.0 * self.proportional.sqrt())
+
+
+def rotor_response(lag: Tensor, delay: float) -> Response:
+    """Return ``exp(-d s) / (T s + 1)`` of a lag T [s], (E, 3), and a dead time d [s]."""
+    return lambda s: torch.exp(-delay * s) / (lag * s + 1.0)
+
+
+def placed_gains(frequency: Tensor, damping: float, inner: Response) -> tuple[Tensor, Tensor]:
+    """Return k_p [1/s²] and k_d [1/s], (E, 3), that place a pair of poles.
+
+    Args:
+        frequency: Of the pair [rad/s], (E, 3).
+        damping: Its damping ratio, < 1.
+        inner: H.
+    """
+    s = frequency * complex(-damping, sqrt(1.0 - damping**2))
+    wanted = -s.square() / inner(s)
+    derivative = wanted.imag / s.imag
+    return wanted.real - derivative * s.real, derivative
+
+
+def tuned(inner: Response, lag: Tensor, *, bandwidth: Bandwidth, damping: float, what: str) -> Tuning:
+    """Return the gains with which a loop around H has a bandwidth and a damping ratio.
+
+    Args:
+        inner: H.
+        lag: All of its lag and dead time together [s], (E, 3); by it frequencies are bounded.
+        bandwidth: At which the closed loop gives ``sqrt 1/2`` of what is wanted [rad/s].
+        damping: Of the placed pair, ``LEAST_DAMPING`` to ``MOST_DAMPING``.
+        what: Loop, for people.
+
+    Raises:
+        ConfigError: If a number is none, or the lag does not let some environment have so much; it says how much all can have.
+    """
+    asked = lag.new_tensor(bandwidth).expand(3)
+    if not bool(((asked > 0.0) & (asked < inf)).all()):
+        raise ConfigError(f"bandwidth = {bandwidth!r} rad/s: must be > 0 and finite")
+    if not LEAST_DAMPING <= damping <= MOST_DAMPING:
+        raise ConfigError(f"damping = {damping!r}: must be from {LEAST_DAMPING} to {MOST_DAMPING}")
+    damping = min(damping, 1.0 - 1e-6)
+    highest = 1.0 / ((1.0 + FAR_POLE) * damping * lag.clamp_min(1e-6))
+    low, high = torch.zeros_like(highest), highest
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        short = _gain_at(asked, middle, damping, inner) < sqrt(0.5)
+        low, high = torch.where(short, middle, low), torch.where(short, high, middle)
+    if bool((_gain_at(asked, highest, damping, inner) < sqrt(0.5)).any()):
+        most = [f"{value:.4g}" for value in _bandwidth(highest, damping, inner).amin(0).tolist()]
+        raise ConfigError(
+            f"{what} loop: a bandwidth of {bandwidth!r} rad/s with a damping of {damping:.3g} is more than a lag of "
+            f"{float(lag.amax()):.3g} s allow. Ask for at most {', '.join(most)} rad/s about x, y, z, or for less damping"
+        )
+    proportional, derivative = placed_gains(high, damping, inner)
+    return Tuning(frequency=high, proportional=proportional, derivative=derivative, inner=inner)
+
+
+def _closed(proportional: Tensor, derivative: Tensor, inner: Response) -> Response:
+    def closed(s: Tensor) -> Tensor:
+        response = inner(s)
+        return proportional * response / (s.square() + (proportional + derivative * s) * response)
+
+    return closed
+
+
+def _gain_at(bandwidth: Tensor, frequency: Tensor, damping: float, inner: Response) -> Tensor:
+    """Return the gain of the closed loop at an angular frequency [rad/s], (E, 3), with poles placed at another."""
+    safe = frequency.clamp_min(1e-9)
+    s = torch.complex(torch.zeros_like(safe), bandwidth.expand_as(safe))
+    return _closed(*placed_gains(safe, damping, inner), inner)(s).abs()
+
+
+def _bandwidth(frequency: Tensor, damping: float, inner: Response) -> Tensor:
+    """Return the bandwidth [rad/s], (E, 3), of poles placed at a frequency: where the gain first falls below ``sqrt 1/2``."""
+    low, high = torch.zeros_like(frequency), 4.0 * frequency
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        above = _gain_at(middle, frequency, damping, inner) > sqrt(0.5)
+        low, high = torch.where(above, middle, low), torch.where(above, high, middle)
+    return low
+
+
+def tune_attitude(vehicle: Vehicle, *, bandwidth: Bandwidth, damping: float, delay: float, dt: float) -> Tuning:
+    """Return the gains of the attitude loop of every environment's own vehicle, on all three axes.
+
+    Args:
+        vehicle: As identified or drawn; its rotor lags count, the slower of rise and fall.
+        bandwidth: [rad/s], of all axes or of roll, pitch and yaw. What the rotors can give about yaw is not looked at.
+        damping: Damping ratio.
+        delay: Dead time between a command and the rotors [s], that of the effect ``actuation_delay``.
+        dt: Time step of the control law [s], for which its command is held.
+
+    Raises:
+        ConfigError: As in ``tuned``.
+    """
+    slowest = torch.maximum(vehicle.time_constant_up, vehicle.time_constant_down).amax(-1, keepdim=True).double()
+    lag, late = slowest.expand(-1, 3), delay + HELD * dt
+    return tuned(rotor_response(lag, late), lag + late, bandwidth=bandwidth, damping=damping, what="attitude")
+
+
+def tune_position(attitude: Tuning, *, bandwidth: Bandwidth, damping: float) -> Tuning:
+    """Return the gains of the position loop along x, y, z around tuned pitch, tuned roll, and rotors.
+
+    Args:
+        attitude: Of the same vehicles.
+        bandwidth: [rad/s], of all axes or of each.
+        damping: Damping ratio.
+
+    Raises:
+        ConfigError: As in ``tuned``.
+    """
+
+    def inner(s: Tensor) -> Tensor:
+        pitch_and_roll = attitude.closed(s[:, [1, 0, 2]])[:, [1, 0]]
+        return torch.cat((pitch_and_roll, attitude.inner(s)[:, 2:]), dim=-1)
+
+    lag = attitude.derivative / attitude.proportional
+    lag = torch.cat((lag[:, [1, 0]], 1.0 / ((1.0 + FAR_POLE) * attitude.frequency[:, 2:])), dim=-1)
+    return tuned(inner, lag, bandwidth=bandwidth, damping=damping, what="position")

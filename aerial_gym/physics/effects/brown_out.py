@@ -1,0 +1,88 @@
+"""A brown-out: for a while the supply gives so little that all motors reach a part of what they are told, or nothing.
+
+From the boundary between two substeps on that is nearest to ``time`` after the reset, for ``duration``, all rotors tend to
+``scale`` times the command, each with its own lag, and then to the command again: a loose contact, a battery that
+breaks down, speed controllers that start anew. What charge and load do to a battery that is whole is ``battery_sag``.
+Source: speed of a motor in proportion to its voltage, as in ``battery_sag``: Drela (2007), First-order DC electric motor model.
+"""
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.physics.effects.base import ANY_ROTOR, CommandEffect, Moment, Parameter
+from aerial_gym.physics.effects.failure import LATEST, TIME, middle_of
+from aerial_gym.physics.vehicle import Vehicle
+
+
+class BrownOut(CommandEffect):
+    """A factor on the commands of all rotors for a while."""
+
+    name = "brown_out"
+    summary = "for a while all rotors reach a part of their commands, or nothing"
+    parameters = (
+        Parameter(
+            name="scale",
+            unit="-",
+            low=0.0,
+            high=2.0,
+            scale=0.3,
+            meaning="speed, in force mode thrust, per what is told, while it lasts",
+        ),
+        TIME,
+        Parameter(
+            name="duration",
+            unit="s",
+            low=0.0,
+            high=LATEST,
+            scale=0.1,
+            meaning="until the supply is whole again",
+            kind="convention",
+        ),
+    )
+    excitation = "an episode that goes on after it; a log does not say when its reset was"
+    confused_with = ("battery_sag", "thrust_coefficient")
+    rotors = ANY_ROTOR
+    memory = (1.0,)
+    """Factor on the commands."""
+    random = True
+
+    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
+        """Return 1 for no time: they do as they are told."""
+        del robot
+        return 1.0, 0.0, 0.0
+
+    def remember(self, moment: Moment, values: Tensor) -> Tensor:
+        """Return the factor of this substep, (E, 1)."""
+        since = middle_of(moment, values).unsqueeze(-1) - values[:, 1:2]
+        return torch.where((since >= 0.0) & (since < values[:, 2:3]), values[:, :1], 1.0)
+
+    def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
+        """Return the commands times the factor."""
+        del vehicle
+        return command * params[:, 3:]
+
+    def measured(self, voltage: Tensor) -> Tensor:
+        """Return no failure, (T, 1)."""
+        return torch.ones_like(voltage).unsqueeze(-1)
+
+    def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
+        """Return the same in Warp."""
+
+        @wp.func
+        def supply(plant: vehicle, now: moment, values: wp.vec4) -> wp.vec4:
+            since = (float(now.since) + 0.5) * now.dt - values[1]
+            factor = wp.where(since >= 0.0 and since < values[2], values[0], 1.0)
+            return wp.vec4(values[0], values[1], values[2], factor)
+
+        return supply
+
+    def warp_command(self, vehicle: type, vector: type) -> wp.Function:
+        """Return the same in Warp."""
+
+        @wp.func
+        def brown_out(command: vector, plant: vehicle, values: wp.vec4) -> vector:
+            return command * values[3]
+
+        return brown_out

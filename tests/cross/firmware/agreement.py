@@ -1,0 +1,73 @@
+"""How far our controllers are from those of real firmware: the golden vectors of this folder, as a table.
+
+python -m tests.cross.firmware.agreement [--write docs/flight_controllers.md]
+"""
+
+import argparse
+import platform
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from tests.cross.firmware import crazyflie_pairs, px4_pairs
+
+BEGIN, END = "<!-- table: begin, by python -m tests.cross.firmware.agreement -->", "<!-- table: end -->"
+
+
+def pairs() -> dict[str, tuple[Tensor, Tensor]]:
+    """Return our numbers and theirs, by what they are."""
+    vectors = px4_pairs.read_vectors()
+    position = {f"PX4: {name}": pair[:2] for name, pair in px4_pairs.position_pairs(vectors).items()}
+    return {
+        "PX4: normalised torque": px4_pairs.rate_pair(vectors)[:2],
+        "PX4: body rates of attitude control [rad/s]": px4_pairs.attitude_pair(vectors),
+        **position,
+        **_crazyflie(),
+    }
+
+
+def _crazyflie() -> dict[str, tuple[Tensor, Tensor]]:
+    vectors = crazyflie_pairs.read_vectors()
+    ours, theirs = crazyflie_pairs.lee_pair(vectors)
+    lifts = theirs[:, 0] > 1e-3
+    found = {
+        "Crazyflie, Lee: thrust [N]": (ours[:, :1], theirs[:, :1]),
+        "Crazyflie, Lee: torque [N m] where thrust is along the body": (ours[lifts, 1:], theirs[lifts, 1:]),
+    }
+    for name, pair in (("Mellinger", crazyflie_pairs.mellinger_pair), ("PID", crazyflie_pairs.pid_pair)):
+        ours, theirs = pair(vectors)
+        found[f"Crazyflie, {name}: thrust [counts]"] = ours[..., :1], theirs[..., :1]
+        found[f"Crazyflie, {name}: moments [whole counts]"] = ours[..., 1:], theirs[..., 1:]
+    return found
+
+
+def table() -> str:
+    """Return the table with what it was made on."""
+    lines = [
+        "| | states | largest value | largest difference | 99 % below | median |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, (ours, theirs) in pairs().items():
+        error = (ours - theirs).abs().amax(-1).flatten()
+        tail = float(error.kthvalue(int(0.99 * error.numel())).values)
+        figures = (float(theirs.abs().max()), float(error.max()), tail, float(error.median()))
+        lines.append(f"| {name} | {error.numel():,} | " + " | ".join(f"{x:.2g}" for x in figures) + " |")
+    made_on = f"{platform.machine()} CPU, torch {torch.__version__.split('+')[0]}; ours in float64, theirs in float32."
+    return "\n".join((*lines, "", made_on, ""))
+
+
+def main() -> None:
+    """Print the table, or write it into a page."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--write", type=Path, help="page in which the table stands")
+    args = parser.parse_args()
+    if args.write is None:
+        print(table())
+        return
+    head, rest = args.write.read_text(encoding="utf-8").split(BEGIN)
+    args.write.write_text(f"{head}{BEGIN}\n{table()}{END}{rest.split(END)[1]}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,133 @@
+"""Our answers to the random states of ``crazyflie_vectors``, beside the firmware's, in our frames."""
+
+from math import inf, radians
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from aerial_gym.control.crazyflie.mellinger import WIDTH, FlatTarget, MellingerGains, mellinger_control
+from aerial_gym.control.crazyflie.pid import PidGains, PidLevel, fresh, pid_control
+from aerial_gym.control.lee import LeeGains, position_control
+from aerial_gym.math.quaternion import quat_from_euler, quat_normalize
+from aerial_gym.physics.state import BodyState
+from tests.cross.firmware import crazyflie_vectors as made
+
+DT = 0.002
+"""Of the firmware's attitude loop [s]."""
+
+GRAVITY = 9.81
+"""The firmware's [m/s²]."""
+
+LOOSE = 1.5707
+"""An inclination that is no limit [rad]."""
+
+Pair = tuple[Tensor, Tensor]
+
+
+def read_vectors() -> dict[str, Tensor]:
+    """Return the firmware's answers by name, as they stand in the file."""
+    with np.load(made.VECTORS) as file:
+        if int(file["checksum"]) != made.states_checksum():
+            raise ValueError("the random states are not those of the vectors: make them anew (crazyflie_vectors.py)")
+        return {name: torch.from_numpy(file[name]).double() for name in ("lee", "mellinger", "pid")}
+
+
+def _split(rows: np.ndarray, *widths: int) -> list[Tensor]:
+    return list(torch.from_numpy(rows).double().split(widths, dim=-1))
+
+
+def _state(attitude: Tensor, position: Tensor, velocity: Tensor, gyro: Tensor) -> BodyState:
+    rates = torch.deg2rad(gyro)
+    return BodyState(
+        position=position,
+        attitude=attitude,
+        lin_vel=velocity,
+        ang_vel=rates,
+        rotor_speed=position.new_zeros(len(position), 4),
+    )
+
+
+def lee_pair(vectors: dict[str, Tensor]) -> Pair:
+    """Return thrust [N] and torque [N m], (N, 4); the firmware's integrals are off, as ours has none.
+
+    Ours keeps a tenth of the weight upwards in what it wants, the firmware does not: states that want less are left out.
+    """
+    gains, rows = made.lee_states()
+    mass, inertia, position, velocity, attitude, rate = _split(gains, 1, 3, 3, 3, 3, 3)
+    q, at, moving, gyro, goal, goal_velocity, yaw = _split(rows, 4, 3, 3, 3, 3, 3, 1)
+    own = LeeGains(
+        position=position, velocity=velocity, attitude=attitude, rate=rate, mass=mass[:, 0], inertia=torch.diag_embed(inertia),
+        gravity=GRAVITY, max_yaw_rate=inf, max_inclination=LOOSE,
+    )  # fmt: skip
+    # Ours comes to rest at its goal: a wanted velocity is one that is taken off the measured one.
+    state = _state(quat_normalize(q), at, moving - goal_velocity, gyro)
+    wrench = position_control(state, torch.cat((goal, torch.deg2rad(yaw)), dim=-1), own)
+    upwards = position[:, 2] * (goal - at)[:, 2] + velocity[:, 2] * (goal_velocity - moving)[:, 2] + GRAVITY
+    kept = upwards > 0.1 * GRAVITY
+    return wrench[kept, 2:], vectors["lee"][kept]
+
+
+def mellinger_pair(vectors: dict[str, Tensor]) -> Pair:
+    """Return thrust and moments [counts], (STEPS, RUNS, 4), of runs of ten steps."""
+    gains, rows = made.mellinger_states()
+    named = dict(zip(made.MELLINGER, torch.from_numpy(gains).double().unsqueeze(-1).unbind(1), strict=True))
+
+    def of(name: str) -> Tensor:
+        return torch.cat((named[f"{name}_xy"], named[f"{name}_xy"], named[f"{name}_z"]), dim=-1)
+
+    own = MellingerGains(
+        mass=named["mass"], mass_thrust=named["massThrust"], position=of("kp"), velocity=of("kd"), position_integral=of("ki"),
+        position_limit=of("i_range"), attitude=of("kR"), rate=of("kw"), attitude_integral=of("ki_m"),
+        attitude_limit=of("i_range_m"), rate_difference=named["kd_omega_rp"],
+    )  # fmt: skip
+    kept, found = own.mass.new_zeros(made.RUNS, WIDTH), []
+    for step in zip(*(part.unbind(1) for part in _split(rows, 4, 3, 3, 3, 3, 3, 1)), strict=True):
+        q, at, moving, gyro, goal, goal_velocity, yaw = step
+        still = torch.zeros_like(at)
+        target = FlatTarget(
+            position=goal, velocity=goal_velocity, acceleration=still, yaw=torch.deg2rad(yaw[:, 0]), rates=still
+        )
+        state = _state(quat_normalize(q), at, moving, gyro)
+        thrust, moment, kept = mellinger_control(state, target, kept, own, gravity=GRAVITY, dt=DT)
+        found.append(torch.cat((thrust, moment.trunc()), dim=-1))
+    return torch.stack(found), _nose_down(vectors["mellinger"]).transpose(0, 1)
+
+
+def pid_pair(vectors: dict[str, Tensor]) -> Pair:
+    """Return thrust and moments [counts], (STEPS, RUNS, 4), of runs of ten steps, of which two move position and velocity."""
+    rows, own = _split(made.pid_states(), 3, 3, 3, 3, 3, 1), default_pid_gains(made.RUNS)
+    kept, found = None, []
+    for k, step in enumerate(zip(*(part.unbind(1) for part in rows), strict=True)):
+        angles, at, moving, gyro, goal, yaw = step
+        state = _state(quat_from_euler(torch.deg2rad(angles)), at, moving, gyro)
+        kept = fresh(state, torch.zeros_like(at[:, :1])) if kept is None else kept
+        thrust, moment, kept = pid_control(
+            state, goal, yaw[:, 0] * radians(1.0), kept, own, due=k % 5 == 0, dt=DT, slow_dt=5 * DT
+        )
+        found.append(torch.cat((thrust, moment.trunc()), dim=-1))
+    return torch.stack(found), _nose_down(vectors["pid"]).transpose(0, 1)
+
+
+def default_pid_gains(num_envs: int) -> PidGains:
+    """Return the gains that the Crazyflie comes with: ``pid_rate``, ``pid_attitude``, ``velCtlPid``, ``posCtlPid``."""
+
+    def rows(*numbers: float) -> Tensor:
+        return torch.tensor(numbers, dtype=torch.float64).expand(num_envs, -1)
+
+    def level(p: tuple[float, ...], i: tuple[float, ...], d: tuple[float, ...], limit: tuple[float, ...]) -> PidLevel:
+        return PidLevel(proportional=rows(*p), integral=rows(*i), derivative=rows(*d), limit=rows(*limit))
+
+    none, far = (0.0, 0.0, 0.0), (5000.0, 5000.0, 5000.0)
+    return PidGains(
+        position=level((2.0, 2.0, 2.0), (0.0, 0.0, 0.5), none, far),
+        velocity=level((25.0, 25.0, 25.0), (1.0, 1.0, 15.0), none, far),
+        attitude=level((6.0, 6.0, 6.0), (3.0, 3.0, 1.0), (0.0, 0.0, 0.35), (20.0, 20.0, 360.0)),
+        rates=level((250.0, 250.0, 120.0), (500.0, 500.0, 16.7), (2.5, 2.5, 0.0), (33.3, 33.3, 166.7)),
+        most_velocity=rows(1.0, 1.0, 1.0), most_tilt=rows(20.0), thrust_base=rows(36000.0), least_thrust=rows(20000.0),
+    )  # fmt: skip
+
+
+def _nose_down(counts: Tensor) -> Tensor:
+    """Return thrust, roll, pitch, yaw [counts] of the firmware with moments about our axes."""
+    return counts * counts.new_tensor((1.0, 1.0, -1.0, -1.0))

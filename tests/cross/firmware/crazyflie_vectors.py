@@ -1,0 +1,248 @@
+"""Golden vectors of the Crazyflie firmware's controllers: 10,000 random states each of Lee, Mellinger and the PID cascade.
+
+    python -m tests.cross.firmware.crazyflie_vectors --library libcrazyflie.so
+
+asks a library of the host into which ``controller_lee.c``, ``controller_mellinger.c``, ``controller_pid.c`` and what they
+include were compiled (``UNIT_TEST_MODE``; GPL-3, none of it is kept here) and writes what they answer. It is asked through its
+public structures alone. States are not written: they follow from the seed, and a checksum says whether they still do.
+Units are the firmware's: degrees, PWM counts; its pitch is positive with the nose up, its quaternions are xyzw.
+"""
+
+import argparse
+import ctypes
+from ctypes import Structure, Union, byref, c_float, c_int, c_int16, c_uint32, c_uint64
+from pathlib import Path
+
+import numpy as np
+
+from tests.cross.firmware.draws import Array, Draws, checksum
+
+VECTORS = Path(__file__).with_name("crazyflie_vectors.npz")
+SEED = 40
+STEPS = 10
+"""Successive runs at 500 Hz, so that integrals are not empty."""
+
+RUNS = 1000
+
+LEE_ROWS = 12_000
+"""A fifth more, as not all of them can be compared (``crazyflie_pairs.lee_pair``)."""
+
+Vector = c_float * 3
+MELLINGER = (
+    *("mass", "massThrust", "kp_xy", "kd_xy", "ki_xy", "i_range_xy", "kp_z", "kd_z", "ki_z", "i_range_z", "kR_xy", "kw_xy"),
+    *("ki_m_xy", "i_range_m_xy", "kR_z", "kw_z", "ki_m_z", "i_range_m_z", "kd_omega_rp"),
+)  # fmt: skip
+"""Gains of the Mellinger controller, in the order of its structure."""
+
+MELLINGER_ENDS = (
+    *((0.025, 0.04), (1.0e5, 1.5e5), (0.1, 0.5), (0.05, 0.3), (0.0, 0.1), (0.001, 0.01), (0.2, 1.3), (0.1, 0.6), (0.0, 0.1)),
+    *((0.001, 0.01), (5e3, 2e4), (1e3, 5e3), (0.0, 500.0), (5e-4, 0.01), (5e3, 3e4), (500.0, 6e3), (0.0, 500.0), (5e-4, 0.01)),
+    (0.0, 20.0),
+)  # fmt: skip
+
+
+class Stamped(Structure):
+    """Three numbers with a time."""
+
+    _fields_ = (("time", c_uint32), ("v", Vector))
+
+
+class Setpoint(Structure):
+    """``setpoint_t``."""
+
+    _fields_ = (
+        ("time", c_uint32), ("attitude", Stamped), ("rates", Stamped), ("quaternion", c_float * 4), ("thrust", c_float),
+        ("position", Stamped), ("velocity", Stamped), ("acceleration", Stamped), ("jerk", Stamped),
+        ("in_body", ctypes.c_bool), ("mode", c_int * 7),
+    )  # fmt: skip
+
+
+class State(Structure):
+    """``state_t``."""
+
+    _fields_ = (
+        ("attitude", Stamped), ("quaternion", c_float * 4), ("position", Stamped), ("velocity", Stamped), ("acc", Stamped),
+    )  # fmt: skip
+
+
+class Sensors(Structure):
+    """``sensorData_t``."""
+
+    _fields_ = (("acc", Vector), ("gyro", Vector), ("mag", Vector), ("baro", Vector), ("time", c_uint64))
+
+
+class Counts(Structure):
+    """The answer in counts."""
+
+    _fields_ = (("roll", c_int16), ("pitch", c_int16), ("yaw", c_int16), ("thrust", c_float))
+
+
+class Answer(Union):
+    """In counts, or thrust [N] and torque [N m]."""
+
+    _fields_ = (("counts", Counts), ("wrench", c_float * 4))
+
+
+class Control(Structure):
+    """``control_t``."""
+
+    _fields_ = (("answer", Answer), ("mode", c_int))
+
+
+class Lee(Structure):
+    """``controllerLee_t``, up to its gains; the rest is room for what it keeps."""
+
+    _fields_ = (
+        ("mass", c_float), ("thrust", c_float), ("inertia", Vector), ("position", Vector), ("position_limit", c_float),
+        ("velocity", Vector), ("velocity_limit", c_float), ("integral", Vector), ("integral_limit", c_float),
+        ("kept", c_float * 9), ("attitude", Vector), ("rate", Vector), ("turned", Vector), ("rest", c_float * 64),
+    )  # fmt: skip
+
+
+class Mellinger(Structure):
+    """``controllerMellinger_t``, up to its gains; the rest is room for what it keeps."""
+
+    _fields_ = (*((name, c_float) for name in MELLINGER), ("rest", c_float * 64))
+
+
+def lee_states() -> tuple[Array, Array]:
+    """Return gains (LEE_ROWS, 16), mass, inertia, position, velocity, attitude, rate, and states (LEE_ROWS, 20)."""
+    draw, rows = Draws(SEED), LEE_ROWS
+    ends = (
+        (0.02, 0.05),
+        *[(1e-5, 4e-5)] * 3,
+        *[(3.0, 9.0)] * 3,
+        *[(2.0, 5.0)] * 3,
+        *[(3e-3, 1e-2)] * 3,
+        *[(5e-4, 3e-3)] * 3,
+    )
+    gains = np.concatenate([draw(rows, 1, low=low, high=high) for low, high in ends], axis=-1)
+    return gains, _states(draw, rows, upright=1.4, rate=300.0)
+
+
+def mellinger_states() -> tuple[Array, Array]:
+    """Return gains (RUNS, 19) in the order of ``MELLINGER``, and states (RUNS, STEPS, 20)."""
+    draw = Draws(SEED + 1)
+    gains = np.concatenate([draw(RUNS, 1, low=low, high=high) for low, high in MELLINGER_ENDS], axis=-1)
+    return gains, _states(draw, RUNS, STEPS, upright=1.2, rate=100.0)
+
+
+def _states(draw: Draws, *shape: int, upright: float, rate: float) -> Array:
+    """Return quaternion (4), position, velocity, gyro [deg/s], wanted position, velocity, yaw [deg] (1), (..., 20)."""
+    half = np.float32(0.5)
+    parts = (
+        draw.unit_quaternions(*shape, upright=upright), half * draw(*shape, 3), half * draw(*shape, 3),
+        np.float32(rate) * draw(*shape, 3), half * draw(*shape, 3), half * draw(*shape, 3), np.float32(180.0) * draw(*shape, 1),
+    )  # fmt: skip
+    return np.concatenate(parts, axis=-1)
+
+
+def pid_states() -> Array:
+    """Return angles [deg], nose down positive, position, velocity, gyro [deg/s], wanted position, yaw, (RUNS, STEPS, 16)."""
+    draw = Draws(SEED + 2)
+    ends = np.array((30.0, 30.0, 180.0), np.float32)
+    angles = ends * draw(RUNS, 1, 3) + np.float32(0.5) * draw(RUNS, STEPS, 3)
+    gyro = np.float32(40.0) * draw(RUNS, 1, 3) + np.float32(3.0) * draw(RUNS, STEPS, 3)
+    gyro[:, 0] *= np.float32(0.2)
+    places = [np.float32(size) * draw(RUNS, STEPS, 3) for size in (0.4, 0.6)]
+    yaw = np.repeat(angles[:, :1, 2:] + np.float32(25.0) * draw(RUNS, 1, 1), STEPS, axis=1)
+    angles[..., 2:], yaw = (x - np.float32(360.0) * np.round(x / np.float32(360.0)) for x in (angles[..., 2:], yaw))
+    return np.concatenate((angles, *places, gyro, np.float32(0.4) * draw(RUNS, STEPS, 3), yaw), axis=-1)
+
+
+def states_checksum() -> int:
+    """Return a number of all states."""
+    return checksum(*lee_states(), *mellinger_states(), pid_states())
+
+
+def _fill(row: Array) -> tuple[State, Sensors, Setpoint]:
+    state, sensors, wanted = State(), Sensors(), Setpoint()
+    state.quaternion, state.position.v, state.velocity.v = _of(row[:4]), _of(row[4:7]), _of(row[7:10])
+    sensors.gyro, wanted.position.v, wanted.velocity.v = _of(row[10:13]), _of(row[13:16]), _of(row[16:19])
+    wanted.attitude.v = _of((0.0, 0.0, row[19]))
+    wanted.mode = (c_int * 7)(1, 1, 1, 0, 0, 1, 0)  # position and yaw
+    return state, sensors, wanted
+
+
+def _of(numbers: "Array | tuple[float, ...]") -> ctypes.Array[c_float]:
+    return (c_float * len(numbers))(*(float(x) for x in numbers))
+
+
+def _counts(control: Control) -> tuple[float, int, int, int]:
+    counts = control.answer.counts
+    return counts.thrust, counts.roll, counts.pitch, counts.yaw
+
+
+def answers(library: ctypes.CDLL) -> dict[str, Array]:
+    """Return what the controllers answer, by name: Lee in SI, the others in counts."""
+    return {"lee": _ask_lee(library), "mellinger": _ask_mellinger(library), "pid": _ask_pid(library)}
+
+
+def _ask_lee(library: ctypes.CDLL) -> Array:
+    found = []
+    for gains, row in zip(*lee_states(), strict=True):
+        own, control = Lee(), Control()
+        library.controllerLeeInit(byref(own))
+        own.mass, own.inertia, own.position, own.velocity = float(gains[0]), *(_of(gains[i : i + 3]) for i in (1, 4, 7))
+        own.attitude, own.rate, own.turned = _of(gains[10:13]), _of(gains[13:16]), _of((0.0, 0.0, 0.0))
+        state, sensors, wanted = _fill(row)
+        library.controllerLee(byref(own), byref(control), byref(wanted), byref(sensors), byref(state), c_uint32(0))
+        found.append(list(control.answer.wrench))
+    return np.array(found, np.float32)
+
+
+def _ask_mellinger(library: ctypes.CDLL) -> Array:
+    found = []
+    for gains, rows in zip(*mellinger_states(), strict=True):
+        own = Mellinger()
+        library.controllerMellingerInit(byref(own))
+        for name, gain in zip(MELLINGER, gains, strict=True):
+            setattr(own, name, float(gain))
+        library.controllerMellingerReset(byref(own))
+        own.rest = (c_float * 64)()
+        for k, row in enumerate(rows):
+            control, (state, sensors, wanted) = Control(), _fill(row)
+            arguments = map(byref, (own, control, wanted, sensors, state))
+            library.controllerMellinger(*arguments, c_uint32(2 * k))
+            found.append(_counts(control))
+    return np.array(found, np.float32).reshape(RUNS, STEPS, 4)
+
+
+def _ask_pid(library: ctypes.CDLL) -> Array:
+    library.controllerPidInit()
+    found = []
+    for rows in pid_states():
+        library.attitudeControllerResetAllPID(*map(c_float, _nose_up(rows[0, :3])))
+        library.positionControllerResetAllPID(c_float(0.0), c_float(0.0), c_float(0.0))
+        library.positionControllerResetAllfilters()
+        for k, row in enumerate(rows):
+            control, state, sensors, wanted = Control(), State(), Sensors(), Setpoint()
+            state.attitude.v, state.position.v, state.velocity.v = _of(_nose_up(row[:3])), _of(row[3:6]), _of(row[6:9])
+            sensors.gyro, wanted.position.v, wanted.attitude.v = (
+                _of(row[9:12]),
+                _of(row[12:15]),
+                _of((0.0, 0.0, row[15])),
+            )
+            wanted.mode = (c_int * 7)(1, 1, 1, 0, 0, 1, 0)
+            library.controllerPid(*map(byref, (control, wanted, sensors, state)), c_uint32(2 * k))
+            found.append(_counts(control))
+    return np.array(found, np.float32).reshape(RUNS, STEPS, 4)
+
+
+def _nose_up(angles: Array) -> tuple[float, float, float]:
+    return float(angles[0]), -float(angles[1]), float(angles[2])
+
+
+def main() -> None:
+    """Write the vectors."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--library", type=Path, required=True, help="host library of the firmware's controllers")
+    parser.add_argument("--version", default="", help="which version that is, to be written beside the numbers")
+    parser.add_argument("--out", type=Path, default=VECTORS)
+    args = parser.parse_args()
+    found = answers(ctypes.CDLL(str(args.library.resolve())))
+    np.savez_compressed(args.out, checksum=states_checksum(), version=args.version, **found)
+
+
+if __name__ == "__main__":
+    main()

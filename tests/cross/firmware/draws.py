@@ -1,0 +1,41 @@
+"""Random states that are the same everywhere: from the bits of a generator, by operations that IEEE 754 rounds exactly."""
+
+import ctypes
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float32]
+
+
+class Draws:
+    """Numbers of one stream."""
+
+    def __init__(self, seed: int) -> None:
+        """Begin a stream."""
+        self._bits = np.random.PCG64(seed)
+
+    def __call__(self, *shape: int, low: float = -1.0, high: float = 1.0) -> Array:
+        """Return numbers between two ends, float32, of a shape."""
+        share = (self._bits.random_raw(int(np.prod(shape))) >> np.uint64(40)).astype(np.float32) / np.float32(2**24)
+        return (np.float32(low) + np.float32(high - low) * share.reshape(shape)).astype(np.float32)
+
+    def unit_quaternions(self, *shape: int, upright: float = 0.0) -> Array:
+        """Return unit quaternions (..., 4), scalar last; the more upright, the smaller the turns."""
+        q = self(*shape, 4)
+        q[..., 3] += np.float32(upright)
+        square = q[..., 0] * q[..., 0] + q[..., 1] * q[..., 1] + q[..., 2] * q[..., 2] + q[..., 3] * q[..., 3]
+        return q / np.sqrt(square)[..., None]
+
+
+def checksum(*arrays: Array) -> int:
+    """Return a number of all states."""
+    return crc32(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays))
+
+
+def pointer(array: Array) -> ctypes.c_void_p:
+    """Return where an array lies."""
+    assert array.dtype == np.float32
+    assert array.flags.c_contiguous
+    return array.ctypes.data_as(ctypes.c_void_p)

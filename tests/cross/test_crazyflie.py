@@ -1,0 +1,45 @@
+"""Our controllers against those of the Crazyflie's firmware: golden vectors of 10,000 random states each.
+
+``tests/cross/firmware/crazyflie_vectors.py`` made them; ``crazyflie_pairs.py`` lays ours beside them.
+"""
+
+import pytest
+import torch
+from torch import Tensor
+
+from tests.cross.firmware.crazyflie_pairs import lee_pair, mellinger_pair, pid_pair, read_vectors
+
+
+@pytest.fixture(scope="module")
+def vectors() -> dict[str, Tensor]:
+    return read_vectors()
+
+
+def test_lee_is_the_firmwares_wherever_thrust_is_along_the_body(vectors: dict[str, Tensor]) -> None:
+    """Thrust everywhere, torque where thrust is positive: where it is not the firmware levels off, ours turns to the force."""
+    ours, theirs = lee_pair(vectors)
+    lifts = theirs[:, 0] > 1e-3
+    torch.testing.assert_close(ours[:, 0], theirs[:, 0], atol=1e-6, rtol=0)
+    torch.testing.assert_close(ours[lifts, 1:], theirs[lifts, 1:], atol=3e-8, rtol=1e-5)
+    assert int(lifts.sum()) > 10_000
+
+
+@pytest.mark.parametrize("pair", [mellinger_pair, pid_pair])
+def test_counts_are_the_firmwares(vectors: dict[str, Tensor], pair) -> None:
+    """Moments are whole counts, cut off towards zero: equal, but for one count where rounding meets the cut."""
+    ours, theirs = pair(vectors)
+    assert ours.shape == (10, 1000, 4)
+    torch.testing.assert_close(ours[..., 0], theirs[..., 0], atol=0.05, rtol=1e-6)
+    off = (ours[..., 1:] - theirs[..., 1:]).abs()
+    assert float(off.max()) <= 1.0
+    assert float((off > 0.0).double().mean()) < 2e-3
+    moments = theirs[..., 1:].abs()
+    assert int((moments < 32000.0).sum()) > 20_000  # most are not at their limit, or the test would not see much
+
+
+def test_mellinger_without_thrust_has_no_moment(vectors: dict[str, Tensor]) -> None:
+    ours, theirs = mellinger_pair(vectors)
+    falls = theirs[..., 0] <= 0.0
+    assert int(falls.sum()) > 50
+    assert not ours[falls][:, 1:].any()
+    assert not theirs[falls][:, 1:].any()

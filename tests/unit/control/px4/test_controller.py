@@ -1,0 +1,206 @@
+"""PX4's cascade as a controller: units, filters, limits and integrals, each against what it must do exactly.
+
+Its laws are held to PX4's own library in ``tests/cross/test_px4.py``, its Warp twin to torch in ``test_cascade.py``.
+"""
+
+from dataclasses import replace
+from math import pi, sqrt
+
+import pytest
+import torch
+
+from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
+from aerial_gym.config.loader import build
+from aerial_gym.config.px4 import Px4Cfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.px4.controller import Px4Controller
+from aerial_gym.control.px4.parameters import thrust_curve, unit_wrench
+from aerial_gym.control.px4.rates import butterworth, low_passed
+from aerial_gym.errors import ConfigError
+from aerial_gym.math.quaternion import euler_from_quat, quat_rotate
+from aerial_gym.physics import BodyState, WarpBackend, build_model, state_at_rest, vehicle_from_config
+from aerial_gym.physics.effects import EFFECTS
+from aerial_gym.physics.law_memory import fresh_law_memory
+from aerial_gym.robots import ROBOTS
+
+F64 = torch.float64
+CPU = torch.device("cpu")
+X500 = ROBOTS.get("x500")
+GAZEBO = ROBOTS.get("x500_px4")
+"""With the motor limits of PX4's Gazebo model, 150 to 1000 rad/s, and PX4's default parameters."""
+
+assert GAZEBO.control.px4 is not None
+PX4_DEFAULTS = replace(GAZEBO.control.px4, IMU_GYRO_CUTOFF=40.0)
+"""With its gyro filter too."""
+
+
+def law_of(
+    name: str,
+    robot: RobotCfg = X500,
+    *,
+    px4: Px4Cfg | None = None,
+    dt: float = 0.002,
+    control: ControlCfg | None = None,
+) -> Px4Controller:
+    cfg = CONTROLLERS.get(name)
+    cfg = cfg if px4 is None else replace(cfg, px4=px4)
+    law = make_controller(cfg, vehicle_from_config(robot, num_envs=1, dtype=F64), 9.81, dt=dt, control=control)
+    assert isinstance(law, Px4Controller)
+    return law
+
+
+def fly(
+    name: str, action: list[float], span: float, *, robot: RobotCfg = GAZEBO, px4: Px4Cfg | None = PX4_DEFAULTS,
+    wind: float = 0.0, dt: float = 0.004,
+) -> list[BodyState]:  # fmt: skip
+    """Return the states of every 0.1 s of a flight from hover, on the fused backend; wind along x [m/s]."""
+    vehicle = vehicle_from_config(robot, num_envs=1)
+    pairs = [(EFFECTS.get("rotor_drag"), torch.tensor([[0.3, 0.3, 0.0]]))]
+    pairs.append((EFFECTS.get("constant_wind"), torch.tensor([[wind, 0.0, 0.0]])))
+    cfg, backend = CONTROLLERS.get(name), WarpBackend()
+    cfg = cfg if px4 is None else replace(cfg, px4=px4)
+    backend.allocate(build_model(vehicle, pairs), make_controller(cfg, vehicle, 9.81, dt=dt), integrator="rk4")
+    state = state_at_rest(1, vehicle.num_rotors, device=CPU, dtype=torch.float32)
+    state.rotor_speed.fill_(robot.rotor.speed_at(robot.body.mass * 9.81 / vehicle.num_rotors))
+    states = []
+    for _ in range(round(span / 0.1)):
+        backend.step(state, torch.tensor([action]), dt, round(0.1 / dt))
+        states.append(BodyState(**{key: value.clone() for key, value in vars(state).items()}))
+    return states
+
+
+def test_normalised_commands_are_those_of_px4s_mixer() -> None:
+    """Quadrotor in X: roll 1 is sqrt(1/2) of each rotor's thrust T, yaw and thrust 1 all of it: 4 sqrt(1/2) T l, 4 T k, 4 T."""
+    torque, thrust = unit_wrench(Allocation(vehicle_from_config(X500, num_envs=1, dtype=F64), 9.81))
+    tilt = 4.0 * sqrt(0.5) * 20.0 * 0.174
+    torch.testing.assert_close(torque, torch.tensor([tilt, tilt, 4.0 * 20.0 * 0.025], dtype=F64))
+    assert thrust == pytest.approx(80.0)
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.3, 1.0])
+def test_the_thrust_curve_is_undone(factor: float) -> None:
+    share = torch.linspace(0.0, 1.0, 11, dtype=F64)
+    signal = thrust_curve(share, factor)
+    torch.testing.assert_close(factor * signal**2 + (1.0 - factor) * signal, share, atol=1e-15, rtol=0)
+
+
+def test_rotors_follow_the_curve_that_the_autopilot_believes_in() -> None:
+    """With THR_MDL_FAC = 0 thrust grows with the signal: hover thrust u gives 150 + 850 u = 689 rad/s, the hover speed."""
+    law = law_of("px4_rate_control", GAZEBO, px4=PX4_DEFAULTS)
+    hover = float(law.gains.position.hover[0, 0])
+    speed = sqrt(1.656 * 9.81 / 4 / 8.54858e-6)
+    assert hover == pytest.approx((speed - 150.0) / 850.0)
+    state = state_at_rest(1, 4, device=CPU, dtype=F64)
+    command = law.rotor_command(state, torch.zeros(1, 4, dtype=F64))
+    torch.testing.assert_close(command, torch.full((1, 4), speed, dtype=F64))
+
+
+def test_the_gyro_filter_has_its_cutoff() -> None:
+    """A sine at the cut-off comes out with 1/sqrt(2) of its size, a constant as it is, from the first sample on."""
+    rate, cutoff = 500.0, 40.0
+    filter = butterworth(cutoff, rate)
+    assert filter is not None
+    assert butterworth(0.0, rate) is None
+    kept, begins, out = torch.zeros(1, 6, dtype=F64), torch.ones(1, 1, dtype=torch.bool), []
+    for k in range(500):
+        sample = torch.tensor([[torch.sin(torch.tensor(2 * pi * cutoff * k / rate, dtype=F64)), 0.7, 0.0]], dtype=F64)
+        found, kept = low_passed(sample, kept, begins, filter)
+        begins = torch.zeros_like(begins)
+        out.append(found[0])
+    sine, constant, nothing = torch.stack(out).unbind(-1)
+    assert float(sine[-125:].square().mean().sqrt() * sqrt(2.0)) == pytest.approx(sqrt(0.5), rel=1e-9)
+    torch.testing.assert_close(constant, torch.full_like(constant, 0.7), atol=1e-12, rtol=0)
+    assert not nothing.any()
+
+
+def test_derived_gains_are_those_of_the_other_rate_loop() -> None:
+    """Level and still, the first answer to a wanted rate is that of ``pid_rates_control``: the same torque per rate error."""
+    state = state_at_rest(1, 4, device=CPU, dtype=F64)
+    action = torch.tensor([[0.1, 0.02, -0.03, 0.01]], dtype=F64)
+    pid = make_controller(
+        CONTROLLERS.get("pid_rates_control"), vehicle_from_config(X500, num_envs=1, dtype=F64), 9.81, dt=0.002
+    )
+    torch.testing.assert_close(
+        law_of("px4_rate_control").rotor_command(state, action), pid.rotor_command(state, action)
+    )
+
+
+def test_the_integral_grows_by_its_gain_and_stops_where_rotors_give_less() -> None:
+    """Constant error e: I k e dt with the fading 1 - (e / 400 deg/s)²; with rotors at their limits not at all from then on."""
+    law = law_of("px4_rate_control", px4=Px4Cfg(MC_ROLLRATE_P=0.5, MC_ROLLRATE_I=0.5, MC_RR_INT_LIM=10.0))
+    state, memory = state_at_rest(1, 4, device=CPU, dtype=F64), None
+    for wanted, grows in ((0.1, True), (6.0, False)):
+        memory = fresh_law_memory(law.needs, 1, state.position)
+        for _ in range(10):
+            _, memory = law.command(state, torch.tensor([[0.0, wanted, 0.0, 0.0]], dtype=F64), memory)
+        fading = 1.0 - (wanted / (400.0 * pi / 180.0)) ** 2
+        runs = 10 if grows else 1  # it is told of the limit one run late, as in PX4
+        assert float(memory.numbers[0, 0]) == pytest.approx(runs * 0.5 * wanted * 0.002 * fading)
+
+
+def test_px4s_own_gains_fly_its_x500() -> None:
+    """Its defaults on its Gazebo model: stable at every step up to 10 ms, and 1 m is reached and held in wind, within 1 cm."""
+    for name in ("px4_position_control", "px4_velocity_control", "px4_attitude_control", "px4_rate_control"):
+        for dt in (0.001, 0.004, 0.01):
+            cfg = replace(CONTROLLERS.get(name), px4=PX4_DEFAULTS)
+            check_closed_loop(GAZEBO, cfg, gravity=9.81, dt=dt, integrator="rk4", names=("x500", name))
+    end = fly("px4_position_control", [1.0, -1.0, 1.0, 0.5], 30.0, wind=3.0)[-1]
+    torch.testing.assert_close(end.position, torch.tensor([[1.0, -1.0, 1.0]]), atol=0.01, rtol=0)
+
+
+def test_wind_is_carried_by_the_integral() -> None:
+    """At rest in wind a velocity loop with an integral keeps its place; the geometric law is blown aside by d v / (m k)."""
+    held = fly("px4_position_control", [0.0, 0.0, 0.0, 0.0], 40.0, px4=None, robot=X500, wind=4.0)[-1]
+    assert float(held.position.norm()) < 0.01
+    assert float(fly("px4_position_control", [0.0] * 4, 1.5, px4=None, robot=X500, wind=4.0)[-1].position[0, 0]) > 0.05
+
+
+def test_speeds_and_tilt_have_their_limits() -> None:
+    """50 m away: 12 m/s are wanted, at most 45 degrees leant; 50 m up 3 m/s; 50 m down 1.5 m/s. Drag takes less than 1 %."""
+    away = fly("px4_position_control", [150.0, 0.0, 0.0, 0.0], 12.0)
+    assert max(float(state.lin_vel[0, 0]) for state in away) == pytest.approx(12.0, rel=0.05)
+    lean = [quat_rotate(state.attitude, torch.tensor([[0.0, 0.0, 1.0]]))[0, 2].acos() for state in away]
+    assert float(max(lean)) < pi / 4 + 0.05
+    up, down = (fly("px4_position_control", [0.0, 0.0, z, 0.0], 8.0)[-1] for z in (50.0, -50.0))
+    assert float(up.lin_vel[0, 2]) == pytest.approx(3.0, rel=0.02)
+    assert float(down.lin_vel[0, 2]) == pytest.approx(-1.5, rel=0.02)
+
+
+def test_attitude_is_held() -> None:
+    end = fly("px4_attitude_control", [0.05, 0.2, -0.1, 0.0], 3.0, px4=None, robot=X500)[-1]
+    found = euler_from_quat(end.attitude)[:, :2]
+    torch.testing.assert_close(found, torch.tensor([[0.2, -0.1]]), atol=1e-3, rtol=0)
+
+
+def test_parameters_belong_to_the_robot() -> None:
+    """What a robot file says under ``control: px4:`` is taken, unless the controller has parameters of its own."""
+    control = build(ControlCfg, {"px4": {"MC_ROLL_P": 7.0, "source": "flown"}}, where="here")
+    assert float(law_of("px4_attitude_control", control=control).gains.attitude[0, 0]) == 7.0
+    slower = law_of("px4_attitude_control", px4=Px4Cfg(rate_hz=250.0), control=control)
+    assert float(slower.gains.attitude[0, 0]) == 7.0
+    assert slower.timing.loop == 2
+    assert float(law_of("px4_attitude_control", px4=Px4Cfg(MC_ROLL_P=5.0), control=control).gains.attitude[0, 0]) == 5.0
+    with pytest.raises(ConfigError, match=r"MC_ROLL_PP.*MC_ROLL_P"):
+        build(ControlCfg, {"px4": {"MC_ROLL_PP": 7.0}}, where="here")
+
+
+def test_what_does_not_fit_is_refused_by_name() -> None:
+    cfg = CONTROLLERS.get("px4_position_control")
+    for robot in ("base_octarotor", "base_random"):
+        with pytest.raises(ConfigError, match="some push down to carry this one"):
+            law_of("px4_position_control", ROBOTS.get(robot))
+    with pytest.raises(ConfigError, match="law 'pose': PX4's cascade has none"):
+        make_controller(replace(cfg, law="pose"), vehicle_from_config(X500, num_envs=1), 9.81, dt=0.002)
+    with pytest.raises(ConfigError, match=r"hover thrust 0.203 must be between MPC_THR_MIN = 0.3"):
+        law_of("px4_position_control", px4=Px4Cfg(MPC_THR_MIN=0.3))
+    with pytest.raises(ConfigError, match=r"IMU_GYRO_CUTOFF = 40: must be below half of the 50 Hz"):
+        law_of("px4_rate_control", px4=Px4Cfg(IMU_GYRO_CUTOFF=40.0), dt=0.02)
+    with pytest.raises(ConfigError, match="Px4Cfg.rate_hz = 300 Hz"):
+        law_of("px4_rate_control", px4=Px4Cfg(rate_hz=300.0))
+    with pytest.raises(ConfigError, match="has gains and a rate loop of its own"):
+        ControllerCfg(summary="-", law="rates", px4=Px4Cfg(), rate_loop=RateLoopCfg())
+    for bad in ({"MC_ROLL_P": -1.0}, {"MC_YAW_WEIGHT": 0.0}, {"THR_MDL_FAC": 1.5}, {"MPC_TILTMAX_AIR": 90.0}):
+        with pytest.raises(ConfigError, match=f"Px4Cfg.{next(iter(bad))} = "):
+            Px4Cfg(**bad)
