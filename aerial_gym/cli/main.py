@@ -25,6 +25,7 @@ COMMANDS: dict[str, Home] = {
     "check": Home("aerial_gym.cli.check:CheckCmd"),
     "import-robot": Home("aerial_gym.cli.import_robot:ImportRobotCmd"),
     "train": Home("aerial_gym.cli.train:TrainCmd"),
+    "train-encoder": Home("aerial_gym.cli.train_encoder:TrainEncoderCmd"),
     "play": Home("aerial_gym.cli.play:PlayCmd"),
     "evaluate": Home("aerial_gym.cli.evaluate:EvaluateCmd"),
     "export": Home("aerial_gym.cli.export:ExportCmd"),

@@ -147,6 +147,10 @@ class TaskCfg:
     """Groups of terms in the order in which they stand side by side: ``policy``, and as many others as wanted, such as
     ``critic`` with what only a simulation knows."""
 
+    encoder: str | None = None
+    """Encoder file (``aerial-gym train-encoder``), or one that comes with the package, whose latents of the first range
+    sensor's image the term ``image_latents`` shows."""
+
     images: Mapping[str, ImageCfg] = field(default_factory=dict)
     """Raw images beside the groups, by the name under which they are given."""
 
