@@ -245,6 +245,7 @@ class DistillCfg(LearnerCfg):
 Section = TypeVar("Section", bound=LearnerCfg)
 
 ALIKE = {
+    "dce_navigation_task": "navigation_task",
     "radar_navigation_task": "lidar_navigation_task",
     "racing_random_track_task": "racing_task",
 }

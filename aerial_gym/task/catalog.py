@@ -306,6 +306,30 @@ def _pixel_navigation() -> TaskCfg:
 task_registry.register_later("pixel_navigation_task", _pixel_navigation)
 
 
+def _dce_navigation() -> TaskCfg:
+    """navigation_task by the latents of an encoder that tells collisions, in the fullest rooms, without noise."""
+    task = task_registry.get("navigation_task")
+    assert task.curriculum is not None
+    seen = tuple(
+        replace(entry, noise_std=0.0, scale=0.2 if entry.term == "distance" else 1.0)
+        for entry in task.observations["policy"]
+    )
+    return replace(
+        with_encoder(replace(task, observations={"policy": seen}), "collision_40x24"),
+        summary="navigation_task among 36 obstacles and more, by 64 latents that tell where the robot would collide",
+        robot="base_quadrotor_with_coarse_camera",
+        action=replace(task.action, transform="forward_flight_3"),
+        curriculum=replace(task.curriculum, min_level=36),
+        source=(
+            f"{task.source}. Aerial Gym Simulator, commit f0d0f05, DCE example: three actions, level, no noise, a "
+            "fifth of the distance; camera and encoder: ours"
+        ),
+    )
+
+
+task_registry.register_later("dce_navigation_task", _dce_navigation)
+
+
 def _radar_navigation() -> TaskCfg:
     """lidar_navigation_task for a vehicle that looks ahead, and whose radar gives no return in most cells.
 

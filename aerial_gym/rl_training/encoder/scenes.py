@@ -59,7 +59,7 @@ def sensor_of(cfg: EncoderTrainingCfg) -> RangeSensorCfg:
     Raises:
         ConfigError: If it has none.
     """
-    with_one = _built(cfg, cfg.envs[0], num_envs=1, seed=0, device="cpu")
+    with_one = _built(cfg, cfg.envs[0], num_envs=1, seed=0, device=cfg.device)
     try:
         casters = with_one.sensor_manager.casters
         if not casters:

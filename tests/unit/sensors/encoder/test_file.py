@@ -37,7 +37,7 @@ def test_what_is_no_encoder_is_told(tmp_path: Path) -> None:
 
 def test_encoder_that_diverged_is_refused(tmp_path: Path) -> None:
     encoder = drawn_encoder()
-    encoder.layers[0][0].bias.data[0] = float("nan")
+    next(encoder.layers.parameters()).data[0] = float("nan")
     encoder.save(tmp_path / "x.pt")
     with pytest.raises(ConfigError, match="NaN or infinite"):
         load_encoder(tmp_path / "x.pt")
