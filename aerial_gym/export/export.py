@@ -8,19 +8,24 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from aerial_gym.config.storage import told_storage, write_whole
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.export import c99
-from aerial_gym.export.layout import Layout, layout_of
+from aerial_gym.export.layout import Layout, SeenImage, layout_of
 from aerial_gym.export.module import FlownPolicy
 from aerial_gym.export.pilot import load_exported
 from aerial_gym.rl_training.policies.load import check_fits, load_policy
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.task import task_registry
+from aerial_gym.task.seen.images import TYPES
 
 CHECKED, STEPS = 100_000, 10
 """Observations with which an exported policy is compared, in sequences of so many steps: a memory is then in use."""
+
+CHECKED_WITH_IMAGES = 10_000
+"""With how many where it sees images, each of which costs as much as hundreds of vectors."""
 
 SPREAD = 2.0
 """They are drawn about the mean of what the policy has seen, with this many of its standard deviations."""
@@ -35,7 +40,8 @@ class Exported:
 
     file: Path
     largest_difference: float | None
-    """Largest difference of a command or action from that of torch over ``CHECKED`` observations; None: ``not_checked``."""
+    """Largest difference of a command or action from that of torch over ``CHECKED`` observations (``CHECKED_WITH_IMAGES``);
+    None: ``not_checked``."""
 
     not_checked: str | None = None
     """Why it could not be run here."""
@@ -62,7 +68,9 @@ def export_policy(
         if each not in FORMATS:
             raise ConfigError(f"format {each!r}: must be {', '.join(FORMATS)}")
     policy, cfg = load_policy(source)
-    with task_registry.make_task(cfg.task, num_envs=1, robot=cfg.robot, controller=cfg.controller) as task:
+    with task_registry.make_task(
+        cfg.task, num_envs=1, robot=cfg.robot, controller=cfg.controller, encoder=cfg.encoder
+    ) as task:
         check_fits(policy, task, cfg.task)
         named = name or Path(cfg.task.rpartition(":")[2]).stem
         layout = layout_of(policy, cfg, task, name=named, source=str(source))
@@ -91,18 +99,29 @@ def write_policy(policy: Policy, layout: Layout, out: Path, to: Iterable[str], *
 @torch.no_grad()
 def largest_difference(flown: FlownPolicy, layout: Layout, file: Path) -> float:
     """Return how far command and action of an exported file are from those of torch at most."""
-    pilot, rows = load_exported(file), CHECKED // STEPS
+    pilot, rows = load_exported(file), (CHECKED_WITH_IMAGES if layout.images else CHECKED) // STEPS
     generator = torch.Generator().manual_seed(0)
     mean, std, _ = flown.normalized()
     ours = theirs = torch.zeros(rows, layout.memory)
     largest = 0.0
     for _ in range(STEPS):
         seen = (mean + SPREAD * std * torch.randn(rows, len(mean), generator=generator)) / flown.scale
-        expected, given = flown(seen, *((ours,) if layout.memory else ())), pilot.step(seen, theirs)
+        images = [drawn_image(image, rows, generator) for image in layout.images]
+        expected = flown(seen, *images, *((ours,) if layout.memory else ()))
+        given = pilot.step(seen, theirs, *images)
         for reference, found in zip(expected[:2], given[:2], strict=True):
             largest = max(largest, float((reference - found).abs().max()))
         ours, theirs = (expected[2], given[2]) if layout.memory else (ours, theirs)
     return largest
+
+
+def drawn_image(image: SeenImage, rows: int, generator: torch.Generator) -> Tensor:
+    """Return random images (B, C, H, W): walls at drawn distances, some of whose pixels are noise."""
+    shape = (rows, *image.shape)
+    walls = torch.rand(rows, image.shape[0], 1, image.shape[2], generator=generator).expand(shape)
+    noise, chosen = torch.rand(shape, generator=generator), torch.rand(shape, generator=generator)
+    shares = torch.where(chosen < 0.2, noise, walls)
+    return (255.0 * shares + 0.5).to(torch.uint8) if image.dtype == "uint8" else shares.to(TYPES[image.dtype][0])
 
 
 def _onnx(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
@@ -118,7 +137,7 @@ def _onnx(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
         flown.example(),
         input_names=inputs,
         output_names=outputs,
-        dynamic_shapes=tuple({0: batch} for _ in inputs),
+        dynamic_shapes=({0: batch}, tuple({0: batch} for _ in inputs[1:])),
         dynamo=True,
         verbose=False,
     )
@@ -136,7 +155,8 @@ def _torchscript(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
 
 def _c99(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
     text = c99.source(flown, layout)
-    write_whole(out / f"{layout.name}.h", c99.header(layout))
+    work = c99.looking(flown, layout, lambda _, __: "").work
+    write_whole(out / f"{layout.name}.h", c99.header(layout, work=work))
     write_whole(out / f"{layout.name}.c", text)
     return out / f"{layout.name}.c"
 
