@@ -125,6 +125,9 @@ class Layout:
     source: str
     """Checkpoint."""
 
+    encoder: str | None = None
+    """What makes ``image_latents`` of the observation, if there are any; not part of the export."""
+
     version: str
     """Of this package."""
 
@@ -208,6 +211,7 @@ def layout_of(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source
         filter_time_s=action.filter_time_s,
         memory=policy.body.memory_size,
         source=source,
+        encoder=cfg.encoder or task.cfg.encoder,
         version=__version__,
     )
 

@@ -143,6 +143,20 @@ def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
     assert found.largest_difference == 0.0
 
 
+def test_latents_are_a_vector_whose_encoder_is_named() -> None:
+    """The exported policy takes them as they are; evaluate makes them with the encoder that the layout names."""
+    policy = drawn_policy({"observations": (81,)})
+    with task_registry.make_task("dce_navigation_task", num_envs=1, device="cpu") as task:
+        made = layout_of(policy, training(), task, name="latents", source="nowhere")
+    assert made.encoder == "collision_40x24"
+    assert made.images == ()
+    assert (made.observation[-1].term, made.observation[-1].first, made.observation[-1].count) == (
+        "image_latents",
+        17,
+        64,
+    )
+
+
 @COMPILER
 def test_header_says_how_an_image_is_written(tmp_path: Path) -> None:
     policy = drawn_policy({"observations": OBSERVATIONS, "depth": IMAGE})
