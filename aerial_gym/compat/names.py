@@ -29,7 +29,6 @@ ABSENT: dict[str, dict[str, str]] = {
         (
             "position_setpoint_task_reconfigurable",
             "position_setpoint_task_morphy",
-            "dce_navigation_task",
         ),
         _TASK,
     ),
