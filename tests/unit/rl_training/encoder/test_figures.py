@@ -4,6 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from aerial_gym.rl_training.encoder import figures
 from aerial_gym.rl_training.encoder.figures import by_components, by_mean, errors_of
 from aerial_gym.rl_training.encoder.scenes import Images
 
@@ -30,8 +31,10 @@ def test_errors_are_in_metres_and_near_pixels_apart() -> None:
     assert errors_of(told[:, 1:], target[:, 1:], largest=10.0).near_rms_m is None
 
 
-def test_components_tell_all_of_what_has_their_rank() -> None:
+@pytest.mark.parametrize("most_exact", [4096, 1], ids=["covariance", "randomised"])
+def test_components_tell_all_of_what_has_their_rank(most_exact: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Images of rank 3 are told exactly by 3 components, also ones that were not seen; 2 leave the third variance."""
+    monkeypatch.setattr(figures, "MOST_EXACT", most_exact)
     images = drawn(3)
     told = by_components(images_of(images[:100]), 3)(images[100:])
     torch.testing.assert_close(told, images[100:], atol=2e-5, rtol=0.0)
