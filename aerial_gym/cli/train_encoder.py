@@ -58,4 +58,7 @@ class TrainEncoderCmd(EncoderTrainingCfg):
             table.add_row(name, f"{errors.rms_m:.3f}", f"{errors.mean_m:.3f}", near)
         console.print(table)
         console.print(f"latents that tell images apart: {found.active_latents}")
-        console.print(f"next: aerial-gym train --task navigation_task --robot ROBOT --encoder {found.encoder}")
+        console.print(
+            f"next: aerial-gym train --task navigation_task --robot {found.robot} --encoder {found.encoder}",
+            soft_wrap=True,
+        )

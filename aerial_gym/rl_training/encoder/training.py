@@ -62,6 +62,9 @@ class EncoderResult:
     encoder: str | None
     """The file; None if it was interrupted before the end."""
 
+    robot: str
+    """Whose sensor it knows."""
+
     epochs: int
     """Epochs in all sessions."""
 
@@ -137,6 +140,7 @@ def train_encoder(
     interrupted = _learn(fit, cfg, folder, curve, test, largest=sensor.max_range, tell=tell)
     found = EncoderResult(
         encoder=None if interrupted else str(folder.encoder),
+        robot=cfg.robot,
         epochs=fit.epochs,
         interrupted=interrupted,
         time_s=time.perf_counter() - started,
