@@ -3,6 +3,7 @@
 Letters: O entries of an observation, M numbers of memory.
 """
 
+import logging
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,13 +14,19 @@ from torch import Tensor
 from aerial_gym.config.storage import told_storage, write_whole
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.export import c99
+from aerial_gym.export.encoder import difference_of_encoder, write_encoder
+from aerial_gym.export.formats import onnx_bytes, torchscript_bytes
 from aerial_gym.export.layout import Layout, SeenImage, layout_of
 from aerial_gym.export.module import FlownPolicy
 from aerial_gym.export.pilot import load_exported
 from aerial_gym.rl_training.policies.load import check_fits, load_policy
 from aerial_gym.rl_training.policies.policy import Policy
+from aerial_gym.sensors.encoder.file import load_encoder
 from aerial_gym.task import task_registry
 from aerial_gym.task.seen.images import TYPES
+from aerial_gym.task.terms.observations import LATENTS
+
+_log = logging.getLogger(__name__)
 
 CHECKED, STEPS = 100_000, 10
 """Observations with which an exported policy is compared, in sequences of so many steps: a memory is then in use."""
@@ -93,6 +100,31 @@ def write_policy(policy: Policy, layout: Layout, out: Path, to: Iterable[str], *
             except CapabilityError as error:
                 reason = str(error)
         found.append(Exported(to=each, file=file, largest_difference=difference, not_checked=reason))
+    return found + (_encoders(layout.encoder, layout, out, to, check=check) if sees_latents(layout) else [])
+
+
+def sees_latents(layout: Layout) -> bool:
+    """Return whether latents are among the observations."""
+    return any(seen.term == LATENTS for seen in layout.observation)
+
+
+def _encoders(encoder: str | None, layout: Layout, out: Path, to: Iterable[str], *, check: bool) -> list[Exported]:
+    """Write the encoder of a policy that sees latents beside it, in the formats that it has."""
+    assert encoder is not None
+    found = []
+    for each in to:
+        if each not in ENCODER_ENDINGS:
+            _log.warning(
+                "%s: the policy takes image_latents, and their encoder %s is not written in this format. Write %s as well",
+                each,
+                encoder,
+                " or ".join(ENCODER_ENDINGS),
+            )
+        else:
+            file = write_encoder(encoder, out / f"{layout.name}_encoder{ENCODER_ENDINGS[each]}")
+            difference = difference_of_encoder(load_encoder(encoder), file) if check else None
+            reason = None if check else "not asked for"
+            found.append(Exported(to=each, file=file, largest_difference=difference, not_checked=reason))
     return found
 
 
@@ -124,32 +156,22 @@ def drawn_image(image: SeenImage, rows: int, generator: torch.Generator) -> Tens
     return (255.0 * shares + 0.5).to(torch.uint8) if image.dtype == "uint8" else shares.to(TYPES[image.dtype][0])
 
 
+ENCODER_ENDINGS = {"onnx": ".onnx", "torchscript": ".pt"}
+"""Of an encoder's file, by the format; C99 has none yet."""
+
+
 def _onnx(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
-    try:
-        import onnx  # noqa: F401
-        import onnxscript  # noqa: F401
-    except ImportError as error:
-        raise CapabilityError(f"{error.name} is not installed. Run: pip install 'aerial-gym[export]'") from None
     file, (inputs, outputs) = out / f"{layout.name}.onnx", flown.names
     batch = torch.export.Dim("rows")
-    program = torch.onnx.export(
-        flown,
-        flown.example(),
-        input_names=inputs,
-        output_names=outputs,
-        dynamic_shapes=({0: batch}, tuple({0: batch} for _ in inputs[1:])),
-        dynamo=True,
-        verbose=False,
-    )
-    assert program is not None
-    write_whole(file, program.model_proto.SerializeToString())
+    more = tuple({0: batch} for _ in inputs[1:])
+    dynamic = ({0: batch}, more) if more else ({0: batch},)
+    write_whole(file, onnx_bytes(flown, flown.example(), inputs, outputs, dynamic))
     return file
 
 
 def _torchscript(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
     file = out / f"{layout.name}.pt"
-    traced = torch.jit.trace(flown, flown.example())
-    write_whole(file, traced.save_to_buffer())  # pyright: ignore[reportAttributeAccessIssue, reportFunctionMemberAccess]
+    write_whole(file, torchscript_bytes(flown, flown.example()))
     return file
 
 

@@ -12,11 +12,13 @@ from aerial_gym import task_registry
 from aerial_gym.config.task_terms import ImageCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.export import export
+from aerial_gym.export.encoder import difference_of_encoder, write_encoder
 from aerial_gym.export.export import write_policy
 from aerial_gym.export.layout import Layout, layout_of
 from aerial_gym.export.pilot import load_exported
 from aerial_gym.rl_training.policies.body import BodyCfg
 from aerial_gym.rl_training.policies.policy import Policy
+from aerial_gym.sensors.encoder.file import load_encoder
 from aerial_gym.task import Task
 from tests.unit.export.policies import training
 from tests.unit.task.hover import built
@@ -143,18 +145,29 @@ def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
     assert found.largest_difference == 0.0
 
 
-def test_latents_are_a_vector_whose_encoder_is_named() -> None:
-    """The exported policy takes them as they are; evaluate makes them with the encoder that the layout names."""
+def test_latents_are_a_vector_whose_encoder_is_written_beside(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The exported policy takes them as they are, and the encoder has a file of its own; C99 leaves it out and says so."""
     policy = drawn_policy({"observations": (81,)})
     with task_registry.make_task("dce_navigation_task", num_envs=1, device="cpu") as task:
         made = layout_of(policy, training(), task, name="latents", source="nowhere")
     assert made.encoder == "collision_40x24"
     assert made.images == ()
-    assert (made.observation[-1].term, made.observation[-1].first, made.observation[-1].count) == (
-        "image_latents",
-        17,
-        64,
+    last = made.observation[-1]
+    assert (last.term, last.first, last.count) == ("image_latents", 17, 64)
+    policy_file, encoder_file = write_policy(policy, made, tmp_path, ["torchscript"])
+    assert (policy_file.file.name, encoder_file.file.name) == ("latents.pt", "latents_encoder.pt")
+    assert encoder_file.largest_difference == 0.0
+    assert [each.file.name for each in write_policy(policy, made, tmp_path, ["c99"], check=False)] == ["latents.c"]
+    assert (
+        "their encoder collision_40x24 is not written in this format. Write onnx or torchscript as well" in caplog.text
     )
+
+
+def test_onnx_encoder_gives_what_torch_gives(tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxscript")
+    file = write_encoder("collision_40x24", tmp_path / "encoder.onnx")
+    assert difference_of_encoder(load_encoder("collision_40x24"), file) < TOLERANCE
 
 
 @COMPILER
