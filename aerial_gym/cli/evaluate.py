@@ -70,6 +70,7 @@ class EvaluateCmd:
                 robot=self.robot or cfg.robot,
                 controller=cfg.controller,
                 backend=self.backend,
+                encoder=cfg.encoder,
                 level=level,
             ) as task,
             progress_bar() as progress,

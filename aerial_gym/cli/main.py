@@ -26,6 +26,7 @@ COMMANDS: dict[str, Home] = {
     "import-robot": Home("aerial_gym.cli.import_robot:ImportRobotCmd"),
     "tune": Home("aerial_gym.cli.tune:TuneCmd"),
     "train": Home("aerial_gym.cli.train:TrainCmd"),
+    "train-encoder": Home("aerial_gym.cli.train_encoder:TrainEncoderCmd"),
     "play": Home("aerial_gym.cli.play:PlayCmd"),
     "evaluate": Home("aerial_gym.cli.evaluate:EvaluateCmd"),
     "export": Home("aerial_gym.cli.export:ExportCmd"),

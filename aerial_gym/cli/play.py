@@ -91,6 +91,7 @@ class PlayCmd:
                 else visible_robot(robot or task_registry.get(cfg.task).robot, folder),
                 controller=cfg.controller,
                 backend=self.backend,
+                encoder=cfg.encoder,
             ) as task,
             one_thread(),
         ):

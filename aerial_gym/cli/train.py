@@ -59,6 +59,10 @@ class TrainCmd:
     backend: str | None = None
     """Registered physics backend (aerial-gym list backends); that of the sim if not given."""
 
+    encoder: str | None = None
+    """Encoder file of train-encoder, or one that comes with the package, in place of the task's own: navigation then sees its
+    latents in place of the nearest distances in 64 cells."""
+
     max_time_s: float | None = None
     """End after this time, start-up included [s]. This or max_env_steps alone drops the other limit of the settings."""
 
@@ -92,7 +96,17 @@ class TrainCmd:
                 load_settings(self.config or settings_for(self.trainer, self.task, device=self.device or "auto")),
                 task=self._task(),
             )
-        names = ("num_envs", "device", "seed", "robot", "controller", "backend", "max_time_s", "max_env_steps")
+        names = (
+            "num_envs",
+            "device",
+            "seed",
+            "robot",
+            "controller",
+            "backend",
+            "encoder",
+            "max_time_s",
+            "max_env_steps",
+        )
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         if given.keys() & set(LIMITS):
             given = dict.fromkeys(LIMITS) | given
@@ -129,7 +143,7 @@ class TrainCmd:
         return str(Path(self.task).resolve()) if self.task.endswith((".yaml", ".yml", ".toml")) else self.task
 
     def _refuse_changes(self) -> None:
-        for name in ("config", "teacher", "num_envs", "seed", "robot", "controller", "backend"):
+        for name in ("config", "teacher", "num_envs", "seed", "robot", "controller", "backend", "encoder"):
             if getattr(self, name) is not None:
                 flag = name.replace("_", "-")
                 raise ConfigError(

@@ -1,4 +1,4 @@
-"""Names of the Aerial Gym Simulator that are registered there and missing here, and methods side by side."""
+"""Methods of the Aerial Gym Simulator and ours side by side."""
 
 from dataclasses import dataclass
 
@@ -16,20 +16,6 @@ class Name:
     remark: str = ""
     """What differs, defects that are mended."""
 
-
-_TASK = "write it as a task file, or as a class derived from BaseTask"
-
-ABSENT: dict[str, dict[str, str]] = {
-    "sim": {},
-    "environment": {},
-    "robot": {},
-    "controller": {},
-    "task": dict.fromkeys(
-        ("dce_navigation_task",),
-        _TASK,
-    ),
-}
-"""Registered there, not here, by kind: the way out."""
 
 METHODS: tuple[Name, ...] = (
     Name(

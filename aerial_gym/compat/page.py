@@ -10,7 +10,7 @@ from pathlib import Path
 from aerial_gym.compat.config import assets, controllers, environments, imus, robots, sensors, sims, tasks
 from aerial_gym.compat.config.fields import Table
 from aerial_gym.compat.modules import GONE, MODULES
-from aerial_gym.compat.names import ABSENT, METHODS
+from aerial_gym.compat.names import METHODS
 from aerial_gym.compat.tensors import KEYS
 
 BEGIN, END = "<!-- names: begin, by python -m aerial_gym.compat.page -->", "<!-- names: end -->"
@@ -61,11 +61,9 @@ def _keys() -> str:
 
 
 def _registered() -> str:
-    ways = dict.fromkeys((kind, way) for kind, absent in ABSENT.items() for way in absent.values())
-    rows = ((kind, ", ".join(f"`{name}`" for name, w in ABSENT[kind].items() if w == way), way) for kind, way in ways)
     return (
-        "Sims, environments, robots, controllers and tasks of that simulator are registered here under their names "
-        "(`aerial-gym list`), `base_sim_headless` among them; but for:\n\n" + _rows(("kind", "names", "way out"), rows)
+        "All sims, environments, robots, controllers and tasks of that simulator are registered here under their names "
+        "(`aerial-gym list`), `base_sim_headless` among them."
     )
 
 

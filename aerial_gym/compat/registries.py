@@ -13,7 +13,6 @@ from typing import Any, NoReturn
 from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.compat.config import controllers, environments, robots, sims, tasks
 from aerial_gym.compat.config.fields import Table, fresh
-from aerial_gym.compat.names import ABSENT
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, robot_by_name
@@ -52,9 +51,8 @@ class _Names:
         if name in self.built_in or name in self.ours:
             return None
         names = self._names()
-        absent = ABSENT[self.kind].get(name, "")
         near = get_close_matches(name, names, n=1)
-        hint = f" {absent}." if absent else f" Did you mean {near[0]!r}?" if near else ""
+        hint = f" Did you mean {near[0]!r}?" if near else ""
         raise UnknownNameError(f"no {self.kind} {name!r}.{hint} Known: {', '.join(names)}")
 
 

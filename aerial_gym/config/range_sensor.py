@@ -136,6 +136,15 @@ class RangeSensorCfg(PlacementCfg, ImagesCfg):
         return value / self.max_range if self.normalize else value
 
     @property
+    def distance_scale(self) -> tuple[float, float]:
+        """The largest distance in the unit of the image, and the share of it that stands for a pixel without a distance.
+
+        Where a sensor marks "too far" by a distance of its own, a pixel without a distance is near (0); where it marks far
+        and near alike, nothing is known, and far (1) is by much the more frequent.
+        """
+        return (1.0 if self.normalize else self.max_range), (0.0 if self.far_pixel >= 0.0 else 1.0)
+
+    @property
     def near_pixel(self) -> float:
         """What a pixel holds where something is closer than ``min_range``: -1, unless configured."""
         default = -self.max_range if self.normalize else -1.0

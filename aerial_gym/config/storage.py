@@ -1,12 +1,18 @@
-"""Files that are whole or not there at all, and what is said of a disk that takes no more."""
+"""Files that are whole or not there at all, and what is said of a disk that takes no more.
+
+An archive is a zip file of ``torch.save`` whose entries carry check sums; torch itself does not look at them.
+"""
 
 import errno
+import io
 import os
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
-from aerial_gym.errors import AerialGymError, StorageError
+from aerial_gym.errors import AerialGymError, ConfigError, StorageError
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Codes of a disk, a quota or a limit that is reached."""
@@ -33,6 +39,48 @@ def write_whole(path: str | Path, content: bytes | str) -> None:
             _sync_folder(path.parent)
         finally:
             partial.unlink(missing_ok=True)
+
+
+def write_archive(path: str | Path, payload: Mapping[str, object]) -> None:
+    """Write nested mappings, sequences, tensors, numbers and text; a kill or a full disk leaves the old file as it was.
+
+    Raises:
+        StorageError: If it cannot be written.
+    """
+    import torch
+
+    memory = io.BytesIO()
+    torch.save(dict(payload), memory)
+    write_whole(path, memory.getvalue())
+
+
+def read_archive(path: str | Path, what: str) -> dict[str, Any]:
+    """Return what ``write_archive`` wrote, on the CPU; ``what`` is named in errors. Nothing in the file is run.
+
+    Raises:
+        ConfigError: If there is no such file, it is damaged, or it holds anything but tensors, numbers and text.
+    """
+    import torch
+
+    path = Path(path)
+    if not path.is_file():
+        raise ConfigError(f"{what} {path}: no such file")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            damaged = archive.testzip()
+    except Exception:  # whatever a damaged archive makes the library raise
+        raise ConfigError(f"{what} {path}: cannot be read, it is damaged or no {what}") from None
+    if damaged is not None:
+        raise ConfigError(f"{what} {path}: is damaged, the check sum of {damaged!r} is another")
+    try:
+        payload = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception:  # torch's own text advises to run what the file holds
+        raise ConfigError(
+            f"{what} {path}: holds something other than tensors, numbers and text; it is not opened"
+        ) from None
+    if not isinstance(payload, dict):
+        raise ConfigError(f"{what} {path}: must hold a mapping, found {type(payload).__name__}")
+    return payload
 
 
 @contextmanager

@@ -151,6 +151,10 @@ class TaskCfg:
     faults: Mapping[str, FaultCfg] = field(default_factory=dict)
     """Faults of sensors by a name of their own, which observations name."""
 
+    encoder: str | None = None
+    """Encoder file (``aerial-gym train-encoder``), or one that comes with the package, whose latents of the first range
+    sensor's image the term ``image_latents`` shows."""
+
     images: Mapping[str, ImageCfg] = field(default_factory=dict)
     """Raw images beside the groups, by the name under which they are given."""
 

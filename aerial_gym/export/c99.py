@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
+from aerial_gym.export.c99_images import CONVOLVE, joined, looking, parameters, told
 from aerial_gym.export.layout import Layout
 from aerial_gym.export.module import FlownPolicy, transform_of
 from aerial_gym.task import ACTIONS
@@ -20,10 +21,12 @@ LINE = 110
 """Columns of a line of weights."""
 
 
-def header(layout: Layout) -> str:
-    """Return the header: sizes, state, two functions, and what every entry means."""
+def header(layout: Layout, *, work: int = 0) -> str:
+    """Return the header: sizes, state, two functions, and what every entry means; ``work``: numbers of an image's layer."""
     n, upper = layout.name, layout.name.upper()
     memory = f"\n    float memory[{layout.memory}];" if layout.memory else ""
+    memory += f"\n    float work[2][{work}];" if layout.images else ""
+    looks = " * images\n" + "".join(told(image) for image in layout.images) if layout.images else ""
     seen = "\n".join(
         f" *   {_places(s.first, s.count):>9}  {s.term}: {s.meaning}{_history(s.history)}" for s in layout.observation
     )
@@ -33,7 +36,7 @@ def header(layout: Layout) -> str:
  *
  * observation
 {seen}
- * command
+{looks} * command
 {given}
  */
 #ifndef {upper}_H
@@ -43,7 +46,9 @@ def header(layout: Layout) -> str:
 #define {upper}_NUM_COMMANDS {len(layout.command)}
 #define {upper}_NUM_ACTIONS {layout.num_actions}
 
-/* What stays from step to step: the last action, -1 to 1{", and the memory" if layout.memory else ""}. */
+/* What stays from step to step: the last action, -1 to 1{", and the memory" if layout.memory else ""}{
+        "; and work space" if layout.images else ""
+    }. */
 typedef struct {{
     float action[{layout.num_actions}];{memory}
 }} {n}_state;
@@ -51,17 +56,24 @@ typedef struct {{
 /* Before the first step, and where a new flight begins. */
 void {n}_reset({n}_state *state);
 
-void {n}_step({n}_state *state, const float observation[{layout.num_observations}], float command[{len(layout.command)}]);
+{step(layout)};
 
 #endif
 """
+
+
+def step(layout: Layout) -> str:
+    """Return the head of the function that flies."""
+    seen, given = layout.num_observations, len(layout.command)
+    head = f"void {layout.name}_step({layout.name}_state *state, const float observation[{seen}], "
+    return f"{head}{parameters(layout)}float command[{given}])"
 
 
 def source(policy: FlownPolicy, layout: Layout) -> str:
     """Return the source.
 
     Raises:
-        ConfigError: If the transform of the actions has no form in C.
+        ConfigError: If the transform of the actions, or the pixels of an image, have no form in C.
     """
     n, body = layout.name, policy.policy.body
     write = _TRANSFORMS.get(ACTIONS.get(layout.transform).value)
@@ -71,10 +83,12 @@ def source(policy: FlownPolicy, layout: Layout) -> str:
     mean, std, limit = policy.normalized()
     scale = policy.scale.double()
     parts += [_array("shift", mean.double() / scale), _array("factor", scale / std.double())]
+    looks = looking(policy, layout, _array)
+    parts += looks.arrays
     linears = [layer for layer in body.layers if isinstance(layer, nn.Linear)]
     for i, layer in enumerate(linears):
         parts += [_array(f"weight_{i}", layer.weight), _array(f"bias_{i}", layer.bias)]
-    widths = [layout.num_observations, *(layer.out_features for layer in linears)]
+    widths = [layout.num_observations + sum(looks.widths.values()), *(layer.out_features for layer in linears)]
     cell = body.cell
     if cell is not None:
         parts += [_array("entering", cell.weight_ih), _array("entering_bias", cell.bias_ih)]
@@ -82,6 +96,8 @@ def source(policy: FlownPolicy, layout: Layout) -> str:
     parts += [_array("head", policy.policy.head.weight), _array("head_bias", policy.policy.head.bias)]
     clamped = "" if limit is None else f"\n        seen[i] = clamped(seen[i], {_number(limit)});"
     layers, before = [], "seen"
+    if layout.images:
+        layers, before = [looks.code, joined(policy, looks.widths)], "joined"
     for i, (wide_in, wide_out) in enumerate(pairwise(widths)):
         layers += [
             f"    float layer_{i}[{wide_out}];",
@@ -94,7 +110,8 @@ def source(policy: FlownPolicy, layout: Layout) -> str:
         before = "state->memory"
     lines = "\n".join(layers)
     forget = f"\n    for (int i = 0; i < {layout.memory}; ++i) state->memory[i] = 0.0f;" if layout.memory else ""
-    activation = _ACTIVATIONS[body.cfg.activation] if linears else ""
+    activation = _ACTIVATIONS[body.cfg.activation] if linears or layout.images else ""
+    activation += CONVOLVE if layout.images else ""
     logistic = "static float logistic(float x) { return 1.0f / (1.0f + expf(-x)); }\n" if cell is not None else ""
     return f"""#include "{n}.h"
 
@@ -115,7 +132,7 @@ void {n}_reset({n}_state *state) {{
     for (int i = 0; i < {layout.num_actions}; ++i) state->action[i] = 0.0f;{forget}
 }}
 
-void {n}_step({n}_state *state, const float observation[{layout.num_observations}], float command[{len(layout.command)}]) {{
+{step(layout)} {{
     float seen[{layout.num_observations}];
     for (int i = 0; i < {layout.num_observations}; ++i) {{
         seen[i] = (observation[i] - shift[i]) * factor[i];{clamped}

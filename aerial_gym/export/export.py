@@ -3,24 +3,36 @@
 Letters: O entries of an observation, M numbers of memory.
 """
 
+import logging
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from aerial_gym.config.storage import told_storage, write_whole
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.export import c99
-from aerial_gym.export.layout import Layout, layout_of
+from aerial_gym.export.encoder import difference_of_encoder, write_encoder
+from aerial_gym.export.formats import onnx_bytes, torchscript_bytes
+from aerial_gym.export.layout import Layout, SeenImage, layout_of
 from aerial_gym.export.module import FlownPolicy
 from aerial_gym.export.pilot import load_exported
 from aerial_gym.rl_training.policies.load import check_fits, load_policy
 from aerial_gym.rl_training.policies.policy import Policy
+from aerial_gym.sensors.encoder.file import load_encoder
 from aerial_gym.task import task_registry
+from aerial_gym.task.seen.images import TYPES
+from aerial_gym.task.terms.observations import LATENTS
+
+_log = logging.getLogger(__name__)
 
 CHECKED, STEPS = 100_000, 10
 """Observations with which an exported policy is compared, in sequences of so many steps: a memory is then in use."""
+
+CHECKED_WITH_IMAGES = 10_000
+"""With how many where it sees images, each of which costs as much as hundreds of vectors."""
 
 SPREAD = 2.0
 """They are drawn about the mean of what the policy has seen, with this many of its standard deviations."""
@@ -35,7 +47,8 @@ class Exported:
 
     file: Path
     largest_difference: float | None
-    """Largest difference of a command or action from that of torch over ``CHECKED`` observations; None: ``not_checked``."""
+    """Largest difference of a command or action from that of torch over ``CHECKED`` observations (``CHECKED_WITH_IMAGES``);
+    None: ``not_checked``."""
 
     not_checked: str | None = None
     """Why it could not be run here."""
@@ -62,7 +75,9 @@ def export_policy(
         if each not in FORMATS:
             raise ConfigError(f"format {each!r}: must be {', '.join(FORMATS)}")
     policy, cfg = load_policy(source)
-    with task_registry.make_task(cfg.task, num_envs=1, robot=cfg.robot, controller=cfg.controller) as task:
+    with task_registry.make_task(
+        cfg.task, num_envs=1, robot=cfg.robot, controller=cfg.controller, encoder=cfg.encoder
+    ) as task:
         check_fits(policy, task, cfg.task)
         named = name or Path(cfg.task.rpartition(":")[2]).stem
         layout = layout_of(policy, cfg, task, name=named, source=str(source))
@@ -85,58 +100,85 @@ def write_policy(policy: Policy, layout: Layout, out: Path, to: Iterable[str], *
             except CapabilityError as error:
                 reason = str(error)
         found.append(Exported(to=each, file=file, largest_difference=difference, not_checked=reason))
+    return found + (_encoders(layout.encoder, layout, out, to, check=check) if sees_latents(layout) else [])
+
+
+def sees_latents(layout: Layout) -> bool:
+    """Return whether latents are among the observations."""
+    return any(seen.term == LATENTS for seen in layout.observation)
+
+
+def _encoders(encoder: str | None, layout: Layout, out: Path, to: Iterable[str], *, check: bool) -> list[Exported]:
+    """Write the encoder of a policy that sees latents beside it, in the formats that it has."""
+    assert encoder is not None
+    found = []
+    for each in to:
+        if each not in ENCODER_ENDINGS:
+            _log.warning(
+                "%s: the policy takes image_latents, and their encoder %s is not written in this format. Write %s as well",
+                each,
+                encoder,
+                " or ".join(ENCODER_ENDINGS),
+            )
+        else:
+            file = write_encoder(encoder, out / f"{layout.name}_encoder{ENCODER_ENDINGS[each]}")
+            difference = difference_of_encoder(load_encoder(encoder), file) if check else None
+            reason = None if check else "not asked for"
+            found.append(Exported(to=each, file=file, largest_difference=difference, not_checked=reason))
     return found
 
 
 @torch.no_grad()
 def largest_difference(flown: FlownPolicy, layout: Layout, file: Path) -> float:
     """Return how far command and action of an exported file are from those of torch at most."""
-    pilot, rows = load_exported(file), CHECKED // STEPS
+    pilot, rows = load_exported(file), (CHECKED_WITH_IMAGES if layout.images else CHECKED) // STEPS
     generator = torch.Generator().manual_seed(0)
     mean, std, _ = flown.normalized()
     ours = theirs = torch.zeros(rows, layout.memory)
     largest = 0.0
     for _ in range(STEPS):
         seen = (mean + SPREAD * std * torch.randn(rows, len(mean), generator=generator)) / flown.scale
-        expected, given = flown(seen, *((ours,) if layout.memory else ())), pilot.step(seen, theirs)
+        images = [drawn_image(image, rows, generator) for image in layout.images]
+        expected = flown(seen, *images, *((ours,) if layout.memory else ()))
+        given = pilot.step(seen, theirs, *images)
         for reference, found in zip(expected[:2], given[:2], strict=True):
             largest = max(largest, float((reference - found).abs().max()))
         ours, theirs = (expected[2], given[2]) if layout.memory else (ours, theirs)
     return largest
 
 
+def drawn_image(image: SeenImage, rows: int, generator: torch.Generator) -> Tensor:
+    """Return random images (B, C, H, W): walls at drawn distances, some of whose pixels are noise."""
+    shape = (rows, *image.shape)
+    walls = torch.rand(rows, image.shape[0], 1, image.shape[2], generator=generator).expand(shape)
+    noise, chosen = torch.rand(shape, generator=generator), torch.rand(shape, generator=generator)
+    shares = torch.where(chosen < 0.2, noise, walls)
+    return (255.0 * shares + 0.5).to(torch.uint8) if image.dtype == "uint8" else shares.to(TYPES[image.dtype][0])
+
+
+ENCODER_ENDINGS = {"onnx": ".onnx", "torchscript": ".pt"}
+"""Of an encoder's file, by the format; C99 has none yet."""
+
+
 def _onnx(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
-    try:
-        import onnx  # noqa: F401
-        import onnxscript  # noqa: F401
-    except ImportError as error:
-        raise CapabilityError(f"{error.name} is not installed. Run: pip install 'aerial-gym[export]'") from None
     file, (inputs, outputs) = out / f"{layout.name}.onnx", flown.names
     batch = torch.export.Dim("rows")
-    program = torch.onnx.export(
-        flown,
-        flown.example(),
-        input_names=inputs,
-        output_names=outputs,
-        dynamic_shapes=tuple({0: batch} for _ in inputs),
-        dynamo=True,
-        verbose=False,
-    )
-    assert program is not None
-    write_whole(file, program.model_proto.SerializeToString())
+    more = tuple({0: batch} for _ in inputs[1:])
+    dynamic = ({0: batch}, more) if more else ({0: batch},)
+    write_whole(file, onnx_bytes(flown, flown.example(), inputs, outputs, dynamic))
     return file
 
 
 def _torchscript(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
     file = out / f"{layout.name}.pt"
-    traced = torch.jit.trace(flown, flown.example())
-    write_whole(file, traced.save_to_buffer())  # pyright: ignore[reportAttributeAccessIssue, reportFunctionMemberAccess]
+    write_whole(file, torchscript_bytes(flown, flown.example()))
     return file
 
 
 def _c99(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
     text = c99.source(flown, layout)
-    write_whole(out / f"{layout.name}.h", c99.header(layout))
+    work = c99.looking(flown, layout, lambda _, __: "").work
+    write_whole(out / f"{layout.name}.h", c99.header(layout, work=work))
     write_whole(out / f"{layout.name}.c", text)
     return out / f"{layout.name}.c"
 

@@ -16,6 +16,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
+from aerial_gym.task.seen.images import scale_of
 
 LAYOUT_FILE = "policy.json"
 """Beside every exported policy."""
@@ -56,6 +57,32 @@ class Seen:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SeenImage:
+    """One image of the observation: numbers as the task gives them, (C, H, W)."""
+
+    key: str
+    """Of the task's observation, and of the input."""
+
+    meaning: str
+    """What a pixel of the sensor's image is."""
+
+    shape: tuple[int, int, int]
+    """Channels, rows, columns; the channels are ``history`` images of each sensor, oldest first."""
+
+    dtype: str
+    """``uint8``: ``floor(255 share + 0.5)``; ``float16``, ``float32``: the share itself, 0 to 1."""
+
+    largest: float
+    """What has the share 1, in ``unit``; more counts as as much."""
+
+    unit: str
+    without: float
+    """Share of a pixel that has nothing (is negative)."""
+
+    history: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class Layout:
     """What goes in and what comes out."""
 
@@ -70,6 +97,9 @@ class Layout:
 
     observation: tuple[Seen, ...]
     """Terms in the order in which they stand side by side, in their own units, before ``scale``."""
+
+    images: tuple[SeenImage, ...] = ()
+    """Images beside them, in the order of the inputs."""
 
     command: tuple[str, ...]
     """Entries of the command that comes out, with their units: what the controller takes."""
@@ -95,6 +125,9 @@ class Layout:
     source: str
     """Checkpoint."""
 
+    encoder: str | None = None
+    """What makes ``image_latents`` of the observation, if there are any; not part of the export."""
+
     version: str
     """Of this package."""
 
@@ -118,7 +151,9 @@ class Layout:
         try:
             found = json.loads((folder / LAYOUT_FILE).read_text(encoding="utf-8"))
             seen = tuple(Seen(**each | {"delay_steps": tuple(each["delay_steps"])}) for each in found["observation"])
-            more = {"command": tuple(found["command"]), "action_delay_steps": tuple(found["action_delay_steps"])}
+            images = [SeenImage(**each | {"shape": tuple(each["shape"])}) for each in found.get("images", ())]
+            more = {"images": tuple(images), "command": tuple(found["command"])}
+            more |= {"action_delay_steps": tuple(found["action_delay_steps"])}
             return cls(**found | {"observation": seen} | more)
         except FileNotFoundError:
             raise ConfigError(f"{folder}: no {LAYOUT_FILE} in it. Make it with aerial-gym export") from None
@@ -130,7 +165,7 @@ def layout_of(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source
     """Return the layout of a policy that flies a task.
 
     Raises:
-        ConfigError: If it sees images, or the name is none that C allows.
+        ConfigError: If it sees images alone, or the name is none that C allows.
     """
     from aerial_gym import __version__
 
@@ -138,9 +173,15 @@ def layout_of(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source
         raise ConfigError(f"name {name!r}: C allows letters, digits and _, no digit first")
     seen: list[Seen] = []
     first = 0
+    images = tuple(_image(key, shape, task) for key, shape in policy.shapes.items() if len(shape) == 3)
+    if len(images) == len(policy.shapes):
+        raise ConfigError(
+            f"policy of {cfg.task}: sees nothing but {', '.join(policy.shapes)}; what is exported takes a vector as well. "
+            "Let it see observations too (policy_keys)"
+        )
     for key, shape in policy.shapes.items():
-        if len(shape) != 1:
-            raise ConfigError(f"policy of {cfg.task}: sees the image {key!r}; only vectors are exported so far")
+        if len(shape) == 3:
+            continue
         for entry in task.observed[key]:
             count = entry.width * entry.cfg.history
             seen.append(
@@ -161,6 +202,7 @@ def layout_of(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source
         controller=cfg.controller or task.cfg.controller,
         rate_hz=1.0 / task.env.dt,
         observation=tuple(seen),
+        images=images,
         command=tuple(manager.action_names),
         num_actions=policy.num_actions,
         transform=action.transform,
@@ -169,7 +211,25 @@ def layout_of(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source
         filter_time_s=action.filter_time_s,
         memory=policy.body.memory_size,
         source=source,
+        encoder=cfg.encoder or task.cfg.encoder,
         version=__version__,
+    )
+
+
+def _image(key: str, shape: tuple[int, ...], task: Task) -> SeenImage:
+    """Return an image of a task as it is seen."""
+    cfg = task.cfg.images[key]
+    spec = task.env.gtd.spec(cfg.key)
+    largest, without = scale_of(task.env.gtd[cfg.key], cfg, task.env.sensor_manager)
+    return SeenImage(
+        key=key,
+        meaning=spec.meaning,
+        shape=(shape[0], shape[1], shape[2]),
+        dtype=cfg.dtype,
+        largest=largest,
+        unit=spec.unit,
+        without=without,
+        history=cfg.history,
     )
 
 

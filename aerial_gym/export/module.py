@@ -1,6 +1,6 @@
 """A policy with all that stands between measurements and commands, as one torch module.
 
-Letters: B rows, O entries of an observation, V of an action, U of a command, M numbers of memory.
+Letters: B rows, O entries of an observation, C x H x W an image, V entries of an action, U of a command, M numbers of memory.
 """
 
 from collections.abc import Callable
@@ -13,6 +13,7 @@ from aerial_gym.export.layout import Layout
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.task import ACTIONS
+from aerial_gym.task.seen.images import TYPES
 from aerial_gym.task.terms.term import checked
 
 
@@ -32,44 +33,51 @@ class FlownPolicy(nn.Module):
         super().__init__()
         self.policy, self._layout = policy, layout
         self._transform, self._params = transform_of(layout)
-        self._widths = [shape[0] for shape in policy.shapes.values()]
+        self._vectors = {key: shape[0] for key, shape in policy.shapes.items() if len(shape) == 1}
+        self._images = [image.key for image in layout.images]
         scale = [torch.full((seen.count,), seen.scale) for seen in layout.observation]
         self.register_buffer("scale", torch.cat(scale))
 
-    def forward(self, observation: Tensor, memory: Tensor | None = None) -> tuple[Tensor, ...]:
-        """Return command (B, U) and action (B, V) of observations (B, O); with a memory (B, M) also what it is afterwards."""
-        parts = (observation * self.scale).split(self._widths, dim=-1)
-        given = dict(zip(self.policy.shapes, parts, strict=True))
-        before = observation[:, :0] if memory is None else memory
-        mean, after = self.policy.step(given, before)
+    def forward(self, observation: Tensor, *more: Tensor) -> tuple[Tensor, ...]:
+        """Return command (B, U) and action (B, V) of observations (B, O), and with a memory also what it is afterwards.
+
+        Args:
+            observation: Vectors in their own units, (B, O).
+            more: The images of the layout, (B, C, H, W) each, and the memory (B, M) if there is one.
+        """
+        parts = (observation * self.scale).split(list(self._vectors.values()), dim=-1)
+        given = dict(zip(self._vectors, parts, strict=True)) | dict(zip(self._images, more, strict=False))
+        memory = more[len(self._images)] if self._layout.memory else None
+        mean, after = self.policy.step(given, observation[:, :0] if memory is None else memory)
         action = mean.clamp(-1.0, 1.0)
         command = self._transform(action, **self._params)
         return (command, action) if memory is None else (command, action, after)
 
     def normalized(self) -> tuple[Tensor, Tensor, float | None]:
-        """Return mean and deviation that the scaled observation is normalised by, (O,), and the limit of what comes out.
+        """Return mean and deviation that the scaled vectors are normalised by, (O,), and the limit of what comes out.
 
         Without a normaliser they are 0, 1 and None.
         """
         mean, std, limit, normalizers = [], [], None, dict(self.policy.body.normalizers.items())
-        for key, shape in self.policy.shapes.items():
+        for key, width in self._vectors.items():
             normalizer = normalizers.get(key)
             if isinstance(normalizer, RunningNormalizer):
                 limit = normalizer.limit
                 mean.append(normalizer.mean)
                 std.append(normalizer.std)
             else:
-                mean.append(torch.zeros(shape))
-                std.append(torch.ones(shape))
+                mean.append(torch.zeros(width))
+                std.append(torch.ones(width))
         return torch.cat(mean), torch.cat(std), limit
 
     def example(self, rows: int = 2) -> tuple[Tensor, ...]:
         """Return inputs of the right shapes."""
-        seen = torch.zeros(rows, len(self.scale))
-        return (seen, torch.zeros(rows, self._layout.memory)) if self._layout.memory else (seen,)
+        given = [torch.zeros(rows, len(self.scale))]
+        given += [torch.zeros(rows, *each.shape, dtype=TYPES[each.dtype][0]) for each in self._layout.images]
+        return (*given, torch.zeros(rows, self._layout.memory)) if self._layout.memory else tuple(given)
 
     @property
     def names(self) -> tuple[list[str], list[str]]:
         """Return the names of what goes in and of what comes out."""
-        inputs, outputs = ["observation", "memory"], ["command", "action", "memory_after"]
-        return (inputs, outputs) if self._layout.memory else (inputs[:1], outputs[:2])
+        inputs, outputs = ["observation", *self._images, "memory"], ["command", "action", "memory_after"]
+        return (inputs, outputs) if self._layout.memory else (inputs[:-1], outputs[:2])

@@ -1,12 +1,14 @@
 """Exported policies that fly in the simulator: what runs is the exported file.
 
-Letters: E environments, O entries of an observation, U of a command, V of an action, M numbers of memory.
+Letters: E environments, O entries of an observation, C x H x W an image, U entries of a command, V of an action, M numbers of
+memory.
 """
 
 import ctypes
 import subprocess
 import tempfile
 from collections.abc import Callable, Mapping
+from math import prod
 from pathlib import Path
 from shutil import which
 
@@ -15,10 +17,12 @@ import torch
 from torch import Tensor
 
 from aerial_gym.errors import CapabilityError, ConfigError
+from aerial_gym.export.c99_images import PIXELS
 from aerial_gym.export.layout import Layout
 
-Step = Callable[[Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
-"""Observation (E, O) and memory (E, M) to command (E, U), action (E, V) and the memory after it, on the CPU."""
+Step = Callable[..., tuple[Tensor, Tensor, Tensor]]
+"""Observation (E, O), memory (E, M) and images (E, C, H, W) to command (E, U), action (E, V) and the memory after it, on the
+CPU."""
 
 COMPILER = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic")
 """What the source is compiled with."""
@@ -38,7 +42,7 @@ class ExportedPilot:
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """What it sees of an environment, by key of the observation."""
         counts = {key: sum(s.count for s in self.layout.observation if s.key == key) for key in self._keys}
-        return {key: (count,) for key, count in counts.items()}
+        return {key: (count,) for key, count in counts.items()} | {each.key: each.shape for each in self.layout.images}
 
     @property
     def num_actions(self) -> int:
@@ -50,7 +54,8 @@ class ExportedPilot:
         given = torch.cat([observation[key] for key in self._keys], dim=-1)
         if self._memory is None or len(self._memory) != len(given):
             self._memory = torch.zeros(len(given), self.layout.memory)
-        _, action, self._memory = self.step(given.cpu() / self._scale, self._memory)
+        images = (observation[each.key].cpu() for each in self.layout.images)
+        _, action, self._memory = self.step(given.cpu() / self._scale, self._memory, *images)
         return action.to(given.device)
 
     def reset(self, mask: Tensor | None = None) -> None:
@@ -80,10 +85,10 @@ def torchscript_step(file: Path, layout: Layout) -> Step:
     module = torch.jit.load(str(file))
 
     @torch.no_grad()
-    def step(observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def step(observation: Tensor, memory: Tensor, *images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         if layout.memory:
-            return module(observation, memory)
-        return (*module(observation), memory)
+            return module(observation, *images, memory)
+        return (*module(observation, *images), memory)
 
     return step
 
@@ -96,8 +101,9 @@ def onnx_step(file: Path, layout: Layout) -> Step:
         raise CapabilityError("onnxruntime is not installed. Run: pip install 'aerial-gym[export]'") from None
     session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
 
-    def step(observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def step(observation: Tensor, memory: Tensor, *images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         given = {"observation": observation.numpy()} | ({"memory": memory.numpy()} if layout.memory else {})
+        given |= {each.key: image.numpy() for each, image in zip(layout.images, images, strict=True)}
         command, action, *after = (torch.from_numpy(np.array(out)) for out in session.run(None, given))
         return command, action, after[0] if after else memory
 
@@ -113,13 +119,16 @@ def c99_step(file: Path, layout: Layout) -> Step:
         )
     n, sizes = layout.name, (layout.num_observations, len(layout.command), layout.num_actions, layout.memory)
     seen, given, acts, memory = sizes
+    types = {each.key: PIXELS[each.dtype][0] for each in layout.images}
+    images = "".join(f", const {kind} *{key}" for key, kind in types.items())
+    looks = "".join(f"{each.key} + r * {prod(each.shape)}, " for each in layout.images)
     rows = f"""#include "{n}.h"
-void {n}_rows(int rows, const float *observation, float *command, float *action, float *memory) {{
+void {n}_rows(int rows, const float *observation, float *command, float *action, float *memory{images}) {{
+    static {n}_state state;
     for (int r = 0; r < rows; ++r) {{
-        {n}_state state;
         {n}_reset(&state);
         {f"for (int i = 0; i < {memory}; ++i) state.memory[i] = memory[r * {memory} + i];" if memory else "(void)memory;"}
-        {n}_step(&state, observation + r * {seen}, command + r * {given});
+        {n}_step(&state, observation + r * {seen}, {looks}command + r * {given});
         for (int i = 0; i < {acts}; ++i) action[r * {acts} + i] = state.action[i];
         {f"for (int i = 0; i < {memory}; ++i) memory[r * {memory} + i] = state.memory[i];" if memory else ""}
     }}
@@ -145,10 +154,11 @@ void {n}_rows(int rows, const float *observation, float *command, float *action,
             raise CapabilityError(f"{file}: does not compile: {done.stderr.strip()[:500]}")
         call = getattr(ctypes.CDLL(str(library)), f"{n}_rows")
 
-    def step(observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def step(observation: Tensor, memory: Tensor, *images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        pixels = [image.contiguous() for image in images]
         observation, after = observation.float().contiguous(), memory.float().clone().contiguous()
         out, action = torch.empty(len(observation), given), torch.empty(len(observation), acts)
-        places = (ctypes.c_void_p(each.data_ptr()) for each in (observation, out, action, after))
+        places = (ctypes.c_void_p(each.data_ptr()) for each in (observation, out, action, after, *pixels))
         call(ctypes.c_int(len(observation)), *places)
         return out, action, after
 

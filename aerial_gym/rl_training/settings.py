@@ -245,6 +245,7 @@ class DistillCfg(LearnerCfg):
 Section = TypeVar("Section", bound=LearnerCfg)
 
 ALIKE = {
+    "dce_navigation_task": "navigation_task",
     "radar_navigation_task": "lidar_navigation_task",
     "racing_random_track_task": "racing_task",
 }
@@ -284,6 +285,9 @@ class TrainingCfg:
 
     backend: str | None = None
     """Registered physics backend in place of the sim's own."""
+
+    encoder: str | None = None
+    """Encoder file, or one that comes with the package, in place of the task's own; a run folder keeps a copy of a file."""
 
     torch_threads: int | None = None
     """Threads of torch on the CPU, >= 1; None leaves torch's own choice."""

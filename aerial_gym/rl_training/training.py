@@ -30,6 +30,7 @@ from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.run.weights_and_biases import require_wandb, sent_to_wandb
 from aerial_gym.rl_training.settings import OWN, TrainingCfg
 from aerial_gym.rl_training.trainers.own import repeat
+from aerial_gym.sensors.encoder.file import load_encoder
 from aerial_gym.task import task_registry
 
 _log = logging.getLogger(__name__)
@@ -183,6 +184,8 @@ def _check_names(cfg: TrainingCfg) -> None:
         load_policy(cfg.teacher)
     if cfg.robot is not None:
         robot_by_name(cfg.robot)
+    if cfg.encoder is not None:
+        load_encoder(cfg.encoder)
     if cfg.controller is not None:
         CONTROLLERS.get(cfg.controller)
     if cfg.backend not in (None, "auto"):
@@ -214,6 +217,7 @@ def _run(
         robot=cfg.robot,
         controller=cfg.controller,
         backend=cfg.backend,
+        encoder=cfg.encoder,
         capture=False if cfg.trainer in OWN else None,
         differentiable=cfg.trainer == "apg",
     ) as task:

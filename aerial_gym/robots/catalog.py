@@ -116,8 +116,9 @@ def _braked_in_spin(robot: RobotCfg) -> RobotCfg:
     hover = 4.0 * rotor.speed_at(0.25 * robot.body.mass * STANDARD_GRAVITY)
     source = (
         "Mueller, D'Andrea (2014), Stability and control of a quadrocopter despite the complete loss of one, two, or three "
-        "propellers: a spin of their 0.5 kg with arms of 0.17 m is braked by 2.75e-3 N m s/rad (quoted, not yet "
-        "checked against the paper); here as the drag of rotors"
+        "propellers, section V: a spin of their 0.5 kg with arms of 0.17 m is braked by 2.75e-3 N m s/rad, as public "
+        "implementations of it agree; it balances their equilibrium without a propeller, 1.69e-2 m (2 * 2.05 - 1.025) N = "
+        "2.75e-3 * 18.89 rad/s to 0.1 %. The paper itself was not at hand. Here as the drag of rotors"
     )
     kh = damping / (mass * arm**2) * robot.body.mass / hover
     return replace(robot, effects={"h_force_flapping": {"kh": kh, "kf": 0.0}}, effects_source=source)

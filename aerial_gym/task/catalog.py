@@ -43,6 +43,7 @@ class TaskRegistry(Registry[TaskCfg]):
         backend: str | None = None,
         differentiable: bool = False,
         dtype: "torch.dtype | None" = None,
+        encoder: str | None = None,
     ) -> "Task":
         """Return a task, built and not yet reset.
 
@@ -64,6 +65,8 @@ class TaskRegistry(Registry[TaskCfg]):
             backend: Registered physics backend in place of the sim's own.
             differentiable: Whether rewards and observations have gradients with respect to actions (``docs/gradients.md``).
             dtype: Float type of what has them; float32 if not given.
+            encoder: Encoder file, or one that comes with the package, in place of the task's own; where the task shows the
+                nearest distances of 8 x 8 cells, its latents are shown instead.
 
         Raises:
             UnknownNameError: If a name is not registered.
@@ -79,6 +82,8 @@ class TaskRegistry(Registry[TaskCfg]):
         cfg = self.get(name)
         changes = {"num_envs": num_envs, "robot": robot, "controller": controller, "sim": sim, "env": env}
         cfg = replace(cfg, **{key: value for key, value in changes.items() if value is not None})
+        if encoder is not None:
+            cfg = with_encoder(cfg, encoder)
         if level is not None:
             cfg = replace(cfg, curriculum=_held(cfg, name, level))
         elif first_episode and cfg.curriculum is not None:
@@ -184,6 +189,29 @@ def _module_of(path: Path) -> ModuleType:
         del sys.modules[known]
         raise
     return module
+
+
+CELL_TERMS = ("nearest_in_cells", "log_nearest_in_cells")
+"""Terms in whose place latents may stand: 64 numbers of an image, unless their parameters say otherwise."""
+
+
+def with_encoder(cfg: TaskCfg, encoder: str) -> TaskCfg:
+    """Return a task that sees the latents of an encoder where it sees the nearest distances of 8 x 8 cells.
+
+    Raises:
+        ConfigError: If it sees neither these nor latents.
+    """
+
+    def seen(entry: ObservationCfg) -> ObservationCfg:
+        return replace(entry, term="image_latents") if entry.term in CELL_TERMS and not entry.params else entry
+
+    groups = {name: tuple(seen(entry) for entry in entries) for name, entries in cfg.observations.items()}
+    if not any(entry.term == "image_latents" for entries in groups.values() for entry in entries):
+        raise ConfigError(
+            f"encoder {encoder}: this task has no image_latents and no {' or '.join(CELL_TERMS)} of 8 x 8 cells among its "
+            "observations. Choose one that has, such as navigation_task"
+        )
+    return replace(cfg, observations=groups, encoder=encoder)
 
 
 def _held(cfg: TaskCfg, name: str, level: int) -> CurriculumCfg:
@@ -294,6 +322,30 @@ def _pixel_navigation() -> TaskCfg:
 
 
 task_registry.register_later("pixel_navigation_task", _pixel_navigation)
+
+
+def _dce_navigation() -> TaskCfg:
+    """navigation_task by the latents of an encoder that tells collisions, in the fullest rooms, without noise."""
+    task = task_registry.get("navigation_task")
+    assert task.curriculum is not None
+    seen = tuple(
+        replace(entry, noise_std=0.0, scale=0.2 if entry.term == "distance" else 1.0)
+        for entry in task.observations["policy"]
+    )
+    return replace(
+        with_encoder(replace(task, observations={"policy": seen}), "collision_40x24"),
+        summary="navigation_task among 36 obstacles and more, by 64 latents that tell where the robot would collide",
+        robot="base_quadrotor_with_coarse_camera",
+        action=replace(task.action, transform="forward_flight_3"),
+        curriculum=replace(task.curriculum, min_level=36),
+        source=(
+            f"{task.source}. Aerial Gym Simulator, commit f0d0f05, DCE example: three actions, level, no noise, a "
+            "fifth of the distance; camera and encoder: ours"
+        ),
+    )
+
+
+task_registry.register_later("dce_navigation_task", _dce_navigation)
 
 
 def _radar_navigation() -> TaskCfg:

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from aerial_gym.config.task import OBSERVATIONS, POLICY
-from aerial_gym.task.step.images import Images
+from aerial_gym.task.seen.images import Images
 
 if TYPE_CHECKING:
     from gymnasium import spaces

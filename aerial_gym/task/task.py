@@ -29,10 +29,11 @@ from aerial_gym.task.resolve import (
     resolve_terminations,
     with_rotor_range,
 )
+from aerial_gym.task.seen.cells import Cells
+from aerial_gym.task.seen.images import Images
+from aerial_gym.task.seen.latents import Latents
 from aerial_gym.task.spaces import action_space, key_of, observation_space
 from aerial_gym.task.step.act import Actor, declare_delay
-from aerial_gym.task.step.cells import Cells
-from aerial_gym.task.step.images import Images
 from aerial_gym.task.step.judge import ARRIVED, FINAL, SUMS, TALLIES, Judge
 from aerial_gym.task.step.observe import Entry, Observer
 from aerial_gym.task.step.remember import make_memory
@@ -101,6 +102,7 @@ class Task:
         self.num_actions = num_commands if action.width is None else action.width
         """Entries of an action, V."""
         self._cells = Cells(env.sensor_manager, env.gtd, robot=cfg.robot)
+        self._latents = Latents(env.sensor_manager, env.gtd, robot=cfg.robot, encoder=cfg.encoder)
         self.values = self._make_values(num_commands)
         """What terms read, by name: keys of the GTD and the task's own buffers; ``print(task.values.own)`` shows these."""
         declare_delay(cfg.action, self.values)
@@ -308,6 +310,7 @@ class Task:
         """Read the sensors, and what is made of their images; ``begun``: only where an episode has just begun."""
         self.env.render(self.env.random.mask if begun else None)
         self._cells.measure()
+        self._latents.measure()
         self._images.take(begun=begun)
 
     def parts(self) -> dict[str, Callable[[], None]]:
@@ -356,7 +359,7 @@ class Task:
         sizes = {"E": env.num_envs, "U": num_commands, "V": self.num_actions, "R": env.robot_manager.cfg.num_rotors}
         simulation = env.robot_manager.differentiable
         graph = None if simulation is None else Graph(simulation)
-        makers = {**self._cells.makers, STEP_TIME: self._make_step_time}
+        makers = {**self._cells.makers, **self._latents.makers, STEP_TIME: self._make_step_time}
         values = Values(env.gtd, sizes=sizes, makers=makers, graph=graph)
         values.declare("begun", dtype=torch.bool, meaning="its episode has just begun", view=env.random.mask)
         return values

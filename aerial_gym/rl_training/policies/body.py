@@ -6,6 +6,7 @@ Letters: T steps, E environments, O entries of a vector, C x H x W an image, F f
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from math import prod
 
 import torch
 from torch import Tensor, nn
@@ -13,15 +14,10 @@ from torch import Tensor, nn
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.recurrent import along
-
-ACTIVATIONS = {"elu": nn.ELU, "relu": nn.ReLU, "tanh": nn.Tanh}
-"""By the name in the settings."""
+from aerial_gym.sensors.encoder.network import ACTIVATIONS, convolutions
 
 IMAGE_CHANNELS = (16, 32, 64, 64)
 """Channels of the layers that look at an image, each of which halves it."""
-
-SMALLEST_IMAGE = 4
-"""Layers end where an image would have fewer rows or columns."""
 
 IMAGE_FEATURES = 128
 """Numbers that stand for an image."""
@@ -118,7 +114,7 @@ def layers(widths: tuple[int, ...], activation: str) -> nn.Sequential:
     return nn.Sequential(*(part for pair in parts for part in pair))
 
 
-class _Pixels(nn.Module):
+class Pixels(nn.Module):
     """Images of any leading dimensions and type as one batch of floats: 8 bits as 0 to 1.
 
     Where nothing is learned from them, the steps of a sequence are taken one by one: as floats they take much memory.
@@ -126,24 +122,20 @@ class _Pixels(nn.Module):
 
     def __init__(self, shape: tuple[int, ...], network: nn.Module) -> None:
         super().__init__()
-        self._shape, self.network = shape, network
+        self.shape, self.network = shape, network
+        """(C, H, W) of an image, and the network that takes floats of it."""
 
     def forward(self, images: Tensor) -> Tensor:
+        """Return features (..., F) of images (..., C, H, W)."""
         if images.ndim > 4 and not torch.is_grad_enabled():
             return torch.stack([self(step) for step in images])
-        flat = images.reshape(-1, *self._shape)
+        flat = images.reshape(-1, *self.shape)
         pixels = flat.float() / 255.0 if flat.dtype == torch.uint8 else flat.float()
         return self.network(pixels).reshape(*images.shape[:-3], -1)
 
 
 def image_encoder(shape: tuple[int, ...], activation: str) -> nn.Module:
     """Return a convolutional network from images (..., C, H, W) to ``IMAGE_FEATURES`` numbers."""
-    channels, rows, columns = shape
-    parts: list[nn.Module] = []
-    for wide in IMAGE_CHANNELS:
-        if min(rows, columns) < 2 * SMALLEST_IMAGE:
-            break
-        parts += [nn.Conv2d(channels, wide, kernel_size=3, stride=2, padding=1), ACTIVATIONS[activation]()]
-        channels, rows, columns = wide, (rows + 1) // 2, (columns + 1) // 2
-    parts += [nn.Flatten(), nn.Linear(channels * rows * columns, IMAGE_FEATURES), ACTIVATIONS[activation]()]
-    return _Pixels(shape, nn.Sequential(*parts))
+    parts, passed = convolutions(shape, IMAGE_CHANNELS, activation)
+    parts += [nn.Flatten(), nn.Linear(prod(passed[-1]), IMAGE_FEATURES), ACTIVATIONS[activation]()]
+    return Pixels(shape, nn.Sequential(*parts))

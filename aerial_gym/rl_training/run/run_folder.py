@@ -3,6 +3,7 @@
 ::
 
     config.yaml       the resolved settings, from which the run can be repeated
+    encoder.pt        a copy of the encoder, where the settings name a file
     versions.json     versions, machine and command of every session
     curve.csv         learning curve: one line per report
     result.json       figures at the end of the last session
@@ -23,6 +24,7 @@ import platform
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -52,6 +54,7 @@ class RunFolder:
         self.config_file, self.curve_file = self.path / "config.yaml", self.path / "curve.csv"
         self.result_file, self.log_file = self.path / "result.json", self.path / "log.txt"
         self.checkpoint_folder = self.path / "checkpoints"
+        self.encoder_file = self.path / "encoder.pt"
 
     def create(self, cfg: TrainingCfg) -> None:
         """Make the folder and write the settings.
@@ -64,17 +67,20 @@ class RunFolder:
             raise ConfigError(f"{self.path}: holds a run already. Choose another --out, or continue it with --resume")
         with told_storage(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
+        if cfg.encoder is not None and Path(cfg.encoder).is_file():
+            write_whole(self.encoder_file, Path(cfg.encoder).read_bytes())
         write_whole(self.config_file, dump_yaml(cfg))
 
     def config(self) -> TrainingCfg:
-        """Return the settings of the run.
+        """Return the settings of the run; its encoder is the copy in the folder, wherever that is now.
 
         Raises:
             ConfigError: If the folder holds no run.
         """
         if not self.config_file.exists():
             raise ConfigError(f"{self.path}: holds no run (no config.yaml). Start one without --resume")
-        return load_settings(self.config_file)
+        cfg = load_settings(self.config_file)
+        return replace(cfg, encoder=str(self.encoder_file)) if self.encoder_file.exists() else cfg
 
     def checkpoints(self) -> list[Path]:
         """Return the checkpoints, oldest first; those of earlier versions of this package, which lay elsewhere, included."""
@@ -149,18 +155,7 @@ class RunFolder:
         """
         while any(self.path.rglob(f"events.out.tfevents.{int(time.time())}.*")):
             time.sleep(0.05)
-        file = self.path / "versions.json"
-        sessions = json.loads(file.read_text(encoding="utf-8")) if file.exists() else []
-        sessions.append(
-            {
-                "started": datetime.now(UTC).isoformat(timespec="seconds"),
-                "seed": cfg.seed,
-                "device": device,
-                "versions": {"python": platform.python_version(), **_versions()},
-                "machine": f"{platform.platform()}, {os.cpu_count()} CPU cores",
-            }
-        )
-        write_whole(file, json.dumps(sessions, indent=1) + "\n")
+        note_session(self.path, seed=cfg.seed, device=device)
 
     @contextlib.contextmanager
     def captured_output(self) -> Iterator[None]:
@@ -175,6 +170,22 @@ class RunFolder:
             finally:
                 root.removeHandler(handler)
                 sys.stdout.flush()
+
+
+def note_session(folder: Path, *, seed: int, device: str) -> None:
+    """Append seed, device, versions and machine of a session to ``versions.json`` of a folder."""
+    file = folder / "versions.json"
+    sessions = json.loads(file.read_text(encoding="utf-8")) if file.exists() else []
+    sessions.append(
+        {
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+            "seed": seed,
+            "device": device,
+            "versions": {"python": platform.python_version(), **_versions()},
+            "machine": f"{platform.platform()}, {os.cpu_count()} CPU cores",
+        }
+    )
+    write_whole(file, json.dumps(sessions, indent=1) + "\n")
 
 
 def run_folder_of(checkpoint: str | Path) -> RunFolder:

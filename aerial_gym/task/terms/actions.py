@@ -73,7 +73,8 @@ def forward_flight(actions: Tensor, *, max_speed: float, max_inclination: float,
     """Return a velocity that never points sideways or backwards, and a yaw rate: the camera sees where the robot flies.
 
     Args:
-        actions: Speed, inclination of the velocity, yaw rate, and an entry that is not used; clamped to -1..1, (E, 4).
+        actions: Speed, inclination of the velocity, yaw rate, and an entry that is not used (``forward_flight_3`` has none);
+            clamped to -1..1, (E, 4).
         max_speed: Largest speed [m/s].
         max_inclination: Largest angle of the velocity to the horizon [rad].
         max_yaw_rate: Largest yaw rate [rad/s].
@@ -85,7 +86,7 @@ def forward_flight(actions: Tensor, *, max_speed: float, max_inclination: float,
     Source:
         Aerial Gym Simulator 2.0.1, navigation_task.
     """
-    speed, inclination, yaw_rate, _ = actions.clamp(-1.0, 1.0).unbind(-1)
+    speed, inclination, yaw_rate = actions.clamp(-1.0, 1.0).unbind(-1)[:3]
     speed, inclination = 0.5 * max_speed * (speed + 1.0), max_inclination * inclination
     forward, up = speed * torch.cos(inclination), speed * torch.sin(inclination)
     return torch.stack((forward, torch.zeros_like(forward), up, max_yaw_rate * yaw_rate), dim=-1)
@@ -106,4 +107,5 @@ def affine(
     return torch.stack(stretched, dim=-1)
 
 
+ACTIONS.register("forward_flight_3", Action(value=forward_flight, width=3, command=LAWS["velocity"].action))
 ACTIONS.register(ROTOR_RANGE, Action(value=affine))  # of which a task fills in the numbers

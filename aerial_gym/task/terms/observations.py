@@ -20,6 +20,9 @@ CELLS = "nearest_in_{rows}x{columns}_cells"
 LARGEST = "largest_distance"
 """Buffer of the largest distance that this sensor measures [m], one number."""
 
+LATENTS = "image_latents"
+"""Buffer of the latents of that image by the task's encoder, (E, L)."""
+
 LEAST_SHARE = 1e-3
 """A share of the largest distance below which no obstacle is told from another: 1 cm of 10 m."""
 
@@ -153,6 +156,12 @@ def inverse_nearest(cells: Tensor, largest_distance: Tensor, *, rows: int = 8, c
     """Return the inverse of the smallest distance in each of some cells [1/m], (E, rows columns)."""
     del rows, columns
     return 1.0 / (cells.clamp_min(LEAST_SHARE) * largest_distance)
+
+
+@OBSERVATIONS.term()
+def image_latents(image_latents: Tensor) -> Tensor:
+    """Return the latents of the first sensor's image by the task's encoder, (E, L)."""
+    return image_latents
 
 
 @OBSERVATIONS.term()

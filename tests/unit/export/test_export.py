@@ -15,8 +15,6 @@ from aerial_gym.export.layout import Layout, layout_of
 from aerial_gym.export.module import FlownPolicy
 from aerial_gym.export.pilot import load_exported
 from aerial_gym.rl_training.evaluate import evaluate
-from aerial_gym.rl_training.policies.body import BodyCfg
-from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.task import ACTIONS
 from tests.unit.export.policies import HOVER, drawn_policy, hover, hovering_policy, layout, training
 from tests.unit.task.hover import built
@@ -44,7 +42,7 @@ def test_c_and_torchscript_give_what_torch_gives(activation: str, memory: int, n
     assert max(map(len, text.splitlines())) < 140
 
 
-@pytest.mark.parametrize("memory", [pytest.param(0, marks=pytest.mark.slow), 16])
+@pytest.mark.parametrize("memory", [0, 16])
 def test_onnx_gives_what_torch_gives(memory: int, tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
@@ -144,12 +142,8 @@ def test_observations_are_taken_in_their_own_units(tmp_path: Path) -> None:
 
 def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
     policy = drawn_policy()
-    image = Policy(BodyCfg(shapes={"depth": (1, 8, 8)}, hidden_layers=(4,)), 4)
-    with built(HOVER, 1) as task:
-        with pytest.raises(ConfigError, match="name '2nd try': C allows letters, digits and _"):
-            layout_of(policy, training(), task, name="2nd try", source="")
-        with pytest.raises(ConfigError, match="sees the image 'depth'; only vectors are exported"):
-            layout_of(image, training(), task, name="p", source="")
+    with built(HOVER, 1) as task, pytest.raises(ConfigError, match="name '2nd try': C allows letters, digits and _"):
+        layout_of(policy, training(), task, name="2nd try", source="")
     with pytest.raises(ConfigError, match="format 'tflite': must be onnx, torchscript, c99"):
         export_policy(tmp_path, tmp_path, ["tflite"])
     with pytest.raises(ConfigError, match=r"no policy.json in it. Make it with aerial-gym export"):

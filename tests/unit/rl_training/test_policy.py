@@ -274,3 +274,11 @@ def test_a_policy_that_diverged_or_was_trained_for_another_task_is_refused() -> 
         ConfigError, match="test: layer 2 holds 1 numbers that are NaN or infinite: the training diverged"
     ):
         policy_from_state(state, cfg, where="test")
+
+
+@pytest.mark.parametrize("path", sorted(TRAINING_CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_file_of_settings_can_be_read(path: Path) -> None:
+    """Its name says its trainer, and its task is registered."""
+    cfg = load_settings(path)
+    assert path.stem.startswith(cfg.trainer)
+    task_registry.get(cfg.task)

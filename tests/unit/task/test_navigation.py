@@ -16,7 +16,6 @@ from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.rl_training import evaluate
 from aerial_gym.task import Task
-from aerial_gym.task.step.images import distance_scale
 from aerial_gym.task.terms.actions import forward_flight
 from aerial_gym.task.terms.observations import direction_vehicle
 from tests.unit.task.navigation import make
@@ -168,7 +167,7 @@ def test_what_a_cell_without_a_distance_means_follows_from_the_sensor() -> None:
     camera = SENSORS.get("base_depth_camera")
     assert camera.far_pixel == camera.near_pixel == -1.0
     sensors = make(1, camera=True).env.sensor_manager
-    assert distance_scale(sensors, next(iter(sensors.casters))) == (10.0, 1.0)
+    assert next(iter(sensors.casters.values())).cfg.distance_scale == (10.0, 1.0)
 
 
 def distance_at(task: Task, points: Tensor) -> Tensor:

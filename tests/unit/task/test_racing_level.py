@@ -136,7 +136,7 @@ def test_disturbances_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture
 
 
 def test_a_level_has_settings_of_a_race(tmp_path: Path) -> None:
-    assert settings_for("ppo", level(tmp_path)).name == "ppo_racing.yaml"
+    assert settings_for("ppo", level(tmp_path), device="cpu").name == "ppo_racing_cpu.yaml"
 
 
 @pytest.mark.parametrize(

@@ -78,17 +78,7 @@ def scale_of(image: Tensor, cfg: ImageCfg, sensors: SensorManager) -> tuple[floa
     """Return what counts as 1 in the unit of an image, and the share of a pixel that has nothing (is negative)."""
     if "depth" in cfg.key or "disparity" in cfg.key:
         own = [name for name in sensors.casters if cfg.key.startswith(f"{name}_")]
-        largest, empty = distance_scale(sensors, own[0] if own else next(iter(sensors.casters)))
+        largest, empty = sensors.casters[own[0] if own else next(iter(sensors.casters))].cfg.distance_scale
     else:
         largest, empty = (255.0 if image.dtype == torch.int32 else 1.0), 0.0
     return (largest if cfg.largest is None else cfg.largest), empty
-
-
-def distance_scale(sensors: SensorManager, name: str) -> tuple[float, float]:
-    """Return the largest distance of a range sensor in the unit of its image, and the share that stands for no distance.
-
-    Where a sensor marks "too far" by a distance of its own, a pixel without a distance is near (0); where it marks far and
-    near alike, nothing is known, and far (1) is by much the more frequent.
-    """
-    cfg = sensors.casters[name].cfg
-    return (1.0 if cfg.normalize else cfg.max_range), (0.0 if cfg.far_pixel >= 0.0 else 1.0)

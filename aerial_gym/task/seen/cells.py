@@ -11,7 +11,6 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import SensorManager
 from aerial_gym.sensors.cells import NearestInCells
-from aerial_gym.task.step.images import distance_scale
 from aerial_gym.task.terms.observations import CELLS, LARGEST
 from aerial_gym.task.values import Values
 
@@ -35,8 +34,8 @@ class Cells:
             cells.measure()
 
     def _cells(self, values: Values, reader: str, *, rows: int, columns: int) -> Tensor:
-        name = self._first(reader)
-        largest, empty = distance_scale(self._sensors, name)
+        name = first_sensor(self._sensors, reader, robot=self._robot)
+        largest, empty = self._sensors.casters[name].cfg.distance_scale
         image = self._gtd["depth_range_pixels"]
         cells = NearestInCells(image, cells=(rows, columns), largest=largest, empty=empty)
         self._kept.append(cells)
@@ -47,13 +46,14 @@ class Cells:
         return values.declare(key, (rows * columns,), meaning=meaning, view=cells.nearest)
 
     def _largest(self, values: Values, reader: str) -> Tensor:
-        name = self._first(reader)
+        name = first_sensor(self._sensors, reader, robot=self._robot)
         meaning = f"largest distance that {name} measures"
         largest = self._sensors.casters[name].cfg.max_range
         return values.declare(LARGEST, unit="m", meaning=meaning, rows=False).fill_(largest)
 
-    def _first(self, reader: str) -> str:
-        """Return the name of the first range sensor."""
-        if not self._sensors.casters:
-            raise ConfigError(f"{reader}: robot {self._robot} has no camera or lidar. Choose one with a sensor")
-        return next(iter(self._sensors.casters))
+
+def first_sensor(sensors: SensorManager, reader: str, *, robot: str) -> str:
+    """Return the name of the first range sensor; raise ``ConfigError`` that names reader and robot if there is none."""
+    if not sensors.casters:
+        raise ConfigError(f"{reader}: robot {robot} has no camera or lidar. Choose one with a sensor")
+    return next(iter(sensors.casters))

@@ -1,0 +1,131 @@
+"""The part of a policy that looks at images, as C99: convolutions that halve an image, in work space of the caller's state.
+
+Letters: C x H x W an image or what a layer makes of it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import prod
+
+from torch import Tensor, nn
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.export.layout import Layout, SeenImage
+from aerial_gym.export.module import FlownPolicy
+from aerial_gym.rl_training.policies.body import Pixels
+
+PIXELS = {"uint8": ("unsigned char", " / 255.0f"), "float32": ("float", "")}
+"""Type in C of the pixels of a kind of image, and what makes a share of one."""
+
+CONVOLVE = """
+/* Kernel of 3 x 3, every second pixel, a border of zeros. */
+static void convolve(const float *weight, const float *bias, int num_in, int rows, int columns, int num_out,
+                     const float *in, float *out) {
+    const int down = (rows + 1) / 2, right = (columns + 1) / 2;
+    for (int o = 0; o < num_out; ++o) for (int r = 0; r < down; ++r) for (int c = 0; c < right; ++c) {
+        float sum = bias[o];
+        for (int i = 0; i < num_in; ++i) for (int y = 0; y < 3; ++y) for (int x = 0; x < 3; ++x) {
+            const int row = 2 * r + y - 1, column = 2 * c + x - 1;
+            if (row < 0 || row >= rows || column < 0 || column >= columns) continue;
+            sum += weight[((o * num_in + i) * 3 + y) * 3 + x] * in[(i * rows + row) * columns + column];
+        }
+        out[(o * down + r) * right + c] = activated(sum);
+    }
+}
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Looking:
+    """What looks at all images of a policy, as C."""
+
+    arrays: tuple[str, ...]
+    """Definitions of weights."""
+
+    code: str
+    """Statements that leave the features of each image in ``NAME_features``."""
+
+    widths: dict[str, int]
+    """How many these are, by the key of the image."""
+
+    work: int
+    """Numbers that the largest layer makes: the state holds twice as many."""
+
+
+def parameters(layout: Layout) -> str:
+    """Return the images among the parameters of the step, in order.
+
+    Raises:
+        ConfigError: If there is no type in C for the pixels of one.
+    """
+    return "".join(f"const {_pixel(image)[0]} {image.key}[{prod(image.shape)}], " for image in layout.images)
+
+
+def _pixel(image: SeenImage) -> tuple[str, str]:
+    if image.dtype not in PIXELS:
+        raise ConfigError(
+            f"image {image.key!r}: {image.dtype} has no type in C99. Export onnx or torchscript, or train with dtype "
+            f"{' or '.join(PIXELS)}"
+        )
+    return PIXELS[image.dtype]
+
+
+def told(image: SeenImage) -> str:
+    """Return what the header says of an image."""
+    channels, rows, columns = image.shape
+    written = "floor(255 share + 0.5)" if image.dtype == "uint8" else "the share itself"
+    return (
+        f" *   {image.key}: {channels} x {rows} x {columns} pixels, row by row from the top, each as a share of "
+        f"{image.largest:g} {image.unit}, 1 at most,\n *     and {image.without:g} where it is negative; as {written}. "
+        f"{image.meaning}\n"
+    )
+
+
+def looking(policy: FlownPolicy, layout: Layout, array: Callable[[str, Tensor], str]) -> Looking:
+    """Return the C code of a policy's image networks; ``array`` defines a constant array of a name."""
+    arrays: list[str] = []
+    code: list[str] = []
+    widths, work = {}, 0
+    for image in layout.images:
+        encoder = policy.policy.body.encoders[image.key]
+        assert isinstance(encoder, Pixels)
+        assert isinstance(encoder.network, nn.Sequential)
+        shape, place = image.shape, 0
+        work = max(work, prod(shape))
+        code.append(
+            f"    for (int i = 0; i < {prod(shape)}; ++i) state->work[0][i] = {image.key}[i]{_pixel(image)[1]};"
+        )
+        layers = [layer for layer in encoder.network if isinstance(layer, (nn.Conv2d, nn.Linear))]
+        for number, layer in enumerate(layers):
+            name = f"{image.key}_{number}"
+            assert layer.bias is not None
+            arrays += [array(f"{name}_weight", layer.weight), array(f"{name}_bias", layer.bias)]
+            if isinstance(layer, nn.Linear):
+                wide = widths[image.key] = layer.out_features
+                out, given = f"{image.key}_features", f"state->work[{place}]"
+                code += [
+                    f"    float {out}[{wide}];",
+                    f"    dense({name}_weight, {name}_bias, {layer.in_features}, {wide}, {given}, {out});",
+                    f"    for (int i = 0; i < {wide}; ++i) {out}[i] = activated({out}[i]);",
+                ]
+                continue
+            code.append(
+                f"    convolve({name}_weight, {name}_bias, {shape[0]}, {shape[1]}, {shape[2]}, {layer.out_channels}, "
+                f"state->work[{place}], state->work[{1 - place}]);"
+            )
+            shape, place = (layer.out_channels, (shape[1] + 1) // 2, (shape[2] + 1) // 2), 1 - place
+            work = max(work, prod(shape))
+    return Looking(arrays=tuple(arrays), code="\n".join(code), widths=widths, work=work)
+
+
+def joined(policy: FlownPolicy, widths: dict[str, int]) -> str:
+    """Return statements that put vectors and features side by side in ``joined``, in the order of the policy."""
+    lines, first, place = [], 0, 0
+    counts = {key: shape[0] for key, shape in policy.policy.shapes.items() if len(shape) == 1}
+    lines.append(f"    float joined[{sum(counts.values()) + sum(widths.values())}];")
+    for key in policy.policy.shapes:
+        wide, source = (counts[key], f"seen[{first} + i]") if key in counts else (widths[key], f"{key}_features[i]")
+        first += counts.get(key, 0)
+        lines.append(f"    for (int i = 0; i < {wide}; ++i) joined[{place} + i] = {source};")
+        place += wide
+    return "\n".join(lines)

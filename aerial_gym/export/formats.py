@@ -1,0 +1,38 @@
+"""A torch module as ONNX or TorchScript."""
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from aerial_gym.errors import CapabilityError
+
+
+def onnx_bytes(
+    module: nn.Module, given: tuple[Tensor, ...], inputs: list[str], outputs: list[str], dynamic: tuple[Any, ...]
+) -> bytes:
+    """Return a module as ONNX; raise ``CapabilityError`` if a package is missing.
+
+    Args:
+        module: What is called.
+        given: Inputs of the right shapes.
+        inputs: Their names.
+        outputs: Names of what it returns.
+        dynamic: Which dimensions of the inputs may be others, as ``torch.export`` says it.
+    """
+    try:
+        import onnx  # noqa: F401
+        import onnxscript  # noqa: F401
+    except ImportError as error:
+        raise CapabilityError(f"{error.name} is not installed. Run: pip install 'aerial-gym[export]'") from None
+    program = torch.onnx.export(
+        module, given, input_names=inputs, output_names=outputs, dynamic_shapes=dynamic, dynamo=True, verbose=False
+    )
+    assert program is not None
+    return program.model_proto.SerializeToString()
+
+
+def torchscript_bytes(module: nn.Module, given: tuple[Tensor, ...]) -> bytes:
+    """Return a module as TorchScript, traced with inputs of the right shapes."""
+    traced = torch.jit.trace(module, given)
+    return traced.save_to_buffer()  # pyright: ignore[reportAttributeAccessIssue, reportFunctionMemberAccess]

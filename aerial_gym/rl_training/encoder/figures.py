@@ -1,0 +1,96 @@
+"""How well images are told from 64 numbers: by the encoder, by principal components, and by the mean image alone.
+
+Letters: N images, H x W pixels, P = H W, L latents.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from aerial_gym.rl_training.encoder.scenes import Images
+from aerial_gym.sensors.encoder.file import Encoder
+from aerial_gym.sensors.encoder.network import Autoencoder
+
+NEAR_M = 3.0
+"""Distance below which a pixel is near [m]: what a vehicle of 2 m/s meets within 1.5 s."""
+
+MOST_EXACT = 4096
+"""Pixels up to which principal components come from the covariance itself; beyond, from a randomised decomposition."""
+
+ACTIVE = 0.01
+"""Variance of a latent's mean above which it tells images apart. Source: Burda, Grosse, Salakhutdinov (2016), Importance
+Weighted Autoencoders, section 5.2."""
+
+AT_ONCE = 1024
+"""Images that are encoded at once."""
+
+Telling = Callable[[Tensor], Tensor]
+"""From images (N, H, W) to what is told of them, (N, H, W)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Errors:
+    """Of pixels, over all images [m]."""
+
+    rms_m: float
+    """Root of the mean squared error [m]."""
+
+    mean_m: float
+    """Mean absolute error [m]."""
+
+    near_rms_m: float | None
+    """Root of the mean squared error of pixels that are nearer than ``NEAR_M`` [m]; None if there is none."""
+
+
+def errors_of(told: Tensor, target: Tensor, *, largest: float) -> Errors:
+    """Return the errors of images (N, H, W) of shares of a largest distance [m]."""
+    error = (told.clamp(0.0, 1.0) - target) * largest
+    near = target * largest < NEAR_M
+    near_rms = float(error[near].square().mean().sqrt()) if bool(near.any()) else None
+    return Errors(rms_m=float(error.square().mean().sqrt()), mean_m=float(error.abs().mean()), near_rms_m=near_rms)
+
+
+def by_mean(train: Images) -> Telling:
+    """Return the mean of the targets for every image."""
+    mean = train.target.mean(0)
+    return lambda seen: mean.expand_as(seen)
+
+
+def by_components(train: Images, latents: int) -> Telling:
+    """Return what the first principal components of the images tell of the targets, by least squares, with their means.
+
+    Where target and image are the same this is the best that any linear encoder and decoder of so many numbers can do
+    (Eckart and Young 1936), on the images that it was made of.
+    """
+    seen, target = train.seen.flatten(1), train.target.flatten(1)
+    mean, aim = seen.mean(0), target.mean(0)
+    centred = seen - mean
+    if seen.shape[1] <= MOST_EXACT:
+        _, vectors = torch.linalg.eigh((centred.T @ centred).double())
+        basis = vectors.flip(1)[:, :latents].float()
+    else:
+        basis = torch.pca_lowrank(centred, q=min(latents + 16, len(seen)), center=False, niter=4)[2][:, :latents]
+    numbers = centred @ basis
+    gram = (numbers.T @ numbers).double()
+    back = torch.linalg.lstsq(gram.cpu(), (numbers.T @ (target - aim)).double().cpu(), driver="gelsd").solution
+    decoder = back.float().to(seen.device)
+    return lambda images: (aim + (images.flatten(1) - mean) @ basis @ decoder).reshape(images.shape)
+
+
+def by_encoder(encoder: Encoder, network: Autoencoder) -> Telling:
+    """Return what the decoder makes of the means that an encoder gives."""
+
+    @torch.no_grad()
+    def told(images: Tensor) -> Tensor:
+        return torch.cat([network.decode(encoder(part)) for part in images.split(AT_ONCE)])
+
+    return told
+
+
+@torch.no_grad()
+def active_latents(encoder: Encoder, images: Tensor) -> int:
+    """Return how many latents tell images (N, H, W) apart."""
+    means = torch.cat([encoder(part) for part in images.split(AT_ONCE)])
+    return int((means.var(0) > ACTIVE).sum())

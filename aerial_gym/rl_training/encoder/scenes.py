@@ -1,0 +1,143 @@
+"""A fixed set of images: scenes of registered environments, seen by a robot's camera from drawn poses.
+
+Equal for equal settings, seed and kind of device. Letters: E environments, N images, H x W pixels.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import pi
+
+import torch
+from torch import Tensor
+
+from aerial_gym.assets.body_shapes import body_reach
+from aerial_gym.config.range_sensor import RangeSensorCfg
+from aerial_gym.config.robot import InitialStateCfg, RobotCfg
+from aerial_gym.env_manager import EnvManager, SimBuilder
+from aerial_gym.env_manager.sim_builder import robot_by_name
+from aerial_gym.errors import ConfigError
+from aerial_gym.rl_training.encoder.settings import EncoderTrainingCfg
+from aerial_gym.sensors import ray_table
+from aerial_gym.sensors.encoder.collision import collision_distance
+from aerial_gym.sensors.encoder.file import shares_of
+
+SIDE_BY_SIDE = 512
+"""Environments that are rendered at once."""
+
+POSES = InitialStateCfg(
+    position_ratio_low=(0.03, 0.05, 0.05),
+    position_ratio_high=(0.97, 0.95, 0.95),
+    euler_low=(-0.35, -0.35, -pi),
+    euler_high=(0.35, 0.35, pi),
+)
+"""Anywhere in the bounds, any heading, tilted by up to 20 degrees; the environment keeps its clearance about it."""
+
+Told = Callable[[str, float], None]
+"""Takes what is being done and the share of it that is done."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Images:
+    """Images of one sensor, each a share of its largest distance."""
+
+    seen: Tensor
+    """What the sensor measures, (N, H, W)."""
+
+    target: Tensor
+    """What is to be told from it, (N, H, W)."""
+
+    env: Tensor
+    """Number of the environment in the settings, (N,)."""
+
+    def __len__(self) -> int:
+        return len(self.seen)
+
+
+def sensor_of(cfg: EncoderTrainingCfg) -> RangeSensorCfg:
+    """Return the first camera or lidar of the robot, found in a simulation of it.
+
+    Raises:
+        ConfigError: If it has none.
+    """
+    with_one = _built(cfg, cfg.envs[0], num_envs=1, seed=0, device=cfg.device)
+    try:
+        casters = with_one.sensor_manager.casters
+        if not casters:
+            raise ConfigError(f"robot {cfg.robot} has no camera or lidar to encode. Choose one with a sensor")
+        return next(iter(casters.values())).cfg
+    finally:
+        with_one.close()
+
+
+def rendered(
+    cfg: EncoderTrainingCfg, count: int, *, seed: int, device: torch.device, tell: Told = lambda _, __: None
+) -> Images:
+    """Return images of the settings' environments; every one is of a scene of its own, with a drawn number of obstacles.
+
+    Args:
+        cfg: What is seen by whom.
+        count: Number of images N.
+        seed: Of scenes and poses.
+        device: Where they are rendered and stay.
+        tell: Told of progress.
+    """
+    sensor, robot = sensor_of(cfg), robot_by_name(cfg.robot)
+    parts = []
+    for number, env in enumerate(cfg.envs):
+        share = count // len(cfg.envs) + (number < count % len(cfg.envs))
+        found = _of_env(cfg, env, share, seed=seed, device=device, tell=tell)
+        parts.append((shares_of(found, sensor), torch.full((share,), number, device=device)))
+    seen, env = torch.cat([part for part, _ in parts]), torch.cat([part for _, part in parts])
+    target = seen if cfg.target == "distance" else collisions(seen, sensor, radius=radius_of(cfg, robot))
+    return Images(seen=seen, target=target, env=env)
+
+
+def radius_of(cfg: EncoderTrainingCfg, robot: RobotCfg) -> float:
+    """Return the radius of the ball that stands for a robot [m].
+
+    Raises:
+        ConfigError: If the robot has no shape and the settings say nothing.
+    """
+    radius = body_reach(robot.collision.shapes) if cfg.radius_m is None else cfg.radius_m
+    if radius <= 0.0:
+        raise ConfigError(f"robot {cfg.robot}: has no shape to collide with. Give radius_m")
+    return radius
+
+
+def collisions(seen: Tensor, sensor: RangeSensorCfg, *, radius: float) -> Tensor:
+    """Return the images of how far a ball could fly (``collision_distance``), as shares, of images of shares (N, H, W)."""
+    rays = ray_table(sensor, device=seen.device)
+    ahead = rays[..., 0] if sensor.kind == "depth" else torch.ones_like(rays[..., 0])
+    largest = sensor.max_range / float(ahead.min())  # beyond what any ray measures
+    along = torch.where(seen >= 1.0, largest, seen * sensor.max_range / ahead)
+    return (collision_distance(along, rays, radius=radius, largest=largest) * ahead / sensor.max_range).clamp_max(1.0)
+
+
+def _of_env(cfg: EncoderTrainingCfg, env: str, count: int, *, seed: int, device: torch.device, tell: Told) -> Tensor:
+    """Return the images of one environment in the unit of the sensor, (N, H, W)."""
+    simulation = _built(cfg, env, num_envs=min(SIDE_BY_SIDE, count), seed=seed, device=device)
+    removable = simulation.cfg.num_assets - simulation.cfg.num_kept
+    generator = torch.Generator().manual_seed(seed)
+    found: list[Tensor] = []
+    while (done := sum(len(part) for part in found)) < count:
+        tell(f"rendering {env}", done / count)
+        if simulation.cfg.num_assets:
+            obstacles = int(torch.randint(0, removable + 1, (), generator=generator))
+            simulation.asset_manager.set_num_obstacles(obstacles)
+        simulation.reset()
+        simulation.render()
+        found.append(simulation.gtd["depth_range_pixels"][: count - done, 0].clone())
+    simulation.close()
+    return torch.cat(found)
+
+
+def _built(cfg: EncoderTrainingCfg, env: str, *, num_envs: int, seed: int, device: torch.device | str) -> EnvManager:
+    return SimBuilder().build_env(
+        sim_name="base_sim",
+        env_name=env,
+        robot_name=replace(robot_by_name(cfg.robot), initial_state=POSES),
+        controller_name="lee_velocity_control",
+        num_envs=num_envs,
+        device=device,
+        seed=seed,
+    )

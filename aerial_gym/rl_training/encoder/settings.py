@@ -1,0 +1,76 @@
+"""Settings of the training of an encoder."""
+
+from dataclasses import dataclass
+
+from aerial_gym.config.checks import require_count, require_positive
+from aerial_gym.errors import ConfigError
+from aerial_gym.sensors.encoder.network import AutoencoderCfg
+
+TARGETS = ("distance", "collision")
+"""What an encoder learns to tell: what the sensor measures, or how far the robot could fly."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncoderTrainingCfg:
+    """One training: written as ``config.yaml`` into its folder, from which it can be repeated."""
+
+    envs: tuple[str, ...] = ("env_with_obstacles",)
+    """Registered environments, or environment files, whose scenes are drawn; each has an equal share of the images."""
+
+    robot: str = "base_quadrotor_with_coarse_camera"
+    """Registered robot, or a robot file, whose first camera or lidar sees them."""
+
+    target: str = "distance"
+    """``distance``: the image itself; ``collision``: how far a ball as large as the robot could fly along each ray."""
+
+    radius_m: float | None = None
+    """Radius of that ball [m], > 0; how far the robot reaches from its origin if not given."""
+
+    train_images: int = 20_000
+    """Images to learn from, >= 1."""
+
+    test_images: int = 2_000
+    """Images of other scenes, to measure with, >= 1."""
+
+    epochs: int = 40
+    """Passes over the images, >= 1."""
+
+    batch: int = 256
+    """Images of a step, >= 1."""
+
+    learning_rate: float = 1.0e-3
+    """Step of Adam at first, > 0; it falls linearly to a hundredth of it."""
+
+    latents: int = 64
+    """Numbers that stand for an image, >= 1; navigation takes 64."""
+
+    channels: tuple[int, ...] = (32, 64, 128)
+    """Channels of the layers, each of which halves the image, each >= 1."""
+
+    activation: str = "elu"
+    """``elu``, ``relu`` or ``tanh``."""
+
+    seed: int = 0
+    """Of scenes, weights, order and noise, >= 0; the images to measure with have the next one."""
+
+    device: str = "auto"
+    """Torch device; auto takes the GPU if there is one."""
+
+    def __post_init__(self) -> None:
+        require_count(self, "train_images", "test_images", "epochs", "batch")
+        require_positive(self, "learning_rate", *(["radius_m"] if self.radius_m is not None else []))
+        if self.target not in TARGETS:
+            raise ConfigError(f"EncoderTrainingCfg.target = {self.target!r}: must be {' or '.join(TARGETS)}")
+        if not self.envs or min(self.train_images, self.test_images) < len(self.envs):
+            raise ConfigError(
+                f"EncoderTrainingCfg.envs = {self.envs!r}: needs at least one environment, and an image of each in both sets"
+            )
+        if not 0 <= self.seed < 2**32 - 1:
+            raise ConfigError(f"EncoderTrainingCfg.seed = {self.seed!r}: must be >= 0 and less than 2**32 - 1")
+        self.network(rows=1, columns=1)
+
+    def network(self, *, rows: int, columns: int) -> AutoencoderCfg:
+        """Return the shape of the network for images of a size."""
+        return AutoencoderCfg(
+            rows=rows, columns=columns, latents=self.latents, channels=self.channels, activation=self.activation
+        )

@@ -1,0 +1,261 @@
+"""The training of an encoder and the folder that it leaves.
+
+::
+
+    config.yaml       the settings, from which it can be repeated
+    versions.json     versions and machine of every session
+    curve.csv         loss and error on other scenes after each epoch
+    checkpoint.pth    the state after an epoch, from which --resume goes on
+    encoder.pt        what a task loads (``--encoder``)
+    result.json       figures on images that it has not seen, and those of its rivals
+    images.png        some of these images, and what is told of them
+"""
+
+import csv
+import io
+import json
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config import dump_yaml, load
+from aerial_gym.config.range_sensor import RangeSensorCfg
+from aerial_gym.config.storage import told_storage, write_whole
+from aerial_gym.errors import ConfigError, TrainingError
+from aerial_gym.interop import resolve_device
+from aerial_gym.rl_training.encoder.figures import (
+    Errors,
+    active_latents,
+    by_components,
+    by_encoder,
+    by_mean,
+    errors_of,
+)
+from aerial_gym.rl_training.encoder.fit import Fit
+from aerial_gym.rl_training.encoder.picture import draw
+from aerial_gym.rl_training.encoder.scenes import Images, Told, rendered, sensor_of
+from aerial_gym.rl_training.encoder.settings import EncoderTrainingCfg
+from aerial_gym.rl_training.run import checkpoint
+from aerial_gym.rl_training.run.interruption import interruptible
+from aerial_gym.rl_training.run.run_folder import note_session
+from aerial_gym.sensors.encoder.file import Encoder, seen_by
+
+SAVE_EVERY_S = 5.0
+"""Time between checkpoints [s]."""
+
+SHOWN = 6
+"""Images in the picture."""
+
+ENCODER, MEAN = "encoder", "mean_image"
+"""Names of what tells images, beside ``pca_<latents>``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncoderResult:
+    """What a session did, and how well the encoder tells images of other scenes."""
+
+    encoder: str | None
+    """The file; None if it was interrupted before the end."""
+
+    robot: str
+    """Whose sensor it knows."""
+
+    epochs: int
+    """Epochs in all sessions."""
+
+    interrupted: bool
+    """Whether the user ended it."""
+
+    time_s: float
+    """Length of this session, rendering and figures included [s]."""
+
+    active_latents: int | None
+    """Latents that tell images apart."""
+
+    errors: Mapping[str, Errors]
+    """On the images of other scenes, by what tells them: ``encoder``, ``pca_64``, ``mean_image``."""
+
+    errors_by_env: Mapping[str, Errors]
+    """Those of the encoder by environment."""
+
+
+class EncoderFolder:
+    """Paths and files of one training."""
+
+    def __init__(self, path: str | Path) -> None:
+        """Take the folder; nothing is made yet."""
+        self.path = Path(path)
+        names = ("config.yaml", "checkpoint.pth", "encoder.pt", "curve.csv", "result.json", "images.png")
+        self.config, self.checkpoint, self.encoder, self.curve, self.result, self.picture = (
+            self.path / name for name in names
+        )
+
+    def create(self, cfg: EncoderTrainingCfg) -> None:
+        """Make it and write the settings; raise ``ConfigError`` if something was trained there."""
+        if self.config.exists():
+            raise ConfigError(f"{self.path}: holds a training already. Choose another --out, or go on with --resume")
+        with told_storage(self.path):
+            self.path.mkdir(parents=True, exist_ok=True)
+        write_whole(self.config, dump_yaml(cfg))
+
+    def settings(self) -> EncoderTrainingCfg:
+        """Return the settings; raise ``ConfigError`` if there are none."""
+        if not self.config.exists():
+            raise ConfigError(f"{self.path}: holds no training of an encoder (no config.yaml). Leave out --resume")
+        return load(EncoderTrainingCfg, self.config)
+
+
+def train_encoder(
+    cfg: EncoderTrainingCfg, out: str | Path, *, resume: bool = False, tell: Told = lambda _, __: None
+) -> EncoderResult:
+    """Render the images, learn, measure, and leave a folder.
+
+    Args:
+        cfg: Settings; a resumed training keeps its own, but for ``device``.
+        out: Folder, new unless ``resume``.
+        resume: Whether to go on from the folder's checkpoint: on one device as if it had never ended.
+        tell: Told of progress: what is being done, and the share of that.
+
+    Raises:
+        ConfigError: If the folder holds a training and ``resume`` is off, or a name or number is impossible.
+        TrainingError: If the loss is not finite.
+        StorageError: If something cannot be written.
+    """
+    started, folder, device = time.perf_counter(), EncoderFolder(out), resolve_device(cfg.device)
+    if resume:
+        cfg = _resumed(cfg, folder.settings())
+    sensor = sensor_of(cfg)
+    if not resume:
+        folder.create(cfg)
+    note_session(folder.path, seed=cfg.seed, device=str(device))
+    train = rendered(cfg, cfg.train_images, seed=cfg.seed, device=device, tell=tell)
+    test = rendered(cfg, cfg.test_images, seed=cfg.seed + 1, device=device, tell=tell)
+    fit = Fit(cfg, train)
+    curve = _loaded(fit, folder) if resume else []
+    interrupted = _learn(fit, cfg, folder, curve, test, largest=sensor.max_range, tell=tell)
+    found = EncoderResult(
+        encoder=None if interrupted else str(folder.encoder),
+        robot=cfg.robot,
+        epochs=fit.epochs,
+        interrupted=interrupted,
+        time_s=time.perf_counter() - started,
+        active_latents=None,
+        errors={},
+        errors_by_env={},
+    )
+    if not interrupted:
+        tell("measuring", 0.0)
+        found = _finish(found, fit, cfg, folder, train, test, sensor)
+        found = replace(found, time_s=time.perf_counter() - started)
+    write_whole(folder.result, json.dumps(asdict(found), indent=1) + "\n")
+    return found
+
+
+def _resumed(given: EncoderTrainingCfg, own: EncoderTrainingCfg) -> EncoderTrainingCfg:
+    """Return the settings of a training that goes on; raise ``ConfigError`` if others are asked for."""
+    plain = EncoderTrainingCfg()
+    for each in fields(EncoderTrainingCfg):
+        wanted = getattr(given, each.name)
+        if each.name != "device" and wanted not in (getattr(own, each.name), getattr(plain, each.name)):
+            flag = each.name.replace("_", "-")
+            raise ConfigError(
+                f"--{flag}: a resumed training keeps its own. Leave it out, or start anew in another --out"
+            )
+    return replace(own, device=given.device)
+
+
+def _loaded(fit: Fit, folder: EncoderFolder) -> list[list[float]]:
+    """Load the checkpoint, if the training was ended after its first; return the curve so far."""
+    if not folder.checkpoint.exists():
+        return []
+    payload = checkpoint.load(folder.checkpoint)
+    try:
+        fit.load(payload["fit"])
+        return [list(row) for row in payload["curve"]]
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise ConfigError(f"{folder.checkpoint}: is of other settings ({error}). Start anew in another --out") from None
+
+
+def _learn(
+    fit: Fit,
+    cfg: EncoderTrainingCfg,
+    folder: EncoderFolder,
+    curve: list[list[float]],
+    test: Images,
+    *,
+    largest: float,
+    tell: Told,
+) -> bool:
+    """Pass over the images until all epochs are done or somebody ends it; return whether somebody did."""
+    saved = time.perf_counter()
+    with interruptible() as interruption, suppress(KeyboardInterrupt):
+        while fit.epochs < cfg.epochs:
+            tell("learning", fit.epochs / cfg.epochs)
+            loss = fit.epoch()
+            if not abs(loss) < float("inf"):
+                raise TrainingError(
+                    f"loss = {loss} after {fit.epochs} epochs: the training diverged. Lower learning_rate"
+                )
+            curve.append([fit.epochs, loss, errors_of(_told(fit, test), test.target, largest=largest).rms_m])
+            if time.perf_counter() - saved >= SAVE_EVERY_S or fit.epochs >= cfg.epochs:
+                with interruption.held():
+                    _save(fit, folder, curve)
+                saved = time.perf_counter()
+    return fit.epochs < cfg.epochs or interruption.asked
+
+
+def _told(fit: Fit, images: Images) -> Tensor:
+    """Return what the present network tells of images, by the means of the latents."""
+    network = fit.network
+    with torch.no_grad():
+        return torch.cat([network.decode(network.encode(part)[0]) for part in images.seen.split(1024)])
+
+
+def _save(fit: Fit, folder: EncoderFolder, curve: list[list[float]]) -> None:
+    checkpoint.save(folder.checkpoint, {"fit": fit.state(), "curve": curve})
+    text = io.StringIO()
+    csv.writer(text).writerows([["epoch", "loss_nat", "test_rms_m"], *curve])
+    write_whole(folder.curve, text.getvalue())
+
+
+def _finish(
+    found: EncoderResult,
+    fit: Fit,
+    cfg: EncoderTrainingCfg,
+    folder: EncoderFolder,
+    train: Images,
+    test: Images,
+    sensor: RangeSensorCfg,
+) -> EncoderResult:
+    """Write the encoder, measure it beside its rivals, draw."""
+    trained = {
+        "robot": cfg.robot, "envs": list(cfg.envs), "target": cfg.target, "seed": cfg.seed, "epochs": fit.epochs,
+        "train_images": cfg.train_images,
+    }  # fmt: skip
+    encoder = Encoder(fit.network, seen_by(sensor), trained=trained)
+    encoder.save(folder.encoder)
+    components = f"pca_{cfg.latents}"
+    telling = {
+        ENCODER: by_encoder(encoder, fit.network),
+        components: by_components(train, cfg.latents),
+        MEAN: by_mean(train),
+    }
+    told = {name: each(test.seen) for name, each in telling.items()}
+    largest = sensor.max_range
+    rows = torch.linspace(0, len(test) - 1, min(SHOWN, len(test))).long().to(test.seen.device)
+    shown = {"seen": test.seen[rows]} | ({"target": test.target[rows]} if cfg.target != "distance" else {})
+    draw(shown | {name: told[name][rows] for name in (ENCODER, components)}, folder.picture, largest=largest)
+    return replace(
+        found,
+        active_latents=active_latents(encoder, test.seen),
+        errors={name: errors_of(each, test.target, largest=largest) for name, each in told.items()},
+        errors_by_env={
+            env: errors_of(told[ENCODER][test.env == i], test.target[test.env == i], largest=largest)
+            for i, env in enumerate(cfg.envs)
+        },
+    )

@@ -1,0 +1,152 @@
+"""An encoder as a task uses it: from images in the unit of their sensor to latents, and the file that it stands in.
+
+Letters: B images, H x W pixels, L latents.
+"""
+
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from aerial_gym.config import CONFIG_DIR
+from aerial_gym.config.loader import convert
+from aerial_gym.config.range_sensor import RangeSensorCfg
+from aerial_gym.config.storage import read_archive, write_archive
+from aerial_gym.errors import ConfigError, UnknownNameError
+from aerial_gym.sensors.encoder.network import Autoencoder, AutoencoderCfg
+
+ENCODERS = CONFIG_DIR / "encoders"
+"""Folder of the encoders that come with the package, ``NAME.pt``."""
+
+WHAT = "encoder"
+"""What errors call such a file."""
+
+HOW = "Train one with aerial-gym train-encoder"
+"""The way out of most errors."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeenCfg:
+    """What must be equal in a sensor for its images to be those that an encoder knows."""
+
+    model: str
+    """Where rays point, as in a sensor file."""
+
+    kind: str
+    """``depth`` or ``range``."""
+
+    rows: int
+    """Pixels in a column."""
+
+    columns: int
+    """Pixels in a row."""
+
+    max_range: float
+    """Longest measured distance [m]."""
+
+    hfov_deg: float | None
+    """Horizontal field of view [deg] of a camera; None for other sensors."""
+
+    def __str__(self) -> str:
+        wide = "" if self.hfov_deg is None else f", {self.hfov_deg:g} degrees wide"
+        return f"{self.columns} x {self.rows} pixels of {self.model}{wide}, {self.kind} to {self.max_range:g} m"
+
+
+def seen_by(cfg: RangeSensorCfg) -> SeenCfg:
+    """Return what an encoder must know of a sensor."""
+    return SeenCfg(
+        model=cfg.model,
+        kind=cfg.kind,
+        rows=cfg.height,
+        columns=cfg.width,
+        max_range=cfg.max_range,
+        hfov_deg=getattr(cfg, "hfov_deg", None),
+    )
+
+
+def shares_of(image: Tensor, cfg: RangeSensorCfg) -> Tensor:
+    """Return an image of distances as shares of the largest, 0 to 1, in its shape."""
+    largest, empty = cfg.distance_scale
+    return torch.where(image >= 0.0, (image / largest).clamp_max(1.0), empty)
+
+
+class Encoder(nn.Module):
+    """The mean of the latents of an image; weights of 16 bits as in the file, computed with in 32.
+
+    Rows of a batch do not change each other but by rounding, as libraries choose their order of sums by the size of the batch.
+    """
+
+    def __init__(self, network: Autoencoder, seen: SeenCfg, *, trained: Mapping[str, object]) -> None:
+        """Take a network, what its images are, and what is known of its training (texts and numbers)."""
+        super().__init__()
+        self.cfg, self.seen, self.trained = network.cfg, seen, dict(trained)
+        self.layers = deepcopy(nn.Sequential(network.encoder, network.mean))
+        for parameter in self.layers.parameters():
+            parameter.data = parameter.data.half().float()
+        self.requires_grad_(False).eval()
+
+    @property
+    def num_latents(self) -> int:
+        """Numbers that stand for an image, L."""
+        return self.cfg.latents
+
+    def forward(self, shares: Tensor) -> Tensor:
+        """Return the means of the latents (B, L) of images (B, H, W) of shares of the largest distance."""
+        return self.layers(shares.unsqueeze(1))
+
+    def check_fits(self, cfg: RangeSensorCfg, *, name: str, what: str) -> None:
+        """Raise ``ConfigError`` if the sensor ``name`` has other images; ``what`` names the encoder."""
+        found = seen_by(cfg)
+        if found != self.seen:
+            raise ConfigError(
+                f"{what}: knows images of {self.seen}; sensor {name} has {found}. Choose the robot of its training, "
+                f"{self.trained.get('robot', '?')}, or another encoder. {HOW} --robot ROBOT"
+            )
+
+    def save(self, path: str | Path) -> None:
+        """Write the file; raise ``StorageError`` if that cannot be."""
+        model = {name: value.half().cpu() for name, value in self.layers.state_dict().items()}
+        payload = {"network": asdict(self.cfg), "seen": asdict(self.seen), "trained": self.trained, "model": model}
+        write_archive(path, payload)
+
+
+def encoder_file(name: str | Path) -> Path:
+    """Return the file of an encoder: a path, or the name of one that comes with the package.
+
+    Raises:
+        UnknownNameError: If there is neither.
+    """
+    path = Path(name)
+    if path.suffix == ".pt" or path.exists():
+        return path
+    own = ENCODERS / f"{name}.pt"
+    if not own.exists():
+        known = ", ".join(sorted(each.stem for each in ENCODERS.glob("*.pt"))) or "none"
+        raise UnknownNameError(f"no encoder {str(name)!r}. Known: {known}, or a file NAME.pt. {HOW}")
+    return own
+
+
+def load_encoder(name: str | Path, *, device: torch.device | str = "cpu") -> Encoder:
+    """Return the encoder in a file, or one that comes with the package.
+
+    Raises:
+        UnknownNameError: If there is none of that name.
+        ConfigError: If the file is missing, damaged, or holds no encoder.
+    """
+    path = encoder_file(name)
+    payload = read_archive(path, WHAT)
+    try:
+        cfg = convert(AutoencoderCfg, payload["network"], str(path))
+        seen = convert(SeenCfg, payload["seen"], str(path))
+        found = Encoder(Autoencoder(cfg), seen, trained=payload["trained"])
+        found.layers.load_state_dict({name: value.float() for name, value in payload["model"].items()})
+    except (KeyError, AttributeError, TypeError, RuntimeError) as error:
+        reason = (str(error).strip().splitlines() or [""])[-1].strip()
+        raise ConfigError(f"{WHAT} {path}: holds no encoder ({reason}). {HOW}") from None
+    bad = [key for key, value in found.state_dict().items() if not bool(value.isfinite().all())]
+    if bad:
+        raise ConfigError(f"{WHAT} {path}: {bad[0]} holds numbers that are NaN or infinite. {HOW}")
+    return found.to(device)

@@ -1,0 +1,64 @@
+"""``aerial-gym train-encoder``: the folder that it leaves, its figures, and going on after an interruption."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from aerial_gym.cli.main import main
+from aerial_gym.rl_training.encoder import training
+from aerial_gym.rl_training.encoder.fit import Fit
+from aerial_gym.sensors.encoder.file import load_encoder
+
+SMALL = [
+    "train-encoder", "--envs", "env_with_obstacles", "--train-images", "96", "--test-images", "16", "--epochs", "3",
+    "--batch", "32", "--channels", "4", "8", "--device", "cpu",
+]  # fmt: skip
+FILES = {"config.yaml", "versions.json", "curve.csv", "checkpoint.pth", "encoder.pt", "result.json", "images.png"}
+
+
+def test_folder_and_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "encoder"
+    assert main([*SMALL, "--out", str(out), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {path.name for path in out.iterdir()} == FILES
+    assert found == json.loads((out / "result.json").read_text())
+    assert set(found["errors"]) == {"encoder", "pca_64", "mean_image"}
+    assert found["errors"]["pca_64"]["rms_m"] < found["errors"]["mean_image"]["rms_m"]
+    assert found["errors_by_env"]["env_with_obstacles"] == found["errors"]["encoder"]
+    assert len((out / "curve.csv").read_text().splitlines()) == 4
+    assert load_encoder(out / "encoder.pt").num_latents == 64
+    assert main([*SMALL, "--out", str(out)]) == 2
+    assert "holds a training already" in capsys.readouterr().err
+
+
+def test_interrupted_training_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As if it had never ended, bit for bit; settings other than its own are refused."""
+    assert main([*SMALL, "--out", str(tmp_path / "whole")]) == 0
+    monkeypatch.setattr(training, "SAVE_EVERY_S", 0.0)
+    whole_epoch = Fit.epoch
+
+    def interrupted(fit: Fit) -> float:
+        if fit.epochs == 2:
+            raise KeyboardInterrupt
+        return whole_epoch(fit)
+
+    monkeypatch.setattr(Fit, "epoch", interrupted)
+    assert main([*SMALL, "--out", str(tmp_path / "cut")]) == 1
+    assert "--resume" in capsys.readouterr().out
+    monkeypatch.setattr(Fit, "epoch", whole_epoch)
+    again = ["train-encoder", "--out", str(tmp_path / "cut"), "--resume", "--device", "cpu"]
+    assert main([*again, "--seed", "5"]) == 2
+    assert "--seed: a resumed training keeps its own" in capsys.readouterr().err
+    assert main(again) == 0
+    ours, theirs = (load_encoder(tmp_path / name / "encoder.pt").state_dict() for name in ("whole", "cut"))
+    for name, value in ours.items():
+        torch.testing.assert_close(value, theirs[name], atol=0.0, rtol=0.0)
+
+
+def test_resume_needs_a_training(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train-encoder", "--out", str(tmp_path / "none"), "--resume"]) == 2
+    assert "holds no training of an encoder" in capsys.readouterr().err

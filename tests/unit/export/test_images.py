@@ -1,0 +1,179 @@
+"""Exported policies that see images, against torch."""
+
+from dataclasses import replace
+from math import prod
+from pathlib import Path
+from shutil import which
+
+import pytest
+import torch
+
+from aerial_gym import task_registry
+from aerial_gym.config.task_terms import ImageCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.export import export
+from aerial_gym.export.encoder import difference_of_encoder, write_encoder
+from aerial_gym.export.export import write_policy
+from aerial_gym.export.layout import Layout, layout_of
+from aerial_gym.export.pilot import load_exported
+from aerial_gym.rl_training.policies.body import BodyCfg
+from aerial_gym.rl_training.policies.policy import Policy
+from aerial_gym.sensors.encoder.file import load_encoder
+from aerial_gym.task import Task
+from tests.unit.export.policies import training
+from tests.unit.task.hover import built
+
+NAME, OBSERVATIONS, IMAGE = "pixel_navigation_task", (17,), (1, 24, 40)
+TOLERANCE = 1e-5
+"""Of commands and actions, as for vectors: sums of some thousand products that are much smaller than 1."""
+COMPILER = pytest.mark.skipif(which("gcc") is None and which("cc") is None, reason="needs a C compiler")
+
+
+def drawn_policy(shapes: dict[str, tuple[int, ...]], *, activation: str = "elu", memory: int = 0) -> Policy:
+    """Return a policy of drawn weights whose actions are of the order of 1."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(5)
+        body = BodyCfg(shapes=shapes, hidden_layers=(24, 17), activation=activation, memory=memory)
+        policy = Policy(body, 4)
+    policy.head.weight.data *= 5.0
+    return policy.requires_grad_(False).eval()
+
+
+def task_with(images: dict[str, ImageCfg] | None = None, num_envs: int = 1) -> Task:
+    task = task_registry.get(NAME)
+    return built(task if images is None else replace(task, images=images), num_envs)
+
+
+def layout_for(policy: Policy, images: dict[str, ImageCfg] | None = None) -> Layout:
+    with task_with(images) as task:
+        return layout_of(policy, training(), task, name="pixels", source="nowhere")
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compare with 1,000 images; the first test takes all."""
+    monkeypatch.setattr(export, "CHECKED_WITH_IMAGES", 1_000)
+
+
+@COMPILER
+def test_c_gives_what_torch_gives_of_many_images(tmp_path: Path) -> None:
+    """Of 10,000, as the command checks it."""
+    policy = drawn_policy({"observations": OBSERVATIONS, "depth": IMAGE})
+    (found,) = write_policy(policy, layout_for(policy), tmp_path, ["c99"])
+    assert found.largest_difference is not None
+    assert found.largest_difference < TOLERANCE
+
+
+@COMPILER
+@pytest.mark.usefixtures("few")
+@pytest.mark.parametrize(
+    ("shapes", "activation", "memory", "dtype"),
+    [
+        ({"observations": OBSERVATIONS, "depth": IMAGE}, "elu", 0, "uint8"),
+        ({"depth": IMAGE, "observations": OBSERVATIONS}, "relu", 6, "uint8"),
+        ({"observations": OBSERVATIONS, "depth": IMAGE}, "tanh", 0, "float32"),
+    ],
+    ids=["bytes", "image first and memory", "floats"],
+)
+def test_c_and_torchscript_give_what_torch_gives(
+    shapes: dict[str, tuple[int, ...]], activation: str, memory: int, dtype: str, tmp_path: Path
+) -> None:
+    """Of images and vectors in sequences of 10 steps; gcc takes all warnings as errors."""
+    policy = drawn_policy(shapes, activation=activation, memory=memory)
+    found = write_policy(policy, layout_for(policy, {"depth": ImageCfg(dtype=dtype)}), tmp_path, ["c99", "torchscript"])
+    for each in found:
+        assert each.largest_difference is not None, each
+        assert each.largest_difference < TOLERANCE, each
+    text = (tmp_path / "pixels.c").read_text()
+    assert "alloc" not in text
+    assert max(map(len, text.splitlines())) < 140
+
+
+@pytest.mark.usefixtures("few")
+@pytest.mark.parametrize("memory", [pytest.param(0, marks=pytest.mark.slow), 6])
+def test_onnx_gives_what_torch_gives(memory: int, tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxscript")
+    policy = drawn_policy({"observations": OBSERVATIONS, "depth": IMAGE}, memory=memory)
+    (found,) = write_policy(policy, layout_for(policy), tmp_path, ["onnx"])
+    assert found.largest_difference is not None
+    assert found.largest_difference < TOLERANCE
+
+
+@COMPILER
+@pytest.mark.usefixtures("few")
+def test_two_images_of_two_frames_go_in_by_name(tmp_path: Path) -> None:
+    """Each by its own network; frames are channels, oldest first."""
+    images = {"depth": ImageCfg(history=2), "far": ImageCfg(dtype="float32", largest=20.0)}
+    policy = drawn_policy({"far": (1, 24, 40), "observations": OBSERVATIONS, "depth": (2, 24, 40)})
+    made = layout_for(policy, images)
+    assert [(image.key, image.shape, image.largest, image.without) for image in made.images] == [
+        ("far", (1, 24, 40), 20.0, 1.0),
+        ("depth", (2, 24, 40), 10.0, 1.0),
+    ]
+    (found,) = write_policy(policy, made, tmp_path, ["c99"])
+    assert found.largest_difference is not None
+    assert found.largest_difference < TOLERANCE
+    assert Layout.read(tmp_path) == replace(made, params=dict(made.params))
+
+
+@COMPILER
+def test_what_a_task_shows_goes_in_as_it_is(tmp_path: Path) -> None:
+    """The pilot of a C file gives the actions of torch in the simulator, step by step."""
+    policy = drawn_policy({"observations": OBSERVATIONS, "depth": IMAGE})
+    file = write_policy(policy, layout_for(policy), tmp_path, ["c99"], check=False)[0].file
+    pilot = load_exported(file)
+    with task_with(num_envs=5) as task:
+        observation, _ = task.reset()
+        for _ in range(3):
+            assert int(observation["depth"].unique().numel()) > 20
+            action = policy(observation)
+            torch.testing.assert_close(pilot(observation), action, atol=TOLERANCE, rtol=0.0)
+            observation, *_ = task.step(action)
+
+
+@pytest.mark.usefixtures("few")
+def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
+    blind = drawn_policy({"depth": IMAGE})
+    with pytest.raises(ConfigError, match=r"sees nothing but depth; .* Let it see observations too"):
+        layout_for(blind)
+    half = drawn_policy({"observations": OBSERVATIONS, "depth": IMAGE})
+    made = layout_for(half, {"depth": ImageCfg(dtype="float16")})
+    with pytest.raises(ConfigError, match=r"image 'depth': float16 has no type in C99. Export onnx or torchscript"):
+        write_policy(half, made, tmp_path, ["c99"])
+    (found,) = write_policy(half, made, tmp_path, ["torchscript"])
+    assert found.largest_difference == 0.0
+
+
+def test_latents_are_a_vector_whose_encoder_is_written_beside(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The exported policy takes them as they are, and the encoder has a file of its own; C99 leaves it out and says so."""
+    policy = drawn_policy({"observations": (81,)})
+    with task_registry.make_task("dce_navigation_task", num_envs=1, device="cpu") as task:
+        made = layout_of(policy, training(), task, name="latents", source="nowhere")
+    assert made.encoder == "collision_40x24"
+    assert made.images == ()
+    last = made.observation[-1]
+    assert (last.term, last.first, last.count) == ("image_latents", 17, 64)
+    policy_file, encoder_file = write_policy(policy, made, tmp_path, ["torchscript"])
+    assert (policy_file.file.name, encoder_file.file.name) == ("latents.pt", "latents_encoder.pt")
+    assert encoder_file.largest_difference == 0.0
+    assert [each.file.name for each in write_policy(policy, made, tmp_path, ["c99"], check=False)] == ["latents.c"]
+    assert (
+        "their encoder collision_40x24 is not written in this format. Write onnx or torchscript as well" in caplog.text
+    )
+
+
+def test_onnx_encoder_gives_what_torch_gives(tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxscript")
+    file = write_encoder("collision_40x24", tmp_path / "encoder.onnx")
+    assert difference_of_encoder(load_encoder("collision_40x24"), file) < TOLERANCE
+
+
+@COMPILER
+def test_header_says_how_an_image_is_written(tmp_path: Path) -> None:
+    policy = drawn_policy({"observations": OBSERVATIONS, "depth": IMAGE})
+    write_policy(policy, layout_for(policy), tmp_path, ["c99"], check=False)
+    text = (tmp_path / "pixels.h").read_text()
+    assert "depth: 1 x 24 x 40 pixels, row by row from the top, each as a share of 10 m, 1 at most" in text
+    assert f"const unsigned char depth[{prod(IMAGE)}]" in text

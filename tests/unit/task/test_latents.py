@@ -1,0 +1,77 @@
+"""Latents in place of cells: the layout of 81 numbers is kept, and they are the encoder's of the present image."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from aerial_gym import task_registry
+from aerial_gym.config.task import TaskCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.rl_training.run.run_folder import RunFolder
+from aerial_gym.rl_training.settings import load_settings, settings_for
+from aerial_gym.sensors.encoder.file import load_encoder, shares_of
+from tests.unit.sensors.encoder.encoders import ROBOT, coarse_camera, drawn_encoder
+from tests.unit.task.hover import built
+
+
+@pytest.fixture
+def encoder(tmp_path: Path) -> str:
+    drawn_encoder().save(tmp_path / "encoder.pt")
+    return str(tmp_path / "encoder.pt")
+
+
+def test_latents_stand_where_cells_stood(encoder: str) -> None:
+    """17 numbers of the state, then 64 latents of the image of this instant, also of rows that have just begun."""
+    with task_registry.make_task(
+        "navigation_task", num_envs=6, device="cpu", seed=1, robot=ROBOT, encoder=encoder
+    ) as task:
+        observation, _ = task.reset()
+        for _ in range(3):
+            expected = load_encoder(encoder)(shares_of(task.env.gtd["depth_range_pixels"][:, 0], coarse_camera()))
+            assert observation["observations"].shape == (6, 81)
+            torch.testing.assert_close(observation["observations"][:, 17:], expected, atol=1e-5, rtol=0.0)
+            before = expected
+            observation, *_ = task.step(torch.tensor([[1.0, 0.0, 0.5, 0.0]]).expand(6, 4))
+        assert float((observation["observations"][:, 17:] - before).abs().max()) > 1e-4
+
+
+def test_critic_sees_them_as_well(encoder: str) -> None:
+    with task_registry.make_task(
+        "safe_navigation_task", num_envs=2, device="cpu", robot=ROBOT, encoder=encoder
+    ) as task:
+        observation, _ = task.reset()
+        torch.testing.assert_close(observation["critic"][:, 17:81], observation["observations"][:, 17:81])
+
+
+def test_what_has_no_place_for_them_is_told(encoder: str) -> None:
+    with pytest.raises(ConfigError, match="this task has no image_latents and no nearest_in_cells"):
+        task_registry.make_task("position_setpoint_task", num_envs=1, device="cpu", encoder=encoder)
+    with pytest.raises(ConfigError, match="knows images of 40 x 24 pixels .* sensor base_depth_camera has 240 x 135"):
+        task_registry.make_task("navigation_task", num_envs=1, device="cpu", encoder=encoder)
+    task = task_registry.get("navigation_task")
+    seen = tuple(
+        replace(entry, term="image_latents") if entry.term == "nearest_in_cells" else entry
+        for entry in task.observations["policy"]
+    )
+    assert task.encoder is None
+    with pytest.raises(ConfigError, match=r"observation term 'image_latents': needs an encoder: --encoder FILE"):
+        _build(replace(task, robot=ROBOT, observations={"policy": seen}))
+
+
+def _build(cfg: TaskCfg) -> None:
+    with built(cfg, 1):
+        pass
+
+
+def test_run_folder_keeps_its_encoder(encoder: str, tmp_path: Path) -> None:
+    """Wherever the folder goes, and whatever becomes of the file."""
+    cfg = replace(load_settings(settings_for("ppo", "navigation_task")), robot=ROBOT, encoder=encoder)
+    RunFolder(tmp_path / "run").create(cfg)
+    Path(encoder).unlink()
+    (tmp_path / "run").rename(tmp_path / "moved")
+    found = RunFolder(tmp_path / "moved").config()
+    assert found.encoder == str(tmp_path / "moved" / "encoder.pt")
+    assert found.encoder is not None
+    load_encoder(found.encoder)
