@@ -9,7 +9,7 @@ SI units; coordinates of revolute joints in rad, of prismatic ones in m.
 from dataclasses import dataclass
 from math import inf, isclose, isfinite, sqrt
 
-from aerial_gym.config.checks import Vec3, require_finite
+from aerial_gym.config.checks import Vec3, require_finite, require_positive
 from aerial_gym.errors import ConfigError
 
 BASE = "base"
@@ -51,8 +51,22 @@ class LinkCfg:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CreepCfg:
+    """A spring behind a dashpot, beside the others of a joint: it gives way to what lasts (a Maxwell element)."""
+
+    stiffness: float
+    """Of the spring [N m/rad], > 0."""
+
+    time: float
+    """After which 63 % of its effort are gone [s], > 0."""
+
+    def __post_init__(self) -> None:
+        require_positive(self, "stiffness", "time")
+
+
+@dataclass(frozen=True, kw_only=True)
 class SpringCfg:
-    """A passive joint: ``preload - (k + k2 |q - rest|) (q - rest) - damping q'``."""
+    """A passive joint: ``preload - (k + k2 |q - rest|) (q - rest) - damping q'``, and what creeps."""
 
     stiffness: float = 0.0
     """k [N m/rad], >= 0."""
@@ -68,6 +82,9 @@ class SpringCfg:
 
     preload: float = 0.0
     """What it holds at rest [N m], such as the weight of an arm."""
+
+    creep: tuple[CreepCfg, ...] = ()
+    """Elements that relax; all have where an episode begins."""
 
     def __post_init__(self) -> None:
         _require_no_less(self, "stiffness", "quadratic", "damping")

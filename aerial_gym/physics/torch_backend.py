@@ -3,6 +3,8 @@
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
+from math import nan
 from typing import TypeVar
 
 import torch
@@ -162,6 +164,7 @@ class TorchBackend:
     _stepper: Stepper
     _memory: Memory | None = None
     _random: Randomness | None = None
+    _crept: Tensor | None = None
     law_memory: LawMemory | None = None
     """What the control law remembers; None before its first step, and without memory."""
 
@@ -184,7 +187,7 @@ class TorchBackend:
         self._stepper, self._control, self._ground = self.make_stepper(integrator), control, ground
         self._hook = hook
         self._share = POSITION_SHARE[integrator]
-        self._memory, self.law_memory, self._random = None, None, random
+        self._memory, self.law_memory, self._random, self._crept = None, None, random, None
         self._places: tuple[dict[str, Tensor], dict[str, Tensor]] = ({}, {})
         self.set_model(model)
 
@@ -216,6 +219,8 @@ class TorchBackend:
         """Make the memory of effects and control law."""
         self._memory_for(dt)
         self._law_memory_for(self._model.vehicle.mass, dt)
+        if self._model.articulation is not None and self._model.articulation.num_creep and self._crept is None:
+            self._crept = self._model.articulation.fresh_creep(self._model.vehicle.num_envs)
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return what must be kept to go on, by name."""
@@ -223,7 +228,7 @@ class TorchBackend:
         for name, memory in (("memory", self._memory), ("law", self.law_memory)):
             if memory is not None:
                 found |= {f"{name}.{key}": tensor for key, tensor in memory.tensors().items()}
-        return found
+        return found if self._crept is None else found | {"crept": self._crept}
 
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
         """Return the parameters of the vehicle that environments do not share, and the inverse inertia."""
@@ -266,7 +271,16 @@ class TorchBackend:
         if memory is not None:
             model, followed, memory = begin_substep(model, memory, state.rotor_speed, followed, dt)
             self._memory = _kept(self._memory, end_substep(memory, state.position[:, :0]))
-        return jointed_step(model, state, followed, joint_command, dt, stepper=self.tree_stepper(model, dt))
+        step = partial(jointed_step, model, state, followed, joint_command, dt, stepper=self.tree_stepper(model, dt))
+        bends = self._model.articulation
+        if bends is None or not bends.num_creep:
+            return step()
+        before = bends.fresh_creep(state.num_envs) if self._crept is None else self._crept
+        crept = bends.settled(before, state.joint_pos)
+        after = step(crept=crept)
+        crept = bends.creep_on(crept, after.joint_pos, dt)
+        self._crept = crept if self._crept is None or crept.requires_grad else self._crept.copy_(crept)
+        return after
 
     def _free_substep(self, state: BodyState, command: Tensor, dt: float) -> tuple[MassState, MassState]:
         """Return the motion before and after a substep without contact."""
@@ -358,6 +372,8 @@ class TorchBackend:
             self._memory = _cut(self._memory)
         if self.law_memory is not None:
             self.law_memory = _cut(self.law_memory)
+        if self._crept is not None:
+            self._crept = self._crept.detach()
 
     def settle(self) -> None:
         """Let gradients end at this instant, with what is remembered in tensors that are the same at every call."""
@@ -382,3 +398,5 @@ class TorchBackend:
             self._memory = _kept(self._memory, forget(self._memory, mask))
         if self.law_memory is not None:
             self.law_memory = _kept(self.law_memory, forget_law(self.law_memory, mask))
+        if self._crept is not None:
+            self._crept.masked_fill_(mask[:, None, None], nan)

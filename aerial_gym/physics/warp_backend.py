@@ -4,6 +4,7 @@ Letters: E environments, R rotors, U entries of an action, N numbers per environ
 """
 
 from dataclasses import dataclass, replace
+from math import nan
 from typing import Any, NamedTuple
 
 import torch
@@ -168,6 +169,11 @@ class WarpBackend:
         fused_hook = None if hook is None else hook.fused()
         self._hook_data = NoHook() if fused_hook is None else fused_hook.data
         num_spheres = 0 if ground is None else ground.spheres.shape[0]
+        bends = model.articulation
+        self._dashpots: Tensor | None = None
+        if bends is not None:
+            rows = max(bends.num_creep * bends.num_joints, 1)
+            self._dashpots = torch.full((rows, self._num_envs), nan, device=self._device)
         if model.articulation is not None:
             self.kernel = make_jointed_kernel(model, law, self._packing, num_spheres=num_spheres, hook=fused_hook)
         else:
@@ -216,7 +222,7 @@ class WarpBackend:
         pairs.append((model.other_position, old.other_position))
         changed = any(is_shared(kept) and new is not kept and not is_same_row(new, kept) for new, kept in pairs)
         if changed or not self._packing.fits(self._numbers(1.0)):
-            memory, law_memory = self._memory, self.law_memory
+            memory, law_memory, dashpots = self._memory, self.law_memory, self._dashpots
             self.allocate(
                 model,
                 self._control,
@@ -225,12 +231,14 @@ class WarpBackend:
                 hook=self._hook,
                 random=self._random,
             )
-            self._memory, self.law_memory = memory, law_memory
+            self._memory, self.law_memory, self._dashpots = memory, law_memory, dashpots
         elif self._dt != 0.0:
             self._write_packed()
 
     def reset(self, mask: Tensor) -> None:
         """Let effects and law forget the environments in ``mask``, and take new gains where they are randomised."""
+        if self._dashpots is not None:
+            self._dashpots.masked_fill_(mask, nan)
         if self._memory is not None:
             numbers = self._memory.numbers
             numbers.copy_(torch.where(mask, self._memory.initial.unsqueeze(-1), numbers))
@@ -261,6 +269,9 @@ class WarpBackend:
         for name, memory in (("memory", self._memory), ("law", self.law_memory)):
             if memory is not None:
                 found |= {f"{name}.{key}": tensor for key, tensor in memory.tensors().items()}
+        bends = self._model.articulation
+        if self._dashpots is not None and bends is not None and bends.num_creep:
+            found["dashpots"] = self._dashpots
         return found
 
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
@@ -359,13 +370,14 @@ class WarpBackend:
         inputs = [*arrays, self._view(command, vector_of(self._num_actions), "command"), *self._shared]
         ground = self._ground
         inputs += [wp.from_torch(self._packed), *ground[:3], self._model.gravity, dt, substeps]
+        creep = [] if self._dashpots is None else [wp.from_torch(self._dashpots)]
         launches = []
         for first, count in self._chunks(substeps):
             launches.append(
                 RecordedLaunch(
                     self.kernel,
                     dim=count,
-                    inputs=[*inputs, first, self._memory_arrays, self._hook_data],
+                    inputs=[*inputs, first, self._memory_arrays, self._hook_data, *creep],
                     outputs=[*arrays, *ground[3:]],
                     device=wp.device_from_torch(self._device),
                     block_dim=BLOCK_DIM,

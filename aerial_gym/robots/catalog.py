@@ -6,7 +6,7 @@ from functools import partial
 from math import pi
 
 from aerial_gym.config import CONFIG_DIR, load, summary_in
-from aerial_gym.config.joint import BASE
+from aerial_gym.config.joint import BASE, CreepCfg
 from aerial_gym.config.px4 import Px4Cfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import CapsuleCfg, CollisionCfg, RobotCfg, SphereCfg, load_robot
@@ -192,6 +192,33 @@ def _held(robot: RobotCfg) -> RobotCfg:
     return replace(robot, joints=replace(robot.joints, floating=False))
 
 
+def _creeping(robot: RobotCfg) -> RobotCfg:
+    """Elevations as ``aerial-gym identify joint`` finds them in the record of a release, per inertia of a point mass."""
+    assert robot.joints is not None
+    inertia = 0.01625 * 0.07**2  # kg m²
+    creep = tuple(
+        CreepCfg(stiffness=k * inertia, time=t) for k, t in ((3474.6, 0.048488), (1665.6, 0.36546), (656.34, 4.0371))
+    )
+    layout = tuple(
+        replace(
+            joint,
+            spring=replace(
+                joint.spring,
+                stiffness=4877.9 * inertia,
+                quadratic=0.0,
+                damping=56.623 * inertia,
+                rest=0.12473,
+                creep=creep,
+            ),
+        )
+        if joint.spring is not None and joint.name.startswith("elevation")
+        else joint
+        for joint in robot.joints.layout
+    )
+    source = f"{robot.joints.source} Elevations: aerial-gym identify joint, morphy_joint_step.csv (docs/joints.md)"
+    return replace(robot, joints=replace(robot.joints, layout=layout, source=source))
+
+
 def _stiff(robot: RobotCfg) -> RobotCfg:
     """Without joints: rigid in the reference pose."""
     layout = tuple(replace(mount, link=BASE) for mount in robot.mounts.layout)
@@ -201,6 +228,12 @@ def _stiff(robot: RobotCfg) -> RobotCfg:
 for _name, _of, _change, _summary in (
     ("morphy_fixed_base", "morphy", _held, "morphy whose base is held, to look at its arms"),
     ("morphy_stiff", "morphy", _stiff, "morphy with rigid arms"),
+    (
+        "morphy_creeping",
+        "morphy",
+        _creeping,
+        "morphy with arms as its record shows them: stiffer at first, then they creep",
+    ),
     (
         "base_quadrotor_true_inertia",
         "base_quadrotor",

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from aerial_gym import SimBuilder
-from aerial_gym.config.joint import DriveCfg, EndsCfg, JointCfg, JointsCfg, LinkCfg, SpringCfg
+from aerial_gym.config.joint import CreepCfg, DriveCfg, EndsCfg, JointCfg, JointsCfg, LinkCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError
@@ -54,7 +54,9 @@ def odd_tree() -> RobotCfg:
     layout = (
         joint(
             "slide", "base", (0.6, 0.0, 0.8), (0.1, 0.0, 0.02), kind="prismatic", reference=0.01,
-            link=lump_at(0.12, 0.01, 0.0), spring=SpringCfg(stiffness=8.0, damping=0.05, rest=0.02), ends=ends,
+            link=lump_at(0.12, 0.01, 0.0), spring=SpringCfg(
+                stiffness=8.0, damping=0.05, rest=0.02, creep=(CreepCfg(stiffness=5.0, time=0.02),)
+            ), ends=ends,
         ),
         joint(
             "arm", "slide", (0.0, 1.0, 0.0), (0.13, 0.0, 0.0), reference=0.2, link=lump_at(0.15, 0.0, 0.02),
@@ -68,7 +70,9 @@ def odd_tree() -> RobotCfg:
         joint(
             "right", "hinge", (0.0, 0.8, 0.6), (-0.12, 0.02, -0.01), link=lump_at(-0.15, -0.04, 0.0),
             drive=DriveCfg(mode="effort", limit=0.01, command_range=(-0.01, 0.01)),
-            spring=SpringCfg(quadratic=0.3, damping=0.002, preload=0.003),
+            spring=SpringCfg(quadratic=0.3, damping=0.002, preload=0.003, creep=(
+                CreepCfg(stiffness=0.05, time=0.01), CreepCfg(stiffness=0.02, time=0.3)
+            )),
         ),
     )  # fmt: skip
     first, *others = robot.mounts.layout

@@ -1,10 +1,11 @@
 """How a vehicle bends: its tree, what acts in its joints, and where its rotors sit, from the joints of a robot file.
 
 A vehicle is declared in its reference pose (``config.joint``); the tree has all frames along the body's axes there.
-Letters: E environments, D joints, L = D + 1 links, R rotors, C joints with a drive.
+Letters: E environments, D joints, L = D + 1 links, R rotors, C joints with a drive, N creep elements of a joint.
 """
 
 from dataclasses import dataclass, replace
+from math import nan
 
 import torch
 from torch import Tensor
@@ -13,7 +14,7 @@ from aerial_gym.config.joint import DRIVE_MODES, JointCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp
-from aerial_gym.physics.articulated.joint_laws import Drive, JointLaw, Limits, Spring
+from aerial_gym.physics.articulated.joint_laws import Creep, Drive, JointLaw, Limits, Spring
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
@@ -51,6 +52,12 @@ class Articulation:
 
     ends: Limits
     """Soft ends of every joint, tensors (1, D)."""
+
+    creep_stiffness: Tensor
+    """Of the elements that creep, (N, D); zero where a joint has fewer than N of them."""
+
+    creep_time: Tensor
+    """Their times [s], (N, D)."""
 
     drive_gains: Tensor
     """Stiffness, damping and largest effort of each drive, (C, 3)."""
@@ -117,9 +124,28 @@ class Articulation:
         )
 
     @property
-    def laws(self) -> tuple[JointLaw, ...]:
-        """What acts in the joints beside their drives."""
-        return self.spring, self.ends
+    def num_creep(self) -> int:
+        """Number N of elements that creep in a joint, at most."""
+        return len(self.creep_time)
+
+    def laws(self, crept: Tensor | None) -> tuple[JointLaw, ...]:
+        """Return what acts in the joints beside their drives, where dashpots stand at ``crept``, (E, N, D)."""
+        if crept is None or not self.num_creep:
+            return self.spring, self.ends
+        return self.spring, self.ends, Creep(stiffness=self.creep_stiffness.unsqueeze(0), crept=crept)
+
+    def fresh_creep(self, num_envs: int) -> Tensor:
+        """Return dashpots that will have followed their joints where an episode begins, (E, N, D): not a number yet."""
+        return self.creep_time.new_full((num_envs, *self.creep_time.shape), nan)
+
+    def settled(self, crept: Tensor, joint_pos: Tensor) -> Tensor:
+        """Return dashpots at the start of a step, (E, N, D): fresh ones stand where the joints do, (E, D)."""
+        return torch.where(crept.isnan(), joint_pos.unsqueeze(1), crept)
+
+    def creep_on(self, crept: Tensor, joint_pos: Tensor, dt: float) -> Tensor:
+        """Return dashpots (E, N, D) at the end of a step of ``dt`` [s] that ends with joints at (E, D)."""
+        end = joint_pos.unsqueeze(1)
+        return end + (crept - end) * torch.exp(-dt / self.creep_time)
 
     def drive(self, command: Tensor) -> Drive | None:
         """Return the drives under a command, (E, C); None where there are none."""
@@ -163,6 +189,13 @@ def articulation_of(robot: RobotCfg, *, like: Tensor) -> Articulation | None:
         values = [getattr(getattr(joint, part), name, default) for joint in cfg.layout]
         return like.new_tensor(values).unsqueeze(0)
 
+    elements = [() if joint.spring is None else joint.spring.creep for joint in cfg.layout]
+    most = max(map(len, elements))
+
+    def creep(name: str, default: float) -> Tensor:
+        rows = [[getattr(own[i], name) if i < len(own) else default for own in elements] for i in range(most)]
+        return like.new_tensor(rows).reshape(most, len(elements))
+
     drives = [joint.drive for joint in cfg.layout if joint.drive is not None]
     nothing = ((0.0, 0.0, 0.0),) * 3
     links = [joint.link for joint in cfg.layout]
@@ -183,6 +216,8 @@ def articulation_of(robot: RobotCfg, *, like: Tensor) -> Articulation | None:
             stiffness=column("ends", "stiffness", 0.0),
             damping=column("ends", "damping", 0.0),
         ),
+        creep_stiffness=creep("stiffness", 0.0),
+        creep_time=creep("time", 1.0),
         drive_gains=like.new_tensor([[d.stiffness, d.damping, d.limit] for d in drives]).reshape(-1, 3),
         driven=cfg.driven,
         modes=tuple(drive.mode for drive in drives),

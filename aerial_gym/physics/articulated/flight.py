@@ -31,6 +31,7 @@ def jointed_step(
     joint_command: Tensor,
     dt: float,
     *,
+    crept: Tensor | None = None,
     stepper: Callable[..., TreeState] = implicit_euler,
 ) -> JointedState:
     """Return the state after one step of ``steppers.implicit_euler``; the rotors follow their exact solution.
@@ -41,6 +42,7 @@ def jointed_step(
         rotor_command: What the rotors follow.
         joint_command: Of the drives, (E, C).
         dt: Length of the step [s].
+        crept: Where dashpots of joints that creep stand, (E, N, D); None where none does.
         stepper: What moves the tree, in place of ``implicit_euler``.
     """
     articulation = model.articulation
@@ -67,7 +69,7 @@ def jointed_step(
     after = stepper(
         articulation.tree,
         articulation.links(model.vehicle),  # anew: a reset draws masses in place
-        articulation.laws,
+        articulation.laws(crept),
         before,
         dt,
         gravity=model.gravity,

@@ -75,6 +75,31 @@ class Spring:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Creep:
+    """``-sum k_i (q - z_i)``: springs behind dashpots, which follow by ``z_i' = (q - z_i) / T_i``. Letters: N elements a joint.
+
+    What a dashpot follows is held through a step, at whose end it is exact for a coordinate that stays: order 1.
+
+    Source:
+        Generalised Maxwell model, Tschoegl (1989), The Phenomenological Theory of Linear Viscoelastic Behavior, section 3.4.
+    """
+
+    stiffness: Tensor
+    """k_i [N m/rad], (1, N, D); zero where a joint has fewer."""
+
+    crept: Tensor
+    """z_i [rad], (E, N, D)."""
+
+    def effort_at(self, position: Tensor, rate: Tensor) -> Effort:
+        """Return the effort of all elements."""
+        return Effort(
+            value=(self.stiffness * (self.crept - position.unsqueeze(1))).sum(1),
+            stiffness=self.stiffness.sum(1).expand_as(rate),
+            damping=torch.zeros_like(rate),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
 class Drive:
     """A drive to a position and a rate, ``k (q_c - q) + c (q'_c - q') + f``, within what it can; tensors (E, D) or (1, D)."""
 

@@ -69,8 +69,12 @@ def fly(env: EnvManager, first: int = 0, *, steps: int = 6) -> None:
         env.render()
 
 
-def assert_same(found: dict[str, Tensor], expected: dict[str, Tensor]) -> None:
+def assert_same(found: dict[str, Tensor], expected: dict[str, Tensor], *, within: float = 0.0) -> None:
     assert found.keys() == expected.keys()
+    if within:
+        for key, value in found.items():
+            torch.testing.assert_close(value, expected[key], rtol=0.0, atol=within, equal_nan=True)
+        return
     different = [key for key in found if not torch.equal(found[key].nan_to_num(7.0), expected[key].nan_to_num(7.0))]
     assert not different
 
@@ -166,13 +170,14 @@ def roll_out(task: Task, first: int = 0, steps: int = 5) -> list[dict[str, Tenso
 def test_a_task_gives_an_environment_the_same_among_few_and_many(name: str) -> None:
     curriculum = task_registry.get(name).curriculum
     level = None if curriculum is None else curriculum.first_level + 5
+    rounding = 0.0 if task_registry.get(name).encoder is None else 1e-4  # convolutions sum by the size of a batch
     runs = {}
     for num_envs, first in ((FEW, 0), (MANY, 0), (1, 2)):
         task = task_registry.make_task(name, num_envs=num_envs, device="cpu", seed=1, level=level, first_env=first)
         runs[num_envs] = roll_out(task, first)
     for few, many, alone in zip(*(runs[n] for n in (FEW, MANY, 1)), strict=True):
-        assert_same(few, {key: value[:FEW] for key, value in many.items()})
-        assert_same(alone, {key: value[2:3] for key, value in many.items()})
+        assert_same(few, {key: value[:FEW] for key, value in many.items()}, within=rounding)
+        assert_same(alone, {key: value[2:3] for key, value in many.items()}, within=rounding)
 
 
 def test_a_seed_given_to_a_reset_makes_a_new_task() -> None:

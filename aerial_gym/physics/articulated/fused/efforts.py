@@ -1,14 +1,55 @@
 """What acts in one joint at the end of a step, as ``joint_laws`` has it: laws that a joint does not have cost nothing."""
 
+from functools import cache
+from typing import Any
+
 import warp as wp
 
 from aerial_gym.physics.articulated.articulation import Articulation
 from aerial_gym.physics.fused.types import vector_of
 
 
+@cache
+def held_of(num_joints: int) -> Any:
+    """Return the ``wp.struct`` of what is held through a step: sides on which drives are at their limits, and what springs
+    behind dashpots would give at zero, ``sum k_i z_i`` [N m]."""
+    vector = vector_of(num_joints)
+    fields = {"at_limit": vector, "crept": vector}
+    return wp.struct(type("Held", (), {"__annotations__": fields, "__module__": __name__}))
+
+
+def make_creep(articulation: Articulation) -> tuple[wp.Function, wp.Function]:
+    """Return functions of dashpots, vector of N D: (dashpots) -> ``Held.crept``, and (dashpots, joints, dt) -> dashpots at the
+    end of a step."""
+    joints, num_creep, num_joints = vector_of(articulation.num_joints), articulation.num_creep, articulation.num_joints
+    dashpots = vector_of(max(num_creep * num_joints, 1))
+    matrix = wp.types.matrix(shape=(max(num_creep, 1), num_joints), dtype=wp.float32)
+    stiffness = matrix(*(articulation.creep_stiffness.flatten().tolist() or [0.0] * num_joints))
+    time = matrix(*(articulation.creep_time.flatten().tolist() or [1.0] * num_joints))
+
+    @wp.func
+    def pull(crept: dashpots) -> joints:
+        total = joints()
+        for i in range(wp.static(num_creep)):
+            for k in range(wp.static(num_joints)):
+                total[k] += stiffness[i, k] * crept[i * wp.static(num_joints) + k]
+        return total
+
+    @wp.func
+    def creep_on(crept: dashpots, pos: joints, dt: float) -> dashpots:
+        after = crept
+        for i in range(wp.static(num_creep)):
+            for k in range(wp.static(num_joints)):
+                place = i * wp.static(num_joints) + k
+                after[place] = pos[k] + (crept[place] - pos[k]) * wp.exp(-dt / time[i, k])
+        return after
+
+    return pull, creep_on
+
+
 def make_effort(articulation: Articulation, k: int) -> wp.Function:
-    """Return a function (position, rate, commands of all drives, side on which the drive is at its limit, dt) -> effort less
-    what a step at this rate takes off it, and what is added to the joint's inertia: ``f - K q' dt`` and ``C dt + K dt²``."""
+    """Return a function (position, rate, commands of all drives, what is held through the step, dt) -> effort less what a step
+    at this rate takes off it, and what is added to the joint's inertia: ``f - K q' dt`` and ``C dt + K dt²``."""
     spring = {name: float(rows[0, k]) for name, rows in vars(articulation.spring).items()}
     ends = {name: float(rows[0, k]) for name, rows in vars(articulation.ends).items()}
     k1, k2, damping, rest, preload = (spring[name] for name in ("stiffness", "quadratic", "damping", "rest", "preload"))
@@ -20,9 +61,10 @@ def make_effort(articulation: Articulation, k: int) -> wp.Function:
         drive_stiffness, drive_damping, limit = articulation.drive_gains[articulation.driven.index(k)].tolist()
     wanted = _make_wanted(articulation, k)
     command_type = vector_of(max(articulation.num_driven, 1))
+    creeping, held_type = float(articulation.creep_stiffness[:, k].sum()), held_of(articulation.num_joints)
 
     @wp.func
-    def effort(q: float, rate: float, command: command_type, at_limit: float, dt: float):
+    def effort(q: float, rate: float, command: command_type, held: held_type, dt: float):
         value = 0.0
         stiffness = 0.0
         damps = 0.0
@@ -39,7 +81,11 @@ def make_effort(articulation: Articulation, k: int) -> wp.Function:
                 value -= wp.sign(past) * back
                 stiffness += wp.static(end_stiffness)
                 damps += wp.static(end_damping)
+        if wp.static(creeping > 0.0):
+            value += held.crept[k] - wp.static(creeping) * q
+            stiffness += wp.static(creeping)
         if wp.static(driven):
+            at_limit = held.at_limit[k]
             if at_limit == 0.0:
                 value += wanted(q, rate, command)
                 stiffness += wp.static(drive_stiffness)

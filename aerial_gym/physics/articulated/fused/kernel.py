@@ -1,7 +1,8 @@
 """The kernel that advances every environment of a vehicle that bends, composed for one model and control law.
 
 One step of ``steppers.implicit_euler`` per substep; the state stays in registers over the substeps.
-Letters: E environments, R rotors, D joints, C joints with a drive, U entries of an action, N numbers per environment.
+Letters: E environments, R rotors, D joints, C joints with a drive, U entries of an action, N numbers per environment (of
+dashpots: creep elements of a joint).
 """
 
 from functools import cache
@@ -10,7 +11,7 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.fused.efforts import make_beyond
+from aerial_gym.physics.articulated.fused.efforts import held_of, make_beyond, make_creep
 from aerial_gym.physics.articulated.fused.recursion import Inertia, inertia_of, joint_types, make_recursion, plus
 from aerial_gym.physics.effects import DelayEffect, WrenchEffect
 from aerial_gym.physics.fused.command import make_command
@@ -109,6 +110,9 @@ def make_jointed_kernel(
     way_in, way_back = make_recursion(articulation, types, joints)
     base, floating = _make_base(articulation, vehicle_type), articulation.tree.floating
     beyond, driven = make_beyond(articulation), bool(articulation.driven)
+    (pull, creep_on), num_creep = make_creep(articulation), articulation.num_creep
+    num_joints, held_type = articulation.num_joints, held_of(articulation.num_joints)
+    dashpot_type = vector_of(max(num_creep * num_joints, 1))
     read_vehicle = make_vehicle_reader(types, packing.vehicle, packing.entries)
     read_command = make_command_reader(types, packing.command, packing.command_entries)
     read_gains = make_gains_reader(law, packing.gains)
@@ -128,11 +132,11 @@ def make_jointed_kernel(
     @wp.func
     def find(
         vehicle: vehicle_type, own: Inertia, held: wp.vec3, pos: joint_vector, vel: joint_vector, drives: drive_type,
-        at_limit: joint_vector, thrusts: vector, drags: vector, w: wp.vec3, move: wp.vec3, dt: float,
+        given: held_type, thrusts: vector, drags: vector, w: wp.vec3, move: wp.vec3, dt: float,
     ):  # fmt: skip
         """Return rates of joints at the end of the step, angular acceleration and acceleration of the base, which weight is not
         taken off."""
-        carried, kept = way_in(vehicle, pos, vel, drives, at_limit, thrusts, drags, w, move, dt)
+        carried, kept = way_in(vehicle, pos, vel, drives, given, thrusts, drags, w, move, dt)
         turn = wp.vec3()
         rise = held
         if wp.static(floating):
@@ -142,7 +146,8 @@ def make_jointed_kernel(
     @wp.func
     def step_once(
         vehicle: vehicle_type, params: params_type, gravity: float, x: wp.vec3, q: wp.quat, v: wp.vec3, w: wp.vec3,
-        before: vector, n: vector, pos: joint_vector, vel: joint_vector, drives: drive_type, dt: float,
+        before: vector, n: vector, pos: joint_vector, vel: joint_vector, drives: drive_type, crept: dashpot_type,
+        dt: float,
     ):  # fmt: skip
         com = rotate(q, vehicle.com)
         com_vel = v + rotate(q, wp.cross(w, vehicle.com))
@@ -154,11 +159,13 @@ def make_jointed_kernel(
             own.force -= push
             own.torque -= wp.spatial_bottom(more) + wp.cross(vehicle.com, push)
         held = rotate_inverse(q, wp.vec3(0.0, 0.0, gravity))
-        at_limit = joint_vector()
-        rates, turn, rise = find(vehicle, own, held, pos, vel, drives, at_limit, thrusts, drags, w, move, dt)
+        given = held_type()
+        if wp.static(num_creep > 0):
+            given.crept = pull(crept)
+        rates, turn, rise = find(vehicle, own, held, pos, vel, drives, given, thrusts, drags, w, move, dt)
         if wp.static(driven):
-            at_limit = beyond(pos + dt * rates, rates, drives)
-            rates, turn, rise = find(vehicle, own, held, pos, vel, drives, at_limit, thrusts, drags, w, move, dt)
+            given.at_limit = beyond(pos + dt * rates, rates, drives)
+            rates, turn, rise = find(vehicle, own, held, pos, vel, drives, given, thrusts, drags, w, move, dt)
         lin_vel = v
         ang_vel = w
         if wp.static(floating):
@@ -198,6 +205,7 @@ def make_jointed_kernel(
         first: int,  # environment of the first thread
         memory: memories_type,  # read and written
         hook_data: hook_type,  # read and written
+        dashpots: wp.array2d[float],  # (N D, E) of joints that creep, NaN where an episode begins; read and written
         # out
         position_out: wp.array[wp.vec3],
         attitude_out: wp.array[wp.quat],
@@ -227,6 +235,11 @@ def make_jointed_kernel(
             w = wp.vec3()
         u = prepare(law_part(action[env]), gains)
         drives = drive_part(action[env])
+        crept = dashpot_type()
+        for i in range(wp.static(num_creep * num_joints)):
+            crept[i] = dashpots[i, env]
+            if wp.isnan(crept[i]):
+                crept[i] = pos[i % wp.static(num_joints)]
         since = wp.int32(0)
         if wp.static(remembers and law_remembers):
             effects = memory.effects
@@ -251,7 +264,11 @@ def make_jointed_kernel(
             first_v = v
             first_w = w
             n = follow_rotors(vehicle, before, followed, dt)
-            x, q, v, w, pos, vel = step_once(vehicle, params, gravity, x, q, v, w, before, n, pos, vel, drives, dt)
+            x, q, v, w, pos, vel = step_once(
+                vehicle, params, gravity, x, q, v, w, before, n, pos, vel, drives, crept, dt
+            )
+            if wp.static(num_creep > 0):
+                crept = creep_on(crept, pos, dt)
             if wp.static(num_spheres > 0):
                 for i in range(wp.static(num_spheres)):
                     center = wp.vec3(spheres[i][0], spheres[i][1], spheres[i][2])
@@ -273,6 +290,8 @@ def make_jointed_kernel(
             effects.since[env] = since + substeps
             for i in range(wp.static(num_memory)):
                 effects.numbers[i, env] = params[wp.static(num_params) + i]
+        for i in range(wp.static(num_creep * num_joints)):
+            dashpots[i, env] = crept[i]
         position_out[env] = x
         attitude_out[env] = q
         lin_vel_out[env] = v

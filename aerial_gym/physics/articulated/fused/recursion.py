@@ -18,7 +18,7 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.fused.efforts import make_effort
+from aerial_gym.physics.articulated.fused.efforts import held_of, make_effort
 from aerial_gym.physics.fused.types import RotorTypes, vector_of
 
 
@@ -100,12 +100,13 @@ def make_recursion(
 ) -> tuple[wp.Function, wp.Function]:
     """Return the ways in and back.
 
-    The way in: (vehicle, position and rate of joints, joint command, sides of limits, thrusts, drag torques, angular velocity
-    and velocity of the base, dt) -> ``Inertia`` of all that the base carries, with what its own rotors do, and what is kept.
+    The way in: (vehicle, position and rate of joints, joint command, what is held through the step, thrusts, drag torques,
+    angular velocity and velocity of the base, dt) -> ``Inertia`` of all that the base carries, with what its own rotors do,
+    and what is kept.
     The way back: (kept, angular acceleration and acceleration of the base, weight not taken off it) -> accelerations of joints.
     """
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
-    command_type = vector_of(max(articulation.num_driven, 1))
+    command_type, held_type = vector_of(max(articulation.num_driven, 1)), held_of(articulation.num_joints)
     links = [_make_link(articulation, k, types, joints) for k in range(articulation.num_joints)]
     inward, back = _make_nothing(types, joints, command_type)
     into: dict[int, wp.Function] = {}
@@ -120,14 +121,12 @@ def make_recursion(
 
     @wp.func
     def all_in(
-        vehicle: vehicle_type, pos: vector, vel: vector, command: command_type, at_limit: vector, thrusts: types.vector,
+        vehicle: vehicle_type, pos: vector, vel: vector, command: command_type, held: held_type, thrusts: types.vector,
         drags: types.vector, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
     ):  # fmt: skip
         kept = back_type()
         rotation = wp.identity(n=3, dtype=float)
-        carried, kept = way_in(
-            vehicle, pos, vel, command, at_limit, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept
-        )
+        carried, kept = way_in(vehicle, pos, vel, command, held, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept)
         carried = base_rotors(vehicle, thrusts, drags, rotation, carried)
         return carried, kept
 
@@ -152,10 +151,11 @@ def _children(
 def _make_nothing(types: RotorTypes, joints: JointTypes, command_type: Any) -> tuple[wp.Function, wp.Function]:
     """Return the functions of a link that carries nothing."""
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
+    held_type = held_of(vector._length_)
 
     @wp.func
     def nothing_in(
-        vehicle: vehicle_type, pos: vector, vel: vector, command: command_type, at_limit: vector, thrusts: types.vector,
+        vehicle: vehicle_type, pos: vector, vel: vector, command: command_type, held: held_type, thrusts: types.vector,
         drags: types.vector, rotation: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
         kept: back_type,
     ):  # fmt: skip
@@ -171,14 +171,12 @@ def _make_nothing(types: RotorTypes, joints: JointTypes, command_type: Any) -> t
 def _beside_in(rest: wp.Function, one: wp.Function) -> wp.Function:
     @wp.func
     def both_in(
-        vehicle: Any, pos: Any, vel: Any, command: Any, at_limit: Any, thrusts: Any, drags: Any, rotation: wp.mat33,
+        vehicle: Any, pos: Any, vel: Any, command: Any, held: Any, thrusts: Any, drags: Any, rotation: wp.mat33,
         ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float, kept: Any,
     ):  # fmt: skip
-        first, kept_first = rest(
-            vehicle, pos, vel, command, at_limit, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept
-        )
+        first, kept_first = rest(vehicle, pos, vel, command, held, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept)
         second, kept_both = one(
-            vehicle, pos, vel, command, at_limit, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept_first
+            vehicle, pos, vel, command, held, thrusts, drags, rotation, ang_vel, lin_vel, dt, kept_first
         )
         return plus(first, second), kept_both
 
@@ -234,7 +232,7 @@ def carry(of: Inertia, lever: wp.vec3) -> Inertia:
 def _make_link(articulation: Articulation, k: int, types: RotorTypes, joints: JointTypes) -> Any:
     """Return what makes the way in through joint k of that through what its link carries."""
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
-    command_type = vector_of(max(articulation.num_driven, 1))
+    command_type, held_type = vector_of(max(articulation.num_driven, 1)), held_of(articulation.num_joints)
     joint, revolute = articulation.tree.joints[k], articulation.tree.joints[k].kind == "revolute"
     own_axis, offset = wp.vec3(*joint.axis), wp.vec3(*joint.position)
     reference = float(articulation.reference[k])
@@ -249,7 +247,7 @@ def _make_link(articulation: Articulation, k: int, types: RotorTypes, joints: Jo
     def around(carried: wp.Function) -> wp.Function:
         @wp.func
         def link_in(
-            vehicle: vehicle_type, pos: vector, vel: vector, command: command_type, at_limit: vector, thrusts: types.vector,
+            vehicle: vehicle_type, pos: vector, vel: vector, command: command_type, held: held_type, thrusts: types.vector,
             drags: types.vector, rotation: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
             kept: back_type,
         ):  # fmt: skip
@@ -273,14 +271,14 @@ def _make_link(articulation: Articulation, k: int, types: RotorTypes, joints: Jo
                 swing = rate * wp.cross(move, axis)
             else:
                 move = move + rate * axis
-            whole, after = carried(vehicle, pos, vel, command, at_limit, thrusts, drags, turned, turn, move, dt, after)
+            whole, after = carried(vehicle, pos, vel, command, held, thrusts, drags, turned, turn, move, dt, after)
             if wp.static(has_mass):
                 about = wp.mat33()
                 if wp.static(has_inertia):
                     about = turned * inertia * wp.transpose(turned)
                 whole = plus(whole, inertia_of(wp.static(mass), turned * com, about, turn, move))
             whole = rotors(vehicle, thrusts, drags, turned, whole)
-            acts, stiff = effort(q, rate, command, at_limit[k], dt)
+            acts, stiff = effort(q, rate, command, held, dt)
             if wp.static(revolute):
                 by_turn = whole.turn * axis
                 by_push = wp.transpose(whole.mixed) * axis

@@ -55,7 +55,7 @@ def test_a_step_of_a_task_can_be_captured(name: str) -> None:
     own = {"rich": rich, "seeing": seeing}
     task = own[name](4) if name in own else task_registry.make_task(name, num_envs=4, device="cpu", seed=0)
     task.reset()
-    actions = torch.zeros(4, task.env.robot_manager.num_actions)
+    actions = torch.zeros(4, task.num_actions)
     task.step(actions)
     task.env.gtd["sim_steps"][::2] = task.cfg.episode_len_steps
     with NothingThatWaits():
