@@ -1,9 +1,9 @@
 """Fly policies on the vehicle whose arms bend: ``python -m benchmarks.morphy_policies [--flights N] RUN [RUN ...]``.
 
 Each run folder is one policy, learned with or without joints. It flies ``morphy``, and one that knows no joints
-``morphy_stiff`` too, from fresh starts for an episode. Prints a JSON object a line: share of flights that crash, and of the others in the
-last second the distance to the target [m], the tilt [rad], and of the joints the mean angle of the elevations [rad], the spread
-of each joint about its own mean [rad] and the rates [rad/s], all rms.
+``morphy_stiff`` too, from fresh starts for an episode. Prints a JSON object a line: share of flights that crash, and of the
+others in the last second the distance to the target [m], the tilt [rad], and of the joints the mean angle of the elevations
+[rad], the spread of each joint about its own mean [rad] and the rates [rad/s], all rms.
 """
 
 import json
