@@ -41,7 +41,7 @@ class ReplayCmd:
         """Replay the flights and print the figures; return the exit status."""
         from aerial_gym.sim2real import replay
         from aerial_gym.sim2real.predict.rollout import QUANTITIES
-        from aerial_gym.sim2real.report.tables import channel_rows, interval
+        from aerial_gym.sim2real.report.tables import SHOWN_NOTES, channel_rows, interval
 
         with progress_bar() as progress:
             result = replay(
@@ -72,4 +72,10 @@ class ReplayCmd:
                     name = f"{quantity} [{QUANTITIES[quantity]}]"
                     table.add_row(variant.replace("_", " "), name, f"{horizon:g}", interval(rms))
         console.print(table)
+        for note in result.notes[:SHOWN_NOTES]:
+            console.print(f"note: {note}")
+        if (more := len(result.notes) - SHOWN_NOTES) > 0:
+            console.print(
+                f"{more} more notes {'in the report' if self.out else 'with --json, or in the report of --out'}"
+            )
         return 0

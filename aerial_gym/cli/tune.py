@@ -35,8 +35,9 @@ class TuneCmd:
         from aerial_gym.env_manager.sim_builder import robot_by_name
         from aerial_gym.robots.tune import tune_robot
 
+        robot = robot_by_name(self.robot)
         found = tune_robot(
-            robot_by_name(self.robot), name=self.robot, attitude=2.0 * pi * self.attitude_hz,
+            robot, name=self.robot, attitude=2.0 * pi * self.attitude_hz,
             position=2.0 * pi * self.position_hz, damping=self.damping, dt=self.dt_s,
         )  # fmt: skip
         names = ("attitude_frequency", "attitude_damping", "position_frequency", "position_damping")
@@ -49,6 +50,8 @@ class TuneCmd:
             print(
                 f"# rotor lag {found.lag:.4g} s, dead time {found.delay:.4g} s; spectral radius {found.radius:.6f}{yaw}"
             )
+            if robot.joints is not None:
+                print(f"# {robot.joints.rigid_note('gains are those for a vehicle that does not bend')}")
             print("control:")
             print("\n".join(f"  {name}: {numbers}" for name, numbers in rows.items()))
             print(f'  source: "{found.control.source}"')

@@ -242,6 +242,13 @@ class JointsCfg:
         """Names of the joints."""
         return tuple(joint.name for joint in self.layout)
 
+    def rigid_note(self, consequence: str) -> str:
+        """Return how a command says that it takes the vehicle as rigid, and what follows from that."""
+        return (
+            f"its joints ({', '.join(self.names)}) are held in the reference pose here, and the vehicle taken as rigid: "
+            f"{consequence} (docs/joints.md)"
+        )
+
     def link_of(self, name: str) -> int:
         """Return the number of a link: 0 of the base, k + 1 of joint k.
 

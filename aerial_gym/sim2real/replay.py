@@ -11,7 +11,7 @@ from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate, missing_for_rollouts
-from aerial_gym.sim2real.logs.flights import Flight, load_flights, notes_of
+from aerial_gym.sim2real.logs.flights import Flight, load_flights, notes_of, rigid_notes
 from aerial_gym.sim2real.logs.inputs import file_digests
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
@@ -35,13 +35,18 @@ class Replay:
     bandwidth: float
     evaluation: Evaluation
 
+    @property
+    def notes(self) -> list[str]:
+        """What else a reader must know."""
+        return [*rigid_notes(self.robot), *notes_of(self.flights)]
+
     def as_mapping(self) -> dict[str, object]:
         """Return the figures for JSON."""
         return {
             "flights": [flight.path for flight in self.flights],
             "bandwidth_hz": self.bandwidth,
             "replay": self.evaluation.as_mapping(),
-            "notes": notes_of(self.flights),
+            "notes": self.notes,
         }
 
 
@@ -151,7 +156,7 @@ def _write(folder: Path, result: Replay) -> None:
         "channels": channel_rows(result.evaluation, None),
         "rollouts": rollouts,
         "figures": figures,
-        "notes": notes_of(result.flights),
+        "notes": result.notes,
         "shown_notes": SHOWN_NOTES,
         "no_rollouts": missing_for_rollouts(result.flights),
     }

@@ -67,3 +67,14 @@ def test_a_file_that_is_no_vehicle_ends_with_status_2(capsys: pytest.CaptureFixt
     path.write_text("<html/>", encoding="utf-8")
     assert main(["import-robot", str(path), "--out", str(tmp_path / "out.yaml")]) == 2
     assert "must be <robot> (URDF), <mujoco> (MJCF) or <sdf> (SDF)" in capsys.readouterr().err
+
+
+def test_a_vehicle_that_bends_is_said_to_be_taken_as_rigid(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "morphy", "--no-fly"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "note: its joints (elevation_1, azimuth_1" in out
+    assert "hover, authority and time steps are those of a vehicle that does not bend" in out
+    assert main(["tune", "morphy", "--attitude-hz", "1", "--position-hz", "0.2"]) == 0
+    assert "# its joints (elevation_1" in capsys.readouterr().out
+    assert main(["check", "morphy_stiff", "--no-fly"]) == 0
+    assert "joints" not in capsys.readouterr().out

@@ -141,6 +141,7 @@ def check_robot(
         stable_steps=tuple(steps),
         problems=problems,
         warnings=(
+            *_rigid_warnings(robot),
             *_warnings(robot),
             *_control_warnings(inf if robot.control.buoyancy else ratio, turn.tolist()),
             *_step_warnings(steps),
@@ -198,6 +199,11 @@ def _step_warnings(steps: Sequence[StableStep]) -> Iterator[str]:
     for step in steps:
         if step.refused is None and step.largest_s is None:
             yield f"{step.controller} does not bring it to rest at any time step: give other gains (control:)"
+
+
+def _rigid_warnings(robot: RobotCfg) -> Iterator[str]:
+    if robot.joints is not None:
+        yield robot.joints.rigid_note("hover, authority and time steps are those of a vehicle that does not bend")
 
 
 def _warnings(robot: RobotCfg) -> Iterator[str]:

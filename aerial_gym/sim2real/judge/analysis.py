@@ -29,7 +29,7 @@ from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, wit
 from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained, judges_forces
 from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, decide, immaterial, named_effects
 from aerial_gym.sim2real.judge.whiteness import whiteness
-from aerial_gym.sim2real.logs.flights import notes_of
+from aerial_gym.sim2real.logs.flights import notes_of, rigid_notes
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.noise_floor import floor_of_flight, of_all_flights
 from aerial_gym.sim2real.progress import Progress
@@ -182,6 +182,7 @@ def notes(refitted: Refitted, unexplained: Unexplained, effects: Sequence[NamedE
     """Return what else a reader must know, what matters most first, and what was done to the logs."""
     declared = refitted.declared
     return (
+        *rigid_notes(declared.stated),
         *open_notes(unexplained),
         *unexplained.wind.notes,
         *immaterial(effects),
@@ -265,7 +266,7 @@ def not_testable(selection: Selection, robot: RobotCfg, unexplained: Unexplained
     """
     found = dict(selection.not_testable)
     for name in found:
-        if not fits_vehicle(name, selection, robot):
+        if robot.joints is None and not fits_vehicle(name, selection, robot):
             found[name] = "its file gives the vehicle no soft arms, and these flights show none"
     for name in selection.accepted:
         for other in EFFECTS.get(name).confused_with:

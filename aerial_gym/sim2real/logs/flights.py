@@ -86,6 +86,11 @@ def notes_of(flights: Sequence[Flight]) -> list[str]:
     return [f"{names_of([flight for flight in flights if note in flight.notes], flights)}: {note}" for note in told]
 
 
+def rigid_notes(robot: RobotCfg) -> list[str]:
+    """Return a note where flights of a vehicle that bends are compared with one that does not."""
+    return [] if robot.joints is None else [robot.joints.rigid_note("what bends in the flights shows as a residual")]
+
+
 def load_flights(
     paths: Sequence[str | Path],
     robot: RobotCfg,

@@ -18,10 +18,12 @@ import pytest
 from aerial_gym import SimBuilder
 from aerial_gym.cli.main import main
 from aerial_gym.config import dump_yaml, load
+from aerial_gym.config.joint import JointCfg, JointsCfg, LinkCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError, StorageError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
+from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real import close_loop, replay
 from aerial_gym.sim2real.close_loop import judge_flights, load_train_and_test
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
@@ -394,3 +396,28 @@ def test_forces_at_an_unknown_airspeed_are_not_called_unexplained(tmp_path: Path
     assert verdict.verdict == "none"
     assert verdict.unexplained == ()
     assert "what remains of the specific force is not judged: log v or p" in verdict.reason
+
+
+def test_a_vehicle_that_bends_is_said_to_be_taken_as_rigid_and_gets_no_effect_that_it_cannot_have(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arm = LinkCfg(
+        mass=0.02, com=ROBOT.mounts.layout[0].position, inertia=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    )
+    hinge = JointCfg(name="arm", axis=(0.0, 1.0, 0.0), position=(0.05, -0.05, 0.01), link=arm)
+    bending = replace(ROBOT, joints=JointsCfg(layout=(hinge,), source="invented"))
+    (tmp_path / "robot.yaml").write_text(dump_yaml(bending))
+    for seed in range(3):
+        write(flight(seed, spring=0.5, noise=1.0, seconds=4.0, rate=100.0), tmp_path / f"f{seed}.csv")
+    robot, *flights = (str(tmp_path / name) for name in ("robot.yaml", "f0.csv", "f1.csv", "f2.csv"))
+    asked = ["--effects", "joint_spring", "rotor_drag", "--out", str(tmp_path / "out")]
+    assert main(["close-loop", "--robot", robot, "--train", *flights[:2], "--test", flights[2], *asked]) == 0
+    said = "its joints (arm) are held in the reference pose here, and the vehicle taken as rigid"
+    assert f"note: {said}" in " ".join(capsys.readouterr().out.split())
+    verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
+    assert verdict["notes"][0].startswith(said)
+    assert said in (tmp_path / "out" / "report.html").read_text()
+    assert "this one has joints" in verdict["not_testable_because"]["joint_spring"]
+    check_effects(load(RobotCfg, tmp_path / "out" / "robot.yaml"))
+    assert main(["replay", robot, flights[0]]) == 0
+    assert f"note: {said}" in " ".join(capsys.readouterr().out.split())

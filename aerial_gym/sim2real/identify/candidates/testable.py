@@ -9,7 +9,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import ImuEffect
-from aerial_gym.physics.model import check_rotors
+from aerial_gym.physics.model import check_joints, check_rotors
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.replay.rotor_commands import missing_in_logs, too_steady
@@ -27,6 +27,8 @@ def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Fl
         return reason
     try:
         check_rotors(effect, robot.rotor_traits)
+        if robot.joints is not None:
+            check_joints(effect)
         effect.check(robot)
     except ConfigError as error:
         return str(error)
