@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from benchmarks.undeclared import EFFECTS, FEATURES, SIZES, UNKNOWN, make_case
+from benchmarks.undeclared import EFFECTS, FEATURES, SIZES, UNKNOWN, Failure, make_case
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -33,6 +33,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--feature", action="append", default=[], choices=FEATURES, help="of the flights, beside what effects need"
     )
+    parser.add_argument(
+        "--failure",
+        action="append",
+        default=[],
+        metavar="FLIGHT:KIND:KEY=VALUE,...",
+        help="in flight, e.g. test_1:motor_failure:motor=2,scale=0.7,time=5; may repeat",
+    )
     parser.add_argument("--nuisance", action="store_true", help="make mass, rotors, inertia and sensors slightly off")
     return parser
 
@@ -50,6 +57,23 @@ def _requested(sized: list[str], size: str, params: list[str]) -> dict[str, str 
     return effects
 
 
+def _failing(flags: list[str]) -> dict[str, Failure]:
+    """Return the failures of the flags by flight."""
+    found = {}
+    for text in flags:
+        parts = text.split(":")
+        if len(parts) != 3 or "time=" not in parts[2]:
+            raise ValueError(f"--failure {text}: must be FLIGHT:KIND:KEY=VALUE,... with a time")
+        values = {key: float(value) for key, _, value in (pair.partition("=") for pair in parts[2].split(","))}
+        if unknown := set(values) - {"time", "motor", "scale", "duration"}:
+            raise ValueError(f"--failure {text}: no {sorted(unknown)}. Known: time, motor, scale, duration")
+        motor, rest = int(values.pop("motor", 1)), {"scale": 1.0, "duration": float("inf")} | values
+        found[parts[0]] = Failure(
+            kind=parts[1], motor=motor, time=rest["time"], scale=rest["scale"], duration=rest["duration"]
+        )
+    return found
+
+
 def main(argv: list[str] | None = None) -> int:
     """Make the case that the flags ask for; return the exit status."""
     args = _parser().parse_args(argv)
@@ -64,6 +88,7 @@ def main(argv: list[str] | None = None) -> int:
             nuisance=args.nuisance,
             rate_hz=args.rate_hz,
             features=args.feature,
+            failures=_failing(args.failure),
         )
     except ValueError as error:
         print(error, file=sys.stderr)

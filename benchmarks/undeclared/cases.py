@@ -1,13 +1,14 @@
 """Make one case: flights of a true vehicle that the declared one does not fully describe."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.undeclared import effects as hidden_effects
+from benchmarks.undeclared.failures import Failure, Failures
 from benchmarks.undeclared.logs import vehicle_document, write_log, write_robot
 from benchmarks.undeclared.nuisance import NO_BIAS, Bias, Nuisance, disturb
 from benchmarks.undeclared.sensors import Noise, Sensors
@@ -128,9 +129,16 @@ def plan_all(flights: list[Flight], *, seed: int, duration_s: float, settle_s: f
 
 
 def surround(
-    true: Vehicle, flights: list[Flight], reference: Reference, *, seed: int, features: Sequence[str]
+    true: Vehicle,
+    flights: list[Flight],
+    reference: Reference,
+    *,
+    seed: int,
+    features: Sequence[str],
+    failures: Mapping[str, Failure] | None = None,
 ) -> tuple[Surroundings, Battery | None]:
     """Return what is around the flights, and the battery: each partly used, by 0 to 1500 C, when its flight begins."""
+    fails = Failures([failures.get(f.name) for f in flights], SETTLE_S) if failures else None
     gust = other = battery = None
     if true.extra.gust[0] > 0.0:
         series = [gusts(*true.extra.gust, len(reference.yaw), CONTROL_RATE, _stream(seed, 20, f)) for f in flights]
@@ -141,7 +149,8 @@ def surround(
     if "battery" in features:
         battery = Battery(true, np.array([_stream(seed, 40, f).uniform(0.0, 1500.0) for f in flights]))
     ceiling = CEILING_HEIGHT if "ceiling" in features else None
-    return Surroundings(gust=gust, other=other, ceiling=ceiling, rate=CONTROL_RATE), battery
+    around = Surroundings(gust=gust, other=other, ceiling=ceiling, rate=CONTROL_RATE, failures=fails)
+    return around, battery
 
 
 def _stream(seed: int, kind: int, flight: Flight) -> np.random.Generator:
@@ -167,6 +176,9 @@ class FlownCase:
     """Of the IMU, by nuisance."""
 
     features: tuple[str, ...]
+    failures: dict[str, Failure]
+    """By the name of the flight."""
+
     flights: list[Flight]
     reference: Reference
     record: Record
@@ -182,6 +194,7 @@ def fly_case(
     nuisance: bool = False,
     noise: Noise | None = None,
     features: Sequence[str] = (),
+    failures: Mapping[str, Failure] | None = None,
 ) -> FlownCase:
     """Return the flights of a case; arguments and errors as in ``make_case``."""
     params = hidden_effects.resolve(effects, declared=DECLARED, seed=seed)
@@ -190,15 +203,17 @@ def fly_case(
     if nuisance:
         true, bias = disturb(true, Nuisance(), seed=seed, hidden=params)
     features = hidden_effects.features_of(effects, features)
-    flights = flights_of(num_train, num_test, features)
+    flights, failures = flights_of(num_train, num_test, features), failures or {}
+    if unknown := set(failures) - {flight.name for flight in flights}:
+        raise ValueError(f"no flight {sorted(unknown)}. Flown: {', '.join(flight.name for flight in flights)}")
     reference = plan_all(flights, seed=seed, duration_s=duration_s)
     streams = [_stream(seed, 10, flight) for flight in flights]
     sensors = Sensors(noise or Noise(), bias, streams, len(reference.yaw), extra=true.extra)
-    around, battery = surround(true, flights, reference, seed=seed, features=features)
+    around, battery = surround(true, flights, reference, seed=seed, features=features, failures=failures)
     record = fly(
         true=true, declared=declared, reference=reference, sensors=sensors, surroundings=around, battery=battery
     )
-    _require_air(record, flights)
+    _require_air(record, flights, failures)
     if battery is not None:
         record = _read_voltage(record, flights, seed)
     return FlownCase(
@@ -207,6 +222,7 @@ def fly_case(
         true=true,
         bias=bias,
         features=features,
+        failures=dict(failures),
         flights=flights,
         reference=reference,
         record=record,
@@ -225,6 +241,7 @@ def make_case(
     rate_hz: int = CONTROL_RATE,
     noise: Noise | None = None,
     features: Sequence[str] = (),
+    failures: Mapping[str, Failure] | None = None,
 ) -> CaseFiles:
     """Simulate a case and write its logs, the declared robot and the truth.
 
@@ -241,6 +258,7 @@ def make_case(
         rate_hz: Rate of the logs [Hz], a divisor of 400.
         noise: Sensor noise; None takes the defaults.
         features: Of the flights (``catalog.FEATURES``), beside those that the effects need; for controls.
+        failures: What fails in flight, by the name of the flight (``train_1``); its log ends before it comes to the ground.
 
     Raises:
         ValueError: For an unknown effect, size, parameter or feature, a number out of range, or a flight that came too
@@ -260,13 +278,15 @@ def make_case(
         nuisance=nuisance,
         noise=noise,
         features=features,
+        failures=failures,
     )
     first = round(SETTLE_S * CONTROL_RATE)
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
     paths = [out / f"{flight.name}.csv" for flight in case.flights]
     for index, path in enumerate(paths):
-        write_log(path, case.record, index, first=first, every=CONTROL_RATE // rate_hz)
+        last = _in_air(case.record, index) if case.flights[index].name in case.failures else None
+        write_log(path, case.record, index, first=first, last=last, every=CONTROL_RATE // rate_hz)
     near = "low" in case.features or "ceiling" in case.features
     write_robot(out / "robot.yaml", case.declared, radius=near)
     sizes = {name: value if isinstance(value, str) else "explicit" for name, value in effects.items()}
@@ -302,16 +322,29 @@ def _truth(
         "declared_vehicle": vehicle_document(case.declared),
         "rates_hz": {"log": rate_hz, "autopilot": CONTROL_RATE, "plant": CONTROL_RATE * SUBSTEPS},
         **(around if case.features else {}),
+        **({"failures": {n: f.document() for n, f in case.failures.items()}} if case.failures else {}),
         "flights": {f.name: {"family": f.family, **asdict(s)} for f, s in flights},
     }
 
 
-def _require_air(record: Record, flights: list[Flight]) -> None:
-    """Raise if a flight came within 5 cm of the ground or the ceiling: neither has contact."""
+LOWEST_ROOM = 0.05
+"""Neither ground nor ceiling has contact: no log comes nearer [m]."""
+
+
+def _in_air(record: Record, flight: int) -> int:
+    """Return how many samples a flight has before it comes too near to the ground or the ceiling."""
+    height = record.position[:, flight, 2]
+    ceiling = np.inf if record.surroundings.ceiling is None else record.surroundings.ceiling
+    near = np.flatnonzero(~(np.minimum(height, ceiling - height) > LOWEST_ROOM))
+    return int(near[0]) if near.size else len(height)
+
+
+def _require_air(record: Record, flights: list[Flight], failures: Container[str]) -> None:
+    """Raise if a flight without a failure came within 5 cm of the ground or the ceiling: neither has contact."""
     height = record.position[:, :, 2]
     gap = height.min(axis=0)
     if record.surroundings.ceiling is not None:
         gap = np.minimum(gap, record.surroundings.ceiling - height.max(axis=0))
     for flight, room in zip(flights, gap, strict=True):
-        if not room > 0.05:
+        if flight.name not in failures and not room > LOWEST_ROOM:
             raise ValueError(f"{flight.name}: came within {room:.3f} m of ground or ceiling; take a smaller effect")

@@ -37,6 +37,7 @@ class FullPlant(Plant):
         super().__init__(vehicle)
         self._extra = extra = vehicle.extra
         self._surroundings = surroundings or Surroundings()
+        self._failures = self._surroundings.failures
         self._hub = vehicle.rotor_position - vehicle.com
         self._spin_axis = extra.rotor_inertia * vehicle.rotor_spin[:, None] * vehicle.rotor_axis
         self._inflow, self._thrust_map, self._side_map = self._rotor_maps()
@@ -49,7 +50,7 @@ class FullPlant(Plant):
         first = CABLE_RATE.stop if self._slung else ROTOR.stop
         self._joints = [(*joint, slice(first + 4 * k, first + 4 * k + 4)) for k, joint in enumerate(joints)]
         self._prepare_arms()
-        self._index, self._time, self._supply = 0, 0.0, 1.0
+        self._index, self._time, self._since, self._supply = 0, 0.0, 0.0, 1.0
         self._command: Array | None = None
         if extra.ceiling and self._surroundings.ceiling is None:
             raise ValueError("ceiling_effect: needs a ceiling in the surroundings")
@@ -59,6 +60,7 @@ class FullPlant(Plant):
     def begin(self, index: int, voltage: Array) -> None:
         """Start sample ``index`` at a battery voltage [V], (F,)."""
         self._index, self._time = index, index / self._surroundings.rate
+        self._since = self._time
         self._supply = (1.0 + self._extra.battery_gain * (voltage / NOMINAL_VOLTAGE - 1.0))[:, None]
 
     def rest(self, state: Array) -> Array:
@@ -74,7 +76,10 @@ class FullPlant(Plant):
 
     def step(self, state: Array, command: Array, dt: float) -> Array:
         """Return the states after ``dt`` [s] under a held command; the time of each stage is its own."""
-        self._command, start = command, self._time
+        self._command, self._since = command, self._time
+        start = self._since
+        if self._failures is not None:
+            self._failures.begin_step(start, state[:, ROTOR])
         k1 = self.derivative(state, command)
         self._time = start + 0.5 * dt
         k2 = self.derivative(state + (0.5 * dt) * k1, command)
@@ -168,13 +173,18 @@ class FullPlant(Plant):
         return wind
 
     def _rotor_dot(self, state: Array, command: Array) -> Array:
-        """Return ``(supply n_cmd - n) / tau`` [rad/s²], (F, 4)."""
-        error = self._supply * command - state[:, ROTOR]
+        """Return ``(supply n_cmd - n) / tau`` [rad/s²], (F, 4); a failure changes what stands for the first term."""
+        led = self._supply * command
+        if self._failures is not None:
+            led = self._failures.led_to(led, self._since)
+        error = led - state[:, ROTOR]
         return error / np.where(error > 0.0, self.vehicle.tau_up, self.vehicle.tau_down)
 
     def _squared(self, state: Array) -> Array:
-        """Return the squared rotor speeds [rad²/s²], (F, 4), less what fading takes."""
+        """Return the squared rotor speeds [rad²/s²], (F, 4), less what fading and failures take."""
         squared, (loss, time) = state[:, ROTOR] ** 2, self._extra.fading
+        if self._failures is not None:
+            squared = self._failures.of_blades(squared, self._since)
         return squared * (1.0 - loss * (1.0 - np.exp(-self._time / time))) if loss else squared
 
     def _arms(self, state: Array, squared: Array) -> tuple[Array, list[Array]]:
@@ -284,5 +294,5 @@ class FullPlant(Plant):
 
 def make_plant(vehicle: Vehicle, surroundings: Surroundings | None = None) -> Plant:
     """Return the plain plant if it is enough for the vehicle and its surroundings."""
-    gusty = surroundings is not None and surroundings.gust is not None
-    return FullPlant(vehicle, surroundings) if gusty or vehicle.extra != NEUTRAL else Plant(vehicle)
+    around = surroundings is not None and (surroundings.gust is not None or surroundings.failures is not None)
+    return FullPlant(vehicle, surroundings) if around or vehicle.extra != NEUTRAL else Plant(vehicle)

@@ -30,9 +30,9 @@ def quaternion(matrix: Array) -> Array:
     return quat * sign[:, None]
 
 
-def write_log(path: Path, record: Record, flight: int, *, first: int, every: int) -> None:
-    """Write one flight from sample ``first`` on, each ``every``-th sample; t starts at 0."""
-    rows = slice(first, None, every)
+def write_log(path: Path, record: Record, flight: int, *, first: int, every: int, last: int | None = None) -> None:
+    """Write one flight from sample ``first`` on, before ``last``, each ``every``-th sample; t starts at 0."""
+    rows = slice(first, last, every)
     seen = {name: values[rows, flight] for name, values in record.measured.items()}
     time = np.arange(len(seen["rate"]))[:, None] * (every / CONTROL_RATE)
     battery = record.voltage[rows, flight, None]

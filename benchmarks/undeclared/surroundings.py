@@ -1,4 +1,4 @@
-"""What is around the vehicle: gusts, a ceiling, another vehicle, and the battery on board.
+"""What is around the vehicle: gusts, a ceiling, another vehicle, and the battery on board; and what fails in each flight.
 
 Letters: F flights, T samples.
 """
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.undeclared.failures import Failures
 from benchmarks.undeclared.trajectories import Reference
 from benchmarks.undeclared.vehicle import Array, Vehicle
 
@@ -39,6 +40,9 @@ class Surroundings:
 
     rate: float = 400.0
     """Samples per second [Hz]."""
+
+    failures: Failures | None = None
+    """What fails in flight."""
 
 
 def gusts(std: float, corr_time: float, count: int, rate: float, rng: np.random.Generator) -> Array:
