@@ -41,7 +41,7 @@ class NamedEffect:
     """The part of ``std`` that more flights would make smaller."""
 
     frozen: tuple[str, ...]
-    """Parameters that these flights do not show; they keep their neutral value."""
+    """Parameters that keep their neutral value: these flights do not show them, or show no error of them."""
 
     confidence: float
     """Probability that it is there: that of all sets of effects which hold it."""
