@@ -32,6 +32,10 @@ class TrainCmd:
     teacher: Path | None = None
     """Run folder, or one checkpoint in it, of the policy that distill hands on."""
 
+    initial: Path | None = None
+    """Run folder, or one checkpoint in it, of a training with ppo with whose networks this one begins; observations of the task
+    begin with those of that one's."""
+
     out: Path = Path("runs/train")
     """Run folder: settings, checkpoints, TensorBoard files, learning curve. New, unless --resume."""
 
@@ -110,8 +114,9 @@ class TrainCmd:
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         if given.keys() & set(LIMITS):
             given = dict.fromkeys(LIMITS) | given
-        if self.teacher is not None:
-            given["teacher"] = str(self.teacher.resolve())
+        for name, run in (("teacher", self.teacher), ("initial", self.initial)):
+            if run is not None:
+                given[name] = str(run.resolve())
         result = train(replace(cfg, **given), self.out, resume=self.resume, watch=self.watch, wandb=self.wandb)
         if launched_rank() == 0:
             self._tell(result)
@@ -143,7 +148,7 @@ class TrainCmd:
         return str(Path(self.task).resolve()) if self.task.endswith((".yaml", ".yml", ".toml")) else self.task
 
     def _refuse_changes(self) -> None:
-        for name in ("config", "teacher", "num_envs", "seed", "robot", "controller", "backend", "encoder"):
+        for name in ("config", "teacher", "initial", "num_envs", "seed", "robot", "controller", "backend", "encoder"):
             if getattr(self, name) is not None:
                 flag = name.replace("_", "-")
                 raise ConfigError(

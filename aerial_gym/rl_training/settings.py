@@ -304,6 +304,10 @@ class TrainingCfg:
     teacher: str | None = None
     """Run folder of a training, or one checkpoint in it, whose policy ``distill`` hands on."""
 
+    initial: str | None = None
+    """Run folder of a training with ``ppo``, or one checkpoint in it, with whose networks ``ppo`` begins; what is seen besides
+    stands behind what those saw, and counts for nothing at first."""
+
     ppo: PpoCfg | None = None
     """Numbers of the learner, of every trainer but the following."""
 
@@ -347,6 +351,8 @@ class TrainingCfg:
             raise ConfigError(f"TrainingCfg: trainer {self.trainer} needs its numbers under {wanted}, and no others")
         if self.teacher is not None and self.trainer != "distill":
             raise ConfigError(f"TrainingCfg.teacher = {self.teacher}: trainer {self.trainer} has none. Use distill")
+        if self.initial is not None and self.trainer != "ppo":
+            raise ConfigError(f"TrainingCfg.initial = {self.initial}: trainer {self.trainer} begins anew. Use ppo")
         learner = self.learner
         special = learner.memory or learner.critic_keys
         special = special or learner.policy_keys != ("observations",)

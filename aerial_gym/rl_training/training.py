@@ -21,7 +21,7 @@ from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import robot_by_name
 from aerial_gym.errors import ConfigError, MissingDependencyError
 from aerial_gym.physics import BACKENDS
-from aerial_gym.rl_training.policies.load import load_policy
+from aerial_gym.rl_training.policies.load import checkpoint_of, load_policy
 from aerial_gym.rl_training.ranks import Ranks, joined_ranks, own_device
 from aerial_gym.rl_training.run.interruption import Interruption, interruptible
 from aerial_gym.rl_training.run.keeper import Keeper, steps_of
@@ -100,7 +100,7 @@ def train(
         StorageError: If the disk is full.
     """
     started = time.perf_counter()
-    _check_names(cfg)
+    _check_names(cfg, resume=resume)
     require_trainer(cfg.trainer)
     if wandb is not None:
         require_wandb()
@@ -173,7 +173,7 @@ def _train(
     return result
 
 
-def _check_names(cfg: TrainingCfg) -> None:
+def _check_names(cfg: TrainingCfg, *, resume: bool) -> None:
     """Raise the error of an unknown name or an unreadable robot file before anything is written."""
     task_registry.get(cfg.task)
     if cfg.trainer == "distill":
@@ -182,6 +182,8 @@ def _check_names(cfg: TrainingCfg) -> None:
                 "trainer distill needs a policy to hand on: --teacher RUN, the run folder of its training"
             )
         load_policy(cfg.teacher)
+    if cfg.initial is not None and not resume:
+        checkpoint_of(cfg.initial)
     if cfg.robot is not None:
         robot_by_name(cfg.robot)
     if cfg.encoder is not None:

@@ -59,12 +59,20 @@ def load_policy(source: str | Path, *, device: str | torch.device = "cpu") -> tu
     Raises:
         ConfigError: If there is no such run or checkpoint or device, or it does not hold the network of its settings.
     """
-    source = Path(source)
-    folder = RunFolder(source) if source.is_dir() else run_folder_of(source)
-    file = folder.last_checkpoint() if source.is_dir() else source
-    cfg = folder.config()
+    file, cfg = checkpoint_of(source)
     payload = checkpoint.load(file)
     return policy_from_payload(payload, cfg, where=str(file)).to(resolve_device(device)), cfg
+
+
+def checkpoint_of(source: str | Path) -> tuple[Path, TrainingCfg]:
+    """Return the last checkpoint of a run folder, or the one that is given, and the settings of the run.
+
+    Raises:
+        ConfigError: If there is no such run or checkpoint.
+    """
+    source = Path(source)
+    folder = RunFolder(source) if source.is_dir() else run_folder_of(source)
+    return folder.last_checkpoint() if source.is_dir() else source, folder.config()
 
 
 def policy_from_payload(payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str) -> Policy:

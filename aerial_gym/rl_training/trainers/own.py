@@ -8,9 +8,13 @@ from typing import Any, Generic, TypeVar
 import torch
 from torch import Tensor
 
+from aerial_gym.errors import ConfigError
 from aerial_gym.registry.state import check_state, restore, saved
 from aerial_gym.rl_training.learning.graph import Repeated
 from aerial_gym.rl_training.learning.learner import SUMS, Learner
+from aerial_gym.rl_training.policies.load import checkpoint_of
+from aerial_gym.rl_training.policies.widen import begin_as
+from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.interruption import Interruption
 from aerial_gym.rl_training.run.keeper import Keeper
 from aerial_gym.rl_training.run.progress import Progress, Report
@@ -53,6 +57,8 @@ def repeat(
     if keeper.resumes:
         keeper.restore(training.load, own=OWN_STATE)
     else:
+        if cfg.initial is not None:
+            training.begin_as(cfg.initial)
         keeper.save(training.state(), env_steps=0, own=OWN_STATE)
     try:
         while True:
@@ -144,6 +150,19 @@ class OwnTraining(Generic[AnyLearner]):
             "task": {name: value for name, value in self.task.save_state().items() if not _is_image(value)},
             "env_steps": self.env_steps,
         }
+
+    def begin_as(self, source: str) -> None:
+        """Take the networks of another training: a run folder, or one checkpoint in it.
+
+        Raises:
+            ConfigError: If there are none that fit.
+        """
+        file, cfg = checkpoint_of(source)
+        model = checkpoint.load(file).get("model")
+        if cfg.trainer != self.cfg.trainer or not isinstance(model, Mapping):
+            raise ConfigError(f"{file}: holds no networks of a training with {self.cfg.trainer}")
+        begin_as(self.learner.network, model, where=str(file))
+        self.learner.join()
 
     def load(self, state: Mapping[str, Any]) -> None:
         """Go on from what ``state`` returned."""

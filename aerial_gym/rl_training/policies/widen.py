@@ -1,0 +1,60 @@
+"""Networks that begin where those of another training ended, and may see more than those did.
+
+Letters: O entries of an observation, H width of the first layer.
+"""
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.rl_training.policies.actor_critic import ActorCritic
+
+FIRST_LAYER = ".layers.0.weight"
+"""End of the name of a first layer (H, O)."""
+
+NORMALISED = (".mean", ".var")
+"""Ends of the names of what a normaliser knows, (O,)."""
+
+
+def begin_as(network: ActorCritic, model: Mapping[str, Tensor], *, where: str) -> None:
+    """Give a network the numbers of another one, which may have seen less.
+
+    What it sees besides must stand behind what the other one saw. Its weights there are zero, so that at first it does what the
+    other one did; its normaliser takes it as it is, mean 0 and deviation 1, and learns slowly, for it has counted much.
+
+    Args:
+        network: Receives them.
+        model: ``network.state_dict()`` of the other one.
+        where: Named in errors.
+
+    Raises:
+        ConfigError: If they do not fit.
+    """
+    own = network.state_dict()
+    if own.keys() != model.keys():
+        raise ConfigError(
+            f"{where}: has other networks than these settings ask for. Give the settings of its training (--config)"
+        )
+    wider = [name for name in own if own[name].shape != model[name].shape]
+    if wider and len(network.shapes) > 1:
+        raise ConfigError(
+            f"{where}: networks that see {', '.join(network.shapes)} cannot see more than those before them. Train from scratch"
+        )
+    network.load_state_dict({name: _widened(name, model[name], own[name], where) for name in own})
+
+
+def _widened(name: str, given: Tensor, own: Tensor, where: str) -> Tensor:
+    """Return numbers in the shape of ``own``."""
+    if given.shape == own.shape:
+        return given
+    more = own.shape[-1] - given.shape[-1]
+    grows = name.endswith((FIRST_LAYER, *NORMALISED)) and given.shape[:-1] == own.shape[:-1] and more > 0
+    if not grows:
+        raise ConfigError(
+            f"{where}: {name} has shape {tuple(given.shape)}, here {tuple(own.shape)}. Only what they see may grow: give "
+            "the settings of its training (--config), and a task with its actions whose observations begin with its own"
+        )
+    new = given.new_full((*given.shape[:-1], more), 1.0 if name.endswith(".var") else 0.0)
+    return torch.cat((given, new), dim=-1)
