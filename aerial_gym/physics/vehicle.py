@@ -117,6 +117,12 @@ class Vehicle:
         """Whether all rotors have speeds without sign that follow their commands with a lag alone."""
         return not self.traits
 
+    @property
+    def upright(self) -> bool:
+        """Whether every rotor of every environment thrusts along body z, by construction; reads the device."""
+        axis = self.rotor_axis
+        return is_shared(axis) and bool((axis[0] == axis.new_tensor((0.0, 0.0, 1.0))).all())
+
     def rows(self) -> dict[str, Tensor]:
         """Return all tensors by name, each (E, ...)."""
         return {name: value for name, value in vars(self).items() if isinstance(value, Tensor)}

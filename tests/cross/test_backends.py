@@ -255,6 +255,24 @@ def test_all_effects_at_once_fly_like_torch() -> None:
     assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "euler", effects=EFFECTS.names())
 
 
+def test_rotors_that_all_thrust_along_body_z_fly_like_torch() -> None:
+    """The kernel leaves out what is zero then; levers differ in all directions, and rotors in spin."""
+    robot = lopsided_robot()
+    upright = tuple(replace(mount, axis=(0.0, 0.0, 1.0)) for mount in robot.mounts.layout)
+    robot = replace(robot, mounts=replace(robot.mounts, layout=upright))
+    effects = (
+        "h_force_flapping",
+        "rotor_inertia",
+        "axial_inflow",
+        "translational_lift",
+        "ground_effect",
+        "ceiling_effect",
+    )
+    assert vehicle_from_config(robot, num_envs=2).upright
+    assert not vehicle_from_config(lopsided_robot(), num_envs=2).upright
+    assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "euler", effects=effects)
+
+
 def scale_by_env(vehicle: Vehicle) -> Vehicle:
     """Return a vehicle of which every parameter differs between environments."""
 

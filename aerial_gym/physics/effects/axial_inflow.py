@@ -39,6 +39,6 @@ class AxialInflow(RotorEffect):
 
         @wp.func
         def axial_inflow(at: condition, rotor: hub, ka: params) -> float:
-            return -ka[0] * wp.abs(rotor.speed) * wp.dot(rotor.velocity, rotor.axis)
+            return -ka[0] * wp.abs(rotor.speed) * rotor.axial
 
         return axial_inflow

@@ -15,6 +15,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Parameter, RotorEffect
+from aerial_gym.physics.fused.functions import reciprocal
 
 CLOSEST = wp.constant(0.5)
 """Least distance of a hub that makes a difference, in radii."""
@@ -38,11 +39,11 @@ class CeilingEffect(RotorEffect):
             raise ConfigError("effect ceiling_effect: the robot file must give rotor.radius [m], of every rotor type")
 
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
-        """Return ``T (1 / (1 - k (R / 4 h)²) - 1)``."""
+        """Return ``T (1 / (1 - s / h²) - 1) = T s / (h² - s)`` with ``s = k (R / 4)²``."""
         radius = condition.vehicle.rotor_radius
         room = condition.inlet_room.maximum(CLOSEST * radius)
-        share = params[:, :1] * (radius / (4.0 * room)).square()
-        return condition.rotor_thrust * share / (1.0 - share)
+        strength = params[:, :1] * (0.25 * radius).square()
+        return condition.rotor_thrust * strength / (room.square() - strength)
 
     def warp_thrust(self, condition: type, hub: type) -> wp.Function:
         """Return the same in Warp."""
@@ -50,8 +51,9 @@ class CeilingEffect(RotorEffect):
 
         @wp.func
         def ceiling_effect(at: condition, rotor: hub, k: params) -> float:
-            ratio = rotor.radius / (4.0 * wp.max(rotor.inlet_room, CLOSEST * rotor.radius))
-            share = k[0] * ratio * ratio
-            return rotor.thrust * share / (1.0 - share)
+            room = wp.max(rotor.inlet_room, CLOSEST * rotor.radius)
+            quarter = 0.25 * rotor.radius
+            strength = k[0] * quarter * quarter
+            return rotor.thrust * strength * reciprocal(room * room - strength)
 
         return ceiling_effect

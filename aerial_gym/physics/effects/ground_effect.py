@@ -18,6 +18,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Parameter, RotorEffect
+from aerial_gym.physics.fused.functions import reciprocal
 
 LOWEST = wp.constant(0.5)
 """Least height of a hub that makes a difference, in radii."""
@@ -48,11 +49,12 @@ class GroundEffect(RotorEffect):
             raise ConfigError("effect ground_effect: the robot file must give rotor.radius [m], of every rotor type")
 
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
-        """Return ``T (1 / (1 - k (R / 4 h)²) - 1)``."""
+        """Return ``T (1 / (1 - s / h²) - 1) = T s / (h² - s)`` with ``s = k (R / 4)²``."""
         radius = condition.vehicle.rotor_radius
         height = condition.wake_room.maximum(LOWEST * radius)
-        share = (params[:, :1] * (radius / (4.0 * height)).square()).clamp_max(LARGEST_SHARE)
-        return condition.rotor_thrust * share / (1.0 - share)
+        strength = params[:, :1] * (0.25 * radius).square()
+        square = height.square().maximum(strength / LARGEST_SHARE)
+        return condition.rotor_thrust * strength / (square - strength)
 
     def warp_thrust(self, condition: type, hub: type) -> wp.Function:
         """Return the same in Warp."""
@@ -60,8 +62,10 @@ class GroundEffect(RotorEffect):
 
         @wp.func
         def ground_effect(at: condition, rotor: hub, k: params) -> float:
-            ratio = rotor.radius / (4.0 * wp.max(rotor.wake_room, LOWEST * rotor.radius))
-            share = wp.min(k[0] * ratio * ratio, LARGEST_SHARE)
-            return rotor.thrust * share / (1.0 - share)
+            height = wp.max(rotor.wake_room, LOWEST * rotor.radius)
+            quarter = 0.25 * rotor.radius
+            strength = k[0] * quarter * quarter
+            square = wp.max(height * height, strength / LARGEST_SHARE)
+            return rotor.thrust * strength * reciprocal(square - strength)
 
         return ground_effect

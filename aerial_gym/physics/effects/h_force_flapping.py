@@ -48,15 +48,24 @@ class HForceFlapping(LinearWrenchEffect):
         @wp.func
         def h_force_flapping(at: condition, k: wp.vec2) -> wp.spatial_vector:
             force = wp.vec3()
-            torque = wp.vec3()
+            twist = wp.vec3()
+            lean = wp.vec3()
             for i in range(len(at.rotor_speed)):
-                axis = wp.vec3(at.rotor_axis[i, 0], at.rotor_axis[i, 1], at.rotor_axis[i, 2])
                 lever = wp.vec3(at.lever[i, 0], at.lever[i, 1], at.lever[i, 2])
                 hub = at.air_velocity + wp.cross(at.ang_vel, lever)
-                flow = at.rotor_speed[i] * (hub - wp.dot(hub, axis) * axis)
-                against = wp.abs(at.rotor_speed[i]) * (hub - wp.dot(hub, axis) * axis)
-                force -= k[0] * against
-                torque += k[1] * wp.cross(flow, axis) - k[0] * wp.cross(lever, against)
-            return wp.spatial_vector(force, torque)
+                speed = at.rotor_speed[i]
+                if at.upright:
+                    x = wp.abs(speed) * hub[0]
+                    y = wp.abs(speed) * hub[1]
+                    force += wp.vec3(x, y, 0.0)
+                    twist += wp.vec3(-lever[2] * y, lever[2] * x, lever[0] * y - lever[1] * x)
+                    lean += wp.vec3(speed * hub[1], -speed * hub[0], 0.0)
+                else:
+                    axis = wp.vec3(at.rotor_axis[i, 0], at.rotor_axis[i, 1], at.rotor_axis[i, 2])
+                    against = wp.abs(speed) * (hub - wp.dot(hub, axis) * axis)
+                    force += against
+                    twist += wp.cross(lever, against)
+                    lean += speed * wp.cross(hub, axis)
+            return wp.spatial_vector(-k[0] * force, k[1] * lean - k[0] * twist)
 
         return h_force_flapping

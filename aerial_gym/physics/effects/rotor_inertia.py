@@ -44,9 +44,13 @@ class RotorInertia(LinearWrenchEffect):
             momentum = wp.vec3()
             change = wp.vec3()
             for i in range(len(at.rotor_speed)):
-                axis = -wp.vec3(at.rotor_reaction[i, 0], at.rotor_reaction[i, 1], at.rotor_reaction[i, 2])
-                momentum += at.rotor_speed[i] * axis
-                change += at.rotor_acc[i] * axis
+                if at.upright:
+                    momentum -= wp.vec3(0.0, 0.0, at.rotor_speed[i] * at.rotor_reaction[i, 2])
+                    change -= wp.vec3(0.0, 0.0, at.rotor_acc[i] * at.rotor_reaction[i, 2])
+                else:
+                    axis = -wp.vec3(at.rotor_reaction[i, 0], at.rotor_reaction[i, 1], at.rotor_reaction[i, 2])
+                    momentum += at.rotor_speed[i] * axis
+                    change += at.rotor_acc[i] * axis
             return wp.spatial_vector(wp.vec3(), -jr[0] * (change + wp.cross(at.ang_vel, momentum)))
 
         return rotor_inertia

@@ -35,7 +35,6 @@ class TranslationalLift(RotorEffect):
 
         @wp.func
         def translational_lift(at: condition, rotor: hub, kt: params) -> float:
-            along = wp.dot(rotor.velocity, rotor.axis)
-            return kt[0] * (wp.length_sq(rotor.velocity) - along * along)
+            return kt[0] * wp.length_sq(rotor.edgewise)
 
         return translational_lift

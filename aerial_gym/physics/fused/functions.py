@@ -9,8 +9,8 @@ from typing import Any
 
 import warp as wp
 
-# A correctly rounded root takes some twenty instructions and a branch on a GPU; these are one, with a relative error of at most
-# 2^-22.9 (PTX ISA 8.5, ``sqrt.approx`` and ``rsqrt.approx``).
+# A correctly rounded root or quotient takes some ten or twenty instructions and a branch on a GPU; these are one, with a
+# relative error of at most 2^-22.9 (PTX ISA 8.5, ``sqrt.approx``, ``rsqrt.approx`` and ``rcp.approx``).
 _ROOT = """
 #if defined(__CUDA_ARCH__)
     float root;
@@ -36,6 +36,14 @@ def inverse_root(x: float) -> float:
 )
 def root(x: float) -> float:
     """Return ``sqrt(x)`` for x >= 0, on a GPU within two units in the last place."""
+
+
+@wp.func_native(
+    _ROOT.format(name="rcp", plain="1.0f / x"),
+    "adj_x -= adj_ret / (x * x);",
+)
+def reciprocal(x: float) -> float:
+    """Return ``1 / x``, on a GPU within one unit in the last place."""
 
 
 @wp.func
@@ -64,6 +72,16 @@ def rotate_inverse(q: wp.quat, v: wp.vec3) -> wp.vec3:
     u = wp.vec3(q[0], q[1], q[2])
     t = 2.0 * wp.cross(u, v)
     return v - q[3] * t + wp.cross(u, t)
+
+
+@wp.func
+def world_up(q: wp.quat) -> wp.vec3:
+    """Return world z in body axes, ``R(q)^T z``: ``rotate_inverse`` of it, written out."""
+    return wp.vec3(
+        2.0 * (q[0] * q[2] - q[3] * q[1]),
+        2.0 * (q[1] * q[2] + q[3] * q[0]),
+        1.0 - 2.0 * (q[0] * q[0] + q[1] * q[1]),
+    )
 
 
 @wp.func(inline=False)

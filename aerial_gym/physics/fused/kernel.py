@@ -76,7 +76,7 @@ def make_kernel(
     remembered_command = law.remembering(law, num_rotors, general) if law.remembering is not None else None
     vehicle_type, command_type, gains_type = types.vehicle, types.command, law.gains_type or NoGains
     step, command_of = (
-        make_stepper(model, integrator),
+        make_stepper(model, integrator, upright=model.vehicle.upright and not differentiable),
         make_command(law, num_rotors, general, differentiable=differentiable),
     )
     read_vehicle = make_vehicle_reader(types, packing.vehicle, packing.entries)

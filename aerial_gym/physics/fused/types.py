@@ -50,6 +50,8 @@ class Hub:
     inlet_room: float  # to what bounds the air that is drawn in [m]
     axis: wp.vec3  # body
     velocity: wp.vec3  # through the air [m/s], body
+    axial: float  # part of it along the axis [m/s]
+    edgewise: wp.vec3  # the rest of it, in the plane of the rotor [m/s], body
 
 
 @wp.struct
@@ -125,12 +127,16 @@ def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
     class Condition:
         position: wp.vec3  # centre of mass [m], world
         attitude: wp.quat  # body to world
+        up: wp.vec3  # world z, body
         air_velocity: wp.vec3  # of the centre of mass through the air [m/s], body
         ang_vel: wp.vec3  # [rad/s], body
         rotor_speed: vector  # [rad/s]
         rotor_thrust: vector  # [N]
         rotor_acc: vector  # [rad/s²]
         rotor_drag: vector  # magnitudes of the drag torques [N m]
+        upright: (
+            bool  # whether all rotors thrust along body z: known to the compiler, so that a branch on it costs nothing
+        )
         rotor_axis: rows  # direction of thrust, body
         rotor_reaction: rows  # minus spin times axis
         lever: rows  # hub from the centre of mass [m], body

@@ -16,10 +16,10 @@ from aerial_gym.physics.articulated.fused.recursion import Inertia, inertia_of, 
 from aerial_gym.physics.effects import DelayEffect, WrenchEffect
 from aerial_gym.physics.fused.command import make_command
 from aerial_gym.physics.fused.contact import ContactParameters
-from aerial_gym.physics.fused.dynamics import make_loads
 from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn, unit_quat
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, NoGains, preparation
+from aerial_gym.physics.fused.loads import make_loads
 from aerial_gym.physics.fused.memory import make_begin, memory_type
 from aerial_gym.physics.fused.packing import Packing, num_values, types_of, values_type
 from aerial_gym.physics.fused.readers import make_command_reader, make_gains_reader, make_reader, make_vehicle_reader
@@ -106,7 +106,7 @@ def make_jointed_kernel(
     stop = make_dead_band(num_rotors) if general else None
     late = bool(model.effects[DelayEffect])
     follow_rotors = make_follow(num_rotors, general, late)
-    loads, any_wrench = make_loads(model), bool(model.effects[WrenchEffect])
+    loads, any_wrench = make_loads(model, upright=model.vehicle.upright), bool(model.effects[WrenchEffect])
     way_in, way_back = make_recursion(articulation, types, joints)
     base, floating = _make_base(articulation, vehicle_type), articulation.tree.floating
     beyond, driven = make_beyond(articulation), bool(articulation.driven)
