@@ -18,6 +18,7 @@ from aerial_gym.assets.scene import PARKED_Z, Scene
 from aerial_gym.assets.track import TrackPlacement
 from aerial_gym.assets.views import check_tensor
 from aerial_gym.config.environment import FIRST_INSTANCE_ID, EnvironmentCfg, PartCfg
+from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.random import Randomness, take_mask
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
@@ -42,6 +43,7 @@ class AssetManager:
         robot_radius: float = 0.0,
         robot_parts: Sequence[PartCfg] = (),
         robot_state: Tensor | None = None,
+        robot_links: Sequence[str] = (BASE,),
     ) -> None:
         """Draw which obstacles each environment has, build the scene and park everything until the first reset.
 
@@ -55,8 +57,9 @@ class AssetManager:
             bounds_max: Upper corner [m], world, (E, 3).
             asset_state: Memory for the obstacle states, float32, (E, A, 13); allocated if not given.
             robot_radius: How far the robot reaches from its origin [m]; ``cfg.clearance`` is counted from there.
-            robot_parts: What sensors see of the robot, in its body frame.
-            robot_state: Its states, float32, (E, 13); needed if anything of it is seen.
+            robot_parts: What sensors see of the robot, in the frames of its links.
+            robot_state: States of these, float32, (E, L, 13), or (E, 13) of one; needed if anything of it is seen.
+            robot_links: Their names, L of them.
 
         Raises:
             ConfigError: If a mesh or URDF file cannot be used.
@@ -71,7 +74,7 @@ class AssetManager:
         self._declare(gtd, asset_state)
         self.random = random
         self._asset = torch.zeros(num_envs, self.num_assets, dtype=torch.int32, device=self._device)
-        self.scene = self._build_scene(robot_parts, robot_state)
+        self.scene = self._build_scene(robot_parts, robot_state, robot_links)
         obstacles = view_obstacles(
             self._state,
             self._waypoints,
@@ -266,7 +269,9 @@ class AssetManager:
         own = FIRST_INSTANCE_ID + torch.arange(self.num_assets, device=device)
         return first[asset] + choice, torch.where(semantic >= 0, semantic, own)
 
-    def _build_scene(self, robot_parts: Sequence[PartCfg], robot_state: Tensor | None) -> Scene:
+    def _build_scene(
+        self, robot_parts: Sequence[PartCfg], robot_state: Tensor | None, robot_links: Sequence[str]
+    ) -> Scene:
         shape_index, semantic_id = self._draw_kinds()
         return Scene(
             [shape for a in self._assets for shape in a.shapes],
@@ -277,6 +282,7 @@ class AssetManager:
             fixed=() if self.cfg.ground is None else (self.cfg.ground,),
             robot=robot_parts,
             robot_state=robot_state,
+            robot_links=robot_links,
             lamps=self.cfg.lamps,
         )
 

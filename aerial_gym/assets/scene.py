@@ -11,10 +11,12 @@ comparison.
 Beside the instances there may be parts without a row among them: fixed ones, such as the ground, and those of the robot,
 which sensors see and which are not touched.
 
-Frames: each environment has its own world frame, z up. Letters: E environments, A instances, P parts of all instances.
+Frames: each environment has its own world frame, z up. Letters: E environments, A instances, P parts of all instances,
+L links of a robot.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 import warp as wp
@@ -24,6 +26,7 @@ from aerial_gym.assets.scene_arrays import BODY, WORLD, SceneArrays
 from aerial_gym.assets.shapes import ShapeTable
 from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.environment import LampCfg, PartCfg, ShapeCfg
+from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.interop import on_torch_stream, start_warp
 
@@ -45,6 +48,7 @@ class Scene:
         fixed: Sequence[PartCfg] = (),
         robot: Sequence[PartCfg] = (),
         robot_state: Tensor | None = None,
+        robot_links: Sequence[str] = (BASE,),
         lamps: Sequence[LampCfg] = (),
     ) -> None:
         """Read the shapes and take views of the poses.
@@ -58,14 +62,17 @@ class Scene:
             groups: Of how many shapes of the table, from the first one on, how many instances of an environment are one: pairs
                 of instances and shapes. ``relabel`` may then give instances other shapes; without them they keep theirs.
             fixed: Parts of the world, in its frame, with semantic ids of their own.
-            robot: What is seen of the robot, in its body frame, with semantic ids of their own; it is never touched.
-            robot_state: The caller's states of the robot, float32, (E, 13), laid out like those of the instances; needed if
-                anything of it is seen. May be strided, but for the last axis. Kept.
+            robot: What is seen of the robot, in the frames of its links, with semantic ids of their own; it is never touched.
+            robot_state: The caller's states of the robot's links, float32, (E, L, 13), laid out like those of the instances;
+                needed if anything of it is seen. (E, 13) of a robot that is one link. May be strided, but for the last axis.
+                Kept.
+            robot_links: Their names, L of them.
             lamps: Lights in colour images, the same in all environments.
 
         Raises:
             ShapeError: If shapes do not fit, or if an index has no row.
-            ConfigError: If a mesh file cannot be used, or a part outside the instances has no semantic id.
+            ConfigError: If a mesh file cannot be used, or a part outside the instances has no semantic id, or sits on a link
+                that the robot does not have.
         """
         if asset_state.dim() != 3 or asset_state.shape[-1] != 13:
             raise ShapeError(f"asset_state has shape {tuple(asset_state.shape)}, expected (E, A, 13)")
@@ -80,7 +87,8 @@ class Scene:
         self.shape_index = torch.zeros(size, dtype=torch.int32, device=self.device)
         self.semantic_id = torch.zeros(size, dtype=torch.int32, device=self.device)
         self._take_instances(shape_index, semantic_id)
-        self._allocate_parts(self._most_parts(groups), num_fixed=len(fixed), num_robot=len(robot))
+        carriers = [int(WORLD)] * len(fixed) + [int(BODY) - _link_of(part, robot_links) for part in robot]
+        self._allocate_parts(self._most_parts(groups), carriers)
         self._lay_out_parts()
         size = (self.num_envs, self.num_instances)
         self.arrays = SceneArrays()
@@ -92,8 +100,10 @@ class Scene:
         self.arrays.radius = wp.from_torch(self._radius)
         self.arrays.position = vector_view("position", asset_state[..., 0:3], (*size, 3), device=self.device)
         self.arrays.attitude = vector_view("attitude", asset_state[..., 3:7], (*size, 4), device=self.device)
+        self.robot_state: Tensor | None = None
+        """States of the robot's links, (E, L, 13); None where it is not seen."""
         if robot:
-            self._view_robot(robot_state)
+            self._view_robot(robot_state, len(robot_links))
 
     @property
     def num_solid(self) -> int:
@@ -137,20 +147,24 @@ class Scene:
             first += num_shapes
         return most
 
-    def _allocate_parts(self, num_parts: int, *, num_fixed: int, num_robot: int) -> None:
+    @property
+    def num_links(self) -> int:
+        """Number L of links of the robot, 0 where it is not seen."""
+        return 0 if self.robot_state is None else self.robot_state.shape[1]
+
+    def _allocate_parts(self, num_parts: int, carriers: Sequence[int]) -> None:
         """Make room for parts of instances, and write behind them those that belong to none, the last of the shape table."""
-        first, total = len(self.shape_table.parts) - num_fixed - num_robot, len(self.shape_table.parts)
+        first, total = len(self.shape_table.parts) - len(carriers), len(self.shape_table.parts)
         size = (self.num_envs, num_parts + total - first)
         self._num_carried = num_parts
         self._part_shape, self._part_instance, self._part_semantic = (
             torch.zeros(size, dtype=torch.int32, device=self.device) for _ in range(3)
         )
         self._radius = torch.zeros(size, device=self.device)
-        carrier = [int(WORLD)] * num_fixed + [int(BODY)] * num_robot
         own_id = [part.semantic_id for part in self.shape_table.parts[first:]]
         for rows, values in (
             (self._part_shape, list(range(first, total))),
-            (self._part_instance, carrier),
+            (self._part_instance, list(carriers)),
             (self._part_semantic, own_id),
         ):
             rows[:, num_parts:] = torch.tensor(values, dtype=torch.int32, device=self.device)
@@ -176,12 +190,15 @@ class Scene:
         if len(self.shape_table):
             self._radius.copy_(self.shape_table.radius[self._part_shape.clamp(min=0).long()])
 
-    def _view_robot(self, state: Tensor | None) -> None:
+    def _view_robot(self, state: Tensor | None, num_links: int) -> None:
         if state is None:
-            raise ShapeError("robot_state: must be given, (E, 13), where the robot has parts that are seen")
-        check_tensor("robot_state", state, (self.num_envs, 13), device=self.device)
-        self.arrays.body_position = vector_view("robot_state", state[:, 0:3], (self.num_envs, 3), device=self.device)
-        self.arrays.body_attitude = vector_view("robot_state", state[:, 3:7], (self.num_envs, 4), device=self.device)
+            raise ShapeError("robot_state: must be given, (E, L, 13), where the robot has parts that are seen")
+        state = state.unsqueeze(1) if state.dim() == 2 else state
+        size, device = (self.num_envs, num_links), self.device
+        check_tensor("robot_state", state, (*size, 13), device=device)
+        self.arrays.link_position = vector_view("robot_state", state[..., 0:3], (*size, 3), device=device)
+        self.arrays.link_attitude = vector_view("robot_state", state[..., 3:7], (*size, 4), device=device)
+        self.robot_state = state
 
     def _per_instance(self, name: str, values: Tensor) -> Tensor:
         shape = (self.num_envs, self.num_instances)
@@ -192,9 +209,15 @@ class Scene:
         return values
 
 
+def _link_of(part: PartCfg, names: Sequence[str]) -> int:
+    if part.link not in names:
+        raise ConfigError(f"{part.shape.kind} on link {part.link!r}: the robot has the links {', '.join(names)}")
+    return names.index(part.link)
+
+
 def _as_compound(parts: tuple[PartCfg, ...]) -> list[ShapeCfg]:
     """Return parts that belong to no instance as one more row for the shape table; none without parts."""
     for part in parts:
         if part.semantic_id is None:
             raise ConfigError(f"{part.shape.kind} outside the instances: needs a semantic_id of its own")
-    return [ShapeCfg(kind="compound", parts=parts)] if parts else []
+    return [ShapeCfg(kind="compound", parts=tuple(replace(part, link=BASE) for part in parts))] if parts else []

@@ -1,6 +1,7 @@
 """What kernels see of a scene, as Warp code.
 
-Frames: world of each environment, z up. Letters: E environments, A instances, P parts of all instances together.
+Frames: world of each environment, z up. Letters: E environments, A instances, P parts of all instances together, L links of the
+robot that are seen.
 """
 
 import warp as wp
@@ -12,7 +13,7 @@ ABSENT_BELOW = wp.constant(-500.0)
 
 
 WORLD, BODY = wp.constant(-1), wp.constant(-2)
-"""Carriers of parts that belong to no instance: the world itself, and the robot."""
+"""Carriers of parts that belong to no instance: the world itself, and the robot's body; link k of the robot is ``BODY - k``."""
 
 
 @wp.struct
@@ -21,14 +22,14 @@ class SceneArrays:
 
     shapes: wp.array[Shape]
     part_shape: wp.array2d[wp.int32]  # (E, P) row of the shape table, -1 where there is no part
-    part_instance: wp.array2d[wp.int32]  # (E, P) which instance carries it, or WORLD or BODY
+    part_instance: wp.array2d[wp.int32]  # (E, P) which instance carries it, or WORLD, or BODY less a link
     num_solid: wp.int32  # parts from there on are seen and not touched
     semantic_id: wp.array2d[wp.int32]  # (E, P)
     radius: wp.array2d[float]  # (E, P) of the bounding sphere about the part's origin [m]
     position: wp.array2d[wp.vec3]  # (E, A) world [m]
     attitude: wp.array2d[wp.quat]  # (E, A) instance to world, xyzw, unit
-    body_position: wp.array[wp.vec3]  # (E,) of the robot, world [m]
-    body_attitude: wp.array[wp.quat]  # (E,) robot to world, xyzw, unit; both empty where the robot is not seen
+    link_position: wp.array2d[wp.vec3]  # (E, L) of the robot's links, world [m]
+    link_attitude: wp.array2d[wp.quat]  # (E, L) link to world, xyzw, unit; both empty where the robot is not seen
 
 
 @wp.func
@@ -38,8 +39,9 @@ def part_position(scene: SceneArrays, env: int, part: int) -> wp.vec3:
     offset = scene.shapes[scene.part_shape[env, part]].position
     if a == WORLD:
         return offset
-    if a == BODY:
-        return scene.body_position[env] + wp.quat_rotate(scene.body_attitude[env], offset)
+    if a <= BODY:
+        k = BODY - a
+        return scene.link_position[env, k] + wp.quat_rotate(scene.link_attitude[env, k], offset)
     return scene.position[env, a] + wp.quat_rotate(scene.attitude[env, a], offset)
 
 
@@ -50,8 +52,8 @@ def part_attitude(scene: SceneArrays, env: int, part: int) -> wp.quat:
     turn = scene.shapes[scene.part_shape[env, part]].attitude
     if a == WORLD:
         return turn
-    if a == BODY:
-        return scene.body_attitude[env] * turn
+    if a <= BODY:
+        return scene.link_attitude[env, BODY - a] * turn
     return scene.attitude[env, a] * turn
 
 

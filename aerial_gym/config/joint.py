@@ -10,10 +10,8 @@ from dataclasses import dataclass
 from math import inf, isclose, isfinite, sqrt
 
 from aerial_gym.config.checks import Vec3, require_finite, require_positive
+from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError
-
-BASE = "base"
-"""Name of the link that is no joint's: the body itself."""
 
 DRIVE_MODES = ("position", "velocity", "effort")
 
@@ -242,6 +240,11 @@ class JointsCfg:
         """Names of the joints."""
         return tuple(joint.name for joint in self.layout)
 
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """Names of the links: the base, then one of each joint."""
+        return (BASE, *self.names)
+
     def rigid_note(self, consequence: str) -> str:
         """Return how a command says that it takes the vehicle as rigid, and what follows from that."""
         return (
@@ -255,10 +258,9 @@ class JointsCfg:
         Raises:
             ConfigError: If there is none of that name.
         """
-        names = (BASE, *self.names)
-        if name not in names:
-            raise ConfigError(f"no link {name!r}: the links are {', '.join(names)}")
-        return names.index(name)
+        if name not in self.link_names:
+            raise ConfigError(f"no link {name!r}: the links are {', '.join(self.link_names)}")
+        return self.link_names.index(name)
 
     @property
     def driven(self) -> tuple[int, ...]:

@@ -341,8 +341,8 @@ class RobotCfg:
     collision test nor of the placement of obstacles."""
 
     visual: tuple[PartCfg, ...] = ()
-    """What is seen of it: shapes in the body frame; its collision shapes if there is none. A ray that starts inside a
-    shape sees it from within, so sensors belong outside. Segmentation shows 0 unless a part has an id of its own.
+    """What is seen of it: shapes in the body frame, each on its link; its collision shapes if there is none. A ray that starts
+    inside a shape sees it from within, so sensors belong outside. Segmentation shows 0 unless a part has an id of its own.
     ``load_robot`` takes mesh paths relative to the robot's own file."""
 
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -386,7 +386,7 @@ class RobotCfg:
 
     @property
     def seen_parts(self) -> tuple[PartCfg, ...]:
-        """What sensors see of it, in the body frame; nothing unless it is visible."""
+        """What sensors see of it, in the frames of its links; nothing unless it is visible."""
         parts = (self.visual or self.collision.parts) if self.visible else ()
         return tuple(replace(part, semantic_id=ROBOT_ID) if part.semantic_id is None else part for part in parts)
 
@@ -420,14 +420,21 @@ class RobotCfg:
         if unused := set(self.rotors) - {mount.rotor for mount in self.mounts.layout}:
             raise ConfigError(f"RobotCfg.rotors.{min(unused)}: no mount has this type")
 
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """Names of its links; that of the base alone where it is rigid."""
+        return (BASE,) if self.joints is None else self.joints.link_names
+
     def _check_joints(self) -> None:
-        for number, mount in enumerate(self.mounts.layout, 1):
-            if self.joints is not None:
-                self.joints.link_of(mount.link)
-            elif mount.link != BASE:
-                raise ConfigError(
-                    f"RobotCfg.mounts.layout: mount {number} sits on link {mount.link!r}, but the robot has no joints"
+        carried = [(f"mounts.layout: mount {number}", mount.link) for number, mount in enumerate(self.mounts.layout, 1)]
+        carried += [(f"visual: part {number}", part.link) for number, part in enumerate(self.visual, 1)]
+        carried += [(f"sensors: {mount.key}", mount.link) for mount in self.sensor_mounts]
+        for what, link in carried:
+            if link not in self.link_names:
+                hint = (
+                    "the robot has no joints" if self.joints is None else f"the links are {', '.join(self.link_names)}"
                 )
+                raise ConfigError(f"RobotCfg.{what} sits on link {link!r}, but {hint}")
 
 
 def load_robot(path: str | Path) -> RobotCfg:

@@ -9,12 +9,13 @@ from math import inf, pi
 from pathlib import Path
 
 from aerial_gym.config.checks import Vec3, require_finite
+from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError
 
 Quat = tuple[float, float, float, float]
 
-PARENTS = ("body",)
-"""What sensors can be mounted on."""
+BODY = "body"
+"""What sensors are mounted on unless a joint is named, whose link then carries them."""
 
 
 def is_file(name: str) -> bool:
@@ -40,8 +41,9 @@ class SensorMountCfg:
     """Its own name on this robot, in ``snake_case``; that of the sensor, or of its file, if not given. It stands in front of
     the GTD keys of every range sensor but the first and of every IMU but the first."""
 
-    parent: str = "body"
-    """What it is fixed to; the pose is relative to its frame."""
+    parent: str = BODY
+    """What it is fixed to: ``body``, or the joint by whose name the link goes. The pose is relative to its frame; that of a
+    link is the body's in the reference pose, so that the place of a sensor on an arm is told from the body origin."""
 
     position: Vec3 | None = None
     """Of the sensor in its parent's frame [m]."""
@@ -59,6 +61,11 @@ class SensorMountCfg:
     """Age of a measurement when it appears [s], >= 0; the sensor's own if not given."""
 
     @property
+    def link(self) -> str:
+        """Name of the link that carries it."""
+        return BASE if self.parent == BODY else self.parent
+
+    @property
     def key(self) -> str:
         """Its name on the robot."""
         return self.name or Path(self.sensor).stem
@@ -67,8 +74,6 @@ class SensorMountCfg:
         where = f"SensorMountCfg of {self.sensor!r}"
         if not re.fullmatch(r"[a-z][a-z0-9_]*", self.key):
             raise ConfigError(f"{where}: name = {self.key!r}: must be snake_case. Give the mount a name of its own")
-        if self.parent not in PARENTS:
-            raise ConfigError(f"{where}: parent = {self.parent!r}: there is no such link. Known: {', '.join(PARENTS)}")
         require_finite(self, *(n for n in ("position", "euler", "quaternion") if getattr(self, n) is not None))
         if self.euler is not None and self.quaternion is not None:
             raise ConfigError(f"{where}: give euler or quaternion, not both")

@@ -20,6 +20,9 @@ ROBOT_ID = 0
 GROUND_ID = 15
 """What segmentation shows for the ground: the first id after those of the walls, 9 to 14 (parity 2.2)."""
 
+BASE = "base"
+"""Name of the link of a robot that is no joint's: the body itself."""
+
 _FIELDS_OF_KIND = {
     "box": ("size",),
     "sphere": ("radius",),
@@ -76,6 +79,9 @@ class PartCfg:
 
     semantic_id: int | None = None
     """What segmentation shows for this part; the asset's own if not given."""
+
+    link: str = BASE
+    """Of a robot that bends: the joint on whose link it sits; its place is in body axes, in the reference pose."""
 
     def __post_init__(self) -> None:
         if self.shape.kind in ("compound", "urdf"):
@@ -149,6 +155,9 @@ class ShapeCfg:
             raise ConfigError(f"ShapeCfg.checker: a {self.kind} has none; give it to its parts")
         if self.parts == ():
             raise ConfigError("ShapeCfg.parts: a compound needs at least one part")
+        for part in self.parts or ():
+            if part.link != BASE:
+                raise ConfigError(f"ShapeCfg.parts: a part on link {part.link!r}: only a robot has links that move")
         if not 0.0 < self.scale < inf:
             raise ConfigError(f"ShapeCfg.scale = {self.scale!r}: must be > 0 and finite")
         if self.scale != 1.0 and self.kind != "mesh":

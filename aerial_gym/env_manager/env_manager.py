@@ -24,10 +24,12 @@ from aerial_gym.control import CONTROLLERS, check_closed_loop
 from aerial_gym.errors import ClosedError, ConfigError
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import Trajectory
+from aerial_gym.physics.state import JointedState
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
 from aerial_gym.registry.state import below, check_state, identity, restore, saved
 from aerial_gym.robots import ROBOTS, RobotManager, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend
+from aerial_gym.robots.joints.links import LinkPlaces, declare_links
 from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors
 
 
@@ -79,6 +81,7 @@ class EnvManager:
         sizes = {"E": num_envs, "A": env.num_assets, "R": robot.num_rotors}
         self.gtd = GlobalTensorDictionary(device=device, sizes=sizes)
         self._declare(env.num_assets)
+        links = None if robot.joints is None else declare_links(self.gtd, robot.joints)
         root, bounds = self.gtd["vec_root_tensor"], (self.gtd["env_bounds_min"], self.gtd["env_bounds_max"])
         self._bounds = Bounds(env, lower=bounds[0], upper=bounds[1], random=self.random)
         self.asset_manager = AssetManager(
@@ -92,7 +95,8 @@ class EnvManager:
             asset_state=root[:, 1:],
             robot_radius=body_reach(robot.collision.shapes),
             robot_parts=robot.seen_parts,
-            robot_state=root[:, 0],
+            robot_state=root[:, 0] if links is None else links.state,
+            robot_links=robot.link_names,
         )
         random = {**robot.randomize, **env.randomize, **(randomize or {})}
         places = {name: each for name, each in random.items() if name.startswith("sensors.")}
@@ -131,12 +135,17 @@ class EnvManager:
             gradients=dtype if differentiable else None,
             randomize={name: each for name, each in random.items() if name not in places},
         )
+        self._links: LinkPlaces | None = None
+        if robot.joints is not None and links is not None:
+            assert isinstance(self.robot_manager.tensors.state, JointedState)
+            self._links = LinkPlaces(robot.joints, self.robot_manager.tensors.state, links)
         surface, self._below = self.robot_manager.felt.surface_height, None
         if surface is not None:
             self._below = SurfaceBelow(scene, position=self.gtd["robot_position"], height_out=surface)
         self.asset_manager.track_from(self.gtd["robot_position"])
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
         range_sensors, imus = mounted_sensors(robot.sensor_mounts, places)
+        carriers = {} if links is None else links.carriers({**range_sensors, **imus})
         self.sensor_manager = SensorManager(
             {name: mounted.cfg for name, mounted in range_sensors.items()},
             self.gtd,
@@ -150,6 +159,7 @@ class EnvManager:
             dt=self.dt,
             random=self.random,
             poses={name: mounted.pose for name, mounted in range_sensors.items()},
+            carriers=carriers,
         )
         self.imus = ImuSet(
             imus,
@@ -161,6 +171,7 @@ class EnvManager:
             gravity=sim.gravity,
             random=self.random,
             errors=self.robot_manager.imu_errors,
+            carriers=carriers,
         )
         self._collision = CollisionTest(
             scene,
@@ -271,6 +282,11 @@ class EnvManager:
         if self._below is not None:
             self._below.find()
         self.robot_manager.advance(self.cfg.physics_steps_per_env_step)
+        self._move_links()
+
+    def _move_links(self) -> None:
+        if self._links is not None:
+            self._links.refresh()
 
     def collide(self) -> None:
         """Measure the clearance in one launch; obstacles that do not push back move meanwhile, and every touch is a crash."""
@@ -307,6 +323,7 @@ class EnvManager:
         self.asset_manager.place_track(mask)
         if place is not None:
             place(mask)
+        self._move_links()
         self.asset_manager.clear_start(mask, self.gtd["robot_position"])
         self.sensor_manager.reset(mask)
         self.imus.reset(mask)

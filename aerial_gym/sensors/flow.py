@@ -5,7 +5,8 @@ relative to the sensor, worked out once per image; its image moves with J dp/dt 
 projection at the pixel's unit direction. A miss is a point at infinity, of which only the turning of the sensor is left.
 
 Frames: a sensor looks along its own x, y left, z up; flow is right and down. World is the environment's own.
-Letters: E environments, S sensors of one kind, M = E * S mounts, H x W = N pixels, A instances, P parts.
+Letters: E environments, S sensors of one kind, M = E * S mounts, H x W = N pixels, A instances, P parts, L links of the robot
+that are seen.
 """
 
 from math import radians, tan
@@ -32,9 +33,10 @@ class Flow:
 
     right: wp.array[wp.vec3]  # (N,) derivative of the column by the point, at distance 1 [pixel]
     down: wp.array[wp.vec3]  # (N,) derivative of the row
-    # of the instances, then of the robot, of the world and of what lies at infinity:
-    drift: wp.array2d[wp.vec3]  # (M, A + 3) a, sensor frame [m/s]
-    turn: wp.array2d[wp.vec3]  # (M, A + 3) b, sensor frame [rad/s]
+    # of the instances, then of the robot's links, of the world and of what lies at infinity:
+    drift: wp.array2d[wp.vec3]  # (M, A + L + 2) a, sensor frame [m/s]
+    turn: wp.array2d[wp.vec3]  # (M, A + L + 2) b, sensor frame [rad/s]
+    num_instances: wp.int32  # A
     part_instance: wp.array2d[wp.int32]  # (E, P)
 
 
@@ -44,7 +46,9 @@ def relate(
     scene: SceneArrays,
     instance_lin_vel: wp.array2d[wp.vec3],  # (E, A) world [m/s]
     instance_ang_vel: wp.array2d[wp.vec3],  # (E, A) world [rad/s]
-    # state
+    link_lin_vel: wp.array2d[wp.vec3],  # (E, L) world [m/s]
+    link_ang_vel: wp.array2d[wp.vec3],  # (E, L) world [rad/s]
+    # state of the link that carries the sensor
     body_position: wp.array[wp.vec3],  # (E,) world [m]
     body_attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
     body_lin_vel: wp.array[wp.vec3],  # (E,) world [m/s]
@@ -52,18 +56,22 @@ def relate(
     # sensor
     mount_position: wp.array2d[wp.vec3],  # (E, S) body frame [m]
     mount_attitude: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
+    link: int,  # number of that link
     # out
-    drift_out: wp.array2d[wp.vec3],  # (M, A + 3) sensor frame [m/s]
-    turn_out: wp.array2d[wp.vec3],  # (M, A + 3) sensor frame [rad/s]
+    drift_out: wp.array2d[wp.vec3],  # (M, A + L + 2) sensor frame [m/s]
+    turn_out: wp.array2d[wp.vec3],  # (M, A + L + 2) sensor frame [rad/s]
 ):
-    """Write how one instance, the robot or the world moves as one sensor sees it: points at p have the velocity a + b x p."""
+    """Write how one instance, a link or the world moves as one sensor sees it: points at p have the velocity a + b x p."""
     mount, a = wp.tid()
     env = mount // mount_position.shape[1]
     sensor = mount - env * mount_position.shape[1]
     turn = -wp.quat_rotate_inv(mount_attitude[env, sensor], body_ang_vel[env])
     drift = wp.vec3(0.0, 0.0, 0.0)
     count = scene.position.shape[1]
-    if a < count or a == count + 1:
+    world = count + link_lin_vel.shape[1]
+    if a < world and a - count == link:  # the link moves with its sensors
+        turn = wp.vec3(0.0, 0.0, 0.0)
+    elif a <= world:
         lever = mount_position[env, sensor]
         attitude = body_attitude[env] * mount_attitude[env, sensor]
         origin = body_position[env] + wp.quat_rotate(body_attitude[env], lever)
@@ -73,10 +81,11 @@ def relate(
         if a < count:
             spin = instance_ang_vel[env, a]
             there = instance_lin_vel[env, a] + wp.cross(spin, origin - scene.position[env, a])
+        elif a < world:
+            spin = link_ang_vel[env, a - count]
+            there = link_lin_vel[env, a - count] + wp.cross(spin, origin - scene.link_position[env, a - count])
         drift = wp.quat_rotate_inv(attitude, there - own)
         turn += wp.quat_rotate_inv(attitude, spin)
-    elif a == count:  # the robot moves with its sensors
-        turn = wp.vec3(0.0, 0.0, 0.0)
     drift_out[mount, a] = drift
     turn_out[mount, a] = turn
 
@@ -84,14 +93,13 @@ def relate(
 @wp.func
 def flow_of(flow: Flow, env: int, mount: int, pixel: int, ray: wp.vec3, distance: float, part: int) -> wp.vec2:
     """Return the flow [pixel/s] of what a ray meets at a distance; part -1 is a miss, at infinity."""
-    count = flow.drift.shape[1] - 3
-    a = count + 2
+    a = flow.drift.shape[1] - 1
     if part >= 0:
         a = flow.part_instance[env, part]
-        if a == BODY:
-            a = count
+        if a <= BODY:
+            a = flow.num_instances + BODY - a
         elif a == WORLD:
-            a = count + 1
+            a = flow.drift.shape[1] - 2
     rate = flow.drift[mount, a] / wp.max(distance, LEAST_DISTANCE) + wp.cross(flow.turn[mount, a], ray)
     return wp.vec2(wp.dot(flow.right[pixel], rate), wp.dot(flow.down[pixel], rate))
 
@@ -103,13 +111,15 @@ def make_flow(cfg: RangeSensorCfg, scene: Scene) -> Flow:
     flow = Flow()
     flow.right = wp.from_torch(table[:, 0].contiguous(), dtype=wp.vec3)
     flow.down = wp.from_torch(table[:, 1].contiguous(), dtype=wp.vec3)
-    flow.drift = wp.zeros((mounts, scene.num_instances + 3), dtype=wp.vec3, device=device)
-    flow.turn = wp.zeros((mounts, scene.num_instances + 3), dtype=wp.vec3, device=device)
+    flow.num_instances = scene.num_instances
+    columns = scene.num_instances + scene.num_links + 2
+    flow.drift = wp.zeros((mounts, columns), dtype=wp.vec3, device=device)
+    flow.turn = wp.zeros((mounts, columns), dtype=wp.vec3, device=device)
     flow.part_instance = scene.arrays.part_instance
     return flow
 
 
-def record_motion(flow: Flow, scene: Scene, pose: list[wp.array], twist: list[wp.array]) -> RecordedLaunch:
+def record_motion(flow: Flow, scene: Scene, pose: list[wp.array], twist: list[wp.array], link: int) -> RecordedLaunch:
     """Record the launch that works out the motions before the rays are traced.
 
     Args:
@@ -117,17 +127,27 @@ def record_motion(flow: Flow, scene: Scene, pose: list[wp.array], twist: list[wp
         scene: Whose instances move with the velocities in its ``asset_state``.
         pose: Body position and attitude, mount position and attitude.
         twist: Velocity of the body's origin, world, and angular velocity, body frame.
+        link: Number of the link that carries the sensor, and whose these are.
     """
-    inputs = [scene.arrays, *instance_twists(scene), *pose[:2], *twist, *pose[2:]]
+    inputs = [scene.arrays, *instance_twists(scene), *link_twists(scene), *pose[:2], *twist, *pose[2:], link]
     outputs, device = [flow.drift, flow.turn], wp.device_from_torch(scene.device)
     return RecordedLaunch(relate, dim=flow.drift.shape, inputs=inputs, outputs=outputs, device=device)
 
 
 def instance_twists(scene: Scene) -> list[wp.array]:
     """Return views of the velocities [m/s] and angular velocities [rad/s] of the instances of a scene, world, (E, A) each."""
-    shape = (scene.num_envs, scene.num_instances, 3)
-    columns = {"asset velocity": slice(7, 10), "asset angular velocity": slice(10, 13)}
-    return [vector_view(name, scene.asset_state[..., at], shape, device=scene.device) for name, at in columns.items()]
+    return _twists("asset", scene.asset_state)
+
+
+def link_twists(scene: Scene) -> list[wp.array]:
+    """Return likewise those of the robot's links, (E, L) each."""
+    state = scene.asset_state.new_zeros(scene.num_envs, 0, 13) if scene.robot_state is None else scene.robot_state
+    return _twists("link", state)
+
+
+def _twists(name: str, state: Tensor) -> list[wp.array]:
+    shape, columns = (*state.shape[:2], 3), {"velocity": slice(7, 10), "angular velocity": slice(10, 13)}
+    return [vector_view(f"{name} {what}", state[..., at], shape, device=state.device) for what, at in columns.items()]
 
 
 def flow_table(cfg: RangeSensorCfg, *, device: torch.device) -> Tensor:

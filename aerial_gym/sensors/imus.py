@@ -12,7 +12,7 @@ from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import below
 from aerial_gym.sensors.imu import Imu
-from aerial_gym.sensors.mounts import Mounted
+from aerial_gym.sensors.mounts import Carrier, Mounted
 
 
 class ImuSet:
@@ -30,6 +30,7 @@ class ImuSet:
         gravity: float,
         random: Randomness,
         errors: Tensor | None = None,
+        carriers: Mapping[str, Carrier] | None = None,
     ) -> None:
         """Declare the measurements and make an ``Imu`` for each.
 
@@ -43,12 +44,14 @@ class ImuSet:
             gravity: Downward acceleration of free fall [m/s²].
             random: Of the draws.
             errors: What effects of the robot on its inertial sensors come to, (E, 24); None where it has none.
+            carriers: Links that carry IMUs, by the names of these; the others sit on the body.
 
         Raises:
             ConfigError: If an IMU measures more often than ``dt`` allows.
         """
         self.imus: dict[str, Imu] = {}
         for name, given in mounted.items():
+            carrier = (carriers or {}).get(name)
             measurement = gtd.declare(TensorSpec(
                 key="imu_measurement" if not self.imus else f"{name}_imu_measurement",
                 shape=("E", 6), unit="m/s², rad/s", frame="imu", owner="SensorManager",
@@ -57,9 +60,9 @@ class ImuSet:
             self.imus[name] = Imu(
                 given.cfg,
                 pose=given.pose,
-                attitude=attitude,
-                lin_vel=lin_vel,
-                ang_vel=ang_vel,
+                attitude=attitude if carrier is None else carrier.attitude,
+                lin_vel=lin_vel if carrier is None else carrier.lin_vel,
+                ang_vel=ang_vel if carrier is None else carrier.ang_vel,
                 measurement_out=measurement,
                 dt=dt,
                 gravity=gravity,

@@ -15,6 +15,7 @@ from aerial_gym.config.imu import ImuCfg
 from aerial_gym.config.randomize import Randomize, RandomizeCfg
 from aerial_gym.config.sensor import RangeSensorCfg, SensorCfg, load_any_sensor
 from aerial_gym.config.sensor_mount import SensorMountCfg, is_file
+from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import (
     quat_conjugate,
@@ -54,6 +55,26 @@ class Pose:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Carrier:
+    """What a sensor sits on, body or link, as it moves: tensors that are read at every measurement, strided or not."""
+
+    number: int = 0
+    """Of the link; 0 of the body."""
+
+    position: Tensor
+    """Origin of its frame [m], world, (E, 3)."""
+
+    attitude: Tensor
+    """To the world, xyzw, unit, (E, 4)."""
+
+    lin_vel: Tensor
+    """Of the origin [m/s], world, (E, 3)."""
+
+    ang_vel: Tensor
+    """[rad/s], its own axes, (E, 3)."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Mounted(Generic[Cfg]):
     """A sensor on a robot."""
 
@@ -62,6 +83,9 @@ class Mounted(Generic[Cfg]):
 
     pose: Pose | None
     """Where it is instead of its nominal placement; None where its mount says nothing."""
+
+    link: str = BASE
+    """Name of the link that carries it."""
 
 
 def sensor_by_name(name: str) -> SensorCfg:
@@ -154,7 +178,7 @@ def mounted_sensors(
         drawn = {what: places[name] for what in PLACE if (name := f"sensors.{mount.key}.{what}") in places}
         cfg = _with_drawn_place(replace(cfg, **timing), drawn)
         if isinstance(cfg, ImuCfg):
-            imus[mount.key] = Mounted(cfg=cfg, pose=pose)
+            imus[mount.key] = Mounted(cfg=cfg, pose=pose, link=mount.link)
         else:
-            ranges[mount.key] = Mounted(cfg=cfg, pose=pose)
+            ranges[mount.key] = Mounted(cfg=cfg, pose=pose, link=mount.link)
     return ranges, imus

@@ -59,6 +59,7 @@ class RayCaster:
         random: Randomness | None = None,
         number: int = 0,
         pose: Pose | None = None,
+        link: int = 0,
     ) -> None:
         """Take views of the tensors, which must stay where they are, and load the kernel.
 
@@ -75,6 +76,7 @@ class RayCaster:
             number: Of the kind on its robot: two kinds are drawn apart.
             pose: Of its mount in the body frame, instead of its nominal placement. What is drawn deviates from the mount as
                 it deviates from the nominal placement there: ``T_mount T_nominal^-1 T_drawn``.
+            link: Number of the robot's link that carries the sensor; position, attitude and velocities are then its.
 
         Raises:
             ShapeError: If a tensor does not fit sensor and scene.
@@ -100,7 +102,7 @@ class RayCaster:
         twist = _twist_views(cfg, lin_vel, ang_vel, envs, device)
         self._scan: Scan | None = None
         if isinstance(cfg, LidarCfg) and cfg.scan_s is not None:
-            self._scan = Scan(cfg, scene, pose, twist)
+            self._scan = Scan(cfg, scene, pose, twist, link)
             pose = self._scan.pose
         self._groups = 1 if self._scan is None else self._scan.groups
         self._view = _make_view(scene, envs * cfg.count * self._groups)
@@ -108,7 +110,7 @@ class RayCaster:
         self._flow = Flow()
         if images.optical_flow is not None:
             self._flow = make_flow(cfg, scene)
-            self._prepare.append(record_motion(self._flow, scene, pose, twist))
+            self._prepare.append(record_motion(self._flow, scene, pose, twist, link))
         self._launches = self._record_rays(scene)
 
     @property

@@ -1,10 +1,11 @@
 """Motion distortion: a turning lidar measures its columns one after the other, while robot and obstacles move.
 
 Columns that are measured at once are a group, and each group sees the scene from a seat of its own: where the sensor was
-then. The image is complete at the instant of capture; robot and obstacles came there with the twists that they have then.
+then. The image is complete at the instant of capture; robot and obstacles came there with the twists that they have then: their
+origins straight on, but links of a robot by a screw motion, whatever point of them their frames have for an origin.
 
 Frames: body is x forward, y left, z up; world is the environment's own. Letters: E environments, S sensors of one kind,
-M = E * S mounts, G groups, A instances, P parts.
+M = E * S mounts, G groups, A instances, P parts, L links of the robot that are seen.
 """
 
 from math import gcd
@@ -13,10 +14,10 @@ import torch
 import warp as wp
 
 from aerial_gym.assets.scene import Scene
-from aerial_gym.assets.scene_arrays import BODY, SceneArrays
+from aerial_gym.assets.scene_arrays import BODY, WORLD, SceneArrays
 from aerial_gym.config.sensor import LidarCfg
 from aerial_gym.interop import RecordedLaunch
-from aerial_gym.sensors.flow import instance_twists
+from aerial_gym.sensors.flow import instance_twists, link_twists
 from aerial_gym.sensors.tiles import Tiles, make_tiles
 from aerial_gym.sensors.view import View, see_part
 
@@ -25,6 +26,28 @@ from aerial_gym.sensors.view import View, see_part
 def turn_by(ang_vel: wp.vec3, time: float) -> wp.quat:
     """Return the turn by ``ang_vel * time`` [rad]."""
     return wp.quat_from_axis_angle(wp.normalize(ang_vel), wp.length(ang_vel) * time)
+
+
+@wp.func
+def shift_by(lin_vel: wp.vec3, ang_vel: wp.vec3, time: float, link: int) -> wp.vec3:
+    """Return the way of an origin in a time [m]: that of a screw motion of a link, a straight one of the body and of obstacles.
+
+    Source: Murray, Li, Sastry (1994), A Mathematical Introduction to Robotic Manipulation, equation 2.36, as a series in the
+    turn where that is small.
+    """
+    way = time * lin_vel
+    if link > 0:
+        turn = time * ang_vel
+        angle = wp.length(turn)
+        first = wp.float32(0.5)
+        second = wp.float32(1.0 / 6.0)
+        if angle > 1.0e-2:
+            half = wp.sin(0.5 * angle) / angle
+            first = 2.0 * half * half
+            second = (1.0 - wp.sin(angle) / angle) / (angle * angle)
+        across = wp.cross(turn, way)
+        way += first * across + second * wp.cross(turn, across)
+    return way
 
 
 @wp.kernel(enable_backward=False)
@@ -37,6 +60,7 @@ def place_seats(
     mount_position: wp.array2d[wp.vec3],  # (E, S) body frame [m]
     mount_attitude: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
     age: wp.array[float],  # (G,) how long ago a group was measured [s]
+    link: int,  # number of the link that carries it
     # out
     position_out: wp.array2d[wp.vec3],  # (E, S * G) present body frame [m]
     attitude_out: wp.array2d[wp.quat],  # (E, S * G) sensor to present body
@@ -46,8 +70,8 @@ def place_seats(
     sensor = seat // age.shape[0]
     ago = age[seat - sensor * age.shape[0]]
     back = turn_by(body_ang_vel[env], -ago)
-    gone = wp.quat_rotate_inv(body_attitude[env], ago * body_lin_vel[env])
-    position_out[env, seat] = wp.quat_rotate(back, mount_position[env, sensor]) - gone
+    gone = shift_by(wp.quat_rotate_inv(body_attitude[env], body_lin_vel[env]), body_ang_vel[env], -ago, link)
+    position_out[env, seat] = wp.quat_rotate(back, mount_position[env, sensor]) + gone
     attitude_out[env, seat] = back * mount_attitude[env, sensor]
 
 
@@ -57,7 +81,9 @@ def look_back(
     scene: SceneArrays,
     instance_lin_vel: wp.array2d[wp.vec3],  # (E, A) world [m/s]
     instance_ang_vel: wp.array2d[wp.vec3],  # (E, A) world [rad/s]
-    # state
+    link_lin_vel: wp.array2d[wp.vec3],  # (E, L) world [m/s]
+    link_ang_vel: wp.array2d[wp.vec3],  # (E, L) world [rad/s]
+    # state of the link that carries the sensor
     body_position: wp.array[wp.vec3],  # (E,) world [m]
     body_attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
     # sensor
@@ -67,6 +93,7 @@ def look_back(
     mount_attitude: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
     age: wp.array[float],  # (G,) [s]
     reach: float,  # [m] beyond which nothing is seen
+    link: int,  # number of that link
     # out
     rows_out: wp.array2d[wp.vec4],  # (M * G, 3 P)
     kind_out: wp.array2d[wp.int32],  # (M * G, P)
@@ -74,7 +101,7 @@ def look_back(
     """Write how one seat saw one part.
 
     Instead of the instance the seat is moved: it sees the present instance from where, relative to it, it was. Relative to
-    the robot that is where the sensor is now.
+    its own link that is where the sensor is now.
     """
     row, a = wp.tid()
     env = row // seat_position.shape[1]
@@ -83,18 +110,29 @@ def look_back(
     origin = body_position[env] + wp.quat_rotate(body, seat_position[env, seat])
     attitude = body * seat_attitude[env, seat]
     instance = scene.part_instance[env, a]
-    if instance == BODY:
+    if instance == BODY - link:
         sensor = seat // age.shape[0]
         origin = body_position[env] + wp.quat_rotate(body, mount_position[env, sensor])
         attitude = body * mount_attitude[env, sensor]
-    elif instance >= 0 and scene.part_shape[env, a] >= 0:
-        velocity = instance_lin_vel[env, instance]
-        spin = instance_ang_vel[env, instance]
+    elif instance != WORLD and scene.part_shape[env, a] >= 0:
+        velocity = wp.vec3()
+        spin = wp.vec3()
+        place = wp.vec3()
+        if instance >= 0:
+            velocity = instance_lin_vel[env, instance]
+            spin = instance_ang_vel[env, instance]
+            place = scene.position[env, instance]
+        else:
+            velocity = link_lin_vel[env, BODY - instance]
+            spin = link_ang_vel[env, BODY - instance]
+            place = scene.link_position[env, BODY - instance]
         if wp.length_sq(velocity) + wp.length_sq(spin) > 0.0:
             ago = age[seat - (seat // age.shape[0]) * age.shape[0]]
             forth = turn_by(spin, ago)
-            place = scene.position[env, instance]
-            origin = place + wp.quat_rotate(forth, origin + ago * velocity - place)
+            if instance >= BODY:
+                origin = place + wp.quat_rotate(forth, origin + ago * velocity - place)
+            else:
+                origin = place + wp.quat_rotate(forth, origin - place) + shift_by(velocity, spin, ago, 1)
             attitude = forth * attitude
     see_part(scene, env, a, origin, attitude, reach, row, rows_out, kind_out)
 
@@ -102,7 +140,7 @@ def look_back(
 class Scan:
     """The seats of a turning lidar, and the launches that place them and look from them."""
 
-    def __init__(self, cfg: LidarCfg, scene: Scene, pose: list[wp.array], twist: list[wp.array]) -> None:
+    def __init__(self, cfg: LidarCfg, scene: Scene, pose: list[wp.array], twist: list[wp.array], link: int) -> None:
         """Take what the seats depend on.
 
         Args:
@@ -110,8 +148,9 @@ class Scan:
             scene: What it sees; instances move with the velocities in its ``asset_state``.
             pose: Body position and attitude, mount position and attitude.
             twist: Velocity of the body's origin, world, and angular velocity, body frame.
+            link: Number of the link that carries the sensor, and whose these are.
         """
-        self._cfg, self._scene, self._mount, self._twist = cfg, scene, pose, twist
+        self._cfg, self._scene, self._mount, self._twist, self._link = cfg, scene, pose, twist, link
         self._device = wp.device_from_torch(scene.device)
         ages = group_ages(cfg)
         self.groups = len(ages)
@@ -126,12 +165,14 @@ class Scan:
     def record_placement(self) -> RecordedLaunch:
         """Record the launch that places the seats."""
         _, attitude, *mount = self._mount
-        inputs = [attitude, *self._twist, *mount, self._age]
+        inputs = [attitude, *self._twist, *mount, self._age, self._link]
         return self._record(place_seats, self.pose[2].shape, inputs, self.pose[2:])
 
     def record_look(self, view: View, reach: float) -> RecordedLaunch:
         """Record the launch that works out how every seat sees every part within a reach [m]."""
-        inputs = [self._scene.arrays, *instance_twists(self._scene), *self.pose, *self._mount[2:], self._age, reach]
+        scene = self._scene
+        twists = [*instance_twists(scene), *link_twists(scene)]
+        inputs = [scene.arrays, *twists, *self.pose, *self._mount[2:], self._age, reach, self._link]
         return self._record(look_back, view.kind.shape, inputs, [view.rows, view.kind])
 
     def _record(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list, outputs: list) -> RecordedLaunch:

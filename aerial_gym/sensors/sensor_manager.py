@@ -17,7 +17,7 @@ from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.registry.state import below
 from aerial_gym.sensors.delay import CLOCK_MARGIN, DelayLine, like, steps_of
 from aerial_gym.sensors.images import declare_images
-from aerial_gym.sensors.mounts import Pose
+from aerial_gym.sensors.mounts import Carrier, Pose
 from aerial_gym.sensors.ray_caster import RayCaster
 
 _OWNER = "SensorManager"
@@ -41,6 +41,7 @@ class SensorManager:
         dt: float | None = None,
         random: Randomness | None = None,
         poses: Mapping[str, Pose | None] | None = None,
+        carriers: Mapping[str, Carrier] | None = None,
     ) -> None:
         """Declare the images and make a ray caster for each sensor.
 
@@ -59,6 +60,7 @@ class SensorManager:
             dt: Time between two captures [s]; needed by sensors with a rate or a latency.
             random: Of places and noise; that of seed 0 if not given.
             poses: Of mounts in the body frame, instead of the nominal placement of a sensor, by its name.
+            carriers: Links that carry sensors, by the names of these; the others sit on the body.
 
         Raises:
             ShapeError: If a tensor does not fit.
@@ -71,8 +73,12 @@ class SensorManager:
         self.casters: dict[str, RayCaster] = {}
         self._clock: dict[str, Tensor] = {}
         self._delay: dict[str, DelayLine] = {}
+        body = {"position": position, "attitude": attitude, "lin_vel": lin_vel, "ang_vel": ang_vel, "link": 0}
         for name, cfg in cfgs.items():
             self._check_timing(name, cfg)
+            carrier = (carriers or {}).get(name)
+            moved = body if carrier is None else {**vars(carrier), "link": carrier.number}
+            moved.pop("number", None)
             first = not self.casters
             if first:
                 for letter, size in (("S", cfg.count), ("H", cfg.height), ("W", cfg.width)):
@@ -87,10 +93,7 @@ class SensorManager:
                 cfg,
                 scene,
                 taken,
-                position=position,
-                attitude=attitude,
-                lin_vel=lin_vel,
-                ang_vel=ang_vel,
+                **moved,
                 random=random,
                 number=len(self.casters),
                 pose=(poses or {}).get(name),

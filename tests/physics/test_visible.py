@@ -135,7 +135,7 @@ def test_a_camera_on_board_sees_its_arm_at_the_same_pixels_wherever_it_flies(dev
 def test_a_robot_without_shapes_of_its_own_is_seen_as_its_collision_spheres(device) -> None:
     """From 1 m above the middle of the sphere; from inside it, the surface is seen from within."""
     scene = build(replace(BASE, visible=True), OPEN_AIR, device).asset_manager.scene
-    body = scene.arrays.body_position.numpy()
+    body = scene.arrays.link_position.numpy()[:, 0]
     radius = BASE.collision.spheres[0].radius
     cfg = replace(CAMERA, width=1, height=1, hfov_deg=1.0, euler=(0.0, np.pi / 2, 0.0))
     turn = torch.tensor([[0.0, 0.0, 0.0, 1.0]] * 2, device=device)
@@ -187,7 +187,7 @@ def test_what_cannot_be_seen_is_refused(device) -> None:
     state = torch.zeros(1, 0, 13, device=device)
     with pytest.raises(ConfigError, match=r"box outside the instances: needs a semantic_id"):
         Scene([], **nothing, asset_state=state, fixed=(ARM,))
-    with pytest.raises(ShapeError, match=r"robot_state: must be given, \(E, 13\)"):
+    with pytest.raises(ShapeError, match=r"robot_state: must be given, \(E, L, 13\)"):
         Scene([], **nothing, asset_state=state, robot=(POD,))
     with pytest.raises(ConfigError, match=r"EnvironmentCfg.ground_color = \(2.0, 0.0, 0.0\)"):
         replace(OPEN_AIR, ground_color=(2.0, 0.0, 0.0))

@@ -89,7 +89,6 @@ sensors:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"parent": "arm_1"}, r"parent = 'arm_1': there is no such link. Known: body"),
         ({"name": "Front Camera"}, r"name = 'Front Camera': must be snake_case"),
         ({"euler": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}, r"give euler or quaternion, not both"),
         ({"euler": (90.0, 0.0, 0.0)}, r"must lie within \+-2 pi"),

@@ -1,0 +1,175 @@
+"""Where the links of a robot are and how they move, for what sits on them: sensors, shapes that are seen or that collide.
+
+The frame of a link is that of the body in the reference pose, in which a robot file tells all places: where link k is, is the
+product of the turns and shifts of the joints from the base to it, each about its axis in the reference pose::
+
+    X_k = X_parent exp(s_k (q_k - q_ref))
+    w_k = w_parent + R_parent a_k q_k'        v_k = v_parent + w_parent x (x_k - x_parent) + R_parent a_k q_k' x (x_k - hinge)
+
+of a revolute joint; a prismatic one leaves w_parent and adds R_parent a_k q_k' to the velocity. v_k is that of the frame's
+origin, which may lie far from the link.
+Source: Murray, Li, Sastry (1994), A Mathematical Introduction to Robotic Manipulation, section 3.2.2 (product of exponentials).
+Frames: world z up; a link's as said. Letters: E environments, D joints, L = D + 1 links, the base first.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.imu import ImuCfg
+from aerial_gym.config.joint import JointsCfg
+from aerial_gym.config.sensor import RangeSensorCfg
+from aerial_gym.config.shape import BASE
+from aerial_gym.interop import RecordedLaunch, on_torch_stream
+from aerial_gym.interop.streams import BLOCK_DIM
+from aerial_gym.physics.state import JointedState
+from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+from aerial_gym.sensors.mounts import Carrier, Mounted
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkTensors:
+    """Where links are, in the GTD."""
+
+    state: Tensor
+    """Position [m], attitude xyzw, velocity [m/s], angular velocity [rad/s] of each link's frame, world, (E, L, 13)."""
+
+    ang_vel: Tensor
+    """Angular velocity [rad/s], axes of the link, (E, L, 3)."""
+
+    names: tuple[str, ...]
+    """Of the links, L of them."""
+
+    def carriers(self, mounted: Mapping[str, Mounted[RangeSensorCfg] | Mounted[ImuCfg]]) -> dict[str, Carrier]:
+        """Return the links that carry sensors by the names of these; none of sensors on the base."""
+        return {name: self._carrier(self.names.index(each.link)) for name, each in mounted.items() if each.link != BASE}
+
+    def _carrier(self, number: int) -> Carrier:
+        position, attitude, lin_vel, _ = self.state[:, number].split((3, 4, 3, 3), dim=-1)
+        return Carrier(
+            number=number, position=position, attitude=attitude, lin_vel=lin_vel, ang_vel=self.ang_vel[:, number]
+        )
+
+
+def declare_links(gtd: GlobalTensorDictionary, cfg: JointsCfg) -> LinkTensors:
+    """Declare the links of a robot that bends."""
+    gtd.define_size("L", len(cfg.link_names))
+    names = ", ".join(cfg.link_names)
+    return LinkTensors(
+        names=cfg.link_names,
+        state=gtd.declare(TensorSpec(
+            key="robot_link_state_tensor", shape=("E", "L", 13), unit="m, -, m/s, rad/s", frame="world", owner="robot",
+            meaning=f"p, q xyzw, v, w of the frames of {names}, each the body's in the reference pose",
+        )),
+        ang_vel=gtd.declare(TensorSpec(
+            key="robot_link_body_angvel", shape=("E", "L", 3), unit="rad/s", frame="link", owner="robot",
+            meaning="angular velocity of each link in its own axes",
+        )),
+    )  # fmt: skip
+
+
+@wp.struct
+class _Joints:
+    """The joints, in body axes of the reference pose."""
+
+    parent: wp.array[wp.int32]  # (D,) link on which it sits
+    slides: wp.array[wp.bool]  # (D,) whether it is prismatic
+    axis: wp.array[wp.vec3]  # (D,)
+    position: wp.array[wp.vec3]  # (D,) [m]
+    reference: wp.array[float]  # (D,) [rad] or [m]
+
+
+@wp.kernel(enable_backward=False)
+def _place_links(
+    joints: _Joints,
+    # state
+    position: wp.array[wp.vec3],  # (E,) of the base, world [m]
+    attitude: wp.array[wp.quat],  # (E,) base to world, xyzw
+    lin_vel: wp.array[wp.vec3],  # (E,) world [m/s]
+    ang_vel: wp.array[wp.vec3],  # (E,) base axes [rad/s]
+    joint_pos: wp.array2d[float],  # (E, D) [rad] or [m]
+    joint_vel: wp.array2d[float],  # (E, D) [rad/s] or [m/s]
+    # out
+    position_out: wp.array2d[wp.vec3],  # (E, L) world [m]
+    attitude_out: wp.array2d[wp.quat],  # (E, L) link to world, xyzw
+    lin_vel_out: wp.array2d[wp.vec3],  # (E, L) world [m/s]
+    ang_vel_world_out: wp.array2d[wp.vec3],  # (E, L) world [rad/s]
+    ang_vel_out: wp.array2d[wp.vec3],  # (E, L) axes of the link [rad/s]
+):
+    """Write the frames of all links of an environment and how they move."""
+    e = wp.tid()
+    position_out[e, 0] = position[e]
+    attitude_out[e, 0] = attitude[e]
+    lin_vel_out[e, 0] = lin_vel[e]
+    ang_vel_world_out[e, 0] = wp.quat_rotate(attitude[e], ang_vel[e])
+    ang_vel_out[e, 0] = ang_vel[e]
+    for k in range(joint_pos.shape[1]):
+        p = joints.parent[k]
+        x = position_out[e, p]
+        q = attitude_out[e, p]
+        axis = wp.quat_rotate(q, joints.axis[k])
+        bend = joint_pos[e, k] - joints.reference[k]
+        rate = joint_vel[e, k] * axis
+        hinge = x + wp.quat_rotate(q, joints.position[k])
+        turned = q
+        place = x + bend * axis
+        spin = ang_vel_world_out[e, p]
+        if not joints.slides[k]:
+            turned = wp.normalize(q * wp.quat_from_axis_angle(joints.axis[k], bend))
+            place = hinge - wp.quat_rotate(turned, joints.position[k])
+        velocity = lin_vel_out[e, p] + wp.cross(spin, place - x)
+        if joints.slides[k]:
+            velocity += rate
+        else:
+            velocity += wp.cross(rate, place - hinge)
+            spin += rate
+        position_out[e, k + 1] = place
+        attitude_out[e, k + 1] = turned
+        lin_vel_out[e, k + 1] = velocity
+        ang_vel_world_out[e, k + 1] = spin
+        ang_vel_out[e, k + 1] = wp.quat_rotate_inv(turned, spin)
+
+
+class LinkPlaces:
+    """Writes the frames of the links; captured with the step that it belongs to."""
+
+    def __init__(self, cfg: JointsCfg, state: JointedState, links: LinkTensors) -> None:
+        """Take views of the state, which must stay where it is, and of what is written."""
+        device = state.position.device
+        table, place = _Joints(), wp.device_from_torch(device)
+        table.parent = wp.array([cfg.link_of(joint.parent) for joint in cfg.layout], dtype=wp.int32, device=place)
+        table.slides = wp.array([joint.kind == "prismatic" for joint in cfg.layout], dtype=wp.bool, device=place)
+        table.axis = wp.array([joint.axis for joint in cfg.layout], dtype=wp.vec3, device=place)
+        table.position = wp.array([joint.position for joint in cfg.layout], dtype=wp.vec3, device=place)
+        table.reference = wp.array([joint.reference for joint in cfg.layout], dtype=wp.float32, device=place)
+        base = (state.position, state.attitude, state.lin_vel, state.ang_vel)
+        types, columns = (wp.vec3, wp.quat, wp.vec3, wp.vec3), ((0, 3), (3, 7), (7, 10), (10, 13))
+        self._kept_alive, self._written = (table, state, links), links.state
+        self._command = RecordedLaunch(
+            _place_links,
+            dim=len(links.state),
+            inputs=[
+                table,
+                *(wp.from_torch(rows, dtype=kind) for rows, kind in zip(base, types, strict=True)),
+                wp.from_torch(state.joint_pos),
+                wp.from_torch(state.joint_vel),
+            ],
+            outputs=[
+                *(
+                    wp.from_torch(links.state[..., low:high], dtype=kind)
+                    for kind, (low, high) in zip(types, columns, strict=True)
+                ),
+                wp.from_torch(links.ang_vel, dtype=wp.vec3),
+            ],
+            device=place,
+            block_dim=BLOCK_DIM,
+        )
+
+    @torch.no_grad()
+    def refresh(self) -> None:
+        """Bring all links to the instant of the state; launched on torch's current stream, not waited for."""
+        with on_torch_stream(self._written):
+            self._command.launch()
