@@ -42,7 +42,7 @@ class CloseLoopCmd:
     gyro_bias, nominal_voltage, command_hold, joint_rest; those that are left out stay as docs/close_loop.md says."""
 
     effects: tuple[str, ...] | None = None
-    """Effects that are looked for; all if not given."""
+    """Effects that are looked for; if not given all but blade_element and vortex_ring (docs/rotors.md)."""
 
     seed: int = 0
     """Seed of the resampling behind the 95 % intervals."""

@@ -3,9 +3,12 @@
 import json
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from aerial_gym.cli.main import main
+from aerial_gym.physics.effects.induced_flow import AIR_DENSITY
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 BENCH = DATA / "bench"
@@ -48,6 +51,28 @@ def test_many_motors_and_propellers(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["all_tests"]["tests"] == 136
     assert len(found["left_out"]) == 2  # two propellers were mounted the other way round
     assert found["all_tests"]["median_relative_error_after"] < 0.5 * found["all_tests"]["median_relative_error_before"]
+
+
+def test_propellers_at_rest_have_one_coefficient_of_thrust_as_blade_elements_say() -> None:
+    """Thrust goes with the square of the speed: of 136 tests the middle exponent is 2.09, half lie in 2.00 to 2.14."""
+    table = pd.read_csv(BENCH / "strawson_static_tests.csv")
+    table = table[(table.omega > 0.0) & (table.thrust_N > 0.05) & (table.current > 0.0)]
+    slopes = [
+        np.polyfit(np.log(one.omega), np.log(one.thrust_N), 1)[0]
+        for _, one in table.groupby("test")
+        if len(one) >= 5 and one.omega.max() >= 1.5 * one.omega.min()
+    ]
+    low, middle, high = np.percentile(slopes, (25, 50, 75))
+    assert len(slopes) == 136
+    assert (low, middle, high) == pytest.approx((2.000, 2.089, 2.140), abs=0.002)
+
+
+def test_a_propeller_takes_more_torque_than_an_ideal_rotor_of_its_size() -> None:
+    """Hover of momentum theory: ``Q w >= T sqrt(T / (2 rho pi R²))``; of a 5-inch propeller the ideal is 0.35 to 0.45 of it."""
+    table = pd.read_csv(BENCH / "aerialgym_motor_static.csv").iloc[1:]
+    thrust, power = table.thrust_N, table.torque_Nm * table.omega
+    merit = thrust * (thrust / (2.0 * AIR_DENSITY * np.pi * 0.0635**2)) ** 0.5 / power
+    assert merit.between(0.35, 0.46).all()
 
 
 def test_four_motors_of_a_crazyflie(capsys: pytest.CaptureFixture[str]) -> None:

@@ -287,9 +287,12 @@ class Effect(ABC):
         if Effect in cls.__bases__:
             cls.kind = cls
 
+    by_default: ClassVar[bool] = True
+    """Whether it is looked for also where nobody says what to look for; not where others together do what it does."""
+
     @property
     def sought(self) -> bool:
-        """Whether it is looked for in flights of which nobody said that it acts there."""
+        """Whether it can be looked for in flights."""
         return not self.random and self.medium == "air"
 
     @property

@@ -50,6 +50,8 @@ for _name, _class in (
     ("imu_bias", "ImuBias"),
     ("imu_misalignment", "ImuMisalignment"),
     ("rotor_speed_scale", "RotorSpeedScale"),
+    ("blade_element", "BladeElement"),
+    ("vortex_ring", "VortexRing"),
 ):
     _home = Home(f"aerial_gym.physics.effects.{_name}:{_class}")
     EFFECTS.register_later(_name, _home.make, summary=_home.summary)

@@ -153,6 +153,7 @@ def make_loads(model: Model, *, upright: bool) -> wp.Function:
             at.rotor_axis = vehicle.rotor_axis
             at.rotor_reaction = vehicle.rotor_reaction
             at.lever = vehicle.rotor_lever
+            at.rotor_radius = vehicle.rotor_radius
             at.com = vehicle.com
             at.other_position = vehicle.other_position
         for i in range(wp.static(num_rotors)):

@@ -140,6 +140,7 @@ def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
         rotor_axis: rows  # direction of thrust, body
         rotor_reaction: rows  # minus spin times axis
         lever: rows  # hub from the centre of mass [m], body
+        rotor_radius: vector  # [m]
         com: wp.vec3  # from the body origin [m], body
         other_position: wp.vec3  # another vehicle [m], world
 

@@ -1,7 +1,7 @@
 """Which effects the flights ask for: those of the most probable set, fitted with their spread, and what speaks against them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -48,6 +48,11 @@ class Rival:
         return self.log_odds < -LEAST_SCORE
 
 
+def offered_effects() -> tuple[str, ...]:
+    """Return the effects that are looked for where nobody says which."""
+    return tuple(name for name in EFFECTS if EFFECTS.get(name).by_default)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Selection:
     """What the flights ask for."""
@@ -63,7 +68,7 @@ class Selection:
     left_out: LeftOut
     criteria: Criteria
 
-    looked_for: tuple[str, ...] = tuple(EFFECTS)
+    looked_for: tuple[str, ...] = field(default_factory=offered_effects)
     """Effects that were asked for."""
 
     @property
@@ -116,13 +121,13 @@ def select_effects(
         criteria: What is material.
         progress: Told what is being done.
         test: Effects that a log of these has not what they need for are left out; nothing else is taken from them.
-        candidates: Effects that are looked for; None: all.
+        candidates: Effects that are looked for; None: all but those that say ``by_default = False``.
 
     Raises:
         ConfigError: If one of the candidates predicts nothing, and so cannot be looked for here.
         UnknownNameError: If there is no such effect.
     """
-    named = tuple(EFFECTS) if candidates is None else tuple(candidates)
+    named = offered_effects() if candidates is None else tuple(candidates)
     sought = [name for name in named if EFFECTS.get(name).sought]
     if candidates is not None and len(sought) < len(named):
         wrong = next(name for name in named if name not in sought)

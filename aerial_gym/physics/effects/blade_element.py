@@ -1,0 +1,294 @@
+"""A rotor of blades instead of a thrust map alone: blade elements in a uniform inflow that follows from momentum.
+
+The effect adds what blades in moving air give beyond what the maps of the robot file, measured at rest, say. A rotor that
+turns at w moves through the air with ``lambda_c`` along its thrust n and with the vector m, of size mu, in its plane, both in
+units of its tip speed w R. Forces are in units of ``rho pi R² (w R)²``, torques of that times R; 0 marks hover at the same w::
+
+    C_T = s a / 2 (Theta + mu² (t0 / 2 + t1 / 4) - lambda / 2),        Theta = t0 / 3 + t1 / 4,    lambda = lambda_c + lambda_i
+    h   = s a / 4 lambda (t0 + t1 / 2) + 2 P0,                         P0 = C_Q0 - lambda_0 C_T0
+    M   = s a / 2 m_s,                                                 m_s = t0 / 3 + t1 / 4 - lambda / 4
+    b_c = -8 m_s g² / (g² + k²),   b_s = 8 m_s g k / (g² + k²),        g = lock / 8,   k = (flap_frequency / w)²
+    C_Q = lambda C_T + P0 (1 + 3 mu²) - mu² (h - C_T b_c)
+
+for blades of solidity s, lift slope a, and pitch ``t0 + t1 r`` at the share r of the radius, which stall nowhere. The pitch
+follows from the thrust map (``Theta = 2 C_T0 / (s a) + lambda_0 / 2``) and the profile drag from the torque map (P0), so that
+a vehicle at rest in still air is just as declared. ``lambda_i`` is that of ``induced_flow`` for the thrust C_T. The force on
+the hub is
+
+    C_T n - h m + C_T (b_c m - b_s o (m x n))      o = +1 where the rotor turns counter-clockwise about n, else -1
+
+(thrust, H-force, and the thrust that leans with the disc), and the hub feels the drag torque ``-o C_Q n`` and the moment of
+blades that resist their flapping, ``M k / (g² + k²) (g m x n - k o m)``. Stiff blades (k >> g) pass the lift of the advancing
+side on as a moment to the side, hinged ones (k = 0) lean back by ``8 m_s mu``. Power is in balance,
+``C_Q + mu C_H = lambda C_T + P0 (1 + 3 mu²)`` with the whole force C_H against m. Between hover and the windmill brake state
+the induced velocity is the measured mean of the vortex ring (``induced_flow``); thrust against n has no induced velocity.
+Left out: reverse flow and stall (beyond mu = 1 or ``|lambda_c|`` = 1 coefficients stay what they are there), coning, a lag of
+the inflow, its slope across the disc, tip loss, and turning of the hub but for the velocity that it gives it.
+Source: Leishman (2006), Principles of Helicopter Aerodynamics, sections 3.2-3.3, 4.5 (flapping), 5.2; Bramwell, Done,
+Balmford (2001), Bramwell's Helicopter Dynamics, chapter 3; of small propellers Gill, D'Andrea (2017), Propeller thrust and
+drag in forward flight, IEEE CCTA. Stiff blades: derived, first harmonic of the flapping of a blade on a spring at the hub,
+first order in mu.
+"""
+
+from math import pi
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.errors import ConfigError
+from aerial_gym.math.short import dot, sum_slices
+from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect, sum_of_crosses
+from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, induced, induced_warp
+from aerial_gym.physics.rotors import rotor_torque
+
+HALVINGS, NEWTON = 6, 3
+"""Of the search for the inflow. Its equation has one root, as the induced velocity grows with the thrust; what is left is below
+0.2 % of the inflow of hover, and near hover below round-off."""
+
+SLOWEST = wp.constant(1.0)
+"""A rotor slower than this [rad/s] counts as turning at it."""
+
+LEAST = wp.constant(1e-6)
+"""Least coefficient of thrust in hover and of induced velocity, and square of the least velocity in units of the tip speed."""
+
+SHARE, SOLIDITY, SLOPE, TWIST, LOCK, FLAP = range(6)
+
+
+class BladeElement(WrenchEffect):
+    """Thrust, H-force, drag torque, leaning disc and hub moment of the blades of each rotor, in any motion."""
+
+    name = "blade_element"
+    summary = "blades in their inflow: thrust, H-force, torque and flapping in climb, descent and sideways flow"
+    parameters = (
+        Parameter(name="share", unit="-", low=0.0, high=2.0, scale=0.3, meaning="how much of it acts; 1 is all"),
+        Parameter(
+            name="solidity",
+            unit="-",
+            low=0.01,
+            high=0.6,
+            scale=0.03,
+            meaning="area of the blades per area of the disc",
+            kind="convention",
+        ),
+        Parameter(
+            name="lift_slope", unit="1/rad", low=1.0, high=7.0, scale=0.5, meaning="of a section", kind="convention"
+        ),
+        Parameter(
+            name="twist",
+            unit="rad",
+            low=-1.0,
+            high=0.0,
+            scale=0.1,
+            meaning="pitch at the tip less that at the axis",
+            kind="convention",
+        ),
+        Parameter(
+            name="lock",
+            unit="-",
+            low=0.01,
+            high=20.0,
+            scale=0.2,
+            meaning="Lock number: rho a c R⁴ over the inertia of a blade in flapping",
+            kind="convention",
+        ),
+        Parameter(
+            name="flap_frequency",
+            unit="rad/s",
+            low=0.0,
+            high=1e5,
+            scale=100.0,
+            meaning="of the first bending of a blade at rest; 0: a free hinge",
+            kind="convention",
+        ),
+    )
+    excitation = "fast flight, climbs and descents, in still air or a known wind"
+    confused_with = ("axial_inflow", "translational_lift", "h_force_flapping", "rotor_drag")
+    rotors = ("reversible", "slew", "dead_band")
+    follows = ("velocity",)
+    by_default = False
+
+    def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
+        """Return nothing of it, for a plastic propeller of two blades: as in the sources of ``docs/rotors.md``."""
+        del robot
+        return 0.0, 0.1, 5.7, -0.25, 0.7, 900.0
+
+    def check(self, robot: RobotCfg) -> None:
+        """Raise ``ConfigError`` unless radii are known and drag torques are above what thrust costs an ideal rotor."""
+        share = robot.body.mass * STANDARD_GRAVITY / robot.num_rotors
+        for rotor in robot.rotor_types:
+            if rotor.radius is None:
+                raise ConfigError(
+                    "effect blade_element: the robot file must give rotor.radius [m], of every rotor type"
+                )
+            speed = rotor.speed_at(share)
+            thrust, torque = (
+                c0 + speed * (c1 + speed * c2) for c0, c1, c2 in (rotor.thrust_coefficients, rotor.torque_coefficients)
+            )
+            ideal = thrust * (thrust / (2.0 * AIR_DENSITY * pi * rotor.radius**2)) ** 0.5 / speed
+            if not torque > ideal:
+                raise ConfigError(
+                    f"effect blade_element: a rotor of radius {rotor.radius:g} m that gives {thrust:.3g} N at {speed:.4g} "
+                    f"rad/s has a drag torque of at least {ideal:.3g} N m, and the robot file says {torque:.3g}. Check radius "
+                    "and torque map"
+                )
+
+    def wrench(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return force and torque, (E, 6)."""
+        share, solidity, slope, twist, lock, flap = params[:, : FLAP + 1].unsqueeze(-2).unbind(-1)
+        speed, radius, vehicle = condition.rotor_speed, condition.vehicle.rotor_radius, condition.vehicle
+        turns_back = speed < 0.0
+        sign = torch.where(turns_back, -torch.ones_like(speed), torch.ones_like(speed))
+        rate = speed.abs().clamp_min(float(SLOWEST))
+        tip = rate * radius
+        unit = AIR_DENSITY * pi * (radius * tip).square()
+        flow = condition.edgewise_velocity / tip.unsqueeze(-1)
+        least = float(LEAST)
+        size = (dot(flow, flow) + least * least).sqrt()
+        flow = flow / size.clamp_min(1.0).unsqueeze(-1)
+        mu = size.clamp_max(1.0)
+        climb = (sign * condition.axial_velocity / tip).clamp(-1.0, 1.0)
+        lift = solidity * slope
+        hover_thrust = (sign * condition.rotor_thrust / unit).clamp_min(least)
+        hover_torque = sign * rotor_torque(vehicle, speed) / (unit * radius)
+        hover_inflow = (0.5 * hover_thrust).sqrt()
+        theta = 2.0 * hover_thrust / lift + 0.5 * hover_inflow
+        root = 3.0 * (theta - 0.25 * twist)
+        lifted = theta + mu.square() * (0.5 * root + 0.25 * twist)
+        inflow = climb + _inflow(lift, lifted, climb, mu)
+        thrust = 0.5 * lift * (lifted - 0.5 * inflow)
+        profile = hover_torque - hover_inflow * hover_thrust
+        drag = 0.25 * lift * inflow * (root + 0.5 * twist) + 2.0 * profile
+        uneven = theta - 0.25 * inflow
+        g, k = 0.125 * lock, (flap / rate).square()
+        lean = 8.0 * uneven * g / (g * g + k * k)
+        back, aside = -lean * g, lean * k
+        torque = inflow * thrust + profile * (1.0 + 3.0 * mu.square()) - mu.square() * (drag - thrust * back)
+        stiff = 0.5 * lift * uneven * k / (g * g + k * k) * unit * radius
+        way = sign.unsqueeze(-1) * condition.axis
+        across = torch.linalg.cross(flow, way, dim=-1)
+        spin = vehicle.rotor_spin
+        ahead = unit * (thrust * back - drag)
+        force = (unit * (thrust - hover_thrust)).unsqueeze(-1) * way + ahead.unsqueeze(-1) * flow
+        force = force - (unit * spin * thrust * aside).unsqueeze(-1) * across
+        moment = (stiff * g).unsqueeze(-1) * across - (stiff * spin * k).unsqueeze(-1) * flow
+        moment = moment - (spin * unit * radius * (torque - hover_torque)).unsqueeze(-1) * way
+        whole = (sum_slices(force, 1), sum_slices(moment, 1) - sum_of_crosses(force, condition.lever))
+        return share * torch.cat(whole, dim=-1)
+
+    def warp_wrench(self, condition: type) -> wp.Function:
+        """Return the same in Warp."""
+        num_rotors = len(condition.vars["rotor_speed"].type())
+        numbers = wp.types.vector(length=FLAP + 1, dtype=wp.float32)
+
+        @wp.func
+        def blade_element(at: condition, values: numbers) -> wp.spatial_vector:
+            lift = values[wp.static(SOLIDITY)] * values[wp.static(SLOPE)]
+            twist = values[wp.static(TWIST)]
+            g = 0.125 * values[wp.static(LOCK)]
+            all_force = wp.vec3()
+            all_torque = wp.vec3()
+            for i in range(wp.static(num_rotors)):
+                sign = wp.where(at.rotor_speed[i] < 0.0, -1.0, 1.0)
+                rate = wp.max(wp.abs(at.rotor_speed[i]), SLOWEST)
+                radius = at.rotor_radius[i]
+                tip = rate * radius
+                unit = wp.static(AIR_DENSITY * pi) * radius * radius * tip * tip
+                way = sign * wp.vec3(at.rotor_axis[i, 0], at.rotor_axis[i, 1], at.rotor_axis[i, 2])
+                lever = wp.vec3(at.lever[i, 0], at.lever[i, 1], at.lever[i, 2])
+                reaction = wp.vec3(at.rotor_reaction[i, 0], at.rotor_reaction[i, 1], at.rotor_reaction[i, 2])
+                spin = -sign * wp.dot(reaction, way)
+                hub = (at.air_velocity + wp.cross(at.ang_vel, lever)) / tip
+                along = wp.dot(hub, way)
+                flow = hub - along * way
+                size = wp.sqrt(wp.length_sq(flow) + LEAST * LEAST)
+                flow = flow / wp.max(size, 1.0)
+                mu = wp.min(size, 1.0)
+                climb = wp.clamp(along, -1.0, 1.0)
+                hover_thrust = wp.max(sign * at.rotor_thrust[i] / unit, LEAST)
+                hover_torque = sign * at.rotor_drag[i] / (unit * radius)
+                hover_inflow = wp.sqrt(0.5 * hover_thrust)
+                theta = 2.0 * hover_thrust / lift + 0.5 * hover_inflow
+                root = 3.0 * (theta - 0.25 * twist)
+                lifted = theta + mu * mu * (0.5 * root + 0.25 * twist)
+                inflow = climb + _inflow_warp(lift, lifted, climb, mu)
+                thrust = 0.5 * lift * (lifted - 0.5 * inflow)
+                profile = hover_torque - hover_inflow * hover_thrust
+                drag = 0.25 * lift * inflow * (root + 0.5 * twist) + 2.0 * profile
+                uneven = theta - 0.25 * inflow
+                k = values[wp.static(FLAP)] / rate
+                k = k * k
+                lean = 8.0 * uneven * g / (g * g + k * k)
+                torque = inflow * thrust + profile * (1.0 + 3.0 * mu * mu) - mu * mu * (drag + thrust * lean * g)
+                stiff = 0.5 * lift * uneven * k / (g * g + k * k) * unit * radius
+                across = wp.cross(flow, way)
+                force = unit * (thrust - hover_thrust) * way - unit * (thrust * lean * g + drag) * flow
+                force -= unit * spin * thrust * lean * k * across
+                all_force += force
+                all_torque += wp.cross(lever, force) + stiff * g * across - stiff * spin * k * flow
+                all_torque -= spin * unit * radius * (torque - hover_torque) * way
+            return values[wp.static(SHARE)] * wp.spatial_vector(all_force, all_torque)
+
+        return blade_element
+
+
+def _inflow(lift: Tensor, lifted: Tensor, climb: Tensor, mu: Tensor) -> Tensor:
+    """Return the induced velocity at which momentum and blades agree: ``2 v² = lift / 2 (lifted - (climb + f(v)) / 2)``.
+
+    Args:
+        lift: Solidity times lift slope, (E, 1).
+        lifted: ``2 C_T / lift`` at no inflow, (E, R).
+        climb: Climb rate per tip speed, (E, R).
+        mu: Sideways speed per tip speed, (E, R).
+
+    Returns:
+        f(v), per tip speed, (E, R); v is the induced velocity of the same thrust in hover.
+    """
+    least = float(LEAST)
+    with torch.no_grad():
+        low = torch.zeros_like(mu)
+        high = (0.25 * lift * (lifted + 0.5 * climb.abs())).clamp_min(least).sqrt()
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            above = _missing(middle, lift, lifted, climb, mu)[0] >= 0.0
+            low, high = torch.where(above, low, middle), torch.where(above, middle, high)
+    found = 0.5 * (low + high)
+    for _ in range(NEWTON):
+        missing, slope = _missing(found, lift, lifted, climb, mu)
+        with torch.no_grad():
+            above = missing >= 0.0
+            low, high = torch.where(above, low, found), torch.where(above, found, high)
+        found = (found - missing / slope).maximum(low).minimum(high).clamp_min(least)
+    return induced(found, climb, mu)[0]
+
+
+def _missing(found: Tensor, lift: Tensor, lifted: Tensor, climb: Tensor, mu: Tensor) -> tuple[Tensor, Tensor]:
+    """Return momentum less blades, ``2 v² - C_T``, and its slope in v."""
+    value, slope = induced(found, climb, mu)
+    return (
+        2.0 * found.square() - 0.5 * lift * (lifted - 0.5 * (climb + value)),
+        4.0 * found + 0.25 * lift * slope,
+    )
+
+
+@wp.func
+def _inflow_warp(lift: float, lifted: float, climb: float, mu: float) -> float:
+    low = wp.float32(0.0)
+    high = wp.sqrt(wp.max(0.25 * lift * (lifted + 0.5 * wp.abs(climb)), LEAST))
+    for _i in range(wp.static(HALVINGS)):
+        middle = 0.5 * (low + high)
+        value, _slope = induced_warp(middle, climb, mu)
+        above = 2.0 * middle * middle - 0.5 * lift * (lifted - 0.5 * (climb + value)) >= 0.0
+        low = wp.where(above, low, middle)
+        high = wp.where(above, middle, high)
+    found = 0.5 * (low + high)
+    for _j in range(wp.static(NEWTON)):
+        value, slope = induced_warp(found, climb, mu)
+        missing = 2.0 * found * found - 0.5 * lift * (lifted - 0.5 * (climb + value))
+        low = wp.where(missing >= 0.0, low, found)
+        high = wp.where(missing >= 0.0, found, high)
+        found = wp.max(wp.clamp(found - missing / (4.0 * found + 0.25 * lift * slope), low, high), LEAST)
+    value, _last = induced_warp(found, climb, mu)
+    return value

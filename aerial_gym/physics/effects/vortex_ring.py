@@ -1,0 +1,83 @@
+"""A rotor that sinks into its own wake loses thrust: the vortex ring state.
+
+``dT = -k T (p(x) - 1) s(y)`` for a rotor of thrust T whose hub moves through the air with ``v_a = x v_h`` along the thrust and
+``v_e = y v_h`` across it; ``v_h = sqrt(|T| / (2 rho pi R²))``. p(x) is the measured mean induced velocity of a descent, and the
+loss follows what it has in excess of hover: zero in hover and in climb, most at x = -1.45, where p = 2.09, zero again from
+x = -2.0055 on, where p has come back to 1 and the rotor is in the windmill brake state. ``s = (1 - y²)²`` below y = 1, else 0:
+sideways flow carries the ring away; that it is gone at one induced velocity is our choice, near measured boundaries.
+
+k is the loss per excess, and is to be measured: of a blade that has ``axial_inflow`` beside it, which gives what the air from
+below adds, it is at most ``sigma a / (8 lambda_h)`` for solidity sigma, lift slope a and inflow lambda_h in hover; of a thrust
+map alone it is what both come to. ``blade_element`` holds p(x) itself: it needs no ``vortex_ring`` beside it.
+The flow shakes as well; that is left out.
+Source: Leishman (2006), Principles of Helicopter Aerodynamics, section 2.13 (the fit); Shetty, Selig (2011),
+Small-scale propellers operating in the vortex ring state, AIAA 2011-1254 (that propellers of this size lose thrust so); Johnson
+(2005), Model for vortex ring state influence on rotorcraft flight dynamics, NASA/TP-2005-213477 (that sideways flow ends it).
+"""
+
+from math import pi
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.math.short import dot
+from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Parameter, RotorEffect
+from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, axial_induced, axial_induced_warp
+
+LEAST_SQUARE = wp.constant(1e-6)
+"""Added to the square of the induced velocity [m²/s²]: a rotor without thrust has no wake, and a slope there."""
+
+LEAST = wp.constant(-8.0)
+"""Descents faster than this many induced velocities are no different."""
+
+
+class VortexRing(RotorEffect):
+    """Loss of thrust in a fast descent."""
+
+    name = "vortex_ring"
+    summary = "loss of thrust in a fast descent into the own wake"
+    parameters = (
+        Parameter(
+            name="k", unit="-", low=0.0, high=0.9, scale=0.1, meaning="relative loss per relative excess of the inflow"
+        ),
+    )
+    excitation = (
+        "steady descents at several rates up to twice the induced velocity of hover, with little sideways speed"
+    )
+    confused_with = ("axial_inflow", "quadratic_drag", "thrust_coefficient")
+    rotors = ANY_ROTOR
+    follows = ("velocity",)
+    by_default = False
+
+    def check(self, robot: RobotCfg) -> None:
+        """Raise ``ConfigError`` unless the radius of the rotors is known."""
+        if any(rotor.radius is None for rotor in robot.rotor_types):
+            raise ConfigError("effect vortex_ring: the robot file must give rotor.radius [m], of every rotor type")
+
+    def thrust(self, condition: Condition, params: Tensor) -> Tensor:
+        """Return ``-k T (p(x) - 1) s(y)``."""
+        thrust, radius = condition.rotor_thrust, condition.vehicle.rotor_radius
+        square = thrust.abs() / (2.0 * AIR_DENSITY * pi * radius.square()) + float(LEAST_SQUARE)
+        climb = torch.where(thrust < 0.0, -condition.axial_velocity, condition.axial_velocity) / square.sqrt()
+        excess = (axial_induced(climb.clamp(float(LEAST), 0.0))[0] - 1.0).clamp_min(0.0)
+        across = dot(condition.edgewise_velocity, condition.edgewise_velocity) / square
+        return -params[:, :1] * thrust * excess * (1.0 - across).clamp_min(0.0).square()
+
+    def warp_thrust(self, condition: type, hub: type) -> wp.Function:
+        """Return the same in Warp."""
+        params = wp.types.vector(length=1, dtype=wp.float32)
+
+        @wp.func
+        def vortex_ring(at: condition, rotor: hub, k: params) -> float:
+            area = wp.static(2.0 * AIR_DENSITY * pi) * rotor.radius * rotor.radius
+            square = wp.abs(rotor.thrust) / area + LEAST_SQUARE
+            climb = wp.where(rotor.thrust < 0.0, -rotor.axial, rotor.axial) / wp.sqrt(square)
+            value, _slope = axial_induced_warp(wp.clamp(climb, LEAST, 0.0))
+            across = wp.length_sq(rotor.edgewise) / square
+            stays = wp.max(1.0 - across, 0.0)
+            return -k[0] * rotor.thrust * wp.max(value - 1.0, 0.0) * stays * stays
+
+        return vortex_ring

@@ -1,0 +1,240 @@
+"""The blade-element rotor against its limits: hover, climb, windmill brake, signs, symmetry, power.
+
+A rotor of radius 0.1 m turns at 800 rad/s; ``rho pi R² (w R)²`` is the unit of its coefficients. All cases are one rotor on the
+vertical axis of a body, unless something else is said, so that what the body feels is what the rotor does.
+"""
+
+from dataclasses import replace
+from math import pi, sqrt
+
+import numpy as np
+import pytest
+import torch
+
+from aerial_gym.config.robot import BodyCfg, MountCfg, MountsCfg, RobotCfg, RotorCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics import EFFECTS, accelerations, build_model, vehicle_from_config
+from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, DESCENT_FIT, WINDMILL, axial_induced, induced
+from aerial_gym.physics.model import check_effects
+from aerial_gym.robots import ROBOTS
+from tests.physics.test_effects import effects_of
+from tests.physics.vehicles import F64, random_state
+
+RADIUS, SPEED = 0.1, 800.0
+TIP = RADIUS * SPEED
+UNIT = AIR_DENSITY * pi * (RADIUS * TIP) ** 2
+LIFT, TWIST = 0.57, -0.25
+THRUST, TORQUE = 0.013, 0.0021
+"""Coefficients of the maps: the ideal torque is 0.00105."""
+
+INFLOW = sqrt(0.5 * THRUST)
+THETA = 2.0 * THRUST / LIFT + 0.5 * INFLOW
+ROOT = 3.0 * (THETA - 0.25 * TWIST)
+PROFILE = TORQUE - INFLOW * THRUST
+VALUES = {"share": 1.0, "solidity": 0.1, "lift_slope": 5.7, "twist": TWIST, "lock": 0.7, "flap_frequency": 900.0}
+
+
+def one_rotor(*, spin: int = 1, reversible: bool = False, torque: float = TORQUE) -> RobotCfg:
+    square = UNIT / SPEED**2
+    return RobotCfg(
+        summary="one rotor",
+        body=BodyCfg(mass=0.3, inertia=((1e-3, 0.0, 0.0), (0.0, 1e-3, 0.0), (0.0, 0.0, 1e-3)), source="test"),
+        rotor=RotorCfg(
+            thrust_map=(0.0, 0.0, THRUST * square),
+            torque_map=(0.0, 0.0, torque * square * RADIUS),
+            time_constant_up=0.03,
+            time_constant_down=0.03,
+            thrust_range=(-20.0 if reversible else 0.0, 20.0),
+            radius=RADIUS,
+            source="test",
+        ),
+        mounts=MountsCfg(layout=(MountCfg(position=(0.0, 0.0, 0.0), spin=spin),), source="test"),
+        collision=ROBOTS.get("tinyprop").collision,
+    )
+
+
+def loads(
+    velocity: list[float], *, speed: float = SPEED, spin: int = 1, reversible: bool = False, **changes: float
+) -> np.ndarray:
+    """Return force and torque on the body, (6,), in units of the rotor, its own among them; ``velocity`` per tip speed."""
+    robot = one_rotor(spin=spin, reversible=reversible)
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
+    model = build_model(vehicle, effects_of({"blade_element": VALUES | changes}, 1))
+    state = random_state(1)
+    for rows, row in (
+        (state.position, [0.0, 0.0, 5.0]),
+        (state.attitude, [0.0, 0.0, 0.0, 1.0]),
+        (state.lin_vel, [TIP * v for v in velocity]),
+        (state.ang_vel, [0.0, 0.0, 0.0]),
+    ):
+        rows[:] = torch.tensor(row, dtype=F64)
+    state = replace(state, rotor_speed=torch.full((1, 1), speed, dtype=F64))
+    felt = accelerations(model, state)
+    force, torque = felt.specific_force[0] * 0.3, felt.ang_acc[0] * 1e-3
+    return torch.cat((force / UNIT, torque / (UNIT * RADIUS))).numpy()
+
+
+def inflow_of(thrust: float, mu: float) -> float:
+    """Return the inflow at which blades of these numbers give a thrust: their own equation, turned about."""
+    lifted = THETA + mu**2 * (0.5 * ROOT + 0.25 * TWIST)
+    return 2.0 * (lifted - 2.0 * thrust / LIFT)
+
+
+def test_at_rest_in_still_air_it_is_the_declared_rotor() -> None:
+    np.testing.assert_allclose(loads([0.0, 0.0, 0.0]), [0, 0, THRUST, 0, 0, -TORQUE], atol=1e-12)
+
+
+@pytest.mark.parametrize("climb", [0.01, 0.05, 0.1])
+def test_a_climb_is_that_of_blade_element_momentum_theory(climb: float) -> None:
+    """``lambda² + (s a / 8 - climb) lambda - s a Theta / 4 = 0``, the root of ``2 (lambda - climb) lambda = C_T``."""
+    linear = LIFT / 8.0 - climb
+    inflow = 0.5 * (-linear + sqrt(linear**2 + LIFT * THETA))
+    thrust = 0.5 * LIFT * (THETA - 0.5 * inflow)
+    assert 2.0 * (inflow - climb) * inflow == pytest.approx(thrust, rel=1e-12)
+    assert thrust < THRUST
+    expected = [0.0, 0.0, thrust, 0.0, 0.0, -(inflow * thrust + PROFILE)]
+    np.testing.assert_allclose(loads([0.0, 0.0, climb]), expected, atol=1e-11)
+
+
+@pytest.mark.parametrize("descent", [0.35, 0.4, 0.6])
+def test_a_windmill_is_that_of_momentum_theory(descent: float) -> None:
+    """``C_T = -2 lambda (lambda + descent)`` with the air going up through the disc; the air drives the rotor."""
+    found = loads([0.0, 0.0, -descent])
+    inflow = inflow_of(found[2], 0.0)
+    assert -descent < inflow < -0.5 * descent
+    # the search ends within 0.2 % of the inflow of hover, of which blades make s a / 4 in thrust
+    assert found[2] == pytest.approx(-2.0 * inflow * (inflow + descent), abs=0.25 * LIFT * 2e-3 * INFLOW)
+    assert found[5] == pytest.approx(-(inflow * found[2] + PROFILE), abs=1e-9)
+    assert found[5] > 0.0  # the air turns the rotor
+
+
+@pytest.mark.parametrize("ratio", [-0.3, -0.9, -1.5, -1.9])
+def test_in_the_vortex_ring_the_inflow_is_the_measured_one(ratio: float) -> None:
+    """The climb rate at which x has a value: of ``2 v² + s a / 4 (x + p) v - s a Theta / 2 = 0`` the positive root v."""
+    k1, k2, k3, k4 = DESCENT_FIT
+    whole = ratio + 1.0 + k1 * ratio + k2 * ratio**2 + k3 * ratio**3 + k4 * ratio**4
+    linear = 0.25 * LIFT * whole
+    hover = 0.25 * (-linear + sqrt(linear**2 + 4.0 * LIFT * THETA))
+    found = loads([0.0, 0.0, ratio * hover])
+    assert found[2] == pytest.approx(2.0 * hover**2, rel=2e-3)
+
+
+def test_induced_velocities_join_without_a_jump() -> None:
+    at = torch.tensor([WINDMILL - 1e-9, WINDMILL + 1e-9, -1e-9, 1e-9, 3.0, -6.0], dtype=F64)
+    value, _ = axial_induced(at)
+    assert abs(value[0] - value[1]) < 1e-6
+    torch.testing.assert_close(value[2:4], torch.ones(2, dtype=F64), atol=1e-8, rtol=0.0)
+    assert value[4] == pytest.approx(-1.5 + sqrt(1.5**2 + 1.0))
+    assert value[5] == pytest.approx(3.0 - sqrt(8.0))
+
+
+def test_slopes_of_the_induced_velocity_are_its_differences() -> None:
+    x = torch.cat((torch.linspace(-4.0, -2.05, 9), torch.linspace(-2.0, -0.1, 9), torch.linspace(0.1, 3.0, 9))).to(F64)
+    step = 1e-6
+    slope = (axial_induced(x + step)[0] - axial_induced(x - step)[0]) / (2.0 * step)
+    torch.testing.assert_close(axial_induced(x)[1], slope, atol=1e-7, rtol=1e-7)
+    hover, edge = torch.full_like(x, 0.8), torch.full_like(x, 0.7)
+    slope = (induced(hover + step, 0.8 * x, edge)[0] - induced(hover - step, 0.8 * x, edge)[0]) / (2.0 * step)
+    torch.testing.assert_close(induced(hover, 0.8 * x, edge)[1], slope, atol=1e-7, rtol=1e-7)
+
+
+def test_sideways_flow_is_glauerts() -> None:
+    """``f² (y² + f²) = 1`` at x = 0, and f near 1 / y at high speed; in climb within 10 % of momentum theory."""
+    y = torch.linspace(0.0, 8.0, 33, dtype=F64)
+    one, zero = torch.ones_like(y), torch.zeros_like(y)
+    f = induced(one, zero, y)[0]
+    torch.testing.assert_close(f.square() * (y.square() + f.square()), one)
+    assert f[-1] * y[-1] == pytest.approx(1.0, abs=1e-3)
+    for x in (0.5, 1.0, 2.0):
+        f = induced(one, x * one, y)[0]
+        exact = f.clone()
+        for _ in range(200):
+            exact = 0.5 * (exact + 1.0 / (y.square() + (x + exact).square()).sqrt())
+        assert ((f / exact - 1.0).abs() < 0.1).all()
+
+
+@pytest.mark.parametrize("velocity", [[0.1, 0.0, 0.0], [0.0, 0.2, 0.02], [0.1, -0.1, -0.03], [-0.3, 0.1, 0.05]])
+@pytest.mark.parametrize("flap", [0.0, 900.0, 9e4])
+def test_power_is_in_balance(velocity: list[float], flap: float) -> None:
+    """``C_Q + mu C_H = lambda C_T + P0 (1 + 3 mu²)``: of the shaft and of the pull, into the wake and against drag."""
+    found = loads(velocity, flap_frequency=flap)
+    mu = sqrt(velocity[0] ** 2 + velocity[1] ** 2)
+    pull = -(found[0] * velocity[0] + found[1] * velocity[1])
+    inflow = inflow_of(found[2], mu)
+    assert -found[5] + pull == pytest.approx(inflow * found[2] + PROFILE * (1.0 + 3.0 * mu**2), rel=1e-9)
+    assert pull > 0.0
+
+
+def test_a_hinged_rotor_leans_back_and_a_stiff_one_rolls() -> None:
+    """Forwards, counter-clockwise from above: the right side advances. Hinged: an H-force larger by ``8 m_s mu C_T``, no
+    moment. Stiff: the lift of the right side turns the body to the left, negatively about x, by ``s a / 2 m_s mu``."""
+    mu = 0.1
+    hinged, stiff = (loads([mu, 0.0, 0.0], flap_frequency=flap) for flap in (0.0, 1e5))
+    inflow = inflow_of(hinged[2], mu)
+    uneven = THETA - 0.25 * inflow
+    blades = 0.25 * LIFT * inflow * (ROOT + 0.5 * TWIST) + 2.0 * PROFILE
+    np.testing.assert_allclose(hinged[:2], [-mu * (blades + 8.0 * uneven * hinged[2]), 0.0], atol=1e-12)
+    np.testing.assert_allclose(hinged[3:5], 0.0, atol=1e-12)
+    # k / g = (1e5 / 800)² / 0.0875 = 1.8e5
+    np.testing.assert_allclose(stiff[:2], [-mu * blades, 0.0], atol=1e-7)
+    np.testing.assert_allclose(stiff[3:5], [-0.5 * LIFT * uneven * mu, 0.0], atol=1e-7)
+    between = loads([mu, 0.0, 0.0])
+    assert between[1] > 0.0  # between the two the right side is up as well, and thrust leans to the left
+    assert between[3] < 0.0
+    assert between[4] < 0.0  # the nose goes up
+
+
+def test_the_mirror_image_flies_the_mirror_image() -> None:
+    """The other sense of turning and the other sideways velocity: y-force, roll and yaw change sign, nothing else does."""
+    a = loads([0.12, 0.07, -0.02])
+    b = loads([0.12, -0.07, -0.02], spin=-1)
+    np.testing.assert_allclose(b, a * np.array([1, -1, 1, -1, 1, -1]), atol=1e-15)
+
+
+def test_a_reversed_rotor_is_one_upside_down() -> None:
+    """Turned over about x, with y and z of the velocity the other way, and the same sense of turning about its own thrust."""
+    a = loads([0.12, 0.07, -0.02], reversible=True)
+    b = loads([0.12, -0.07, 0.02], speed=-SPEED, reversible=True)
+    np.testing.assert_allclose(b, a * np.array([1, -1, -1, 1, -1, -1]), atol=1e-15)
+
+
+def test_forces_grow_with_the_square_of_the_speed_at_one_advance_ratio_and_vanish_with_it() -> None:
+    a = loads([0.1, 0.0, 0.02], flap_frequency=0.0)
+    b = loads([0.05, 0.0, 0.01], speed=0.5 * SPEED, flap_frequency=0.0)
+    np.testing.assert_allclose(b, 0.25 * a, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(loads([0.3, 0.1, -0.2], speed=0.0), 0.0, atol=1e-5)
+
+
+def test_in_sideways_flight_thrust_grows_and_in_climb_it_falls() -> None:
+    rest, sideways, climb, sinking = (loads(v)[2] for v in ([0, 0, 0.0], [0.15, 0, 0.0], [0, 0, 0.05], [0, 0, -0.02]))
+    assert climb < rest < sideways
+    assert sinking == pytest.approx(rest, rel=0.02)  # the wake comes back: hardly any gain in a slow descent
+
+
+def test_hubs_away_from_the_centre_turn_the_body() -> None:
+    """With four rotors the torque beside hub moments is ``sum l x F``: here from thrusts that a roll rate makes uneven."""
+    robot = ROBOTS.get("racing_quadrotor")
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
+    model, bare = (build_model(vehicle, effects_of(e, 1)) for e in ({"blade_element": VALUES}, {}))
+    state = random_state(1)
+    state.lin_vel.zero_()
+    state.attitude[:] = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=F64)
+    state.ang_vel[:] = torch.tensor([3.0, 0.0, 0.0], dtype=F64)
+    state.rotor_speed[:] = 1500.0
+    more = accelerations(model, state).ang_acc - accelerations(bare, state).ang_acc
+    assert more[0, 0] < 0.0  # against the roll
+
+
+def test_what_no_propeller_can_do_is_refused() -> None:
+    effects = {"effects": {"blade_element": VALUES}}
+    check_effects(replace(one_rotor(), **effects))
+    with pytest.raises(ConfigError, match="has a drag torque of at least"):
+        check_effects(replace(one_rotor(torque=0.0009), **effects))
+    robot = one_rotor()
+    assert robot.rotor is not None
+    with pytest.raises(ConfigError, match=r"must give rotor.radius \[m\]"):
+        check_effects(replace(robot, rotor=replace(robot.rotor, radius=None), **effects))
+
+
+def test_neither_is_looked_for_unless_asked() -> None:
+    assert [name for name in EFFECTS if not EFFECTS.get(name).by_default] == ["blade_element", "vortex_ring"]
