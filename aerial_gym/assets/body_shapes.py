@@ -286,6 +286,26 @@ def nearest_of_core(shape: Shape, core: Core, limit: float) -> Nearest:
 
 
 @wp.func
+def shape_gap(
+    shape: Shape, origin: wp.vec3, turn: wp.quat, own: BodyShape, position: wp.vec3, attitude: wp.quat, limit: float
+) -> float:
+    """Return the least signed distance of one of a robot's shapes to a part [m], or ``limit`` if that is smaller."""
+    nearest = float(limit)
+    offset = position + wp.quat_rotate(attitude, own.center) - origin
+    if wp.length(offset) - shape.radius - own.reach < nearest:
+        core = Core()
+        core.center = wp.quat_rotate_inv(turn, offset)
+        core.turn = wp.quat_inverse(turn) * attitude * own.attitude
+        core.half = own.half
+        distance = signed_distance(shape, core.center)
+        if own.reach > own.radius and distance - own.reach < nearest:
+            found = nearest_of_core(shape, core, wp.min(distance, nearest + own.radius))
+            distance = found.distance
+        nearest = wp.min(nearest, distance - own.radius)
+    return nearest
+
+
+@wp.func
 def body_distance(
     shape: Shape,
     origin: wp.vec3,
@@ -301,18 +321,7 @@ def body_distance(
     """
     nearest = float(limit)
     for c in range(body.shape[0]):
-        own = body[c]
-        offset = position + wp.quat_rotate(attitude, own.center) - origin
-        if wp.length(offset) - shape.radius - own.reach < nearest:
-            core = Core()
-            core.center = wp.quat_rotate_inv(turn, offset)
-            core.turn = wp.quat_inverse(turn) * attitude * own.attitude
-            core.half = own.half
-            distance = signed_distance(shape, core.center)
-            if own.reach > own.radius and distance - own.reach < nearest:
-                found = nearest_of_core(shape, core, wp.min(distance, nearest + own.radius))
-                distance = found.distance
-            nearest = wp.min(nearest, distance - own.radius)
+        nearest = shape_gap(shape, origin, turn, body[c], position, attitude, nearest)
     return nearest
 
 

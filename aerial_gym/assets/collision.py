@@ -1,5 +1,7 @@
 """The collision test: how far the robot's shapes are from the scene, now or at each substep of a step.
 
+Shapes on links of a robot that bends are measured link by link, each with the poses of its own frame.
+
 All substeps are one launch. A block of threads takes an environment and each of its threads some of the parts, which it
 follows through the substeps: moves the instance that carries it, looks for a touch at every pose of the robot, and measures
 the distance at the last one. On the CPU a block is one thread, which keeps the nearest distance so far and passes over what
@@ -13,6 +15,7 @@ P parts of all instances, C shapes, K substeps.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from math import inf
 from typing import Any
@@ -125,6 +128,8 @@ def make_walk(*, moves: bool, shared: bool, cores: bool) -> wp.Kernel:
         hull: float,  # radius of a ball about the body origin that holds all shapes [m]
         dt: float,  # [s] of a substep
         is_step: wp.bool,  # whether obstacles move before each pose, and touches are crashes
+        joins: wp.bool,  # whether another link was measured before this one
+        is_last: wp.bool,  # whether none comes after it
         first: int,  # environment of the first block
         # out
         obstacles_out: obstacles_type,
@@ -186,13 +191,42 @@ def make_walk(*, moves: bool, shared: bool, cores: bool) -> wp.Kernel:
         if wp.static(shared):
             least = wp.tile_min(wp.tile(nearest))[0]  # waits for all threads of the block: none reads a pose after it
         if lane == 0:
+            if joins:
+                least = wp.min(least, distance_out[env])
             distance_out[env] = least
         if wp.static(moves):  # noqa: SIM102 (only what stands alone is static)
-            if is_step:
+            if is_step and is_last:
                 for a in range(lane, obstacles_out.asset.shape[1], wp.block_dim()):
                     move_instance(obstacles_out, env, a, dt, last + 1)
 
     return walk
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkShapes:
+    """Collision shapes on a link, and where that is."""
+
+    shapes: Sequence[CollisionShape]
+    """In the frame of the link."""
+
+    number: int = 0
+    """Of the link; 0 of the body."""
+
+    position: Tensor
+    """Origin of the frame [m], world, (E, 3); may be strided, but for the last axis."""
+
+    attitude: Tensor
+    """To the world, xyzw, unit, (E, 4); likewise."""
+
+
+class _Body:
+    """The shapes of a link as a kernel takes them."""
+
+    def __init__(self, link: LinkShapes, *, device: torch.device) -> None:
+        self.link, self.cores, self.hull = link, has_cores(link.shapes), _ROUNDING * body_reach(link.shapes)
+        self._points = contact_points(link.shapes, device=device)
+        of_spheres = wp.from_torch(self._points, dtype=wp.vec4)
+        self.shapes = body_shapes(link.shapes, device=device) if self.cores else of_spheres
 
 
 class CollisionTest:
@@ -207,6 +241,7 @@ class CollisionTest:
         attitude: Tensor,
         distance_out: Tensor,
         moving: "Obstacles | None" = None,
+        links: Sequence["LinkShapes"] = (),
     ) -> None:
         """Take views of the tensors, which must stay where they are.
 
@@ -218,30 +253,32 @@ class CollisionTest:
             distance_out: Receives the smallest signed distance [m], negative where they overlap, inf where there is
                 nothing to touch, float32, (E,).
             moving: The instances of the scene as ``step`` moves them; None if nothing moves.
+            links: Further links with shapes.
 
         Raises:
             ShapeError: If a tensor does not fit the scene.
         """
         check_tensor("distance_out", distance_out, (scene.num_envs,), device=scene.device)
-        self._cores, self._hull = has_cores(shapes), _ROUNDING * body_reach(shapes)
-        points = contact_points(shapes, device=scene.device)
-        self._body = body_shapes(shapes, device=scene.device) if self._cores else wp.from_torch(points, dtype=wp.vec4)
+        body = LinkShapes(shapes=tuple(shapes), position=position, attitude=attitude)
+        self._links = [_Body(link, device=scene.device) for link in (body, *links) if link.shapes or link is body]
         self._scene, self._out, self._moving = scene, distance_out, moving
         self.has_solids = scene.num_solid > 0
         """Whether there is anything to touch."""
         self._kept_alive: list[object] = []
         self._nothing = torch.zeros(0, dtype=torch.bool, device=scene.device)
-        self._now: list[RecordedLaunch] = []
+        self._now: list[list[RecordedLaunch]] = []
         if self.has_solids:
-            self._now = self._record(position.unsqueeze(0), attitude.unsqueeze(0), dt=0.0, crashes=self._nothing)
-        self._step: list[RecordedLaunch] | None = None
+            poses = [(own.link.position.unsqueeze(0), own.link.attitude.unsqueeze(0)) for own in self._links]
+            self._now = self._record(poses, dt=0.0, crashes=self._nothing)
+        self._step: list[list[RecordedLaunch]] | None = None
 
     def follow(self, position: Tensor, attitude: Tensor, *, dt: float, crashes_out: Tensor) -> None:
         """Make ready for ``step``.
 
         Args:
-            position: Body origin after each substep [m], world, (K, E, 3); read at every step.
-            attitude: Body to world, xyzw, unit, (K, E, 4); likewise.
+            position: Body origin after each substep [m], world, (K, E, 3), or of all links, (K, E, L, 3), if there are
+                ``links``; read at every step.
+            attitude: Body to world, xyzw, unit, (K, E, 4) or (K, E, L, 4); likewise.
             dt: Length of a substep [s].
             crashes_out: Set where the robot touches something after any of the substeps, bool, (E,); never cleared here.
 
@@ -251,26 +288,33 @@ class CollisionTest:
         check_tensor("crashes_out", crashes_out, (self._scene.num_envs,), device=self._out.device, dtype=torch.bool)
         if not len(position):
             raise ShapeError("position: a step needs at least one substep")
-        self._step = self._record(position, attitude, dt=dt, crashes=crashes_out, is_step=True)
+        poses = [(position, attitude)]
+        if position.dim() == 4:
+            poses = [(position[:, :, own.link.number], attitude[:, :, own.link.number]) for own in self._links]
+        self._step = self._record(poses, dt=dt, crashes=crashes_out, is_step=True)
 
     def _record(
-        self,
-        position: Tensor,
-        attitude: Tensor,
-        *,
-        dt: float,
-        crashes: Tensor,
-        is_step: bool = False,
+        self, poses: Sequence[tuple[Tensor, Tensor]], *, dt: float, crashes: Tensor, is_step: bool = False
+    ) -> list[list[RecordedLaunch]]:
+        """Record the launches of each link, one link after the other."""
+        last = len(self._links) - 1
+        return [
+            self._record_link(own, *pose, dt=dt, crashes=crashes, flags=(is_step, number > 0, number == last))
+            for number, (own, pose) in enumerate(zip(self._links, poses, strict=True))
+        ]
+
+    def _record_link(
+        self, own: "_Body", position: Tensor, attitude: Tensor, *, dt: float, crashes: Tensor, flags: tuple[bool, ...]
     ) -> list[RecordedLaunch]:
         scene, rows = self._scene, (position.shape[0], self._scene.num_envs)
         inputs = [
             scene.arrays,
             vector_view("position", position, (*rows, 3), device=scene.device),
             vector_view("attitude", attitude, (*rows, 4), device=scene.device),
-            self._body,
-            self._hull,
+            own.shapes,
+            own.hull,
             dt,
-            is_step,
+            *flags,
         ]
         outputs = [
             NoObstacles() if self._moving is None else self._moving,
@@ -281,7 +325,7 @@ class CollisionTest:
         shared = scene.device.type == "cuda"
         return [
             RecordedLaunch(
-                make_walk(moves=self._moving is not None, shared=shared, cores=self._cores),
+                make_walk(moves=self._moving is not None, shared=shared, cores=own.cores),
                 dim=[count],
                 inputs=[*inputs, first],
                 outputs=outputs,
@@ -305,11 +349,13 @@ class CollisionTest:
             self._out.fill_(inf)
             return
         with on_torch_stream(self._out):
-            launch_side_by_side(self._now)
+            for launches in self._now:
+                launch_side_by_side(launches)
 
     def step(self) -> None:
         """Move the obstacles by K substeps, set crashes, write the distances after the last; launched likewise."""
         if self._step is None:
             raise ShapeError("CollisionTest.step: give it the poses of the substeps first. Call follow()")
         with on_torch_stream(self._out):
-            launch_side_by_side(self._step)
+            for launches in self._step:
+                launch_side_by_side(launches)

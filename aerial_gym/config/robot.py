@@ -6,10 +6,11 @@ SI units throughout; rotor speeds in rad/s.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import inf, isfinite, pi
+from math import inf, isfinite
 from pathlib import Path
 
 from aerial_gym.config.checks import Vec3, require_finite, require_ordered, require_positive
+from aerial_gym.config.collision import BoxCfg, CapsuleCfg, CollisionCfg, CollisionShape, SphereCfg
 from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.joint import BASE, JointsCfg
 from aerial_gym.config.learned_residual import LearnedResidualCfg
@@ -17,7 +18,7 @@ from aerial_gym.config.loader import load
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.rotor import ROTOR_TRAITS, RotorCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg, as_mounts, is_file
-from aerial_gym.config.shape import ROBOT_ID, PartCfg, ShapeCfg, absolute_paths
+from aerial_gym.config.shape import ROBOT_ID, PartCfg, absolute_paths
 from aerial_gym.errors import ConfigError
 
 __all__ = [
@@ -156,107 +157,6 @@ class MountsCfg:
     def __post_init__(self) -> None:
         if not self.layout:
             raise ConfigError("MountsCfg.layout: needs at least one rotor")
-
-
-@dataclass(frozen=True, kw_only=True)
-class SphereCfg:
-    """A collision sphere."""
-
-    center: Vec3
-    """From the body origin [m], body axes."""
-
-    radius: float
-    """Radius [m], > 0."""
-
-    def __post_init__(self) -> None:
-        require_finite(self, "center")
-        require_positive(self, "radius")
-
-
-@dataclass(frozen=True, kw_only=True)
-class BoxCfg:
-    """A collision box."""
-
-    center: Vec3 = (0.0, 0.0, 0.0)
-    """From the body origin [m], body axes."""
-
-    size: Vec3
-    """Edge lengths [m], each > 0."""
-
-    euler: Vec3 = (0.0, 0.0, 0.0)
-    """ZYX roll, pitch, yaw from body to box [rad], within +-2 pi."""
-
-    def __post_init__(self) -> None:
-        _check_place(self)
-        require_finite(self, "size")
-        if not all(edge > 0.0 for edge in self.size):
-            raise ConfigError(f"BoxCfg.size = {self.size!r}: every edge must be > 0")
-
-
-@dataclass(frozen=True, kw_only=True)
-class CapsuleCfg:
-    """A collision capsule: all points within ``radius`` of a line along its own z."""
-
-    center: Vec3 = (0.0, 0.0, 0.0)
-    """Of the line, from the body origin [m], body axes."""
-
-    radius: float
-    """Radius [m], > 0."""
-
-    height: float
-    """Length of the line [m], > 0; the capsule is longer by twice its radius."""
-
-    euler: Vec3 = (0.0, 0.0, 0.0)
-    """ZYX roll, pitch, yaw from body to capsule [rad], within +-2 pi."""
-
-    def __post_init__(self) -> None:
-        _check_place(self)
-        require_positive(self, "radius", "height")
-
-
-CollisionShape = SphereCfg | BoxCfg | CapsuleCfg
-
-
-def _check_place(cfg: BoxCfg | CapsuleCfg) -> None:
-    require_finite(cfg, "center", "euler")
-    if any(abs(angle) > 2.0 * pi for angle in cfg.euler):
-        raise ConfigError(f"{type(cfg).__name__}.euler = {cfg.euler!r}: must lie within +-2 pi. Angles are in radians")
-
-
-@dataclass(frozen=True, kw_only=True)
-class CollisionCfg:
-    """Shapes that must not touch the scene, and on which the robot lands: the union of them all."""
-
-    spheres: tuple[SphereCfg, ...] = ()
-    """Spheres; a vehicle that lands on one rolls."""
-
-    boxes: tuple[BoxCfg, ...] = ()
-    """Boxes, which touch surfaces with their corners, and obstacles with what is deepest in them as well."""
-
-    capsules: tuple[CapsuleCfg, ...] = ()
-    """Capsules, such as skids, arms and rods."""
-
-    source: str
-    """Where the numbers come from."""
-
-    @property
-    def shapes(self) -> tuple[CollisionShape, ...]:
-        """All of them."""
-        return (*self.spheres, *self.boxes, *self.capsules)
-
-    @property
-    def parts(self) -> tuple[PartCfg, ...]:
-        """All of them as shapes that can be seen, in the body frame."""
-        return (
-            *(PartCfg(shape=ShapeCfg(kind="sphere", radius=s.radius), position=s.center) for s in self.spheres),
-            *(PartCfg(shape=ShapeCfg(kind="box", size=s.size), position=s.center, euler=s.euler) for s in self.boxes),
-            *(
-                PartCfg(
-                    shape=ShapeCfg(kind="capsule", radius=s.radius, height=s.height), position=s.center, euler=s.euler
-                )
-                for s in self.capsules
-            ),
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -421,13 +321,21 @@ class RobotCfg:
             raise ConfigError(f"RobotCfg.rotors.{min(unused)}: no mount has this type")
 
     @property
+    def collides_with_links(self) -> bool:
+        """Whether there are collision shapes on links other than the base."""
+        return any(shape.link != BASE for shape in self.collision.shapes)
+
+    @property
     def link_names(self) -> tuple[str, ...]:
         """Names of its links; that of the base alone where it is rigid."""
         return (BASE,) if self.joints is None else self.joints.link_names
 
     def _check_joints(self) -> None:
+        if self.collision.between_links and self.joints is None:
+            raise ConfigError("RobotCfg.collision.between_links: the robot has no joints, and one link alone")
         carried = [(f"mounts.layout: mount {number}", mount.link) for number, mount in enumerate(self.mounts.layout, 1)]
         carried += [(f"visual: part {number}", part.link) for number, part in enumerate(self.visual, 1)]
+        carried += [(f"collision: shape {number}", shape.link) for number, shape in enumerate(self.collision.shapes, 1)]
         carried += [(f"sensors: {mount.key}", mount.link) for mount in self.sensor_mounts]
         for what, link in carried:
             if link not in self.link_names:

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import AssetManager, Bounds, CollisionTest
+from aerial_gym.assets import AssetManager, Bounds
 from aerial_gym.assets.below import SurfaceBelow
 from aerial_gym.assets.body_shapes import body_reach
 from aerial_gym.config.checks import MAX_COUNT
@@ -21,9 +21,9 @@ from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop
+from aerial_gym.env_manager.touch import Touch, recorded
 from aerial_gym.errors import ClosedError, ConfigError
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics import Trajectory
 from aerial_gym.physics.state import JointedState
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
 from aerial_gym.registry.state import below, check_state, identity, restore, saved
@@ -111,9 +111,7 @@ class EnvManager:
             randomize=random,
         )
         scene = self.asset_manager.scene
-        trajectory = None
-        if env.num_assets and env.contact is None:
-            trajectory = Trajectory.zeros(env.physics_steps_per_env_step, num_envs, device=device)
+        trajectory = recorded(env, robot, num_envs=num_envs, device=device, gradients=differentiable)
         around = Surroundings(
             bounds=bounds,
             crashes=self.gtd["crashes"],
@@ -138,7 +136,7 @@ class EnvManager:
         self._links: LinkPlaces | None = None
         if robot.joints is not None and links is not None:
             assert isinstance(self.robot_manager.tensors.state, JointedState)
-            self._links = LinkPlaces(robot.joints, self.robot_manager.tensors.state, links)
+            self._links = LinkPlaces(robot.joints, self.robot_manager.tensors.state, links, trajectory)
         surface, self._below = self.robot_manager.felt.surface_height, None
         if surface is not None:
             self._below = SurfaceBelow(scene, position=self.gtd["robot_position"], height_out=surface)
@@ -173,21 +171,17 @@ class EnvManager:
             errors=self.robot_manager.imu_errors,
             carriers=carriers,
         )
-        self._collision = CollisionTest(
-            scene,
-            robot.collision.shapes,
-            distance_out=self.gtd["robot_clearance"],
-            moving=self.asset_manager.moving,
-            **pose,
+        self._move_links()
+        self._collision = Touch(
+            robot,
+            self.gtd,
+            self.asset_manager,
+            pose=pose,
+            links=links,
+            places=self._links,
+            trajectory=trajectory,
+            dt=sim.dt,
         )
-        if trajectory is not None:
-            self._collision.follow(
-                trajectory.position,
-                trajectory.attitude,
-                dt=sim.dt,
-                crashes_out=self.gtd["crashes"],
-            )
-        self._collision.measure()
         self._identity = identity(
             sim=sim, environment=env, robot=robot, controller=controller, randomize=dict(randomize or {})
         )
@@ -283,6 +277,8 @@ class EnvManager:
             self._below.find()
         self.robot_manager.advance(self.cfg.physics_steps_per_env_step)
         self._move_links()
+        if self._links is not None and self._links.track is not None:
+            self._links.track.refresh()
 
     def _move_links(self) -> None:
         if self._links is not None:
@@ -290,10 +286,7 @@ class EnvManager:
 
     def collide(self) -> None:
         """Measure the clearance in one launch; obstacles that do not push back move meanwhile, and every touch is a crash."""
-        if self.cfg.num_assets and self.cfg.contact is None:
-            self._collision.step()
-        elif self._collision.has_solids:
-            self._collision.measure()
+        self._collision.step()
 
     def restart(self, seed: int) -> None:
         """Begin every random number anew with a seed, as if all were built with it; call ``reset`` next."""
@@ -327,8 +320,7 @@ class EnvManager:
         self.asset_manager.clear_start(mask, self.gtd["robot_position"])
         self.sensor_manager.reset(mask)
         self.imus.reset(mask)
-        if self._collision.has_solids:
-            self._collision.measure()
+        self._collision.measure()
 
     def clear_goal(self, mask: Tensor, position: Tensor) -> None:
         """Make room for a robot at a goal (E, 3) [m], world, of the environments in ``mask``, bool (E,), after a reset."""

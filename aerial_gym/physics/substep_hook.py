@@ -2,7 +2,7 @@
 
 A backend advances all substeps of a step in one go. Whoever must know each of them gives it a hook at ``allocate``: the torch
 backend calls it after every substep, the fused kernel holds its Warp twin, composed in only where there is one.
-Letters: E environments, K substeps of a step.
+Letters: E environments, K substeps of a step, D joints.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from torch import Tensor
 from aerial_gym.errors import ShapeError
 from aerial_gym.physics.fused.hook import FusedHook, trajectory_hook
 from aerial_gym.physics.integrators import MassState
-from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.state import BodyState, JointedState
 
 
 class SubstepHook(Protocol):
@@ -51,12 +51,17 @@ class Trajectory:
     attitude: Tensor
     """Body to world, xyzw, float32, (K, E, 4)."""
 
+    joint_pos: Tensor | None = None
+    """Of a vehicle that bends: coordinates of its joints [rad] or [m], float32, (K, E, D)."""
+
     @classmethod
-    def zeros(cls, substeps: int, num_envs: int, *, device: torch.device) -> "Trajectory":
-        """Return a record with room for steps of so many substeps."""
+    def zeros(cls, substeps: int, num_envs: int, *, device: torch.device, num_joints: int = 0) -> "Trajectory":
+        """Return a record with room for steps of so many substeps, and for joints if there are any."""
+        size = (substeps, num_envs)
         return cls(
-            position=torch.zeros(substeps, num_envs, 3, device=device),
-            attitude=torch.zeros(substeps, num_envs, 4, device=device),
+            position=torch.zeros(*size, 3, device=device),
+            attitude=torch.zeros(*size, 4, device=device),
+            joint_pos=torch.zeros(*size, num_joints, device=device) if num_joints else None,
         )
 
     @property
@@ -69,8 +74,12 @@ class Trajectory:
         del before
         self.position[k].copy_(state.position)
         self.attitude[k].copy_(state.attitude)
+        if self.joint_pos is not None:
+            assert isinstance(state, JointedState)
+            self.joint_pos[k].copy_(state.joint_pos)
 
     def fused(self) -> FusedHook:
         """Return the same as Warp code."""
         position = wp.from_torch(self.position, dtype=wp.vec3)
-        return trajectory_hook(position, wp.from_torch(self.attitude, dtype=wp.quat))
+        joint_pos = None if self.joint_pos is None else wp.from_torch(self.joint_pos)
+        return trajectory_hook(position, wp.from_torch(self.attitude, dtype=wp.quat), joint_pos)

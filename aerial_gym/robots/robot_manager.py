@@ -13,6 +13,7 @@ from aerial_gym.assets.body_shapes import contact_points
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.shape import BASE
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import Controller, make_controller
 from aerial_gym.control.allocation import Allocation
@@ -117,7 +118,7 @@ class RobotManager:
             )
         self._declare_model()
         self._randomized = self._make_randomized(randomize or {})
-        spheres = contact_points(robot.collision.shapes, device=gtd.device)
+        spheres = contact_points(robot.collision.on(BASE), device=gtd.device)
         self._contact_force = self._declare_contact(spheres)
         self._load = hung_load(gtd, self._effects, self.tensors.state)
         self.backend.allocate(

@@ -1,6 +1,6 @@
 """The place of a ``SubstepHook`` in the fused kernel, and the twin of ``Trajectory``.
 
-Letters: E environments, K substeps of a step.
+Letters: E environments, K substeps of a step, D joints.
 """
 
 from dataclasses import dataclass
@@ -23,6 +23,9 @@ class FusedHook:
 
     function: wp.Function
     """``(data, env, k, done: Substep) -> (position, attitude, lin_vel, ang_vel)`` after substep k, as in ``Substep``."""
+
+    joints: bool = False
+    """Whether the data has an array ``joint_pos``, (K, E, D), into which the kernel of a vehicle that bends writes."""
 
 
 @wp.struct
@@ -56,6 +59,15 @@ class TrajectoryArrays:
     attitude: wp.array2d[wp.quat]  # (K, E) body to world, xyzw
 
 
+@wp.struct
+class JointTrajectoryArrays:
+    """The same of a vehicle that bends."""
+
+    position: wp.array2d[wp.vec3]  # (K, E) body origin, world [m]
+    attitude: wp.array2d[wp.quat]  # (K, E) body to world, xyzw
+    joint_pos: wp.array3d[float]  # (K, E, D) [rad] or [m]
+
+
 @wp.func
 def record(data: TrajectoryArrays, env: int, k: int, done: Substep):
     """Write the pose and return the motion as it came."""
@@ -64,8 +76,20 @@ def record(data: TrajectoryArrays, env: int, k: int, done: Substep):
     return done.position, done.attitude, done.lin_vel, done.ang_vel
 
 
-def trajectory_hook(position: wp.array, attitude: wp.array) -> FusedHook:
-    """Return the hook that writes these arrays, (K, E)."""
-    data = TrajectoryArrays()
-    data.position, data.attitude = position, attitude
-    return FusedHook(TrajectoryArrays, data, record)
+@wp.func
+def record_jointed(data: JointTrajectoryArrays, env: int, k: int, done: Substep):
+    """Do the same beside joints."""
+    data.position[k, env] = done.position - rotate(done.attitude, done.com)
+    data.attitude[k, env] = done.attitude
+    return done.position, done.attitude, done.lin_vel, done.ang_vel
+
+
+def trajectory_hook(position: wp.array, attitude: wp.array, joint_pos: wp.array | None = None) -> FusedHook:
+    """Return the hook that writes these arrays, (K, E), and (K, E, D) of joints."""
+    if joint_pos is None:
+        data = TrajectoryArrays()
+        data.position, data.attitude = position, attitude
+        return FusedHook(TrajectoryArrays, data, record)
+    jointed = JointTrajectoryArrays()
+    jointed.position, jointed.attitude, jointed.joint_pos = position, attitude, joint_pos
+    return FusedHook(JointTrajectoryArrays, jointed, record_jointed, joints=True)

@@ -9,7 +9,7 @@ product of the turns and shifts of the joints from the base to it, each about it
 of a revolute joint; a prismatic one leaves w_parent and adds R_parent a_k q_k' to the velocity. v_k is that of the frame's
 origin, which may lie far from the link.
 Source: Murray, Li, Sastry (1994), A Mathematical Introduction to Robotic Manipulation, section 3.2.2 (product of exponentials).
-Frames: world z up; a link's as said. Letters: E environments, D joints, L = D + 1 links, the base first.
+Frames: world z up; a link's as said. Letters: E environments, D joints, L = D + 1 links, the base first, K substeps of a step.
 """
 
 from collections.abc import Mapping
@@ -19,12 +19,15 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.assets.collision import LinkShapes
+from aerial_gym.config.collision import CollisionCfg
 from aerial_gym.config.imu import ImuCfg
 from aerial_gym.config.joint import JointsCfg
 from aerial_gym.config.sensor import RangeSensorCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.interop import RecordedLaunch, on_torch_stream
 from aerial_gym.interop.streams import BLOCK_DIM
+from aerial_gym.physics import Trajectory
 from aerial_gym.physics.state import JointedState
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.sensors.mounts import Carrier, Mounted
@@ -46,6 +49,16 @@ class LinkTensors:
     def carriers(self, mounted: Mapping[str, Mounted[RangeSensorCfg] | Mounted[ImuCfg]]) -> dict[str, Carrier]:
         """Return the links that carry sensors by the names of these; none of sensors on the base."""
         return {name: self._carrier(self.names.index(each.link)) for name, each in mounted.items() if each.link != BASE}
+
+    def shapes_of(self, collision: CollisionCfg) -> list[LinkShapes]:
+        """Return the collision shapes on every link but the base, where there are any."""
+        found = [(number, collision.on(name)) for number, name in enumerate(self.names[1:], 1)]
+        position, attitude = self.state[..., :3], self.state[..., 3:7]
+        return [
+            LinkShapes(shapes=shapes, number=k, position=position[:, k], attitude=attitude[:, k])
+            for k, shapes in found
+            if shapes
+        ]
 
     def _carrier(self, number: int) -> Carrier:
         position, attitude, lin_vel, _ = self.state[:, number].split((3, 4, 3, 3), dim=-1)
@@ -82,6 +95,39 @@ class _Joints:
     reference: wp.array[float]  # (D,) [rad] or [m]
 
 
+@wp.func
+def _place(joints: _Joints, k: int, x: wp.vec3, q: wp.quat, joint_pos: float):
+    """Return position and attitude of the frame of joint k's link from those of the link on which it sits."""
+    bend = joint_pos - joints.reference[k]
+    if joints.slides[k]:
+        return x + wp.quat_rotate(q, bend * joints.axis[k]), q
+    hinge = x + wp.quat_rotate(q, joints.position[k])
+    turned = wp.normalize(q * wp.quat_from_axis_angle(joints.axis[k], bend))
+    return hinge - wp.quat_rotate(turned, joints.position[k]), turned
+
+
+@wp.kernel(enable_backward=False)
+def _follow_links(
+    joints: _Joints,
+    # state after each substep
+    position: wp.array2d[wp.vec3],  # (K, E) of the base, world [m]
+    attitude: wp.array2d[wp.quat],  # (K, E) base to world, xyzw
+    joint_pos: wp.array3d[float],  # (K, E, D) [rad] or [m]
+    # out
+    position_out: wp.array3d[wp.vec3],  # (K, E, L) world [m]
+    attitude_out: wp.array3d[wp.quat],  # (K, E, L) link to world, xyzw
+):
+    """Write the frames of all links of an environment after a substep."""
+    i, e = wp.tid()
+    position_out[i, e, 0] = position[i, e]
+    attitude_out[i, e, 0] = attitude[i, e]
+    for k in range(joint_pos.shape[2]):
+        p = joints.parent[k]
+        x, q = _place(joints, k, position_out[i, e, p], attitude_out[i, e, p], joint_pos[i, e, k])
+        position_out[i, e, k + 1] = x
+        attitude_out[i, e, k + 1] = q
+
+
 @wp.kernel(enable_backward=False)
 def _place_links(
     joints: _Joints,
@@ -111,20 +157,14 @@ def _place_links(
         x = position_out[e, p]
         q = attitude_out[e, p]
         axis = wp.quat_rotate(q, joints.axis[k])
-        bend = joint_pos[e, k] - joints.reference[k]
         rate = joint_vel[e, k] * axis
-        hinge = x + wp.quat_rotate(q, joints.position[k])
-        turned = q
-        place = x + bend * axis
+        place, turned = _place(joints, k, x, q, joint_pos[e, k])
         spin = ang_vel_world_out[e, p]
-        if not joints.slides[k]:
-            turned = wp.normalize(q * wp.quat_from_axis_angle(joints.axis[k], bend))
-            place = hinge - wp.quat_rotate(turned, joints.position[k])
         velocity = lin_vel_out[e, p] + wp.cross(spin, place - x)
         if joints.slides[k]:
             velocity += rate
         else:
-            velocity += wp.cross(rate, place - hinge)
+            velocity += wp.cross(rate, place - x - wp.quat_rotate(q, joints.position[k]))
             spin += rate
         position_out[e, k + 1] = place
         attitude_out[e, k + 1] = turned
@@ -133,18 +173,59 @@ def _place_links(
         ang_vel_out[e, k + 1] = wp.quat_rotate_inv(turned, spin)
 
 
+def _table(cfg: JointsCfg, place: wp.Device) -> _Joints:
+    table = _Joints()
+    table.parent = wp.array([cfg.link_of(joint.parent) for joint in cfg.layout], dtype=wp.int32, device=place)
+    table.slides = wp.array([joint.kind == "prismatic" for joint in cfg.layout], dtype=wp.bool, device=place)
+    table.axis = wp.array([joint.axis for joint in cfg.layout], dtype=wp.vec3, device=place)
+    table.position = wp.array([joint.position for joint in cfg.layout], dtype=wp.vec3, device=place)
+    table.reference = wp.array([joint.reference for joint in cfg.layout], dtype=wp.float32, device=place)
+    return table
+
+
+class LinkTrack:
+    """Where links are after each substep of a step, from a record of base and joints."""
+
+    def __init__(self, cfg: JointsCfg, trajectory: Trajectory) -> None:
+        """Take views of a record with joints, and make room for the links."""
+        assert trajectory.joint_pos is not None
+        size, device = (*trajectory.position.shape[:2], len(cfg.link_names)), trajectory.position.device
+        self.position = torch.zeros(*size, 3, device=device)
+        """Origins of the frames [m], world, (K, E, L, 3)."""
+        self.attitude = torch.zeros(*size, 4, device=device)
+        """To the world, xyzw, (K, E, L, 4)."""
+        place = wp.device_from_torch(device)
+        self._command = RecordedLaunch(
+            _follow_links,
+            dim=size[:2],
+            inputs=[
+                _table(cfg, place),
+                wp.from_torch(trajectory.position, dtype=wp.vec3),
+                wp.from_torch(trajectory.attitude, dtype=wp.quat),
+                wp.from_torch(trajectory.joint_pos),
+            ],
+            outputs=[wp.from_torch(self.position, dtype=wp.vec3), wp.from_torch(self.attitude, dtype=wp.quat)],
+            device=place,
+            block_dim=BLOCK_DIM,
+        )
+        self._kept_alive = trajectory
+
+    def refresh(self) -> None:
+        """Place all links of the step that has just ended; launched on torch's current stream, not waited for."""
+        with on_torch_stream(self.position):
+            self._command.launch()
+
+
 class LinkPlaces:
     """Writes the frames of the links; captured with the step that it belongs to."""
 
-    def __init__(self, cfg: JointsCfg, state: JointedState, links: LinkTensors) -> None:
-        """Take views of the state, which must stay where it is, and of what is written."""
-        device = state.position.device
-        table, place = _Joints(), wp.device_from_torch(device)
-        table.parent = wp.array([cfg.link_of(joint.parent) for joint in cfg.layout], dtype=wp.int32, device=place)
-        table.slides = wp.array([joint.kind == "prismatic" for joint in cfg.layout], dtype=wp.bool, device=place)
-        table.axis = wp.array([joint.axis for joint in cfg.layout], dtype=wp.vec3, device=place)
-        table.position = wp.array([joint.position for joint in cfg.layout], dtype=wp.vec3, device=place)
-        table.reference = wp.array([joint.reference for joint in cfg.layout], dtype=wp.float32, device=place)
+    def __init__(self, cfg: JointsCfg, state: JointedState, links: LinkTensors, trajectory: Trajectory | None) -> None:
+        """Take views of the state, which must stay where it is, and of what is written; follow a record if it has joints."""
+        followed = trajectory is not None and trajectory.joint_pos is not None
+        self.track: LinkTrack | None = LinkTrack(cfg, trajectory) if followed and trajectory is not None else None
+        """Where links are after each substep of the last step; None where that is not recorded."""
+        place = wp.device_from_torch(state.position.device)
+        table = _table(cfg, place)
         base = (state.position, state.attitude, state.lin_vel, state.ang_vel)
         types, columns = (wp.vec3, wp.quat, wp.vec3, wp.vec3), ((0, 3), (3, 7), (7, 10), (10, 13))
         self._kept_alive, self._written = (table, state, links), links.state

@@ -26,8 +26,8 @@ DriveMode = Literal["position", "velocity", "effort"]
 SOURCE = "Aerial Gym Simulator 2.0.1, snakey, snakey5 and snakey6"
 
 
-def snake(num_rods: int, mode: DriveMode = "velocity") -> RobotCfg:
-    """Return a snake of N rods whose 2 (N - 1) joints follow commands of a mode."""
+def snake(num_rods: int, mode: DriveMode = "velocity", *, between_links: bool = False) -> RobotCfg:
+    """Return a snake of N rods whose 2 (N - 1) joints follow commands of a mode; its rods may collide with each other."""
     corner = 2.0 * pi / num_rods
     headings = [k * corner for k in range(num_rods)]
     middles = _middles(headings)
@@ -63,8 +63,18 @@ def snake(num_rods: int, mode: DriveMode = "velocity") -> RobotCfg:
             ),
         ),
         collision=CollisionCfg(
-            capsules=(CapsuleCfg(radius=RADIUS, height=LENGTH - 2.0 * RADIUS, euler=(0.0, 0.5 * pi, 0.0)),),
-            source="Chosen: the first rod; the others do not collide",
+            capsules=tuple(
+                CapsuleCfg(
+                    radius=RADIUS,
+                    height=LENGTH - 2.0 * RADIUS,
+                    center=middle,
+                    euler=(0.0, 0.5 * pi, heading),
+                    link=BASE if k == 0 else f"roll_{k}",
+                )
+                for k, (middle, heading) in enumerate(zip(middles, headings, strict=True))
+            ),
+            between_links=between_links,
+            source="Chosen: rods 20 mm thick",
         ),
         initial_state=InitialStateCfg(
             position_ratio_low=(0.5, 0.5, 0.5),

@@ -119,7 +119,7 @@ def make_jointed_kernel(
     read_params = make_reader(params_type, num_params, 0)
     first_param = packing.effects
     follows, hook_type = hook is not None, NoHook if hook is None else hook.struct
-    follow = None if hook is None else hook.function
+    follow, records = (None, False) if hook is None else (hook.function, hook.joints)
 
     @wp.func
     def solve(whole: Inertia):
@@ -286,6 +286,9 @@ def make_jointed_kernel(
                 done.lin_vel = v
                 done.ang_vel = w
                 x, q, v, w = follow(hook_data, env, k, done)
+            if wp.static(records):
+                for i in range(wp.static(num_joints)):
+                    hook_data.joint_pos[k, env, i] = pos[i]
         if wp.static(remembers):
             effects.since[env] = since + substeps
             for i in range(wp.static(num_memory)):

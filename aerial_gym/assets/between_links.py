@@ -1,0 +1,186 @@
+"""Whether the links of a robot that bends touch each other, now or at each substep of a step.
+
+Every pair of shapes on different links is measured as the collision test measures a shape against a part, but pairs that always
+touch: those on links that a joint connects (a link without shapes is passed over), and those that touch in the reference pose.
+Frames: shapes in the frames of their links, which are the body's in the reference pose. Letters: E environments, C shapes,
+L links, K substeps, N pairs.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.assets.body_shapes import BodyShape, body_shapes, shape_gap
+from aerial_gym.assets.geometry import Shape
+from aerial_gym.assets.shapes import ShapeTable
+from aerial_gym.assets.views import check_tensor, vector_view
+from aerial_gym.config.collision import CollisionCfg
+from aerial_gym.config.shape import BASE, ShapeCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.interop import RecordedLaunch, on_torch_stream
+from aerial_gym.interop.streams import BLOCK_DIM
+
+
+@wp.func
+def _gap(one: Shape, x: wp.vec3, q: wp.quat, other: BodyShape, y: wp.vec3, p: wp.quat, limit: float) -> float:
+    """Return the signed distance of two shapes on links at poses (x, q) and (y, p) [m], or ``limit`` if that is smaller."""
+    return shape_gap(one, x + wp.quat_rotate(q, one.position), q * one.attitude, other, y, p, limit)
+
+
+@wp.kernel(enable_backward=False)
+def _in_reference(
+    shapes: wp.array[Shape],  # (C,)
+    body: wp.array[BodyShape],  # (C,)
+    pairs: wp.array2d[wp.int32],  # (N, 2)
+    # out
+    gap_out: wp.array[float],  # (N,) [m]
+):
+    """Write how far the shapes of each pair are from each other in the reference pose."""
+    n = wp.tid()
+    unit, zero = wp.quat_identity(), wp.vec3()
+    gap_out[n] = _gap(shapes[pairs[n, 0]], zero, unit, body[pairs[n, 1]], zero, unit, float(wp.inf))
+
+
+@wp.kernel(enable_backward=False)
+def _meet(
+    # params
+    shapes: wp.array[Shape],  # (C,)
+    body: wp.array[BodyShape],  # (C,) the same
+    link: wp.array[wp.int32],  # (C,) that carries each
+    pairs: wp.array2d[wp.int32],  # (N, 2)
+    # state
+    position: wp.array3d[wp.vec3],  # (K, E, L) world [m]
+    attitude: wp.array3d[wp.quat],  # (K, E, L) link to world, xyzw
+    is_step: wp.bool,  # whether touches are crashes
+    # out
+    distance_out: wp.array[float],  # (E,) [m]
+    crashes_out: wp.array[wp.bool],  # (E,) set where links touch at one of the poses
+):
+    """Write the least signed distance of two links of an environment at the last pose."""
+    e = wp.tid()
+    last = position.shape[0] - 1
+    nearest = float(wp.inf)
+    touches = wp.bool(False)
+    for n in range(pairs.shape[0]):
+        a = pairs[n, 0]
+        b = pairs[n, 1]
+        for k in range(last + 1):
+            limit = wp.where(k < last, 0.0, nearest)
+            x = position[k, e, link[a]]
+            y = position[k, e, link[b]]
+            gap = _gap(shapes[a], x, attitude[k, e, link[a]], body[b], y, attitude[k, e, link[b]], limit)
+            touches = touches or gap < 0.0
+            if k == last:
+                nearest = wp.min(nearest, gap)
+    distance_out[e] = nearest
+    if is_step and touches:
+        crashes_out[e] = True
+
+
+class BetweenLinks:
+    """Signed distances between the links of one robot per environment, with all views made at construction."""
+
+    def __init__(
+        self,
+        cfg: CollisionCfg,
+        *,
+        names: Sequence[str],
+        parents: Sequence[int],
+        state: Tensor,
+        distance_out: Tensor,
+    ) -> None:
+        """Take views of the tensors, which must stay where they are.
+
+        Args:
+            cfg: The collision shapes.
+            names: Of the links, L of them, the base first.
+            parents: Link on which each but the base sits, L - 1 of them.
+            state: Position [m] and attitude, xyzw, of the links first, world, (E, L, 13).
+            distance_out: Receives the least signed distance of two links [m], negative where they overlap, float32, (E,).
+
+        Raises:
+            ConfigError: If there is no pair to look at.
+        """
+        device = state.device
+        check_tensor("distance_out", distance_out, (len(state),), device=device)
+        self._out, self._place = distance_out, wp.device_from_torch(device)
+        with on_torch_stream(distance_out):
+            parts = tuple(replace(part, link=BASE) for part in cfg.parts)  # places in the frame of each link
+            self._table = ShapeTable([ShapeCfg(kind="compound", parts=parts)] if parts else [], device=device)
+            body = body_shapes(cfg.shapes, device=device)
+            links = [list(names).index(shape.link) for shape in cfg.shapes]
+            self.pairs = self._pairs(links, parents, body)
+            """Pairs of places in ``cfg.shapes`` that are looked at."""
+            pairs = wp.array(self.pairs, dtype=wp.int32, device=self._place, ndim=2)
+            self._fixed = [self._table.array, body, wp.array(links, dtype=wp.int32, device=self._place), pairs]
+        nothing = torch.zeros(0, dtype=torch.bool, device=device)
+        now = state.unsqueeze(0)
+        self._now = self._record(now[..., :3], now[..., 3:7], is_step=False, crashes=nothing)
+        self._step: RecordedLaunch | None = None
+
+    def _pairs(self, links: list[int], parents: Sequence[int], body: wp.array) -> list[tuple[int, int]]:
+        carrier = dict(zip(range(1, len(parents) + 1), parents, strict=True))
+
+        def next_with_shapes(link: int) -> int | None:
+            while link > 0:
+                link = carrier[link]
+                if link in links:
+                    return link
+            return None
+
+        def connected(a: int, b: int) -> bool:
+            return a == b or next_with_shapes(a) == b or next_with_shapes(b) == a
+
+        found = [(i, j) for i, j in combinations(range(len(links)), 2) if not connected(links[i], links[j])]
+        if found:
+            gap = wp.zeros(len(found), dtype=wp.float32, device=self._place)
+            pairs = wp.array(found, dtype=wp.int32, device=self._place, ndim=2)
+            wp.launch(_in_reference, dim=len(found), inputs=[self._table.array, body, pairs], outputs=[gap])
+            found = [pair for pair, apart in zip(found, gap.numpy().tolist(), strict=True) if apart > 0.0]
+        if not found:
+            raise ConfigError(
+                "CollisionCfg.between_links: no two shapes can be looked at: give shapes on links that no joint connects and "
+                "that are apart in the reference pose"
+            )
+        return found
+
+    def follow(self, position: Tensor, attitude: Tensor, *, crashes_out: Tensor) -> None:
+        """Make ready for ``step``.
+
+        Args:
+            position: Origins of the frames of links after each substep [m], world, (K, E, L, 3); read at every step.
+            attitude: To the world, xyzw, unit, (K, E, L, 4); likewise.
+            crashes_out: Set where links touch after any of the substeps, bool, (E,); never cleared here.
+        """
+        check_tensor("crashes_out", crashes_out, (len(self._out),), device=self._out.device, dtype=torch.bool)
+        self._step = self._record(position, attitude, is_step=True, crashes=crashes_out)
+
+    def _record(self, position: Tensor, attitude: Tensor, *, is_step: bool, crashes: Tensor) -> RecordedLaunch:
+        device = self._out.device
+        poses = [
+            vector_view("position", position, (*position.shape[:3], 3), device=device),
+            vector_view("attitude", attitude, (*position.shape[:3], 4), device=device),
+        ]
+        return RecordedLaunch(
+            _meet,
+            dim=len(self._out),
+            inputs=[*self._fixed, *poses, is_step],
+            outputs=[wp.from_torch(self._out), wp.from_torch(crashes)],
+            device=self._place,
+            block_dim=BLOCK_DIM,
+        )
+
+    def measure(self) -> None:
+        """Write the distances of the present poses; launched on torch's current stream, not waited for."""
+        with on_torch_stream(self._out):
+            self._now.launch()
+
+    def step(self) -> None:
+        """Set crashes, write the distances after the last substep; launched likewise."""
+        assert self._step is not None
+        with on_torch_stream(self._out):
+            self._step.launch()

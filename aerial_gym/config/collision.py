@@ -1,0 +1,130 @@
+"""Collision shapes of a robot.
+
+Frames: body is x forward, y left, z up. A shape on a link of a robot that bends is where it is in the reference pose.
+"""
+
+from dataclasses import dataclass
+from math import pi
+
+from aerial_gym.config.checks import Vec3, require_finite, require_positive
+from aerial_gym.config.shape import BASE, PartCfg, ShapeCfg
+from aerial_gym.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class SphereCfg:
+    """A collision sphere."""
+
+    center: Vec3
+    """From the body origin [m], body axes."""
+
+    radius: float
+    """Radius [m], > 0."""
+
+    link: str = BASE
+    """Of a robot that bends: what carries it, ``base`` or the joint by whose name the link goes."""
+
+    def __post_init__(self) -> None:
+        require_finite(self, "center")
+        require_positive(self, "radius")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxCfg:
+    """A collision box."""
+
+    center: Vec3 = (0.0, 0.0, 0.0)
+    """From the body origin [m], body axes."""
+
+    size: Vec3
+    """Edge lengths [m], each > 0."""
+
+    euler: Vec3 = (0.0, 0.0, 0.0)
+    """ZYX roll, pitch, yaw from body to box [rad], within +-2 pi."""
+
+    link: str = BASE
+    """Of a robot that bends: what carries it, ``base`` or the joint by whose name the link goes."""
+
+    def __post_init__(self) -> None:
+        _check_place(self)
+        require_finite(self, "size")
+        if not all(edge > 0.0 for edge in self.size):
+            raise ConfigError(f"BoxCfg.size = {self.size!r}: every edge must be > 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CapsuleCfg:
+    """A collision capsule: all points within ``radius`` of a line along its own z."""
+
+    center: Vec3 = (0.0, 0.0, 0.0)
+    """Of the line, from the body origin [m], body axes."""
+
+    radius: float
+    """Radius [m], > 0."""
+
+    height: float
+    """Length of the line [m], > 0; the capsule is longer by twice its radius."""
+
+    euler: Vec3 = (0.0, 0.0, 0.0)
+    """ZYX roll, pitch, yaw from body to capsule [rad], within +-2 pi."""
+
+    link: str = BASE
+    """Of a robot that bends: what carries it, ``base`` or the joint by whose name the link goes."""
+
+    def __post_init__(self) -> None:
+        _check_place(self)
+        require_positive(self, "radius", "height")
+
+
+CollisionShape = SphereCfg | BoxCfg | CapsuleCfg
+
+
+def _check_place(cfg: BoxCfg | CapsuleCfg) -> None:
+    require_finite(cfg, "center", "euler")
+    if any(abs(angle) > 2.0 * pi for angle in cfg.euler):
+        raise ConfigError(f"{type(cfg).__name__}.euler = {cfg.euler!r}: must lie within +-2 pi. Angles are in radians")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollisionCfg:
+    """Shapes that must not touch the scene, and on which the robot lands: the union of them all."""
+
+    spheres: tuple[SphereCfg, ...] = ()
+    """Spheres; a vehicle that lands on one rolls."""
+
+    boxes: tuple[BoxCfg, ...] = ()
+    """Boxes, which touch surfaces with their corners, and obstacles with what is deepest in them as well."""
+
+    capsules: tuple[CapsuleCfg, ...] = ()
+    """Capsules, such as skids, arms and rods."""
+
+    between_links: bool = False
+    """Whether links of a robot that bends collide with each other too: every two shapes on different links but those whose
+    links a joint connects (links without shapes between are passed over), and those that touch in the reference pose."""
+
+    source: str
+    """Where the numbers come from."""
+
+    def on(self, link: str) -> tuple[CollisionShape, ...]:
+        """Return those on a link."""
+        return tuple(shape for shape in self.shapes if shape.link == link)
+
+    @property
+    def shapes(self) -> tuple[CollisionShape, ...]:
+        """All of them."""
+        return (*self.spheres, *self.boxes, *self.capsules)
+
+    @property
+    def parts(self) -> tuple[PartCfg, ...]:
+        """All of them as shapes that can be seen, in the order of ``shapes``."""
+        return tuple(_part_of(shape) for shape in self.shapes)
+
+
+def _part_of(own: CollisionShape) -> PartCfg:
+    if isinstance(own, SphereCfg):
+        return PartCfg(shape=ShapeCfg(kind="sphere", radius=own.radius), position=own.center, link=own.link)
+    if isinstance(own, BoxCfg):
+        shape = ShapeCfg(kind="box", size=own.size)
+    else:
+        shape = ShapeCfg(kind="capsule", radius=own.radius, height=own.height)
+    return PartCfg(shape=shape, position=own.center, euler=own.euler, link=own.link)

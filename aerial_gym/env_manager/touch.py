@@ -1,0 +1,110 @@
+"""What of a robot touches what: obstacles, the ground, and on request its own links.
+
+Letters: E environments, L links, K substeps of a step.
+"""
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from aerial_gym.assets import AssetManager, CollisionTest
+from aerial_gym.assets.between_links import BetweenLinks
+from aerial_gym.config.environment import EnvironmentCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.shape import BASE
+from aerial_gym.errors import CapabilityError
+from aerial_gym.physics import Trajectory
+from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+from aerial_gym.robots.joints.links import LinkPlaces, LinkTensors
+
+
+def recorded(
+    env: EnvironmentCfg, robot: RobotCfg, *, num_envs: int, device: torch.device, gradients: bool
+) -> Trajectory | None:
+    """Return the record of a step that the test needs; None where there is nothing to follow, or contact pushes back.
+
+    Raises:
+        CapabilityError: If links should collide with each other under contact that pushes back or gradients.
+    """
+    between = robot.collision.between_links
+    if between and (env.contact is not None or gradients):
+        raise CapabilityError("collision: between_links: not with contact that pushes back, nor with gradients")
+    links = between or (robot.collides_with_links and bool(env.num_assets or env.ground))
+    if env.contact is not None or not (env.num_assets or links):
+        return None
+    joints = len(robot.link_names) - 1 if links else 0
+    return Trajectory.zeros(env.physics_steps_per_env_step, num_envs, device=device, num_joints=joints)
+
+
+class Touch:
+    """The tests, with all views made at construction."""
+
+    def __init__(
+        self,
+        robot: RobotCfg,
+        gtd: GlobalTensorDictionary,
+        assets: AssetManager,
+        *,
+        pose: Mapping[str, Tensor],
+        links: LinkTensors | None,
+        places: LinkPlaces | None,
+        trajectory: Trajectory | None,
+        dt: float,
+    ) -> None:
+        """Declare the distance between links where that is asked for, and take views.
+
+        Args:
+            robot: With its collision shapes.
+            gtd: Has ``robot_clearance`` and ``crashes``.
+            assets: With the scene.
+            pose: ``position`` [m], world, (E, 3), and ``attitude``, (E, 4), of the body.
+            links: Of a robot that bends.
+            places: Writes these.
+            trajectory: Record of each step; None where nothing is followed.
+            dt: Length of a substep [s].
+        """
+        crashes = gtd["crashes"]
+        self._collision = CollisionTest(
+            assets.scene,
+            robot.collision.on(BASE),
+            links=() if links is None else links.shapes_of(robot.collision),
+            distance_out=gtd["robot_clearance"],
+            moving=assets.moving,
+            **pose,
+        )
+        followed = None if trajectory is None else (trajectory.position, trajectory.attitude)
+        if places is not None and places.track is not None:
+            followed = (places.track.position, places.track.attitude)
+        self._follows = followed is not None and self._collision.has_solids
+        if followed is not None and self._follows:
+            self._collision.follow(*followed, dt=dt, crashes_out=crashes)
+        self._between: BetweenLinks | None = None
+        if robot.collision.between_links and robot.joints is not None and links is not None and followed is not None:
+            self._between = BetweenLinks(
+                robot.collision,
+                names=robot.link_names,
+                parents=[robot.joints.link_of(joint.parent) for joint in robot.joints.layout],
+                state=links.state,
+                distance_out=gtd.declare(TensorSpec(
+                    key="robot_link_clearance", shape=("E",), unit="m", frame="-", owner="env",
+                    meaning="signed distance of the robot's links to each other, without those that always touch",
+                )),
+            )  # fmt: skip
+            self._between.follow(*followed, crashes_out=crashes)
+        self.measure()
+
+    def step(self) -> None:
+        """Measure after a step: obstacles that do not push back move meanwhile, and every touch is a crash."""
+        if self._follows:
+            self._collision.step()
+        elif self._collision.has_solids:
+            self._collision.measure()
+        if self._between is not None:
+            self._between.step()
+
+    def measure(self) -> None:
+        """Write the distances of the present poses."""
+        self._collision.measure()
+        if self._between is not None:
+            self._between.measure()
