@@ -30,6 +30,7 @@ ROOMS = (
     ("logs",),
     ("predict",),
     ("identify",),
+    ("failures",),
     ("judge",),
     ("report",),
     ("close_loop", "replay", "teststand"),

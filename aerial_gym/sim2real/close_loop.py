@@ -15,9 +15,11 @@ from aerial_gym.errors import DataError
 from aerial_gym.interop import one_thread
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.model import check_rotors
+from aerial_gym.sim2real.failures.finding import Failure, FailureFinder, until_failure
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.stages import declare, refit, select
 from aerial_gym.sim2real.judge.analysis import Judged, judge
+from aerial_gym.sim2real.judge.failed import with_failures
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.inputs import read_inputs
@@ -145,10 +147,32 @@ def judge_flights(
     learn_residual: bool = False,
     progress: Progress = silent,
 ) -> Judged:
-    """Return what flights in memory say, stage by stage; arguments as for ``close_loop``."""
+    """Return what flights in memory say, stage by stage; arguments as for ``close_loop``.
+
+    A flight in which something fails is compared up to there.
+
+    Raises:
+        DataError: If failures leave no flight to train or to test on.
+    """
     if learn_residual:
         check_rotors(LearnedResidual, robot.rotor_traits)
-    declared = declare(robot, train, test, bandwidth=bandwidth, tolerances=tolerances or Tolerances())
+    flights, tolerances = [*train, *test], tolerances or Tolerances()
+    finder = FailureFinder(robot, tolerances=tolerances)
+    failures = [found for flight in flights if (found := finder.first_in(flight)) is not None]
+    train, test = (_left_of(role, part, failures) for role, part in (("train", train), ("test", test)))
+    declared = declare(robot, train, test, bandwidth=bandwidth, tolerances=tolerances)
     selected = select(declared, criteria or Criteria(), progress, candidates=effects)
     refitted = refit(selected, progress=progress)
-    return judge(refitted, seed=seed, learn_residual=learn_residual, progress=progress)
+    judged = judge(refitted, seed=seed, learn_residual=learn_residual, progress=progress)
+    return with_failures(judged, failures, len(flights))
+
+
+def _left_of(role: str, flights: Sequence[Flight], failures: Sequence[Failure]) -> list[Flight]:
+    """Return flights up to their failures; refuse to go on with none."""
+    left = until_failure(flights, failures)
+    if flights and not left:
+        told = next(failure.sentence for failure in failures if failure.flight in {flight.name for flight in flights})
+        raise DataError(
+            f"{told}; too little comes before it to {role} on, and no other flight is left: add one that does not fail"
+        )
+    return left

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.failures.finding import Failure
 from aerial_gym.sim2real.identify.candidates.structure import Structure
 from aerial_gym.sim2real.identify.learned import Learned
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import is_number, params_of, scales
@@ -93,7 +94,7 @@ class Verdict:
     """One sentence; what gets worse on the test flights comes first."""
 
     effects: tuple[NamedEffect, ...]
-    """In the order in which they were named."""
+    """In the order in which they were named; a failure that every flight has comes last."""
 
     candidates: tuple[str, ...]
     """These and what cannot be told from them."""
@@ -135,6 +136,9 @@ class Verdict:
     learned: Learned | None = None
     """What became of a learned residual, where one was asked for."""
 
+    failures: tuple[Failure, ...] = ()
+    """What failed in flights, training flights first; these are compared up to it."""
+
     notes: tuple[str, ...] = field(default=())
     """What was done to the logs, and other things to know."""
 
@@ -146,7 +150,10 @@ class Verdict:
     @property
     def meaning(self) -> str:
         """What it tells its reader."""
-        return meaning(self.verdict, self.outcomes, {effect.name: effect.ties for effect in self.effects})
+        kind = "none" if self.failures and not self.effects and self.verdict == "explained" else self.verdict
+        told = meaning(kind, self.outcomes, {effect.name: effect.ties for effect in self.effects})
+        names = ", ".join(failure.flight for failure in self.failures)
+        return f"{told} This is said of {names} up to what failed there." if names else told
 
     def as_mapping(self) -> dict[str, object]:
         """Return the contract for JSON."""
@@ -157,6 +164,7 @@ class Verdict:
             "meaning": self.meaning,
             "test_flights": {found.name: found.as_mapping() for found in self.outcomes},
             "effects": [*(effect.as_mapping() for effect in self.effects), *learned],
+            "failures": [failure.as_mapping() for failure in self.failures],
             "candidates": list(self.candidates),
             "not_testable": list(self.not_testable),
             "not_testable_because": self.not_testable,

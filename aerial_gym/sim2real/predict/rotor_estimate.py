@@ -89,14 +89,14 @@ def estimate_rotors(robot: RobotCfg, flights: Sequence[Flight], bandwidth: float
         flights: With what was measured.
         bandwidth: Of the comparison [Hz].
     """
-    model = _rotors_of(robot)
+    model = rotors_of(robot)
     led = RotorReplay(flights).speeds(model, 0.0, model.effects[RotorSensorEffect])
     made = allocation_matrix(model.vehicle, STANDARD_GRAVITY)[0].numpy()
     found = [_estimate(flight, commanded, made, bandwidth) for flight, commanded in zip(flights, led, strict=True)]
     return [as_measured(flight) if one is None else one for flight, one in zip(flights, found, strict=True)]
 
 
-def _rotors_of(robot: RobotCfg) -> Model:
+def rotors_of(robot: RobotCfg) -> Model:
     """Return the declared vehicle with those of its effects that change how rotors follow commands."""
     kinds = (VehicleEffect, DelayEffect, CommandEffect, RotorSensorEffect)
     effects = {

@@ -1,0 +1,227 @@
+"""What failed in a flight: its name, how large it is and since when, each with an interval.
+
+A failure is a finding about a flight, not about the vehicle: it has the name of the flight and the time in it, and what comes
+after its onset is not compared with the vehicle as it was before. Letters: T rows, K blocks.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import torch
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics import vehicle_from_config
+from aerial_gym.physics.effects.one_rotor import declared_lag
+from aerial_gym.physics.rotors import hover_speed, rotor_thrust, state_for_thrust
+from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorWork, RotorWorks
+from aerial_gym.sim2real.failures.scan import Cause, Timed, causes_of, sum_of_odds, timed
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+
+FALSE_ALARM_HOURS = 100.0
+"""Mean flight time between false alarms [h], as far as what is expected of a rotor is off by white noise and ``beside``."""
+
+WINDOW_BLOCKS = 600
+"""Blocks that are looked at together: a minute."""
+
+SHORTEST_S = 2.0
+"""A flight with less before the failure has nothing to compare [s]."""
+
+RISES = {"motor_failure": "of its commands", "weak_motor": "of its thrust", "brown_out": "of their commands"}
+"""What a share is of."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failure:
+    """What failed in one flight."""
+
+    flight: str
+    name: str
+    """motor_failure, weak_motor, stuck_rotor or brown_out."""
+
+    params: dict[str, float]
+    """As in robot files, ``time`` from the first row on [s]; ``speed`` is what a stuck rotor keeps [rad/s], or [N]."""
+
+    std: dict[str, float]
+    """Of those that are numbers."""
+
+    interval: dict[str, tuple[float, float]]
+    """95 %."""
+
+    log_odds: float
+    """Of this failure against none, at its onset."""
+
+    probability: float
+    """That it is this one, on this rotor, if it is one of those that are known."""
+
+    rival: str
+    """The most probable other failure, empty if there is none."""
+
+    @property
+    def time(self) -> float:
+        """Return the onset, from the first row of the log on [s]."""
+        return self.params["time"]
+
+    @property
+    def sentence(self) -> str:
+        """Return it in words."""
+        who = "all rotors" if self.name == "brown_out" else f"rotor {self.params['motor']:.0f}"
+        low, high = self.interval["time"]
+        when = f"from {self.time:.3f} s [{low:.3f}, {high:.3f}]"
+        if "duration" in self.params:
+            when += f" for {self.params['duration']:.3f} s"
+        if self.name == "stuck_rotor":
+            return f"{self.flight}: {who} keeps {self.params['speed']:.4g} {when} on ({self.name})"
+        low, high = self.interval["scale"]
+        size = f"{self.params['scale']:.3f} [{low:.3f}, {high:.3f}] {RISES[self.name]}"
+        verb = {"weak_motor": "gives", "brown_out": "follow"}.get(self.name, "follows")
+        return f"{self.flight}: {who} {verb} {size} {when}{'' if 'duration' in self.params else ' on'} ({self.name})"
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return {
+            "flight": self.flight,
+            "name": self.name,
+            "params": self.params,
+            "std": self.std,
+            "interval": {key: list(ends) for key, ends in self.interval.items()},
+            "log_odds": self.log_odds,
+            "probability": self.probability,
+            "rival": self.rival or None,
+            "sentence": self.sentence,
+        }
+
+
+def least_log_odds(false_alarm_hours: float) -> float:
+    """Return which sum of odds (``sum_of_odds``) passes for a failure, as a logarithm.
+
+    Without a failure the sum over onsets of the likelihood ratios grows by one a block on the average, for each has the mean
+    one: so the mean number of blocks to a false alarm is at least the limit.
+
+    Source:
+        Pollak (1985), Optimal detection of a change in distribution, Annals of Statistics 13 (Shiryaev-Roberts).
+    """
+    return float(np.log(false_alarm_hours * 3600.0 / BLOCK_S))
+
+
+class FailureFinder:
+    """Looks for failures in flights of a declared robot."""
+
+    def __init__(
+        self, robot: RobotCfg, *, tolerances: Tolerances | None = None, false_alarm_hours: float = FALSE_ALARM_HOURS
+    ) -> None:
+        if not 0.0 < false_alarm_hours < np.inf:
+            raise ConfigError(f"false_alarm_hours = {false_alarm_hours!r}: must be > 0 and finite")
+        self.works, self.limit = RotorWorks(robot), least_log_odds(false_alarm_hours)
+        self._tolerances, self._lag = tolerances or Tolerances(), 0.5 * sum(declared_lag(robot))
+        self._vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+        self._hover = hover_speed(self._vehicle, STANDARD_GRAVITY)
+
+    def first_in(self, flight: Flight) -> Failure | None:
+        """Return the first failure of a flight, None if there is none: minute by minute, half of each again."""
+        works = self.works.of(flight)
+        count = max((work.time.size for work in works), default=0)
+        for begin in range(0, max(count - WINDOW_BLOCKS // 2, 1), WINDOW_BLOCKS // 2):
+            found = self.shown_by([work.rows(slice(begin, begin + WINDOW_BLOCKS)) for work in works], flight.name)
+            if found is not None:
+                return found
+        return None
+
+    def shown_by(self, works: Sequence[RotorWork], flight: str) -> Failure | None:
+        """Return the failure that blocks show, None if the sum of the odds stays below the limit."""
+        causes = causes_of(works, self._tolerances)
+        if not sum_of_odds(causes) > self.limit:
+            return None
+        ranked = sorted((timed(one) for one in causes if one.log_odds > 0.0), key=lambda one: -one.log_odds)
+        odds = np.array([one.log_odds for one in ranked])
+        probability = float(1.0 / np.exp(odds - odds[0]).sum())
+        return self._told(ranked[0], flight, probability, ranked[1].cause if len(ranked) > 1 else None)
+
+    def _told(self, found: Timed, flight: str, probability: float, rival: Cause | None) -> Failure:
+        """Return the failure in the parameters of its effect."""
+        cause, work = found.cause, found.cause.work
+        params, std, interval = dict[str, float](), dict[str, float](), dict[str, tuple[float, float]]()
+        if cause.rotor is not None:
+            params["motor"] = float(cause.rotor + 1)
+        if cause.kind == "stuck_rotor":
+            values = [self._state(cause, found.change + step * found.std) for step in (0.0, -1.96, 1.96)]
+            name = "speed"
+        else:
+            off = found.std
+            if work.quantity == "thrust":  # the change is a share of declared thrust
+                off = np.hypot(off, found.change * np.hypot(self._tolerances.thrust, self._tolerances.mass))
+            values = [self._share(cause, 1.0 + found.change + step * off) for step in (0.0, -1.96, 1.96)]
+            name = "scale"
+        params[name], interval[name], std[name] = values[0], (values[1], values[2]), (values[2] - values[1]) / 3.92
+        late = 1.96 * work.lag * self._tolerances.time_constant
+        params["time"], interval["time"] = found.time, (found.interval[0] - late, found.interval[1] + late)
+        std["time"] = (interval["time"][1] - interval["time"][0]) / 3.92
+        if found.end is not None:
+            params["duration"] = found.end - found.time
+        return Failure(
+            flight=flight,
+            name=cause.kind,
+            params=params,
+            std=std,
+            interval=interval,
+            log_odds=found.log_odds,
+            probability=probability,
+            rival="" if rival is None else rival.name,
+        )
+
+    def _share(self, cause: Cause, done: float) -> float:
+        """Return a share of what is expected as one of what is commanded: by the map of thrust, where motion alone tells."""
+        if cause.kind == "weak_motor" or cause.work.quantity == "speed":
+            return max(done, 0.0)
+        hover = self._hover[None]
+        state = state_for_thrust(self._vehicle, max(done, 0.0) * rotor_thrust(self._vehicle, hover))
+        return float((state / hover).mean())
+
+    def _state(self, cause: Cause, done: float) -> float:
+        """Return the state of a rotor that does a part of what it does in hover."""
+        assert cause.rotor is not None
+        hover = self._hover[None]
+        if cause.work.quantity == "speed":
+            return done * float(self._hover[cause.rotor])
+        state = state_for_thrust(self._vehicle, max(done, 0.0) * rotor_thrust(self._vehicle, hover))
+        return float(state[0, cause.rotor])
+
+
+def until_failure(flights: Sequence[Flight], failures: Sequence[Failure]) -> list[Flight]:
+    """Return flights up to their failures, those that have too little before them left out."""
+    onset = {failure.flight: failure.interval["time"][0] for failure in failures}
+    found = []
+    for flight in flights:
+        if flight.name not in onset:
+            found.append(flight)
+        elif onset[flight.name] >= SHORTEST_S:
+            found.append(_cut(flight, int(onset[flight.name] * flight.rate)))
+    return found
+
+
+def _cut(flight: Flight, rows: int) -> Flight:
+    """Return the first rows of a flight."""
+    arrays = {f.name: getattr(flight, f.name) for f in fields(flight)}
+    kept = {name: v[:rows] for name, v in arrays.items() if isinstance(v, np.ndarray)}
+    return replace(flight, **kept)
+
+
+def same_in_all(failures: Sequence[Failure], flights: int) -> Failure | None:
+    """Return the failure that so many flights all have: the same rotor, size and time within intervals; None if not.
+
+    Its numbers are the means of the flights.
+    """
+    if len(failures) < flights or len({(f.name, f.params.get("motor")) for f in failures}) != 1:
+        return None
+    first = failures[0]
+    for name in first.interval:
+        low, high = (np.array([f.interval[name][end] for f in failures]) for end in (0, 1))
+        if low.max() > high.min():
+            return None
+    mean = {name: float(np.mean([f.params[name] for f in failures])) for name in first.params}
+    spread = {name: float(np.mean([f.std[name] for f in failures])) / flights**0.5 for name in first.std}
+    within = {name: (mean[name] - 1.96 * one, mean[name] + 1.96 * one) for name, one in spread.items()}
+    return replace(first, params=mean, std=spread, interval=within)

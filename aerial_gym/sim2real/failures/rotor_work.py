@@ -1,0 +1,168 @@
+"""What each rotor was to do and did, block of time by block: speeds that commands lead to, and thrusts that motion needs.
+
+Two quantities of each rotor are followed, as far as a log has them:
+
+- *speed*: measured, against what commands lead to by the declared lag;
+- *thrust*: ``A⁺ w``, with w force and torque that the measured motion needs and A what rotors of unit thrust make, against
+  ``A⁺ A T``, T the declared thrusts at the measured speeds, or at those that commands lead to. Over a block the torque is
+  ``J (w(end) - w(start)) / length + mean(w x J w)``, so that the noise of the gyro is not differentiated further.
+
+In parts of what a rotor does in hover. Frames: body is x forward, y left, z up. Letters: T rows, K blocks, R rotors, Q columns.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.control.effectiveness import allocation_matrix, pseudo_inverse
+from aerial_gym.physics.effects import RotorSensorEffect
+from aerial_gym.physics.effects.one_rotor import declared_lag
+from aerial_gym.physics.rotors import hover_speed, rotor_thrust
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
+from aerial_gym.sim2real.predict.rotor_estimate import rotors_of
+
+Array = NDArray[np.float64]
+
+BLOCK_S = 0.1
+"""Length of a block [s]: some lags of a motor."""
+
+FASTEST = 5.0
+"""Air speed at which a rotor's thrust may be off by all that it gives in hover [m/s]: scale of a column."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorWork:
+    """One quantity of all rotors in every block, in parts of what a rotor does in hover."""
+
+    quantity: str
+    """speed or thrust."""
+
+    driven_by: str
+    """command or speed: where the expectation comes from."""
+
+    time: Array
+    """Begin of each block [s], (K,)."""
+
+    length: float
+    """Of a block [s]."""
+
+    lag: float
+    """With which it follows a change of the command [s]; 0 where it is driven by a speed."""
+
+    done: Array
+    """(K, R)."""
+
+    expected: Array
+    """(K, R)."""
+
+    own: Array
+    """Part of the expectation that goes with the rotor itself, (K, R)."""
+
+    beside: Array
+    """What else an expectation may be off by, as columns, (K, R, Q)."""
+
+    def rows(self, chosen: slice | NDArray[np.bool_]) -> "RotorWork":
+        """Return some of the blocks."""
+        parts = {name: getattr(self, name)[chosen] for name in ("time", "done", "expected", "own", "beside")}
+        return replace(self, **parts)
+
+    def followed_by(self, other: "RotorWork") -> "RotorWork":
+        """Return these blocks and then those of another part of the flight."""
+        names = ("time", "done", "expected", "own", "beside")
+        return replace(self, **{n: np.concatenate((getattr(self, n), getattr(other, n))) for n in names})
+
+
+class RotorWorks:
+    """Follows the rotors of a declared robot along flights."""
+
+    def __init__(self, robot: RobotCfg) -> None:
+        self._model = rotors_of(robot)
+        vehicle = self._model.vehicle
+        made = allocation_matrix(vehicle, STANDARD_GRAVITY)[0]
+        self._inverse = pseudo_inverse(made).numpy()
+        self._share = self._inverse @ made.numpy()
+        self._mass, self._inertia = float(vehicle.mass[0]), vehicle.inertia[0].numpy()
+        self._hover = hover_speed(vehicle, STANDARD_GRAVITY).numpy()
+        self._hover_thrust = rotor_thrust(vehicle, torch.from_numpy(self._hover)[None])[0].numpy()
+        self._lag = 0.5 * sum(declared_lag(robot))
+
+    def of(self, flight: Flight) -> list[RotorWork]:
+        """Return the quantities of a flight that its log has, in whole blocks."""
+        size = max(1, round(BLOCK_S * flight.rate))
+        count = (flight.num_rows - 1) // size
+        if count < 1:
+            return []
+        led = RotorReplay([flight]).speeds(self._model, 0.0, self._model.effects[RotorSensorEffect])[0]
+        found = [] if led is None or flight.rotor_speed is None else [self._speeds(flight, led, size, count)]
+        state = led if flight.rotor_speed is None else flight.rotor_speed
+        if state is not None and flight.gyro and flight.specific_force is not None:
+            found.append(self._thrusts(flight, flight.specific_force, state, size, count))
+        if flight.on_ground is None:
+            return found
+        stands = flight.on_ground[: count * size].reshape(count, size).any(axis=1)
+        return [work.rows(~stands) for work in found]
+
+    def _speeds(self, flight: Flight, led: Array, size: int, count: int) -> RotorWork:
+        assert flight.rotor_speed is not None
+        done, expected = (_means(rows / self._hover, size, count) for rows in (flight.rotor_speed, led))
+        change = np.diff(led[::size][: count + 1], axis=0) / self._hover * self._lag / (size / flight.rate)
+        columns = [expected, change]
+        if flight.battery is not None:
+            volts = _means(flight.battery[:, None], size, count)
+            columns.append(expected * (volts / volts.mean() - 1.0))
+        return RotorWork(
+            quantity="speed",
+            driven_by="command",
+            time=flight.time[: count * size : size],
+            length=size / flight.rate,
+            lag=self._lag,
+            done=done,
+            expected=expected,
+            own=expected,
+            beside=np.stack(columns, axis=-1),
+        )
+
+    def _thrusts(self, flight: Flight, force: Array, state: Array, size: int, count: int) -> RotorWork:
+        length = size / flight.rate
+        given = rotor_thrust(self._model.vehicle, torch.from_numpy(np.ascontiguousarray(state))).numpy()
+        given = _means(given, size, count)
+        edges, turning = flight.ang_vel[::size][: count + 1], flight.ang_vel
+        torque = np.diff(edges, axis=0) / length @ self._inertia
+        torque += _means(np.cross(turning, turning @ self._inertia), size, count)
+        wrench = np.concatenate((self._mass * _means(force, size, count), torque), axis=1)
+        expected, own = given @ self._share.T, given * np.diag(self._share)
+        hover = self._hover_thrust
+        columns = [
+            expected / hover,
+            np.ones_like(expected),
+            np.broadcast_to(given.sum(axis=1, keepdims=True), given.shape),
+        ]
+        columns[2] = columns[2] / hover.sum()
+        if flight.lin_vel is not None:
+            speed = Rotation.from_quat(flight.attitude).apply(flight.lin_vel, inverse=True)
+            speed = _means(speed, size, count) / FASTEST
+            columns += [np.broadcast_to(speed[:, k : k + 1], given.shape) for k in range(3)]
+        measured = flight.rotor_speed is not None
+        return RotorWork(
+            quantity="thrust",
+            driven_by="speed" if measured else "command",
+            time=flight.time[: count * size : size],
+            length=length,
+            lag=0.0 if measured else self._lag,
+            done=wrench @ self._inverse.T / hover,
+            expected=expected / hover,
+            own=own / hover,
+            beside=np.stack(columns, axis=-1),
+        )
+
+
+def _means(rows: Array, size: int, count: int) -> Array:
+    """Return the mean over each block of rows (T, any), by trapezoids from its first row to that of the next, (K, any)."""
+    between = 0.5 * (rows[:-1] + rows[1:])
+    return between[: count * size].reshape(count, size, -1).mean(axis=1)

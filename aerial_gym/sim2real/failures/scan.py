@@ -1,0 +1,264 @@
+"""Which failure the blocks of a flight show, if any: how sure that is, which one it is, how large, and since when.
+
+Letters: K blocks, R rotors, G onsets of a fine grid.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.sim2real.failures.evidence import CONTINUOUS, LONGEST, Evidence, Onsets, Prior, log_evidence
+from aerial_gym.sim2real.failures.rotor_work import RotorWork
+from aerial_gym.sim2real.identify.least_squares.moments import effective_share
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+
+Array = NDArray[np.float64]
+
+KINDS = {
+    ("speed", "command"): ("motor_failure", "stuck_rotor", "brown_out"),
+    ("thrust", "command"): ("motor_failure", "stuck_rotor", "brown_out"),
+    ("thrust", "speed"): ("weak_motor",),
+}
+"""Failures that a quantity shows, by what drives its expectation."""
+
+FINE_S = 0.005
+"""Step of the onsets between which the time is found at last [s]."""
+
+AROUND = 3
+"""Blocks on each side of the most probable one in which they lie."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cause:
+    """One failure with its most probable onset, as far as blocks tell."""
+
+    work: RotorWork
+    evidence: Evidence
+    kind: str
+    rotor: int | None
+    """From 0 on; None: all."""
+
+    log_odds: float
+    """Of all its onsets against no failure."""
+
+    begin: int
+    """Block of the most probable onset."""
+
+    end: int | None
+    """Block before which it ends; None: it goes on."""
+
+    change: float
+
+    @property
+    def name(self) -> str:
+        """Return what it is, on which rotor."""
+        return self.kind if self.rotor is None else f"{self.kind} of rotor {self.rotor + 1}"
+
+    def share(self) -> float:
+        """Return which share of the residuals beside it are independent, rotors by what is left of them."""
+        left = self.residual()
+        squares = (left**2).sum(axis=0)
+        return float((effective_share(left) * squares).sum() / max(squares.sum(), 1e-300))
+
+    def residual(self) -> Array:
+        """Return what it leaves of every rotor, (K, R)."""
+        work, left = self.work, self.evidence.residual.copy()
+        own = range(left.shape[1]) if self.rotor is None else [self.rotor]
+        part = slice(self.begin, self.end)
+        for rotor in range(left.shape[1]):
+            columns, rows = work.beside[:, rotor], slice(None)
+            if rotor in own and self.kind == "stuck_rotor":
+                left[part, rotor] = work.done[part, rotor] - self.change
+                rows = slice(0, self.begin)
+            elif rotor in own:
+                left[part, rotor] -= self.change * work.own[part, rotor]
+            gram = columns[rows].T @ columns[rows] + self.evidence.ridge
+            fitted = np.linalg.solve(gram, columns[rows].T @ left[rows, rotor])
+            left[rows, rotor] -= columns[rows] @ fitted
+        return left
+
+
+def tolerated(quantity: str, tolerances: Tolerances) -> float:
+    """Return how far off a careful declaration is, in parts of hover: thrust goes with the square of speed."""
+    return tolerances.thrust if quantity == "thrust" else 0.5 * tolerances.thrust
+
+
+def causes_of(works: Sequence[RotorWork], tolerances: Tolerances) -> list[Cause]:
+    """Return every failure that the quantities of a flight can show, the most probable first; their odds go with the sum.
+
+    Residuals that remember count as fewer, as in fits (``effective_share``), by what the most probable failure leaves.
+    """
+    kinds = sum(len(KINDS[work.quantity, work.driven_by]) for work in works)
+    found: list[Cause] = []
+    for work in works:
+        if len(work.time) > 1:
+            evidence = Evidence(work, tolerated(work.quantity, tolerances))
+            causes = _causes(evidence, 1.0, kinds)
+            best = max(causes, key=lambda cause: cause.log_odds)
+            found += _causes(evidence, best.share(), kinds) if best.log_odds > 0.0 else causes
+    return sorted(found, key=lambda cause: -cause.log_odds)
+
+
+def sum_of_odds(causes: Sequence[Cause]) -> float:
+    """Return the logarithm of the sum over failures and onsets of the odds against no failure, each failure as probable."""
+    return float(np.logaddexp.reduce([cause.log_odds for cause in causes])) if causes else -np.inf
+
+
+def _causes(evidence: Evidence, share: float, kinds: int) -> list[Cause]:
+    """Return each failure of one quantity, on each rotor; ``kinds`` are as probable as each other."""
+    found = []
+    for kind in KINDS[evidence.work.quantity, evidence.work.driven_by]:
+        onsets = _onsets(evidence, kind, share)
+        if kind == "brown_out":
+            begin, lasting = np.unravel_index(int(np.argmax(onsets.log_odds)), onsets.log_odds.shape)
+            end = None if lasting == LONGEST else int(begin + lasting) + 1
+            found.append(
+                _cause(evidence, kind, None, onsets.log_odds, int(begin), end, onsets.change[begin, lasting], kinds)
+            )
+            continue
+        for rotor in range(evidence.rotors):
+            own = onsets.log_odds[:, rotor]
+            begin = int(np.argmax(own))
+            found.append(_cause(evidence, kind, rotor, own, begin, None, onsets.change[begin, rotor], kinds))
+    return found
+
+
+def _cause(
+    evidence: Evidence,
+    kind: str,
+    rotor: int | None,
+    odds: Array,
+    begin: int,
+    end: int | None,
+    change: float,
+    kinds: int,
+) -> Cause:
+    return Cause(
+        work=evidence.work,
+        evidence=evidence,
+        kind=kind,
+        rotor=rotor,
+        log_odds=float(np.logaddexp.reduce(odds.ravel()) - np.log(kinds)),
+        begin=begin,
+        end=end,
+        change=float(change),
+    )
+
+
+def _onsets(evidence: Evidence, kind: str, share: float) -> Onsets:
+    if kind == "brown_out":
+        return evidence.brown_outs(kind, share)
+    return evidence.stuck(kind, share) if kind == "stuck_rotor" else evidence.changes(kind, share)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timed:
+    """A failure with its time between blocks."""
+
+    cause: Cause
+    log_odds: float
+    """Of its onsets on the fine grid, one a block, against no failure."""
+
+    time: float
+    """[s]."""
+
+    interval: tuple[float, float]
+    """95 % [s]."""
+
+    end: float | None
+    """[s]; None: it goes on."""
+
+    change: float
+    std: float
+
+
+def timed(cause: Cause) -> Timed:
+    """Return a failure with the onset, and the end, on a grid of ``FINE_S`` around its blocks."""
+    share, work = cause.share(), cause.work
+    times = _grid(work, cause.begin)
+    end = None if cause.end is None else float(work.time[min(cause.end, len(work.time) - 1)])
+    if cause.kind == "stuck_rotor":
+        log_odds, change, std = _stuck_at(cause, times, share)
+    else:
+        log_odds, change, std = _changed_at(cause, _profile(work, times, end), share)
+    if end is not None and cause.end is not None:
+        ends = _grid(work, cause.end)
+        best = np.full(ends.size, times[int(np.argmax(log_odds))])
+        of_ends, _, _ = _changed_at(cause, _profile(work, best, ends), share)
+        end = float(ends[int(np.argmax(of_ends))])
+        log_odds, change, std = _changed_at(cause, _profile(work, times, end), share)
+    weight = np.exp(log_odds - log_odds.max())
+    weight, best = weight / weight.sum(), int(np.argmax(log_odds))
+    places = np.searchsorted(np.cumsum(weight), (0.025, 0.975))
+    low, high = times[np.minimum(places, times.size - 1)] + (-FINE_S, FINE_S)
+    per_block = FINE_S / work.length
+    return Timed(
+        cause=cause,
+        log_odds=float(np.logaddexp.reduce(log_odds) + np.log(per_block)),
+        time=float(times[best]),
+        interval=(float(low), float(high)),
+        end=end,
+        change=float(change[best]),
+        std=float(std[best]),
+    )
+
+
+def _grid(work: RotorWork, block: int) -> Array:
+    """Return times [s] around the beginning of a block, (G,)."""
+    middle = work.time[min(block, len(work.time) - 1)]
+    times = middle + np.arange(-AROUND * work.length, (AROUND + 1) * work.length, FINE_S)
+    return times[(times >= work.time[0]) & (times <= work.time[-1] + work.length)]
+
+
+def _profile(work: RotorWork, begin: Array, end: Array | float | None) -> Array:
+    """Return which share of a change is there in each block, (G, K), for changes that begin at times (G,), and may end."""
+    share = _risen(work, begin)
+    return share if end is None else share - _risen(work, np.broadcast_to(end, begin.shape))
+
+
+def _risen(work: RotorWork, begin: Array) -> Array:
+    """Return the mean over each block of ``1 - exp(-(t - begin) / lag)`` from its beginning on, (G, K)."""
+    since = np.clip(work.time + work.length - begin[:, None], 0.0, None)  # at the end of the block
+    before = np.clip(work.time - begin[:, None], 0.0, None)
+    risen = since - before
+    if work.lag > 0.0:
+        risen = risen + work.lag * (np.exp(-since / work.lag) - np.exp(-before / work.lag))
+    return risen / work.length
+
+
+def _changed_at(cause: Cause, profile: Array, share: float) -> tuple[Array, Array, Array]:
+    """Return log odds, change and its standard deviation, (G,) each, of a change that blocks have by a profile (G, K)."""
+    evidence, work = cause.evidence, cause.work
+    rotors = slice(None) if cause.rotor is None else slice(cause.rotor, cause.rotor + 1)
+    own = work.own[:, rotors]
+    across = np.einsum("gk,kr,krq->grq", profile, own, work.beside[:, rotors])
+    inverse, beside = evidence.inverse[rotors], evidence.beside[rotors]
+    inner = np.einsum("gk,kr->g", profile**2, own**2) - np.einsum("grp,rpq,grq->g", across, inverse, across)
+    along = np.einsum("gk,kr,kr->g", profile, own, evidence.residual[:, rotors]) - np.einsum(
+        "grq,rq->g", across, beside
+    )
+    return evidence.changed(cause.kind, np.maximum(inner, 0.0), along, share)
+
+
+def _stuck_at(cause: Cause, times: Array, share: float) -> tuple[Array, Array, Array]:
+    """Return log odds, what is kept and its standard deviation, (G,) each, of a rotor that sticks at some times."""
+    evidence, work, rotor = cause.evidence, cause.work, cause.rotor
+    assert rotor is not None
+    after = np.clip((work.time + work.length - times[:, None]) / work.length, 0.0, 1.0)  # (G, K)
+    before = 1.0 - after
+    columns = np.concatenate((before[..., None] * work.beside[:, rotor], after[..., None]), axis=-1)
+    target = work.done[:, rotor] - before * work.expected[:, rotor]
+    gram, lean = np.einsum("gkp,gkq->gpq", columns, columns), np.einsum("gkp,gk->gp", columns, target)
+    width = columns.shape[-1]
+    gram[:, range(width - 1), range(width - 1)] += evidence.least**2
+    fitted = np.linalg.solve(gram + 1e-12 * np.eye(width), lean[..., None])[..., 0]
+    own = np.maximum((target**2).sum(axis=1) - (lean * fitted).sum(axis=1), 0.0)
+    mean_before = evidence.mean_square(evidence.rss.sum())
+    mean_after = evidence.mean_square(evidence.rss.sum() - evidence.rss[rotor] + own)
+    block = np.clip(np.searchsorted(work.time, times) - 1, 0, None)
+    kept, inner = fitted[:, -1], share * np.maximum(after.sum(axis=1), 1e-9)
+    prior = Prior(away=kept - work.done[np.maximum(block - 1, 0), rotor], scale=CONTINUOUS, normal=True)
+    log_odds = log_evidence(mean_before, mean_after, share * evidence.total, prior, inner)
+    return log_odds - np.log(evidence.rotors), kept, np.sqrt(mean_after / inner)

@@ -1,0 +1,90 @@
+"""What is made of failures: flights up to them, one that all flights have, words."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.sim2real.failures.finding import Failure, FailureFinder, least_log_odds, same_in_all, until_failure
+from aerial_gym.sim2real.failures.scan import _risen
+from aerial_gym.sim2real.logs.flights import Flight
+from tests.unit.sim2real.failures.test_evidence import work_of
+from tests.unit.sim2real.flat_flights import ROBOT
+
+
+def failure(flight: str, time: float = 5.0, **params: float) -> Failure:
+    values = {"motor": 2.0, "scale": 0.8, "time": time} | params
+    ends = {
+        "scale": (values["scale"] - 0.01, values["scale"] + 0.01),
+        "time": (values["time"] - 0.02, values["time"] + 0.02),
+    }
+    return Failure(
+        flight=flight,
+        name="motor_failure",
+        params=values,
+        std={"scale": 0.005, "time": 0.01},
+        interval=ends,
+        log_odds=100.0,
+        probability=1.0,
+        rival="",
+    )
+
+
+def flight(name: str, seconds: float = 8.0, rate: float = 100.0) -> Flight:
+    time = np.arange(round(seconds * rate)) / rate
+    return Flight(
+        path=f"{name}.csv",
+        time=time,
+        attitude=np.tile((0.0, 0.0, 0.0, 1.0), (time.size, 1)),
+        rotor_command=np.ones((time.size, 4)),
+        name=name,
+        rate=rate,
+        ang_vel=np.zeros((time.size, 3)),
+        gyro=True,
+        accelerometer=False,
+    )
+
+
+def test_flights_end_before_their_failures_or_are_left_out() -> None:
+    """A failure known to 20 ms at 5 s leaves 4.98 s; one at 1 s leaves less than 2 s, and so nothing."""
+    found = until_failure([flight("a"), flight("b"), flight("c")], [failure("b"), failure("c", 1.0)])
+    assert [(one.name, one.num_rows) for one in found] == [("a", 800), ("b", 498)]
+    assert found[1].attitude.shape == (498, 4)
+    assert found[1].rotor_command is not None
+    assert found[1].rotor_command.shape == (498, 4)
+
+
+def test_one_failure_is_that_of_all_flights_only_if_it_is_the_same_in_all() -> None:
+    both = [failure("a", 5.00), failure("b", 5.02)]
+    every = same_in_all(both, 2)
+    assert every is not None
+    assert every.params == pytest.approx({"motor": 2.0, "scale": 0.8, "time": 5.01})
+    assert every.std["time"] == pytest.approx(0.01 / np.sqrt(2.0))
+    assert same_in_all(both, 3) is None
+    assert same_in_all([both[0], failure("b", 5.1)], 2) is None
+    assert same_in_all([both[0], failure("b", 5.0, scale=0.7)], 2) is None
+    assert same_in_all([both[0], failure("b", 5.0, motor=3.0)], 2) is None
+    assert same_in_all([both[0], replace(both[1], name="weak_motor")], 2) is None
+
+
+def test_a_failure_is_told_with_its_intervals() -> None:
+    assert failure("a").sentence == (
+        "a: rotor 2 follows 0.800 [0.790, 0.810] of its commands from 5.000 s [4.980, 5.020] on (motor_failure)"
+    )
+
+
+def test_the_limit_is_that_of_blocks_between_false_alarms() -> None:
+    """100 h of blocks of 0.1 s: 3.6 million."""
+    assert np.exp(least_log_odds(100.0)) == pytest.approx(3.6e6)
+    with pytest.raises(ConfigError, match="must be > 0"):
+        FailureFinder(ROBOT, false_alarm_hours=0.0)
+
+
+def test_a_change_rises_in_blocks_as_the_lag_lets_it() -> None:
+    """The mean over a block of ``1 - exp(-(t - t0) / lag)``, by a sum over 10,000 instants."""
+    work, begin = work_of(1), np.array([0.53, 0.6])
+    at = work.time[:, None] + work.length * (np.arange(10000) + 0.5) / 10000
+    for row, start in enumerate(begin):
+        since = np.clip(at - start, 0.0, None)
+        np.testing.assert_allclose(_risen(work, begin)[row], (1.0 - np.exp(-since / work.lag)).mean(axis=1), atol=1e-7)
