@@ -64,7 +64,7 @@ class CreepCfg:
 
 @dataclass(frozen=True, kw_only=True)
 class SpringCfg:
-    """A passive joint: ``preload - (k + k2 |q - rest|) (q - rest) - damping q'``, and what creeps."""
+    """A passive joint: ``preload - (k + k2 |q - rest|) (q - rest) - damping q' - friction sign(q')``, and what creeps."""
 
     stiffness: float = 0.0
     """k [N m/rad], >= 0."""
@@ -74,6 +74,9 @@ class SpringCfg:
 
     damping: float = 0.0
     """[N m s/rad], >= 0."""
+
+    friction: float = 0.0
+    """Dry friction [N m], >= 0: it holds the joint against less."""
 
     rest: float = 0.0
     """[rad]."""
@@ -85,7 +88,7 @@ class SpringCfg:
     """Elements that relax; all have where an episode begins."""
 
     def __post_init__(self) -> None:
-        _require_no_less(self, "stiffness", "quadratic", "damping")
+        _require_no_less(self, "stiffness", "quadratic", "damping", "friction")
         require_finite(self, "rest", "preload")
 
 

@@ -55,7 +55,7 @@ def odd_tree() -> RobotCfg:
         joint(
             "slide", "base", (0.6, 0.0, 0.8), (0.1, 0.0, 0.02), kind="prismatic", reference=0.01,
             link=lump_at(0.12, 0.01, 0.0), spring=SpringCfg(
-                stiffness=8.0, damping=0.05, rest=0.02, creep=(CreepCfg(stiffness=5.0, time=0.02),)
+                stiffness=8.0, damping=0.05, rest=0.02, friction=0.05, creep=(CreepCfg(stiffness=5.0, time=0.02),)
             ), ends=ends,
         ),
         joint(

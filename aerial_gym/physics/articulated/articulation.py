@@ -14,7 +14,7 @@ from aerial_gym.config.joint import DRIVE_MODES, JointCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp
-from aerial_gym.physics.articulated.joint_laws import Creep, Drive, JointLaw, Limits, Spring
+from aerial_gym.physics.articulated.joint_laws import Creep, Drive, JointLaw, Limits, Spring, dry_friction
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
@@ -49,6 +49,12 @@ class Articulation:
 
     spring: Spring
     """Passive law of every joint, tensors (1, D)."""
+
+    friction: Tensor
+    """Dry friction of every joint [N m], (1, D)."""
+
+    rubs: bool
+    """Whether any has some."""
 
     ends: Limits
     """Soft ends of every joint, tensors (1, D)."""
@@ -130,9 +136,10 @@ class Articulation:
 
     def laws(self, crept: Tensor | None) -> tuple[JointLaw, ...]:
         """Return what acts in the joints beside their drives, where dashpots stand at ``crept``, (E, N, D)."""
-        if crept is None or not self.num_creep:
-            return self.spring, self.ends
-        return self.spring, self.ends, Creep(stiffness=self.creep_stiffness.unsqueeze(0), crept=crept)
+        found: list[JointLaw] = [self.spring, self.ends]
+        if crept is not None and self.num_creep:
+            found.append(Creep(stiffness=self.creep_stiffness.unsqueeze(0), crept=crept))
+        return tuple(found)
 
     def fresh_creep(self, num_envs: int) -> Tensor:
         """Return dashpots that will have followed their joints where an episode begins, (E, N, D): not a number yet."""
@@ -146,6 +153,11 @@ class Articulation:
         """Return dashpots (E, N, D) at the end of a step of ``dt`` [s] that ends with joints at (E, D)."""
         end = joint_pos.unsqueeze(1)
         return end + (crept - end) * torch.exp(-dt / self.creep_time)
+
+    @property
+    def resistance(self) -> Drive | None:
+        """Dry friction; None where there is none."""
+        return dry_friction(self.friction) if self.rubs else None
 
     def drive(self, command: Tensor) -> Drive | None:
         """Return the drives under a command, (E, C); None where there are none."""
@@ -210,6 +222,8 @@ def articulation_of(robot: RobotCfg, *, like: Tensor) -> Articulation | None:
         spring=Spring(
             **{n: column("spring", n, 0.0) for n in ("stiffness", "quadratic", "damping", "rest", "preload")}
         ),
+        friction=column("spring", "friction", 0.0),
+        rubs=any(joint.spring is not None and joint.spring.friction > 0.0 for joint in cfg.layout),
         ends=Limits(
             low=column("ends", "low", -UNBOUNDED),
             high=column("ends", "high", UNBOUNDED),

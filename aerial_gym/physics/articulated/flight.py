@@ -74,6 +74,7 @@ def jointed_step(
         dt,
         gravity=model.gravity,
         drive=articulation.drive(joint_command),
+        friction=articulation.resistance,
         wrench=link_wrenches(model, articulation, body, rotor_acc),
     )
     return JointedState(**vars(after), rotor_speed=rotor_speed)

@@ -14,6 +14,9 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+STICK_RATE = 1e-3
+"""Below which dry friction grows with the rate [rad/s], so that a joint that it holds creeps."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
@@ -138,6 +141,16 @@ class Drive:
             stiffness=torch.where(free, self.stiffness, 0.0),
             damping=torch.where(free, self.damping, 0.0),
         )
+
+
+def dry_friction(size: Tensor) -> Drive:
+    """Return dry friction of a size [N m], (1, D): a drive to the rate 0 that can give no more.
+
+    At most ``STICK_RATE`` is left of the motion of a joint that it holds; what moves, it slows down by its size, and brings to
+    rest in the step in which it can: it turns nothing round. Coulomb's law, taken at the end of a step.
+    """
+    zero = torch.zeros_like(size)
+    return Drive(stiffness=zero, damping=size / STICK_RATE, position=zero, rate=zero, effort=zero, limit=size)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,8 +2,8 @@
 
 ``implicit_euler``: the efforts of joints are those at the end of the step, linearised; all else is semi-implicit Euler. It is
 of order 1 and stable however stiff a joint is. A drive that would be beyond its limit at the end of the step is at its limit
-through it: whether it would is found by a step without limits. (Judged at the start, a drive that moves a light link to its
-place within a step would overshoot in each.) ``rk4``: order 4, for motion that no stiff joint is in.
+through it, as is dry friction: whether it would is found by a step without limits. (Judged at the start, a drive that moves a
+light link to its place within a step would overshoot in each.) ``rk4``: order 4, for motion that no stiff joint is in.
 Letters: E environments, D joints, L links.
 
 Sources:
@@ -32,6 +32,7 @@ def implicit_euler(
     *,
     gravity: float,
     drive: Drive | None = None,
+    friction: Drive | None = None,
     wrench: Tensor | None = None,
     effort: Tensor | None = None,
 ) -> TreeState:
@@ -48,30 +49,44 @@ def implicit_euler(
         dt: Length of the step [s].
         gravity: Downward acceleration of free fall [m/s²].
         drive: Of the joints that have one; the gains of others are zero.
+        friction: As ``joint_laws.dry_friction`` gives it; None where there is none.
         wrench: Held through the step, as for ``equations``, (E, L, 6).
         effort: Of the joints beside the laws, held through the step, (E, D).
     """
     found = equations(tree, links, state, gravity=gravity, wrench=wrench, effort=effort)
-    return with_drive(lambda acts: _implicit(tree, state, found, acts, dt), laws, drive, state)
+    return with_drive(lambda acts: _implicit(tree, state, found, acts, dt), laws, drive, friction, state)
 
 
 def with_drive(
-    step: Callable[[Effort], TreeState], laws: Sequence[JointLaw], drive: Drive | None, state: TreeState
+    step: Callable[[Effort], TreeState],
+    laws: Sequence[JointLaw],
+    drive: Drive | None,
+    friction: Drive | None,
+    state: TreeState,
 ) -> TreeState:
     """Return the state after a step under laws and a drive, which gives way where a first step would take it to its limit.
+
+    Then it is found likewise which joints dry friction does not hold; in the first step it acts on those that move already.
 
     Args:
         step: A step from ``state`` under efforts of joints, taken at its end.
         laws: What acts in the joints.
         drive: Of the joints that have one; None for no drive.
+        friction: Likewise.
         state: Motion at the start.
     """
-    acts = joint_effort(laws, state.joint_pos, state.joint_vel)
-    if drive is None:
-        return step(acts)
-    trial = step(acts + drive.effort_at(state.joint_pos, state.joint_vel, torch.zeros_like(state.joint_pos)))
-    at_limit = drive.beyond(trial.joint_pos, trial.joint_vel)
-    return step(acts + drive.effort_at(state.joint_pos, state.joint_vel, at_limit))
+    pos, vel = state.joint_pos, state.joint_vel
+    acts, nowhere = joint_effort(laws, pos, vel), torch.zeros_like(pos)
+    if drive is not None:
+        trial = acts + drive.effort_at(pos, vel, nowhere)
+        if friction is not None:
+            trial = trial + friction.effort_at(pos, vel, friction.beyond(pos, vel))
+        end = step(trial)
+        acts = acts + drive.effort_at(pos, vel, drive.beyond(end.joint_pos, end.joint_vel))
+    if friction is not None:
+        end = step(acts + friction.effort_at(pos, vel, nowhere))
+        acts = acts + friction.effort_at(pos, vel, friction.beyond(end.joint_pos, end.joint_vel))
+    return step(acts)
 
 
 def _implicit(tree: Tree, state: TreeState, found: Equations, acts: Effort, dt: float) -> TreeState:

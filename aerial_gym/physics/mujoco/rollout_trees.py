@@ -76,6 +76,7 @@ class RolloutTrees:
         gravity: float,
         wrench: Tensor,
         drive: Drive | None = None,
+        friction: Drive | None = None,
     ) -> TreeState:
         """Return the state after one step; arguments as for ``steppers.implicit_euler``.
 
@@ -86,7 +87,7 @@ class RolloutTrees:
         """
         if tree is not self._tree or dt != self.dt:
             raise ShapeError(f"MuJoCo's models are of another tree, or of steps of {self.dt:g} s. Make them anew")
-        return with_drive(partial(self._step, links, state, gravity, wrench), laws, drive, state)
+        return with_drive(partial(self._step, links, state, gravity, wrench), laws, drive, friction, state)
 
     def _step(self, links: Links, state: TreeState, gravity: float, wrench: Tensor, acts: Effort) -> TreeState:
         """Return the state after one step under efforts of joints, taken at its end."""

@@ -6,15 +6,16 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.physics.articulated.articulation import Articulation
+from aerial_gym.physics.articulated.joint_laws import STICK_RATE
 from aerial_gym.physics.fused.types import vector_of
 
 
 @cache
 def held_of(num_joints: int) -> Any:
-    """Return the ``wp.struct`` of what is held through a step: sides on which drives are at their limits, and what springs
-    behind dashpots would give at zero, ``sum k_i z_i`` [N m]."""
+    """Return the ``wp.struct`` of what is held through a step: sides on which drives are at their limits, those to which dry
+    friction pushes joints that move, and what springs behind dashpots would give at zero, ``sum k_i z_i`` [N m]."""
     vector = vector_of(num_joints)
-    fields = {"at_limit": vector, "crept": vector}
+    fields = {"at_limit": vector, "slips": vector, "crept": vector}
     return wp.struct(type("Held", (), {"__annotations__": fields, "__module__": __name__}))
 
 
@@ -54,7 +55,7 @@ def make_effort(articulation: Articulation, k: int) -> wp.Function:
     ends = {name: float(rows[0, k]) for name, rows in vars(articulation.ends).items()}
     k1, k2, damping, rest, preload = (spring[name] for name in ("stiffness", "quadratic", "damping", "rest", "preload"))
     low, high, end_stiffness, end_damping = (ends[name] for name in ("low", "high", "stiffness", "damping"))
-    passive, ended = any(spring.values()), end_stiffness > 0.0
+    passive, ended, friction = any(spring.values()), end_stiffness > 0.0, float(articulation.friction[0, k])
     driven = k in articulation.driven
     drive_stiffness, drive_damping, limit = 0.0, 0.0, 0.0
     if driven:
@@ -74,6 +75,13 @@ def make_effort(articulation: Articulation, k: int) -> wp.Function:
             value += wp.static(preload) - (wp.static(k1) + wp.static(k2) * bent) * away - wp.static(damping) * rate
             stiffness += wp.static(k1) + wp.static(2.0 * k2) * bent
             damps += wp.static(damping)
+        if wp.static(friction > 0.0):
+            slips = held.slips[k]
+            if slips == 0.0:
+                value -= wp.static(friction / STICK_RATE) * rate
+                damps += wp.static(friction / STICK_RATE)
+            else:
+                value += slips * wp.static(friction)
         if wp.static(ended):
             past = wp.max(q - wp.static(high), 0.0) - wp.max(wp.static(low) - q, 0.0)
             back = wp.static(end_stiffness) * wp.abs(past) + wp.static(end_damping) * rate * wp.sign(past)
@@ -122,6 +130,22 @@ def _make_wanted(articulation: Articulation, k: int) -> wp.Function:
         return asked
 
     return wanted
+
+
+@cache
+def make_slips(num_joints: int) -> wp.Function:
+    """Return ``Drive.beyond`` of the dry friction of all joints, (rates) -> sides."""
+    joints = vector_of(num_joints)
+
+    @wp.func
+    def slips(vel: joints) -> joints:
+        sides = joints()
+        for k in range(wp.static(num_joints)):
+            if wp.abs(vel[k]) > wp.static(STICK_RATE):
+                sides[k] = -wp.sign(vel[k])
+        return sides
+
+    return slips
 
 
 def make_beyond(articulation: Articulation) -> wp.Function:

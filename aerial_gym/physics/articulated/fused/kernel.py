@@ -11,7 +11,7 @@ from typing import Any
 import warp as wp
 
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.fused.efforts import held_of, make_beyond, make_creep
+from aerial_gym.physics.articulated.fused.efforts import held_of, make_beyond, make_creep, make_slips
 from aerial_gym.physics.articulated.fused.recursion import Inertia, inertia_of, joint_types, make_recursion, plus
 from aerial_gym.physics.effects import DelayEffect, WrenchEffect
 from aerial_gym.physics.fused.command import make_command
@@ -110,6 +110,7 @@ def make_jointed_kernel(
     way_in, way_back = make_recursion(articulation, types, joints)
     base, floating = _make_base(articulation, vehicle_type), articulation.tree.floating
     beyond, driven = make_beyond(articulation), bool(articulation.driven)
+    slips, rubs = make_slips(articulation.num_joints), articulation.rubs
     (pull, creep_on), num_creep = make_creep(articulation), articulation.num_creep
     num_joints, held_type = articulation.num_joints, held_of(articulation.num_joints)
     dashpot_type = vector_of(max(num_creep * num_joints, 1))
@@ -162,10 +163,16 @@ def make_jointed_kernel(
         given = held_type()
         if wp.static(num_creep > 0):
             given.crept = pull(crept)
-        rates, turn, rise = find(vehicle, own, held, pos, vel, drives, given, thrusts, drags, w, move, dt)
         if wp.static(driven):
-            given.at_limit = beyond(pos + dt * rates, rates, drives)
-            rates, turn, rise = find(vehicle, own, held, pos, vel, drives, given, thrusts, drags, w, move, dt)
+            if wp.static(rubs):
+                given.slips = slips(vel)
+            first, turn, rise = find(vehicle, own, held, pos, vel, drives, given, thrusts, drags, w, move, dt)
+            given.at_limit = beyond(pos + dt * first, first, drives)
+        if wp.static(rubs):
+            given.slips = joint_vector()
+            first, turn, rise = find(vehicle, own, held, pos, vel, drives, given, thrusts, drags, w, move, dt)
+            given.slips = slips(first)
+        rates, turn, rise = find(vehicle, own, held, pos, vel, drives, given, thrusts, drags, w, move, dt)
         lin_vel = v
         ang_vel = w
         if wp.static(floating):
