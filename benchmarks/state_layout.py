@@ -86,7 +86,7 @@ def make_plant() -> Plant:
     """Return the numbers of base_quadrotor with some drag."""
     plant = Plant()
     plant.mass, plant.gravity, plant.drag, plant.tau = 0.25, STANDARD_GRAVITY, 0.05, 0.04
-    plant.inertia = wp.mat33(8.45e-4, 0.0, 0.0, 0.0, 8.45e-4, 0.0, 0.0, 0.0, 1.69e-3)
+    plant.inertia = wp.mat33(4.225e-4, 0.0, 0.0, 0.0, 4.225e-4, 0.0, 0.0, 0.0, 8.45e-4)
     plant.inertia_inverse = wp.inverse(plant.inertia)
     plant.thrust_coeff, plant.torque_ratio, plant.lever = 3.485449e-7, 0.01, 0.13
     return plant

@@ -53,12 +53,12 @@ def _carrying(*sensors: str) -> Callable[[RobotCfg], RobotCfg]:
     return partial(replace, sensors=sensors)
 
 
-def _counted_once(robot: RobotCfg) -> RobotCfg:
-    """Half the inertia: that of the motors, which stands in the base link there, and the motors were added once more."""
-    rows = tuple(tuple(0.5 * number for number in row) for row in robot.body.inertia)
+def _counted_twice(robot: RobotCfg) -> RobotCfg:
+    """Twice the inertia: the motors stand in the base link there, and were added once more."""
+    rows = tuple(tuple(2.0 * number for number in row) for row in robot.body.inertia)
     source = (
-        "Aerial Gym Simulator 2.0.1, quad URDF: the inertia of its base link, 4 * 6.25 g * (0.13 m)² about x and y, twice that "
-        "about z, is that of the motors, which are then added once more. Here it counts once"
+        "Aerial Gym Simulator 2.0.1, quad URDF, as it simulates it: the inertia of its base link, which is that of the motors, "
+        "and the motors once more"
     )
     return replace(robot, body=replace(robot.body, inertia=(rows[0], rows[1], rows[2]), source=source))
 
@@ -131,8 +131,11 @@ def _in_gusts(robot: RobotCfg) -> RobotCfg:
 
 
 def _sampled(robot: RobotCfg) -> RobotCfg:
-    """Thrust to weight 1.15 to 7, where the robot has 3.26; inertia, lag and torque of rotors from racers to carriers."""
-    factors = {"rotor.thrust_map": (0.353, 2.146), "body.inertia": (0.5, 5.0), "rotor.time_constant": (0.25, 2.5)}
+    """Thrust to weight 1.15 to 7, where the robot has 3.26; inertia, lag and torque of rotors from racers to carriers.
+
+    The inertia is drawn from the robot's, which is light, to ten times that.
+    """
+    factors = {"rotor.thrust_map": (0.353, 2.146), "body.inertia": (1.0, 10.0), "rotor.time_constant": (0.25, 2.5)}
     factors |= {"rotor.torque_map": (0.3, 7.0)}
     randomize = {name: RandomizeCfg(distribution="log_uniform", low=a, high=b) for name, (a, b) in factors.items()}
     com = RandomizeCfg(how="offset", low=(-0.005, -0.005, 0.0), high=(0.005, 0.005, 0.0))
@@ -235,10 +238,10 @@ for _name, _of, _change, _summary in (
         "morphy with arms as its record shows them: stiffer at first, then they creep",
     ),
     (
-        "base_quadrotor_true_inertia",
+        "base_quadrotor_doubled_inertia",
         "base_quadrotor",
-        _counted_once,
-        "base_quadrotor with its motors counted once in the inertia, not twice",
+        _counted_twice,
+        "base_quadrotor with the inertia that the Aerial Gym Simulator gives it: twice the right one",
     ),
     (
         "base_quadrotor_with_camera",

@@ -61,7 +61,7 @@ def quadrotor(integrator: str) -> str:
         <flag contact="disable"/>
       </option>
       <worldbody><body pos="0 0 1"><freejoint/>
-        <inertial pos="0 0 0" mass="{MASS}" diaginertia="8.45e-4 8.45e-4 1.69e-3"/>{sites}
+        <inertial pos="0 0 0" mass="{MASS}" diaginertia="4.225e-4 4.225e-4 8.45e-4"/>{sites}
       </body></worldbody>
       <actuator>{motors}</actuator>
     </mujoco>"""

@@ -40,7 +40,7 @@ PARTS: dict[str, list[Part]] = {
     "coaxial_octarotor": [*X500, *UNDER],
     "typhoon_hexarotor": TYPHOON,
     "tilted_hexarotor": TYPHOON,
-    "base_quadrotor_true_inertia": [
+    "base_quadrotor": [
         base(0.225, 0.0, 0.0, 0.0),
         *((0.00625, (x, y, 0.0), (0.0, 0.0, 0.0)) for x in (-0.13, 0.13) for y in (-0.13, 0.13)),
     ],
@@ -79,3 +79,9 @@ def test_a_robot_is_the_sum_of_the_parts_of_its_source(robot: str) -> None:
     assert body.mass == pytest.approx(mass, rel=1e-9)
     np.testing.assert_allclose(body.com, com, rtol=0.0, atol=1e-6)
     np.testing.assert_allclose(body.inertia, inertia, rtol=0.0, atol=1e-6 * inertia.max())
+
+
+def test_the_simulator_that_counts_motors_twice_doubles_the_inertia() -> None:
+    right, theirs = (ROBOTS.get(f"base_quadrotor{end}").body for end in ("", "_doubled_inertia"))
+    assert theirs.mass == right.mass
+    np.testing.assert_allclose(theirs.inertia, 2.0 * np.array(right.inertia), rtol=1e-12)

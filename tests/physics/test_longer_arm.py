@@ -23,7 +23,7 @@ def test_a_longer_arm_tilts_only_an_autopilot_that_does_not_know_it(
     as much against it: with T = m g / 4 + i M, its entry i = -1 / (4 l) of the nominal inverse and the commanded torque M,
     ``M = d T`` gives ``-K sin pitch = M = (d m g / 4) / (1 + d / (4 l))``. Known, it settles level."""
     ends = {"how": "offset", "low": (-0.015, 0.0, 0.0), "high": (0.015, 0.0, 0.0)}
-    robot = replace(ROBOTS.get("base_quadrotor"), control=ControlCfg(effectiveness=effectiveness))
+    robot = replace(ROBOTS.get("base_quadrotor_doubled_inertia"), control=ControlCfg(effectiveness=effectiveness))
     env = EnvManager(
         sim=replace(SIMS.get("base_sim"), backend=backend),
         env=ENVIRONMENTS.get("empty_env"),

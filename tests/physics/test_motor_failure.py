@@ -44,6 +44,6 @@ def test_a_lost_rotor_turns_the_vehicle_to_its_side() -> None:
     still_again = still(rotor_speed=end.rotor_speed[0].tolist())
     turn = accelerations(build_model(vehicle), still_again).ang_acc[0]
     lost = 0.75 * 3.485449e-7 * 1000.0**2
-    expected = torch.tensor([0.13 * lost / 8.45e-4, 0.13 * lost / 8.45e-4], dtype=F64)
+    expected = torch.tensor([0.13 * lost / 4.225e-4, 0.13 * lost / 4.225e-4], dtype=F64)
     torch.testing.assert_close(turn[:2], expected, rtol=1e-9, atol=0.0)
-    assert abs(turn[2].item()) == pytest.approx(0.01 * lost / 1.69e-3, rel=1e-9)
+    assert abs(turn[2].item()) == pytest.approx(0.01 * lost / 8.45e-4, rel=1e-9)

@@ -97,7 +97,7 @@ def test_a_constant_torque_leaves_no_error_with_an_integral_and_a_known_one_with
     state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
     state.rotor_speed.fill_(ROBOT.rotor.speed_at(0.25 * 9.81 / 4))
     backend.step(state, torch.zeros(1, 4, dtype=F64), dt, 1500)
-    inertia = torch.tensor([8.45e-4, 8.45e-4, 1.69e-3], dtype=F64)
+    inertia = torch.tensor([4.225e-4, 4.225e-4, 8.45e-4], dtype=F64)
     assert law.rate_gains is not None
     assert backend.law_memory is not None
     if integral:
@@ -128,7 +128,7 @@ def test_the_derivative_is_taken_back_from_the_wanted_acceleration() -> None:
     loop = replace(still, derivative=(0.2, 0.0, 0.0))
     with_it, _ = commands(law_of(replace(PID, rate_loop=loop)), actions, states)
     thrust = ROBOT.rotor.thrust_map[2] * (with_it**2 - without**2)
-    expected = -0.2 * 3.0 * 8.45e-4 / (4 * 0.13) * torch.tensor([-1.0, -1.0, 1.0, 1.0], dtype=F64)
+    expected = -0.2 * 3.0 * 4.225e-4 / (4 * 0.13) * torch.tensor([-1.0, -1.0, 1.0, 1.0], dtype=F64)
     torch.testing.assert_close(thrust[0], torch.zeros(4, dtype=F64), atol=1e-12, rtol=0)
     torch.testing.assert_close(thrust[1:], expected.expand(2, 4), atol=1e-9, rtol=0)
 

@@ -48,12 +48,14 @@ def test_the_loop_has_its_phase_margin_at_its_crossover_and_no_gain_has_more(mar
 
 
 def test_gains_are_frequency_and_damping_times_inertia() -> None:
-    """base_quadrotor at 100 Hz: T = 0.04 + 0.01 s, a = 1 + sqrt 2; roll, pitch from the lag, yaw from its authority."""
-    gains = controller_of(ROBOTS.get("base_quadrotor")).gains
+    """At 100 Hz: T = 0.04 + 0.01 s, a = 1 + sqrt 2; roll, pitch from the lag, yaw of a heavier one from its authority."""
+    light, gains = (controller_of(ROBOTS.get(f"base_quadrotor{end}")).gains for end in ("", "_doubled_inertia"))
     a, lag = 1.0 + sqrt(2.0), 0.05
     assert atan(a) - atan(1 / a) == pytest.approx(pi / 4)
-    torch.testing.assert_close(gains.attitude[0, :2], torch.full((2,), 8.45e-4 / (a**3 * lag**2), dtype=F64))
-    torch.testing.assert_close(gains.rate[0, :2], torch.full((2,), 8.45e-4 / (a * lag), dtype=F64))
+    for each, roll in ((light, 4.225e-4), (gains, 8.45e-4)):
+        torch.testing.assert_close(each.attitude[0, :2], torch.full((2,), roll / (a**3 * lag**2), dtype=F64))
+        torch.testing.assert_close(each.rate[0, :2], torch.full((2,), roll / (a * lag), dtype=F64))
+    torch.testing.assert_close(light.attitude[1, 2], torch.tensor(8.45e-4 / (a**3 * lag**2), dtype=F64))
     yaw = 4 * 0.01 * min(0.25 * 9.81 / 4, 2.0 - 0.25 * 9.81 / 4)  # torque [N m] per unit of attitude error
     torch.testing.assert_close(gains.attitude[1, 2], torch.tensor(yaw, dtype=F64))
     torch.testing.assert_close(gains.velocity[0], torch.full((3,), 1 / (a**3 * lag), dtype=F64))
@@ -80,7 +82,7 @@ def test_a_robot_file_may_give_frequencies_damping_and_limits() -> None:
         position_damping=(0.7, 0.7, 1.0), max_yaw_rate=2.0, max_inclination=0.3, source="test",
     )  # fmt: skip
     gains = controller_of(robot, control=control).gains
-    inertia = torch.tensor([8.45e-4, 8.45e-4, 1.69e-3], dtype=F64)
+    inertia = torch.tensor([4.225e-4, 4.225e-4, 8.45e-4], dtype=F64)
     torch.testing.assert_close(gains.attitude[0], inertia * torch.tensor([64.0, 49.0, 4.0], dtype=F64))
     torch.testing.assert_close(gains.rate[0], inertia * torch.tensor([11.2, 11.2, 3.6], dtype=F64))
     torch.testing.assert_close(gains.position[0], torch.tensor([1.0, 1.0, 4.0], dtype=F64))

@@ -149,7 +149,7 @@ def test_what_is_drawn_about_derived_gains_is_refused_with_the_largest_time_step
         check(RATES, {"gains.rate": strong}, 0.02)
     largest = float(str(e.value).split("largest stable dt is ")[1].split(" s")[0])
     decay = exp(-largest / tau)
-    assert largest * (1.0 - decay) * 0.6 / 8.45e-4 == pytest.approx(
+    assert largest * (1.0 - decay) * 0.6 / 4.225e-4 == pytest.approx(
         2.0 * (1.0 + decay), rel=0.02
     )  # three figures are said
     check(RATES, {"gains.rate": strong}, 0.99 * largest)
