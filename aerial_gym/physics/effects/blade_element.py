@@ -42,6 +42,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.math.short import dot, sum_slices
 from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect, sum_of_crosses
 from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, induced, induced_warp
+from aerial_gym.physics.fused.functions import reciprocal, root
 from aerial_gym.physics.rotors import rotor_torque
 
 HALVINGS, NEWTON = 6, 3
@@ -200,29 +201,30 @@ class BladeElement(WrenchEffect):
                 lever = wp.vec3(at.lever[i, 0], at.lever[i, 1], at.lever[i, 2])
                 reaction = wp.vec3(at.rotor_reaction[i, 0], at.rotor_reaction[i, 1], at.rotor_reaction[i, 2])
                 spin = -sign * wp.dot(reaction, way)
-                hub = (at.air_velocity + wp.cross(at.ang_vel, lever)) / tip
+                hub = reciprocal(tip) * (at.air_velocity + wp.cross(at.ang_vel, lever))
                 along = wp.dot(hub, way)
                 flow = hub - along * way
-                size = wp.sqrt(wp.length_sq(flow) + LEAST * LEAST)
-                flow = flow / wp.max(size, 1.0)
+                size = root(wp.length_sq(flow) + LEAST * LEAST)
+                flow = reciprocal(wp.max(size, 1.0)) * flow
                 mu = wp.min(size, 1.0)
                 climb = wp.clamp(along, -1.0, 1.0)
-                hover_thrust = wp.max(sign * at.rotor_thrust[i] / unit, LEAST)
-                hover_torque = sign * at.rotor_drag[i] / (unit * radius)
-                hover_inflow = wp.sqrt(0.5 * hover_thrust)
-                theta = 2.0 * hover_thrust / lift + 0.5 * hover_inflow
-                root = 3.0 * (theta - 0.25 * twist)
-                lifted = theta + mu * mu * (0.5 * root + 0.25 * twist)
+                hover_thrust = wp.max(sign * at.rotor_thrust[i] * reciprocal(unit), LEAST)
+                hover_torque = sign * at.rotor_drag[i] * reciprocal(unit * radius)
+                hover_inflow = root(0.5 * hover_thrust)
+                theta = 2.0 * hover_thrust * reciprocal(lift) + 0.5 * hover_inflow
+                pitch = 3.0 * (theta - 0.25 * twist)
+                lifted = theta + mu * mu * (0.5 * pitch + 0.25 * twist)
                 inflow = climb + _inflow_warp(lift, lifted, climb, mu)
                 thrust = 0.5 * lift * (lifted - 0.5 * inflow)
                 profile = hover_torque - hover_inflow * hover_thrust
-                drag = 0.25 * lift * inflow * (root + 0.5 * twist) + 2.0 * profile
+                drag = 0.25 * lift * inflow * (pitch + 0.5 * twist) + 2.0 * profile
                 uneven = theta - 0.25 * inflow
-                k = values[wp.static(FLAP)] / rate
+                k = values[wp.static(FLAP)] * reciprocal(rate)
                 k = k * k
-                lean = 8.0 * uneven * g / (g * g + k * k)
+                resists = reciprocal(g * g + k * k)
+                lean = 8.0 * uneven * g * resists
                 torque = inflow * thrust + profile * (1.0 + 3.0 * mu * mu) - mu * mu * (drag + thrust * lean * g)
-                stiff = 0.5 * lift * uneven * k / (g * g + k * k) * unit * radius
+                stiff = 0.5 * lift * uneven * k * resists * unit * radius
                 across = wp.cross(flow, way)
                 force = unit * (thrust - hover_thrust) * way - unit * (thrust * lean * g + drag) * flow
                 force -= unit * spin * thrust * lean * k * across
@@ -276,7 +278,7 @@ def _missing(found: Tensor, lift: Tensor, lifted: Tensor, climb: Tensor, mu: Ten
 @wp.func
 def _inflow_warp(lift: float, lifted: float, climb: float, mu: float) -> float:
     low = wp.float32(0.0)
-    high = wp.sqrt(wp.max(0.25 * lift * (lifted + 0.5 * wp.abs(climb)), LEAST))
+    high = root(wp.max(0.25 * lift * (lifted + 0.5 * wp.abs(climb)), LEAST))
     for _i in range(wp.static(HALVINGS)):
         middle = 0.5 * (low + high)
         value, _slope = induced_warp(middle, climb, mu)
@@ -289,6 +291,7 @@ def _inflow_warp(lift: float, lifted: float, climb: float, mu: float) -> float:
         missing = 2.0 * found * found - 0.5 * lift * (lifted - 0.5 * (climb + value))
         low = wp.where(missing >= 0.0, low, found)
         high = wp.where(missing >= 0.0, found, high)
-        found = wp.max(wp.clamp(found - missing / (4.0 * found + 0.25 * lift * slope), low, high), LEAST)
+        newton = found - missing * reciprocal(4.0 * found + 0.25 * lift * slope)
+        found = wp.max(wp.clamp(newton, low, high), LEAST)
     value, _last = induced_warp(found, climb, mu)
     return value

@@ -21,6 +21,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from aerial_gym.physics.fused.functions import inverse_root, reciprocal, root
+
 AIR_DENSITY = 1.225
 """Of the standard atmosphere at sea level [kg/m³] (ISO 2533)."""
 
@@ -67,34 +69,35 @@ def induced(hover: Tensor, climb: Tensor, edgewise: Tensor) -> tuple[Tensor, Ten
 
 @wp.func
 def axial_induced_warp(climb: float):
-    """Return ``axial_induced`` for one rotor."""
-    half = 0.5 * climb
+    """Return one over the value of ``axial_induced`` and its slope over it, for one rotor.
+
+    In climb and in the windmill brake state ``1 / v = |x| / 2 + sqrt(x² / 4 +- 1)``; the slope is ``-+ 1 / 2`` over that root.
+    """
     k1 = wp.static(DESCENT_FIT[0])
     k2 = wp.static(DESCENT_FIT[1])
     k3 = wp.static(DESCENT_FIT[2])
     k4 = wp.static(DESCENT_FIT[3])
-    value = 1.0 + climb * (k1 + climb * (k2 + climb * (k3 + climb * k4)))
-    slope = k1 + climb * (2.0 * k2 + climb * (3.0 * k3 + climb * 4.0 * k4))
-    if climb >= 0.0:
-        root = wp.sqrt(half * half + 1.0)
-        value = 1.0 / (half + root)
-        slope = -0.5 * value / root
-    if climb <= wp.static(WINDMILL):
-        root = wp.sqrt(half * half - 1.0)
-        value = 1.0 / (root - half)
-        slope = 0.5 * value / root
-    return value, slope
+    inverse = reciprocal(1.0 + climb * (k1 + climb * (k2 + climb * (k3 + climb * k4))))
+    slope = inverse * (k1 + climb * (2.0 * k2 + climb * (3.0 * k3 + climb * 4.0 * k4)))
+    if climb >= 0.0 or climb <= wp.static(WINDMILL):
+        half = 0.5 * wp.abs(climb)
+        way = wp.where(climb >= 0.0, 1.0, -1.0)
+        flow = root(wp.abs(half * half + way))
+        inverse = half + flow
+        slope = -0.5 * way * reciprocal(flow)
+    return inverse, slope
 
 
 @wp.func
 def induced_warp(hover: float, climb: float, edgewise: float):
     """Return ``induced`` for one rotor."""
-    ratio = climb / hover
-    axial, slope = axial_induced_warp(ratio)
+    ratio = climb * reciprocal(hover)
+    inverse, slope = axial_induced_warp(ratio)
     square = edgewise * edgewise
-    part = hover / axial
-    fourth = 4.0 * part * part * part * part
-    root = wp.sqrt(square * square + fourth)
-    value = hover * hover * wp.sqrt(2.0 / (square + root))
-    growth = 2.0 - fourth / (root * (square + root)) * (1.0 + ratio * slope / axial)
-    return value, value / hover * growth
+    part = hover * inverse
+    part = part * part
+    fourth = 4.0 * part * part
+    flow = root(square * square + fourth)
+    value = inverse_root(0.5 * (square + flow))
+    growth = 2.0 - 0.5 * fourth * value * value * reciprocal(flow) * (1.0 + ratio * slope)
+    return hover * hover * value, hover * value * growth

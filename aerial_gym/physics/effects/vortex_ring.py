@@ -26,6 +26,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.math.short import dot
 from aerial_gym.physics.effects.base import ANY_ROTOR, Condition, Parameter, RotorEffect
 from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, axial_induced, axial_induced_warp
+from aerial_gym.physics.fused.functions import inverse_root, reciprocal
 
 LEAST_SQUARE = wp.constant(1e-6)
 """Added to the square of the induced velocity [m²/s²]: a rotor without thrust has no wake, and a slope there."""
@@ -73,11 +74,11 @@ class VortexRing(RotorEffect):
         @wp.func
         def vortex_ring(at: condition, rotor: hub, k: params) -> float:
             area = wp.static(2.0 * AIR_DENSITY * pi) * rotor.radius * rotor.radius
-            square = wp.abs(rotor.thrust) / area + LEAST_SQUARE
-            climb = wp.where(rotor.thrust < 0.0, -rotor.axial, rotor.axial) / wp.sqrt(square)
-            value, _slope = axial_induced_warp(wp.clamp(climb, LEAST, 0.0))
-            across = wp.length_sq(rotor.edgewise) / square
+            square = wp.abs(rotor.thrust) * reciprocal(area) + LEAST_SQUARE
+            climb = wp.where(rotor.thrust < 0.0, -rotor.axial, rotor.axial) * inverse_root(square)
+            inverse, _slope = axial_induced_warp(wp.clamp(climb, LEAST, 0.0))
+            across = wp.length_sq(rotor.edgewise) * reciprocal(square)
             stays = wp.max(1.0 - across, 0.0)
-            return -k[0] * rotor.thrust * wp.max(value - 1.0, 0.0) * stays * stays
+            return -k[0] * rotor.thrust * wp.max(reciprocal(inverse) - 1.0, 0.0) * stays * stays
 
         return vortex_ring
