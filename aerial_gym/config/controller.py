@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from math import inf, pi
 from typing import ClassVar, Literal
 
+from aerial_gym.config.betaflight import BetaflightCfg
 from aerial_gym.config.checks import Vec3, require_finite, require_positive
 from aerial_gym.config.px4 import Px4Cfg
 from aerial_gym.errors import ConfigError
@@ -101,6 +102,9 @@ class ControlCfg:
     px4: Px4Cfg | None = None
     """Parameters of PX4's cascade, as flown or published for this robot; derived if not given."""
 
+    betaflight: BetaflightCfg | None = None
+    """Parameters of Betaflight's rate loop, likewise."""
+
     effectiveness: str = "nominal"
     """``nominal`` or ``actual``: which control effectiveness matrix the allocation inverts, and with which thrust maps it goes
     on to the rotors. With ``nominal`` those of the robot file, one for all; with ``actual`` those of each environment's own
@@ -196,6 +200,9 @@ class ControllerCfg:
     px4: Px4Cfg | None = None
     """PX4's cascade with these parameters in place of gains and rate loop; those of the robot if all are left out."""
 
+    betaflight: BetaflightCfg | None = None
+    """Betaflight's rate loop with these parameters, likewise."""
+
     rate_hz: float | None = None
     """How often the law runs [1/s], > 0; every physics step, or with a rate loop as often as that, if not given. What it
     wants is held in between."""
@@ -213,11 +220,21 @@ class ControllerCfg:
         for name in ("delay", "action_delay"):
             if not 0.0 <= getattr(self, name) < inf:
                 raise ConfigError(f"ControllerCfg.{name} = {getattr(self, name)!r}: must be >= 0 and finite")
-        if self.px4 is not None and (self.rate_loop is not None or self.gains is not None):
-            raise ConfigError("ControllerCfg.px4: has gains and a rate loop of its own. Leave gains and rate_loop out")
-        if self.delay > 0.0 and self.rate_loop is None and self.px4 is None:
+        for name in ("px4", "betaflight"):
+            if getattr(self, name) is not None and (self.rate_loop is not None or self.gains is not None):
+                raise ConfigError(
+                    f"ControllerCfg.{name}: has gains and a rate loop of its own. Leave gains and rate_loop out"
+                )
+        if self.px4 is not None and self.betaflight is not None:
+            raise ConfigError("ControllerCfg: px4 and betaflight are two rate loops. Leave one out")
+        if self.delay > 0.0 and self.inner is None:
             raise ConfigError(
                 f"ControllerCfg.delay = {self.delay!r}: there is no rate loop to reach. Give rate_loop, or action_delay"
             )
         if self.allocation not in ("prioritised", "clamp"):
             raise ConfigError(f"ControllerCfg.allocation = {self.allocation!r}: must be 'prioritised' or 'clamp'")
+
+    @property
+    def inner(self) -> RateLoopCfg | Px4Cfg | BetaflightCfg | None:
+        """The loop of body rates, if there is one."""
+        return self.px4 or self.betaflight or self.rate_loop

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from aerial_gym.config import CONFIG_DIR, load
+from aerial_gym.config.betaflight import BetaflightCfg
 from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg, RateLoopCfg
 from aerial_gym.config.loader import build, read_yaml
 from aerial_gym.config.px4 import Px4Cfg
@@ -43,6 +44,12 @@ for _law, _name in (("position", "position"), ("velocity", "velocity"), ("attitu
     CONTROLLERS.register(
         f"px4_{_name}_control", replace(_cfg, summary=f"{_cfg.summary}; the cascade of PX4", px4=Px4Cfg())
     )
+
+_cfg = CONTROLLERS.get("lee_rates_control")
+CONTROLLERS.register(
+    "betaflight_rate_control",
+    replace(_cfg, summary=f"{_cfg.summary}; the rate loop of Betaflight", betaflight=BetaflightCfg()),
+)
 
 
 def _gains_of(robot: str) -> LeeGainsCfg:

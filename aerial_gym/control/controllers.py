@@ -13,6 +13,7 @@ from torch import Tensor
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control import lee_fused
 from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.betaflight.controller import BetaflightController
 from aerial_gym.control.cascade import CascadeController
 from aerial_gym.control.gains import GAINS, gains_for, with_own_rows
 from aerial_gym.control.laws import LAWS
@@ -198,7 +199,8 @@ def make_controller(
             raise ConfigError(
                 f"law {cfg.law!r}: a controller with rates or memory is built for one time step. Give dt [s]"
             )
-        kind = CascadeController if cfg.px4 is None else Px4Controller
+        own = Px4Controller if cfg.betaflight is None else BetaflightController
+        kind = own if cfg.px4 or cfg.betaflight else CascadeController
         return kind(cfg, vehicle, gravity, dt=dt, control=control)
     known = ", ".join(("thrust", "rotor_speed", *LAWS))
     raise ConfigError(f"ControllerCfg.law = {cfg.law!r}: unknown. Known: {known}")

@@ -131,8 +131,9 @@ def explicit_gains_of(cfg: ControllerCfg, control: ControlCfg) -> LeeGainsCfg | 
 
 def has_explicit_gains(cfg: ControllerCfg, control: ControlCfg) -> bool:
     """Return whether any gain is someone's own, given for the controller or the robot."""
-    if cfg.px4 is not None:
-        return cfg.px4.explicit or (control.px4 is not None and control.px4.explicit)
+    for own, of_robot in ((cfg.px4, control.px4), (cfg.betaflight, control.betaflight)):
+        if own is not None:
+            return own.explicit or (of_robot is not None and of_robot.explicit)
     return explicit_gains_of(cfg, control) is not None
 
 

@@ -52,7 +52,7 @@ def timing_of(cfg: ControllerCfg, dt: float) -> Timing:
     Raises:
         ConfigError: If no whole number of steps fits into a period or a delay, or the law runs between runs of its loop.
     """
-    inner = cfg.rate_loop if cfg.px4 is None else cfg.px4
+    inner = cfg.inner
     loop_hz = None if inner is None else inner.rate_hz
     loop = 1 if loop_hz is None else _steps(f"{type(inner).__name__}.rate_hz", loop_hz, "Hz", 1.0 / loop_hz, dt)
     law = loop if cfg.rate_hz is None else _steps("ControllerCfg.rate_hz", cfg.rate_hz, "Hz", 1.0 / cfg.rate_hz, dt)
@@ -71,7 +71,7 @@ def timing_of(cfg: ControllerCfg, dt: float) -> Timing:
 
 def remembers(cfg: ControllerCfg) -> bool:
     """Return whether a controller needs memory."""
-    return cfg.rate_loop is not None or cfg.px4 is not None or cfg.rate_hz is not None or cfg.action_delay > 0.0
+    return cfg.inner is not None or cfg.rate_hz is not None or cfg.action_delay > 0.0
 
 
 def _steps(name: str, value: float, unit: str, span: float, dt: float) -> int:

@@ -39,16 +39,13 @@ def assert_flies(flight: Flight, cfg: RobotCfg) -> None:
 OVERSHOOT = {
     "pid_rates_control": 0.25,
     "px4_rate_control": 0.2,
+    "betaflight_rate_control": 0.2,
     "px4_velocity_control": 0.1,
     "px4_position_control": 0.1,
 }
 """Of loops with an integral, as a share of the step; 0.05 of others."""
 
-FAST = [
-    name
-    for name, cfg in geometric_controllers().items()
-    if (cfg.rate_loop is None and cfg.px4 is None) or cfg.law in ("position", "rates")
-]
+FAST = [name for name, cfg in geometric_controllers().items() if cfg.inner is None or cfg.law in ("position", "rates")]
 
 
 @pytest.mark.parametrize("controller", FAST)

@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from aerial_gym.config.betaflight import BetaflightCfg
 from aerial_gym.config.controller import ControllerCfg, RateLoopCfg
 from aerial_gym.config.px4 import Px4Cfg
 from aerial_gym.control import CONTROLLERS, make_controller
@@ -222,12 +223,24 @@ def fly(
     return [*ends, state]
 
 
+TUNED = BetaflightCfg(
+    rate_hz=250.0, rates_type="ACTUAL", roll_expo=0.5, p_roll=45.0, i_roll=80.0, d_roll=40.0, f_roll=120.0, d_pitch=30.0,
+    gyro_lpf1_type="BIQUAD", gyro_lpf1_static_hz=60.0, gyro_lpf2_static_hz=90.0, dterm_lpf1_type="BIQUAD", iterm_relax="RPY",
+    tpa_mode="PD", tpa_breakpoint=1200.0,
+)  # fmt: skip
+"""Every part of Betaflight's rate loop."""
+
 CASES = {
     "everything": (BUSY, ()),
     "with effects": (replace(BUSY, law="attitude"), ("gusts", "actuation_delay", "rotor_drag")),
     "no loop": (replace(CONTROLLERS.get("lee_velocity_control"), rate_hz=100.0, action_delay=0.004), ()),
     "clamped": (replace(PID, allocation="clamp"), ()),
     **{name: (CONTROLLERS.get(name), ()) for name in CONTROLLERS.names() if name.startswith("px4_")},
+    "betaflight_rate_control": (CONTROLLERS.get("betaflight_rate_control"), ()),
+    "all of Betaflight": (
+        replace(CONTROLLERS.get("betaflight_rate_control"), rate_hz=50.0, delay=0.014, betaflight=TUNED),
+        (),
+    ),
     "all of PX4": (replace(CONTROLLERS.get("px4_position_control"), rate_hz=50.0, delay=0.014, px4=FILTERED), ()),
 }
 

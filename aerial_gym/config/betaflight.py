@@ -1,0 +1,157 @@
+"""Parameters of Betaflight's rate loop, by the names of its command line, and of its Configurator for rates.
+
+Source: Betaflight 4.5, its documentation (betaflight.com/docs: CLI reference, PID tuning tab, I-term relax, mixer types, tuning
+notes of 4.0 to 4.3); none of its code was read. What a gain of 1 is worth: the scale factors that the crate protoflight 0.1.4
+gives as compatible with Betaflight's (docs.rs). Gains that are left out are derived from the vehicle
+(``control.betaflight.parameters``).
+"""
+
+from dataclasses import dataclass, fields
+from math import inf, pi
+
+from aerial_gym.errors import ConfigError
+
+NOT_GAINS = frozenset(("rate_hz", "source"))
+
+PER_DEGREE = 180.0 / pi / 1000.0
+"""From a thousandth of the motors' range per deg/s to the whole range per rad/s."""
+
+SCALES = {
+    "p": 0.032029 * PER_DEGREE,
+    "i": 0.244381 * PER_DEGREE,
+    "d": 0.000529 * PER_DEGREE,
+    "f": 0.013754 / 100.0 * PER_DEGREE,
+}
+"""What 1 in ``p_roll``, ``i_roll``, ``d_roll``, ``f_roll`` is worth: share of the motors' range per rad/s, rad, rad/s² and
+rad/s² of the setpoint. Of f in percent, as its defaults are; by this size they fly."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BetaflightCfg:
+    """Rates, gains, filters and mixer of ``betaflight_rate_control``.
+
+    Every number is >= 0 and finite; None has it derived. Cut-offs of 0 leave a filter out, which is the default: the simulated
+    gyro is clean unless the robot says otherwise.
+    """
+
+    rate_hz: float | None = None
+    """How often the loop runs [1/s]; every physics step if not given. Betaflight: 8000 over pid_process_denom."""
+
+    rates_type: str = "NONE"
+    """``NONE``: an action is body rates [rad/s]. ``ACTUAL``: it is sticks, -1 to 1, that Actual rates map to them."""
+
+    roll_center_sensitivity: float = 70.0
+    """Rate per stick about its centre [deg/s], with ACTUAL."""
+
+    roll_max_rate: float = 670.0
+    """Rate at full stick [deg/s], with ACTUAL."""
+
+    roll_expo: float = 0.0
+    """Bend of the curve between [-], 0 to 1, with ACTUAL; this and the two above likewise for the other axes."""
+
+    pitch_center_sensitivity: float = 70.0
+    pitch_max_rate: float = 670.0
+    pitch_expo: float = 0.0
+    yaw_center_sensitivity: float = 70.0
+    yaw_max_rate: float = 670.0
+    yaw_expo: float = 0.0
+
+    p_roll: float | None = None
+    """Proportional gain. Betaflight's default is 45; of pitch 47, of yaw 45."""
+
+    i_roll: float | None = None
+    """Integral gain. Betaflight's default is 80; of pitch 84, of yaw 80."""
+
+    d_roll: float = 0.0
+    """Derivative gain. Betaflight's default is 30 to 40; of pitch 34 to 46, of yaw 0."""
+
+    f_roll: float = 0.0
+    """Feed-forward gain on the slope of the wanted rate. Betaflight's default is 120; of pitch 125, of yaw 120."""
+
+    p_pitch: float | None = None
+    i_pitch: float | None = None
+    d_pitch: float = 0.0
+    f_pitch: float = 0.0
+    p_yaw: float | None = None
+    i_yaw: float | None = None
+    d_yaw: float = 0.0
+    f_yaw: float = 0.0
+
+    gyro_lpf1_type: str = "PT1"
+    """PT1 (first order) or BIQUAD (second order, Butterworth)."""
+
+    gyro_lpf1_static_hz: float = 0.0
+    """Cut-off of the first low-pass on body rates [Hz]; 0 for none. Betaflight's default is 250, or dynamic."""
+
+    gyro_lpf2_type: str = "PT1"
+    gyro_lpf2_static_hz: float = 0.0
+    """Of the second [Hz]. Betaflight's default is 500."""
+
+    dterm_lpf1_type: str = "PT1"
+    dterm_lpf1_static_hz: float = 75.0
+    """Of the first low-pass on the derivative [Hz]."""
+
+    dterm_lpf2_type: str = "PT1"
+    dterm_lpf2_static_hz: float = 150.0
+    """Of the second [Hz]."""
+
+    iterm_limit: float = 400.0
+    """Largest integral, in thousandths of the motors' range."""
+
+    iterm_windup: float = 85.0
+    """Share of the motors' range that corrections use from which the integral grows more slowly [%], to not at all at 100;
+    100 switches it off."""
+
+    iterm_relax: str = "RP"
+    """Axes on which the integral rests while the wanted rate changes: OFF, RP (roll and pitch) or RPY."""
+
+    iterm_relax_cutoff: float = 15.0
+    """Of the low-pass that tells a change [Hz]."""
+
+    pidsum_limit: float = 500.0
+    """Largest correction of roll and pitch, in thousandths of the motors' range."""
+
+    pidsum_limit_yaw: float = 400.0
+    """Of yaw."""
+
+    tpa_mode: str = "D"
+    """What full throttle weakens: D, or P and D (PD)."""
+
+    tpa_rate: float = 65.0
+    """By how much at full throttle [%]."""
+
+    tpa_breakpoint: float = 1350.0
+    """Throttle from which it begins, 1000 to 2000."""
+
+    airmode: bool = True
+    """Whether corrections keep their size at low throttle, which then rises as far as they need."""
+
+    source: str = "Derived: aerial_gym.control.betaflight.parameters"
+    """Where the numbers come from."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, (int, float)) and not 0.0 <= value < inf:
+                raise ConfigError(f"BetaflightCfg.{field.name} = {value!r}: must be >= 0 and finite")
+        kinds = dict.fromkeys(_TYPES, ("PT1", "BIQUAD"))
+        kinds |= {"rates_type": ("NONE", "ACTUAL"), "iterm_relax": ("OFF", "RP", "RPY"), "tpa_mode": ("D", "PD")}
+        for name, allowed in kinds.items():
+            if getattr(self, name) not in allowed:
+                raise ConfigError(f"BetaflightCfg.{name} = {getattr(self, name)!r}: must be {' or '.join(allowed)}")
+        most = {"iterm_windup": 100.0, "tpa_rate": 100.0, "roll_expo": 1.0, "pitch_expo": 1.0, "yaw_expo": 1.0}
+        for name, limit in most.items():
+            if getattr(self, name) > limit:
+                raise ConfigError(f"BetaflightCfg.{name} = {getattr(self, name)!r}: must be at most {limit:g}")
+        if not 1000.0 <= self.tpa_breakpoint < 2000.0:
+            raise ConfigError(
+                f"BetaflightCfg.tpa_breakpoint = {self.tpa_breakpoint!r}: must be from 1000 to below 2000"
+            )
+
+    @property
+    def explicit(self) -> bool:
+        """Whether anything is not as this class has it: then the loop is someone's tuning."""
+        return any(getattr(self, f.name) != f.default for f in fields(self) if f.name not in NOT_GAINS)
+
+
+_TYPES = ("gyro_lpf1_type", "gyro_lpf2_type", "dterm_lpf1_type", "dterm_lpf2_type")

@@ -1,0 +1,1 @@
+"""Betaflight's rate loop: rates, gains, filters and mixer."""

@@ -1,0 +1,224 @@
+"""Betaflight's rate loop for one environment in the fused kernel, the twin of ``control.betaflight.controller``.
+
+Letters: E environments, R rotors.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from aerial_gym.config.betaflight import BetaflightCfg
+from aerial_gym.control.betaflight.loop import RELAXED_FROM
+from aerial_gym.control.cascade_fused import make_remembering, make_two_levels
+from aerial_gym.control.lee_fused import read_vec3
+from aerial_gym.control.px4.px4_fused import write_vec3
+from aerial_gym.control.px4.rates import LowPass2
+from aerial_gym.control.timing import Timing
+from aerial_gym.physics.fused.command import make_limited, make_speed_of
+from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.fused.memory import LawArrays
+from aerial_gym.physics.fused.types import rotor_types
+
+if TYPE_CHECKING:
+    from aerial_gym.control.betaflight.parameters import BetaflightFilters
+    from aerial_gym.control.remembering import Layout
+
+FILTERS, SLOW, EASED, BEFORE, USED = 3, 27, 30, 33, 36
+"""Places of ``controller.PARTS``."""
+
+
+@wp.struct
+class BetaflightRows:
+    """All parameters: ``parameters.BetaflightGains``."""
+
+    rate: wp.vec3  # [s/rad]
+    integral: wp.vec3  # [1/rad]
+    derivative: wp.vec3  # [s²/rad]
+    forward: wp.vec3  # [s²/rad]
+    limit: wp.vec3  # [-]
+    integral_limit: wp.vec3  # [-]
+    mix: wp.vec3  # [1/(N m)] to [-]
+    weight: float  # [N]
+    center: wp.vec3  # [rad/s]
+    largest: wp.vec3  # [rad/s]
+    expo: wp.vec3  # [-]
+
+
+@wp.func
+def load_gains(source: wp.array2d[float], first: int, env: int) -> BetaflightRows:
+    """Return the parameters of one environment from the rows of (N, E)."""
+    gains = BetaflightRows()
+    gains.rate = read_vec3(source, first, env)
+    gains.integral = read_vec3(source, first + 3, env)
+    gains.derivative = read_vec3(source, first + 6, env)
+    gains.forward = read_vec3(source, first + 9, env)
+    gains.limit = read_vec3(source, first + 12, env)
+    gains.integral_limit = read_vec3(source, first + 15, env)
+    gains.mix = read_vec3(source, first + 18, env)
+    gains.weight = source[first + 21, env]
+    gains.center = read_vec3(source, first + 22, env)
+    gains.largest = read_vec3(source, first + 25, env)
+    gains.expo = read_vec3(source, first + 28, env)
+    return gains
+
+
+def make_wish(rates_type: str) -> wp.Function:
+    """Return the thrust per weight and the body rates [rad/s] that an action asks for."""
+
+    @wp.func
+    def rates(
+        gains: BetaflightRows, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3,
+        action: wp.vec4, arrays: LawArrays, env: int, since: int, dt: float,
+    ) -> wp.vec4:  # fmt: skip
+        return wp.vec4(action[0] + 1.0, action[1], action[2], action[3])
+
+    @wp.func
+    def sticks(
+        gains: BetaflightRows, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3,
+        action: wp.vec4, arrays: LawArrays, env: int, since: int, dt: float,
+    ) -> wp.vec4:  # fmt: skip
+        wanted = wp.vec4(action[0] + 1.0, 0.0, 0.0, 0.0)
+        for i in range(3):
+            x = wp.clamp(action[1 + i], -1.0, 1.0)
+            bent = wp.abs(x) * (gains.expo[i] * x * x * x * x * x + (1.0 - gains.expo[i]) * x)
+            wanted[1 + i] = gains.center[i] * x + wp.max(gains.largest[i] - gains.center[i], 0.0) * bent
+        return wanted
+
+    return sticks if rates_type == "ACTUAL" else rates
+
+
+def make_low_pass(filter: LowPass2 | None, first: int) -> wp.Function:
+    """Return ``px4.rates.low_passed``; its memory stands from number ``first`` on."""
+
+    @wp.func
+    def as_it_is(sample: wp.vec3, arrays: LawArrays, env: int, since: int) -> wp.vec3:
+        return sample
+
+    if filter is None:
+        return as_it_is
+    a1, a2, b0, b1, b2 = filter.a1, filter.a2, filter.b0, filter.b1, filter.b2
+
+    @wp.func
+    def filtered(sample: wp.vec3, arrays: LawArrays, env: int, since: int) -> wp.vec3:
+        newer = read_vec3(arrays.numbers, wp.static(first), env)
+        older = read_vec3(arrays.numbers, wp.static(first + 3), env)
+        if since == 0:
+            newer = sample / wp.static(1.0 + a1 + a2)
+            older = newer
+        inner = sample - wp.static(a1) * newer - wp.static(a2) * older
+        write_vec3(arrays.numbers, wp.static(first), env, inner)
+        write_vec3(arrays.numbers, wp.static(first + 3), env, newer)
+        return wp.static(b0) * inner + wp.static(b1) * newer + wp.static(b2) * older
+
+    return filtered
+
+
+def make_loop(
+    law: FusedLaw, num_rotors: int, general: bool, own: BetaflightCfg, filters: "BetaflightFilters", timing: Timing
+) -> wp.Function:
+    """Return ``controller.BetaflightController._loop``."""
+    types = rotor_types(num_rotors, general)
+    command_type, vector, period = types.command, types.vector, float(timing.loop)
+    gyro1, gyro2, slow1, slow2 = (
+        make_low_pass(one, FILTERS + 6 * k) for k, one in enumerate((*filters.gyro, *filters.derivative))
+    )
+    limited, speed_of = make_limited(num_rotors, general), make_speed_of(num_rotors, general)
+    mix_motors = make_mixer(num_rotors, own.airmode)
+    relax, relaxed = filters.relax, {"OFF": 0, "RP": 2, "RPY": 3}[own.iterm_relax]
+    windup = own.iterm_windup / 100.0
+    tpa, tpa_from, of_error = own.tpa_rate / 100.0, own.tpa_breakpoint / 1000.0 - 1.0, own.tpa_mode == "PD"
+
+    @wp.func
+    def run_loop(
+        params: command_type, gains: BetaflightRows, ang_vel: wp.vec3, setpoint: wp.vec4, arrays: LawArrays, env: int,
+        since: int, dt: float,
+    ) -> vector:  # fmt: skip
+        span = wp.static(period) * dt
+        seen = gyro2(gyro1(ang_vel, arrays, env, since), arrays, env, since)
+        rate = slow2(slow1(seen, arrays, env, since), arrays, env, since)
+        wanted = wp.vec3(setpoint[1], setpoint[2], setpoint[3])
+        error = wanted - seen
+        ang_acc = wp.vec3()
+        change = wp.vec3()
+        eased = wanted
+        if since > 0:
+            ang_acc = (rate - read_vec3(arrays.numbers, SLOW, env)) / span
+            change = (wanted - read_vec3(arrays.numbers, BEFORE, env)) / span
+            eased = read_vec3(arrays.numbers, EASED, env)
+            eased = eased + wp.static(relax) * (wanted - eased)
+        room = 1.0
+        if wp.static(windup < 1.0):
+            room = wp.clamp((1.0 - arrays.numbers[USED, env]) / wp.static(1.0 - windup), 0.0, 1.0)
+        thrust = vector()
+        for i in range(wp.static(num_rotors)):
+            thrust[i] = setpoint[0] * gains.weight * params.allocation[i, 2]
+        low = speed_of(params, params.low)
+        high = speed_of(params, params.high)
+        throttle = speed_of(params, limited(params, thrust))
+        mean = 0.0
+        for i in range(wp.static(num_rotors)):
+            throttle[i] = (throttle[i] - low[i]) / (high[i] - low[i])
+            mean += throttle[i] / wp.static(float(num_rotors))
+        weaker = 1.0 - wp.static(tpa) * wp.clamp((mean - wp.static(tpa_from)) / wp.static(1.0 - tpa_from), 0.0, 1.0)
+        correction = wp.vec3()
+        for i in range(3):
+            share = room
+            if i < wp.static(relaxed):
+                share *= wp.max(1.0 - wp.abs(wanted[i] - eased[i]) / wp.static(RELAXED_FROM), 0.0)
+            integral = arrays.numbers[i, env] + share * gains.integral[i] * error[i] * span
+            integral = wp.clamp(integral, -gains.integral_limit[i], gains.integral_limit[i])
+            arrays.numbers[i, env] = integral
+            part = gains.rate[i] * error[i]
+            if wp.static(of_error):
+                part *= weaker
+            part += integral - weaker * gains.derivative[i] * ang_acc[i] + gains.forward[i] * change[i]
+            correction[i] = gains.mix[i] * wp.clamp(part, -gains.limit[i], gains.limit[i])
+        mix = vector()
+        for i in range(wp.static(num_rotors)):
+            row = params.allocation[i]
+            mix[i] = row[3] * correction[0] + row[4] * correction[1] + row[5] * correction[2]
+        signal, used = mix_motors(throttle, mix)
+        write_vec3(arrays.numbers, SLOW, env, rate)
+        write_vec3(arrays.numbers, EASED, env, eased)
+        write_vec3(arrays.numbers, BEFORE, env, wanted)
+        arrays.numbers[USED, env] = used
+        return low + wp.cw_mul(high - low, signal)
+
+    return run_loop
+
+
+def make_mixer(num_rotors: int, airmode: bool) -> wp.Function:
+    """Return ``loop.mixed``."""
+    vector = rotor_types(num_rotors).vector
+
+    @wp.func
+    def mix_motors(throttle: vector, mix: vector):
+        lowest = wp.min(mix)
+        used = wp.max(mix) - lowest
+        signal = throttle + mix
+        up = 0.0
+        if wp.static(airmode):
+            up = wp.max(-wp.min(signal), 0.0)
+        down = wp.max(wp.max(signal) + up - 1.0, 0.0)
+        for i in range(wp.static(num_rotors)):
+            value = signal[i] + up - down
+            if used > 1.0:
+                value = (mix[i] - lowest) / used
+            signal[i] = wp.clamp(value, 0.0, 1.0)
+        return signal, used
+
+    return mix_motors
+
+
+def maker(
+    own: BetaflightCfg, filters: "BetaflightFilters", timing: Timing, layout: "Layout"
+) -> Callable[[FusedLaw, int, bool], wp.Function]:
+    """Return what composes the loop for a number of rotors: ``FusedLaw.remembering``."""
+
+    def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
+        run_loop = make_loop(law, num_rotors, general, own, filters, timing)
+        run = make_two_levels(law, num_rotors, general, timing, make_wish(own.rates_type), run_loop)
+        return make_remembering(law, num_rotors, general, timing, layout, run)
+
+    return make

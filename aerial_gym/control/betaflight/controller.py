@@ -1,0 +1,128 @@
+"""Betaflight's rate loop as a controller with memory.
+
+    action -> body rates (at ``ControllerCfg.rate_hz``) -> filters, PID and mixer (at ``BetaflightCfg.rate_hz``) -> motors
+
+The throttle of an action is one of thrust, as that of other controllers: 0 holds the weight. A motor signal from 0 to 1 stands
+for a share of the way from the lowest to the highest speed.
+Not modelled: notch and RPM filters, dynamic cut-offs, D max, anti-gravity, throttle boost, the filters of stick and of yaw,
+idle, and the battery.
+Frames: body x forward, y left, z up. Betaflight's are others: signs change, and the law does not.
+Letters: E environments, R rotors, M remembered numbers.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.betaflight import BetaflightCfg
+from aerial_gym.config.controller import ControlCfg, ControllerCfg
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.betaflight import betaflight_fused
+from aerial_gym.control.betaflight.loop import actual_rate, integral_share, mixed, weakening
+from aerial_gym.control.betaflight.parameters import filters_of, parameters_of, require_fit
+from aerial_gym.control.laws import LAWS
+from aerial_gym.control.px4.rates import low_passed
+from aerial_gym.control.remembering import RememberingController, layout_of
+from aerial_gym.control.timing import timing_of
+from aerial_gym.physics.fused.law import FusedLaw
+from aerial_gym.physics.law_memory import LawMemory
+from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.vehicle import Vehicle
+
+PARTS = (3, 6, 6, 6, 6, 3, 3, 3, 1)
+"""What it remembers: integral; inner values of the two filters of body rates and of the two of the derivative; filtered rate
+for the derivative, low-pass of the wanted rate, and wanted rate of the run before; share of the motors' range that it used."""
+
+STICKS = ("thrust (0 is hover) [-]", "roll stick, -1 to 1 [-]", "pitch stick [-]", "yaw stick [-]")
+
+
+class BetaflightController(RememberingController):
+    """``betaflight_rate_control``."""
+
+    named_gains: Mapping[str, Tensor] = MappingProxyType({})
+    """None are drawn: they are Betaflight's parameters, one set for all."""
+
+    def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
+        """Take the configuration, the declared vehicle, gravity [m/s²], the physics step [s] and the robot's own settings."""
+        self._own = own = betaflight_of(cfg, control)
+        self.timing = timing = timing_of(replace(cfg, betaflight=own), dt)
+        self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
+        require_fit(cfg.law, vehicle, self.allocation)
+        self.action_names = STICKS if own.rates_type == "ACTUAL" else LAWS[cfg.law].action
+        self.gains = parameters_of(cfg, own, control, vehicle, self.allocation, gravity=gravity, timing=timing)
+        self.filters = filters_of(own, timing)
+        self._relaxed = vehicle.com.new_tensor(
+            {"OFF": [0.0] * 3, "RP": [1.0, 1.0, 0.0], "RPY": [1.0] * 3}[own.iterm_relax]
+        )
+        self._low, self._span = vehicle.speed_low, vehicle.speed_high - vehicle.speed_low
+        self._layout = layout_of(
+            timing, own=sum(PARTS), num_rotors=vehicle.num_rotors, num_actions=len(self.action_names)
+        )
+
+    @property
+    def _wish_at_rest(self) -> Tensor:
+        return torch.ones_like(self.gains.weight[0, 0])
+
+    def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        wanted, gains = action[:, 1:], self.gains
+        if self._own.rates_type == "ACTUAL":
+            wanted = actual_rate(wanted.clamp(-1.0, 1.0), gains.center, gains.largest, gains.expo)
+        setpoint, sent = self._pass_on(torch.cat((action[:, :1] + 1.0, wanted), dim=-1), sent, memory.since)
+        begins = (memory.since == 0).unsqueeze(-1)
+        command, numbers = self._loop(state.ang_vel, setpoint, memory.numbers[:, : self._layout.held], begins)
+        return command, numbers, sent
+
+    def _loop(self, ang_vel: Tensor, setpoint: Tensor, kept: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
+        """Return rotor speeds [rad/s], (E, R), for a thrust per weight and body rates, (E, 4), and what is kept, (E, M)."""
+        gains, own, span = self.gains, self._own, self.timing.loop * self.timing.dt
+        integral, *inner, slow, eased, before, used = kept.split(PARTS, dim=-1)
+        filters, rate, inners = (*self.filters.gyro, *self.filters.derivative), ang_vel, []
+        for number, (low_pass, part) in enumerate(zip(filters, inner, strict=True)):
+            if number == 2:
+                seen = rate
+            rate, part = (rate, 0.0 * part) if low_pass is None else low_passed(rate, part, begins, low_pass)
+            inners.append(part)
+        ang_acc = torch.where(begins, 0.0, (rate - slow) / span)
+        wanted, error = setpoint[:, 1:], setpoint[:, 1:] - seen
+        eased = torch.where(begins, wanted, eased + self.filters.relax * (wanted - eased))
+        change = torch.where(begins, 0.0, (wanted - before) / span)
+        share = integral_share((wanted - eased) * self._relaxed, used, own.iterm_windup / 100.0)
+        integral = _held(integral + share * gains.integral * error * span, gains.integral_limit)
+        throttle = self._signal(self.allocation.speed(setpoint[:, :1] * gains.weight * self.allocation.inverse[..., 2]))
+        weaker = weakening(throttle, own.tpa_rate / 100.0, own.tpa_breakpoint / 1000.0 - 1.0)
+        of_error = weaker if own.tpa_mode == "PD" else 1.0
+        correction = (
+            of_error * gains.rate * error + integral - weaker * gains.derivative * ang_acc + gains.forward * change
+        )
+        correction = gains.mix * _held(correction, gains.limit)
+        mix = (self.allocation.inverse[..., 3:] * correction.unsqueeze(1)).sum(-1)
+        signal, used = mixed(throttle, mix, airmode=own.airmode)
+        return self._low + self._span * signal, torch.cat((integral, *inners, rate, eased, wanted, used), dim=-1)
+
+    def _signal(self, speed: Tensor) -> Tensor:
+        return (speed - self._low) / self._span
+
+    def fused(self) -> FusedLaw:
+        """Return the twin in Warp."""
+        return self._fused(
+            remembering=betaflight_fused.maker(self._own, self.filters, self.timing, self._layout),
+            gains_type=betaflight_fused.BetaflightRows,
+            load_gains=betaflight_fused.load_gains,
+            gains=dict(vars(self.gains)) | {"weight": self.gains.weight[:, 0]},
+        )
+
+
+def betaflight_of(cfg: ControllerCfg, control: ControlCfg) -> BetaflightCfg:
+    """Return the parameters of a controller: those of the robot where it has none of its own; its own rate in any case."""
+    own = cfg.betaflight if cfg.betaflight is not None else BetaflightCfg()
+    if own.explicit or control.betaflight is None:
+        return own
+    return control.betaflight if own.rate_hz is None else replace(control.betaflight, rate_hz=own.rate_hz)
+
+
+def _held(values: Tensor, limit: Tensor) -> Tensor:
+    """Return values (E, 3) within plus and minus a limit, (E, 3)."""
+    return torch.minimum(torch.maximum(values, -limit), limit)

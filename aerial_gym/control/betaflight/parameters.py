@@ -1,0 +1,177 @@
+"""Betaflight's parameters as rows of tensors, what is left out derived from the vehicle, and its filters at their rate.
+
+Letters: E environments, R rotors.
+"""
+
+from dataclasses import dataclass
+from math import radians
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.betaflight import SCALES, BetaflightCfg
+from aerial_gym.config.controller import ControlCfg, ControllerCfg
+from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.effectiveness import allocation_matrix
+from aerial_gym.control.gains import gains_for, spacing_of
+from aerial_gym.control.px4.rates import LowPass2, butterworth, smoothing
+from aerial_gym.control.timing import Timing
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics.vehicle import Vehicle, share_row
+
+AXES = ("roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BetaflightGains:
+    """Rows of all environments, (E, 3) or (E, 1). Corrections are shares of the motors' range."""
+
+    rate: Tensor
+    """Per rate error [s/rad]."""
+
+    integral: Tensor
+    """Per integrated rate error [1/rad]."""
+
+    derivative: Tensor
+    """Per measured angular acceleration [s²/rad]."""
+
+    forward: Tensor
+    """Per slope of the wanted rate [s²/rad]."""
+
+    limit: Tensor
+    """Of the correction."""
+
+    integral_limit: Tensor
+    """Of the integral; 0 about an axis about which the rotors give no torque."""
+
+    mix: Tensor
+    """Factor on the columns of the allocation that makes the largest correction of a motor 1."""
+
+    weight: Tensor
+    """Of the vehicle [N]."""
+
+    center: Tensor
+    """Rate per stick about the centre [rad/s]."""
+
+    largest: Tensor
+    """Rate at full stick [rad/s]."""
+
+    expo: Tensor
+    """[-]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BetaflightFilters:
+    """At the rate of the loop; None for none."""
+
+    gyro: tuple[LowPass2 | None, LowPass2 | None]
+    derivative: tuple[LowPass2 | None, LowPass2 | None]
+    relax: float
+    """Share of the new value that the low-pass of I-term relax takes in."""
+
+
+def require_fit(law: str, vehicle: Vehicle, allocation: Allocation) -> None:
+    """Raise ``ConfigError`` for vehicles that Betaflight's mixer does not fly."""
+    if law != "rates":
+        raise ConfigError(f"law {law!r}: Betaflight's rate loop has rates alone")
+    if kinds := vehicle.traits & {"reversible", "force"}:
+        raise ConfigError(
+            f"law {law!r}: Betaflight's motors turn one way and are told a share of their speed, and rotors of this "
+            f"vehicle are of another kind ({', '.join(sorted(kinds))}). Take lee_rates_control"
+        )
+    if bool((allocation.inverse[0, :, 2] <= 0.0).any()):
+        raise ConfigError(
+            f"law {law!r}: Betaflight's throttle is that of motors that all push up, and some of this vehicle's do not. Take "
+            "lee_rates_control or fully_actuated_control"
+        )
+
+
+def parameters_of(
+    cfg: ControllerCfg, own: BetaflightCfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, *,
+    gravity: float, timing: Timing,
+) -> BetaflightGains:  # fmt: skip
+    """Return the parameters of a declared vehicle, the same in all environments.
+
+    Gains that are left out follow from ``control.gains``: its torque per rate error, at hover, and an integral that is slower
+    by a², with the a of that module.
+    """
+    base = gains_for(
+        cfg, control, vehicle, allocation, gravity=gravity, dt=timing.loop * timing.dt, extra_lag=timing.extra_lag
+    )
+    inverse = allocation.inverse[0].detach()
+    largest = inverse[:, 3:].abs().amax(0)
+    mix = torch.where(largest > 0.0, 1.0 / torch.where(largest > 0.0, largest, 1.0), 0.0)
+    weight = float(vehicle.mass[0]) * gravity
+    torque = (
+        allocation_matrix(vehicle, gravity)[0, 3:] * thrust_per_signal(vehicle, inverse[:, 2] * weight)
+    ) @ inverse[:, 3:]
+    unit = torque.diagonal() * mix  # torque per correction [N m]
+    rate, inertia = base.rate[0], vehicle.inertia[0].diagonal()
+    turns = (rate > 0.0) & (unit > 0.0)
+    some = torch.where(turns, unit, 1.0)
+    slow = spacing_of(control.phase_margin) ** 2
+    derived = {"p": torch.where(turns, rate / some, 0.0)}
+    derived["i"] = torch.where(turns, rate.square() / inertia / slow / some, 0.0)
+
+    def row(numbers: list[float] | Tensor) -> Tensor:
+        return share_row(
+            torch.as_tensor(numbers, dtype=vehicle.mass.dtype, device=vehicle.mass.device), len(vehicle.mass)
+        )
+
+    def gain(name: str) -> Tensor:
+        given = [getattr(own, f"{name}_{axis}") for axis in AXES]
+        return row([derived[name][k] if g is None else SCALES[name] * g for k, g in enumerate(given)])
+
+    def of(name: str, unit: float = 1.0) -> Tensor:
+        return row([unit * getattr(own, f"{axis}_{name}") for axis in AXES])
+
+    yaw = own.pidsum_limit_yaw
+    return BetaflightGains(
+        rate=gain("p"),
+        integral=gain("i"),
+        derivative=gain("d"),
+        forward=gain("f"),
+        limit=row([own.pidsum_limit / 1000.0, own.pidsum_limit / 1000.0, yaw / 1000.0]),
+        integral_limit=row(own.iterm_limit / 1000.0 * (unit > 0.0)),
+        mix=row(mix),
+        weight=row([weight]),
+        center=of("center_sensitivity", radians(1.0)),
+        largest=of("max_rate", radians(1.0)),
+        expo=of("expo"),
+    )
+
+
+def thrust_per_signal(vehicle: Vehicle, thrust: Tensor) -> Tensor:
+    """Return by how much the thrusts grow with the motor signals, 0 to 1, about thrusts [N], both (R,)."""
+    c0, c1, c2 = vehicle.thrust_map[0].unbind(-1)
+    speed = ((c1.square() + 4.0 * c2 * (thrust - c0)).clamp_min(0.0).sqrt() - c1) / (2.0 * c2)
+    return (c1 + 2.0 * c2 * speed) * (vehicle.speed_high[0] - vehicle.speed_low[0])
+
+
+def filters_of(own: BetaflightCfg, timing: Timing) -> BetaflightFilters:
+    """Return the filters at the rate at which the loop runs.
+
+    Raises:
+        ConfigError: If one of second order is not below half of it.
+    """
+    span = timing.loop * timing.dt
+
+    def low_pass(name: str) -> LowPass2 | None:
+        cutoff, kind = getattr(own, f"{name}_static_hz"), getattr(own, f"{name}_type")
+        if cutoff == 0.0:
+            return None
+        if kind == "PT1":
+            share = smoothing(cutoff, span)
+            return LowPass2(share, 0.0, 0.0, share - 1.0, 0.0)
+        if cutoff * span >= 0.5:
+            raise ConfigError(
+                f"BetaflightCfg.{name}_static_hz = {cutoff:g}: must be below half of the {1.0 / span:g} Hz at which the loop "
+                "runs. Take 0 to leave it out, PT1, or a smaller physics step (SimCfg.dt)"
+            )
+        return butterworth(cutoff, 1.0 / span)
+
+    return BetaflightFilters(
+        gyro=(low_pass("gyro_lpf1"), low_pass("gyro_lpf2")),
+        derivative=(low_pass("dterm_lpf1"), low_pass("dterm_lpf2")),
+        relax=smoothing(own.iterm_relax_cutoff, span),
+    )
