@@ -92,6 +92,38 @@ class JointCmd:
 
 
 @dataclass(frozen=True, kw_only=True)
+class JointsCmd:
+    """Stiffness, damping, rest angle and dry friction of a robot's joints from flights in which their angles were logged."""
+
+    robot: Annotated[str, tyro.conf.Positional]
+    """Registered robot, or a robot file (.yaml), with joints."""
+
+    flights: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Flight logs of the package's own layout, with a column joint_NAME, or joint_1 to joint_D, for each joint [rad]."""
+
+    bandwidth_hz: float = 15.0
+    """Efforts are compared below this frequency [Hz]; at most a fifth of the logs' rate."""
+
+    out: Path | None = None
+    """Folder for report.md, result.json and robot.yaml; nothing is written if not given."""
+
+    json: bool = False
+    """Print one JSON object on stdout instead of tables."""
+
+    def run(self) -> int:
+        """Identify and print; return the exit status."""
+        from aerial_gym.sim2real.teststand.joint_flights import study_flown_joints
+
+        robot = _robot(self.robot)
+        assert robot is not None
+        with progress_bar() as progress:
+            progress("reading flights, and fitting every joint", 0.1)
+            study = study_flown_joints(robot, self.flights, bandwidth=self.bandwidth_hz)
+            _write(self.out, study, vars(self), self.flights)
+        return _show(study, self.out, as_json=self.json)
+
+
+@dataclass(frozen=True, kw_only=True)
 class HoverCmd:
     """The thrust coefficient from hover; with --baseline, what changed the balance: a payload or a weak propeller."""
 
@@ -179,12 +211,13 @@ class HoverCmd:
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifyCmd:
-    """Identify rotors or a compliant joint from bench CSVs, or the thrust coefficient from hover."""
+    """Identify rotors or a compliant joint from bench CSVs, joints from flights, or the thrust coefficient from hover."""
 
     what: tyro.conf.OmitArgPrefixes[
         tyro.conf.OmitSubcommandPrefixes[
             Annotated[MotorCmd, tyro.conf.subcommand("motor")]
             | Annotated[JointCmd, tyro.conf.subcommand("joint")]
+            | Annotated[JointsCmd, tyro.conf.subcommand("joints")]
             | Annotated[HoverCmd, tyro.conf.subcommand("hover")]
         ]
     ]

@@ -1,0 +1,255 @@
+"""Springs, dampers and dry friction of joints from flights in which the angles of the joints were logged.
+
+What a joint must have given is known from the motion (``joint_courses``), and is fitted by laws of the joint's angle and rate::
+
+    effort = preload - (k + k2 |q - rest|) (q - rest) - c q' - F s,    s = low-passed q' / sqrt(q'² + v²)
+
+with q' of the widest band that the log has. Where a joint is held by dry friction its effort is anything up to F: rows in which
+it does not move to one side for the whole span of the low-pass are left out.
+Masses of links, places of joints and thrusts are taken as declared: an error of a link's inertia of 1 % is one of 1 % here.
+Letters: T rows, D joints, K parameters.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.config.joint import JointCfg, SpringCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.sim2real.statistics import Rms
+from aerial_gym.sim2real.teststand.joint_courses import Course
+from aerial_gym.sim2real.teststand.statistics import (
+    Estimate,
+    correlated_covariance,
+    estimates,
+    fit_curve,
+    held_out_error,
+)
+
+Array = NDArray[np.float64]
+
+FOLDS = 5
+"""Parts of a single flight that are left out in turn."""
+
+PARSIMONY = 0.02
+"""A law with fewer parameters is taken if its held-out error is at most this share larger."""
+
+CLEAR = 0.8
+"""Size of s from which a joint moves to one side for long enough."""
+
+MATERIAL = 0.02
+"""A number differs from a declared one if that makes so large a share of the effort's spread, or more."""
+
+LAWS: dict[str, tuple[str, ...]] = {
+    "linear spring": ("stiffness", "damping", "rest"),
+    "linear spring, friction": ("stiffness", "damping", "rest", "friction"),
+    "quadratic spring": ("quadratic", "damping", "rest", "preload"),
+}
+"""Parameters of each candidate: stiffness [N m/rad], quadratic [N m/rad²], damping [N m s/rad], rest [rad], others [N m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawFit:
+    """One candidate for one joint."""
+
+    name: str
+    params: dict[str, Estimate]
+    error: Rms
+    """Of efforts that the fit has not seen [N m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlownJoint:
+    """What the flights say of a joint."""
+
+    name: str
+    declared: Rms
+    """Error of the declared law [N m]."""
+
+    laws: dict[str, LawFit]
+    chosen: str
+    changed: tuple[str, ...]
+    """What of it differs from what is declared, by the 95 % intervals."""
+
+    spring: SpringCfg
+    """For the robot file: the chosen law where something has changed, else the declared one."""
+
+    rows: int = field(default=0)
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return {
+            "name": self.name,
+            "changed": list(self.changed),
+            "chosen": self.chosen,
+            "rows": self.rows,
+            "before": self.declared.as_mapping(),
+            "after": self.laws[self.chosen].error.as_mapping(),
+            "laws": {
+                law.name: {
+                    "held_out": law.error.as_mapping(),
+                    "params": {name: value.as_mapping() for name, value in law.params.items()},
+                }
+                for law in self.laws.values()
+            },
+        }
+
+
+def fit_flown_joints(robot: RobotCfg, courses: Sequence[Course]) -> tuple[list[FlownJoint], list[str]]:
+    """Return every passive joint fitted to all flights, and why others are left out.
+
+    Raises:
+        ConfigError: If the robot is rigid.
+    """
+    if robot.joints is None:
+        raise ConfigError("identify joints: this robot has no joints. identify joint fits a bench record")
+    found, left_out = [], []
+    for k, joint in enumerate(robot.joints.layout):
+        reason = _unfit(joint)
+        if reason:
+            left_out.append(f"{joint.name}: {reason}")
+        else:
+            found.append(_fit_one(joint, k, courses))
+    return found, left_out
+
+
+def _unfit(joint: JointCfg) -> str:
+    if joint.drive is not None:
+        return "has a drive, whose effort is not logged"
+    return "creeps: identify joint fits that from a bench record" if joint.spring and joint.spring.creep else ""
+
+
+def _fit_one(joint: JointCfg, k: int, courses: Sequence[Course]) -> FlownJoint:
+    low, high = (-np.inf, np.inf) if joint.ends is None else (joint.ends.low, joint.ends.high)
+    if max(np.ptp(course.angle[:, k]) for course in courses) < 1e-9:
+        raise DataError(f"joint {joint.name}: its angle is the same in all rows; check the column")
+    kept = [
+        (course.angle[:, k] > low) & (course.angle[:, k] < high) & (np.abs(course.side[:, k]) >= CLEAR)
+        for course in courses
+    ]
+    angle, rate, side, effort = (
+        np.concatenate([getattr(c, name)[rows, k] for c, rows in zip(courses, kept, strict=True)])
+        for name in ("angle", "rate", "side", "effort")
+    )
+    counts = [int(rows.sum()) for rows in kept]
+    fold = np.repeat(np.arange(len(counts)), counts)
+    if len(counts) == 1:
+        fold = np.minimum(np.arange(counts[0]) * FOLDS // max(counts[0], 1), FOLDS - 1)
+    if angle.size < 50 * FOLDS:
+        raise DataError(f"joint {joint.name}: {angle.size} rows in which it moves within its ends; fly longer")
+    laws = {name: _fit_law(name, angle, rate, side, effort, fold) for name in LAWS}
+    least = min(law.error.value for law in laws.values())
+    chosen = min(
+        (n for n, law in laws.items() if law.error.value <= (1.0 + PARSIMONY) * least), key=lambda n: len(LAWS[n])
+    )
+    declared = joint.spring or SpringCfg()
+    before = held_out_error(effort - _declared_effort(declared, angle, rate, side), fold)
+    sizes = {"stiffness": angle.std(), "quadratic": (angle**2).std(), "damping": rate.std(), "friction": side.std()}
+    sizes |= {
+        "rest": laws[chosen].params["stiffness"].value if "stiffness" in laws[chosen].params else 0.0,
+        "preload": 1.0,
+    }
+    least_change = MATERIAL * effort.std()
+    changed = _changes(declared, laws[chosen], {name: least_change / max(size, 1e-12) for name, size in sizes.items()})
+    spring = declared
+    if changed:
+        params = {name: float(f"{value.value:.6g}") for name, value in laws[chosen].params.items()}
+        spring = SpringCfg(**{n: v if n in ("rest", "preload") else max(v, 0.0) for n, v in params.items()})  # type: ignore[arg-type]
+    return FlownJoint(
+        name=joint.name,
+        declared=before,
+        laws=laws,
+        chosen=chosen,
+        changed=changed,
+        spring=spring,
+        rows=angle.size,
+    )
+
+
+def _declared_effort(spring: SpringCfg, angle: Array, rate: Array, side: Array) -> Array:
+    away = angle - spring.rest
+    effort = spring.preload - (spring.stiffness + spring.quadratic * np.abs(away)) * away - spring.damping * rate
+    return effort - spring.friction * side
+
+
+def _fit_law(name: str, angle: Array, rate: Array, side: Array, effort: Array, fold: NDArray[np.int64]) -> LawFit:
+    """Return a law fitted to all rows, with its error on folds left out."""
+    left = np.empty_like(effort)
+    if name == "quadratic spring":
+        params, left = _fit_quadratic(angle, rate, effort, fold)
+        return LawFit(name=name, params=params, error=held_out_error(left, fold))
+    columns = (np.ones_like(angle), -angle, -rate)
+    rows = np.stack((*columns, -side) if "friction" in LAWS[name] else columns, axis=1)
+    for number in np.unique(fold):
+        out = fold == number
+        left[out] = effort[out] - rows[out] @ np.linalg.lstsq(rows[~out], effort[~out], rcond=None)[0]
+    values = np.linalg.lstsq(rows, effort, rcond=None)[0]
+    covariance = correlated_covariance(rows, effort - rows @ values)
+    preload, stiffness = values[0], values[1]
+    to_rest = np.zeros(len(values))
+    to_rest[:2] = 1.0 / stiffness, -preload / stiffness**2
+    change = np.eye(len(values))
+    change[0] = to_rest
+    shown = np.concatenate(([preload / stiffness], values[1:]))
+    names = ("rest", "stiffness", "damping", "friction")[: len(values)]
+    found = estimates(shown, change @ covariance @ change.T, effort.size - len(values))
+    return LawFit(name=name, params=dict(zip(names, found, strict=True)), error=held_out_error(left, fold))
+
+
+def _fit_quadratic(
+    angle: Array, rate: Array, effort: Array, fold: NDArray[np.int64]
+) -> tuple[dict[str, Estimate], Array]:
+    names, spread = LAWS["quadratic spring"], float(np.ptp(angle))
+    middle, size = float(np.median(angle)), float(np.abs(effort).max()) + 1e-12
+    slope = size / spread**2
+    start = np.array((slope, size / (np.abs(rate).max() + 1e-12), middle, 0.0))
+    low = np.array((0.0, 0.0, middle - 3.0 * spread, -10.0 * size))
+    high = np.array((1e3 * slope, 1e3 * start[1], middle + 3.0 * spread, 10.0 * size))
+
+    def predict(values: Array) -> Array:
+        quadratic, damping, rest, preload = values
+        away = angle - rest
+        return preload - quadratic * np.abs(away) * away - damping * rate
+
+    whole, left = fit_curve(predict, effort, start, low, high), np.empty_like(effort)
+    near = np.clip(whole.params, low + 1e-6 * (high - low), high - 1e-6 * (high - low))
+    for number in np.unique(fold):
+        out = fold == number
+        left[out] = fit_curve(predict, effort, near, low, high, ~out).residual[out]
+    return dict(zip(names, whole.estimates(), strict=True)), left
+
+
+def _changes(declared: SpringCfg, law: LawFit, least: dict[str, float]) -> tuple[str, ...]:
+    """Return the numbers of a declared law that lie outside the intervals of a fitted one, by at least so much.
+
+    ``law`` if the fitted one is another law.
+    """
+    linear = declared.quadratic == 0.0
+    if linear != (law.name != "quadratic spring"):
+        return ("law",)
+    stated = vars(declared).copy()
+    if linear and declared.stiffness > 0.0:
+        stated["rest"] = declared.rest + declared.preload / declared.stiffness
+    found = [
+        name
+        for name, value in law.params.items()
+        if not value.low <= stated[name] <= value.high and abs(value.value - stated[name]) >= least[name]
+    ]
+    if declared.friction >= least["friction"] and "friction" not in law.params:
+        found.append("friction")
+    return tuple(found)
+
+
+def corrected(robot: RobotCfg, joints: Sequence[FlownJoint], source: str) -> RobotCfg:
+    """Return the robot with what has changed in its joints."""
+    assert robot.joints is not None
+    springs = {joint.name: joint.spring for joint in joints if joint.changed}
+    layout = tuple(
+        replace(joint, spring=springs[joint.name]) if joint.name in springs else joint for joint in robot.joints.layout
+    )
+    if not springs:
+        return robot
+    return replace(robot, joints=replace(robot.joints, layout=layout, source=f"{robot.joints.source}; {source}"))

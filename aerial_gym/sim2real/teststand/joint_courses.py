@@ -1,0 +1,173 @@
+"""What joints must have given in a flight in which their angles were logged: inverse dynamics of the declared links.
+
+The rows of the joints in ``M a + h = f``, with the measured motion of base and joints, and the thrusts of the rotors. All
+signals are low-passed alike, twice, so that derivatives are of the same band. Letters: T rows, D joints.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from numpy.typing import NDArray
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.errors import DataError
+from aerial_gym.math.quaternion import quat_normalize, quat_rotate_inverse
+from aerial_gym.physics import build_model, vehicle_from_config
+from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.articulated.dynamics import equations
+from aerial_gym.physics.articulated.flight import link_wrenches
+from aerial_gym.physics.articulated.tree import TreeState
+from aerial_gym.physics.model import robot_effects
+from aerial_gym.physics.rotor_lag import follow_command
+from aerial_gym.physics.state import BodyState
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.signals import edge_rows, lowpass, uniform_log
+
+Array = NDArray[np.float64]
+
+SLOW = 0.05
+"""Share of its rms below which a rate counts less for dry friction: v."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Course:
+    """What the joints of one flight did."""
+
+    name: str
+    angle: Array
+    """[rad], (T, D)."""
+
+    rate: Array
+    """[rad/s], (T, D)."""
+
+    side: Array
+    """To which they move, -1 to 1, low-passed as the effort is, (T, D)."""
+
+    effort: Array
+    """That they must have given [N m], (T, D)."""
+
+
+def read_course(path: Path, robot: RobotCfg, *, bandwidth: float) -> Course:
+    """Return what the joints did in a log of the package's own layout.
+
+    It has columns ``joint_NAME``, or ``joint_1`` to ``joint_D``, of angles [rad] or ways [m].
+
+    Raises:
+        DataError: If the log does not hold what is needed.
+    """
+    assert robot.joints is not None
+    log = uniform_log(read_flight_log(path))
+    table = pd.read_csv(path, skipinitialspace=True)
+    table.columns = [str(name).strip() for name in table.columns]
+    columns = []
+    for number, name in enumerate(robot.joints.names, 1):
+        known = [column for column in (f"joint_{name}", f"joint_{number}") if column in table.columns]
+        if not known:
+            raise DataError(f"{path}: has no angle of the joint {name}: a column joint_{name}, or joint_{number} [rad]")
+        columns.append(known[0])
+    time, angles = np.asarray(table["t"], dtype=float), np.asarray(table[columns], dtype=float)
+    if not np.isfinite(angles).all():
+        raise DataError(f"{path}: angles of joints hold empty fields or no numbers; cut the log, or fill them")
+    angle = np.stack([np.interp(log.time, time, column) for column in angles.T], axis=1)
+    return course_of(robot, log, angle, bandwidth=bandwidth)
+
+
+def course_of(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float) -> Course:
+    """Return what joints at logged angles [rad], (T, D), must have given.
+
+    Args:
+        robot: As declared.
+        log: Of equal time steps.
+        angle: At its rows.
+        bandwidth: Of the low-pass [Hz].
+
+    Raises:
+        DataError: If the log has neither accelerometer nor velocity, no gyro, or no rotors.
+    """
+    rate = 1.0 / float(np.median(np.diff(log.time)))
+    if rate < 5.0 * bandwidth:
+        raise DataError(
+            f"{log.path}: {rate:.4g} rows per second; a bandwidth of {bandwidth:g} Hz needs five times that"
+        )
+    if log.ang_vel is None or (log.specific_force is None and log.lin_vel is None):
+        raise DataError(f"{log.path}: needs omega, and acc or v, to tell what the joints gave")
+
+    def slow(values: Array, *, derivatives: int = 0) -> Array:
+        first = lowpass(values, rate, bandwidth, derivative=derivatives > 0)
+        return lowpass(first, rate, bandwidth, derivative=derivatives > 1)
+
+    def rows(values: Array) -> torch.Tensor:
+        return torch.from_numpy(np.ascontiguousarray(values))
+
+    attitude = quat_normalize(rows(slow(log.attitude)))
+    down = quat_rotate_inverse(attitude, torch.tensor((0.0, 0.0, -STANDARD_GRAVITY)).double().expand(len(attitude), 3))
+    if log.specific_force is not None:
+        lin_acc = rows(slow(log.specific_force)) + down
+    else:
+        assert log.lin_vel is not None
+        lin_acc = quat_rotate_inverse(attitude, rows(slow(log.lin_vel, derivatives=1)))
+    lin_vel = torch.zeros_like(lin_acc) if log.lin_vel is None else rows(slow(log.lin_vel))
+    state = TreeState(
+        position=torch.zeros_like(lin_acc) if log.position is None else rows(slow(log.position)),
+        attitude=attitude,
+        lin_vel=lin_vel,
+        ang_vel=rows(slow(log.ang_vel)),
+        joint_pos=rows(slow(angle)),
+        joint_vel=rows(slow(angle, derivatives=1)),
+    )
+    acc = torch.cat((lin_acc, rows(slow(log.ang_vel, derivatives=1)), rows(slow(angle, derivatives=2))), dim=-1)
+    effort = _efforts(robot, state, rows(slow(_rotor_states(robot, log))), acc)
+    wide = lowpass(angle, rate, rate / 5.0, derivative=True)
+    side = slow(wide / np.sqrt(wide**2 + (SLOW * wide.std(axis=0)) ** 2 + 1e-30))
+    edge = 2 * edge_rows(rate, bandwidth)
+    kept = slice(edge, len(angle) - edge)
+    if len(angle) <= 4 * edge:
+        raise DataError(f"{log.path}: {len(angle)} rows are too few for a bandwidth of {bandwidth:g} Hz")
+    return Course(
+        name=log.name,
+        angle=state.joint_pos.numpy()[kept],
+        rate=state.joint_vel.numpy()[kept],
+        side=side[kept],
+        effort=effort.numpy()[kept],
+    )
+
+
+def _efforts(robot: RobotCfg, state: TreeState, rotors: torch.Tensor, acc: torch.Tensor) -> torch.Tensor:
+    """Return the efforts of joints (T, D) for a motion and its accelerations (T, 6 + D): inverse dynamics."""
+    num_rows = len(acc)
+    vehicle = vehicle_from_config(robot, num_envs=num_rows, dtype=torch.float64)
+    effects = robot_effects(robot, num_envs=num_rows, device=torch.device("cpu"), dtype=torch.float64)
+    articulation = articulation_of(robot, like=vehicle.mass)
+    assert articulation is not None
+    model = build_model(vehicle, effects, gravity=STANDARD_GRAVITY, ceiling_height=1e3, articulation=articulation)
+    body = BodyState(
+        position=state.position,
+        attitude=state.attitude,
+        lin_vel=state.lin_vel,
+        ang_vel=state.ang_vel,
+        rotor_speed=rotors,
+    )
+    wrench = link_wrenches(model, articulation, body, torch.zeros_like(rotors))
+    links = articulation.links(model.vehicle)
+    found = equations(articulation.tree, links, state, gravity=STANDARD_GRAVITY, wrench=wrench)
+    return ((found.mass @ acc.unsqueeze(-1)).squeeze(-1) - found.force)[:, 6:]
+
+
+def _rotor_states(robot: RobotCfg, log: FlightLog) -> Array:
+    """Return measured states of the rotors (T, R), or those that follow commands by the declared lag."""
+    if log.rotor_speed is not None:
+        return log.rotor_speed
+    if log.rotor_command is None:
+        raise DataError(f"{log.path}: holds neither speeds nor commands of the rotors")
+    vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+    command = torch.from_numpy(log.rotor_command).unsqueeze(1)
+    state, found, step = command[0], [], float(np.median(np.diff(log.time)))
+    for row in command:
+        found.append(state[0])
+        state = follow_command(vehicle, state, row, step)
+    return torch.stack(found).numpy()
