@@ -6,6 +6,7 @@ Letters: E environments, R rotors. Subscripts: o body origin, c centre of mass.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import nan
 
 import torch
@@ -117,32 +118,82 @@ def _condition_in(
     )
 
 
-def _wrench_in(model: Model, condition: Condition, answers: Answers[Condition] | None = None) -> tuple[Tensor, Tensor]:
-    """Return all force but gravity [N] and torque about the centre of mass [N m], body, each (E, 3)."""
-    thrust, others = loads_in(model, condition, answers)
-    force, torque = rotor_wrench(model.vehicle, thrust, rotor_torque(model.vehicle, condition.rotor_speed))
-    for wrench in others:
-        force, torque = force + wrench[:, :3], torque + wrench[:, 3:]
-    for effect, params in model.effects[FluidEffect]:
-        wrench = effect.entrain(
-            torch.cat((force, torque), dim=-1), condition.with_thrust(thrust), model.gravity, params
-        )
-        force, torque = wrench[:, :3], wrench[:, 3:]
-    return force, torque
+@dataclass(frozen=True, kw_only=True)
+class Acting:
+    """What acts on the body, one by one; all together are its force and torque, but for gravity."""
+
+    thrust: Tensor
+    """Of the rotors by themselves [N], (E, R)."""
+
+    thrusts: list[tuple[str, Tensor]]
+    """What comes to it by each effect on the rotors [N], (E, R)."""
+
+    wrenches: list[tuple[str, Tensor]]
+    """Force [N] and torque about the centre of mass [N m] of each effect on the whole, body, (E, 6)."""
+
+    @cached_property
+    def whole_thrust(self) -> Tensor:
+        """Return the thrusts with the effects [N], (E, R)."""
+        return sum((more for _, more in self.thrusts), self.thrust)
 
 
-def loads_in(
-    model: Model, condition: Condition, answers: Answers[Condition] | None = None
-) -> tuple[Tensor, list[Tensor]]:
-    """Return the thrusts [N], (E, R), and of each effect on the whole its force and torque about the centre of mass, (E, 6)."""
+def acting_in(model: Model, condition: Condition, answers: Answers[Condition] | None = None) -> Acting:
+    """Return what acts on the body in a condition, without a fluid or a load, which depend on the sum of it."""
 
     def asked(law: Callable[[Condition, Tensor], Tensor], source: Condition, params: Tensor) -> Tensor:
         return law(source, params) if answers is None else answers.ask(law, source, params)
 
-    more = [asked(effect.thrust, condition, params) for effect, params in model.effects[RotorEffect]]
-    thrust = sum(more, condition.rotor_thrust)
-    condition = condition.with_thrust(thrust)
-    return thrust, [asked(effect.wrench, condition, params) for effect, params in model.effects[WrenchEffect]]
+    rotors, wholes = model.effects[RotorEffect], model.effects[WrenchEffect]
+    more = [(effect.name, asked(effect.thrust, condition, params)) for effect, params in rotors]
+    found = Acting(thrust=condition.rotor_thrust, thrusts=more, wrenches=[])
+    condition = condition.with_thrust(found.whole_thrust)
+    found.wrenches.extend((effect.name, asked(effect.wrench, condition, params)) for effect, params in wholes)
+    return found
+
+
+def with_dependent(
+    model: Model, state: BodyState, condition: Condition, acting: Acting, load: Tensor | None = None
+) -> Acting:
+    """Return what acts on the body with that which depends on the sum of it: a fluid, and a load.
+
+    ``load`` is direction and rate of the link of a load, world, (E, 6); None: there is none.
+    """
+    more: list[tuple[str, Tensor]] = []
+    force, torque = _wrench_of(model, condition, acting)
+    for effect, _ in model.effects[FluidEffect]:
+        alone = torch.cat(_summed(model, condition, acting), dim=-1)
+        more.append((effect.name, torch.cat((force, torque), dim=-1) - alone))
+    if load is not None:
+        ((effect, _),) = model.effects[LoadEffect]
+        acc = com_acceleration(model, state.attitude, force)
+        ang_acc = angular_acceleration(model, state.ang_vel, torque)
+        pull, turn, _ = pull_of_load(model, state.attitude, state.ang_vel, load, acc, ang_acc)
+        more.append((effect.name, torch.cat((quat_rotate_inverse(state.attitude, pull), turn), dim=-1)))
+    return replace(acting, wrenches=[*acting.wrenches, *more])
+
+
+def _wrench_in(model: Model, condition: Condition, answers: Answers[Condition] | None = None) -> tuple[Tensor, Tensor]:
+    """Return all force but gravity [N] and torque about the centre of mass [N m], body, each (E, 3)."""
+    return _wrench_of(model, condition, acting_in(model, condition, answers))
+
+
+def _wrench_of(model: Model, condition: Condition, acting: Acting) -> tuple[Tensor, Tensor]:
+    """Return force [N] and torque [N m] of what acts, with a fluid that it sets in motion, body, each (E, 3)."""
+    force, torque = _summed(model, condition, acting)
+    for effect, params in model.effects[FluidEffect]:
+        condition = condition.with_thrust(acting.whole_thrust)
+        wrench = effect.entrain(torch.cat((force, torque), dim=-1), condition, model.gravity, params)
+        force, torque = wrench[:, :3], wrench[:, 3:]
+    return force, torque
+
+
+def _summed(model: Model, condition: Condition, acting: Acting) -> tuple[Tensor, Tensor]:
+    """Return force [N] and torque [N m] of what acts, body, each (E, 3)."""
+    drag = rotor_torque(model.vehicle, condition.rotor_speed)
+    force, torque = rotor_wrench(model.vehicle, acting.whole_thrust, drag)
+    for _, wrench in acting.wrenches:
+        force, torque = force + wrench[:, :3], torque + wrench[:, 3:]
+    return force, torque
 
 
 def angular_acceleration(model: Model, ang_vel: Tensor, torque: Tensor) -> Tensor:
@@ -212,7 +263,7 @@ def _skew(vector: Tensor) -> Tensor:
     return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).unflatten(-1, (3, 3))
 
 
-def _with_memory(model: Model, remembered: Mapping[str, Tensor]) -> Model:
+def with_memory(model: Model, remembered: Mapping[str, Tensor]) -> Model:
     """Return the model with what effects remember behind their parameters."""
 
     def joined(effect: Effect, params: Tensor) -> Tensor:
@@ -259,7 +310,7 @@ def accelerations(
         Derived: acceleration of two points of a rigid body, ``a_c = a_o + alpha x c + w x (w x c)``.
     """
     if remembered:
-        model = _with_memory(model, remembered)
+        model = with_memory(model, remembered)
     told = {*(remembered or ()), *(effect.name for effect, _ in model.effects[LoadEffect] if load is not None)}
     for effect, _ in model.effects.forces:
         if effect.kind in _FORCES and effect.remembers and effect.name not in told:

@@ -18,7 +18,7 @@ from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.effects import RotorEffect, WrenchEffect
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rigid_body import condition_in, loads_in
+from aerial_gym.physics.rigid_body import acting_in, condition_in
 from aerial_gym.physics.rotor_lag import RotorCommand, follow_command
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
 from aerial_gym.physics.state import BodyState, JointedState
@@ -92,14 +92,15 @@ def link_wrenches(model: Model, articulation: Articulation, body: BodyState, rot
     vehicle = model.vehicle
     thrust, others = rotor_thrust(vehicle, body.rotor_speed), []
     if model.effects[RotorEffect] or model.effects[WrenchEffect]:
-        thrust, others = loads_in(model, condition_in(model, body, rotor_acc))
+        acting = acting_in(model, condition_in(model, body, rotor_acc))
+        thrust, others = acting.whole_thrust, acting.wrenches
     force = thrust.unsqueeze(-1) * vehicle.rotor_axis
     drag = (vehicle.rotor_spin * rotor_torque(vehicle, body.rotor_speed)).unsqueeze(-1) * vehicle.rotor_axis
     hub = vehicle.rotor_position - articulation.origins[list(articulation.rotor_links)]
     each = torch.cat((force, torch.linalg.cross(hub.expand_as(force), force) - drag), dim=-1)
     on_links = each.new_zeros(len(each), articulation.tree.num_links, 6)
     on_links = on_links.index_add(1, torch.tensor(articulation.rotor_links, device=each.device), each)
-    for wrench in others:
+    for _, wrench in others:
         push, twist = wrench[:, :3], wrench[:, 3:] + torch.linalg.cross(vehicle.com, wrench[:, :3])
         whole = torch.cat((push, twist), dim=-1).unsqueeze(1)
         on_links = on_links + torch.nn.functional.pad(whole, (0, 0, 0, articulation.num_joints))

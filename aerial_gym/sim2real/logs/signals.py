@@ -55,17 +55,20 @@ def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = 
     rows = values.shape[0]
     columns = np.ascontiguousarray(values.reshape(rows, -1).T)
     pad = min(rows - 1, 3 * edge_rows(rate, bandwidth))
-    span = min(rows, max(2, round(0.5 * rate / bandwidth)))
-    head = 2.0 * _end_value(columns[:, :span]) - columns[:, pad:0:-1]
-    tail = 2.0 * _end_value(columns[:, : -span - 1 : -1]) - columns[:, -2 : -pad - 2 : -1]
-    longer = np.concatenate((head, columns, tail), axis=1)
-    size = int(fft.next_fast_len(longer.shape[1] + pad, real=True) or 0)
-    # The remaining gap of the circle is closed by a straight line, so that it adds no jump.
-    blend = np.linspace(0.0, 1.0, size - longer.shape[1] + 2)[1:-1]
-    circle = np.concatenate((longer, longer[:, -1:] * (1.0 - blend) + longer[:, :1] * blend), axis=1)
+    end = _of_line(min(rows, max(2, round(0.5 * rate / bandwidth))))
+    size = int(fft.next_fast_len(rows + 3 * pad, real=True) or 0)
+    head, tail = columns[:, pad:0:-1], columns[:, -2 : -pad - 2 : -1]
+    first = 2.0 * (columns[:, : end.size] * end).sum(axis=1)
+    last = 2.0 * (columns[:, : -end.size - 1 : -1] * end).sum(axis=1)
     gain, slow = _gain(size, rate, bandwidth, derivative), np.empty((rows, columns.shape[0]))
-    for place, line in enumerate(circle):
-        slow[:, place] = np.asarray(fft.irfft(np.asarray(fft.rfft(line)) * gain, n=size))[pad : pad + rows]
+    circle, blend = np.empty(size), _blend(size - rows - 2 * pad)
+    for place, column in enumerate(columns):
+        np.subtract(first[place], head[place], out=circle[:pad])
+        circle[pad : pad + rows] = column
+        np.subtract(last[place], tail[place], out=circle[pad + rows : 2 * pad + rows])
+        # The remaining gap of the circle is closed by a straight line, so that it adds no jump.
+        circle[2 * pad + rows :] = circle[2 * pad + rows - 1] * (1.0 - blend) + circle[0] * blend
+        slow[:, place] = np.asarray(fft.irfft(np.asarray(fft.rfft(circle)) * gain, n=size))[pad : pad + rows]
     return slow.reshape(values.shape)
 
 
@@ -77,11 +80,17 @@ def _gain(size: int, rate: float, bandwidth: float, derivative: bool) -> NDArray
     return gain * (2j * np.pi * frequency) if derivative else gain
 
 
-def _end_value(columns: Array) -> Array:
-    """Return the value at the first row of the line fitted through some rows of each column (K, rows), (K, 1)."""
-    place = np.arange(columns.shape[1]) - 0.5 * (columns.shape[1] - 1)
-    slope = (columns * place).sum(axis=1) / (place @ place)
-    return (columns.mean(axis=1) + place[0] * slope)[:, None]
+@lru_cache(maxsize=32)
+def _blend(rows: int) -> Array:
+    """Return a line from 0 to 1 without its ends, (rows,); not to be written to."""
+    return np.linspace(0.0, 1.0, rows + 2)[1:-1]
+
+
+@lru_cache(maxsize=32)
+def _of_line(rows: int) -> Array:
+    """Return what the line fitted through some values has of each at the first one, (rows,); not to be written to."""
+    place = np.arange(rows) - 0.5 * (rows - 1)
+    return 1.0 / rows + place[0] * place / (place @ place)
 
 
 def without_line(values: Array) -> Array:

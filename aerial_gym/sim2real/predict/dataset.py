@@ -79,6 +79,8 @@ class Dataset:
         ends = np.cumsum([0, *(state["attitude"].shape[0] for state in states)])
         self.spans = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self.flight = np.repeat(np.arange(len(flights)), np.diff(ends))
+        ends = np.cumsum([0, *(time.size for time in self.times)])
+        self.kept_spans = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self.row_times = [flight.time[::stride] for flight, stride in zip(flights, self.stride, strict=True)]
         others = [torch.from_numpy(other_along(f)[::s]) for f, s in zip(flights, self.stride, strict=True)]
         rows = [state["attitude"].shape[0] for state in states]
@@ -97,6 +99,8 @@ class Dataset:
         # Where there is no accelerometer, the force is derived from the velocity, without the errors of one.
         felt = torch.tensor([flight.accelerometer for flight in flights])
         self.felt_force = felt[torch.from_numpy(self.flight)].unsqueeze(1)
+        kept = [felt[index].expand(time.size, 1) for index, time in enumerate(self.times)]
+        self.felt_force_kept = torch.cat(kept)
         self.ang_acc = torch.cat([self._derivative(i, "ang_vel") for i in range(len(flights))])
         self.spin_up = torch.cat([self.derivative_of(i, rotor.speed) for i, rotor in turning]) if turning else None
         self.unsure_spin_up = (
@@ -105,12 +109,9 @@ class Dataset:
             else None
         )
         self.kinematic_force, self.kinematic_rate = (
-            torch.cat([of(i) for i in range(len(flights))]) for of in (self._implied_force, self._implied_rate)
+            torch.from_numpy(self.all_slow(torch.cat([of(i) for i in range(len(flights))]).numpy()))
+            for of in (self._implied_force, self._implied_rate)
         )
-        implied = {"kinematic_force": self.kinematic_force.numpy(), "kinematic_rate": self.kinematic_rate.numpy()}
-        self.implied = [
-            {kind: self.slow(i, rows[self.spans[i]]) for kind, rows in implied.items()} for i in range(len(flights))
-        ]
 
     @staticmethod
     def _of_modes(index: int, rotor: RotorEstimate, at_rows: Callable[[int, Array], Tensor]) -> Tensor:
@@ -121,6 +122,14 @@ class Dataset:
         """Return values at the rows of a flight (E, any) in the band, (rows kept, any)."""
         stride = self.stride[index]
         return lowpass(rows, self.flights[index].rate / stride, self.bandwidth)[self.kept[index] // stride]
+
+    def all_slow(self, rows: Array) -> Array:
+        """Return values at the rows of all flights (E, K) in the band, (rows kept, K); a column of zeros stays one."""
+        moving = np.flatnonzero(rows.any(axis=0))
+        found = np.zeros((self.kept_spans[-1].stop, rows.shape[1]))
+        for index, (span, kept) in enumerate(zip(self.spans, self.kept_spans, strict=True)):
+            found[kept, moving] = self.slow(index, rows[span, moving])
+        return found
 
     def _measure(self, index: int) -> Array:
         """Return the measured channels of a flight in the band, (rows kept, C)."""

@@ -11,8 +11,7 @@ rate x, y, z. Letters: E rows, C channels, R rotors.
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -25,8 +24,8 @@ from aerial_gym.math.quaternion import quat_rotate
 from aerial_gym.math.rows import times
 from aerial_gym.physics import (
     EFFECTS,
+    Accelerations,
     BodyState,
-    Vehicle,
     accelerations,
     build_model,
     condition_in,
@@ -35,6 +34,7 @@ from aerial_gym.physics import (
 from aerial_gym.physics.answers import Answers
 from aerial_gym.physics.effects import (
     Condition,
+    FluidEffect,
     ImuEffect,
     LoadEffect,
     RotorEffect,
@@ -46,19 +46,19 @@ from aerial_gym.physics.effects import (
 from aerial_gym.physics.effects.learned_residual import felt_inputs
 from aerial_gym.physics.effects.track import Track
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rigid_body import SEEN_OF_VEHICLE
+from aerial_gym.physics.rigid_body import SEEN_OF_VEHICLE, acting_in, with_dependent, with_memory
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass
-from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
+from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.dataset import Dataset, thinned
 from aerial_gym.sim2real.predict.imu_reading import imu_of
+from aerial_gym.sim2real.predict.in_band import InBand, columns_of
 from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at, key_of
 from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
 from aerial_gym.sim2real.predict.replay.memory import remembered_along
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rotor_estimate import RotorEstimate, estimate_rotors
 from aerial_gym.sim2real.predict.rows import expand_model, together, with_known_wind
-from aerial_gym.sim2real.predict.slow_columns import SlowColumns
 from aerial_gym.sim2real.predict.tolerances import (
     Tolerances,
     command_shift,
@@ -80,12 +80,25 @@ CONDITIONS = 2
 """Conditions kept: that of the present model, and of one that differs from it."""
 
 REPLAYS = 3
-"""Rotor speeds that are kept in the band."""
-
+"""Rotor speeds that are kept in the band, and readings of what kinematics imply."""
 
 KEPT_BYTES = 3e8
 """Predictions are kept as long as they would take no more [bytes] if they had nothing in common: a fit begins where a first
 look at the same effect has been, and both begin at the present model."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Asked:
+    """A model whose prediction is asked for."""
+
+    model: Model
+    """One environment."""
+
+    deviation: Tensor
+    """Within the tolerances, in standard deviations, (N,)."""
+
+    speeds: list[Array | None] | None
+    """Where commands lead the rotors in each flight [rad/s], (T, R); None where nothing asks for it."""
 
 
 class _Together:
@@ -97,92 +110,109 @@ class _Together:
         self._replay = RotorReplay(data.flights)
         self._load_replay = LoadReplay(data.flights)
         self._forces, self._memories = Answers[Condition](), Answers[Track]()
-        self._slow = [SlowColumns(partial(data.slow, index)) for index in range(len(data.flights))]
-        self._biased: dict[tuple[int, str], tuple[Array, Columns]] = {}
+        self._in_band = InBand(data)
+        self._nothing = torch.zeros(len(tolerances.names(self._declared.num_rotors)), dtype=torch.float64)
+        self._kinematics: OrderedDict[tuple[object, ...], dict[str, Columns]] = OrderedDict()
         self._replayed: list[tuple[list[Array | None], list[Columns]]] = []
         self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
 
     def predict(self, point: ModelParams) -> list[Columns]:
         """Return the predicted channels of each flight; not to be written to."""
-        vehicle, deviation = self._vehicle(point)
-        speeds = self._speeds(point, vehicle, deviation)
-        rows = self._rows(point, vehicle, deviation, speeds)
-        biases = (bias.numpy() for bias in sensor_biases(self.tolerances, deviation))
-        implied: dict[str, Array] = dict(zip(KINEMATIC, biases, strict=True))
-        return [self._band(index, rows, speeds, implied) for index in range(len(self.data.flights))]
+        asked = self._asked(point)
+        kinds = dict.fromkeys(channel.kind for channel in self.data.channels)
+        rows = self._rows(asked) if kinds.keys() - {"rotor_speed"} else {}
+        columns = [column for kind in kinds if kind in rows for column in rows[kind]]
+        found = [[column[span] for column in columns] for span in self.data.kept_spans]
+        if "rotor_speed" in kinds:
+            assert asked.speeds is not None
+            place = 3 * list(kinds).index("rotor_speed")
+            for own, turning in zip(found, self._slow_speeds(asked.speeds), strict=True):
+                own[place:place] = turning
+        return found
 
     def felt(self, point: ModelParams) -> list[Array]:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
-        vehicle, deviation = self._vehicle(point)
-        _, condition = self._flown(point, vehicle, self._speeds(point, vehicle, deviation), deviation)
+        _, condition = self._flown(self._asked(point))
         rows = felt_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed).numpy()
         return [self.data.slow(index, rows[span]) for index, span in enumerate(self.data.spans)]
 
     def links(self, point: ModelParams) -> list[Link]:
         """Return how the load swings along each flight."""
-        vehicle, deviation = self._vehicle(point)
-        speeds = self._speeds(point, vehicle, deviation)
-        model, condition = self._flown(point, vehicle, speeds, deviation)
-        state = BodyState(rotor_speed=condition.rotor_speed, **self.data.state)
-        load = self._swing(model, state, condition, self._remembered(model, speeds, deviation), deviation).numpy()
+        asked = self._asked(point)
+        model, condition = self._flown(asked)
+        load = self._swing(model, condition, self._remembered(model, asked), asked.deviation).numpy()
         return [
             Link(time=time, load=load[span]) for time, span in zip(self.data.row_times, self.data.spans, strict=True)
         ]
 
-    def _speeds(self, point: ModelParams, vehicle: Vehicle, deviation: Tensor) -> list[Array | None] | None:
-        """Return the rotor speeds that commands lead to, where they are needed."""
-        if not self.data.simulated and all(channel.kind != "rotor_speed" for channel in self.data.channels):
-            return None
-        one = self._model(point, vehicle)
-        sensors = () if self.data.simulated else one.effects[RotorSensorEffect]
-        return self._replay.speeds(one, command_shift(self.tolerances, deviation), sensors)
+    def _asked(self, point: ModelParams) -> _Asked:
+        """Return the model of one environment, with what stands around it in every row, and where commands lead its rotors."""
+        vehicle, deviation = self._declared, self._nothing
+        if point.deviation is not None:
+            deviation = torch.from_numpy(point.deviation)
+            vehicle = deviate(vehicle, self.tolerances, deviation)
+        model = build_model(vehicle, effects_at(point, 1), **self.data.heights, other_position=self.data.other)
+        speeds = None
+        if self.data.simulated or any(channel.kind == "rotor_speed" for channel in self.data.channels):
+            sensors = () if self.data.simulated else model.effects[RotorSensorEffect]
+            speeds = self._replay.speeds(model, command_shift(self.tolerances, deviation), sensors)
+        return _Asked(model=model, deviation=deviation, speeds=speeds)
 
-    def _vehicle(self, point: ModelParams) -> tuple[Vehicle, Tensor]:
-        if point.deviation is None:
-            names = self.tolerances.names(self._declared.num_rotors)
-            return self._declared, torch.zeros(len(names), dtype=torch.float64)
-        deviation = torch.from_numpy(point.deviation)
-        return deviate(self._declared, self.tolerances, deviation), deviation
+    def _rows(self, asked: _Asked) -> dict[str, Columns]:
+        """Return what the inertial sensors would read in the band, three columns (T,) by kind."""
+        flown, condition = self._flown(asked)
+        remembered = self._remembered(flown, asked)
+        model, load = with_memory(flown, remembered), None
+        acting = acting_in(model, condition, self._forces)
+        if model.effects[LoadEffect]:
+            load = self._swing(flown, condition, remembered, asked.deviation)
+        if model.effects[LoadEffect] or model.effects[FluidEffect]:
+            acting = with_dependent(model, self._state(condition), condition, acting, load)
+        return self._read(model, self._in_band.felt(model, condition.rotor_speed, acting), asked.deviation)
 
-    def _model(self, point: ModelParams, vehicle: Vehicle) -> Model:
-        """Return the model of one environment, with what stands around it in every row."""
-        return build_model(vehicle, effects_at(point, 1), **self.data.heights, other_position=self.data.other)
-
-    def _rows(
-        self, point: ModelParams, vehicle: Vehicle, deviation: Tensor, speeds: list[Array | None] | None
-    ) -> dict[str, Array]:
-        """Return what the inertial sensors would read in every row, (E, 3) by kind; kinematic ones if their errors vary."""
-        kinds = {channel.kind for channel in self.data.channels} - {"rotor_speed"}
-        if not kinds:
-            return {}
-        model, condition = self._flown(point, vehicle, speeds, deviation)
-        state = BodyState(rotor_speed=condition.rotor_speed, **self.data.state)
-        remembered = self._remembered(model, speeds, deviation)
-        load = self._swing(model, state, condition, remembered, deviation) if model.effects[LoadEffect] else None
-        found = accelerations(model, state, load=load, remembered=remembered, condition=condition, answers=self._forces)
-        # The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
-        force = found.specific_force + torch.linalg.cross(found.ang_acc - self.data.ang_acc, model.vehicle.com)
+    def _read(self, model: Model, found: Accelerations, deviation: Tensor) -> dict[str, Columns]:
+        """Return what the inertial sensors read in the band, three columns (T,) by kind."""
+        felt, force, torque = self.data.felt_force_kept, found.specific_force, found.ang_acc
         force_bias, rate_bias = sensor_biases(self.tolerances, deviation)
-        force_bias = force_bias * self.data.felt_force  # (E, 3)
-        if not model.effects[ImuEffect]:
-            return {"specific_force": (force + force_bias).numpy(), "angular_acceleration": found.ang_acc.numpy()}
-        of_force, of_rate = imu_of(model)
+        if model.effects[ImuEffect]:
+            of_force, of_rate = imu_of(model)
+            force, torque = torch.where(felt, of_force.of(force), force), times(torque, of_rate.turn)
         return {
-            "specific_force": (torch.where(self.data.felt_force, of_force.of(force), force) + force_bias).numpy(),
-            "angular_acceleration": times(found.ang_acc, of_rate.turn).numpy(),  # a constant error has no derivative
-            "kinematic_force": (of_force.of(self.data.kinematic_force) + force_bias).numpy(),
-            "kinematic_rate": (of_rate.of(self.data.kinematic_rate) + rate_bias).numpy(),
+            "specific_force": columns_of(force + force_bias * felt),
+            "angular_acceleration": columns_of(torque),  # a constant error has no derivative
+            **self._read_of_kinematics(model, force_bias, rate_bias),
         }
 
-    def _swing(
-        self, model: Model, state: BodyState, condition: Condition, remembered: dict[str, Tensor], deviation: Tensor
-    ) -> Tensor:
+    def _read_of_kinematics(self, model: Model, force_bias: Tensor, rate_bias: Tensor) -> dict[str, Columns]:
+        """Return what the sensors read of what kinematics imply: the same for all models whose sensors err alike."""
+        errs = model.effects[ImuEffect]
+        numbers = torch.cat((force_bias, rate_bias, *(params[0] for _, params in errs))).numpy().tobytes()
+        key = (numbers, *(effect.name for effect, _ in errs))
+        if key not in self._kinematics:
+            force, rate = self.data.kinematic_force, self.data.kinematic_rate
+            if errs:
+                of_force, of_rate = imu_of(model)
+                force, rate = of_force.of(force), of_rate.of(rate)
+            found = {
+                "kinematic_force": force + force_bias * self.data.felt_force_kept,
+                "kinematic_rate": rate + rate_bias,
+            }
+            self._kinematics[key] = {kind: columns_of(rows) for kind, rows in found.items()}
+            while len(self._kinematics) > REPLAYS:
+                self._kinematics.popitem(last=False)
+        self._kinematics.move_to_end(key)
+        return self._kinematics[key]
+
+    def _state(self, condition: Condition) -> BodyState:
+        return BodyState(rotor_speed=condition.rotor_speed, **self.data.state)
+
+    def _swing(self, model: Model, condition: Condition, remembered: dict[str, Tensor], deviation: Tensor) -> Tensor:
         """Return the link of the load in every row, (E, 6), begun as the measured specific force says where there is one."""
         if self.data.force is None:
             return self._load_replay.loads(model, self.data.row_times)
         found = accelerations(
             replace(model, effects=model.effects.without(LoadEffect)),
-            state,
+            self._state(condition),
             remembered=remembered,
             condition=condition,
             answers=self._forces,
@@ -194,22 +224,21 @@ class _Together:
         missed = quat_rotate(self.data.state["attitude"], force).numpy()
         return self._load_replay.loads(model, self.data.row_times, [missed[span] for span in self.data.spans])
 
-    def _remembered(self, model: Model, speeds: list[Array | None] | None, deviation: Tensor) -> dict[str, Tensor]:
+    def _remembered(self, model: Model, asked: _Asked) -> dict[str, Tensor]:
         """Return what effects on rotors and body remember in every row, (E, M), by effect, followed at the rate of the log."""
-        settled = joint_start(self.tolerances, deviation)
-        along = remembered_along(model, self.data.flights, speeds, self._memories, settled=settled)
+        settled = joint_start(self.tolerances, asked.deviation)
+        along = remembered_along(model, self.data.flights, asked.speeds, self._memories, settled=settled)
         return {
             name: torch.cat([self.data.thinned(k, part.numpy()) for k, part in enumerate(parts)])
             for name, parts in along.items()
         }
 
-    def _flown(
-        self, point: ModelParams, vehicle: Vehicle, speeds: list[Array | None] | None, deviation: Tensor
-    ) -> tuple[Model, Condition]:
+    def _flown(self, asked: _Asked) -> tuple[Model, Condition]:
         """Return the model in every row, and what its effects see there."""
-        model = expand_model(self._model(point, vehicle), self.data.state["attitude"].shape[0])
+        model = expand_model(asked.model, self.data.state["attitude"].shape[0])
         model = with_known_wind(model, self.data.flights, self.data.flight)
-        motion = rotor_motion(deviation)
+        motion = rotor_motion(asked.deviation)
+        speeds = asked.speeds if self.data.speed is None else None
         key = (*_seen_by_condition(model), motion.numpy().tobytes())
         known = self._conditions.get(key)
         if known is None or known[0] is not speeds:
@@ -240,34 +269,6 @@ class _Together:
             for effect, params in model.effects[RotorSensorEffect]:
                 speed, spin_up = effect.true_speed(speed, params), effect.true_speed(spin_up, params)
         return speed, spin_up
-
-    def _band(
-        self, index: int, rows: dict[str, Array], speeds: list[Array | None] | None, biases: dict[str, Array]
-    ) -> Columns:
-        """Return the predicted channels of a flight in the band.
-
-        ``biases`` are errors (3,) of kinematic channels, for those that are not among the ``rows``.
-        """
-        kinds = dict.fromkeys(channel.kind for channel in self.data.channels)
-        parts = {
-            kind: self._off_by(index, kind, biases[kind]) for kind in kinds if kind in KINEMATIC and kind not in rows
-        }
-        thin = [kind for kind in kinds if kind in rows]
-        if thin:
-            own = np.concatenate([rows[kind][self.data.spans[index]] for kind in thin], axis=1)
-            slow = self._slow[index].of(own)
-            parts |= {kind: slow[3 * place : 3 * place + 3] for place, kind in enumerate(thin)}
-        if "rotor_speed" in kinds:
-            assert speeds is not None
-            parts["rotor_speed"] = self._slow_speeds(speeds)[index]
-        return [column for kind in kinds for column in parts[kind]]
-
-    def _off_by(self, index: int, kind: str, bias: Array) -> Columns:
-        """Return what kinematics imply for the sensors of a flight, off by a bias (3,)."""
-        known = self._biased.get((index, kind))
-        if known is None or not np.array_equal(known[0], bias):
-            known = self._biased[index, kind] = bias, list((self.data.implied[index][kind] + bias).T.copy())
-        return known[1]
 
     def _slow_speeds(self, speeds: list[Array | None]) -> list[Columns]:
         """Return the rotor speeds of each flight in the band."""

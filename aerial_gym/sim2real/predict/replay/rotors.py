@@ -50,7 +50,8 @@ class RotorReplay:
         vehicle, effects = model.vehicle, (*model.effects[DelayEffect], *model.effects[CommandEffect], *sensors)
         numbers = [vehicle.time_constant_up, vehicle.time_constant_down, vehicle.battery]
         numbers += [params for _, params in effects]
-        key = (tuple(effect.name for effect, _ in effects), shift, *torch.cat(numbers, dim=1)[0].tolist())
+        alike = torch.cat(numbers, dim=1)[0].numpy().tobytes()  # a battery that nobody declared is NaN, unlike itself
+        key = (tuple(effect.name for effect, _ in effects), shift, alike)
         if key not in self._results:
             self._results[key] = self._run(model, shift, sensors)
             while len(self._results) > REMEMBERED:

@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from aerial_gym.errors import DataError
-from aerial_gym.physics import EFFECTS, Accelerations, accelerations, build_model, vehicle_from_config
+from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LoadEffect
+from aerial_gym.physics.rigid_body import Acting, acting_in
 from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import effect_jacobian
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_flights
@@ -520,11 +521,11 @@ def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(
 ) -> None:
     found, asked = load(tmp_path), []
 
-    def counted(*args: object, **options: object) -> Accelerations:
+    def counted(*args: object) -> Acting:
         asked.append(1)
-        return accelerations(*args, **options)  # type: ignore[arg-type]
+        return acting_in(*args)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("aerial_gym.sim2real.predict.predictor.accelerations", counted)
+    monkeypatch.setattr("aerial_gym.sim2real.predict.predictor.acting_in", counted)
     predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
     point = declared_params(ROBOT)
     alike = [

@@ -93,6 +93,15 @@ def test_rotors_without_lag_follow_at_once(tmp_path: Path) -> None:
     np.testing.assert_array_equal(replayed(driven, quick)[1:], driven.rotor_command[:-1])
 
 
+def test_what_commands_lead_to_is_worked_out_once_for_each_lag(tmp_path: Path) -> None:
+    """Of a vehicle of which no battery is declared as well, whose voltages are no numbers and so unlike themselves."""
+    replay, found = RotorReplay([step_flight(tmp_path, rate=200.0, seconds=2.0)]), []
+    for robot in (ROBOT, ROBOT, POWERED, POWERED, ROBOT):
+        found.append(replay.speeds(build_model(vehicle_from_config(robot, num_envs=1, dtype=F64)), 0.0))
+    assert found[0] is found[1] is found[4]
+    assert found[2] is found[3] is not found[0]
+
+
 def test_tables_that_do_not_fit_are_refused() -> None:
     table, ends, one = torch.ones(5, 4, dtype=F64), torch.tensor([0, 6], dtype=torch.int32), torch.ones(1, dtype=F64)
     with pytest.raises(ShapeError, match=r"commands have shapes \(5, 4\) and \(5, 4\), expected \(6, 4\)"):
