@@ -37,7 +37,7 @@ class _Reader:
 
 @dataclass(frozen=True, kw_only=True)
 class _Answer:
-    params: Tensor
+    params: Tensor | None
     read: dict[str, Any]
     found: Tensor
 
@@ -48,13 +48,15 @@ class Answers(Generic[Source]):
     def __init__(self) -> None:
         self._answers: dict[Hashable, list[_Answer]] = {}
 
-    def ask(self, law: Callable[[Source, Tensor], Tensor], source: Source, params: Tensor, *, place: int = 0) -> Tensor:
+    def ask(
+        self, law: Callable[..., Tensor], source: Source, params: Tensor | None = None, *, place: int = 0
+    ) -> Tensor:
         """Return ``law(source, params)``, an answer that stands or a new one; not to be written to.
 
         Args:
             law: A method of an effect.
             source: What it may read.
-            params: With what it remembers behind them, (E, P).
+            params: With what it remembers behind them, (E, P). None: ``law(source)``, which has none.
             place: Tells apart sources for each of which answers are kept.
         """
         kept = self._answers.setdefault((law, place), [])
@@ -63,7 +65,7 @@ class Answers(Generic[Source]):
                 kept.insert(0, kept.pop(number))
                 return answer.found
         reader = _Reader(source)
-        found = law(cast("Source", reader), params)
+        found = law(cast("Source", reader), *(() if params is None else (params,)))
         kept.insert(1, _Answer(params=params, read=reader.read, found=found))
         del kept[KEPT:]
         return found

@@ -5,7 +5,7 @@ Letters: E environments, R rotors. Subscripts: o body origin, c centre of mass.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import nan
 
@@ -21,12 +21,14 @@ from aerial_gym.physics.effects import (
     Condition,
     Effect,
     FluidEffect,
+    LinearWrenchEffect,
     LoadEffect,
     RotorEffect,
     Suspension,
     WindEffect,
     WrenchEffect,
 )
+from aerial_gym.physics.effects.base import linear_wrench
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
 from aerial_gym.physics.state import BodyState
@@ -131,23 +133,34 @@ class Acting:
     wrenches: list[tuple[str, Tensor]]
     """Force [N] and torque about the centre of mass [N m] of each effect on the whole, body, (E, 6)."""
 
+    linear: list[tuple[str, Tensor, Tensor]] = field(default_factory=list)
+    """Of effects that are linear in their parameters, if asked for apart: regressor (E, 6, P) and parameters (E, P)."""
+
     @cached_property
     def whole_thrust(self) -> Tensor:
         """Return the thrusts with the effects [N], (E, R)."""
         return sum((more for _, more in self.thrusts), self.thrust)
 
 
-def acting_in(model: Model, condition: Condition, answers: Answers[Condition] | None = None) -> Acting:
-    """Return what acts on the body in a condition, without a fluid or a load, which depend on the sum of it."""
+def acting_in(
+    model: Model, condition: Condition, answers: Answers[Condition] | None = None, *, apart: bool = False
+) -> Acting:
+    """Return what acts on the body in a condition, without a fluid or a load, which depend on the sum of it.
 
-    def asked(law: Callable[[Condition, Tensor], Tensor], source: Condition, params: Tensor) -> Tensor:
-        return law(source, params) if answers is None else answers.ask(law, source, params)
+    ``answers`` are those of effects in this state under other models; ``apart`` asks for ``Acting.linear``.
+    """
 
-    rotors, wholes = model.effects[RotorEffect], model.effects[WrenchEffect]
-    more = [(effect.name, asked(effect.thrust, condition, params)) for effect, params in rotors]
+    def asked(law: Callable[..., Tensor], source: Condition, *params: Tensor) -> Tensor:
+        return law(source, *params) if answers is None else answers.ask(law, source, *params)
+
+    more = [(effect.name, asked(effect.thrust, condition, params)) for effect, params in model.effects[RotorEffect]]
     found = Acting(thrust=condition.rotor_thrust, thrusts=more, wrenches=[])
     condition = condition.with_thrust(found.whole_thrust)
-    found.wrenches.extend((effect.name, asked(effect.wrench, condition, params)) for effect, params in wholes)
+    for effect, params in model.effects[WrenchEffect]:
+        if apart and isinstance(effect, LinearWrenchEffect):
+            found.linear.append((effect.name, asked(effect.regressor, condition), params))
+        else:
+            found.wrenches.append((effect.name, asked(effect.wrench, condition, params)))
     return found
 
 
@@ -191,7 +204,8 @@ def _summed(model: Model, condition: Condition, acting: Acting) -> tuple[Tensor,
     """Return force [N] and torque [N m] of what acts, body, each (E, 3)."""
     drag = rotor_torque(model.vehicle, condition.rotor_speed)
     force, torque = rotor_wrench(model.vehicle, acting.whole_thrust, drag)
-    for _, wrench in acting.wrenches:
+    of_linear = (linear_wrench(regressor, params) for _, regressor, params in acting.linear)
+    for wrench in (*(wrench for _, wrench in acting.wrenches), *of_linear):
         force, torque = force + wrench[:, :3], torque + wrench[:, 3:]
     return force, torque
 

@@ -156,19 +156,32 @@ def rotor_wrench(vehicle: Vehicle, thrust: Tensor, torque: Tensor) -> tuple[Tens
         Mahony, Kumar, Corke (2012), Multirotor Aerial Vehicles, eq. 6-8, for arbitrary axes.
     """
     geometry = (vehicle.rotor_position, vehicle.com, vehicle.rotor_axis, vehicle.rotor_spin)
-    shared = all(is_shared(rows) for rows in geometry)
-    position, com, axis, spin = (rows[:1] for rows in geometry) if shared else geometry
-    moment = torch.linalg.cross(position - com.unsqueeze(1), axis, dim=-1)
-    reaction = -spin.unsqueeze(-1) * axis
-    if shared:  # one matrix for all environments
-        of_thrust, of_torque = torch.cat((axis, moment), dim=-1)[0], torch.cat((0.0 * axis, reaction), dim=-1)[0]
-        wrench = times(torch.cat((thrust, torque), dim=-1), torch.cat((of_thrust, of_torque)))
+    if all(is_shared(rows) for rows in geometry):
+        wrench = times(torch.cat((thrust, torque), dim=-1), rotor_matrix(vehicle))
         return wrench[:, :3], wrench[:, 3:]
+    axis, moment, reaction = _lines_of_action(*geometry)
     force, turn, twist = (
         sum_slices(weight.unsqueeze(-1) * rows, 1)
         for weight, rows in ((thrust, axis), (thrust, moment), (torque, reaction))
     )
     return force, turn + twist
+
+
+def rotor_matrix(vehicle: Vehicle) -> Tensor:
+    """Return the matrix of ``rotor_wrench`` of the first environment, (2 R, 6): its rows are thrusts, then drag torques."""
+    axis, moment, reaction = (
+        rows[0]
+        for rows in _lines_of_action(
+            vehicle.rotor_position[:1], vehicle.com[:1], vehicle.rotor_axis[:1], vehicle.rotor_spin[:1]
+        )
+    )
+    return torch.cat((torch.cat((axis, moment), dim=-1), torch.cat((0.0 * axis, reaction), dim=-1)))
+
+
+def _lines_of_action(position: Tensor, com: Tensor, axis: Tensor, spin: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return force and torque per thrust, and torque per drag torque, of each rotor, (E, R, 3) each."""
+    moment = torch.linalg.cross(position - com.unsqueeze(1), axis, dim=-1)
+    return axis, moment, -spin.unsqueeze(-1) * axis
 
 
 def hover_speed(vehicle: Vehicle, gravity: float) -> Tensor:

@@ -475,7 +475,12 @@ class LinearWrenchEffect(WrenchEffect):
 
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return force and torque (E, 6), body axes: the regressor times the parameters (E, P)."""
-        return dot(self.regressor(condition), params.unsqueeze(1))
+        return linear_wrench(self.regressor(condition), params)
+
+
+def linear_wrench(regressor: Tensor, params: Tensor) -> Tensor:
+    """Return force and torque (E, 6) of a regressor (E, 6, P) and parameters (E, P)."""
+    return dot(regressor, params.unsqueeze(1))
 
 
 class FluidEffect(Effect):

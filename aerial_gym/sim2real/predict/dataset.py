@@ -18,6 +18,7 @@ from aerial_gym.sim2real.logs.checks.conventions import body_rate_of
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 from aerial_gym.sim2real.predict.channels import Channel
+from aerial_gym.sim2real.predict.nonzero import nonzero_columns
 from aerial_gym.sim2real.predict.rotor_estimate import RotorEstimate
 from aerial_gym.sim2real.predict.scene import heights, other_along
 
@@ -125,7 +126,7 @@ class Dataset:
 
     def all_slow(self, rows: Array) -> Array:
         """Return values at the rows of all flights (E, K) in the band, (rows kept, K); a column of zeros stays one."""
-        moving = np.flatnonzero(rows.any(axis=0))
+        moving = nonzero_columns(rows)
         found = np.zeros((self.kept_spans[-1].stop, rows.shape[1]))
         for index, (span, kept) in enumerate(zip(self.spans, self.kept_spans, strict=True)):
             found[kept, moving] = self.slow(index, rows[span, moving])

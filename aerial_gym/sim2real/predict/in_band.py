@@ -10,13 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from aerial_gym.math.rows import times
 from aerial_gym.physics import Accelerations
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import Acting
-from aerial_gym.physics.rotors import rotor_torque, rotor_wrench
+from aerial_gym.physics.rotors import rotor_matrix, rotor_torque
 from aerial_gym.sim2real.predict.dataset import Dataset
-from aerial_gym.sim2real.predict.rows import expand_rows, one_row
 from aerial_gym.sim2real.predict.slow_columns import SlowColumns
 
 Array = NDArray[np.float64]
@@ -34,8 +32,9 @@ class InBand:
         self._thrust, self._drag = SlowColumns(data.all_slow), SlowColumns(data.all_slow)
         self._known: dict[str, list[tuple[Tensor, Tensor]]] = {}
         rates = data.state["ang_vel"]
-        self._turning = self._slow(data.ang_acc)  # as measured (T, 3)
-        self._rates = self._slow((rates.unsqueeze(2) * rates.unsqueeze(1)).flatten(1)).view(-1, 3, 3)
+        products = (rates.unsqueeze(2) * rates.unsqueeze(1)).flatten(1)
+        self._motion = self._slow(torch.cat((data.ang_acc, products), dim=1))
+        """Angular acceleration and products of angular velocities as measured, (T, 3 + 9)."""
 
     def felt(self, model: Model, rotor_speed: Tensor, acting: Acting) -> Accelerations:
         """Return specific force [m/s²] and angular acceleration [rad/s²] of the body origin in the band, (T, 3) each.
@@ -45,37 +44,41 @@ class InBand:
         Args:
             model: The same in all rows.
             rotor_speed: True speeds [rad/s], (E, R).
-            acting: Forces in every row.
+            acting: Forces in every row, linear ones apart or not.
         """
-        count = self._turning.shape[0]
-        vehicle = expand_rows(one_row(model.vehicle, 0), count)
+        vehicle = model.vehicle
         thrust, drag = (
             torch.from_numpy(np.stack(slow.of(rows.numpy()), axis=1))
-            for slow, rows in ((self._thrust, acting.thrust), (self._drag, rotor_torque(model.vehicle, rotor_speed)))
+            for slow, rows in ((self._thrust, acting.thrust), (self._drag, rotor_torque(vehicle, rotor_speed)))
         )
         for name, more in acting.thrusts:
             thrust = thrust + self._of(f"thrust of {name}", more)
-        force, torque = rotor_wrench(vehicle, thrust, drag)
-        for name, wrench in acting.wrenches:
-            slow = self._of(name, wrench)
-            force, torque = force + slow[:, :3], torque + slow[:, 3:]
-        spin = self._rates @ vehicle.inertia[0]  # w (J w)^T
+        wrench = torch.cat((thrust, drag), dim=1) @ rotor_matrix(vehicle)
+        for name, rows in acting.wrenches:
+            wrench = wrench + self._of(name, rows)
+        for name, regressor, params in acting.linear:
+            wrench = wrench + self._of(f"regressor of {name}", regressor) @ params[0]
+        unit = torch.eye(12, dtype=wrench.dtype)
+        turning, products = unit[:, :3], unit[:, 3:].view(-1, 3, 3)
+        spin = products @ vehicle.inertia[0]  # w (J w)^T, J is symmetric
         gyroscopic = torch.stack([spin[:, i, j] - spin[:, j, i] for i, j in ((1, 2), (2, 0), (0, 1))], dim=1)
-        centripetal = self._rates - self._rates.diagonal(dim1=1, dim2=2).sum(1)[:, None, None] * torch.eye(3).to(spin)
-        lever = torch.linalg.cross(self._turning, vehicle.com) + centripetal @ vehicle.com[0]
+        square = products.diagonal(dim1=1, dim2=2).sum(dim=1)
+        lever = (
+            torch.linalg.cross(turning, vehicle.com[:1]) + products @ vehicle.com[0] - square[:, None] * vehicle.com[0]
+        )
         return Accelerations(
-            specific_force=force / vehicle.mass[:1] - lever,
-            ang_acc=times(torque - gyroscopic, model.inertia_inverse[0].T),
+            specific_force=wrench[:, :3] / vehicle.mass[0] - self._motion @ lever,
+            ang_acc=(wrench[:, 3:] - self._motion @ gyroscopic) @ model.inertia_inverse[0].T,
         )
 
     def _of(self, name: str, rows: Tensor) -> Tensor:
-        """Return what an effect does in the band, of the same tensor as before or of another one."""
+        """Return what an effect does in the band, (T, ...), of the same tensor (E, ...) as before or of another one."""
         kept = self._known.setdefault(name, [])
         for number, (before, found) in enumerate(kept):
             if rows is before:
                 kept.insert(0, kept.pop(number))
                 return found
-        found = self._slow(rows)
+        found = self._slow(rows.flatten(1)).unflatten(1, rows.shape[1:])
         kept.insert(1, (rows, found))
         del kept[KEPT:]
         return found

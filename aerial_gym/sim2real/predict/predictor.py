@@ -163,7 +163,7 @@ class _Together:
         flown, condition = self._flown(asked)
         remembered = self._remembered(flown, asked)
         model, load = with_memory(flown, remembered), None
-        acting = acting_in(model, condition, self._forces)
+        acting = acting_in(model, condition, self._forces, apart=True)
         if model.effects[LoadEffect]:
             load = self._swing(flown, condition, remembered, asked.deviation)
         if model.effects[LoadEffect] or model.effects[FluidEffect]:

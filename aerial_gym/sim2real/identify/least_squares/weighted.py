@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
+from aerial_gym.sim2real.predict.nonzero import nonzero_columns
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -68,7 +69,7 @@ def _gathered(parts: Sequence[Part], channel: int, root: float) -> tuple[Indices
         own = part.in_channel(channel) if isinstance(part, InChannels) else part[:, channel]
         width = width_of([part])
         if own.shape[1]:
-            (some,) = np.nonzero(own.any(axis=0))
+            some = nonzero_columns(own)
             places.append(some + start)
             found.append(own[:, some] if some.size < width else own)
         start += width

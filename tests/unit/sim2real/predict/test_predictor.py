@@ -521,9 +521,9 @@ def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(
 ) -> None:
     found, asked = load(tmp_path), []
 
-    def counted(*args: object) -> Acting:
+    def counted(*args: object, **options: object) -> Acting:
         asked.append(1)
-        return acting_in(*args)  # type: ignore[arg-type]
+        return acting_in(*args, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr("aerial_gym.sim2real.predict.predictor.acting_in", counted)
     predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
