@@ -30,6 +30,9 @@ class ImportRobotCmd:
     rotor_links: str | None = None
     """Regular expression of links that are rotors, in a URDF without motors; names with motor, rotor or prop if not given."""
 
+    joints: bool = False
+    """Let revolute, continuous and prismatic joints move, but those of rotors; without it all are welded at zero."""
+
     summary: str | None = None
     """One line for people who choose a robot."""
 
@@ -40,7 +43,7 @@ class ImportRobotCmd:
         from aerial_gym.robots.importers import RotorHints, import_robot
 
         others = None if self.rotors_of is None else robot_by_name(self.rotors_of)
-        hints = RotorHints(rotors_of=others, spins=self.spins, lag=self.lag_s)
+        hints = RotorHints(rotors_of=others, spins=self.spins, lag=self.lag_s, joints=self.joints)
         if self.rotor_links is not None:
             hints = replace(hints, rotor_links=self.rotor_links)
         imported = import_robot(self.file, hints)

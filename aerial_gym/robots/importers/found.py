@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from aerial_gym.assets.urdf_body import RigidBody
+from aerial_gym.config.joint import JointCfg
 from aerial_gym.config.robot import CollisionShape, RotorCfg, Vec3
+from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError
 
 
@@ -32,6 +34,9 @@ class FoundRotor:
     rotor: RotorCfg | None = None
     """Its type; None where the file says nothing."""
 
+    link: str = BASE
+    """Joint whose link carries it, or the base."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
@@ -40,6 +45,9 @@ class Found:
     body: RigidBody
     rotors: Sequence[FoundRotor]
     shapes: Sequence[CollisionShape]
+    joints: tuple[JointCfg, ...] = ()
+    """Joints that move, if asked for."""
+
     effects: dict[str, dict[str, float]] = field(default_factory=dict)
     notes: Sequence[str] = ()
     """What the file holds and is not taken over, in sentences."""

@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+from aerial_gym.config.joint import JointsCfg
 from aerial_gym.config.robot import BodyCfg, MountCfg, MountsCfg, RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.check import check_robot
 from aerial_gym.robots.importers import mjcf, sdf, urdf
 from aerial_gym.robots.importers.found import Found, FoundRotor, vec3
+from aerial_gym.robots.importers.joints import ENDS
 from aerial_gym.robots.importers.shapes import collision_of
 
 ROTOR_LINKS = r"(?!.*arm).*(motor|rotor|prop).*"
@@ -36,6 +38,9 @@ class RotorHints:
     rotor_links: str = ROTOR_LINKS
     """Regular expression of links of a URDF without motors that are rotors."""
 
+    joints: bool = False
+    """Whether joints move (URDF and MJCF) but those of rotors; else all are welded."""
+
 
 @dataclass(frozen=True)
 class Imported:
@@ -48,7 +53,7 @@ class Imported:
 def import_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: float = STANDARD_GRAVITY) -> Imported:
     """Return the robot in a URDF, MJCF or SDF file.
 
-    Joints are welded at zero. The frame of the root link becomes that of the body.
+    Joints are welded at zero unless the hints say otherwise. The frame of the root link becomes that of the body.
 
     Args:
         path: The file; its first tag says what it is.
@@ -71,6 +76,7 @@ def import_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: 
             source=f"{where}: all links, joints welded at zero, by the parallel axis theorem",
         ),
         collision=collision_of(found.shapes, where),
+        joints=_joints(found, where),
         effects=found.effects,
         effects_source=f"{where}: rotorDragCoefficient" if found.effects else "",
         **_rotors(found.rotors, hints, where),
@@ -79,6 +85,12 @@ def import_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: 
     if problems:
         raise ConfigError(f"{where}: the vehicle cannot be flown: {'; '.join(problems)}")
     return Imported(robot, tuple(found.notes))
+
+
+def _joints(found: Found, where: str) -> JointsCfg | None:
+    if not found.joints:
+        return None
+    return JointsCfg(layout=found.joints, source=f"{where}: its joints but those of rotors; {ENDS}")
 
 
 def _found(path: Path, hints: RotorHints) -> tuple[str, Found]:
@@ -91,9 +103,11 @@ def _found(path: Path, hints: RotorHints) -> tuple[str, Found]:
     if path.suffix == ".xacro" or "xacro" in "".join(child.tag for child in root):
         raise ConfigError(f"{path}: is a xacro. Expand it first: xacro {path.name} > robot.urdf")
     if root.tag == "robot":
-        return "URDF", urdf.read(path, hints.rotor_links)
+        return "URDF", urdf.read(path, hints.rotor_links, joints=hints.joints)
     if root.tag == "mujoco":
-        return "MJCF", mjcf.read(path, hints.lag, take_actuators=hints.rotors_of is None)
+        return "MJCF", mjcf.read(path, hints.lag, take_actuators=hints.rotors_of is None, joints=hints.joints)
+    if root.tag == "sdf" and hints.joints:
+        raise ConfigError(f"{path}: joints of SDF files are welded. Leave out --joints, or give a URDF or MJCF file")
     if root.tag == "sdf":
         return "SDF", sdf.read(path)
     raise ConfigError(f"{path}: its first tag is <{root.tag}>: must be <robot> (URDF), <mujoco> (MJCF) or <sdf> (SDF)")
@@ -126,6 +140,7 @@ def _rotors(found: Sequence[FoundRotor], hints: RotorHints, where: str) -> dict[
             axis=vec3(rotor.axis),
             spin=int(spin or 0),
             rotor=f"type_{types.index(kind) + 1}" if several else None,
+            link=rotor.link,
         )
         for rotor, spin, kind in zip(found, spins, kinds, strict=True)
     )

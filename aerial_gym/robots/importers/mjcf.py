@@ -7,27 +7,32 @@ the limits.
 Source: MuJoCo documentation, XML reference, actuator/general (trntype site, gear, dyntype).
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from aerial_gym.assets.urdf_body import weld
+from aerial_gym.config.joint import JointCfg
 from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape, RotorCfg, SphereCfg
+from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.importers.found import Found, FoundRotor, roll_pitch_yaw, vec3
+from aerial_gym.robots.importers.joints import FoundJoint, Weight, layout_of
 
 ALONG = 1e-6
 """Share of a torque that may be across the axis of its rotor."""
 
 
-def read(path: Path, lag: float | None, *, take_actuators: bool) -> Found:
+def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = False) -> Found:
     """Return the vehicle of an MJCF file.
 
     Args:
         path: The file, with its meshes where it says.
         lag: Of the thrusts [s], for actuators without one; None refuses them.
         take_actuators: Whether its actuators are the rotors.
+        joints: Whether hinges and slides move.
     """
     try:
         import mujoco
@@ -50,11 +55,17 @@ def read(path: Path, lag: float | None, *, take_actuators: bool) -> Found:
         [reader.frame(data.xipos[b], data.ximat[b]) for b in bodies],
         [np.diag(model.body_inertia[b]) for b in bodies],
     )
-    actuators = range(model.nu if take_actuators else 0)
+    actuators = list(range(model.nu if take_actuators else 0))
+    notes, layout = reader.notes(), ()
+    if joints:
+        reader.find_joints(bodies)
+        layout, of_joints = reader.layout(), [i for i in actuators if reader.turns_joint(i)]
+        actuators = [i for i in actuators if i not in of_joints]
+        notes = (*notes, *reader.notes_on_joints(of_joints))
     for i in actuators:
         reader.check(i)
     rotors = [reader.rotor(i, lag) for i in actuators]
-    return Found(body=body, rotors=rotors, shapes=list(reader.shapes()), notes=reader.notes())
+    return Found(body=body, rotors=rotors, shapes=list(reader.shapes()), joints=layout, notes=notes)
 
 
 class _Reader:
@@ -63,6 +74,67 @@ class _Reader:
     def __init__(self, mujoco: Any, model: Any, data: Any, root: int, where: str) -> None:
         self._mujoco, self._model, self._data, self._root, self._where = mujoco, model, data, root, where
         self._from_world = np.linalg.inv(_pose(data.xpos[root], data.xmat[root]))
+        self._joints: list[FoundJoint] = []
+        self._on: dict[int, str] = {}
+
+    def find_joints(self, bodies: list[int]) -> None:
+        """Take hinges and slides, and which of them moves each body; a body with several is carried by the last."""
+        m, kinds = self._model, self._mujoco.mjtJoint
+        for body in bodies:  # parents come first
+            at = self._on.get(int(m.body_parentid[body]), BASE)
+            first = int(m.body_jntadr[body])
+            own = [] if body == self._root else list(range(first, first + int(m.body_jntnum[body])))
+            pose = self.frame(self._data.xipos[body], self._data.ximat[body])
+            weight = Weight(mass=float(m.body_mass[body]), pose=pose, inertia=np.diag(m.body_inertia[body]))
+            for j in own:
+                if int(m.jnt_type[j]) not in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)):
+                    raise ConfigError(f"{self._where}: joint {m.joint(j).name!r} is a ball: give three hinges")
+                last = j == own[-1]
+                self._joints.append(self._joint(j, at, (weight,) if last else ()))
+                at = self._joints[-1].name
+            self._on[body] = at
+            if not own and at != BASE:
+                place = next(i for i, joint in enumerate(self._joints) if joint.name == at)
+                self._joints[place] = replace(self._joints[place], weights=(*self._joints[place].weights, weight))
+
+    def _joint(self, j: int, parent: str, weights: tuple[Weight, ...]) -> FoundJoint:
+        m, slides = self._model, int(self._model.jnt_type[j]) == int(self._mujoco.mjtJoint.mjJNT_SLIDE)
+        place, dof = int(m.jnt_qposadr[j]), int(m.jnt_dofadr[j])
+        turn = self._from_world[:3, :3]
+        return FoundJoint(
+            name=m.joint(j).name or f"joint_{j}",
+            parent=parent,
+            kind="prismatic" if slides else "revolute",
+            axis=turn @ self._data.xaxis[j],
+            position=turn @ self._data.xanchor[j] + self._from_world[:3, 3],
+            reference=float(m.qpos0[place]),
+            limits=(float(m.jnt_range[j][0]), float(m.jnt_range[j][1])) if m.jnt_limited[j] else None,
+            stiffness=float(np.ravel(m.jnt_stiffness[j])[0]),
+            rest=float(m.qpos_spring[place]),
+            damping=float(np.ravel(m.dof_damping[dof])[0]),
+            friction=float(m.dof_frictionloss[dof]),
+            weights=weights,
+        )
+
+    def layout(self) -> tuple[JointCfg, ...]:
+        """Return the joints as a robot file has them."""
+        return layout_of(self._joints)
+
+    def turns_joint(self, actuator: int) -> bool:
+        """Return whether an actuator acts on a joint."""
+        return int(self._model.actuator_trntype[actuator]) == int(self._mujoco.mjtTrn.mjTRN_JOINT)
+
+    def notes_on_joints(self, actuators: list[int]) -> tuple[str, ...]:
+        """Return what of the joints is not taken over."""
+        found = [
+            f"actuator {self._model.actuator(i).name}: give the joint a drive in the robot file" for i in actuators
+        ]
+        if np.any(self._model.dof_armature[6:] > 0.0):
+            found.append("armature of joints: add it to the inertia of their links")
+        return tuple(found)
+
+    def _carrier(self, body: int) -> str:
+        return self._on.get(int(body), BASE)
 
     def is_part(self, body: int) -> bool:
         """Return whether a body belongs to the vehicle."""
@@ -99,6 +171,7 @@ class _Reader:
             axis=force / size,
             spin=-1 if along > 0.0 else 1,
             rotor=self._type(actuator, size, abs(along) / size, lag),
+            link=self._carrier(self._model.site_bodyid[self._model.actuator_trnid[actuator][0]]),
         )
 
     def _name(self, actuator: int) -> str:
@@ -145,7 +218,8 @@ class _Reader:
             if not self.is_part(int(m.geom_bodyid[geom])) or not (m.geom_contype[geom] or m.geom_conaffinity[geom]):
                 continue
             pose = self.frame(self._data.geom_xpos[geom], self._data.geom_xmat[geom])
-            yield _shape(kinds, m.geom_type[geom], m.geom_size[geom], m.geom_aabb[geom], pose)
+            own = _shape(kinds, m.geom_type[geom], m.geom_size[geom], m.geom_aabb[geom], pose)
+            yield replace(own, link=self._carrier(m.geom_bodyid[geom]))
 
     def notes(self) -> tuple[str, ...]:
         """Return what is not taken over."""

@@ -1,0 +1,144 @@
+"""Joints of the files of other simulators: which links are welded together, and what each joint of the vehicle carries.
+
+Frames: axes and origin of the root link, all joints where the file has them at first. SI units.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import pi
+
+import numpy as np
+
+from aerial_gym.assets.urdf_body import weld
+from aerial_gym.config.joint import EndsCfg, JointCfg, LinkCfg, SpringCfg
+from aerial_gym.config.shape import BASE
+from aerial_gym.robots.importers.found import vec3
+
+END_HZ = 10.0
+"""Frequency of the springs that stand for hard ends of joints, which are critically damped [Hz]."""
+
+LEAST_INERTIA = 1e-6
+"""Of what a joint moves, for these springs [kg m²] or [kg]."""
+
+ENDS = f"chosen: ends of joints as critically damped springs of {END_HZ:g} Hz on what the joint carries in the reference pose"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weight:
+    """A link with mass."""
+
+    mass: float
+    pose: np.ndarray
+    """Frame of its centre of mass, whose axes those of its inertia are, (4, 4)."""
+
+    inertia: np.ndarray
+    """About that centre [kg m²], (3, 3)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundJoint:
+    """A joint that moves."""
+
+    name: str
+    parent: str = BASE
+    """Joint on whose link it sits, or the base."""
+
+    kind: str
+    """``revolute`` or ``prismatic``."""
+
+    axis: np.ndarray
+    position: np.ndarray
+    reference: float = 0.0
+    limits: tuple[float, float] | None = None
+    stiffness: float = 0.0
+    rest: float = 0.0
+    damping: float = 0.0
+    friction: float = 0.0
+    weights: Sequence[Weight] = field(default_factory=tuple)
+    """Of the links that it carries and that no other joint moves."""
+
+
+def layout_of(joints: Sequence[FoundJoint]) -> tuple[JointCfg, ...]:
+    """Return joints as a robot file has them, parents first."""
+    return tuple(_joint(joint, joints) for joint in joints)
+
+
+def _mass(weights: Sequence[Weight]) -> float:
+    return sum(weight.mass for weight in weights)
+
+
+def _joint(joint: FoundJoint, joints: Sequence[FoundJoint]) -> JointCfg:
+    axis = joint.axis / np.linalg.norm(joint.axis)
+    spring = None
+    if joint.stiffness > 0.0 or joint.damping > 0.0 or joint.friction > 0.0:
+        spring = SpringCfg(stiffness=joint.stiffness, damping=joint.damping, friction=joint.friction, rest=joint.rest)
+    ends = None
+    if joint.limits is not None:
+        inertia = max(_moved(joint, joints, axis), LEAST_INERTIA)
+        rate = 2.0 * pi * END_HZ
+        ends = EndsCfg(
+            low=joint.limits[0],
+            high=joint.limits[1],
+            stiffness=float(f"{inertia * rate**2:.4g}"),
+            damping=float(f"{2.0 * inertia * rate:.4g}"),
+        )
+    return JointCfg(
+        name=joint.name,
+        parent=joint.parent,
+        kind=joint.kind,
+        axis=vec3(axis),
+        position=vec3(joint.position),
+        reference=joint.reference,
+        link=_link(joint.weights),
+        spring=spring,
+        ends=ends,
+    )
+
+
+def _link(weights: Sequence[Weight]) -> LinkCfg | None:
+    if _mass(weights) <= 0.0:
+        return None
+    body = weld([w.mass for w in weights], [w.pose for w in weights], [w.inertia for w in weights])
+    rows = [vec3(row) for row in body.inertia]
+    return LinkCfg(mass=body.mass, com=vec3(body.com), inertia=(rows[0], rows[1], rows[2]))
+
+
+def _moved(joint: FoundJoint, joints: Sequence[FoundJoint], axis: np.ndarray) -> float:
+    """Return inertia about the axis [kg m²], or mass [kg], of all that a joint moves."""
+    names, weights = {joint.name}, list(joint.weights)
+    for other in joints:
+        if other.parent in names:
+            names.add(other.name)
+            weights += other.weights
+    if joint.kind == "prismatic":
+        return _mass(weights)
+    total = 0.0
+    for weight in weights:
+        turn, lever = weight.pose[:3, :3], weight.pose[:3, 3] - joint.position
+        across = lever - (lever @ axis) * axis
+        total += float(axis @ turn @ weight.inertia @ turn.T @ axis + weight.mass * (across @ across))
+    return total
+
+
+def carriers_of(
+    links: Sequence[str], joint_above: Callable[[str], tuple[str, str] | None], moving: Mapping[str, str]
+) -> dict[str, str]:
+    """Return the name of the joint that moves each link, or the base.
+
+    Args:
+        links: Names of all links.
+        joint_above: Gives joint and parent link of a link; None of the root.
+        moving: Names in the robot file of the joints that move, by their names in the other.
+    """
+    found: dict[str, str] = {}
+    for link in links:
+        at: str | None = link
+        while at is not None:
+            above = joint_above(at)
+            if above is None:
+                found[link], at = BASE, None
+            elif above[0] in moving:
+                found[link], at = moving[above[0]], None
+            else:
+                at = above[1]
+    return found
