@@ -31,6 +31,7 @@ COMMANDS: dict[str, Home] = {
     "evaluate": Home("aerial_gym.cli.evaluate:EvaluateCmd"),
     "export": Home("aerial_gym.cli.export:ExportCmd"),
     "replay": Home("aerial_gym.cli.replay:ReplayCmd"),
+    "watch": Home("aerial_gym.cli.watch:WatchCmd"),
     "close-loop": Home("aerial_gym.cli.close_loop:CloseLoopCmd"),
     "identify": Home("aerial_gym.cli.identify:IdentifyCmd"),
     "bench": Home("aerial_gym.cli.bench:BenchCmd"),

@@ -112,7 +112,9 @@ class Evidence:
         first = np.zeros((1, self.rotors))
         self._zz = np.concatenate((first, np.cumsum(work.own**2, axis=0)))
         self._zr = np.concatenate((first, np.cumsum(work.own * self.residual, axis=0)))
-        own = np.cumsum(work.own[..., None] * columns, axis=0)
+        root = np.linalg.cholesky(self.inverse)  # columns that are orthonormal beside each other
+        self._along = np.einsum("rqp,rq->rp", root, self._lean[-1])
+        own = np.einsum("krq,rqp->krp", np.cumsum(work.own[..., None] * columns, axis=0), root)
         self._zn = np.concatenate((np.zeros((1, *own.shape[1:])), own))
 
     @property
@@ -127,10 +129,8 @@ class Evidence:
     def projected(self, begin: NDArray[np.int64], end: NDArray[np.int64]) -> tuple[Array, Array]:
         """Return M_zz and M_zr of columns that act from block ``begin`` to before block ``end``, (..., R) each."""
         across = self._zn[end] - self._zn[begin]
-        inner = self._zz[end] - self._zz[begin] - np.einsum("...rp,rpq,...rq->...r", across, self.inverse, across)
-        return np.maximum(inner, 0.0), self._zr[end] - self._zr[begin] - np.einsum(
-            "...rq,rq->...r", across, self.beside
-        )
+        inner = self._zz[end] - self._zz[begin] - (across**2).sum(axis=-1)
+        return np.maximum(inner, 0.0), self._zr[end] - self._zr[begin] - (across * self._along).sum(axis=-1)
 
     def changes(self, kind: str, share: float = 1.0) -> Onsets:
         """Return rotors that do more or less from an onset on; ``share`` of the values are independent."""

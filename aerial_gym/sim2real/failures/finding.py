@@ -6,6 +6,7 @@ after its onset is not compared with the vehicle as it was before. Letters: T ro
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from math import hypot
 
 import numpy as np
 import torch
@@ -152,7 +153,7 @@ class FailureFinder:
         else:
             off = found.std
             if work.quantity == "thrust":  # the change is a share of declared thrust
-                off = np.hypot(off, found.change * np.hypot(self._tolerances.thrust, self._tolerances.mass))
+                off = hypot(off, found.change * self._tolerances.thrust, found.change * self._tolerances.mass)
             values = [self._share(cause, 1.0 + found.change + step * off) for step in (0.0, -1.96, 1.96)]
             name = "scale"
         params[name], interval[name], std[name] = values[0], (values[1], values[2]), (values[2] - values[1]) / 3.92

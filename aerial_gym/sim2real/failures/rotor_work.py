@@ -92,14 +92,17 @@ class RotorWorks:
         self._hover_thrust = rotor_thrust(vehicle, torch.from_numpy(self._hover)[None])[0].numpy()
         self._lag = 0.5 * sum(declared_lag(robot))
 
-    def of(self, flight: Flight) -> list[RotorWork]:
-        """Return the quantities of a flight that its log has, in whole blocks."""
+    def of(self, flight: Flight, *, volts: float | None = None) -> list[RotorWork]:
+        """Return the quantities of a flight that its log has, in whole blocks.
+
+        ``volts`` is the voltage of the battery about which it varies [V]; None: its mean.
+        """
         size = max(1, round(BLOCK_S * flight.rate))
         count = (flight.num_rows - 1) // size
         if count < 1:
             return []
         led = RotorReplay([flight]).speeds(self._model, 0.0, self._model.effects[RotorSensorEffect])[0]
-        found = [] if led is None or flight.rotor_speed is None else [self._speeds(flight, led, size, count)]
+        found = [] if led is None or flight.rotor_speed is None else [self._speeds(flight, led, size, count, volts)]
         state = led if flight.rotor_speed is None else flight.rotor_speed
         if state is not None and flight.gyro and flight.specific_force is not None:
             found.append(self._thrusts(flight, flight.specific_force, state, size, count))
@@ -108,14 +111,14 @@ class RotorWorks:
         stands = flight.on_ground[: count * size].reshape(count, size).any(axis=1)
         return [work.rows(~stands) for work in found]
 
-    def _speeds(self, flight: Flight, led: Array, size: int, count: int) -> RotorWork:
+    def _speeds(self, flight: Flight, led: Array, size: int, count: int, about: float | None) -> RotorWork:
         assert flight.rotor_speed is not None
         done, expected = (_means(rows / self._hover, size, count) for rows in (flight.rotor_speed, led))
         change = np.diff(led[::size][: count + 1], axis=0) / self._hover * self._lag / (size / flight.rate)
         columns = [expected, change]
         if flight.battery is not None:
             volts = _means(flight.battery[:, None], size, count)
-            columns.append(expected * (volts / volts.mean() - 1.0))
+            columns.append(expected * (volts / (about or volts.mean()) - 1.0))
         return RotorWork(
             quantity="speed",
             driven_by="command",

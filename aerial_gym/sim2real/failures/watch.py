@@ -1,0 +1,227 @@
+"""Failures of a flight that is being flown, from the rows of its log as they come.
+
+Rows become blocks, of which a window is kept; every half second its sums are looked through as those of a whole flight.
+Letters: T rows, K blocks.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.failures.finding import FALSE_ALARM_HOURS, Failure, FailureFinder
+from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorWork
+from aerial_gym.sim2real.logs.declared_rotors import lift
+from aerial_gym.sim2real.logs.flights import Flight, complete_flight
+from aerial_gym.sim2real.logs.on_ground import IDLE
+from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.signals import LONGEST_GAP_S, uniform_log
+
+Array = NDArray[np.float64]
+
+WINDOW_BLOCKS = 300
+"""Blocks that are kept: half a minute."""
+
+LOOK_BLOCKS = 5
+"""Blocks between two looks."""
+
+LEAD_BLOCKS = 10
+"""Blocks before those of a look from which the lag of the rotors is followed: many lags."""
+
+FIRST_ROWS = 20
+"""By so many the rate is known."""
+
+SETTLED_S = 2.0
+"""A failure is named when it has been seen for so long [s], for a stuck rotor is at first like one that fails,"""
+
+SURE = 0.99
+"""and is this probable among all failures,"""
+
+AT_LATEST_S = 8.0
+"""or at the latest so long after its onset [s]."""
+
+SUSPECTED, NAMED = "suspected", "named"
+
+COLUMNS = {
+    "lin_vel": ("v_x", "v_y", "v_z"),
+    "ang_vel": ("omega_x", "omega_y", "omega_z"),
+    "specific_force": ("acc_x", "acc_y", "acc_z"),
+    "attitude": ("q_x", "q_y", "q_z", "q_w"),
+}
+"""Of a log in this package's layout, beside t, rotor_n, cmd_n and vbat."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alarm:
+    """A failure and when it was told."""
+
+    stage: str
+    """suspected: something surely fails, and this is the most probable so far; named: what it is."""
+
+    failure: Failure
+    told_s: float
+    """From the first row on [s]."""
+
+    @property
+    def sentence(self) -> str:
+        """Return it in words."""
+        return f"{self.stage} at {self.told_s:.2f} s: {self.failure.sentence}"
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return {
+            "stage": self.stage,
+            **self.failure.as_mapping(),
+            "told_s": self.told_s,
+            "delay_s": self.told_s - self.failure.time,
+        }
+
+
+class Watch:
+    """Follows one flight; after a failure that goes on nothing more is told: what flies on is another vehicle."""
+
+    def __init__(
+        self,
+        robot: RobotCfg,
+        header: Sequence[str],
+        *,
+        name: str = "flight",
+        false_alarm_hours: float = FALSE_ALARM_HOURS,
+    ) -> None:
+        """Take the declared robot and the names of the columns.
+
+        Raises:
+            DataError: If a column that is needed is not there.
+        """
+        self._robot, self._name, self._place = robot, name, {column.strip(): k for k, column in enumerate(header)}
+        self._finder = FailureFinder(robot, false_alarm_hours=false_alarm_hours)
+        self._rotors = [self._numbered(kind) for kind in ("rotor", "cmd")]
+        needed = ("t", *COLUMNS["attitude"], *COLUMNS["ang_vel"])
+        if lacking := [column for column in needed if column not in self._place]:
+            raise DataError(f"{name}: no column {lacking[0]!r}; a log that is watched needs {', '.join(needed)}")
+        if not any(self._rotors):
+            raise DataError(
+                f"{name}: neither rotor_1..{robot.num_rotors} nor cmd_1..{robot.num_rotors}: log one of them"
+            )
+        self._rows: list[Array] = []
+        self._last = np.full(len(header), np.nan)
+        self._works: list[RotorWork] = []
+        self._size = 0
+        self._start: float | None = None
+        self._volts: float | None = None
+        self._suspected: Failure | None = None
+        self.over = False
+        """Whether something failed that goes on."""
+        self.watched_s = 0.0
+
+    def _numbered(self, kind: str) -> list[int]:
+        """Return the places of the columns of all rotors, none if the log has not all of them."""
+        names = [f"{kind}_{number}" for number in range(1, self._robot.num_rotors + 1)]
+        return [self._place[name] for name in names] if all(name in self._place for name in names) else []
+
+    def add(self, row: Sequence[float] | Array) -> Alarm | None:
+        """Take one more row, in the order of the header, empty fields as NaN; return a failure if there is one to tell.
+
+        Raises:
+            DataError: If it has not as many fields as the header, or time does not go on.
+        """
+        values = np.asarray(row, dtype=float)
+        if values.size != len(self._last):
+            raise DataError(f"{self._name}: a row has {values.size} fields, the header has {len(self._last)}")
+        time = self._place["t"]
+        if self._rows and not values[time] > self._rows[-1][time]:
+            raise DataError(f"{self._name}: t = {values[time]:g} s does not come after {self._rows[-1][time]:g} s")
+        values = np.where(np.isnan(values), self._last, values)  # a field that is empty keeps what it had
+        self._start = values[time] if self._start is None else self._start
+        if self._rows and values[time] - self._rows[-1][time] > LONGEST_GAP_S:
+            self._begin_anew()
+        self._last = values
+        self.watched_s = float(values[time] - self._start)
+        self._rows.append(values)
+        if not self._size and len(self._rows) >= FIRST_ROWS:
+            steps = np.diff([one[time] for one in self._rows])
+            self._size = max(1, round(BLOCK_S / float(np.median(steps))))
+        whole = (LEAD_BLOCKS + LOOK_BLOCKS) * self._size
+        if self.over or not self._size or len(self._rows) <= whole:
+            return None
+        self._follow(np.array(self._rows[: whole + 1]))
+        del self._rows[: LOOK_BLOCKS * self._size]
+        return self._look()
+
+    def _begin_anew(self) -> None:
+        self._rows, self._works, self._suspected = [], [], None
+
+    def _follow(self, rows: Array) -> None:
+        """Put the blocks of rows behind those that are known."""
+        flight = self._flight(rows)
+        assert self._start is not None
+        offset = float(rows[0, self._place["t"]]) - self._start
+        if self._volts is None and flight.battery is not None:
+            self._volts = float(flight.battery.mean())
+        new = [
+            replace(part, time=part.time + offset).rows(part.time >= (LEAD_BLOCKS - 0.5) * part.length)
+            for part in self._finder.works.of(flight, volts=self._volts)
+        ]
+        kept = self._works or new
+        if self._works:
+            kept = [old.followed_by(part) for old, part in zip(self._works, new, strict=True)]
+        self._works = [part.rows(slice(-WINDOW_BLOCKS, None)) for part in kept]
+
+    def _flight(self, rows: Array) -> Flight:
+        """Return rows as a flight; the vehicle is not watched where its rotors are not told to carry half its weight."""
+
+        def part(name: str) -> Array | None:
+            known = all(column in self._place for column in COLUMNS[name])
+            return _whole(rows[:, [self._place[column] for column in COLUMNS[name]]] if known else None)
+
+        attitude = part("attitude")
+        if attitude is None:
+            raise DataError(f"{self._name}: the attitude is empty at {rows[0, self._place['t']]:g} s")
+        speed, command = (rows[:, places] if places else None for places in self._rotors)
+        volts = rows[:, self._place["vbat"]] if "vbat" in self._place else None
+        log = FlightLog(
+            path=self._name,
+            time=rows[:, self._place["t"]],
+            rotor_speed=_whole(speed),
+            rotor_command=_whole(command),
+            battery=_whole(volts),
+            attitude=attitude,
+            lin_vel=part("lin_vel"),
+            ang_vel=part("ang_vel"),
+            specific_force=part("specific_force"),
+        )
+        log = uniform_log(log)
+        told = log.rotor_speed if log.rotor_command is None else log.rotor_command
+        assert told is not None
+        idle = lift(self._robot, told) < IDLE * self._robot.body.mass * STANDARD_GRAVITY
+        return complete_flight(log, on_ground=idle if idle.any() else None)
+
+    def _look(self) -> Alarm | None:
+        found = self._finder.shown_by(self._works, self._name) if self._works else None
+        if found is None:
+            self._suspected = None
+            return None
+        seen = self.watched_s - found.time
+        if (seen >= SETTLED_S and found.probability >= SURE) or seen >= AT_LATEST_S:
+            self.over = "duration" not in found.params
+            self._begin_anew()
+            return Alarm(stage=NAMED, failure=found, told_s=self.watched_s)
+        if self._suspected is not None:
+            self._suspected = found
+            return None
+        self._suspected = found
+        return Alarm(stage=SUSPECTED, failure=found, told_s=self.watched_s)
+
+    def ended(self) -> Alarm | None:
+        """Return the failure that was suspected when the rows ended: a vehicle that came down is not seen for long."""
+        found, self._suspected = self._suspected, None
+        return None if found is None else Alarm(stage=NAMED, failure=found, told_s=self.watched_s)
+
+
+def _whole(values: Array | None) -> Array | None:
+    """Return values without a gap, None in place of others."""
+    return None if values is None or np.isnan(values).any() else values

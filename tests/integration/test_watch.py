@@ -1,0 +1,65 @@
+"""``aerial-gym watch``: each failure of an independent plant is named within 10 s of its onset, from rows as they come."""
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+
+from aerial_gym.cli.main import main
+from benchmarks.undeclared import CaseFiles, make_case
+from benchmarks.undeclared import Failure as Hidden
+
+HIDDEN = {
+    "train_1": Hidden(kind="motor_failure", motor=2, scale=0.85, time=4.4),
+    "train_2": Hidden(kind="stuck_rotor", motor=4, time=4.1),
+    "train_3": Hidden(kind="brown_out", scale=0.8, time=4.77, duration=0.6),
+    "train_4": Hidden(kind="weak_motor", motor=1, scale=0.8, time=5.2),
+}
+"""The test flight has none."""
+
+LATEST_S = 10.0
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> CaseFiles:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("benchmarks.undeclared.simulate.SUBSTEPS", 2)  # as the fixture coarser_plant
+        return make_case(
+            tmp_path_factory.mktemp("watched"), effects={}, seed=741, num_test=1, duration_s=8.0, rate_hz=200,
+            nuisance=True, failures=HIDDEN,
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("flight", HIDDEN)
+def test_a_failure_is_named_soon(flight: str, files: CaseFiles, capsys: pytest.CaptureFixture[str]) -> None:
+    path = next(path for path in files.train if path.stem == flight)
+    assert main(["watch", str(files.robot), str(path), "--json"]) == 0
+    told, hidden = [json.loads(line) for line in capsys.readouterr().out.splitlines()], HIDDEN[flight].document()
+    assert [one["stage"] for one in told] == ["suspected", "named"]
+    named = told[1]
+    assert named["name"] == hidden["kind"]
+    assert named["told_s"] < HIDDEN[flight].time + LATEST_S
+    for name in ("motor", "scale", "time"):
+        if name in hidden:
+            assert named["params"][name] == pytest.approx(hidden[name], abs=4.0 * named["std"].get(name, 0.0)), name
+
+
+def test_nothing_is_told_of_a_flight_without_a_failure_on_stdin(
+    files: CaseFiles, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO(files.test[0].read_text()))
+    assert main(["watch", str(files.robot), "-"]) == 0
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "watched 8.0 s: no failures" in err
+
+
+def test_a_file_that_is_not_there_or_no_log_is_a_wrong_request(
+    files: CaseFiles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["watch", str(files.robot), str(tmp_path / "none.csv")]) == 2
+    wrong = tmp_path / "wrong.csv"
+    wrong.write_text(files.test[0].read_text().splitlines()[0] + "\n1,2,three\n")
+    assert main(["watch", str(files.robot), str(wrong)]) == 2
+    assert "line 2" in capsys.readouterr().err

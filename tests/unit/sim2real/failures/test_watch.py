@@ -1,0 +1,109 @@
+"""Rows that come one by one: what is told, when, and what is refused; how often noise alone is taken for a failure."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.failures.finding import FailureFinder
+from aerial_gym.sim2real.failures.rotor_work import RotorWork
+from aerial_gym.sim2real.failures.scan import causes_of, sum_of_odds
+from aerial_gym.sim2real.failures.watch import NAMED, SETTLED_S, SUSPECTED, Alarm, Watch
+from aerial_gym.sim2real.logs.flights import complete_flight
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.predict.tolerances import Tolerances
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+
+ONSET, LEFT = 6.0, 0.9
+
+
+def failing() -> pd.DataFrame:
+    """Return a flight whose second rotor gives 0.9 of its thrust from 6 s on: it turns faster for what it gives."""
+    table = flight(3, noise=1.0)
+    table.loc[table["t"] >= ONSET, "rotor_2"] /= np.sqrt(LEFT)
+    return table
+
+
+def told_of(table: pd.DataFrame, kept: slice | np.ndarray = slice(None)) -> list[Alarm]:
+    """Return what is told of some rows of a table."""
+    watch = Watch(ROBOT, list(table.columns))
+    alarms = [watch.add(row) for row in table.to_numpy()[kept]]
+    return [alarm for alarm in (*alarms, watch.ended()) if alarm is not None]
+
+
+def test_a_propeller_that_breaks_is_suspected_and_then_named() -> None:
+    """Looks are half a second apart, an onset needs blocks after it, and a name needs two seconds."""
+    suspected, named = told_of(failing())
+    assert (suspected.stage, named.stage) == (SUSPECTED, NAMED)
+    assert ONSET < suspected.told_s < ONSET + 1.6
+    assert ONSET + SETTLED_S <= named.told_s < ONSET + SETTLED_S + 0.6
+    found = named.failure
+    assert (found.name, found.params["motor"]) == ("weak_motor", 2.0)
+    assert found.params["scale"] == pytest.approx(LEFT, abs=4.0 * found.std["scale"])
+    assert found.params["time"] == pytest.approx(ONSET, abs=4.0 * found.std["time"])
+    assert named.as_mapping()["delay_s"] == pytest.approx(named.told_s - found.time)
+
+
+def test_the_whole_flight_tells_the_same(tmp_path: Path) -> None:
+    log = read_flight_log(write(failing(), tmp_path / "a.csv"))
+    found = FailureFinder(ROBOT).first_in(complete_flight(log))
+    assert found is not None
+    assert (found.name, found.params["motor"]) == ("weak_motor", 2.0)
+    assert found.params["scale"] == pytest.approx(LEFT, abs=4.0 * found.std["scale"])
+
+
+def test_a_flight_without_a_failure_tells_nothing() -> None:
+    assert told_of(flight(3, noise=1.0)) == []
+
+
+def test_a_log_that_ends_early_names_what_is_suspected() -> None:
+    table = failing()
+    alarms = told_of(table, np.asarray(table["t"] < ONSET + 1.8))
+    assert [alarm.stage for alarm in alarms] == [SUSPECTED, NAMED]
+    assert alarms[1].told_s < ONSET + 1.8
+
+
+def test_a_gap_begins_anew() -> None:
+    """What was before it is forgotten: the rotor that gives less after it does so all along."""
+    table = failing()
+    assert told_of(table, np.asarray((table["t"] < ONSET - 0.3) | (table["t"] > ONSET))) == []
+
+
+def test_what_cannot_be_watched_is_refused() -> None:
+    columns = list(flight(3, seconds=1.0).columns)
+    with pytest.raises(DataError, match="no column 'omega_x'"):
+        Watch(ROBOT, [column for column in columns if column != "omega_x"])
+    with pytest.raises(DataError, match="neither rotor_1"):
+        Watch(ROBOT, [column for column in columns if not column.startswith("rotor")])
+    watch = Watch(ROBOT, columns)
+    watch.add(np.ones(len(columns)))
+    with pytest.raises(DataError, match="does not come after"):
+        watch.add(np.ones(len(columns)))
+    with pytest.raises(DataError, match="a row has 3 fields"):
+        watch.add([1.0, 2.0, 3.0])
+
+
+def test_noise_alone_passes_a_limit_no_more_often_than_is_said() -> None:
+    """The sum of the odds over n blocks has a mean of n at most: it passes 20 n in a twentieth of cases at most (Markov).
+
+    Of 200 draws at most 10 then, and 3 standard deviations more: 19.
+    """
+    rng, blocks, rotors = np.random.default_rng(0), 60, 4
+    own = np.ones((blocks, rotors))
+    passed = 0
+    for _ in range(200):
+        work = RotorWork(
+            quantity="speed",
+            driven_by="command",
+            time=0.1 * np.arange(blocks),
+            length=0.1,
+            lag=0.03,
+            done=own + 0.01 * rng.standard_normal(own.shape),  # well above what is tolerated
+            expected=own,
+            own=own,
+            beside=np.stack((own, rng.standard_normal(own.shape)), axis=-1),
+        )
+        passed += sum_of_odds(causes_of([work], Tolerances(thrust=1e-3))) > np.log(20.0 * blocks)
+    assert passed <= 19
