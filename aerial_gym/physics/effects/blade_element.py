@@ -46,8 +46,12 @@ from aerial_gym.physics.fused.functions import reciprocal, root
 from aerial_gym.physics.rotors import rotor_torque
 
 HALVINGS, NEWTON = 6, 3
-"""Of the search for the inflow. Its equation has one root, as the induced velocity grows with the thrust; what is left is below
-0.2 % of the inflow of hover, and near hover below round-off."""
+"""Of the search for the inflow. Its equation has one root, as the induced velocity grows with the thrust. Newton's method
+begins at the solution without sideways speed (of hover, if the rotor sinks), in a fast descent, where it would run astray,
+within what halving leaves. What then is missing is below 1e-4 of the inflow of hover."""
+
+FAST = wp.constant(0.8)
+"""A descent faster than this share of the induced velocity of hover is halved first."""
 
 SLOWEST = wp.constant(1.0)
 """A rotor slower than this [rad/s] counts as turning at it."""
@@ -252,46 +256,60 @@ def _inflow(lift: Tensor, lifted: Tensor, climb: Tensor, mu: Tensor) -> Tensor:
     with torch.no_grad():
         low = torch.zeros_like(mu)
         high = (0.25 * lift * (lifted + 0.5 * climb.abs())).clamp_min(least).sqrt()
+        rising = climb.clamp_min(0.0)
+        linear = 0.125 * lift - rising
+        whole = 0.5 * ((linear.square() + lift * lifted).clamp_min(0.0).sqrt() - linear)
+        start = (whole * (whole - rising)).clamp_min(least * least).sqrt().minimum(high)
+        falls, bottom, top = climb < -float(FAST) * start, low, high
         for _ in range(HALVINGS):
-            middle = 0.5 * (low + high)
+            middle = 0.5 * (bottom + top)
             above = _missing(middle, lift, lifted, climb, mu)[0] >= 0.0
-            low, high = torch.where(above, low, middle), torch.where(above, middle, high)
-    found = 0.5 * (low + high)
+            bottom, top = torch.where(above, bottom, middle), torch.where(above, middle, top)
+        found = torch.where(falls, 0.5 * (bottom + top), start)
+        low, high = torch.where(falls, bottom, low), torch.where(falls, top, high)
+    value = found
     for _ in range(NEWTON):
-        missing, slope = _missing(found, lift, lifted, climb, mu)
+        missing, slope, value, growth = _missing(found, lift, lifted, climb, mu)
         with torch.no_grad():
             above = missing >= 0.0
             low, high = torch.where(above, low, found), torch.where(above, found, high)
-        found = (found - missing / slope).maximum(low).minimum(high).clamp_min(least)
-    return induced(found, climb, mu)[0]
+        after = (found - missing / slope).maximum(low).minimum(high).clamp_min(least)
+        value, found = value + growth * (after - found), after
+    return value
 
 
-def _missing(found: Tensor, lift: Tensor, lifted: Tensor, climb: Tensor, mu: Tensor) -> tuple[Tensor, Tensor]:
-    """Return momentum less blades, ``2 v² - C_T``, and its slope in v."""
+def _missing(
+    found: Tensor, lift: Tensor, lifted: Tensor, climb: Tensor, mu: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return momentum less blades, ``2 v² - C_T``, and its slope in v; and the induced velocity f(v) and its slope."""
     value, slope = induced(found, climb, mu)
-    return (
-        2.0 * found.square() - 0.5 * lift * (lifted - 0.5 * (climb + value)),
-        4.0 * found + 0.25 * lift * slope,
-    )
+    missing = 2.0 * found.square() - 0.5 * lift * (lifted - 0.5 * (climb + value))
+    return missing, 4.0 * found + 0.25 * lift * slope, value, slope
 
 
 @wp.func
 def _inflow_warp(lift: float, lifted: float, climb: float, mu: float) -> float:
     low = wp.float32(0.0)
-    high = root(wp.max(0.25 * lift * (lifted + 0.5 * wp.abs(climb)), LEAST))
-    for _i in range(wp.static(HALVINGS)):
-        middle = 0.5 * (low + high)
-        value, _slope = induced_warp(middle, climb, mu)
-        above = 2.0 * middle * middle - 0.5 * lift * (lifted - 0.5 * (climb + value)) >= 0.0
-        low = wp.where(above, low, middle)
-        high = wp.where(above, middle, high)
-    found = 0.5 * (low + high)
+    high = wp.sqrt(wp.max(0.25 * lift * (lifted + 0.5 * wp.abs(climb)), LEAST))
+    rising = wp.max(climb, 0.0)
+    linear = 0.125 * lift - rising
+    whole = 0.5 * (wp.sqrt(wp.max(linear * linear + lift * lifted, 0.0)) - linear)
+    found = wp.min(wp.sqrt(wp.max(whole * (whole - rising), LEAST * LEAST)), high)
+    if climb < -FAST * found:
+        for _i in range(wp.static(HALVINGS)):
+            middle = 0.5 * (low + high)
+            value, _slope = induced_warp(middle, climb, mu)
+            above = 2.0 * middle * middle - 0.5 * lift * (lifted - 0.5 * (climb + value)) >= 0.0
+            low = wp.where(above, low, middle)
+            high = wp.where(above, middle, high)
+        found = 0.5 * (low + high)
+    induced_velocity = wp.float32(0.0)
     for _j in range(wp.static(NEWTON)):
         value, slope = induced_warp(found, climb, mu)
         missing = 2.0 * found * found - 0.5 * lift * (lifted - 0.5 * (climb + value))
         low = wp.where(missing >= 0.0, low, found)
         high = wp.where(missing >= 0.0, found, high)
-        newton = found - missing * reciprocal(4.0 * found + 0.25 * lift * slope)
-        found = wp.max(wp.clamp(newton, low, high), LEAST)
-    value, _last = induced_warp(found, climb, mu)
-    return value
+        after = wp.max(wp.clamp(found - missing / (4.0 * found + 0.25 * lift * slope), low, high), LEAST)
+        induced_velocity = value + slope * (after - found)
+        found = after
+    return induced_velocity
