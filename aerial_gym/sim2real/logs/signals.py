@@ -52,24 +52,29 @@ def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = 
         bandwidth: Frequency of half gain [Hz].
         derivative: Whether to multiply by ``2 pi i f``.
     """
-    rows = values.shape[0]
-    columns = np.ascontiguousarray(values.reshape(rows, -1).T)
+    columns = np.ascontiguousarray(values.reshape(values.shape[0], -1).T)
+    slow = lowpass_columns(columns, rate, bandwidth, derivative=derivative)
+    return np.ascontiguousarray(slow.T).reshape(values.shape)
+
+
+def lowpass_columns(columns: Array, rate: float, bandwidth: float, *, derivative: bool = False) -> Array:
+    """Return ``lowpass`` of columns (K, T), in the same layout."""
+    rows = columns.shape[1]
     pad = min(rows - 1, 3 * edge_rows(rate, bandwidth))
     end = _of_line(min(rows, max(2, round(0.5 * rate / bandwidth))))
     size = int(fft.next_fast_len(rows + 3 * pad, real=True) or 0)
-    head, tail = columns[:, pad:0:-1], columns[:, -2 : -pad - 2 : -1]
-    first = 2.0 * (columns[:, : end.size] * end).sum(axis=1)
-    last = 2.0 * (columns[:, : -end.size - 1 : -1] * end).sum(axis=1)
-    gain, slow = _gain(size, rate, bandwidth, derivative), np.empty((rows, columns.shape[0]))
-    circle, blend = np.empty(size), _blend(size - rows - 2 * pad)
-    for place, column in enumerate(columns):
-        np.subtract(first[place], head[place], out=circle[:pad])
-        circle[pad : pad + rows] = column
-        np.subtract(last[place], tail[place], out=circle[pad + rows : 2 * pad + rows])
-        # The remaining gap of the circle is closed by a straight line, so that it adds no jump.
-        circle[2 * pad + rows :] = circle[2 * pad + rows - 1] * (1.0 - blend) + circle[0] * blend
-        slow[:, place] = np.asarray(fft.irfft(np.asarray(fft.rfft(circle)) * gain, n=size))[pad : pad + rows]
-    return slow.reshape(values.shape)
+    first = 2.0 * (columns[:, : end.size] * end).sum(axis=1, keepdims=True)
+    last = 2.0 * (columns[:, : -end.size - 1 : -1] * end).sum(axis=1, keepdims=True)
+    circle, whole = np.empty((len(columns), size)), 2 * pad + rows
+    np.subtract(first, columns[:, pad:0:-1], out=circle[:, :pad])
+    circle[:, pad : pad + rows] = columns
+    np.subtract(last, columns[:, -2 : -pad - 2 : -1], out=circle[:, pad + rows : whole])
+    # The remaining gap of the circle is closed by a straight line, so that it adds no jump.
+    blend = _blend(size - whole)
+    circle[:, whole:] = circle[:, whole - 1 : whole] * (1.0 - blend) + circle[:, :1] * blend
+    lines = np.asarray(fft.rfft(circle, axis=1, overwrite_x=True))
+    lines *= _gain(size, rate, bandwidth, derivative)
+    return np.asarray(fft.irfft(lines, n=size, axis=1, overwrite_x=True))[:, pad : pad + rows]
 
 
 @lru_cache(maxsize=32)

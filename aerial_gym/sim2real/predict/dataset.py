@@ -16,9 +16,9 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.sim2real.logs.checks.conventions import body_rate_of
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
+from aerial_gym.sim2real.logs.signals import edge_rows, lowpass, lowpass_columns
 from aerial_gym.sim2real.predict.channels import Channel
-from aerial_gym.sim2real.predict.nonzero import nonzero_columns
+from aerial_gym.sim2real.predict.nonzero import not_zero
 from aerial_gym.sim2real.predict.rotor_estimate import RotorEstimate
 from aerial_gym.sim2real.predict.scene import heights, other_along
 
@@ -110,7 +110,7 @@ class Dataset:
             else None
         )
         self.kinematic_force, self.kinematic_rate = (
-            torch.from_numpy(self.all_slow(torch.cat([of(i) for i in range(len(flights))]).numpy()))
+            torch.from_numpy(self.in_band(torch.cat([of(i) for i in range(len(flights))]).T.contiguous().numpy())).T
             for of in (self._implied_force, self._implied_rate)
         )
 
@@ -124,12 +124,14 @@ class Dataset:
         stride = self.stride[index]
         return lowpass(rows, self.flights[index].rate / stride, self.bandwidth)[self.kept[index] // stride]
 
-    def all_slow(self, rows: Array) -> Array:
-        """Return values at the rows of all flights (E, K) in the band, (rows kept, K); a column of zeros stays one."""
-        moving = nonzero_columns(rows)
-        found = np.zeros((self.kept_spans[-1].stop, rows.shape[1]))
-        for index, (span, kept) in enumerate(zip(self.spans, self.kept_spans, strict=True)):
-            found[kept, moving] = self.slow(index, rows[span, moving])
+    def in_band(self, columns: Array) -> Array:
+        """Return values at the rows of all flights (K, E) in the band, (K, rows kept); what is zero stays so."""
+        moving = np.flatnonzero(not_zero(columns, axis=1))
+        found = np.zeros((len(columns), self.kept_spans[-1].stop))
+        for index, (span, to) in enumerate(zip(self.spans, self.kept_spans, strict=True)):
+            stride = self.stride[index]
+            slow = lowpass_columns(columns[moving, span], self.flights[index].rate / stride, self.bandwidth)
+            found[moving, to] = slow[:, self.kept[index] // stride]
         return found
 
     def _measure(self, index: int) -> Array:

@@ -1,15 +1,10 @@
-"""Which columns of a table are zero in all rows."""
+"""Which numbers of a table are not zero anywhere along an axis."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-SEEN_FIRST = 64
-"""Rows at which a look is taken first: most columns that are not zero show it there."""
 
-
-def nonzero_columns(rows: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Return the columns of rows (E, K) that are not zero in every row."""
-    found = rows[:: -(-len(rows) // SEEN_FIRST)].any(axis=0) if len(rows) else np.zeros(rows.shape[1], dtype=bool)
-    for place in np.flatnonzero(~found):
-        found[place] = rows[:, place].any()
-    return np.flatnonzero(found)
+def not_zero(table: NDArray[np.floating], axis: int) -> NDArray[np.bool_]:
+    """Return ``(table != 0).any(axis)``, of numbers of either sign and what is no number, by their bits: much faster."""
+    bits = np.bitwise_or.reduce(table.view(f"u{table.itemsize}"), axis=axis)
+    return bits << 1 != 0  # without the sign of a zero

@@ -18,7 +18,7 @@ class SlowColumns:
     """A filter that works on each column by itself, with its last results."""
 
     def __init__(self, slow: Callable[[Array], Array]) -> None:
-        """Take the filter, (E, any) to (T, any)."""
+        """Take the filter of columns, (any, E) to (any, T)."""
         self._slow = slow
         self._known: dict[int, list[tuple[Array, Array]]] = {}
 
@@ -27,7 +27,7 @@ class SlowColumns:
         columns = np.ascontiguousarray(rows.T)
         found: list[Array | None] = [self._recalled(place, column) for place, column in enumerate(columns)]
         new = [place for place, column in enumerate(found) if column is None]
-        slow = np.ascontiguousarray(self._slow(rows[:, new]).T) if new else ()
+        slow = self._slow(columns[new]) if new else ()
         for place, column in zip(new, slow, strict=True):
             alone = column.copy()  # it may outlive the others
             kept = self._known.setdefault(place, [])

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
-from aerial_gym.sim2real.predict.nonzero import nonzero_columns
+from aerial_gym.sim2real.predict.nonzero import not_zero
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -56,28 +56,29 @@ class Weighted:
         """Take the parts of each flight, that lie one behind the other in K, and the weight of one row, (C,)."""
         self.width = width_of(flights[0])
         root = np.sqrt(weight)
-        self.columns = [
-            [_gathered(parts, channel, root[channel]) for channel in range(weight.size)] for parts in flights
-        ]
+        self.columns = [_gathered(parts, root) for parts in flights]
         """Of each flight, for each channel: which of the K, and they, (T, k)."""
 
 
-def _gathered(parts: Sequence[Part], channel: int, root: float) -> tuple[Indices, Array]:
-    """Return the columns that are not zero in a channel, and they times ``root``, (T, k)."""
-    places, found, start = [], [], 0
+def _gathered(parts: Sequence[Part], root: Array) -> list[tuple[Indices, Array]]:
+    """Return the columns that are not zero in each channel, and they times its ``root``, (T, k)."""
+    found: list[tuple[list[Indices], list[Array]]] = [([], []) for _ in root]
+    start = 0
     for part in parts:
-        own = part.in_channel(channel) if isinstance(part, InChannels) else part[:, channel]
-        width = width_of([part])
-        if own.shape[1]:
-            some = nonzero_columns(own)
-            places.append(some + start)
-            found.append(own[:, some] if some.size < width else own)
-        start += width
-    if not places:
-        return np.zeros(0, dtype=np.int64), np.zeros((width_of(parts) * 0, 0))
-    columns = np.concatenate(found, axis=1, dtype=np.float64)
-    columns *= root
-    return np.concatenate(places), columns
+        values, channels = (part.values, part.channels) if isinstance(part, InChannels) else (part, range(root.size))
+        moving = not_zero(values, axis=0)  # (c, P)
+        for own, channel in enumerate(channels):
+            if moving[own].any():
+                some, column = np.flatnonzero(moving[own]), values[:, own]
+                found[channel][0].append(some + start)
+                found[channel][1].append(column[:, some] if some.size < column.shape[1] else column)
+        start += width_of([part])
+    return [
+        (np.concatenate(places), np.concatenate(columns, axis=1, dtype=np.float64) * root[channel])
+        if places
+        else (np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
+        for channel, (places, columns) in enumerate(found)
+    ]
 
 
 class Blocks:

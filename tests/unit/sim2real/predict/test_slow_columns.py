@@ -9,9 +9,9 @@ from aerial_gym.sim2real.predict.slow_columns import SlowColumns
 def test_only_columns_that_changed_are_filtered() -> None:
     asked: list[int] = []
 
-    def slow(rows: np.ndarray) -> np.ndarray:
-        asked.append(rows.shape[1])
-        return lowpass(rows, 100.0, 10.0)[::3]
+    def slow(columns: np.ndarray) -> np.ndarray:
+        asked.append(len(columns))
+        return lowpass(columns.T, 100.0, 10.0)[::3].T
 
     rng = np.random.default_rng(0)
     columns, base = SlowColumns(slow), rng.normal(size=(300, 4))
