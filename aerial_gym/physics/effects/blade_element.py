@@ -290,11 +290,11 @@ def _missing(
 @wp.func
 def _inflow_warp(lift: float, lifted: float, climb: float, mu: float) -> float:
     low = wp.float32(0.0)
-    high = wp.sqrt(wp.max(0.25 * lift * (lifted + 0.5 * wp.abs(climb)), LEAST))
+    high = root(wp.max(0.25 * lift * (lifted + 0.5 * wp.abs(climb)), LEAST))
     rising = wp.max(climb, 0.0)
     linear = 0.125 * lift - rising
-    whole = 0.5 * (wp.sqrt(wp.max(linear * linear + lift * lifted, 0.0)) - linear)
-    found = wp.min(wp.sqrt(wp.max(whole * (whole - rising), LEAST * LEAST)), high)
+    whole = 0.5 * (root(wp.max(linear * linear + lift * lifted, 0.0)) - linear)
+    found = wp.min(root(wp.max(whole * (whole - rising), LEAST * LEAST)), high)
     if climb < -FAST * found:
         for _i in range(wp.static(HALVINGS)):
             middle = 0.5 * (low + high)
@@ -309,7 +309,8 @@ def _inflow_warp(lift: float, lifted: float, climb: float, mu: float) -> float:
         missing = 2.0 * found * found - 0.5 * lift * (lifted - 0.5 * (climb + value))
         low = wp.where(missing >= 0.0, low, found)
         high = wp.where(missing >= 0.0, found, high)
-        after = wp.max(wp.clamp(found - missing / (4.0 * found + 0.25 * lift * slope), low, high), LEAST)
+        newton = found - missing * reciprocal(4.0 * found + 0.25 * lift * slope)
+        after = wp.max(wp.clamp(newton, low, high), LEAST)
         induced_velocity = value + slope * (after - found)
         found = after
     return induced_velocity
