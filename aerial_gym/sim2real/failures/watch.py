@@ -36,13 +36,14 @@ FIRST_ROWS = 20
 """By so many the rate is known."""
 
 SETTLED_S = 2.0
-"""A failure is named when it has been seen for so long [s], for a stuck rotor is at first like one that fails,"""
+"""A failure is named so long after its onset and the first suspicion [s]: a stuck rotor is at first like one that fails, and an
+onset without enough blocks after it yet stands elsewhere,"""
 
 SURE = 0.99
 """and is this probable among all failures,"""
 
 AT_LATEST_S = 8.0
-"""or at the latest so long after its onset [s]."""
+"""or at the latest so long after these [s]."""
 
 SUSPECTED, NAMED = "suspected", "named"
 
@@ -114,6 +115,7 @@ class Watch:
         self._start: float | None = None
         self._volts: float | None = None
         self._suspected: Failure | None = None
+        self._since = 0.0
         self.over = False
         """Whether something failed that goes on."""
         self.watched_s = 0.0
@@ -205,7 +207,9 @@ class Watch:
         if found is None:
             self._suspected = None
             return None
-        seen = self.watched_s - found.time
+        if self._suspected is None:
+            self._since = self.watched_s
+        seen = self.watched_s - max(found.time, self._since)
         if (seen >= SETTLED_S and found.probability >= SURE) or seen >= AT_LATEST_S:
             self.over = "duration" not in found.params
             self._begin_anew()
