@@ -19,8 +19,8 @@ from aerial_gym.sim2real.predict.slow_columns import SlowColumns
 
 Array = NDArray[np.float64]
 
-KEPT = 3
-"""Results kept of each effect: first the one asked for most, that of the model about which others differ."""
+KEPT = 2
+"""Results kept of each effect, as many as answers (``physics.answers``)."""
 
 
 class InBand:
