@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 RELAXED_FROM = radians(40.0)
-"""Change of the wanted rate at which the integral rests [rad/s]. Source: Betaflight's notes on I-term relax."""
+"""Change of the wanted rate at which the integral rests [rad/s]. That it rests then is documented; the 40 deg/s are not."""
 
 
 def actual_rate(stick: Tensor, center: Tensor, largest: Tensor, expo: Tensor) -> Tensor:
@@ -24,7 +24,8 @@ def actual_rate(stick: Tensor, center: Tensor, largest: Tensor, expo: Tensor) ->
         expo: e, 0 to 1, (E, 3).
 
     Source:
-        Betaflight's Actual rates, as public rate calculators draw them.
+        Betaflight's Actual rates: slope at the centre, rate at full stick, and a bend between that leaves both. The fifth power
+        is not in its documentation and was not checked against the firmware.
     """
     bent = stick.abs() * (expo * stick**5 + (1.0 - expo) * stick)
     return center * stick + (largest - center).clamp_min(0.0) * bent
@@ -56,7 +57,7 @@ def mixed(throttle: Tensor, mix: Tensor, *, airmode: bool) -> tuple[Tensor, Tens
         airmode: Whether low throttle rises.
 
     Source:
-        Betaflight's guides on airmode and mixer types (LEGACY).
+        Betaflight's guides on airmode and mixer types (LEGACY), which tell in words what is kept when motors saturate.
     """
     lowest, highest = mix.amin(-1, keepdim=True), mix.amax(-1, keepdim=True)
     used = highest - lowest
