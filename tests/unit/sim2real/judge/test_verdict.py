@@ -59,7 +59,7 @@ def test_what_training_leaves_open_is_not_called_noise(monkeypatch: pytest.Monke
 def test_nobody_is_sent_to_fly_for_arms_that_a_vehicle_does_not_have() -> None:
     wind = SimpleNamespace(wind=SimpleNamespace(untestable=""))
     hidden = SimpleNamespace(not_testable={"joint_spring": "needed: x", "ground_effect": "needed: y"}, accepted=())
-    rigid, soft = SimpleNamespace(effects={}), SimpleNamespace(effects={"joint_creep": {}})
+    rigid, soft = (SimpleNamespace(effects=effects, joints=None) for effects in ({}, {"joint_creep": {}}))
     told = not_testable(hidden, rigid, wind)  # type: ignore[arg-type]
     assert "needed" not in told["joint_spring"]
     assert told["ground_effect"] == "needed: y"
