@@ -4,7 +4,7 @@ All candidates are linearised about the present model; the posterior over sets t
 fitted as it is, not linearised, and its evidence taken there. The best becomes the present model, until none is better.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -210,6 +210,7 @@ class Climber:
         while (best := view.best).label not in view.own:
             fitter = self.fitter_about(best.params, view.fitter.weights)
             view.settle(fitter.again(best, view.fitter), fitter)
+            forget_but(view.own, view.present.label, best.label)
         return best
 
     def fit_probable(self, view: View) -> None:
@@ -266,9 +267,7 @@ class Climber:
         """Return all candidates about a model, the posterior over their sets, and the structures among them."""
         flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
         structures: list[Nuisance] = []
-        for label, fitter in own.items():
-            if label != present.label:
-                fitter.forget()
+        forget_but(own, present.label)
 
         def of_residuals(residuals: list[Array], effects: dict[str, list[Derivatives]]) -> list[Nuisance]:
             structures.extend(structures_of(flights, times, channels, self.missed, residuals, effects))
@@ -301,6 +300,13 @@ class Climber:
             sets=sets,
             guard=Guard(library, sets),
         )
+
+
+def forget_but(own: Mapping[Label, Fitter], *kept: Label) -> None:
+    """Let what fits sets about themselves, all but some, let go of what takes memory."""
+    for label, fitter in own.items():
+        if label not in kept:
+            fitter.forget()
 
 
 def reach_of(fitted: Fitted) -> float:
