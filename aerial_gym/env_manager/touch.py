@@ -92,6 +92,7 @@ class Touch:
                 )),
             )  # fmt: skip
             self._between.follow(*followed, crashes_out=crashes)
+        self._collision.measure()  # without obstacles, once: nothing is at any distance
         self.measure()
 
     def step(self) -> None:
@@ -105,6 +106,7 @@ class Touch:
 
     def measure(self) -> None:
         """Write the distances of the present poses."""
-        self._collision.measure()
+        if self._collision.has_solids:
+            self._collision.measure()
         if self._between is not None:
             self._between.measure()
