@@ -258,8 +258,6 @@ class Effect(ABC):
     """What must vary in a flight for the effect to be visible."""
     confused_with: ClassVar[tuple[str, ...]]
     """Names of effects that can look alike, and so must be weighed against this one."""
-    apart: ClassVar[tuple[tuple[str, ...], ...]] = ()
-    """Groups of parameters of which one may be off alone: flights are then better described with the others at neutral."""
     contains: ClassVar[tuple[str, ...]] = ()
     """Effects with as many parameters that it is a wider case of: where flights do not tell them apart, these are meant."""
     memory: ClassVar[tuple[float, ...]] = ()
@@ -294,13 +292,6 @@ class Effect(ABC):
     def sought(self) -> bool:
         """Whether it can be looked for in flights."""
         return not self.random and self.medium == "air"
-
-    @property
-    def cases(self) -> tuple[frozenset[int], ...]:
-        """Return the places of the parameters that stay neutral in each case of it: none, or all but a group of ``apart``."""
-        names = [parameter.name for parameter in self.parameters]
-        alone = (frozenset(place for place, name in enumerate(names) if name not in group) for group in self.apart)
-        return frozenset(), *alone
 
     @property
     def has_twin(self) -> bool:

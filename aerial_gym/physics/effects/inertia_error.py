@@ -23,7 +23,6 @@ class InertiaError(VehicleEffect):
         Parameter(name=f"s{axis}", unit="-", low=0.1, high=10.0, scale=0.1, meaning=f"true per declared, body {axis}")
         for axis in "xyz"
     )
-    apart = (("sx", "sy"), ("sz",))
     excitation = "angular accelerations about each body axis"
     confused_with = ("torque_ratio", "thrust_coefficient", "rotor_inertia")
     rotors = ANY_ROTOR

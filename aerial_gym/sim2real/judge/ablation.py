@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.sim2real.identify.evidence.fitting import Fitted
-from aerial_gym.sim2real.identify.evidence.labels import label_of
+from aerial_gym.sim2real.identify.evidence.fitting import Fitted, label_of
 from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_groups
 from aerial_gym.sim2real.identify.selection.select import Rival, Selection
 from aerial_gym.sim2real.judge.evaluation import Evaluation
@@ -211,7 +210,7 @@ def weighed_rivals(name: str, selection: Selection, train: Predictor) -> tuple[W
     place = int(np.argmin(own / left))
     return tuple(
         WeighedRival(
-            label=label_of([(rival.effect, rival.fitted.params.effects[rival.effect])], (), rival.fitted.frozen)[0],
+            label=label_of([(rival.effect, rival.fitted.params.effects[rival.effect])], ())[0],
             name=rival.effect,
             channel=train.channels[place].name,
             explains=float(max(0.0, 1.0 - squares(rival.fitted)[place] / left[place])),

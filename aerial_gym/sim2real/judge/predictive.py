@@ -165,8 +165,8 @@ def covering(seen: Library, tested: Library, weights: Weighting, asked: Asked, s
     step, squares = _of_all_flights(a, g, tested, None, beside, weights)
     alone = _cost(step, seen) if asked.enough(np.sqrt(squares))[asked.remaining].all() else np.inf
     for candidate in seen.candidates:
-        if not candidate.columns.size or np.isin(candidate.columns, beside).any():
-            continue  # named, or another case of what is named
+        if candidate.named or not candidate.columns.size:
+            continue
         columns = np.concatenate((candidate.columns, beside))
         prior = np.where(np.isin(columns, seen.tolerances), 1.0, WEAK_PRIOR**-2)
         a, g = product[np.ix_(columns, columns)] + np.diag(prior), gradient[columns]

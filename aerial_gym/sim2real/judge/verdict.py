@@ -42,7 +42,7 @@ class NamedEffect:
     """The part of ``std`` that more flights would make smaller."""
 
     frozen: tuple[str, ...]
-    """Parameters that keep their neutral value: these flights do not show them, or show no error of them."""
+    """Parameters that these flights do not show; they keep their neutral value."""
 
     confidence: float
     """Probability that it is there: that of all sets of effects which hold it."""

@@ -55,9 +55,6 @@ class Candidate:
     start: Array = field(default_factory=lambda: np.zeros(0))
     """Its parameters where it is linearised, conventions and the number of its rotor among them."""
 
-    frozen: Frozen = frozenset()
-    """Its parameters that stay as they are: those that only a wider case of it frees (``Effect.cases``)."""
-
     structure: bool = False
     """Whether it is no effect but a structure that none has."""
 
@@ -105,7 +102,7 @@ def build_library(
         present: The model about which the candidates are linear.
         accepted: Effects that were fitted in it.
         weight: Of one row of each channel, (C,).
-        frozen: Parameters of accepted effects that stay as they are.
+        frozen: Parameters of accepted effects that the flights do not show; they stay as they are.
         skipped: Effects that these flights cannot show.
         structures: Gives the structures that compete with the effects, for the residuals of the present model and the
             derivatives by each effect, (rows, C, any), at each of its starts.
@@ -127,26 +124,21 @@ def build_library(
             columns = exact_along(columns, step, change)
             residuals = [r + c @ step for r, c in zip(residuals, columns, strict=True)]
         columns = single(columns) if named else tangent
-        low, high = ((bound - neutral) / scale for bound in bounds_of(predictor.robot, (name,)))
-        kept = frozenset(place for owner, place in frozen if owner == name)
-        cases = [kept] if named else []
-        cases += [case for case in EFFECTS.get(name).cases if case not in cases]
-        for place, case in enumerate(cases):
-            present_case = named and place == 0
-            if named or not has_starts(name, predictor.robot):
-                tangents[len(candidates)] = tangent
-            free = [k for k in range(scale.size) if is_number(name, k) and k not in case]
-            candidates.append(
-                Candidate(
-                    name=name,
-                    named=present_case,
-                    columns=np.array(free, dtype=int) + width,
-                    low=low[free],
-                    high=high[free],
-                    start=point.effects[name] if present_case or not named else neutral,
-                    frozen=frozenset((name, k) for k in case),
-                )
+        if named or not has_starts(name, predictor.robot):
+            tangents[len(candidates)] = tangent
+        free = [k for k in range(scale.size) if is_number(name, k) and not (named and (name, k) in frozen)]
+        low, high = (((bound - neutral) / scale)[free] for bound in bounds_of(predictor.robot, (name,)))
+        places = np.array(free, dtype=int) + width
+        candidates.append(
+            Candidate(
+                name=name,
+                named=named,
+                columns=places,
+                low=low,
+                high=high,
+                start=point.effects[name],
             )
+        )
         derivatives.append(columns)
         width += scale.size
         own.setdefault(name, []).append(columns)

@@ -14,7 +14,6 @@ from aerial_gym.sim2real.identify.candidates.library import Library, has_rotor, 
 from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
 from aerial_gym.sim2real.identify.candidates.testable import at_bounds
 from aerial_gym.sim2real.identify.evidence.guard import Support, parts_of_a_flight, supports_of_fit
-from aerial_gym.sim2real.identify.evidence.labels import Label, free_places, label_of, of_effects
 from aerial_gym.sim2real.identify.evidence.laplace import Model, Posterior, posterior
 from aerial_gym.sim2real.identify.evidence.linear import linear_about
 from aerial_gym.sim2real.identify.evidence.search import Sets
@@ -22,11 +21,11 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, 
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     NOTHING_LEFT,
     Fit,
-    Frozen,
     Goal,
     bounds_of,
     effect_jacobian,
     fit_effects,
+    is_number,
     scales,
     tolerance_jacobian,
 )
@@ -36,6 +35,9 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
+
+Label = tuple[str, ...]
+"""Names of a set's effects, with their rotor, and structures, sorted."""
 
 BROAD = 3
 """Sets of one size from which effects are taken out."""
@@ -83,9 +85,6 @@ class Fitted:
     support: dict[str, Support]
     """What speaks for each effect."""
 
-    frozen: Frozen = frozenset()
-    """Parameters of its effects that stay neutral (``Effect.cases``)."""
-
     most: float = np.inf
     """Log posterior that it, or a set with fewer of its effects beside the same structures, can have at most: what it has,
     what its fit may have missed, and what speaks against effects."""
@@ -115,7 +114,6 @@ class Fitted:
         return label_of(
             [(name, self.params.effects[name]) for name in self.effects],
             [structure.name for structure in self.structures],
-            self.frozen,
         )
 
 
@@ -166,20 +164,18 @@ class Fitter:
         start: ModelParams,
         derivatives: Derivatives | None = None,
         *,
-        frozen: Frozen = frozenset(),
         fresh: bool = False,
         compared: Compared | None = None,
     ) -> Fitted:
         """Return a set fitted from a start, by ``derivatives`` (rows, C, P) near it if there are, or there (``fresh``).
 
-        Parameters that are ``frozen`` stay as they are. ``compared`` says how far it goes if it is only compared with others;
-        None: to the end.
+        ``compared`` says how far it goes if it is only compared with others; None: to the end.
         """
         beside, effects = self.beside(structures), tuple(effects)
         asked = compared or Compared(least=-np.inf, enough=NOTHING_LEFT)
         goal = Goal(worth=lambda fit: self._about(fit, effects, structures).most, **vars(asked))
         found, last, more = fit_effects(
-            self.predictor, effects, start, beside, frozen=frozen, derivatives=derivatives, fresh=fresh, goal=goal
+            self.predictor, effects, start, beside, derivatives=derivatives, fresh=fresh, goal=goal
         )
         fitted = self._about(found, effects, structures, more)
         self._derivatives[fitted.label] = fitted, single(last)
@@ -204,7 +200,6 @@ class Fitter:
             log_posterior=value if np.isfinite(value) else -np.inf,
             parameters=parameters,
             support=support,
-            frozen=fit.frozen,
             most=value + against + more if np.isfinite(value) else np.inf,
             deviation=parameters.step[free : free + self.predictor.num_tolerances],
         )
@@ -223,7 +218,6 @@ class Fitter:
         kept = [structure for structure in structures if structure.name in beside]
         effects = [k for k in model if not library.candidates[k].structure]
         names, found = [library.candidates[k].name for k in effects], []
-        frozen = frozenset(owner for k in effects for owner in library.candidates[k].frozen)
         for start in self.starts_of(library, sets, model):
             base = self.predictor.predict(start)
             parts = [
@@ -233,7 +227,7 @@ class Fitter:
                 for k in effects
             ]
             derivatives = [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)] if parts else None
-            found.append(self.fit(names, kept, start, derivatives, frozen=frozen, compared=compared))
+            found.append(self.fit(names, kept, start, derivatives, compared=compared))
         return max(found, key=lambda one: one.log_posterior)
 
     def starts_of(self, library: Library, sets: Sets, model: Model) -> list[ModelParams]:
@@ -245,7 +239,7 @@ class Fitter:
         best = plain = self.declared
         for candidate in (library.candidates[k] for k in model if not library.candidates[k].structure):
             values, name = candidate.start.copy(), candidate.name
-            numbers = free_places(name, candidate.frozen)
+            numbers = [k for k in range(values.size) if is_number(name, k)]
             if not candidate.named:
                 values[numbers] += scales((name,))[numbers] * found.step[step : step + len(numbers)]
                 values = np.clip(values, *bounds_of(robot, (name,)))
@@ -260,8 +254,8 @@ class Fitter:
         """Return a set fitted again from where another one has fitted it, by its derivatives there."""
         known, there = other._derivatives.get(fitted.label), fitted.params
         if known is None or known[0] is not fitted:
-            return self.fit(fitted.effects, fitted.structures, there, frozen=fitted.frozen)
-        return self.fit(fitted.effects, fitted.structures, there, known[1], frozen=fitted.frozen, fresh=True)
+            return self.fit(fitted.effects, fitted.structures, there)
+        return self.fit(fitted.effects, fitted.structures, there, known[1], fresh=True)
 
     def without(self, fitted: Fitted, names: Sequence[str], compared: Compared | None = None) -> Fitted:
         """Return a set fitted again without some of its effects, which go back to what is declared."""
@@ -276,8 +270,7 @@ class Fitter:
                 [name not in names for name in fitted.effects], [scales((name,)).size for name in fitted.effects]
             )
             derivatives = [part[:, :, rest] for part in known[1]]
-        frozen = of_effects(effects, fitted.frozen)
-        return self.fit(effects, fitted.structures, start, derivatives, frozen=frozen, compared=compared)
+        return self.fit(effects, fitted.structures, start, derivatives, compared=compared)
 
     def without_weakest(self, fitted: Fitted, compared: Compared | None = None) -> Fitted:
         """Return a set fitted again without the effect for which the least speaks; nothing does in a fit that went nowhere."""
@@ -298,8 +291,7 @@ class Fitter:
             less: dict[Label, Fitted] = {}
             for one in sorted(rest, key=_probable, reverse=True)[:BROAD]:
                 for name in one.effects:
-                    others = [(other, one.params.effects[other]) for other in one.effects if other != name]
-                    kept = label_of(others, (), one.frozen)
+                    kept = label_of([(other, one.params.effects[other]) for other in one.effects if other != name], ())
                     if kept not in less:
                         less[kept] = self.without(one, (name,))
             if not less and best is None:
@@ -313,8 +305,7 @@ class Fitter:
         ends: dict[str, list[str]] = {}
         while True:
             fitted = self.held(fitted)
-            start = self.most_probable(fitted)
-            again = self.fit(fitted.effects, fitted.structures, start, frozen=fitted.frozen)
+            again = self.fit(fitted.effects, fitted.structures, self.most_probable(fitted))
             fitted = max([fitted, *([again] if again.holds else [])], key=_probable)
             found = {
                 name: at_bounds(name, fitted.params, self.neutral(name), self.predictor.robot)
@@ -330,7 +321,7 @@ class Fitter:
         """Return a fitted set with the most probable parameters: what flights do not show is where its prior has it."""
         params, start = fitted.params, 0
         for name in fitted.effects:
-            numbers = free_places(name, fitted.frozen)
+            numbers = [k for k in range(scales((name,)).size) if is_number(name, k)]
             step = fitted.parameters.step[start : start + len(numbers)]
             start += len(numbers)
             values = params.effects[name].copy()
@@ -352,13 +343,28 @@ class Fitter:
                     start = ModelParams(effects=kept, learned=self.declared.learned)
                     start = start.with_effect(name, self.neutral(name))
                     effects = [name if other == wide else other for other in fitted.effects]
-                    frozen = of_effects(effects, fitted.frozen)
-                    found.append(self.fit(effects, fitted.structures, start, frozen=frozen, compared=compared))
+                    found.append(self.fit(effects, fitted.structures, start, compared=compared))
         return found
 
 
 def _probable(fitted: Fitted) -> float:
     return fitted.log_posterior
+
+
+def label_of(effects: Iterable[tuple[str, Array]], structures: Iterable[str]) -> Label:
+    """Return what tells a set of effects, with a parameter vector each, and structures from others."""
+    named = [
+        f"{name} {values[0]:.0f}" if EFFECTS.get(name).parameters[0].kind == "rotor" else name
+        for name, values in effects
+    ]
+    return tuple(sorted([*named, *structures]))
+
+
+def label_in(library: Library, model: Model) -> Label:
+    """Return what tells a set of a library's candidates from others."""
+    chosen = [library.candidates[k] for k in model]
+    effects = [(one.name, one.start) for one in chosen if not one.structure]
+    return label_of(effects, [one.name for one in chosen if one.structure])
 
 
 def narrowest(present: Fitted, fits: Iterable[Fitted], reach: float) -> Fitted:

@@ -218,7 +218,7 @@ class _Chooser:
 
         def log_posterior(structures: Sequence[Nuisance], more: list[Array] | None = None) -> tuple[float, Posterior]:
             moments = fitter.beside(structures, more).moments(residuals, own)
-            fit = fit_of_moments(predictor.robot, present.effects, present.params, moments, present.frozen)
+            fit = fit_of_moments(predictor.robot, present.effects, present.params, moments)
             linear = linear_about(fit, list(neutral.values()))
             parameters = posterior(linear.candidates, linear.whole, linear.model)
             return parameters.log_evidence - len(structures) * fitter.log_names, parameters

@@ -27,9 +27,10 @@ from aerial_gym.sim2real.identify.evidence.fitting import (
     Compared,
     Fitted,
     Fitter,
+    Label,
+    label_in,
 )
 from aerial_gym.sim2real.identify.evidence.guard import Guard, parts_of_a_flight
-from aerial_gym.sim2real.identify.evidence.labels import Label, label_in
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.linear import candidates_of, normal_of
 from aerial_gym.sim2real.identify.evidence.search import Sets, search
@@ -153,12 +154,12 @@ class Climber:
 
     def run(self) -> View:
         """Climb with the weights that the best model leaves, until these no longer change."""
-        start, weights = None, self.weights
+        params, effects, structures, weights = self.declared, (), (), self.weights
         for _ in range(MOST_WEIGHINGS):
-            view = self.climb(start, weights)
-            start = view.present
-            known = start.params is self.declared  # nothing was found
-            before, weights = weights, self.weights if known else self.weigh(start.params)
+            view = self.climb(params, effects, structures, weights)
+            params, effects, structures = view.present.params, view.present.effects, view.present.structures
+            known = params is self.declared  # nothing was found
+            before, weights = weights, self.weights if known else self.weigh(params)
             if np.all(np.abs(np.log(weights.weight / before.weight)) < SETTLED):
                 break
         return view
@@ -177,13 +178,13 @@ class Climber:
         columns = columns_of_starts(self.predictor, params, self.declared, several, tolerance)
         return weighting(self.predictor, params, common, columns, beyond=beyond)
 
-    def climb(self, before: Fitted | None, weights: Weighting) -> View:
-        """Return the best set that fits lead to from one fitted before, or from none, with all candidates about it."""
+    def climb(
+        self, params: ModelParams, effects: tuple[str, ...], structures: tuple[Nuisance, ...], weights: Weighting
+    ) -> View:
+        """Return the best set that fits lead to from a present one, with all candidates about it."""
         own: dict[Label, Fitter] = {}
-        start = self.fitter_about(self.declared if before is None else before.params, weights)
-        present = nothing = start.fit((), (), self.declared)
-        if before is not None:
-            present = start.fit(before.effects, before.structures, before.params, frozen=before.frozen)
+        start = self.fitter_about(params, weights)
+        present, nothing = start.fit(effects, structures, params), start.fit((), (), self.declared)
         fits = {nothing.label: nothing, present.label: present}
         own[present.label] = start
         for count in range(MOST_ROUNDS):
@@ -238,13 +239,9 @@ class Climber:
                 vain = vain + 1 if best is before else 0
 
     def fit_fewer(self, view: View) -> None:
-        """Fit the sets with an effect less than the present one, or with another case of it, or a narrower effect."""
-        candidates = view.library.candidates
-        for gone in (k for k in view.here if not candidates[k].structure):
-            rest, name = [k for k in view.here if k != gone], candidates[gone].name
-            cases = [k for k, other in enumerate(candidates) if k != gone and other.name == name and other.frozen]
-            for case in ([], *([k] for k in cases)):
-                view.fit(tuple(sorted((*rest, *case))))
+        """Fit the sets with an effect less than the present one, and with a narrower case of an effect."""
+        for gone in (k for k in view.here if not view.library.candidates[k].structure):
+            view.fit(tuple(k for k in view.here if k != gone))
         compared = view.compared(beside=bool(view.present.structures))
         for fitted in view.fitter.narrower(view.present, self.names, compared):
             view.add(fitted)
@@ -279,7 +276,6 @@ class Climber:
             present.params,
             present.effects,
             own[present.label].weights.weight,
-            frozen=present.frozen,
             skipped=self.skipped,
             structures=of_residuals,
             parts=parts_of_a_flight(len(times)),

@@ -186,8 +186,8 @@ class _Scorer:
 
     def final(self) -> Scored:
         """Return the named effects fitted; parameters that the flights do not show keep their neutral values."""
-        effects, params, frozen = self.chosen.effects, self.chosen.named.params, self.chosen.named.frozen
-        scored = self.score(effects, params, frozen)
+        effects, params = self.chosen.effects, self.chosen.named.params
+        scored = self.score(effects, params)
         unseen = unidentified_parameters(scored)
         if not unseen:
             return scored
@@ -195,7 +195,7 @@ class _Scorer:
             values = params.effects[name].copy()
             values[place] = neutral_of(name, self.declared, self.predictor.robot)[place]
             params = params.with_effect(name, values)
-        return self.score(effects, params, frozen | unseen)
+        return self.score(effects, params, frozenset(unseen))
 
 
 def unidentified_parameters(scored: Scored) -> set[tuple[str, int]]:

@@ -73,13 +73,3 @@ def test_places_follow_one_another_without_a_gap() -> None:
     assert [place.effect.name for place in places] == ["constant_wind", "joint_spring", "battery_sag"]
     assert [place.params for place in places] == [slice(0, 3), slice(3, 6), slice(6, 7)]
     assert [place.memory for place in places] == [slice(0, 0), slice(0, 5), slice(5, 7)]
-
-
-def test_a_group_of_parameters_may_be_off_alone() -> None:
-    """Moments about x and y together, or that about z; of most effects all parameters go together."""
-    assert EFFECTS.get("inertia_error").cases == (frozenset(), {2}, {0, 1})
-    assert EFFECTS.get("rotor_drag").cases == (frozenset(),)
-    for name in EFFECTS.names():
-        effect = EFFECTS.get(name)
-        known = {parameter.name for parameter in effect.parameters if parameter.kind == "number"}
-        assert all(set(group) < known for group in effect.apart), name

@@ -9,7 +9,6 @@ import pytest
 
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library
 from aerial_gym.sim2real.identify.evidence.fitting import Fitter, narrowest
-from aerial_gym.sim2real.identify.evidence.labels import label_in
 from aerial_gym.sim2real.identify.evidence.probabilities import inclusion_in, probabilities_of
 from aerial_gym.sim2real.identify.evidence.search import Sets
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
@@ -144,26 +143,3 @@ def test_an_effect_on_one_rotor_is_fitted_from_one_start_and_a_pendulum_from_two
     sums = normal(columns, columns @ np.full(size, 0.02) + 1e-3 * rng.normal(size=50))
     sets = Sets(candidates=candidates(size, names=(name,)), normal=sums)
     assert len(Made().starts_of(library, sets, (0,))) == count
-
-
-def test_a_case_of_an_effect_starts_from_neutral_in_what_it_does_not_free() -> None:
-    """An inertia that is off about z alone, at one scale in the linear model: by 0.1; that set has a label of its own."""
-    name, about_z = "inertia_error", frozenset({("inertia_error", 0), ("inertia_error", 1)})
-    one = Candidate(
-        name=name,
-        named=False,
-        columns=np.arange(1),
-        low=np.full(1, -np.inf),
-        high=np.full(1, np.inf),
-        start=np.ones(3),
-        frozen=about_z,
-    )
-    library = Library(candidates=(one,), moments=cast("Moments", None), weight=np.ones(1), tolerances=np.arange(0))
-    columns = np.random.default_rng(5).normal(size=(50, 1))
-    sets = Sets(candidates=candidates(1, names=(name,)), normal=normal(columns, 1e3 * columns[:, 0]))
-    (start,) = Made().starts_of(library, sets, (0,))
-    np.testing.assert_allclose(start.effects[name], [1.0, 1.0, 10.0])  # as far as physics goes
-    assert label_in(library, (0,)) == ("inertia_error sz",)
-    whole = fitted(name, params={name: [1.0, 1.0, 1.1]})
-    assert whole.label == (name,)
-    assert replace(whole, frozen=about_z).label == ("inertia_error sz",)
