@@ -47,6 +47,10 @@ class CloseLoopCmd:
     seed: int = 0
     """Seed of the resampling behind the 95 % intervals."""
 
+    failures: bool = False
+    """Look through each flight for a rotor or supply that fails in it, and compare it up to there only. Give it where something
+    failed or may have: on measured flights that the declared vehicle misses by much there are false alarms."""
+
     learn_residual: bool = False
     """Add a small network for what no named effect explains, if it predicts flights left out better. It fades to zero
     outside its training data, has no name, and changes nothing in the verdict."""
@@ -76,6 +80,7 @@ class CloseLoopCmd:
                 seed=self.seed,
                 tolerances=tolerances,
                 effects=self.effects,
+                failures=self.failures,
                 learn_residual=self.learn_residual,
                 ranges=self.ranges,
                 progress=progress,

@@ -42,6 +42,7 @@ def close_loop(
     criteria: Criteria | None = None,
     tolerances: Tolerances | None = None,
     effects: Sequence[str] | None = None,
+    failures: bool = False,
     learn_residual: bool = False,
     ranges: bool = False,
     progress: Progress = silent,
@@ -59,6 +60,7 @@ def close_loop(
         criteria: When what is found counts.
         tolerances: How well the robot is declared.
         effects: Those that are looked for; None: all that there are.
+        failures: Whether each flight is looked through for what fails in it, and compared up to there.
         learn_residual: Whether a small network may be added for what no named effect explains. The verdict stays as it is.
         ranges: Whether robot.yaml also draws what was found from its intervals at every reset (``randomize:``).
         progress: Told what is being done.
@@ -86,6 +88,7 @@ def close_loop(
             criteria=criteria,
             tolerances=tolerances,
             effects=effects,
+            failures=failures,
             learn_residual=learn_residual,
             progress=progress,
         )
@@ -102,6 +105,7 @@ def close_loop(
             "bandwidth_hz": bandwidth,
             "seed": seed,
             "effects": None if effects is None else list(effects),
+            "failures": failures,
             "learn_residual": learn_residual,
             "ranges": ranges,
             "criteria": vars(judged.selection.criteria),
@@ -144,12 +148,13 @@ def judge_flights(
     criteria: Criteria | None = None,
     tolerances: Tolerances | None = None,
     effects: Sequence[str] | None = None,
+    failures: bool = False,
     learn_residual: bool = False,
     progress: Progress = silent,
 ) -> Judged:
     """Return what flights in memory say, stage by stage; arguments as for ``close_loop``.
 
-    A flight in which something fails is compared up to there.
+    With ``failures``, a flight in which something fails is compared up to there.
 
     Raises:
         DataError: If failures leave no flight to train or to test on.
@@ -158,13 +163,13 @@ def judge_flights(
         check_rotors(LearnedResidual, robot.rotor_traits)
     flights, tolerances = [*train, *test], tolerances or Tolerances()
     finder = FailureFinder(robot, tolerances=tolerances)
-    failures = [found for flight in flights if (found := finder.first_in(flight)) is not None]
-    train, test = (_left_of(role, part, failures) for role, part in (("train", train), ("test", test)))
+    told = [found for flight in flights if failures and (found := finder.first_in(flight)) is not None]
+    train, test = (_left_of(role, part, told) for role, part in (("train", train), ("test", test)))
     declared = declare(robot, train, test, bandwidth=bandwidth, tolerances=tolerances)
     selected = select(declared, criteria or Criteria(), progress, candidates=effects)
     refitted = refit(selected, progress=progress)
     judged = judge(refitted, seed=seed, learn_residual=learn_residual, progress=progress)
-    return with_failures(judged, failures, len(flights))
+    return with_failures(judged, told, len(flights))
 
 
 def _left_of(role: str, flights: Sequence[Flight], failures: Sequence[Failure]) -> list[Flight]:

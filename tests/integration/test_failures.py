@@ -64,7 +64,7 @@ def test_a_flight_without_a_failure_has_none(found: dict[str, Failure | None]) -
 
 def run_case(folder: Path, **case: Any) -> dict:
     files = make_case(folder / "case", num_train=2, num_test=2, duration_s=8.0, rate_hz=200, nuisance=True, **case)
-    close_loop(files.robot, files.train, files.test, folder / "out")
+    close_loop(files.robot, files.train, files.test, folder / "out", failures=True)
     check_effects(robot_by_name(folder / "out" / "robot.yaml"))
     return json.loads((folder / "out" / "verdict.json").read_text())
 
