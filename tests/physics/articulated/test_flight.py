@@ -140,9 +140,9 @@ def stiffened(robot: RobotCfg, stiffness: float) -> RobotCfg:
 def test_stiff_joints_are_the_rigid_vehicle_in_its_reference_pose() -> None:
     """A snake in a ring, with rotors that differ: how far it is from the rigid one falls with the stiffness."""
     robot = ROBOTS.get("snakey5")
-    rigid = replace(robot, joints=None, mounts=replace(robot.mounts, layout=tuple(
-        replace(mount, link="base") for mount in robot.mounts.layout
-    )))  # fmt: skip
+    mounts = replace(robot.mounts, layout=tuple(replace(mount, link="base") for mount in robot.mounts.layout))
+    shapes = replace(robot.collision, spheres=(), boxes=(), capsules=(), between_links=False)
+    rigid = replace(robot, joints=None, mounts=mounts, collision=shapes)
     expected = model_of(rigid)
     command = torch.tensor([2.0, 4.0, 3.0, 3.5, 2.5], dtype=F64).expand(3, 5)
     apart = []
