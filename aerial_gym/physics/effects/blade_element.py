@@ -40,7 +40,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.short import dot, sum_slices
-from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect, sum_of_crosses
+from aerial_gym.physics.effects.base import Condition, Parameter, WrenchEffect
 from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, induced, induced_warp
 from aerial_gym.physics.fused.functions import reciprocal, root
 from aerial_gym.physics.rotors import rotor_torque
@@ -180,7 +180,8 @@ class BladeElement(WrenchEffect):
         force = force - (unit * spin * thrust * aside).unsqueeze(-1) * across
         moment = (stiff * g).unsqueeze(-1) * across - (stiff * spin * k).unsqueeze(-1) * flow
         moment = moment - (spin * unit * radius * (torque - hover_torque)).unsqueeze(-1) * way
-        whole = (sum_slices(force, 1), sum_slices(moment, 1) - sum_of_crosses(force, condition.lever))
+        moment = moment + torch.linalg.cross(condition.lever.expand_as(force), force, dim=-1)
+        whole = (sum_slices(force, 1), sum_slices(moment, 1))
         return share * torch.cat(whole, dim=-1)
 
     def warp_wrench(self, condition: type) -> wp.Function:
