@@ -62,6 +62,10 @@ class WatchCmd:
         if self.log == "-":
             yield from sys.stdin
             return
+        from aerial_gym.errors import DataError
+
+        if not Path(self.log).is_file():
+            raise DataError(f"{self.log}: no such file. Give a flight log (CSV), or - for rows from stdin")
         with Path(self.log).open(encoding="utf-8-sig") as file:
             part = ""
             while True:

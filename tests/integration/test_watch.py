@@ -59,6 +59,7 @@ def test_a_file_that_is_not_there_or_no_log_is_a_wrong_request(
     files: CaseFiles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["watch", str(files.robot), str(tmp_path / "none.csv")]) == 2
+    assert "no such file. Give a flight log" in capsys.readouterr().err
     wrong = tmp_path / "wrong.csv"
     wrong.write_text(files.test[0].read_text().splitlines()[0] + "\n1,2,three\n")
     assert main(["watch", str(files.robot), str(wrong)]) == 2
