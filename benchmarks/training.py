@@ -6,14 +6,25 @@ that follow them. ``since_process_start_s`` is all but the evaluations: imports,
 """
 
 import contextlib
+import csv
 import json
 import platform
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
+from pathlib import Path
 from statistics import median
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from aerial_gym.rl_training.learning.apg import Apg
+    from aerial_gym.rl_training.learning.ppo import Ppo
+    from aerial_gym.rl_training.run.progress import Report
+    from aerial_gym.rl_training.settings import TrainingCfg
+    from aerial_gym.rl_training.trainers.own import OwnTraining
 
 STARTED = time.perf_counter()
 
@@ -73,6 +84,9 @@ class BenchTraining:
     json: bool = False
     """One object a line, keys end in their unit."""
 
+    out: Path | None = None
+    """New run folder for the policy at the end and the learning curve; of several seeds, one each in it."""
+
     def run(self) -> int:
         """Train, evaluate, print; return the exit status."""
         return self._several() if self.seeds else self._one()
@@ -84,6 +98,8 @@ class BenchTraining:
             given = [item for item in sys.argv[1:] if item != "--json"]
             place = given.index("--seeds")
             given = given[:place] + given[place + 1 + len(self.seeds) :]
+            if self.out is not None:
+                given[given.index("--out") + 1] = str(self.out / str(seed))
             command = [sys.executable, "-m", "benchmarks.training", *given, "--seed", str(seed), "--json"]
             out = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
             print(out, end="", flush=True)
@@ -156,7 +172,7 @@ class BenchTraining:
             trained_s, evaluated_s, iteration_s, fresh = 0.0, 0.0, 0.0, None
             started_s = time.perf_counter() - STARTED
             begun = clock()
-            training.advance()
+            reports = [training.advance()]
             wait()
             recording_s, warm = clock() - begun, training.iterations
             while True:
@@ -165,7 +181,7 @@ class BenchTraining:
                     training.learner.time_share.fill_(trained_s / self.train_s)
                     wait()
                     begun, before = clock(), training.iterations
-                    training.advance()
+                    reports.append(training.advance())
                     wait()
                     spent = clock() - begun
                     trained_s += spent if iteration_s else spent * training.iterations / (training.iterations - before)
@@ -194,6 +210,8 @@ class BenchTraining:
                 )
                 if trained_s >= self.train_s:
                     break
+            if self.out is not None:
+                keep(self.out, cfg, training, reports)
             wait()
             begun, first = clock(), training.env_steps
             for _ in range(4):
@@ -225,6 +243,21 @@ class BenchTraining:
                 f"{key} {value:,.4g}" if isinstance(value, float) else f"{key} {value}" for key, value in told.items()
             )
             print("  ".join(shown), flush=True)
+
+
+def keep(
+    out: Path, cfg: "TrainingCfg", training: "OwnTraining[Ppo] | OwnTraining[Apg]", reports: Sequence["Report"]
+) -> None:
+    """Write what flies and the learning curve as a run folder; there is nothing to resume in it."""
+    from aerial_gym.rl_training.run.run_folder import RunFolder, note_session
+
+    folder, state = RunFolder(out), training.state()
+    folder.create(cfg)
+    note_session(out, seed=cfg.seed, device=str(training.task.device))
+    folder.keep_checkpoint(training.env_steps, {name: state[name] for name in ("model", "network", "env_steps")})
+    with folder.curve_file.open("w", encoding="utf-8", newline="") as file:
+        rows = ((report.env_steps, report.episode_return, report.episode_length) for report in reports)
+        csv.writer(file).writerows([("env_steps", "episode_return", "episode_length"), *rows])
 
 
 if __name__ == "__main__":
