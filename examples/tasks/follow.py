@@ -1,10 +1,11 @@
-"""A point on a figure eight, with and without its acceleration as a lead: ``python examples/tasks/follow.py OUT.png [STARTS]``.
+"""A figure eight, with its acceleration as a lead or without: ``python examples/tasks/follow.py OUT.png [STARTS [TASK ...]]``.
 
-Flies ``tracking_task`` and ``agile_tracking_task`` by ``LeePilot`` from fresh starts, prints the distance in the last second
-[m] and draws the last two thirds of one flight each. Needs matplotlib (``pip install 'aerial-gym[sim2real]'``).
+Flies ``tracking_task`` and ``agile_tracking_task``, or others, by ``LeePilot`` from fresh starts, prints the distance in the
+last second [m] and draws the last two thirds of one flight each. Needs matplotlib (``pip install 'aerial-gym[sim2real]'``).
 """
 
 import sys
+from collections.abc import Sequence
 
 import torch
 from lee_pilot import LeePilot
@@ -29,11 +30,11 @@ def flown(name: str, starts: int, *, lead: bool) -> tuple[Evaluation, Tensor, Te
     return found, torch.stack(robot), torch.stack(target)
 
 
-def main(out: str, starts: int) -> None:
+def main(out: str, starts: int, names: Sequence[str]) -> None:
     """Print the errors, write the picture."""
-    figure = Figure(figsize=(9.0, 4.0), layout="constrained")
-    panels = figure.subplots(1, 2, sharex=True, sharey=True)
-    for name, axes in zip(("tracking_task", "agile_tracking_task"), panels, strict=True):
+    figure = Figure(figsize=(4.5 * len(names), 4.0), layout="constrained")
+    panels = figure.subplots(1, len(names), sharex=True, sharey=True, squeeze=False)
+    for name, axes in zip(names, panels[0], strict=True):
         for lead, label in ((False, "by its place and velocity"), (True, "and by its acceleration")):
             found, robot, target = flown(name, starts, lead=lead)
             error = "nowhere" if found.final_error_mean_m is None else f"{found.final_error_mean_m:.2f} m away"
@@ -47,4 +48,5 @@ def main(out: str, starts: int) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 64)
+    starts = int(sys.argv[2]) if len(sys.argv) > 2 else 64
+    main(sys.argv[1], starts, sys.argv[3:] or ("tracking_task", "agile_tracking_task"))

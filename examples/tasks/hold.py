@@ -19,6 +19,9 @@ TASKS = (
     "position_setpoint_task_acceleration_sim2real",
     "position_setpoint_task_sim2real_end_to_end",
     "position_setpoint_task_sim2real_px4",
+    "position_setpoint_task_morphy_stiff",
+    "position_setpoint_task_morphy",
+    "smooth_position_setpoint_task",
     "recovery_task",
     "gust_rejection_task",
 )

@@ -50,6 +50,8 @@ def test_a_drawn_flight_ends_where_its_episode_does() -> None:
     assert int(height[:, -1].isnan().sum()) < 3  # the last one is in flight in the last row
 
 
+SOFT = ("morphy", "morphy_stiff")
+
 Told = Callable[..., list[tuple[str, list[float]]]]
 """From a file in ``examples/tasks`` and its arguments to its lines: what stands before the colon, and the numbers behind it."""
 
@@ -74,9 +76,17 @@ def test_a_law_holds_a_point_by_body_rates_and_by_rotor_thrusts(told: Told) -> N
 
 
 @pytest.mark.slow
+def test_a_law_holds_a_point_on_soft_arms_and_on_stiff_ones(told: Told) -> None:
+    for _, (lost, error, stay, _) in told("hold.py", 16, *(f"position_setpoint_task_{name}" for name in SOFT)):
+        assert lost == 0.0
+        assert error < 0.15
+        assert stay == 100.0
+
+
+@pytest.mark.slow
 def test_a_law_holds_a_point_by_attitude_velocities_and_accelerations(told: Told) -> None:
     sims = ("position_setpoint_task", "position_setpoint_task_sim2real", "position_setpoint_task_acceleration_sim2real")
-    for _, (lost, error, stay, _) in told("hold.py", 16, *sims):
+    for _, (lost, error, stay, _) in told("hold.py", 16, *sims, "smooth_position_setpoint_task"):
         assert lost == 0.0
         assert error < 0.02
         assert stay == 100.0
@@ -118,6 +128,28 @@ def test_a_law_that_leads_follows_more_closely(told: Told, tmp_path: Path) -> No
     assert near < 0.25 * behind
     assert less < far
     assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
+    (_, (_, behind)), (_, (_, near)) = told("follow.py", tmp_path / "smooth.png", 16, "smooth_tracking_task")
+    assert near < 0.25 * behind
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", runpy.run_path(str(EXAMPLES / "tasks" / "learn.py"))["TASKS"])
+def test_what_no_law_flies_is_learned(told: Told, tmp_path: Path, name: str) -> None:
+    """One update and its flights."""
+    ((what, (right, crash)),) = told("learn.py", tmp_path, 1, 16, name)
+    assert what == name
+    assert 0.0 <= right + crash <= 100.0
+    assert (tmp_path / name / "curve.csv").exists()
+
+
+def test_each_task_has_an_example_of_less_than_sixty_lines() -> None:
+    """Each is named in the row, or the sentence, of the page of tasks that links to the file."""
+    page = (EXAMPLES.parent / "docs" / "tasks.md").read_text(encoding="utf-8")
+    for name in task_registry.names():
+        lines = [line for line in page.splitlines() if f"`{name}`" in line and "../examples/tasks/" in line]
+        assert lines, f"{name}: docs/tasks.md links to no example of it"
+        for file in re.findall(r"\.\./examples/(tasks/\w+\.py)", " ".join(lines)):
+            assert len((EXAMPLES / file).read_text(encoding="utf-8").splitlines()) < 60, file
 
 
 @pytest.mark.slow
