@@ -205,14 +205,15 @@ def _history(history: int) -> str:
 
 
 def _number(value: float) -> str:
-    text = f"{torch.tensor(value, dtype=torch.float32).item():.9g}"
-    return f"{text if '.' in text or 'e' in text else text + '.0'}f"
+    """Return a number of float32 in C."""
+    (text,) = _texts(torch.tensor([value], dtype=torch.float64))
+    return text
 
 
 def _array(name: str, values: Tensor) -> str:
     """Return the definition of a constant array."""
     lines, line = [], "   "
-    for text in _texts(values.detach().flatten().tolist()):
+    for text in _texts(values.detach().flatten()):
         if len(line) + len(text) + 2 > LINE:
             lines.append(line)
             line = "   "
@@ -220,5 +221,7 @@ def _array(name: str, values: Tensor) -> str:
     return f"static const float {name}[{values.numel()}] = {{\n" + "\n".join([*lines, line]) + "\n};"
 
 
-def _texts(values: Iterable[float]) -> Iterable[str]:
-    return (_number(value) for value in values)
+def _texts(values: Tensor) -> Iterable[str]:
+    """Return the numbers (N,) of float32 in C, each to its last digit."""
+    texts = (f"{value:.9g}" for value in values.float().tolist())
+    return (f"{text if '.' in text or 'e' in text else text + '.0'}f" for text in texts)
