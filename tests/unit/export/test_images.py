@@ -51,17 +51,8 @@ def layout_for(policy: Policy, images: dict[str, ImageCfg] | None = None) -> Lay
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compare with 1,000 images; the first test takes all."""
+    """Compare with 1,000 images in place of 10,000."""
     monkeypatch.setattr(export, "CHECKED_WITH_IMAGES", 1_000)
-
-
-@COMPILER
-def test_c_gives_what_torch_gives_of_many_images(tmp_path: Path) -> None:
-    """Of 10,000, as the command checks it."""
-    policy = drawn_policy({"observations": OBSERVATIONS, "depth": IMAGE})
-    (found,) = write_policy(policy, layout_for(policy), tmp_path, ["c99"])
-    assert found.largest_difference is not None
-    assert found.largest_difference < TOLERANCE
 
 
 @COMPILER
