@@ -31,11 +31,12 @@ def on_ground(cfg: ContactCfg | None, state, **options) -> OnGround:
 def test_weight_presses_each_contact_as_deep_as_the_file_says(spheres, dt: float) -> None:
     """At rest m g = n K m depth for n contacts, at steps of any length; the ground's impulse is the change of momentum."""
     rig, lowest = on_ground(ROUGH, start(height=0.15), spheres=spheres), min(z - r for _, _, z, r in spheres)
-    rig.run(2.0, dt)
+    span = max(1.0, 100 * dt)
+    rig.run(span, dt)
     depth = -(rig.state.position[0, 2].item() + lowest)
     assert depth == pytest.approx(ROUGH.sinking / len(spheres), rel=1e-4)  # float32 radii of 0.1 m, depths of 1 mm
     assert rig.state.lin_vel.norm() < 1e-9
-    assert rig.impulse[0, 2].item() == pytest.approx(MASS * GRAVITY * 2.0, rel=1e-9)
+    assert rig.impulse[0, 2].item() == pytest.approx(MASS * GRAVITY * span, rel=1e-9)
 
 
 @pytest.mark.parametrize("damping_ratio", [0.0, 0.1, 0.3, 0.7])
@@ -46,13 +47,13 @@ def test_a_bounce_is_that_of_a_spring_and_a_damper_that_never_pull(damping_ratio
     """
     dt, cfg = 1e-4, ContactCfg(friction=0.0, damping_ratio=damping_ratio)
     rig = on_ground(cfg, start(height=0.105, lin_vel=(0.0, 0.0, -1.0)), gravity=0.0)
-    rig.run(0.1, dt)
+    rig.run(0.06, dt)
     phi = asin(damping_ratio)
     expected = exp(-tan(phi) * (pi - 2.0 * phi))
     assert abs(rig.state.lin_vel[0, 2].item() - expected) < 2.0 * dt * sqrt(cfg.stiffness)
 
 
-@pytest.mark.parametrize("dt", [0.001, 0.004, 0.01, 0.02])
+@pytest.mark.parametrize("dt", [0.002, 0.004, 0.01, 0.02])
 def test_a_tumbling_vehicle_comes_to_rest_without_gaining_energy(dt: float) -> None:
     """Feet far from the centre of mass, which make contacts hard: motion and height together never hold more than at first.
 
@@ -64,7 +65,7 @@ def test_a_tumbling_vehicle_comes_to_rest_without_gaining_energy(dt: float) -> N
     rig = on_ground(ROUGH, first, spheres=FEET, robot=robot)
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
     energies = []
-    for _ in range(round(3.0 / dt)):
+    for _ in range(round(2.0 / dt)):
         w, v, up = rig.state.ang_vel[0], rig.state.lin_vel[0], rig.state.position[0, 2]
         v = v + _turned(rig.state.attitude, torch.linalg.cross(w, vehicle.com[0]))
         up = up + _turned(rig.state.attitude, vehicle.com[0])[2]
@@ -128,10 +129,10 @@ def test_environments_touch_alone_as_in_a_batch_and_centres_of_mass_move_their_f
     robot = robot_with(com=(0.03, -0.02, 0.05))
     heights = (0.03, 0.05, 0.2)
     batch = on_ground(ROUGH, start(3, height=torch.tensor(heights, dtype=F64)), spheres=FEET, robot=robot)
-    batch.run(1.5, 0.002)
+    batch.run(0.8, 0.002)
     for env, height in enumerate(heights):
         alone = on_ground(ROUGH, start(height=height), spheres=FEET, robot=robot)
-        alone.run(1.5, 0.002)
+        alone.run(0.8, 0.002)
         assert torch.equal(alone.state.position[0], batch.state.position[env])
         assert torch.equal(alone.impulse[0], batch.impulse[env])
     feet = [
@@ -151,7 +152,7 @@ def test_a_landing_at_an_angle_ends_where_it_does_in_torch() -> None:
     ends = []
     for backend in (TorchBackend(), BACKENDS.get("mujoco")()):
         rig = OnGround(backend, ROUGH, start(height=0.15, lin_vel=(1.0, 0.4, 0.0)))
-        rig.run(0.5, 5e-4)
+        rig.run(0.5, 1e-3)
         ends.append(rig.state)
     path = ends[0].position[0, :2].norm()
     assert (ends[1].position - ends[0].position)[0, :2].norm() < 0.01 * path
