@@ -42,13 +42,11 @@ def test_a_training_repeats_bit_for_bit_and_goes_on_as_if_it_had_not_stopped(nam
             return training.state(), reports
 
     whole, reports = train(4)
-    again, same = train(4)
     torch.manual_seed(99)  # nothing comes from torch's own generator
     first, before = train(2)
     second, after = train(2, first)
-    assert reports == same
+    assert reports[:2] == before
     assert [gauges for _, gauges in reports] == [gauges for _, gauges in before + after]  # type: ignore[misc]
     for part in ("model", "learner", "task"):
         for name, tensor in whole[part].items():  # type: ignore[attr-defined]
-            assert torch.equal(tensor, again[part][name]), name  # type: ignore[index]
             assert torch.equal(tensor, second[part][name]), name  # type: ignore[index]
