@@ -4,7 +4,7 @@ they are launched, and adjoints without optimisation; what a module's tests regi
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from functools import cache
 from typing import Any
@@ -46,13 +46,15 @@ class CompileAtLaunch:
 
     The threads themselves are tested in ``unit/interop/test_launches.py``, and in every process that a test starts. Rays are
     compiled without Warp's eager inlining, which makes them a tenth faster and takes three times as long, for each combination
-    of images that tests ask for.
+    of images that tests ask for; kernels of very many lines without optimisation, in a third of the time.
     """
 
     def submit(self, load: object, *, modules: list[wp.Module], **kwargs: object) -> Future[None]:
         for module in modules:
             if "cast_by_tile" in module.name:
                 module.options["cpu_compiler_flags"] = f"-march=native {launches.NO_BFLOAT16}"
+            elif "-fno-slp-vectorize" in (module.options["cpu_compiler_flags"] or ""):
+                module.options["optimization_level"] = 0
         done: Future[None] = Future()
         done.set_result(None)
         return done
@@ -86,6 +88,25 @@ def own_names() -> Iterator[None]:
             del registry._entries[name]
     for name in [name for name in sys.modules if name.startswith("aerial_gym_task_")]:
         del sys.modules[name]
+
+
+@pytest.fixture
+def unoptimised(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compile fused kernels without optimisation, in half of the time: for tests of many, each flown briefly beside torch.
+
+    The same functions in fewer kernels are compared as users have them: where this is used, one test or more does without it.
+    """
+
+    def without(make: Callable[..., wp.Kernel]) -> Callable[..., wp.Kernel]:
+        def made(*args: Any, **kwargs: Any) -> wp.Kernel:
+            kernel = make(*args, **kwargs)
+            kernel.module.options["optimization_level"] = 0
+            return kernel
+
+        return made
+
+    for name in ("make_kernel", "make_jointed_kernel"):
+        monkeypatch.setattr(warp_backend, name, without(getattr(warp_backend, name)))
 
 
 @pytest.fixture

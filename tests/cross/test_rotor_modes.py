@@ -74,6 +74,7 @@ def test_mixed_rotors_fly_like_torch(integrator: str, vary: bool) -> None:
         assert_near(exact[step], single[step], fused[step])
 
 
+@pytest.mark.usefixtures("unoptimised")
 def test_effects_on_reversible_rotors_fly_like_torch() -> None:
     names = tuple(n for n in EFFECTS.names() if {"reversible", "slew"} <= set(EFFECTS.get(n).rotors))
     robot = mixed_robot()

@@ -200,7 +200,7 @@ def test_the_integral_has_a_limit() -> None:
 def fly(
     backend, cfg: ControllerCfg, dtype: torch.dtype, *, effects: tuple[str, ...] = (), rows: slice = slice(None)
 ) -> list[BodyState]:
-    """Return the states after a masked reset halfway and at the end of a flight of 0.4 s; ``rows`` of 6 environments."""
+    """Return the states after a masked reset halfway and at the end of a flight of 0.24 s; ``rows`` of 6 environments."""
     vehicle = vehicle_from_config(ROBOT, num_envs=len(range(6)[rows]), dtype=dtype)
     pairs = []
     for name in effects:
@@ -213,11 +213,11 @@ def fly(
     start = replace(start, ang_vel=0.3 * start.ang_vel, rotor_speed=speed)
     state = BodyState(**{k: v[rows].to(dtype).contiguous() for k, v in vars(start).items()})
     g = torch.Generator().manual_seed(2)
-    actions = [0.3 * torch.randn(6, 4, dtype=F64, generator=g)[rows].to(dtype).contiguous() for _ in range(20)]
+    actions = [0.3 * torch.randn(6, 4, dtype=F64, generator=g)[rows].to(dtype).contiguous() for _ in range(12)]
     ends = []
     for k, action in enumerate(actions):
         backend.step(state, action, DT, 10)
-        if k == 9:
+        if k == 5:
             backend.reset(torch.tensor([True, False, False, True, True, False])[rows])
             ends.append(BodyState(**{name: tensor.clone() for name, tensor in vars(state).items()}))
     return [*ends, state]
@@ -245,9 +245,15 @@ CASES = {
 }
 
 
+AS_USERS_HAVE_THEM = ("everything", "all of Betaflight", "all of PX4")
+"""Those whose kernels are optimised: each kind of loop with all its parts."""
+
+
 @pytest.mark.parametrize("case", CASES)
-def test_the_fused_twin_flies_like_torch(case: str) -> None:
+def test_the_fused_twin_flies_like_torch(case: str, request: pytest.FixtureRequest) -> None:
     """At most 4 times as far from float64 as float32 torch is, and some units in the last place; through a masked reset."""
+    if case not in AS_USERS_HAVE_THEM:
+        request.getfixturevalue("unoptimised")
     cfg, effects = CASES[case]
     exact, single = (fly(TorchBackend(), cfg, dtype, effects=effects)[-1] for dtype in (F64, torch.float32))
     fused = fly(WarpBackend(), cfg, torch.float32, effects=effects)[-1]

@@ -201,6 +201,7 @@ def fly(env: EnvManager, *, hard: bool = False) -> Tensor:
         ("no_control", "prioritised"),
     ],
 )
+@pytest.mark.usefixtures("unoptimised")
 def test_the_fused_kernel_flies_as_torch(controller: str, allocation: str) -> None:
     """With rotors at their limits on the way; float32 over 15 steps."""
     ends = [
@@ -233,6 +234,7 @@ def test_a_loaded_state_has_the_allocation_that_was_saved(backend: str) -> None:
     assert torch.equal(other.gtd["robot_state_tensor"], flown.gtd["robot_state_tensor"])
 
 
+@pytest.mark.usefixtures("unoptimised")
 def test_rotors_of_any_kind_make_what_is_commanded() -> None:
     """Plain, reversible and in force mode, of a lopsided vehicle: what its declared rotors can give of a wrench is made exactly
     by the drawn ones, as the physics has them; and the fused kernel keeps the numbers of torch."""
