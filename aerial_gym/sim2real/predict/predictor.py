@@ -108,7 +108,7 @@ class _Together:
         self.data, self.tolerances = data, tolerances
         self._declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         self._replay = RotorReplay(data.flights)
-        self._load_replay = LoadReplay(data.flights)
+        self._load_replay = LoadReplay(data.flights, data.row_times)
         self._forces, self._memories = Answers[Condition](), Answers[Track]()
         self._in_band = InBand(data)
         self._nothing = torch.zeros(len(tolerances.names(self._declared.num_rotors)), dtype=torch.float64)
@@ -209,7 +209,7 @@ class _Together:
     def _swing(self, model: Model, condition: Condition, remembered: dict[str, Tensor], deviation: Tensor) -> Tensor:
         """Return the link of the load in every row, (E, 6), begun as the measured specific force says where there is one."""
         if self.data.force is None:
-            return self._load_replay.loads(model, self.data.row_times)
+            return self._load_replay.loads(model)
         found = accelerations(
             replace(model, effects=model.effects.without(LoadEffect)),
             self._state(condition),
@@ -222,7 +222,7 @@ class _Together:
             force = torch.where(self.data.felt_force, imu_of(model)[0].of(force), force)
         force = self.data.force - force - sensor_biases(self.tolerances, deviation)[0] * self.data.felt_force
         missed = quat_rotate(self.data.state["attitude"], force).numpy()
-        return self._load_replay.loads(model, self.data.row_times, [missed[span] for span in self.data.spans])
+        return self._load_replay.loads(model, [missed[span] for span in self.data.spans])
 
     def _remembered(self, model: Model, asked: _Asked) -> dict[str, Tensor]:
         """Return what effects on rotors and body remember in every row, (E, M), by effect, followed at the rate of the log."""

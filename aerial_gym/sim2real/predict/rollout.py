@@ -272,7 +272,7 @@ class Batch:
         times = [self._row[self._flight == index] / self._rate for index in flown]
         load = torch.empty(self._row.size, 6, dtype=torch.float64)
         order = torch.from_numpy(np.argsort(self._flight, kind="stable"))
-        load[order] = LoadReplay([self._flights[index] for index in flown]).loads(self._model, times)
+        load[order] = LoadReplay([self._flights[index] for index in flown], times).loads(self._model)
         return place_memory(self._model, memory, {name: load})
 
     def _remembered(self) -> dict[str, Tensor]:

@@ -157,7 +157,7 @@ def build_library(
         )
         derivatives.append(structure.columns)
         width += places.size
-    derivatives.append(tolerance_jacobian(predictor, present, base))
+    derivatives.append(single(tolerance_jacobian(predictor, present, base)))
     flights = list(zip(*derivatives, strict=True))
     if by_channel:
         jacobians = [np.concatenate(own, axis=2) for own in flights]

@@ -23,6 +23,7 @@ from aerial_gym.sim2real.identify.candidates.structure import (
     motion_of,
     rows_of,
 )
+from aerial_gym.sim2real.identify.least_squares.derivatives import single
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.least_squares.weighted import InChannels
 from aerial_gym.sim2real.logs.flights import Flight
@@ -86,9 +87,12 @@ def structures_of(
                 for own in rivals
             ]
             size = _rms([part[:, place] for part in in_axes_of(kind, flights, times, declared, channels)])
+            beyond = _beyond(functions, along)
             columns = [
-                InChannels(values=size * x[:, None, :] * axis[:, :, None], channels=moved)
-                for x, axis in zip(_beyond(functions, along), axes, strict=True)
+                InChannels(values=values, channels=moved)
+                for values in single(
+                    [size * x[:, None] * axis[..., None] for x, axis in zip(beyond, axes, strict=True)]
+                )
             ]
             found.append(Nuisance(kind=kind, channel=channel.name, columns=columns))
     return [*found, *_tones(flights, times, channels, declared, present)]
@@ -145,7 +149,7 @@ def _tones(
             continue
         size, columns = _rms([part[:, place] for part in declared]), []
         for number, time in enumerate(times):
-            waves = np.zeros((time.size, 1, 2 * len(times)))
+            waves = np.zeros((time.size, 1, 2 * len(times)), dtype=np.float32)
             turn = 2.0 * np.pi * line[0] * time
             waves[:, 0, 2 * number : 2 * number + 2] = (
                 size * np.sqrt(2.0) * np.column_stack((np.cos(turn), np.sin(turn)))
@@ -167,7 +171,8 @@ def beyond_structures(structures: Sequence[Nuisance], residuals: Sequence[Array]
         if not own:
             continue
         columns = [
-            np.concatenate([part.in_channel(place) for part in parts], axis=1) for parts in zip(*own, strict=True)
+            np.concatenate([part.in_channel(place) for part in parts], axis=1, dtype=np.float64)
+            for parts in zip(*own, strict=True)
         ]
         product = sum(part.T @ part for part in columns)
         gradient = sum(part.T @ values[:, place] for part, values in zip(columns, residuals, strict=True))

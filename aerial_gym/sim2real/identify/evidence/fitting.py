@@ -21,6 +21,7 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, 
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     NOTHING_LEFT,
     Fit,
+    Frozen,
     Goal,
     bounds_of,
     effect_jacobian,
@@ -126,7 +127,7 @@ class Fitter:
         """Take flights, the declared model, how many effects there are to choose from, weights, and the present model."""
         self.predictor, self.declared, self.weights = predictor, declared, weights
         self.log_names, self._present = float(np.log(max(1, num_names))), present
-        self._tolerance: list[Array] | None = None
+        self._tolerance: Derivatives | None = None
         self._beside: dict[tuple[Nuisance, ...], Beside] = {}
         self._derivatives: dict[Label, tuple[Fitted, Derivatives]] = {}
 
@@ -142,7 +143,8 @@ class Fitter:
         if more is None and key in self._beside:
             return self._beside[key]
         if self._tolerance is None:
-            self._tolerance = tolerance_jacobian(self.predictor, self._present, self.predictor.predict(self._present))
+            base = self.predictor.predict(self._present)
+            self._tolerance = single(tolerance_jacobian(self.predictor, self._present, base))
         parts: list[Sequence[Part]] = [self._tolerance, *(structure.columns for structure in structures)]
         flights = list(zip(*parts, *([] if more is None else [more]), strict=True))
         times = self.predictor.times
@@ -165,22 +167,25 @@ class Fitter:
         derivatives: Derivatives | None = None,
         *,
         fresh: bool = False,
+        frozen: Frozen = frozenset(),
         compared: Compared | None = None,
     ) -> Fitted:
         """Return a set fitted from a start, by ``derivatives`` (rows, C, P) near it if there are, or there (``fresh``).
 
-        ``compared`` says how far it goes if it is only compared with others; None: to the end.
+        ``frozen`` parameters stay where they are. ``compared`` says how far it goes if it is only compared with others; None:
+        to the end.
         """
         beside, effects = self.beside(structures), tuple(effects)
         asked = compared or Compared(least=-np.inf, enough=NOTHING_LEFT)
         goal = Goal(worth=lambda fit: self._about(fit, effects, structures).most, **vars(asked))
         found, last, more = fit_effects(
-            self.predictor, effects, start, beside, derivatives=derivatives, fresh=fresh, goal=goal
+            self.predictor, effects, start, beside, frozen=frozen, derivatives=derivatives, fresh=fresh, goal=goal
         )
         fitted = self._about(found, effects, structures, more)
-        self._derivatives[fitted.label] = fitted, single(last)
-        if len(self._derivatives) > KEPT:
-            del self._derivatives[next(iter(self._derivatives))]
+        if not frozen:
+            self._derivatives[fitted.label] = fitted, single(last)
+            if len(self._derivatives) > KEPT:
+                del self._derivatives[next(iter(self._derivatives))]
         return fitted
 
     def _about(self, fit: Fit, effects: tuple[str, ...], structures: Sequence[Nuisance], more: float = 0.0) -> Fitted:

@@ -22,13 +22,13 @@ Indices = NDArray[np.int64]
 class InChannels:
     """Derivatives of a flight that are zero in all other channels."""
 
-    values: Array
+    values: NDArray[np.floating]
     """(T, c, P)."""
 
     channels: tuple[int, ...]
     """Which c of the C channels."""
 
-    def in_channel(self, channel: int) -> Array:
+    def in_channel(self, channel: int) -> NDArray[np.floating]:
         """Return the columns of a channel, (T, P) or (T, 0)."""
         if channel not in self.channels:
             return self.values[:, 0, :0]

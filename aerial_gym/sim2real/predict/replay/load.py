@@ -49,8 +49,8 @@ START_STD = (0.3, 0.3, 1.0, 1.0)
 NUDGE = 1e-6
 """Difference step of the start [rad], [rad/s]."""
 
-REMEMBERED = 64
-"""Results kept."""
+REMEMBERED = 32
+"""Results kept: the derivatives of a fit of a load, begun at each of its starts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,10 +74,12 @@ class Link:
 class LoadReplay:
     """Directions and rates of the link in all flights, for any parameters of the load."""
 
-    def __init__(self, flights: Sequence[Flight]) -> None:
+    def __init__(self, flights: Sequence[Flight], times: Sequence[Array]) -> None:
+        """Take the flights, and at which times of each [s] the link is asked for, (rows,)."""
+        self._times = tuple(times)
         self._spans = [float(flight.time[-1]) for flight in flights]
         self._known = all(flight.lin_vel is not None for flight in flights)
-        self._results: OrderedDict[tuple[object, ...], list[CubicHermiteSpline]] = OrderedDict()
+        self._results: OrderedDict[tuple[object, ...], Tensor] = OrderedDict()
         if self._known:
             count = int(np.ceil(max(self._spans) / STEP_S)) + 1
             self._time = 0.5 * STEP_S * np.arange(2 * count + 1)
@@ -90,30 +92,32 @@ class LoadReplay:
             grid = self._time[::2][: max(self._num_found) + 1, None]
             self._inside = torch.from_numpy((grid <= np.array(self._spans)).astype(float))
 
-    def loads(self, model: Model, times: Sequence[Array], missed: Sequence[Array] | None = None) -> Tensor:
-        """Return direction n and rate n' of the link, world, (E, 6), at times of each flight, one after the other.
+    def loads(self, model: Model, missed: Sequence[Array] | None = None) -> Tensor:
+        """Return direction n and rate n' of the link, world, (E, 6), in the rows of each flight, one after the other.
 
         Args:
             model: With the load, which has the same parameters in every row, of which the first is taken.
-            times: Of each flight, (rows,); E is their sum.
-            missed: Specific force that the model without the load leaves unexplained at these times [m/s²], world,
-                (rows, 3) of each flight. None: the link hangs still at the start.
+            missed: Specific force that the model without the load leaves unexplained there [m/s²], world, (rows, 3) of each
+                flight. None: the link hangs still at the start.
         """
         effect, params = model.effects[LoadEffect][0]
-        felt = None if missed is None else self._at_steps(times, missed)
+        felt = None if missed is None else self._at_steps(missed)
         key = (effect.name, model.gravity, *params[0].tolist(), None if felt is None else felt.numpy().tobytes())
         if key not in self._results:
             start = self._start if felt is None else self._find_start(model, felt)
             swings = swing(effect, params[0], start, self._acceleration, step=STEP_S, gravity=model.gravity)[0].numpy()
             if not np.isfinite(swings).all():  # no pendulum of these parameters; a fit steps back from them
-                return torch.full((sum(map(len, times)), 6), torch.nan, dtype=torch.float64)
-            self._results[key] = [
-                CubicHermiteSpline(self._time[::2], s[:, :3], s[:, 3:]) for s in swings.swapaxes(0, 1)
-            ]
+                return torch.full((sum(map(len, self._times)), 6), torch.nan, dtype=torch.float64)
+            self._results[key] = self._in_rows(swings)
             if len(self._results) > REMEMBERED:
                 self._results.popitem(last=False)
         self._results.move_to_end(key)
-        parts = [np.concatenate((c(t), c(t, 1)), axis=1) for c, t in zip(self._results[key], times, strict=True)]
+        return self._results[key]
+
+    def _in_rows(self, swings: Array) -> Tensor:
+        """Return direction and rate in the rows of each flight, (E, 6), from those at every step, (N + 1, F, 6)."""
+        curves = [CubicHermiteSpline(self._time[::2], s[:, :3], s[:, 3:]) for s in swings.swapaxes(0, 1)]
+        parts = [np.concatenate((c(t), c(t, 1)), axis=1) for c, t in zip(curves, self._times, strict=True)]
         load = torch.from_numpy(np.concatenate(parts))
         direction = torch.nn.functional.normalize(load[:, :3], dim=-1)
         rate = load[:, 3:] - (load[:, 3:] * direction).sum(-1, keepdim=True) * direction
@@ -132,12 +136,12 @@ class LoadReplay:
         apparent[2] -= STANDARD_GRAVITY
         return torch.cat((torch.nn.functional.normalize(apparent, dim=0), torch.zeros(3, dtype=apparent.dtype)))
 
-    def _at_steps(self, times: Sequence[Array], values: Sequence[Array]) -> Tensor:
-        """Return values (rows, 3) of each flight at the steps of the first seconds, (K + 1, F, 3); zero after its end."""
+    def _at_steps(self, values: Sequence[Array]) -> Tensor:
+        """Return values in the rows of each flight (rows, 3) at the first steps, (K + 1, F, 3); zero after its end."""
         grid = self._time[::2][: max(self._num_found) + 1]
         columns = [
             np.stack([np.interp(grid, t, column, right=0.0) for column in rows.T], axis=1)
-            for t, rows in zip(times, values, strict=True)
+            for t, rows in zip(self._times, values, strict=True)
         ]
         return torch.from_numpy(np.stack(columns, axis=1))
 

@@ -99,17 +99,17 @@ def test_a_swing_that_was_there_before_the_log_is_found_from_its_pull() -> None:
     missed = np.column_stack((angles, np.full(time.size, -1.0))) * mass * G / 0.6
     place = np.zeros((time.size, 3))
     flight = replace(hover("a", 1.0), time=time, position=place, lin_vel=place)
-    replay, model = LoadReplay([flight]), model_of(mass, length, 0.0)
-    found = replay.loads(model, [time], [missed]).numpy()
+    replay, model = LoadReplay([flight], [time]), model_of(mass, length, 0.0)
+    found = replay.loads(model, [missed]).numpy()
     np.testing.assert_allclose(found[:, :2], angles, atol=1e-4)
-    np.testing.assert_allclose(replay.loads(model, [time])[:, :2], 0.0, atol=1e-9)
+    np.testing.assert_allclose(replay.loads(model)[:, :2], 0.0, atol=1e-9)
 
 
 def test_a_load_that_does_not_show_is_taken_to_hang_still() -> None:
     """A thousandth of the vehicle's mass, and a force that it cannot pull with: the prior of the start holds."""
     time = np.arange(400) / RATE
     missed = np.tile([0.05, 0.0, 0.0], (400, 1))
-    light = LoadReplay([hover("a", 1.0)]).loads(model_of(6e-4, 0.8, 0.0), [time[:300]], [missed[:300]])
+    light = LoadReplay([hover("a", 1.0)], [time[:300]]).loads(model_of(6e-4, 0.8, 0.0), [missed[:300]])
     assert light[:, :2].abs().max() < 0.1
 
 
@@ -117,9 +117,8 @@ def test_a_pendulum_that_steps_cannot_follow_has_no_direction() -> None:
     """A link of a thousandth of a millimetre: its swing diverges, and a fit is told so by numbers that are none."""
     flight = hover("a", 1.0)
     start = np.tile([0.5, 0.0, 0.0], (flight.time.size, 1))
-    load = LoadReplay([replace(flight, lin_vel=start * np.sin(40.0 * flight.time)[:, None])]).loads(
-        model_of(0.05, 1e-6, 0.0), [flight.time[:300]]
-    )
+    shaken = replace(flight, lin_vel=start * np.sin(40.0 * flight.time)[:, None])
+    load = LoadReplay([shaken], [flight.time[:300]]).loads(model_of(0.05, 1e-6, 0.0))
     assert load.shape == (300, 6)
     assert load.isnan().all()
 
@@ -146,7 +145,7 @@ def test_a_load_follows_the_measured_motion_of_its_vehicle() -> None:
     place, speed = np.zeros((time.size, 3)), np.zeros((time.size, 3))
     place[:, 0], speed[:, 0] = size * np.sin(sway * time), size * sway * np.cos(sway * time)
     flight = replace(hover("a", 1.0), time=time, position=place, lin_vel=speed)
-    load = LoadReplay([flight]).loads(model_of(mass, length, damping), [time])[:, 0].numpy()
+    load = LoadReplay([flight], [time]).loads(model_of(mass, length, damping))[:, 0].numpy()
     gain = sway**2 / (G / length - sway**2 + 1j * sway * damping / mass)
     expected = size / length * np.imag(gain * np.exp(1j * sway * time))
     late = time > 12.0  # the start has faded to exp(-12)
@@ -157,7 +156,7 @@ def test_a_load_starts_along_the_apparent_gravity_and_stays_there() -> None:
     """Under a vehicle that speeds up evenly the link leans back by atan(a / g) and does not swing."""
     rows = np.arange(400) / RATE
     flight = replace(hover("a", 1.0), lin_vel=np.column_stack((3.0 * rows, np.zeros(400), np.zeros(400))))
-    load = LoadReplay([flight]).loads(model_of(0.1, 0.7, 0.0), [rows[:300]]).numpy()
+    load = LoadReplay([flight], [rows[:300]]).loads(model_of(0.1, 0.7, 0.0)).numpy()
     lean = np.array([-3.0, 0.0, -G]) / np.hypot(3.0, G)
     np.testing.assert_allclose(load[:, :3], np.tile(lean, (300, 1)), atol=2e-3)
 
