@@ -186,6 +186,7 @@ def notes(refitted: Refitted, unexplained: Unexplained, effects: Sequence[NamedE
         *open_notes(unexplained),
         *unexplained.wind.notes,
         *immaterial(effects),
+        *(rival.sentence for effect in effects for rival in effect.in_part),
         *refitted.refit.contradictions,
         *declared.tolerances.strained(
             unexplained.deviation, absent=absent_tolerances(declared, refitted.params), farthest=FARTHEST_DEVIATION

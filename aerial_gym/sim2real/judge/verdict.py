@@ -14,6 +14,7 @@ from aerial_gym.sim2real.identify.candidates.structure import Structure
 from aerial_gym.sim2real.identify.learned import Learned
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import is_number, params_of, scales
 from aerial_gym.sim2real.identify.output_error import Refit
+from aerial_gym.sim2real.identify.selection.in_part import RivalInPart
 from aerial_gym.sim2real.identify.selection.select import Selection
 from aerial_gym.sim2real.judge.ablation import Ablation
 from aerial_gym.sim2real.judge.breakdown import Part, Regime
@@ -56,6 +57,9 @@ class NamedEffect:
     ties: tuple[str, ...] = ()
     """Effects that would do equally well in its place."""
 
+    in_part: tuple[RivalInPart, ...] = ()
+    """Effects that would do equally well in the place of one of its parameters."""
+
     correlation: dict[str, dict[str, float]] = field(default_factory=dict)
     """How a parameter is correlated with those that stand before it, by ``name.parameter``."""
 
@@ -76,6 +80,7 @@ class NamedEffect:
             "frozen": list(self.frozen),
             "confidence": self.confidence,
             "ties": list(self.ties),
+            "ties_in_part": [rival.as_mapping() for rival in self.in_part],
             "material": worth is None or worth.material,
             "without_it": worth and worth.as_mapping(),
             "where_it_acts": regime and regime.as_mapping(),
@@ -213,6 +218,7 @@ def named_effects(
                 ablation=ablations[name],
                 regime=regimes[name],
                 ties=tuple(tied_rivals(name, selection)),
+                in_part=tuple(rival for rival in selection.chosen.in_part if rival.effect == name),
                 correlation={
                     key: dict(zip(numbers[:i], correlation[i, :i].tolist(), strict=True))
                     for key in own

@@ -100,6 +100,8 @@ def named_rows(verdict: Verdict) -> list[dict[str, str]]:
         sure = [f"confidence {number(effect.confidence, 4)}"]
         if effect.ties:
             sure.append(f"may as well be {' or '.join(effect.ties)}")
+        for part in effect.in_part:
+            sure.append(f"its {part.parameter} may as well be {part.other}")
         if effect.ablation is not None and not effect.ablation.material:
             sure.append("immaterial" if effect.ablation.material is False else "whether it is material is not shown")
         rows.append({"name": effect.name, "parameters": ", ".join(values), "sure": ", ".join(sure)})

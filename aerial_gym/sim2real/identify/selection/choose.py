@@ -32,6 +32,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, flight_of_rows, time_groups
 from aerial_gym.sim2real.identify.selection.climb import Climber, View, reach_of
+from aerial_gym.sim2real.identify.selection.in_part import RivalInPart, rivals_in_part
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.progress import Progress, silent
@@ -75,6 +76,9 @@ class Chosen:
     """Effects that were probable if noise were all, and why they are not named."""
 
     weights: Weighting
+
+    in_part: tuple[RivalInPart, ...] = ()
+    """What single parameters of the named effects may as well be."""
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -161,6 +165,7 @@ class _Chooser:
             immaterial=immaterial,
             refused={name: reason for name, reason in refused.items() if name not in away},
             weights=view.fitter.weights,
+            in_part=rivals_in_part(view.fitter, present, named.effects, self.names),
         )
 
     def bare(self, present: Fitted, gone: Collection[str], fits: Sequence[Fitted], fitter: Fitter) -> Fitted:

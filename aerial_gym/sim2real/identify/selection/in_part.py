@@ -1,0 +1,185 @@
+"""What a single parameter of a named effect may as well be: another effect, beside the rest of the first.
+
+A torque ratio makes what an inertia about one axis makes, and the flights show the other two. A swap of whole effects does not
+see that. Each parameter is put back to neutral with another effect in its place: first in the model that is linear about the
+set, without bounds, as a factor on an inertia and one on a torque are the same to first order only in direction; what may
+come near is fitted. What is compared is evidence without the price of a name, for a parameter is exchanged for a parameter.
+
+Letters: P parameters of the set's effects, Q of the others, N tolerances.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.candidates.library import has_starts
+from aerial_gym.sim2real.identify.evidence.fitting import ENOUGH, Compared, Fitted, Fitter
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    WEAK_PRIOR,
+    effect_jacobian,
+    is_number,
+    scales,
+)
+from aerial_gym.sim2real.identify.selection.climb import FAR_BEHIND, reach_of
+from aerial_gym.sim2real.predict.model_params import ModelParams
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RivalInPart:
+    """Another effect in the place of one parameter of a named one."""
+
+    effect: str
+    parameter: str
+    other: str
+
+    params: dict[str, float]
+    """Of the other effect."""
+
+    log_odds: float
+    """Log evidence over that of the most probable set, as far as flights agree."""
+
+    @property
+    def sentence(self) -> str:
+        """Return what to know of it."""
+        values = ", ".join(f"{name} {value:.4g}" for name, value in self.params.items())
+        return (
+            f"{self.parameter} of {self.effect} may as well be {self.other} ({values}), as far as these flights tell "
+            f"(log odds {self.log_odds:.1f})"
+        )
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return {
+            "parameter": self.parameter,
+            "effect": self.other,
+            "params": self.params,
+            "log_odds": self.log_odds,
+        }
+
+
+def rivals_in_part(
+    fitter: Fitter, best: Fitted, effects: Collection[str], names: Sequence[str]
+) -> tuple[RivalInPart, ...]:
+    """Return what single parameters of some effects of a set may as well be, beside the structures of that set.
+
+    Args:
+        fitter: Fits sets about the set.
+        best: The most probable set.
+        effects: Those of it whose parameters are asked for.
+        names: Effects that the flights can show: each that an effect can be confused with is tried.
+    """
+    reach, found = reach_of(best), []
+    for effect, place, other in _promising(fitter, best, effects, names):
+        values = best.params.effects[effect].copy()
+        values[place] = fitter.neutral(effect)[place]
+        start = best.params.with_effect(effect, values).with_effect(other, fitter.neutral(other))
+        least = best.log_posterior - reach - fitter.log_names
+        fitted = fitter.fit(
+            (*best.effects, other),
+            best.structures,
+            start,
+            frozen=frozenset({(effect, place)}),
+            compared=Compared(least=least, enough=ENOUGH * best.overdispersion),
+        )
+        odds = fitted.log_posterior + fitter.log_names - best.log_posterior
+        if odds > -reach and fitted.support[other].holds:
+            own = zip(EFFECTS.get(other).parameters, fitted.params.effects[other], strict=True)
+            found.append(
+                RivalInPart(
+                    effect=effect,
+                    parameter=EFFECTS.get(effect).parameters[place].name,
+                    other=other,
+                    params={parameter.name: float(value) for parameter, value in own},
+                    log_odds=odds / best.overdispersion,
+                )
+            )
+    return tuple(found)
+
+
+def _promising(
+    fitter: Fitter, best: Fitted, effects: Collection[str], names: Sequence[str]
+) -> list[tuple[str, int, str]]:
+    """Return effect, place of a parameter and other effect, where the linear model may come near the set."""
+    predictor, point, reach = fitter.predictor, best.params, reach_of(best)
+    pairs = {name: _confused(fitter, best, name, names) if name in effects else [] for name in best.effects}
+    others = list(dict.fromkeys(other for found in pairs.values() for other in found))
+    if not others:
+        return []
+    base = predictor.predict(point)
+    residuals = [m - p for m, p in zip(predictor.measured, base, strict=True)]
+    parts = [effect_jacobian(predictor, point, best.effects, base)]
+    for other in others:
+        parts.append(effect_jacobian(predictor, point.with_effect(other, fitter.neutral(other)), (other,), base))
+    owners = [(name, k) for name in best.effects for k in range(scales((name,)).size)]
+    back = [owner for owner in owners if pairs[owner[0]] and is_number(*owner)]
+    parts.extend(_changes(fitter, point, base, *owner) for owner in back)
+    moments = fitter.beside(best.structures).moments(
+        residuals, [np.concatenate(own, axis=2) for own in zip(*parts, strict=True)]
+    )
+    ends = np.cumsum([part[0].shape[2] for part in parts])
+    own, tolerances = np.arange(ends[0]), np.arange(ends[-1], moments.gradient.shape[2])
+    columns = {other: np.arange(ends[k], ends[k + 1]) for k, other in enumerate(others)}
+    sums = _Sums(
+        float(moments.square.sum()),
+        moments.gradient.sum(axis=(0, 1)),
+        moments.product.sum(axis=(0, 1)),
+        num_effects=int(ends[-1]),
+    )
+    here, found = sums.left(np.concatenate((own, tolerances))), []
+    for number, (effect, place) in enumerate(back):
+        shift = int(ends[len(others)]) + number
+        rest = np.concatenate((own[[owner != (effect, place) for owner in owners]], tolerances))
+        if sums.left(rest, shift) - here < reach:
+            continue  # it is not shown
+        for other in pairs[effect]:
+            if sums.left(np.concatenate((rest, columns[other])), shift) - here < FAR_BEHIND * reach:
+                found.append((effect, place, other))
+    return found
+
+
+def _confused(fitter: Fitter, best: Fitted, effect: str, names: Sequence[str]) -> list[str]:
+    """Return the effects that may stand in the place of one parameter of an effect that has several."""
+    if sum(is_number(effect, k) for k in range(scales((effect,)).size)) < 2:
+        return []
+    own = EFFECTS.get(effect).confused_with
+    return [
+        other
+        for other in names
+        if other not in best.effects
+        and (other in own or effect in EFFECTS.get(other).confused_with)
+        and not has_starts(other, fitter.predictor.robot)
+    ]
+
+
+def _changes(fitter: Fitter, point: ModelParams, base: list[Array], effect: str, place: int) -> list[Array]:
+    """Return what goes from the prediction when a parameter goes back to neutral, (rows, C, 1) of each flight."""
+    values = point.effects[effect].copy()
+    values[place] = fitter.neutral(effect)[place]
+    there = fitter.predictor.predict(point.with_effect(effect, values))
+    return [(b - t)[..., None] for b, t in zip(base, there, strict=True)]
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Sums over all flights of a residual and of columns: of effects, and of tolerances behind them."""
+
+    square: float
+    gradient: Array
+    product: Array
+    num_effects: int
+
+    def left(self, columns: Indices, shift: int | None = None) -> float:
+        """Return the negative log likelihood that some columns leave of the residual, with one column added to it."""
+        square, gradient = self.square, self.gradient
+        if shift is not None:
+            square = square + 2.0 * gradient[shift] + self.product[shift, shift]
+            gradient = gradient + self.product[shift]
+        precision = np.where(columns < self.num_effects, WEAK_PRIOR**-2, 1.0)
+        inner = self.product[np.ix_(columns, columns)] + np.diag(precision)
+        return 0.5 * float(square - gradient[columns] @ np.linalg.solve(inner, gradient[columns]))
