@@ -218,6 +218,8 @@ def plan_jobs(args: argparse.Namespace) -> list[Job]:
     jobs = []
     for seed in args.seeds:
         jobs += [Job(hidden=(), size="moderate", seed=seed, features=f, **base) for f in flights]
+        if args.controls:
+            continue
         jobs += [Job(hidden=case, size=size, seed=seed, **base) for case in cases for size in args.sizes]
         if args.hover:
             jobs += [Job(hidden=case, size="moderate", seed=seed, features=("hover",), **base) for case in HOVER]
@@ -268,6 +270,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--unknown", action="store_true", help="also causes outside the package")
     parser.add_argument("--nuisance", action="store_true", help="small errors everywhere, as real vehicles have")
     parser.add_argument("--hover", action="store_true", help="also cases whose training flights only hover")
+    parser.add_argument("--controls", action="store_true", help="only the controls of these cases")
     parser.add_argument("--num-train", type=int, default=4)
     parser.add_argument("--num-test", type=int, default=3)
     parser.add_argument("--duration-s", type=float, default=16.0)

@@ -91,6 +91,9 @@ def test_cases_are_those_that_were_asked_for() -> None:
     assert controls == {(), ("battery",), *(("battery", f) for f in ("low", "ceiling", "heights", "other"))}
     assert len(jobs) == 2 * (6 + 2 * (len(EFFECTS) + len(UNKNOWN) + 1))
     assert len({job.key for job in jobs}) == len(jobs)
+    alone = plan_jobs(flags(effects=["all"], controls=True))
+    assert {job.features for job in alone} == controls
+    assert len(alone) == 2 * 6
     with pytest.raises(ValueError, match=r"no effect \['com'\]. Known: all, rotor_drag"):
         plan_jobs(flags(effects=["com"]))
 
