@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.structure import (
     IN_WORLD,
-    common_line,
+    CommonLines,
     features_of,
     in_axes_of,
     motion_of,
@@ -141,10 +141,10 @@ def _tones(
     present: Sequence[Array],
 ) -> list[Nuisance]:
     """Return the strongest common tone of each channel; its phase is each flight's own."""
-    motion = [motion_of(flight, time) for flight, time in zip(flights, times, strict=True)]
+    lines = CommonLines(times, [motion_of(flight, time) for flight, time in zip(flights, times, strict=True)])
     found = []
     for place, channel in enumerate(channels):
-        line = common_line(times, [part[:, place] for part in present], motion)
+        line = lines.find([part[:, place] for part in present])
         if line is None:
             continue
         size, columns = _rms([part[:, place] for part in declared]), []

@@ -71,9 +71,9 @@ def find_structure(
         shares = 1.0 - left / np.maximum(total, 1e-300)
         best = max(chosen, key=lambda index: shares[index])
         found.append(Structure(kind=kind, channel=channels[best].name, share=float(shares[best])))
-    motion = [motion_of(f, t) for f, t in zip(flights, times, strict=True)]
+    lines = CommonLines(times, [motion_of(f, t) for f, t in zip(flights, times, strict=True)])
     for index in chosen:
-        line = common_line(times, [r[:, index] for r in residuals], motion)
+        line = lines.find([r[:, index] for r in residuals])
         if line is not None:
             found.append(Structure(kind="periodic", channel=channels[index].name, freq_hz=line[0], share=line[1]))
     best = max(found, key=lambda structure: structure.share)
@@ -209,24 +209,31 @@ def motion_of(flight: Flight, time: Array) -> Array:
     return np.concatenate(parts, axis=1)
 
 
-def common_line(times: Sequence[Array], values: Sequence[Array], motion: Sequence[Array]) -> tuple[float, float] | None:
-    """Return frequency [Hz] and share of the variance of a line that every flight has and none flies; None without one."""
-    rate = 1.0 / float(np.median(np.diff(times[0])))
-    length = min(round(SEGMENT_S * rate), min(v.size for v in values))
-    frequency = np.fft.rfftfreq(length, 1.0 / rate)
-    spectra = [_relative_spectrum(v[:, None], rate, length)[:, 0] for v in values]
-    inner = slice(2 * LINE_WIDTH, frequency.size - LINE_WIDTH)
-    peak = int(np.argmax(np.mean(spectra, axis=0)[inner])) + 2 * LINE_WIDTH
-    share = min(_line_share(spectrum, peak) for spectrum in spectra)
-    flown = [[_line_share(line, peak) for line in _relative_spectrum(m, rate, length).T] for m in motion]
-    own = float(np.mean(flown, axis=0).max())
-    return (float(frequency[peak]), share) if share > 0.0 and own < OWN_MOTION * share else None
+class CommonLines:
+    """Looks for lines that every flight has and none flies."""
 
+    def __init__(self, times: Sequence[Array], motion: Sequence[Array]) -> None:
+        """Take the times of the rows of each flight [s], (T,), and how it moves there, (T, any)."""
+        self._rate = 1.0 / float(np.median(np.diff(times[0])))
+        self._length = min(round(SEGMENT_S * self._rate), min(time.size for time in times))
+        self._frequency = np.fft.rfftfreq(self._length, 1.0 / self._rate)
+        self._flown = [self._spectrum(m) for m in motion]
 
-def _relative_spectrum(values: Array, rate: float, length: int) -> Array:
-    """Return the share of the variance at each frequency, (lines, columns)."""
-    _, density = signal.welch(values, rate, nperseg=length, detrend=without_line, axis=0)  # pyright: ignore[reportArgumentType]
-    return density / np.maximum(density.sum(axis=0), 1e-300)
+    def find(self, values: Sequence[Array]) -> tuple[float, float] | None:
+        """Return frequency [Hz] and share of the variance of the strongest line in values (T,); None without one."""
+        spectra = [self._spectrum(v[:, None])[:, 0] for v in values]
+        inner = slice(2 * LINE_WIDTH, self._frequency.size - LINE_WIDTH)
+        peak = int(np.argmax(np.mean(spectra, axis=0)[inner])) + 2 * LINE_WIDTH
+        share = min(_line_share(spectrum, peak) for spectrum in spectra)
+        if share <= 0.0:
+            return None
+        own = float(np.mean([[_line_share(line, peak) for line in m.T] for m in self._flown], axis=0).max())
+        return (float(self._frequency[peak]), share) if own < OWN_MOTION * share else None
+
+    def _spectrum(self, values: Array) -> Array:
+        """Return the share of the variance at each frequency, (lines, columns)."""
+        _, density = signal.welch(values, self._rate, nperseg=self._length, detrend=without_line, axis=0)  # pyright: ignore[reportArgumentType]
+        return density / np.maximum(density.sum(axis=0), 1e-300)
 
 
 def _line_share(spectrum: Array, peak: int) -> float:
