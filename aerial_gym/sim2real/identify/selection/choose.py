@@ -33,6 +33,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, flight_of_rows, time_groups
 from aerial_gym.sim2real.identify.selection.climb import Climber, View, reach_of
 from aerial_gym.sim2real.identify.selection.in_part import RivalInPart, rivals_in_part
+from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.progress import Progress, silent
@@ -146,12 +147,17 @@ class _Chooser:
         present = narrowest(view.present, fits, reach_of(view.present))
         surrogates = self.varying(present, view.fitter)
         named, ends = view.fitter.in_file(self.bare(present, surrogates, fits, view.fitter))
+        named, unsure = self.told_from_nothing(named, view.fitter)
         named, immaterial, without = self.without_trifles(named, view.fitter)
         refused = {
             name: f"probable if noise were all (log odds {found.log_odds:.0f}), not as far as flights agree on it, or only "
             "beside a structure"
             for name, found in (present.support if fits[0].holds else fits[0].support | present.support).items()
         } | {name: f"runs into its physical bound: {', '.join(found)}" for name, found in ends.items()}
+        refused |= {
+            name: f"more probable than not, and not told from nothing (log odds {odds:.1f}, {LEAST_SCORE:g} asked)"
+            for name, odds in unsure.items()
+        }
         away = (*named.effects, *surrogates, *immaterial)
         shown = {candidate.name for candidate in seen_candidates(view.library)}
         return Chosen(
@@ -174,6 +180,20 @@ class _Chooser:
         whole = fitter.without(replace(present, structures=()), tuple(gone)) if present.structures or gone else present
         cases = [one for one in fits if one.holds and not one.structures and kept.issuperset(one.effects)]
         return max([fitter.held(whole), *cases], key=lambda one: one.log_posterior)
+
+    def told_from_nothing(self, fitted: Fitted, fitter: Fitter) -> tuple[Fitted, dict[str, float]]:
+        """Return a set without the effects that cannot be told from nothing in their place, and the log odds of these.
+
+        The same odds that tell two effects apart: to correct a vehicle by what is a little more probable than not is a false
+        alarm in one case of three.
+        """
+        unsure: dict[str, float] = {}
+        while fitted.effects:
+            weakest, support = min(fitted.support.items(), key=lambda item: item[1].robust_log_odds)
+            if support.robust_log_odds > LEAST_SCORE:
+                break
+            unsure[weakest], fitted = support.robust_log_odds, fitter.without(fitted, (weakest,))
+        return fitted, unsure
 
     def adds(self, view: View) -> dict[str, float]:
         """Return what speaks for each other effect on top of the present set, best of its starts."""

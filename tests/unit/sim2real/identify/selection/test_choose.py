@@ -161,3 +161,14 @@ def test_a_robot_file_holds_no_structure_and_no_effect_that_holds_only_beside_on
     assert chooser.bare(whole, (), fits, fitter) is mass
     assert chooser.bare(whole, ("payload_mass",), fits, fitter) is drag
     assert chooser.bare(drag, (), fits, fitter) is drag
+
+
+def test_what_is_more_probable_than_not_and_not_told_from_nothing_has_no_name() -> None:
+    """Odds of two to one are a false alarm in a third of all cases; a mass that is sure without it stays."""
+    odds = {"torque_ratio": 0.7, "payload_mass": 2.0}
+    both, mass = fitted("payload_mass", "torque_ratio", odds=odds), fitted("payload_mass", odds={"payload_mass": 3.1})
+    chooser, nothing = object.__new__(_Chooser), fitted()
+    assert chooser.told_from_nothing(both, Made(mass, nothing)) == (mass, {"torque_ratio": 0.7})
+    alone = fitted("torque_ratio", odds=odds)
+    assert chooser.told_from_nothing(alone, Made(nothing)) == (nothing, {"torque_ratio": 0.7})
+    assert chooser.told_from_nothing(nothing, Made()) == (nothing, {})
