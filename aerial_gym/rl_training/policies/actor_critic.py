@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from aerial_gym.rl_training.policies.body import Body, BodyCfg
 from aerial_gym.rl_training.policies.distribution import Gaussian
-from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
+from aerial_gym.rl_training.policies.normalizer import OUTLIER, RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.ranks import ALONE, Ranks
 
@@ -51,7 +51,7 @@ class ActorCritic(nn.Module):
         self.value_head = nn.Linear((self.own_body or actor.body).num_features, 1)
         nn.init.zeros_(self.value_head.weight)
         nn.init.zeros_(self.value_head.bias)
-        self.scale = RunningNormalizer(limit=float("inf"))
+        self.scale = RunningNormalizer(limit=float("inf"), outlier=OUTLIER)
         self.memory_sizes = (actor.body.memory_size, 0 if self.own_body is None else self.own_body.memory_size)
         """Numbers of memory of policy and critic; the memory (E, M) of both stands side by side."""
 

@@ -3,6 +3,8 @@
 Letters: N samples, O entries of a sample.
 """
 
+from math import inf, isfinite
+
 import torch
 from torch import Tensor, nn
 
@@ -14,6 +16,10 @@ EPSILON = 1e-5
 LIMIT = 5.0
 """Normalised numbers are clamped to this, as both libraries do."""
 
+OUTLIER = 100.0
+"""Standard deviations beyond which a return is taken for a fault. Where returns really grow so far at once, the spread follows
+them within a few updates."""
+
 
 class RunningNormalizer(nn.Module):
     """``clamp((x - mean) / sqrt(var + epsilon), +-limit)`` with the mean and variance of all samples so far."""
@@ -23,10 +29,14 @@ class RunningNormalizer(nn.Module):
     count: Tensor
     std: Tensor
 
-    def __init__(self, shape: tuple[int, ...] = (), *, limit: float = LIMIT) -> None:
-        """Take the shape of a sample; before the first update nothing is changed but clamped."""
+    def __init__(self, shape: tuple[int, ...] = (), *, limit: float = LIMIT, outlier: float = inf) -> None:
+        """Take the shape of a sample; before the first update nothing is changed but clamped.
+
+        Samples more than ``outlier`` standard deviations from the mean so far are counted as if they were there. What was
+        counted is never forgotten: one reward of an impossible moment would spoil all that come after it.
+        """
         super().__init__()
-        self.limit = limit
+        self.limit, self.outlier = limit, outlier
         self.register_buffer("mean", torch.zeros(shape))
         self.register_buffer("var", torch.ones(shape))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
@@ -48,6 +58,9 @@ class RunningNormalizer(nn.Module):
         Source:
             Chan, Golub, LeVeque (1979), Updating formulae and a pairwise algorithm for computing sample variances, eq. 2.1.
         """
+        if isfinite(self.outlier):
+            reach = torch.where(self.count > 0.0, self.outlier * self.std, inf)
+            samples = samples.clamp(self.mean - reach, self.mean + reach)
         (var, mean), number = ranks.var_mean(samples), samples.shape[0] * ranks.size
         total = self.count + number
         share = (number / total).to(mean.dtype)

@@ -12,7 +12,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.body import Body, BodyCfg
 from aerial_gym.rl_training.policies.distribution import Gaussian
-from aerial_gym.rl_training.policies.normalizer import EPSILON, RunningNormalizer
+from aerial_gym.rl_training.policies.normalizer import EPSILON, OUTLIER, RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.policies.recurrent import along
 
@@ -35,6 +35,21 @@ def test_the_normaliser_knows_mean_and_variance_of_all_batches_together() -> Non
     expected = (sample.numpy() - together.mean(0)) / np.sqrt(together.var(0) + EPSILON)
     np.testing.assert_allclose(normalizer(sample).numpy(), expected.clip(-5.0, 5.0), rtol=1e-4)
     torch.testing.assert_close(normalizer.inverse(normalizer(sample)), sample)
+
+
+def test_one_impossible_return_does_not_spoil_what_comes_after_it() -> None:
+    """Of 4,000 returns one is -2e7: it counts as 100 deviations, 1 + 100² / 8000 in variance; without that, 5e10."""
+    bounded, plain = RunningNormalizer(limit=np.inf, outlier=OUTLIER), RunningNormalizer(limit=np.inf)
+    ordinary, wrong = randn(4000), randn(4000, seed=1)
+    wrong[17] = -2e7
+    for normalizer in (bounded, plain):
+        normalizer.update(ordinary)
+        normalizer.update(wrong)
+    assert float(bounded.var) == pytest.approx(1.0 + 1e4 / 8000, rel=0.05)
+    assert float(plain.var) > 1e10
+    first = RunningNormalizer(outlier=OUTLIER)
+    first.update(500.0 + 200.0 * ordinary)  # nothing is known before the first ones
+    assert float(first.mean) == pytest.approx(500.0, rel=0.05)
 
 
 def test_a_normaliser_is_the_same_after_it_was_saved_and_loaded() -> None:
