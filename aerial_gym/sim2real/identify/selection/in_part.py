@@ -5,7 +5,7 @@ see that. Each parameter is put back to neutral with another effect in its place
 set, without bounds, as a factor on an inertia and one on a torque are the same to first order only in direction; what may
 come near is fitted. What is compared is evidence without the price of a name, for a parameter is exchanged for a parameter.
 
-Letters: P parameters of the set's effects, Q of the others, N tolerances.
+Letters: C channels.
 """
 
 from collections.abc import Collection, Sequence
@@ -123,7 +123,7 @@ def _promising(
         residuals, [np.concatenate(own, axis=2) for own in zip(*parts, strict=True)]
     )
     ends = np.cumsum([part[0].shape[2] for part in parts])
-    own, tolerances = np.arange(ends[0]), np.arange(ends[-1], moments.gradient.shape[2])
+    own, beside = np.arange(ends[0]), np.arange(ends[-1], moments.gradient.shape[2])
     columns = {other: np.arange(ends[k], ends[k + 1]) for k, other in enumerate(others)}
     sums = _Sums(
         float(moments.square.sum()),
@@ -131,10 +131,10 @@ def _promising(
         moments.product.sum(axis=(0, 1)),
         num_effects=int(ends[-1]),
     )
-    here, found = sums.left(np.concatenate((own, tolerances))), []
+    here, found = sums.left(np.concatenate((own, beside))), []
     for number, (effect, place) in enumerate(back):
         shift = int(ends[len(others)]) + number
-        rest = np.concatenate((own[[owner != (effect, place) for owner in owners]], tolerances))
+        rest = np.concatenate((own[[owner != (effect, place) for owner in owners]], beside))
         if sums.left(rest, shift) - here < reach:
             continue  # it is not shown
         for other in pairs[effect]:
@@ -167,7 +167,7 @@ def _changes(fitter: Fitter, point: ModelParams, base: list[Array], effect: str,
 
 @dataclass(frozen=True)
 class _Sums:
-    """Sums over all flights of a residual and of columns: of effects, and of tolerances behind them."""
+    """Sums over all flights of a residual and of columns: of effects, and of tolerances and structures behind them."""
 
     square: float
     gradient: Array
