@@ -140,6 +140,9 @@ def _velocity_change(
                 pushes = pushed
                 sticks = torch.where(sticks, _length(rub) <= limit, _dot(slip, heading) > 0.0) & pushes.unsqueeze(-1)
                 backwards = torch.where(heading.any(-1, keepdim=True), -slip, rub)
+                backwards = _times(
+                    along, backwards
+                )  # again: of hardly any slip, rounding leaves as much along the normal
                 heading = torch.where(sticks, 0.0, backwards / _length(backwards))
                 base = torch.where(sticks, rub, limit * heading)
                 grip = torch.where(sticks, penalty, cautious)

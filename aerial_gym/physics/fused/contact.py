@@ -10,7 +10,7 @@ import warp as wp
 
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.physics.contact import CAUTIOUS_ITERATIONS, ITERATIONS, PENALTY
-from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn
+from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn, solve_motion
 from aerial_gym.physics.fused.types import rotor_types, vector_of
 
 
@@ -54,8 +54,8 @@ def _friction(base: wp.vec3, heading: wp.vec3, grip: float, slip: wp.vec3) -> wp
 
 @wp.func
 def _choose_branch(
-    law: ContactParameters, press: float, slip: wp.vec3, base: wp.vec3, heading: wp.vec3, grip: float, penalty: float,
-    cautious: wp.bool,
+    law: ContactParameters, press: float, normal: wp.vec3, slip: wp.vec3, base: wp.vec3, heading: wp.vec3, grip: float,
+    penalty: float, cautious: wp.bool,
 ):  # fmt: skip
     """Return the impulse of friction in the last solution, the direction of the next if it slides, else 0, and its grip.
 
@@ -70,8 +70,9 @@ def _choose_branch(
     sticks = wp.where(slid, wp.dot(heading, slip) > 0.0, wp.length(rub) <= limit) and press > 0.0
     if sticks:
         return rub, wp.vec3(), penalty
-    onwards = wp.normalize(wp.where(slid, -slip, rub))
-    return rub, onwards, ease
+    onwards = wp.where(slid, -slip, rub)
+    onwards -= wp.dot(normal, onwards) * normal  # again: of hardly any slip, rounding leaves as much along the normal
+    return rub, wp.normalize(onwards), ease
 
 
 @wp.func
@@ -161,7 +162,15 @@ def make_velocity_change(count: int) -> wp.Function:
                         press = load - hardness * wp.dot(normal, change)
                         slip = slip_at_start + change - wp.dot(normal, change) * normal
                         rub, heading, grip = _choose_branch(
-                            law, press, slip, bases[i], headings[i], grips[i], penalty, k >= wp.static(ITERATIONS)
+                            law,
+                            press,
+                            normal,
+                            slip,
+                            bases[i],
+                            headings[i],
+                            grips[i],
+                            penalty,
+                            k >= wp.static(ITERATIONS),
                         )
                         base = wp.where(wp.length(heading) > 0.0, law.friction * wp.max(press, 0.0) * heading, rub)
                     bases[i] = base
@@ -177,10 +186,7 @@ def make_velocity_change(count: int) -> wp.Function:
                     d -= arm * give * arm
                     force += impulse
                     torque += wp.cross(lever, impulse)
-            inverse = wp.inverse(a)
-            through = b * inverse
-            delta_turn = wp.inverse(d - through * wp.transpose(b)) * (torque - through * force)
-            delta = inverse * (force - wp.transpose(b) * delta_turn)
+            delta, delta_turn = solve_motion(a, b, d, force, torque)
         return delta, delta_turn
 
     return velocity_change

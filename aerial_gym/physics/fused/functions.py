@@ -74,6 +74,63 @@ def rotate_inverse(q: wp.quat, v: wp.vec3) -> wp.vec3:
     return v - q[3] * t + wp.cross(u, t)
 
 
+@wp.struct
+class _Root:
+    """Lower triangular root L of a symmetric positive 3 x 3 matrix ``L Lᵀ``; its diagonal as reciprocals."""
+
+    diagonal: wp.vec3
+    below: wp.vec3  # entries 10, 20, 21
+
+
+@wp.func
+def _root_of(a: wp.mat33) -> _Root:
+    found = _Root()
+    x = 1.0 / wp.sqrt(a[0, 0])
+    along = a[1, 0] * x
+    far = a[2, 0] * x
+    y = 1.0 / wp.sqrt(a[1, 1] - along * along)
+    across = (a[2, 1] - far * along) * y
+    z = 1.0 / wp.sqrt(a[2, 2] - far * far - across * across)
+    found.diagonal = wp.vec3(x, y, z)
+    found.below = wp.vec3(along, far, across)
+    return found
+
+
+@wp.func
+def _forwards(root: _Root, v: wp.vec3) -> wp.vec3:
+    """Return ``L⁻¹ v``."""
+    x = v[0] * root.diagonal[0]
+    y = (v[1] - root.below[0] * x) * root.diagonal[1]
+    return wp.vec3(x, y, (v[2] - root.below[1] * x - root.below[2] * y) * root.diagonal[2])
+
+
+@wp.func
+def _backwards(root: _Root, v: wp.vec3) -> wp.vec3:
+    """Return ``L⁻ᵀ v``."""
+    z = v[2] * root.diagonal[2]
+    y = (v[1] - root.below[2] * z) * root.diagonal[1]
+    return wp.vec3((v[0] - root.below[0] * y - root.below[1] * z) * root.diagonal[0], y, z)
+
+
+@wp.func
+def solve_motion(push: wp.mat33, mixed: wp.mat33, turn: wp.mat33, force: wp.vec3, torque: wp.vec3):
+    """Return what solves ``push v + mixedᵀ w = force, mixed v + turn w = torque`` for v and w, by Cholesky's method.
+
+    The matrix of the four blocks is symmetric and positive. It need not be well conditioned: the error is that of float32 times
+    the condition, where 3 x 3 inverses by cofactors lose its square (Higham, Accuracy and stability of numerical algorithms,
+    2nd ed., sections 10.1 and 14.6).
+    """
+    first = _root_of(push)
+    x = _forwards(first, wp.vec3(mixed[0, 0], mixed[0, 1], mixed[0, 2]))
+    y = _forwards(first, wp.vec3(mixed[1, 0], mixed[1, 1], mixed[1, 2]))
+    z = _forwards(first, wp.vec3(mixed[2, 0], mixed[2, 1], mixed[2, 2]))
+    beside = wp.matrix_from_rows(x, y, z)
+    second = _root_of(turn - beside * wp.transpose(beside))
+    moved = _forwards(first, force)
+    turned = _backwards(second, _forwards(second, torque - beside * moved))
+    return _backwards(first, moved - wp.transpose(beside) * turned), turned
+
+
 @wp.func
 def world_up(q: wp.quat) -> wp.vec3:
     """Return world z in body axes, ``R(q)^T z``: ``rotate_inverse`` of it, written out."""
