@@ -85,6 +85,10 @@ class ObservationCfg:
     dropout_value: float = 0.0
     """What a dropped or lost entry holds, in the unit of the term; finite."""
 
+    hold_steps: int = 0
+    """Steps for which a dropped entry shows what it held last, noise included, before it shows ``dropout_value``, >= 0. An
+    entry dropped in the first observation of an episode held ``dropout_value``."""
+
     fault: str | None = None
     """Name in ``TaskCfg.faults``."""
 
@@ -105,6 +109,10 @@ class ObservationCfg:
             raise ConfigError(f"ObservationCfg.dropout = {self.dropout!r}: must be a probability, 0 <= dropout < 1")
         if not isfinite(self.dropout_value):
             raise ConfigError(f"ObservationCfg.dropout_value = {self.dropout_value!r}: must be finite")
+        if self.hold_steps < 0 or (self.hold_steps > 0 and self.dropout == 0.0):
+            raise ConfigError(
+                f"ObservationCfg.hold_steps = {self.hold_steps!r}: must be >= 0, and needs a dropout: nothing else is held"
+            )
         _check_steps(self, "delay_steps")
         if not 1 <= self.history <= MAX_MADE:
             raise ConfigError(f"ObservationCfg.history = {self.history!r}: must be >= 1")

@@ -55,6 +55,9 @@ class Seen:
     dropout_value: float = 0.0
     """What a dropped entry held, in the unit of the term: what one without a measurement holds."""
 
+    hold_steps: int = 0
+    """Steps for which a dropped entry held its last value before that: feed it so."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SeenImage:
@@ -189,7 +192,7 @@ def layout_of(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source
                     key=key, term=entry.cfg.term, meaning=_meaning(entry.term.term.summary), first=first,
                     count=count, history=entry.cfg.history, scale=entry.cfg.scale, noise_std=entry.cfg.noise_std,
                     delay_steps=steps_range(entry.cfg.delay_steps), dropout=entry.cfg.dropout,
-                    dropout_value=entry.cfg.dropout_value,
+                    dropout_value=entry.cfg.dropout_value, hold_steps=entry.cfg.hold_steps,
                 )
             )  # fmt: skip
             first += count

@@ -248,6 +248,7 @@ ALIKE = {
     "dce_navigation_task": "navigation_task",
     "position_setpoint_task_morphy_stiff": "position_setpoint_task_morphy",
     "radar_navigation_task": "lidar_navigation_task",
+    "radar_navigation_task_held": "lidar_navigation_task",
     "racing_random_track_task": "racing_task",
 }
 """Tasks that are trained with the settings of another one, as long as they have none of their own."""

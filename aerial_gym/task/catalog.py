@@ -378,6 +378,26 @@ def _radar_navigation() -> TaskCfg:
 
 task_registry.register_later("radar_navigation_task", _radar_navigation)
 
+HOLD_STEPS = 20
+"""Steps for which a cell of the radar is held: a share of 0.8^20 = 1 % of the cells is lost for longer [2 s]."""
+
+
+def _held_radar_navigation() -> TaskCfg:
+    """radar_navigation_task with what each cell returned last, for a picture that no single step gives."""
+    task = task_registry.get("radar_navigation_task")
+    seen = tuple(
+        replace(entry, hold_steps=HOLD_STEPS) if entry.dropout else entry for entry in task.observations["policy"]
+    )
+    return replace(
+        task,
+        summary="radar_navigation_task where a cell that gives no return shows its last one, for 2 s at most",
+        observations={"policy": seen},
+        source=f"{task.source}. What is held: ours",
+    )
+
+
+task_registry.register_later("radar_navigation_task_held", _held_radar_navigation)
+
 
 def _smooth(name: str, *, width: float, velocity: str, weight: float) -> TaskCfg:
     """A task that learners by gradients can follow: its reward has a slope wherever the robot comes to.

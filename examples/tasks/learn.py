@@ -18,6 +18,7 @@ TASKS = (
     "position_setpoint_task_reconfigurable",
     "dce_navigation_task",
     "radar_navigation_task",
+    "radar_navigation_task_held",
     "racing_task",
     "racing_random_track_task",
 )

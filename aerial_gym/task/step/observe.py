@@ -37,19 +37,33 @@ class Entry:
     past: tuple[str, ...]
     """Buffers of its line, oldest first."""
 
+    held: tuple[str, ...]
+    """Buffers of what each entry held last and for how many steps it has been dropped; none where nothing is held."""
+
     delay: int | None
     """Its column among the drawn delays; None where it has one delay."""
 
-    def noisy(self, values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Return whether the term is finite, bool (E,), and its value with noise and dropout, zeros where not, (E, width)."""
+    def noisy(self, values: Mapping[str, Tensor], begun: Tensor | None) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+        """Return whether the term is finite, bool (E,), its value with noise and dropout, zeros where not, (E, width), and what
+        is held as the next step finds it."""
         value = self.term.of(values)
         finite, value = value.isfinite().all(dim=-1), value.nan_to_num(0.0, 0.0, 0.0)
-        if self.noise is not None:
-            noise = values[NOISE][:, self.noise : self.noise + self.width]
-            value = value + noise
-            if self.cfg.dropout:
-                value = torch.where(noise.isfinite(), value, self.cfg.dropout_value)
-        return finite, value
+        if self.noise is None:
+            return finite, value, {}
+        noise = values[NOISE][:, self.noise : self.noise + self.width]
+        value = value + noise
+        if not self.cfg.dropout:
+            return finite, value, {}
+        there = noise.isfinite()
+        if not self.held:
+            return finite, torch.where(there, value, self.cfg.dropout_value), {}
+        last, age = (values[name] for name in self.held)
+        if begun is not None:
+            last = torch.where(begun.unsqueeze(-1), self.cfg.dropout_value, last)
+            age = torch.where(begun.unsqueeze(-1), 0.0, age)
+        age = torch.where(there, 0.0, age + 1.0)
+        value = torch.where(there, value, torch.where(age <= self.cfg.hold_steps, last, self.cfg.dropout_value))
+        return finite, value, dict(zip(self.held, (value, age), strict=True))
 
     def shown(
         self, values: Mapping[str, Tensor], value: Tensor, begun: Tensor | None
@@ -99,10 +113,13 @@ class Observer:
                     past.append(f"past_{group}_{number}_{piece}")
                     meaning = f"last values of {term.label}, oldest first"
                     values.declare(past[-1], (count * width,), meaning=meaning)
+                held = tuple(f"{what}_{group}_{number}" for what in ("held", "dropped")) if cfg.hold_steps else ()
+                for name, meaning in zip(held, ("last shown value of", "steps since a return of"), strict=False):
+                    values.declare(name, (width,), meaning=f"{meaning} each entry of {term.label}")
                 drawn = bool(cfg.noise_std or cfg.dropout)
                 entry = Entry(
                     term=term, cfg=cfg, width=width, noise=len(noise) if drawn else None, line=line,
-                    past=tuple(past), delay=len(ranges) if low < high else None,
+                    past=tuple(past), held=held, delay=len(ranges) if low < high else None,
                 )  # fmt: skip
                 if drawn:
                     noise |= {column + i: (cfg.noise_std, cfg.dropout) for i in range(width)}
@@ -118,8 +135,8 @@ class Observer:
         entries = [entry for group in self.groups.values() for entry in group]
         self.terms = [entry.term for entry in entries]
         """Of all groups."""
-        self.writes = {name: values[name] for entry in entries for name in entry.past}
-        """Lines."""
+        self.writes = {name: values[name] for entry in entries for name in (*entry.past, *entry.held)}
+        """Lines, and what is held."""
         self.reads = {NOISE: self._noise.noise, DELAYS: delays} | self._faults.reads | self.writes
         self.reads |= values.read_by(*self.terms)
         """What ``found`` reads."""
@@ -160,7 +177,7 @@ class Observer:
     def found(
         self, values: Mapping[str, Tensor], begun: Tensor | None
     ) -> tuple[Tensor, dict[str, Tensor], dict[str, Tensor]]:
-        """Return whether all terms are finite, bool (E,), the observations by group, and the lines, as a pure function.
+        """Return whether all terms are finite, bool (E,), the observations by group, and ``writes``, as a pure function.
 
         Args:
             values: What ``reads`` names.
@@ -170,12 +187,12 @@ class Observer:
         for group, entries in self.groups.items():
             parts = []
             for entry in entries:
-                finite, value = entry.noisy(values)
+                finite, value, held = entry.noisy(values, begun)
                 value = self._faults.shown(entry.cfg, values, value)
                 part, line = entry.shown(values, value, begun)
                 flags.append(finite)
                 parts.append(part)
-                lines |= line
+                lines |= line | held
             shown[group] = torch.cat(parts, dim=-1)
         return torch.stack(flags, dim=-1).all(dim=-1), shown, lines
 

@@ -57,6 +57,7 @@ def test_forms_of_an_earlier_version_say_what_they_must_be() -> None:
         ({"noise_std": -0.1}, "noise_std = -0.1: must be >= 0"),
         ({"dropout": 1.0}, "dropout = 1.0: must be a probability, 0 <= dropout < 1"),
         ({"dropout_value": float("inf")}, "dropout_value = inf: must be finite"),
+        ({"hold_steps": 3}, "hold_steps = 3: must be >= 0, and needs a dropout"),
         ({"delay_steps": -1}, "delay_steps = -1: must be >= 0"),
         ({"delay_steps": (3, 1)}, r"delay_steps = \(3, 1\): must be >= 0, or the fewest and the most"),
         ({"history": 0}, "history = 0: must be >= 1"),

@@ -84,6 +84,22 @@ def test_so_many_cells_give_no_return() -> None:
     assert same == pytest.approx(SHARE**2 + (1.0 - SHARE) ** 2, abs=0.02)  # drawn anew at every step
 
 
+def test_the_held_task_differs_by_what_lost_cells_show() -> None:
+    """Of 0.8^20 = 1.2 % of the cells at most nothing is seen after 20 steps; before that of 0.8^k."""
+    held = task_registry.get("radar_navigation_task_held")
+    *state, cells = held.observations["policy"]
+    assert cells.hold_steps == 20
+    given = {"policy": (*state, replace(cells, hold_steps=0))}
+    assert replace(held, observations=given, summary=CFG.summary, source=CFG.source) == CFG
+    made = built(held, 16)
+    made.reset()
+    for _ in range(3):
+        obs, *_ = made.step(torch.zeros(16, 4))
+    lost = (obs["observations"][:, 17:] == -1.0).double()
+    share = SHARE**4
+    assert float((lost.mean() - share).abs()) < 5.0 * (share * (1.0 - share) / lost.numel()) ** 0.5
+
+
 def states(rows: int = 64) -> dict[str, Tensor]:
     """Return flights in all directions, about the goal and away from it."""
     generator = torch.Generator().manual_seed(0)

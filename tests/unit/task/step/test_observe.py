@@ -113,6 +113,34 @@ def test_so_many_entries_drop_out_and_the_others_keep_their_noise() -> None:
     assert both == pytest.approx(share**2, abs=bound)  # drawn anew
 
 
+def test_a_dropped_entry_shows_what_it_held_for_so_many_steps() -> None:
+    """Followed by hand beside the same task without holding, bit for bit: 12 steps, of which two end episodes."""
+    dropped = ObservationCfg(term="position_error_world", noise_std=0.1, dropout=0.7, dropout_value=-7.0)
+    entries = (dropped, replace(dropped, hold_steps=2))
+    first, second = (make(50, policy=(entry,), episode_len_steps=5) for entry in entries)
+    seen, shown = (task.reset()[0]["observations"].clone() for task in (first, second))
+    begun, counts = torch.ones(50, 1, dtype=torch.bool), [0, 0, 0]
+    held, age = torch.zeros(50, 3), torch.zeros(50, 3)
+    for _ in range(12):
+        lost = seen == -7.0
+        held, age = torch.where(begun, -7.0, held), torch.where(begun, 0.0, age)
+        age = torch.where(lost, age + 1.0, 0.0)
+        held = torch.where(lost, torch.where(age <= 2.0, held, -7.0), seen)
+        assert torch.equal(shown, held)
+        counts = [
+            n + int(more.sum())
+            for n, more in zip(counts, (lost & (age > 2.0), lost & (held > -7.0), begun), strict=True)
+        ]
+        (seen, *_), (shown, _, _, truncated, _) = (task.step(torch.zeros(50, 4)) for task in (first, second))
+        seen, shown, begun = (
+            seen["observations"].clone(),
+            shown["observations"].clone(),
+            truncated.bool().unsqueeze(-1).clone(),
+        )
+    assert min(counts[:2]) > 200
+    assert counts[2] == 150
+
+
 def test_groups_are_given_beside_each_other() -> None:
     groups = {
         "policy": (ObservationCfg(term="position_error_world", noise_std=0.1),),
