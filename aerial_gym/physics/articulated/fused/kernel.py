@@ -16,7 +16,7 @@ from aerial_gym.physics.articulated.fused.recursion import Inertia, inertia_of, 
 from aerial_gym.physics.effects import DelayEffect, WrenchEffect
 from aerial_gym.physics.fused.command import make_command
 from aerial_gym.physics.fused.contact import ContactParameters
-from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn, unit_quat
+from aerial_gym.physics.fused.functions import rotate, rotate_inverse, small_turn, solve_motion, unit_quat
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, NoGains, preparation
 from aerial_gym.physics.fused.loads import make_loads
@@ -124,11 +124,9 @@ def make_jointed_kernel(
 
     @wp.func
     def solve(whole: Inertia):
-        """Return angular acceleration and acceleration of the base under what it carries, by elimination of the latter."""
-        inverse = wp.inverse(whole.push)
-        across = whole.mixed * inverse
-        turn = -wp.inverse(whole.turn - across * wp.transpose(whole.mixed)) * (whole.torque - across * whole.force)
-        return turn, -inverse * (whole.force + wp.transpose(whole.mixed) * turn)
+        """Return angular acceleration and acceleration of the base under what it carries."""
+        rise, turn = solve_motion(whole.push, whole.mixed, whole.turn, whole.force, whole.torque)
+        return -turn, -rise
 
     @wp.func
     def find(
