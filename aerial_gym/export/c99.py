@@ -11,9 +11,10 @@ import torch
 from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.export.c99_images import CONVOLVE, joined, looking, parameters, told
+from aerial_gym.export.c99_images import CONVOLVE, Looking, joined, looking, parameters, passing, told
 from aerial_gym.export.layout import Layout
 from aerial_gym.export.module import FlownPolicy, transform_of
+from aerial_gym.sensors.encoder.file import Encoder
 from aerial_gym.task import ACTIONS
 from aerial_gym.task.terms import actions
 
@@ -120,14 +121,7 @@ def source(policy: FlownPolicy, layout: Layout) -> str:
 {chr(10).join(parts)}
 static float clamped(float x, float limit) {{ return x < -limit ? -limit : (x > limit ? limit : x); }}
 {activation}{logistic}
-static void dense(const float *weight, const float *bias, int num_in, int num_out, const float *in, float *out) {{
-    for (int o = 0; o < num_out; ++o) {{
-        float sum = bias[o];
-        for (int i = 0; i < num_in; ++i) sum += weight[o * num_in + i] * in[i];
-        out[o] = sum;
-    }}
-}}
-
+{_DENSE}
 void {n}_reset({n}_state *state) {{
     for (int i = 0; i < {layout.num_actions}; ++i) state->action[i] = 0.0f;{forget}
 }}
@@ -145,6 +139,67 @@ void {n}_reset({n}_state *state) {{
 }}
 """
 
+
+def encoder_header(encoder: Encoder, name: str) -> str:
+    """Return the header of an encoder: sizes, work space, and the function from an image to latents."""
+    upper, seen = name.upper(), encoder.seen
+    return f"""/* An encoder of {seen}.
+ *
+ * image: {seen.rows} x {seen.columns} pixels, row by row from the top, each as a share of the largest distance, 0 to 1;
+ * latents: what goes into image_latents of the policy.
+ */
+#ifndef {upper}_H
+#define {upper}_H
+
+#define {upper}_ROWS {seen.rows}
+#define {upper}_COLUMNS {seen.columns}
+#define {upper}_LATENTS {encoder.num_latents}
+
+/* Work space of one call: nothing stays. */
+typedef struct {{
+    float work[2][{_passing(encoder).work}];
+}} {name}_space;
+
+{_encoder_head(encoder, name)};
+
+#endif
+"""
+
+
+def encoder_source(encoder: Encoder, name: str) -> str:
+    """Return the source of an encoder."""
+    passed, pixels = _passing(encoder), encoder.seen.rows * encoder.seen.columns
+    return f"""#include "{name}.h"
+
+#include <math.h>
+
+{chr(10).join(passed.arrays)}
+{_ACTIVATIONS[encoder.cfg.activation]}{CONVOLVE}
+{_DENSE}
+{_encoder_head(encoder, name)} {{
+    for (int i = 0; i < {pixels}; ++i) state->work[0][i] = image[i];
+{passed.code}
+}}
+"""
+
+
+def _encoder_head(encoder: Encoder, name: str) -> str:
+    pixels = encoder.seen.rows * encoder.seen.columns
+    return f"void {name}_encode({name}_space *state, const float image[{pixels}], float latents[{encoder.num_latents}])"
+
+
+def _passing(encoder: Encoder) -> Looking:
+    return passing(encoder.layers, (1, encoder.seen.rows, encoder.seen.columns), _array, name="layer", out="latents")
+
+
+_DENSE = """static void dense(const float *weight, const float *bias, int num_in, int num_out, const float *in, float *out) {
+    for (int o = 0; o < num_out; ++o) {
+        float sum = bias[o];
+        for (int i = 0; i < num_in; ++i) sum += weight[o * num_in + i] * in[i];
+        out[o] = sum;
+    }
+}
+"""
 
 _ACTIVATIONS = {
     "elu": "static float activated(float x) { return x > 0.0f ? x : expm1f(x); }\n",

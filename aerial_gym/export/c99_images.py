@@ -37,7 +37,7 @@ static void convolve(const float *weight, const float *bias, int num_in, int row
 
 @dataclass(frozen=True, kw_only=True)
 class Looking:
-    """What looks at all images of a policy, as C."""
+    """What looks at images, as C."""
 
     arrays: tuple[str, ...]
     """Definitions of weights."""
@@ -89,33 +89,48 @@ def looking(policy: FlownPolicy, layout: Layout, array: Callable[[str, Tensor], 
     for image in layout.images:
         encoder = policy.policy.body.encoders[image.key]
         assert isinstance(encoder, Pixels)
-        assert isinstance(encoder.network, nn.Sequential)
-        shape, place = image.shape, 0
-        work = max(work, prod(shape))
         code.append(
-            f"    for (int i = 0; i < {prod(shape)}; ++i) state->work[0][i] = {image.key}[i]{_pixel(image)[1]};"
+            f"    for (int i = 0; i < {prod(image.shape)}; ++i) state->work[0][i] = {image.key}[i]{_pixel(image)[1]};"
         )
-        layers = [layer for layer in encoder.network if isinstance(layer, (nn.Conv2d, nn.Linear))]
-        for number, layer in enumerate(layers):
-            name = f"{image.key}_{number}"
-            assert layer.bias is not None
-            arrays += [array(f"{name}_weight", layer.weight), array(f"{name}_bias", layer.bias)]
-            if isinstance(layer, nn.Linear):
-                wide = widths[image.key] = layer.out_features
-                out, given = f"{image.key}_features", f"state->work[{place}]"
-                code += [
-                    f"    float {out}[{wide}];",
-                    f"    dense({name}_weight, {name}_bias, {layer.in_features}, {wide}, {given}, {out});",
-                    f"    for (int i = 0; i < {wide}; ++i) {out}[i] = activated({out}[i]);",
-                ]
-                continue
-            code.append(
-                f"    convolve({name}_weight, {name}_bias, {shape[0]}, {shape[1]}, {shape[2]}, {layer.out_channels}, "
-                f"state->work[{place}], state->work[{1 - place}]);"
-            )
-            shape, place = (layer.out_channels, (shape[1] + 1) // 2, (shape[2] + 1) // 2), 1 - place
-            work = max(work, prod(shape))
+        passed = passing(encoder, image.shape, array, name=image.key, out=f"{image.key}_features")
+        wide = widths[image.key] = passed.widths[image.key]
+        out = f"{image.key}_features"
+        arrays += passed.arrays
+        code += [f"    float {out}[{wide}];", passed.code]
+        code.append(f"    for (int i = 0; i < {wide}; ++i) {out}[i] = activated({out}[i]);")
+        work = max(work, passed.work)
     return Looking(arrays=tuple(arrays), code="\n".join(code), widths=widths, work=work)
+
+
+def passing(
+    network: nn.Module, shape: tuple[int, int, int], array: Callable[[str, Tensor], str], *, name: str, out: str
+) -> Looking:
+    """Return the C code of convolutions and the dense layer behind them, without its activation.
+
+    Args:
+        network: Holds these layers in order.
+        shape: Of the image, in ``state->work[0]``.
+        array: Defines a constant array of a name.
+        name: What arrays and widths are called by.
+        out: Array that receives what the last layer makes.
+    """
+    arrays, code, place, work, wide = [], [], 0, prod(shape), 0
+    layers = [layer for layer in network.modules() if isinstance(layer, (nn.Conv2d, nn.Linear))]
+    for number, layer in enumerate(layers):
+        label, given = f"{name}_{number}", f"state->work[{place}]"
+        assert layer.bias is not None
+        arrays += [array(f"{label}_weight", layer.weight), array(f"{label}_bias", layer.bias)]
+        if isinstance(layer, nn.Linear):
+            wide = layer.out_features
+            code.append(f"    dense({label}_weight, {label}_bias, {layer.in_features}, {wide}, {given}, {out});")
+            continue
+        code.append(
+            f"    convolve({label}_weight, {label}_bias, {shape[0]}, {shape[1]}, {shape[2]}, {layer.out_channels}, "
+            f"{given}, state->work[{1 - place}]);"
+        )
+        shape, place = (layer.out_channels, (shape[1] + 1) // 2, (shape[2] + 1) // 2), 1 - place
+        work = max(work, prod(shape))
+    return Looking(arrays=tuple(arrays), code="\n".join(code), widths={name: wide}, work=work)
 
 
 def joined(policy: FlownPolicy, widths: dict[str, int]) -> str:

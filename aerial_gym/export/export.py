@@ -3,7 +3,6 @@
 Letters: O entries of an observation, M numbers of memory.
 """
 
-import logging
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,8 +24,6 @@ from aerial_gym.sensors.encoder.file import load_encoder
 from aerial_gym.task import task_registry
 from aerial_gym.task.seen.images import TYPES
 from aerial_gym.task.terms.observations import LATENTS
-
-_log = logging.getLogger(__name__)
 
 CHECKED, STEPS = 100_000, 10
 """Observations with which an exported policy is compared, in sequences of so many steps: a memory is then in use."""
@@ -91,16 +88,10 @@ def write_policy(policy: Policy, layout: Layout, out: Path, to: Iterable[str], *
         out.mkdir(parents=True, exist_ok=True)
     layout.write(out)
     found = []
-    for each in to:
+    for each in (wanted := list(to)):
         file = FORMATS[each](flown, layout, out)
-        difference, reason = None, "not asked for"
-        if check:
-            try:
-                difference, reason = largest_difference(flown, layout, file), None
-            except CapabilityError as error:
-                reason = str(error)
-        found.append(Exported(to=each, file=file, largest_difference=difference, not_checked=reason))
-    return found + (_encoders(layout.encoder, layout, out, to, check=check) if sees_latents(layout) else [])
+        found.append(_checked(each, file, lambda file: largest_difference(flown, layout, file), check))
+    return found + (_encoders(layout.encoder, layout, out, wanted, check=check) if sees_latents(layout) else [])
 
 
 def sees_latents(layout: Layout) -> bool:
@@ -108,24 +99,25 @@ def sees_latents(layout: Layout) -> bool:
     return any(seen.term == LATENTS for seen in layout.observation)
 
 
-def _encoders(encoder: str | None, layout: Layout, out: Path, to: Iterable[str], *, check: bool) -> list[Exported]:
-    """Write the encoder of a policy that sees latents beside it, in the formats that it has."""
+def _encoders(encoder: str | None, layout: Layout, out: Path, to: list[str], *, check: bool) -> list[Exported]:
+    """Write the encoder of a policy that sees latents beside it."""
     assert encoder is not None
-    found = []
-    for each in to:
-        if each not in ENCODER_ENDINGS:
-            _log.warning(
-                "%s: the policy takes image_latents, and their encoder %s is not written in this format. Write %s as well",
-                each,
-                encoder,
-                " or ".join(ENCODER_ENDINGS),
-            )
-        else:
-            file = write_encoder(encoder, out / f"{layout.name}_encoder{ENCODER_ENDINGS[each]}")
-            difference = difference_of_encoder(load_encoder(encoder), file) if check else None
-            reason = None if check else "not asked for"
-            found.append(Exported(to=each, file=file, largest_difference=difference, not_checked=reason))
-    return found
+    module = load_encoder(encoder)
+    files = (write_encoder(encoder, out / f"{layout.name}_encoder{ENDINGS[each]}") for each in to)
+    return [
+        _checked(each, file, lambda file: difference_of_encoder(module, file), check)
+        for each, file in zip(to, files, strict=True)
+    ]
+
+
+def _checked(to: str, file: Path, difference: Callable[[Path], float], check: bool) -> Exported:
+    """Return what was written, compared with torch if asked for and possible."""
+    if not check:
+        return Exported(to=to, file=file, largest_difference=None, not_checked="not asked for")
+    try:
+        return Exported(to=to, file=file, largest_difference=difference(file), not_checked=None)
+    except CapabilityError as error:
+        return Exported(to=to, file=file, largest_difference=None, not_checked=str(error))
 
 
 @torch.no_grad()
@@ -156,8 +148,8 @@ def drawn_image(image: SeenImage, rows: int, generator: torch.Generator) -> Tens
     return (255.0 * shares + 0.5).to(torch.uint8) if image.dtype == "uint8" else shares.to(TYPES[image.dtype][0])
 
 
-ENCODER_ENDINGS = {"onnx": ".onnx", "torchscript": ".pt"}
-"""Of an encoder's file, by the format; C99 has none yet."""
+ENDINGS = {"onnx": ".onnx", "torchscript": ".pt", "c99": ".c"}
+"""Of an encoder's file, by the format."""
 
 
 def _onnx(flown: FlownPolicy, layout: Layout, out: Path) -> Path:

@@ -110,13 +110,39 @@ def onnx_step(file: Path, layout: Layout) -> Step:
     return step
 
 
-def c99_step(file: Path, layout: Layout) -> Step:
-    """Return the step of a C file, compiled for this machine."""
+def compiled(file: Path, driver: str) -> ctypes.CDLL:
+    """Return a C file with a driver of it as a library for this machine.
+
+    Raises:
+        CapabilityError: If there is no compiler, or it refuses them.
+    """
     compiler = which("gcc") or which("cc")
     if compiler is None:
         raise CapabilityError(
             "no C compiler here (gcc, cc): the source was written, and cannot be flown on this machine"
         )
+    with tempfile.TemporaryDirectory() as folder:
+        more, library = Path(folder) / "rows.c", Path(folder) / "rows.so"
+        more.write_text(driver, encoding="utf-8")
+        command = [
+            compiler,
+            *COMPILER,
+            "-fPIC",
+            "-shared",
+            f"-I{file.parent}",
+            str(file),
+            str(more),
+            "-o",
+            str(library),
+        ]
+        done = subprocess.run([*command, "-lm"], capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise CapabilityError(f"{file}: does not compile: {done.stderr.strip()[:500]}")
+        return ctypes.CDLL(str(library))
+
+
+def c99_step(file: Path, layout: Layout) -> Step:
+    """Return the step of a C file, compiled for this machine."""
     n, sizes = layout.name, (layout.num_observations, len(layout.command), layout.num_actions, layout.memory)
     seen, given, acts, memory = sizes
     types = {each.key: PIXELS[each.dtype][0] for each in layout.images}
@@ -134,25 +160,7 @@ void {n}_rows(int rows, const float *observation, float *command, float *action,
     }}
 }}
 """
-    with tempfile.TemporaryDirectory() as folder:
-        driver, library = Path(folder) / "rows.c", Path(folder) / "policy.so"
-        driver.write_text(rows, encoding="utf-8")
-        command = [
-            compiler,
-            *COMPILER,
-            "-fPIC",
-            "-shared",
-            f"-I{file.parent}",
-            str(file),
-            str(driver),
-            "-o",
-            str(library),
-            "-lm",
-        ]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise CapabilityError(f"{file}: does not compile: {done.stderr.strip()[:500]}")
-        call = getattr(ctypes.CDLL(str(library)), f"{n}_rows")
+    call = getattr(compiled(file, rows), f"{n}_rows")
 
     def step(observation: Tensor, memory: Tensor, *images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         pixels = [image.contiguous() for image in images]

@@ -18,7 +18,8 @@ from aerial_gym.export.layout import Layout, layout_of
 from aerial_gym.export.pilot import load_exported
 from aerial_gym.rl_training.policies.body import BodyCfg
 from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.sensors.encoder.file import load_encoder
+from aerial_gym.sensors.encoder.file import Encoder, SeenCfg, load_encoder
+from aerial_gym.sensors.encoder.network import Autoencoder, AutoencoderCfg
 from aerial_gym.task import Task
 from tests.unit.export.policies import training
 from tests.unit.task.hover import built
@@ -136,8 +137,8 @@ def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
     assert found.largest_difference == 0.0
 
 
-def test_latents_are_a_vector_whose_encoder_is_written_beside(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The exported policy takes them as they are, and the encoder has a file of its own; C99 leaves it out and says so."""
+def test_latents_are_a_vector_whose_encoder_is_written_beside(tmp_path: Path) -> None:
+    """The exported policy takes them as they are, and the encoder has a file of its own."""
     policy = drawn_policy({"observations": (81,)})
     with task_registry.make_task("dce_navigation_task", num_envs=1, device="cpu") as task:
         made = layout_of(policy, training(), task, name="latents", source="nowhere")
@@ -148,10 +149,25 @@ def test_latents_are_a_vector_whose_encoder_is_written_beside(tmp_path: Path, ca
     policy_file, encoder_file = write_policy(policy, made, tmp_path, ["torchscript"])
     assert (policy_file.file.name, encoder_file.file.name) == ("latents.pt", "latents_encoder.pt")
     assert encoder_file.largest_difference == 0.0
-    assert [each.file.name for each in write_policy(policy, made, tmp_path, ["c99"], check=False)] == ["latents.c"]
-    assert (
-        "their encoder collision_40x24 is not written in this format. Write onnx or torchscript as well" in caplog.text
-    )
+    files = [each.file.name for each in write_policy(policy, made, tmp_path, ["c99"], check=False)]
+    assert files == ["latents.c", "latents_encoder.c"]
+
+
+@COMPILER
+@pytest.mark.parametrize("activation", ["elu", "relu", "tanh"])
+def test_c_encoder_gives_what_torch_gives(tmp_path: Path, activation: str) -> None:
+    """Compiled with -Wall -Wextra -Werror -pedantic, of an image whose sides are no powers of two."""
+    torch.manual_seed(2)
+    cfg = AutoencoderCfg(rows=21, columns=38, latents=5, channels=(4, 6, 8), activation=activation)
+    seen = SeenCfg(model="pinhole", kind="range", rows=21, columns=38, max_range=10.0, hfov_deg=87.0)
+    encoder = Encoder(Autoencoder(cfg), seen, trained={})
+    encoder.save(tmp_path / "small.pt")
+    file = write_encoder(str(tmp_path / "small.pt"), tmp_path / "small_encoder.c")
+    assert difference_of_encoder(encoder, file) < TOLERANCE
+    text = file.with_suffix(".h").read_text()
+    assert "malloc" not in file.read_text()
+    assert "#define SMALL_ENCODER_LATENTS 5" in text
+    assert "image: 21 x 38 pixels, row by row from the top" in text
 
 
 def test_onnx_encoder_gives_what_torch_gives(tmp_path: Path) -> None:
