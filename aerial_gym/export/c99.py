@@ -157,7 +157,7 @@ def encoder_header(encoder: Encoder, name: str) -> str:
 
 /* Work space of one call: nothing stays. */
 typedef struct {{
-    float work[2][{_passing(encoder).work}];
+    float work[2][{_passing(encoder, lambda _, __: "").work}];
 }} {name}_space;
 
 {_encoder_head(encoder, name)};
@@ -168,7 +168,7 @@ typedef struct {{
 
 def encoder_source(encoder: Encoder, name: str) -> str:
     """Return the source of an encoder."""
-    passed, pixels = _passing(encoder), encoder.seen.rows * encoder.seen.columns
+    passed, pixels = _passing(encoder, _array), encoder.seen.rows * encoder.seen.columns
     return f"""#include "{name}.h"
 
 #include <math.h>
@@ -188,8 +188,8 @@ def _encoder_head(encoder: Encoder, name: str) -> str:
     return f"void {name}_encode({name}_space *state, const float image[{pixels}], float latents[{encoder.num_latents}])"
 
 
-def _passing(encoder: Encoder) -> Looking:
-    return passing(encoder.layers, (1, encoder.seen.rows, encoder.seen.columns), _array, name="layer", out="latents")
+def _passing(encoder: Encoder, array: Callable[[str, Tensor], str]) -> Looking:
+    return passing(encoder.layers, (1, encoder.seen.rows, encoder.seen.columns), array, name="layer", out="latents")
 
 
 _DENSE = """static void dense(const float *weight, const float *bias, int num_in, int num_out, const float *in, float *out) {
