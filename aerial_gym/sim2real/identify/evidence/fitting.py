@@ -3,7 +3,7 @@
 Letters: N tolerances.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -282,7 +282,7 @@ class Fitter:
         odds = {name: one.robust_log_odds for name, one in fitted.support.items()}
         return self.without(fitted, (min(fitted.effects, key=lambda name: odds.get(name, -np.inf)),), compared)
 
-    def held(self, fitted: Fitted) -> Fitted:
+    def held(self, fitted: Fitted, holds: Callable[[Fitted], bool] = lambda one: one.holds) -> Fitted:
         """Return the most probable of a set and all that is left of it without some effects of which every effect holds.
 
         An effect for which little speaks beside another may be all that is needed without it, and one that holds may be what
@@ -291,8 +291,8 @@ class Fitter:
         """
         level, best = [fitted], None
         while level:
-            best = max([one for one in level if one.holds] + ([best] if best else []), key=_probable, default=None)
-            rest = [one for one in level if not one.holds and (best is None or one.log_posterior > best.log_posterior)]
+            best = max([one for one in level if holds(one)] + ([best] if best else []), key=_probable, default=None)
+            rest = [one for one in level if not holds(one) and (best is None or one.log_posterior > best.log_posterior)]
             less: dict[Label, Fitted] = {}
             for one in sorted(rest, key=_probable, reverse=True)[:BROAD]:
                 for name in one.effects:

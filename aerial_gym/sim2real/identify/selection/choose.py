@@ -147,7 +147,7 @@ class _Chooser:
         present = narrowest(view.present, fits, reach_of(view.present))
         surrogates = self.varying(present, view.fitter)
         named, ends = view.fitter.in_file(self.bare(present, surrogates, fits, view.fitter))
-        named, unsure = self.told_from_nothing(named, view.fitter)
+        named, unsure = self.told_from_nothing(named, present, view.fitter)
         named, immaterial, without = self.without_trifles(named, view.fitter)
         refused = {
             name: f"probable if noise were all (log odds {found.log_odds:.0f}), not as far as flights agree on it, or only "
@@ -156,6 +156,8 @@ class _Chooser:
         } | {name: f"runs into its physical bound: {', '.join(found)}" for name, found in ends.items()}
         refused |= {
             name: f"more probable than not, and not told from nothing (log odds {odds:.1f}, {LEAST_SCORE:g} asked)"
+            if odds <= LEAST_SCORE
+            else "told from nothing only beside what is not"
             for name, odds in unsure.items()
         }
         away = (*named.effects, *surrogates, *immaterial)
@@ -181,19 +183,22 @@ class _Chooser:
         cases = [one for one in fits if one.holds and not one.structures and kept.issuperset(one.effects)]
         return max([fitter.held(whole), *cases], key=lambda one: one.log_posterior)
 
-    def told_from_nothing(self, fitted: Fitted, fitter: Fitter) -> tuple[Fitted, dict[str, float]]:
-        """Return a set without the effects that cannot be told from nothing in their place, and the log odds of these.
+    def told_from_nothing(self, fitted: Fitted, present: Fitted, fitter: Fitter) -> tuple[Fitted, dict[str, float]]:
+        """Return what is left of a set when every effect can be told from nothing, and the log odds of what went.
 
         The same odds that tell two effects apart: to correct a vehicle by what is a little more probable than not is a false
-        alarm in one case of three.
+        alarm in one case of three. They are those in the set, or those in the most probable one if these are more: what a
+        structure explains there is scatter between flights here, and no doubt in an effect that holds here as well.
         """
-        unsure: dict[str, float] = {}
-        while fitted.effects:
-            weakest, support = min(fitted.support.items(), key=lambda item: item[1].robust_log_odds)
-            if support.robust_log_odds > LEAST_SCORE:
-                break
-            unsure[weakest], fitted = support.robust_log_odds, fitter.without(fitted, (weakest,))
-        return fitted, unsure
+
+        def odds_in(one: Fitted) -> dict[str, float]:
+            found = {
+                name: [have[name] for have in (one.support, present.support) if name in have] for name in one.effects
+            }
+            return {name: max(support.robust_log_odds for support in both) for name, both in found.items()}
+
+        left = fitter.held(fitted, lambda one: one.holds and min(odds_in(one).values(), default=np.inf) > LEAST_SCORE)
+        return left, {name: odds for name, odds in odds_in(fitted).items() if name not in left.effects}
 
     def adds(self, view: View) -> dict[str, float]:
         """Return what speaks for each other effect on top of the present set, best of its starts."""

@@ -166,9 +166,34 @@ def test_a_robot_file_holds_no_structure_and_no_effect_that_holds_only_beside_on
 def test_what_is_more_probable_than_not_and_not_told_from_nothing_has_no_name() -> None:
     """Odds of two to one are a false alarm in a third of all cases; a mass that is sure without it stays."""
     odds = {"torque_ratio": 0.7, "payload_mass": 2.0}
-    both, mass = fitted("payload_mass", "torque_ratio", odds=odds), fitted("payload_mass", odds={"payload_mass": 3.1})
-    chooser, nothing = object.__new__(_Chooser), fitted()
-    assert chooser.told_from_nothing(both, Made(mass, nothing)) == (mass, {"torque_ratio": 0.7})
+    both = fitted("payload_mass", "torque_ratio", odds=odds)
+    mass = fitted("payload_mass", log=-0.7, odds={"payload_mass": 3.1})
+    chooser, nothing = object.__new__(_Chooser), fitted(log=-3.8)
+    found, unsure = chooser.told_from_nothing(both, both, Made(mass, nothing))
+    assert found is mass
+    assert unsure == {"torque_ratio": 0.7}
     alone = fitted("torque_ratio", odds=odds)
-    assert chooser.told_from_nothing(alone, Made(nothing)) == (nothing, {"torque_ratio": 0.7})
-    assert chooser.told_from_nothing(nothing, Made()) == (nothing, {})
+    assert chooser.told_from_nothing(alone, alone, Made(nothing)) == (nothing, {"torque_ratio": 0.7})
+    assert chooser.told_from_nothing(nothing, nothing, Made()) == (nothing, {})
+
+
+@pytest.mark.parametrize(("beside", "without", "named"), [(5.0, 0.7, True), (5.0, -0.1, False), (2.0, 0.7, False)])
+def test_what_a_structure_explains_is_no_doubt_in_an_effect(beside: float, without: float, named: bool) -> None:
+    """Flights agree on the drag beside what follows the place: it is named if it holds without that as well."""
+    best = fitted("rotor_drag", odds={"rotor_drag": beside}, structures=(PLACE,))
+    bare, nothing = fitted("rotor_drag", log=-4.0, odds={"rotor_drag": without}), fitted(log=-9.0)
+    found, unsure = object.__new__(_Chooser).told_from_nothing(bare, best, Made(nothing))
+    assert found is (bare if named else nothing)
+    assert unsure == ({} if named else {"rotor_drag": max(beside, without)})
+
+
+def test_the_set_is_chosen_again_when_an_effect_is_not_told_from_nothing() -> None:
+    """Less speaks for the tilt of a motor, and without it neither is sure; without the drag the tilt is: it stays."""
+    odds = {"rotor_drag": 2.5, "motor_tilt": 2.0}
+    both = fitted("rotor_drag", "motor_tilt", odds=odds)
+    drag, tilt = (
+        fitted(name, log=-2.5, odds={name: value}) for name, value in (("rotor_drag", 2.9), ("motor_tilt", 4.0))
+    )
+    found, unsure = object.__new__(_Chooser).told_from_nothing(both, both, Made(drag, tilt, fitted(log=-6.0)))
+    assert found is tilt
+    assert unsure == {"rotor_drag": 2.5}
