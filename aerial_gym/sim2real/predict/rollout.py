@@ -52,9 +52,13 @@ QUANTITIES: dict[str, str] = {"position": "m", "velocity": "m/s", "attitude": "r
 """Compared quantities and their units."""
 
 
+FARTHEST = 1e6
+"""Most that a rollout is counted as off [m, m/s]; one that diverges until no number holds it is as far."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RolloutErrors:
-    """Distance between rollout and flight at each horizon: one row per window."""
+    """Distance between rollout and flight at each horizon, ``FARTHEST`` at most: one row per window."""
 
     windows: Windows
     horizons: tuple[float, ...]
@@ -370,8 +374,6 @@ def mean_about(values: Array, rows: int) -> Array:
 
 def _distances(state: BodyState, truth: BodyState) -> dict[str, Array]:
     turn = quat_log(quat_multiply(quat_conjugate(truth.attitude), state.attitude))
-    return {
-        "position": (state.position - truth.position).norm(dim=1).numpy(),
-        "velocity": (state.lin_vel - truth.lin_vel).norm(dim=1).numpy(),
-        "attitude": turn.norm(dim=1).numpy(),
-    }
+    far = {"position": state.position - truth.position, "velocity": state.lin_vel - truth.lin_vel, "attitude": turn}
+    most = {"position": FARTHEST, "velocity": FARTHEST, "attitude": np.pi}
+    return {name: np.fmin(found.norm(dim=1).numpy(), most[name]) for name, found in far.items()}  # NaN is the most

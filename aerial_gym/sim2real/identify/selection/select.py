@@ -1,6 +1,6 @@
 """Which effects the flights ask for: those of the most probable set, fitted with their spread, and what speaks against them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -140,6 +140,7 @@ def select_effects(
     able = [name for name in sought if not reasons[name]]
     chosen = choose_effects(predictor, declared, able, material=criteria.material, progress=progress)
     scorer = _Scorer(predictor, declared, criteria, chosen)
+    final, chosen = scorer.final()
     unseen = {
         name: f"these flights do not show it; needed: {EFFECTS.get(name).excitation}"
         for name in chosen.hidden
@@ -147,7 +148,7 @@ def select_effects(
     }
     return Selection(
         declared=scorer.score((), declared),
-        final=scorer.final(),
+        final=final,
         chosen=chosen,
         not_testable={name: reason for name, reason in reasons.items() if reason} | unseen,
         left_out=scorer.left_out,
@@ -184,18 +185,27 @@ class _Scorer:
         fit = self._fit(effects, start, frozen)
         return Scored(fit=fit, spread=uncertainty(fit, self.weights.weight), left_out=self.left_out.squares(fit))
 
-    def final(self) -> Scored:
-        """Return the named effects fitted; parameters that the flights do not show keep their neutral values."""
-        effects, params = self.chosen.effects, self.chosen.named.params
-        scored = self.score(effects, params)
+    def final(self) -> tuple[Scored, Chosen]:
+        """Return the named effects fitted, and the choice; parameters that the flights do not show are neutral in both."""
+        scored = self.score(self.chosen.effects, self.chosen.named.params)
         unseen = unidentified_parameters(scored)
         if not unseen:
-            return scored
-        for name, place in unseen:
-            values = params.effects[name].copy()
-            values[place] = neutral_of(name, self.declared, self.predictor.robot)[place]
-            params = params.with_effect(name, values)
-        return self.score(effects, params, frozenset(unseen))
+            return scored, self.chosen
+        scored = self.score(self.chosen.effects, self.at_neutral(self.chosen.named.params, unseen), frozenset(unseen))
+        without = {
+            name: replace(less, params=self.at_neutral(less.params, unseen))
+            for name, less in self.chosen.without.items()
+        }
+        return scored, replace(self.chosen, without=without)
+
+    def at_neutral(self, params: ModelParams, places: Iterable[tuple[str, int]]) -> ModelParams:
+        """Return parameters of which some, by effect and place, change nothing."""
+        for name, place in places:
+            if name in params.effects:
+                values = params.effects[name].copy()
+                values[place] = neutral_of(name, self.declared, self.predictor.robot)[place]
+                params = params.with_effect(name, values)
+        return params
 
 
 def unidentified_parameters(scored: Scored) -> set[tuple[str, int]]:

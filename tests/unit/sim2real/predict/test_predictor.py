@@ -23,7 +23,7 @@ from aerial_gym.sim2real.predict.model_params import ModelParams, declared_param
 from aerial_gym.sim2real.predict.noise_floor import noise_floor
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.predict.rollout import roll_out, roll_out_variants
+from aerial_gym.sim2real.predict.rollout import FARTHEST, roll_out, roll_out_variants
 from aerial_gym.sim2real.predict.rows import together
 from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_biases
 from aerial_gym.sim2real.predict.windows import find_windows
@@ -262,6 +262,18 @@ def test_rollouts_of_an_exact_flight_stay_on_it_and_find_the_error_of_a_wrong_ma
     assert given.attitude is None
     assert given.position is not None
     assert np.median(given.position[:, 2]) == pytest.approx(0.5 * 9.81 * (1.0 - 1.0 / 1.05), rel=0.15)
+
+
+def test_a_rollout_that_diverges_is_as_far_off_as_counts(tmp_path: Path) -> None:
+    """Flapping 10,000 times too strong is too stiff for the steps: no number holds the rollout, and every error is finite."""
+    stiff = ModelParams(effects={"h_force_flapping": np.array([0.1, 0.1])})
+    errors = roll_out(ROBOT, [load(tmp_path)], stiff, horizons=(0.1, 1.0))
+    assert errors.position is not None
+    assert errors.velocity is not None
+    assert errors.attitude is not None
+    assert (errors.position[:, 1] == FARTHEST).all()
+    assert (errors.velocity[:, 1] == FARTHEST).all()
+    assert (errors.attitude <= np.pi).all()
 
 
 def test_rollouts_of_slow_logs_are_integrated_finely_enough(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -179,15 +179,26 @@ class Given(_Scorer):
 
 
 def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
-    """A drag along z and the offset along y are unknown by more than their scale: they change nothing, and are not fitted."""
+    """A drag along z and the offset along y are unknown by more than their scale: they change nothing, and are not fitted.
+
+    Nor do they in the models without one of the two, with which the named ones are compared.
+    """
     named = fitted(
         "rotor_drag", "com_offset", params={"rotor_drag": [0.2, 0.3, 0.4], "com_offset": [0.004, 0.005, 0.006]}
     )
-    fit = Given(named, [0.1, 0.9, 1.1, 0.2, 7.0, 0.2]).final().fit
+    given = Given(named, [0.1, 0.9, 1.1, 0.2, 7.0, 0.2])
+    drag, offset = (fitted(name, params={name: [9.0, 8.0, 7.0]}) for name in named.effects)
+    given.chosen = replace(given.chosen, without={"com_offset": drag, "rotor_drag": offset})
+    scored, chosen = given.final()
+    fit = scored.fit
     assert fit.frozen == {("rotor_drag", 2), ("com_offset", 1)}
     assert {name: values.tolist() for name, values in fit.point.effects.items()} == {
         "rotor_drag": [0.2, 0.3, 0.0],
         "com_offset": [0.004, 0.0, 0.006],
     }
-    shown = Given(named, [0.9] * 6).final().fit
-    assert (shown.frozen, shown.point) == (frozenset(), named.params)
+    assert chosen.without["com_offset"].params.effects["rotor_drag"].tolist() == [9.0, 8.0, 0.0]
+    assert chosen.without["rotor_drag"].params.effects["com_offset"].tolist() == [9.0, 0.0, 7.0]
+    given = Given(named, [0.9] * 6)
+    shown, same = given.final()
+    assert (shown.fit.frozen, shown.fit.point) == (frozenset(), named.params)
+    assert same is given.chosen
