@@ -1,10 +1,11 @@
 """Settings of all tests: as many threads as there are cores for each worker, or ``OMP_NUM_THREADS``; kernels are compiled when
-they are launched, and adjoints without optimisation; what a module's tests register goes with them.
+they are launched, mostly without optimisation; what a module's tests register goes with them.
 """
 
+import gc
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future
 from functools import cache
 from typing import Any
@@ -40,28 +41,40 @@ from aerial_gym.task import (  # noqa: E402
 
 torch.set_num_threads(_THREADS)
 
+level: int | None = 0
+"""How far kernels for a CPU are optimised; None: as users have them."""
+
+
+def set_level(module: wp.Module) -> None:
+    """Optimise a module as far as is wanted now; never what is so long that this takes minutes.
+
+    Rays, which are many, are optimised always, but without Warp's eager inlining, which makes them a tenth faster and takes
+    three times as long, for each combination of images that tests ask for.
+    """
+    if "cast_by_tile" in module.name:
+        module.options["cpu_compiler_flags"] = f"-march=native {launches.NO_BFLOAT16}"
+        return
+    long = "-fno-slp-vectorize" in (module.options["cpu_compiler_flags"] or "")
+    module.options["optimization_level"] = 0 if long else level
+
 
 class CompileAtLaunch:
     """Stands for the threads of ``compile_ahead`` and compiles nothing: what a test builds and never launches is not compiled.
 
-    The threads themselves are tested in ``unit/interop/test_launches.py``, and in every process that a test starts. Rays are
-    compiled without Warp's eager inlining, which makes them a tenth faster and takes three times as long, for each combination
-    of images that tests ask for; kernels of very many lines without optimisation, in a third of the time.
+    The threads themselves are tested in ``unit/interop/test_launches.py``, and in every process that a test starts. What it
+    launches is compiled without optimisation, in less than half of the time, unless it asks for it as ``optimised``.
     """
 
     def submit(self, load: object, *, modules: list[wp.Module], **kwargs: object) -> Future[None]:
         for module in modules:
-            if "cast_by_tile" in module.name:
-                module.options["cpu_compiler_flags"] = f"-march=native {launches.NO_BFLOAT16}"
-            elif "-fno-slp-vectorize" in (module.options["cpu_compiler_flags"] or ""):
-                module.options["optimization_level"] = 0
+            set_level(module)
         done: Future[None] = Future()
         done.set_result(None)
         return done
 
 
 def make_kernel_quickly(*args: Any, differentiable: bool, **kwargs: Any) -> wp.Kernel:
-    """Make a fused kernel; an adjoint, which runs for a few steps, without optimisation: 7 s of compilation in place of 22."""
+    """Make a fused kernel; an adjoint, which is not compiled ahead, without optimisation: 7 s of compilation in place of 22."""
     kernel = make_kernel(*args, differentiable=differentiable, **kwargs)
     if differentiable:
         kernel.module.options["optimization_level"] = 0
@@ -78,6 +91,12 @@ REGISTRIES = (
 )  # fmt: skip
 
 
+def pytest_collection_finish() -> None:
+    """Spare the collector what was imported: it would go through all of it again and again, a thirtieth of the time."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture(autouse=True, scope="module")
 def own_names() -> Iterator[None]:
     """Drop the names that the tests of a module, or their fixtures, have registered, and the task files that did."""
@@ -91,22 +110,23 @@ def own_names() -> Iterator[None]:
 
 
 @pytest.fixture
-def unoptimised(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compile fused kernels without optimisation, in half of the time: for tests of many, each flown briefly beside torch.
+def optimised() -> Iterator[None]:
+    """Compile kernels as users have them, those that were launched before included.
 
-    The same functions in fewer kernels are compared as users have them: where this is used, one test or more does without it.
+    Each family of kernels has tests with this; its other members are compared without, in less than half of the time. So has
+    what must not depend on the batch: the optimiser decides what is done side by side, and which products are fused into sums.
     """
 
-    def without(make: Callable[..., wp.Kernel]) -> Callable[..., wp.Kernel]:
-        def made(*args: Any, **kwargs: Any) -> wp.Kernel:
-            kernel = make(*args, **kwargs)
-            kernel.module.options["optimization_level"] = 0
-            return kernel
+    def change(to: int | None) -> None:
+        global level
+        level = to
+        for module, _ in launches._begun:
+            set_level(module)
+            module.mark_modified()
 
-        return made
-
-    for name in ("make_kernel", "make_jointed_kernel"):
-        monkeypatch.setattr(warp_backend, name, without(getattr(warp_backend, name)))
+    change(None)
+    yield
+    change(0)
 
 
 @pytest.fixture

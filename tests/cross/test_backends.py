@@ -163,7 +163,11 @@ ONE_OF_EACH_KIND = ("no_control", "lee_position_control", "pid_velocity_control"
     [(name, "euler") for name in CONTROLLERS.names() if CONTROLLERS.get(name).gains is None]
     + [(name, integrator) for name in ONE_OF_EACH_KIND for integrator in INTEGRATORS if integrator != "euler"],
 )
-def test_every_controller_and_stepper_flies_like_torch(controller: str, integrator: str) -> None:
+def test_every_controller_and_stepper_flies_like_torch(
+    controller: str, integrator: str, request: pytest.FixtureRequest
+) -> None:
+    if controller in ONE_OF_EACH_KIND:
+        request.getfixturevalue("optimised")
     robot = "base_octarotor" if CONTROLLERS.get(controller).law == "pose" else "tinyprop"
     assert_same_flight(ROBOTS.get(robot), CONTROLLERS.get(controller), integrator)
 
@@ -244,7 +248,6 @@ def test_a_flight_that_amplifies_round_off_is_the_same_step_by_step(
     assert_same_flight(robot, controller, "euler", steps_alone=True)
 
 
-@pytest.mark.usefixtures("unoptimised")
 @pytest.mark.parametrize("effect", EFFECTS.names())
 def test_every_effect_flies_like_torch(effect: str) -> None:
     effects = (effect,) if effect not in ("constant_wind", "wind_shear", "gusts") else (effect, "rotor_drag")
@@ -252,11 +255,13 @@ def test_every_effect_flies_like_torch(effect: str) -> None:
     assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "rk4", effects=effects, steps=steps)
 
 
+@pytest.mark.usefixtures("optimised")
 def test_all_effects_at_once_fly_like_torch() -> None:
     robot = lopsided_robot()
     assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "euler", effects=EFFECTS.names())
 
 
+@pytest.mark.usefixtures("optimised")
 def test_rotors_that_all_thrust_along_body_z_fly_like_torch() -> None:
     """The kernel leaves out what is zero then; levers differ in all directions, and rotors in spin."""
     robot = lopsided_robot()
@@ -312,6 +317,7 @@ def test_gains_of_each_environment_are_read() -> None:
     torch.testing.assert_close(ends[1].ang_vel, ends[0].ang_vel, rtol=2e-5, atol=2e-5)
 
 
+@pytest.mark.usefixtures("optimised")
 def test_an_environment_does_not_depend_on_its_batch() -> None:
     """Row i of a batch is bit for bit what it is alone, and what it is when the batch is split over threads."""
     robot, controller = lopsided_robot(), CONTROLLERS.get("rotor_speed_control")

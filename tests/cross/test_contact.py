@@ -29,8 +29,8 @@ def test_one_step_on_the_ground_is_that_of_torch(integrator: str, request: pytes
 
     Float32 with the penalty R loses about ``PENALTY`` of 1e-7; a branch on the very edge may fall to the other side.
     """
-    if integrator == "euler":
-        request.getfixturevalue("unoptimised")
+    if integrator == "rk4":
+        request.getfixturevalue("optimised")
     count, robot = 64, lopsided_robot()
     with one_thread():
         truth = OnGround(

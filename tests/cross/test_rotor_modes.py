@@ -65,6 +65,7 @@ def flights(robot, controller, integrator, *, vary=False, effects=(), actions=th
     return found
 
 
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize(("integrator", "vary"), [("euler", True), ("rk4", False)])
 def test_mixed_rotors_fly_like_torch(integrator: str, vary: bool) -> None:
     """Signs change on the way, slew rates and dead bands act; with every number of its own per environment too."""
@@ -74,7 +75,6 @@ def test_mixed_rotors_fly_like_torch(integrator: str, vary: bool) -> None:
         assert_near(exact[step], single[step], fused[step])
 
 
-@pytest.mark.usefixtures("unoptimised")
 def test_effects_on_reversible_rotors_fly_like_torch() -> None:
     names = tuple(n for n in EFFECTS.names() if {"reversible", "slew"} <= set(EFFECTS.get(n).rotors))
     robot = mixed_robot()

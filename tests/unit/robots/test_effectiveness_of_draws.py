@@ -201,7 +201,6 @@ def fly(env: EnvManager, *, hard: bool = False) -> Tensor:
         ("no_control", "prioritised"),
     ],
 )
-@pytest.mark.usefixtures("unoptimised")
 def test_the_fused_kernel_flies_as_torch(controller: str, allocation: str) -> None:
     """With rotors at their limits on the way; float32 over 15 steps."""
     ends = [
@@ -211,6 +210,7 @@ def test_the_fused_kernel_flies_as_torch(controller: str, allocation: str) -> No
     torch.testing.assert_close(ends[0], ends[1], rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("backend", ["warp", "torch"])
 def test_an_environment_is_the_same_among_few_and_many(backend: str) -> None:
     few, many = make(DRAWN, 4, backend=backend), make(DRAWN, 64, backend=backend)
@@ -234,7 +234,6 @@ def test_a_loaded_state_has_the_allocation_that_was_saved(backend: str) -> None:
     assert torch.equal(other.gtd["robot_state_tensor"], flown.gtd["robot_state_tensor"])
 
 
-@pytest.mark.usefixtures("unoptimised")
 def test_rotors_of_any_kind_make_what_is_commanded() -> None:
     """Plain, reversible and in force mode, of a lopsided vehicle: what its declared rotors can give of a wrench is made exactly
     by the drawn ones, as the physics has them; and the fused kernel keeps the numbers of torch."""

@@ -22,11 +22,7 @@ RANDOMIZE = {
 
 @pytest.mark.parametrize("randomize", [{}, RANDOMIZE], ids=["equal", "randomised"])
 @pytest.mark.parametrize("name", task_registry.names())
-def test_a_step_makes_no_tensor_of_numbers(
-    name: str, randomize: dict, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
-) -> None:
-    if randomize:  # by kernels that no other test flies
-        request.getfixturevalue("unoptimised")
+def test_a_step_makes_no_tensor_of_numbers(name: str, randomize: dict, monkeypatch: pytest.MonkeyPatch) -> None:
     cfg = replace(task_registry.get(name), num_envs=4)
     controller = "lee_velocity_control" if randomize else cfg.controller
     env = SimBuilder().build_env(
