@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 
+import tests.conftest  # noqa: F401 - kernels as this test's process has them, and has compiled them
 from aerial_gym.cli.main import main
 from aerial_gym.rl_training import load_settings, settings_for, train
 from aerial_gym.rl_training.ranks import Ranks, joined_ranks

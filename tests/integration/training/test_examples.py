@@ -95,6 +95,7 @@ def test_a_law_holds_a_point_by_attitude_velocities_and_accelerations(told: Told
         assert stay == 100.0
 
 
+@pytest.mark.slow  # six flights
 def test_a_law_that_knows_of_a_lost_rotor_hovers_without_it(told: Told) -> None:
     """Not told, it loses the vehicle also where most of the thrust is left; told, it holds the point with 36 to 81 %."""
     *_, (_, (lost, *_)), (_, (kept, error)), _, (_, (worst, *_)) = told("lost_rotor.py", 32)

@@ -61,6 +61,7 @@ def test_two_processes_are_equal_bit_for_bit_and_learn_as_one(tmp_path: Path) ->
     Adam divides by the size of a gradient, so that a weight with almost none moves by rounding alone: 0.1 and 1.1 % of the way
     were seen on two processors.
     """
+    one, begun = (learned(ALONE, iterations=count, like_one=True)["common"] for count in (2, 0))
     for status, said in start_two("learn", tmp_path, ports=2):
         assert status == 0, said
     for name in ("own", "one"):
@@ -70,7 +71,6 @@ def test_two_processes_are_equal_bit_for_bit_and_learn_as_one(tmp_path: Path) ->
             assert torch.equal(value, second["common"][key]), key
         assert not torch.equal(first["seen"], second["seen"])
         assert first["env_steps"] == second["env_steps"] == 2 * STEPS_OF_ONE == int(first["common"]["sums"][0])
-    one, begun = (learned(ALONE, iterations=count, like_one=True)["common"] for count in (2, 0))
     both = torch.load(tmp_path / "one_0.pt")["common"]
     weights = [
         key for key in one if key.startswith(("actor.", "own_body.", "value_head.")) and ".normalizers." not in key
