@@ -79,6 +79,7 @@ def assert_same(found: dict[str, Tensor], expected: dict[str, Tensor], *, within
     assert not different
 
 
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize(
     ("env", "robot"),
     [
@@ -97,6 +98,7 @@ def test_an_environment_is_the_same_among_few_and_many(env: str, robot: str) -> 
     assert_same(*found)
 
 
+@pytest.mark.usefixtures("optimised")
 def test_a_randomised_robot_in_gusts_is_the_same_among_few_many_and_alone() -> None:
     found = []
     for num_envs, first in ((FEW, 0), (MANY, 0), (1, 3)):
@@ -146,8 +148,8 @@ def test_another_seed_is_another_simulation() -> None:
     )
 
 
-def roll_out(task: Task, first: int = 0, steps: int = 5) -> list[dict[str, Tensor]]:
-    """Return everything that a task gives, step by step; some episodes end on the way."""
+def roll_out(task: Task, first: int = 0, steps: int = 4) -> list[dict[str, Tensor]]:
+    """Return everything that a task gives, step by step; every episode ends on the way."""
     observation, _ = task.reset()
     found = [{"observation": observation["observations"].clone()}]
     number = torch.arange(first, first + task.num_envs)
@@ -166,8 +168,24 @@ def roll_out(task: Task, first: int = 0, steps: int = 5) -> list[dict[str, Tenso
     return found
 
 
-@pytest.mark.parametrize("name", task_registry.names())
-def test_a_task_gives_an_environment_the_same_among_few_and_many(name: str) -> None:
+AS_USERS_HAVE_THEM = ("agile_tracking_task", "gust_rejection_task", "navigation_task", "racing_task")
+"""Those whose kernels are optimised."""
+
+LIKE_OTHERS = (
+    "position_setpoint_task_morphy_stiff", "position_setpoint_task_reconfigurable", "racing_split_s_task",
+    "radar_navigation_task", "smooth_tracking_task",
+)  # fmt: skip
+"""Other numbers, or fewer parts, than ``position_setpoint_task_morphy``, ``racing_random_track_task``,
+``radar_navigation_task_held``, and ``tracking_task`` with ``smooth_position_setpoint_task``."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] if name in LIKE_OTHERS else []) for name in task_registry.names()],
+)
+def test_a_task_gives_an_environment_the_same_among_few_and_many(name: str, request: pytest.FixtureRequest) -> None:
+    if name in AS_USERS_HAVE_THEM:
+        request.getfixturevalue("optimised")
     curriculum = task_registry.get(name).curriculum
     level = None if curriculum is None else curriculum.first_level + 5
     rounding = 0.0 if task_registry.get(name).encoder is None else 1e-4  # convolutions sum by the size of a batch
