@@ -129,7 +129,10 @@ def test_the_kernel_of_a_randomised_robot_compiles() -> None:
     compile_for_gpu(update._rows.kernel.module)
 
 
-@pytest.mark.parametrize("robot", ["base_quadrotor", "omnidirectional_octarotor"])
+@pytest.mark.parametrize(
+    "robot",
+    ["base_quadrotor", pytest.param("omnidirectional_octarotor", marks=pytest.mark.slow)],  # the same of another size
+)
 def test_the_kernels_of_an_allocation_in_each_environment_compile(robot: str) -> None:
     env = SimBuilder().build_env(
         sim_name="base_sim",
