@@ -124,7 +124,7 @@ def test_wrong_requests_end_with_status_2_and_one_sentence(
 @pytest.mark.parametrize("controller", [n for n in CONTROLLERS.names() if CONTROLLERS.get(n).law != "pose"])
 def test_every_controller_keeps_flying_for_a_stretch(controller: str) -> None:
     """After 20 s with its hover action the batch still passes the checks; without effects, by kernels that others fly too."""
-    flight = small_flight(controller=controller, effects=())
+    flight = small_flight(controller=controller, effects=(), num_envs=2)
     for _ in range(flight.batches_per_stretch):
         flight.run_batch()
     flight.check(started=True)
@@ -133,7 +133,7 @@ def test_every_controller_keeps_flying_for_a_stretch(controller: str) -> None:
 def test_all_effects_together_keep_flying_for_a_stretch() -> None:
     """All that ``tinyprop`` has the numbers for, in open air; without ground effect, as flights begin about z = 0."""
     names = [name for name in EFFECTS.names() if name not in ("battery_sag", "ceiling_effect", "ground_effect")]
-    flight = small_flight(robot="tinyprop", effects=names)
+    flight = small_flight(robot="tinyprop", effects=names, num_envs=2)
     for _ in range(flight.batches_per_stretch):
         flight.run_batch()
     flight.check(started=True)

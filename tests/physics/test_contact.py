@@ -93,6 +93,7 @@ def test_energy_of_a_dropped_ball_never_grows(damping_ratio: float) -> None:
         assert (top <= exp(-2.0) * (2.0 * GRAVITY * (heights - BALL[0][3])).sqrt() + GRAVITY * dt).all()
 
 
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("integrator", ["euler", "rk4"])
 def test_a_tumbling_vehicle_comes_to_rest_and_never_gains_energy(integrator: str) -> None:
     """Random attitudes, velocities and spins of a cage of eight feet: never more energy than at the start, then rest."""

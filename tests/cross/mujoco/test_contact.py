@@ -26,7 +26,7 @@ def on_ground(cfg: ContactCfg | None, state, **options) -> OnGround:
     return OnGround(BACKENDS.get("mujoco")(), cfg, state, **options)
 
 
-@pytest.mark.parametrize("dt", [0.001, 0.002, 0.004, 0.01, 0.02])
+@pytest.mark.parametrize("dt", [0.001, 0.004, 0.02])
 @pytest.mark.parametrize("spheres", [BALL, FEET])
 def test_weight_presses_each_contact_as_deep_as_the_file_says(spheres, dt: float) -> None:
     """At rest m g = n K m depth for n contacts, at steps of any length; the ground's impulse is the change of momentum."""
@@ -53,7 +53,7 @@ def test_a_bounce_is_that_of_a_spring_and_a_damper_that_never_pull(damping_ratio
     assert abs(rig.state.lin_vel[0, 2].item() - expected) < 2.0 * dt * sqrt(cfg.stiffness)
 
 
-@pytest.mark.parametrize("dt", [0.002, 0.004, 0.01, 0.02])
+@pytest.mark.parametrize("dt", [0.002, 0.02])
 def test_a_tumbling_vehicle_comes_to_rest_without_gaining_energy(dt: float) -> None:
     """Feet far from the centre of mass, which make contacts hard: motion and height together never hold more than at first.
 
