@@ -33,8 +33,9 @@ def span(returns: list[float]) -> tuple[float, float]:
 
 def main(out: str, *named: str) -> None:
     """Draw one panel a name, one line a training."""
-    lines = -(-len(named) // COLUMNS)
-    figure, axes = plt.subplots(lines, COLUMNS, figsize=(3.6 * COLUMNS, 2.5 * lines), squeeze=False)
+    columns = min(COLUMNS, len(named))
+    lines = -(-len(named) // columns)
+    figure, axes = plt.subplots(lines, columns, figsize=(3.6 * columns, 2.5 * lines), squeeze=False)
     for axis in axes.flat[len(named) :]:
         axis.axis("off")
     for axis, entry in zip(axes.flat, named, strict=False):

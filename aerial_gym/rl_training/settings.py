@@ -373,7 +373,7 @@ def settings_for(trainer: str, task: str, *, device: str = "auto") -> Path:
     """Return the file of settings that come with the package for a trainer, a task and a kind of device.
 
     A task without settings of its own gets those of the one in ``ALIKE``, or of the position task, and a level of a race
-    (``.toml``) those of ``racing_task``; the file's name is printed with the run.
+    (``.toml``) those of ``racing_task``; the file's name is printed with the run. On a CPU those for a CPU come first.
 
     Raises:
         UnknownNameError: If there is no such trainer.
@@ -384,8 +384,9 @@ def settings_for(trainer: str, task: str, *, device: str = "auto") -> Path:
     tasks = (task, like, "position_setpoint_task")
     found = [TRAINING_CONFIGS / f"{trainer}_{name.removesuffix('_task')}.yaml" for name in tasks]
     own = next((path for path in found if path.exists()), found[-1])
-    on_cpu = own.with_name(f"{own.stem}_cpu.yaml")
-    return on_cpu if on_cpu.exists() and resolve_device(device).type == "cpu" else own
+    for_cpu = [path.with_name(f"{path.stem}_cpu.yaml") for path in (own, *found[:2])]
+    on_cpu = next((path for path in for_cpu if path.exists()), None)
+    return own if on_cpu is None or resolve_device(device).type != "cpu" else on_cpu
 
 
 def load_settings(path: str | Path) -> TrainingCfg:

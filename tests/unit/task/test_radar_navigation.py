@@ -140,3 +140,16 @@ def test_it_is_trained_with_the_settings_of_the_lidar_task() -> None:
     assert file == settings_for("ppo", "lidar_navigation_task", device="cpu")
     assert load_settings(file).task == "lidar_navigation_task"  # the command line puts its own in this place
     assert settings_for("rl_games", "radar_navigation_task") == settings_for("rl_games", "position_setpoint_task")
+
+
+def test_the_held_radar_has_a_larger_memory_of_its_own_and_the_settings_of_the_lidar_task_on_a_cpu() -> None:
+    own, lidar = (
+        settings_for("ppo", name, device="meta") for name in ("radar_navigation_task_held", "lidar_navigation_task")
+    )
+    assert load_settings(own).task == "radar_navigation_task_held"
+    numbers, others = (load_settings(file).learner for file in (own, lidar))
+    assert replace(numbers, memory=others.memory, horizon=others.horizon) == others
+    assert (numbers.memory, numbers.horizon) == (2 * others.memory, 2 * others.horizon)
+    assert settings_for("ppo", "radar_navigation_task_held", device="cpu") == settings_for(
+        "ppo", "lidar_navigation_task", device="cpu"
+    )
