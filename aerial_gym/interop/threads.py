@@ -7,13 +7,14 @@ from functools import cache
 from itertools import pairwise
 
 import torch
+from threadpoolctl import threadpool_limits
 
 from aerial_gym.interop.launches import RecordedLaunch
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Run torch on one thread inside.
+    """Run torch, and the linear algebra of NumPy and SciPy, on one thread inside.
 
     Our tensors on the CPU are small: threads win nothing on a quiet machine, and on a busy one they wait for each other.
     A step of 4,096 environments took 18 ms on one and 164 ms on two threads of two cores that were shared with other work.
@@ -21,7 +22,8 @@ def one_thread() -> Iterator[None]:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        yield
+        with threadpool_limits(1):
+            yield
     finally:
         torch.set_num_threads(threads)
 
