@@ -325,7 +325,9 @@ def _unmarked(numbers: Tensor) -> Tensor:
     rows = numbers.shape[:1] == (ROWS,)
     first = given[0] if rows else given
     own = first >= _MARK if rows else False  # the others are constants or shared
-    if not (first < (1 + own) * _MARK).all() or (rows and not (given[1:] - given[:-1] == own * _MARK).all()):
+    if not ((first >= 0) & (first < (1 + own) * _MARK)).all() or (
+        rows and not (given[1:] - given[:-1] == own * _MARK).all()
+    ):
         raise UntraceableError("an operation mixes rows")
     return torch.from_numpy(np.asarray(first - own * _MARK))
 

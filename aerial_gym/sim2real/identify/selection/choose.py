@@ -21,6 +21,7 @@ from aerial_gym.sim2real.identify.candidates.nuisance import (
 from aerial_gym.sim2real.identify.evidence.fitting import (
     Fitted,
     Fitter,
+    label_of,
     narrowest,
 )
 from aerial_gym.sim2real.identify.evidence.laplace import Posterior, posterior
@@ -192,10 +193,11 @@ class _Chooser:
         """
 
         def odds_in(one: Fitted) -> dict[str, float]:
-            found = {
-                name: [have[name] for have in (one.support, present.support) if name in have] for name in one.effects
-            }
-            return {name: max(support.robust_log_odds for support in both) for name, both in found.items()}
+            found = {name: support.robust_log_odds for name, support in one.support.items()}
+            for name in found.keys() & present.support.keys():
+                if label_of([(name, one.params.effects[name])], ())[0] in present.label:  # the same rotor
+                    found[name] = max(found[name], present.support[name].robust_log_odds)
+            return found
 
         left = fitter.held(fitted, lambda one: one.holds and min(odds_in(one).values(), default=np.inf) > LEAST_SCORE)
         return left, {name: odds for name, odds in odds_in(fitted).items() if name not in left.effects}

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.interop.rows import RowFunction, UntraceableError, trace
+from aerial_gym.interop.rows import RowFunction, UntraceableError, trace, tracing
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_multiply, quat_rotate_inverse, quat_yaw
 
 ROWS = 5
@@ -177,3 +177,10 @@ def test_tracing_loads_no_compiler() -> None:
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("shape", [(3,), (tracing.ROWS, 2)])
+def test_a_number_below_zero_is_no_scalar(shape: tuple[int, ...]) -> None:
+    """As an operation that moves numbers and takes some from each other would leave it, in one row or in all."""
+    with pytest.raises(UntraceableError, match="mixes rows"):
+        tracing._unmarked(torch.full(shape, -1))

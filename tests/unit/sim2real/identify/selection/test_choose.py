@@ -187,6 +187,16 @@ def test_what_a_structure_explains_is_no_doubt_in_an_effect(beside: float, witho
     assert unsure == ({} if named else {"rotor_drag": max(beside, without)})
 
 
+@pytest.mark.parametrize(("rotor", "named"), [(2.0, True), (3.0, False)])
+def test_what_speaks_for_another_rotor_speaks_not_for_this_one(rotor: float, named: bool) -> None:
+    best, bare = (
+        fitted("weak_motor", odds={"weak_motor": odds}, structures=structures, params={"weak_motor": [number, 0.9]})
+        for odds, structures, number in ((5.0, (PLACE,), 2.0), (0.7, (), rotor))
+    )
+    nothing = fitted(log=-9.0)
+    assert object.__new__(_Chooser).told_from_nothing(bare, best, Made(nothing))[0] is (bare if named else nothing)
+
+
 def test_the_set_is_chosen_again_when_an_effect_is_not_told_from_nothing() -> None:
     """Less speaks for the tilt of a motor, and without it neither is sure; without the drag the tilt is: it stays."""
     odds = {"rotor_drag": 2.5, "motor_tilt": 2.0}
