@@ -26,7 +26,7 @@ RANK = {name: rank for rank, group in enumerate(GROUPS) for name in group}
 
 
 ROOMS = (
-    ("progress", "statistics"),
+    ("progress", "statistics", "memory"),
     ("logs",),
     ("predict",),
     ("identify",),

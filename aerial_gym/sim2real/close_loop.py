@@ -24,6 +24,7 @@ from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.inputs import read_inputs
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
+from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.report.ranges import with_found_ranges
@@ -167,8 +168,11 @@ def judge_flights(
     train, test = (_left_of(role, part, told) for role, part in (("train", train), ("test", test)))
     declared = declare(robot, train, test, bandwidth=bandwidth, tolerances=tolerances)
     selected = select(declared, criteria or Criteria(), progress, candidates=effects)
+    give_back_memory()
     refitted = refit(selected, progress=progress)
+    give_back_memory()
     judged = judge(refitted, seed=seed, learn_residual=learn_residual, progress=progress)
+    give_back_memory()
     return with_failures(judged, told, len(flights))
 
 

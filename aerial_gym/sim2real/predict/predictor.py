@@ -82,7 +82,7 @@ CONDITIONS = 2
 REPLAYS = 3
 """Rotor speeds that are kept in the band, and readings of what kinematics imply."""
 
-KEPT_BYTES = 3e8
+KEPT_BYTES = 6e7
 """Predictions are kept as long as they would take no more [bytes] if they had nothing in common: a fit begins where a first
 look at the same effect has been, and both begin at the present model."""
 
@@ -338,7 +338,7 @@ class Predictor:
             )
             for part in together(rows)
         ]
-        self.measured = [measured for part in self._parts for measured in part.data.measured]
+        self.measured = [np.asfortranarray(measured) for part in self._parts for measured in part.data.measured]
         self.times = [time for part in self._parts for time in part.data.times]
         self._declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         self._predictions: OrderedDict[tuple[object, ...], list[Columns]] = OrderedDict()
@@ -358,7 +358,7 @@ class Predictor:
             if len(self._predictions) * sum(part.nbytes for part in self.measured) > KEPT_BYTES:
                 self._predictions.popitem(last=False)
         self._predictions.move_to_end(key)
-        return [np.stack(columns, axis=1) for columns in self._predictions[key]]
+        return [np.stack(columns).T for columns in self._predictions[key]]
 
     def residuals(self, point: ModelParams) -> list[Array]:
         """Return measured minus predicted channels of each flight, (rows kept, C)."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
-from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, exact_along, single
+from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, change_along, exact_along, single
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     UNIT,
     WEAK_PRIOR,
@@ -24,8 +24,14 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     scales,
     tolerance_jacobian,
 )
-from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments
-from aerial_gym.sim2real.identify.least_squares.weighted import Part, weighted_moments, width_of
+from aerial_gym.sim2real.identify.least_squares.moments import Moments
+from aerial_gym.sim2real.identify.least_squares.weighted import (
+    Part,
+    moments_by_channel,
+    weighted_moments,
+    width_of,
+)
+from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -122,7 +128,7 @@ def build_library(
         if named:  # back to neutral
             change = [b - n for b, n in zip(base, predictor.predict(point.with_effect(name, neutral)), strict=True)]
             columns = exact_along(columns, step, change)
-            residuals = [r + c @ step for r, c in zip(residuals, columns, strict=True)]
+            residuals = [r + change_along(c, step) for r, c in zip(residuals, columns, strict=True)]
         columns = single(columns) if named else tangent
         if named or not has_starts(name, predictor.robot):
             tangents[len(candidates)] = tangent
@@ -160,10 +166,10 @@ def build_library(
     derivatives.append(single(tolerance_jacobian(predictor, present, base)))
     flights = list(zip(*derivatives, strict=True))
     if by_channel:
-        jacobians = [np.concatenate(own, axis=2) for own in flights]
-        moments = block_moments(predictor.times, residuals, jacobians, length=np.inf)
+        moments = moments_by_channel(residuals, flights)
     else:
         moments = weighted_moments(predictor.times, residuals, flights, weight, parts=parts)
+    give_back_memory()
     return Library(
         candidates=tuple(candidates),
         moments=moments,
@@ -201,15 +207,12 @@ def has_starts(name: str, robot: RobotCfg) -> bool:
     return len(EFFECTS.get(name).starts(robot)) > 1
 
 
-def columns_of_starts(
-    predictor: Predictor, present: ModelParams, declared: ModelParams, names: Sequence[str], columns: list[Array]
-) -> list[Array]:
-    """Return derivatives (rows, C, any) with those of some effects on top of a model beside them, at each of their starts."""
-    parts = [columns]
-    for name in names:
-        for point in starts(name, present, declared, predictor.robot):
-            parts.append(effect_jacobian(predictor, point, (name,), predictor.predict(point)))
-    return [np.concatenate(group, axis=2) for group in zip(*parts, strict=True)]
+def derivatives_at_starts(
+    predictor: Predictor, present: ModelParams, declared: ModelParams, names: Sequence[str]
+) -> list[Derivatives]:
+    """Return the derivatives (rows, C, P) by each of some effects on top of a model, at each of their starts."""
+    points = [(name, point) for name in names for point in starts(name, present, declared, predictor.robot)]
+    return [single(effect_jacobian(predictor, point, (name,), predictor.predict(point))) for name, point in points]
 
 
 def has_rotor(name: str) -> bool:

@@ -32,6 +32,7 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.least_squares.weighted import Beside, Part
+from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -133,9 +134,13 @@ class Fitter:
 
     def forget(self) -> None:
         """Let go of what takes memory; it is worked out again when it is needed."""
+        self.forget_beside()
+        self._derivatives.clear()
+
+    def forget_beside(self) -> None:
+        """Let go of tolerances and structures, and keep the derivatives by effects."""
         self._tolerance = None
         self._beside.clear()
-        self._derivatives.clear()
 
     def beside(self, structures: Sequence[Nuisance], more: Sequence[Array] | None = None) -> Beside:
         """Return the tolerances, structures behind them, and ``more`` columns (rows, C, any)."""
@@ -182,6 +187,7 @@ class Fitter:
             self.predictor, effects, start, beside, frozen=frozen, derivatives=derivatives, fresh=fresh, goal=goal
         )
         fitted = self._about(found, effects, structures, more)
+        give_back_memory()
         if not frozen:
             self._derivatives[fitted.label] = fitted, single(last)
             if len(self._derivatives) > KEPT:

@@ -14,6 +14,16 @@ Derivatives = Sequence[NDArray[np.floating]]
 """By some parameters, per scale, of each flight, (rows, C, P)."""
 
 
+def column_by_column(like: Array, parameters: int) -> Array:
+    """Return zeros (rows, C, P) for a prediction (rows, C); neighbours in memory are rows, as they are written and read."""
+    return np.zeros((parameters, *like.T.shape)).T
+
+
+def change_along(columns: NDArray[np.floating], step: Array) -> Array:
+    """Return what derivatives of a flight (rows, C, P) say of a step (P,), (rows, C)."""
+    return np.tensordot(step, columns.T, axes=1).T
+
+
 def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) -> list[Array]:
     """Return derivatives (rows, C, k), changed as little as gives exactly the ``change`` (rows, C) over a ``step`` (k).
 
@@ -24,8 +34,9 @@ def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) 
     """
     if not np.any(step):
         return list(columns)
-    along = step / (step @ step)
-    return [c + (d - c @ step)[..., None] * along for c, d in zip(columns, change, strict=True)]
+    along = (step / (step @ step))[:, None, None]
+    wrong = [moved - change_along(before, step) for before, moved in zip(columns, change, strict=True)]
+    return [(before.T + along * missed.T).T for before, missed in zip(columns, wrong, strict=True)]
 
 
 def single(columns: Derivatives) -> Derivatives:

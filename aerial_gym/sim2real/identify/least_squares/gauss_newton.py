@@ -14,7 +14,11 @@ from scipy.optimize import lsq_linear
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, exact_along
+from aerial_gym.sim2real.identify.least_squares.derivatives import (
+    Derivatives,
+    column_by_column,
+    exact_along,
+)
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments
 from aerial_gym.sim2real.identify.least_squares.weighted import Beside, Weighted
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -171,7 +175,7 @@ def effect_jacobian(
     highest = bounds_of(predictor.robot, effects)[1]
     owners = [(name, place) for name in effects for place in range(len(EFFECTS.get(name).parameters))]
     width, behind = len(owners), [np.empty((*b.shape, 0)) for b in base] if beside is None else beside
-    found = [np.zeros((*b.shape, width + more.shape[2])) for b, more in zip(base, behind, strict=True)]
+    found = [column_by_column(b, width + more.shape[2]) for b, more in zip(base, behind, strict=True)]
     for columns, more in zip(found, behind, strict=True):
         columns[:, :, width:] = more
     for k, owner in enumerate(owners):
@@ -188,7 +192,7 @@ def effect_jacobian(
 
 def tolerance_jacobian(predictor: Predictor, point: ModelParams, base: list[Array]) -> list[Array]:
     """Return the derivative of the prediction by the deviations, each (rows, C, N)."""
-    found = [np.empty((*b.shape, predictor.num_tolerances)) for b in base]
+    found = [column_by_column(b, predictor.num_tolerances) for b in base]
     for k in range(predictor.num_tolerances):
         deviation = STEP * np.eye(predictor.num_tolerances)[k]
         moved = predictor.predict(replace(point, deviation=deviation))

@@ -167,3 +167,21 @@ def weighted_moments(
         product=np.concatenate([one.product for one in found]),
         flight=np.repeat(np.arange(len(found)), [one.count.size for one in found]),
     )
+
+
+def moments_by_channel(residuals: Sequence[Array], flights: Sequence[Sequence[Part]]) -> Moments:
+    """Return the sums over whole flights, channel by channel: as ``block_moments`` of an infinite length."""
+    channels, width = residuals[0].shape[1], width_of(flights[0])
+    found = np.zeros((len(flights), channels, width + 1, width + 1))
+    for own, parts, residual in zip(found, flights, residuals, strict=True):
+        for product, (here, columns) in zip(
+            own, _gathered([*parts, residual[:, :, None]], np.ones(channels)), strict=True
+        ):
+            product[np.ix_(here, here)] = columns.T @ columns
+    return Moments(
+        count=np.array([float(len(residual)) for residual in residuals]),
+        square=found[:, :, width, width],
+        gradient=found[:, :, :width, width],
+        product=found[:, :, :width, :width],
+        flight=np.arange(len(flights)),
+    )

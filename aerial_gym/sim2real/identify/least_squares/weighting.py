@@ -1,16 +1,16 @@
 """What a channel counts in a fit: by what is left of it when every effect that could be there is fitted."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, change_along, exact_along
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     UNIT,
     best_step,
     effect_jacobian,
-    exact_along,
     fit_of_moments,
     params_of,
     scales,
@@ -28,14 +28,14 @@ def weighting(
     predictor: Predictor,
     start: ModelParams,
     effects: tuple[str, ...],
-    tolerance: list[Array],
+    linear: Sequence[Derivatives],
     *,
     beyond: Callable[[list[Array], Weighting], list[Array]] | None = None,
 ) -> Weighting:
     """Return the weights of the channels from what no candidate effect explains.
 
-    All effects and tolerances are fitted together, three times, each time weighted by what the fit before left over; with
-    ``beyond``, by what that makes of it.
+    All effects and what is ``linear`` beside them, tolerances among it, (rows, C, any) each, are fitted together, three times,
+    each time weighted by what the fit before left over; with ``beyond``, by what that makes of it.
     """
     point = start
     for name in effects:
@@ -44,12 +44,15 @@ def weighting(
     found = weights_from(predictor.residuals(start))
     predicted = predictor.predict(point)
     own = effect_jacobian(predictor, point, effects, predicted)
+    ends = np.cumsum([0, *(part[0].shape[2] for part in linear)])[:-1]
     for _ in range(3):
         residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
-        beside = Beside(predictor.times, [[part] for part in tolerance], found.weight)
+        beside = Beside(predictor.times, list(zip(*linear, strict=True)), found.weight)
         fit = fit_of_moments(predictor.robot, effects, point, beside.moments(residuals, own))
-        step, rest = np.split(best_step(fit, UNIT, fit.free_all), [fit.num_effect_params])
-        left = [r - j @ step - t @ rest for r, j, t in zip(residuals, own, tolerance, strict=True)]
+        step, *steps = np.split(best_step(fit, UNIT, fit.free_all), fit.num_effect_params + ends)
+        left = residuals
+        for part, along in zip((own, *linear), (step, *steps), strict=True):
+            left = [r - change_along(columns, along) for r, columns in zip(left, part, strict=True)]
         if not all(np.isfinite(part).all() for part in left):
             break  # a step too far, for a pendulum: the weights of the step before stand
         found = weights_from(left if beyond is None else beyond(left, found))

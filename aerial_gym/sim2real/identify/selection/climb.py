@@ -14,7 +14,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.library import (
     Library,
     build_library,
-    columns_of_starts,
+    derivatives_at_starts,
     has_starts,
 )
 from aerial_gym.sim2real.identify.candidates.nuisance import (
@@ -34,11 +34,12 @@ from aerial_gym.sim2real.identify.evidence.guard import Guard, parts_of_a_flight
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.linear import candidates_of, normal_of
 from aerial_gym.sim2real.identify.evidence.search import Sets, search
-from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives
+from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, single
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.least_squares.weighting import weighting
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
+from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.progress import Progress
@@ -141,6 +142,13 @@ class View:
         if not fitted.holds:
             self.add(self.fitter.without_weakest(fitted))
 
+    def let_go(self) -> None:
+        """Let go of what takes memory and is not needed once the climb has ended."""
+        self.library.tangents.clear()
+        forget_but(self.own, self.present.label)
+        self.fitter.forget_beside()
+        give_back_memory()
+
 
 class Climber:
     """Goes from set to set until none is better."""
@@ -158,6 +166,7 @@ class Climber:
         for _ in range(MOST_WEIGHINGS):
             view = self.climb(params, effects, structures, weights)
             params, effects, structures = view.present.params, view.present.effects, view.present.structures
+            view.let_go()
             known = params is self.declared  # nothing was found
             before, weights = weights, self.weights if known else self.weigh(params)
             if np.all(np.abs(np.log(weights.weight / before.weight)) < SETTLED):
@@ -168,15 +177,15 @@ class Climber:
         """Return the weights of the channels from what all effects and structures together leave over."""
         common = tuple(name for name in self.names if not has_starts(name, self.predictor.robot))
         several = [name for name in self.names if name not in common and name not in params.effects]
-        tolerance = tolerance_jacobian(self.predictor, params, self.predictor.predict(params))
+        tolerance = single(tolerance_jacobian(self.predictor, params, self.predictor.predict(params)))
         flights, times, channels = self.predictor.flights, self.predictor.times, self.predictor.channels
 
         def beyond(residuals: list[Array], weights: Weighting) -> list[Array]:
             structures = structures_of(flights, times, channels, self.missed, residuals, {})
             return beyond_structures(structures, residuals, weights)
 
-        columns = columns_of_starts(self.predictor, params, self.declared, several, tolerance)
-        return weighting(self.predictor, params, common, columns, beyond=beyond)
+        linear = [tolerance, *derivatives_at_starts(self.predictor, params, self.declared, several)]
+        return weighting(self.predictor, params, common, linear, beyond=beyond)
 
     def climb(
         self, params: ModelParams, effects: tuple[str, ...], structures: tuple[Nuisance, ...], weights: Weighting

@@ -7,7 +7,13 @@ import pytest
 
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import misfit
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments
-from aerial_gym.sim2real.identify.least_squares.weighted import Beside, InChannels, weighted_moments, width_of
+from aerial_gym.sim2real.identify.least_squares.weighted import (
+    Beside,
+    InChannels,
+    moments_by_channel,
+    weighted_moments,
+    width_of,
+)
 
 RATE, WEIGHT = 30.0, np.array([0.5, 2.0, 7.0])
 
@@ -55,6 +61,18 @@ def test_weighted_sums_are_those_of_the_channels_times_their_weights(parts: int)
         np.testing.assert_allclose(found.square[:, 0], expected.square @ WEIGHT, rtol=1e-12)
         assert found.flight.tolist() == np.repeat([0, 1], parts).tolist()
         assert found.count.tolist() == expected.count.tolist()
+
+
+def test_sums_by_channel_are_those_of_whole_flights() -> None:
+    """Also where a channel has no residual at all."""
+    own = flights(5)
+    for residual in own.residuals:
+        residual[:, 2] = 0.0
+    jacobians = [np.concatenate((a, whole(b)), axis=2) for a, b in zip(own.dense, own.last, strict=True)]
+    expected = block_moments(own.times, own.residuals, jacobians, length=np.inf)
+    found = moments_by_channel(own.residuals, list(zip(own.dense, own.last, strict=True)))
+    for name in ("count", "square", "gradient", "product", "flight"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-12, atol=1e-12)
 
 
 def test_a_misfit_is_the_least_of_weighted_squares_and_prior() -> None:
