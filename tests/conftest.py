@@ -109,6 +109,13 @@ def own_names() -> Iterator[None]:
         del sys.modules[name]
 
 
+@pytest.fixture(autouse=True)
+def own_threads() -> Iterator[None]:
+    """Give the next test as many threads as this one had: with more than cores, workers wait for each other."""
+    yield
+    torch.set_num_threads(_THREADS)
+
+
 @pytest.fixture
 def optimised() -> Iterator[None]:
     """Compile kernels as users have them, those that were launched before included.
