@@ -131,13 +131,15 @@ def _in_gusts(robot: RobotCfg) -> RobotCfg:
 
 
 def _sampled(robot: RobotCfg) -> RobotCfg:
-    """Thrust to weight 1.15 to 7, where the robot has 3.26; inertia, lag and torque of rotors from racers to carriers.
+    """Thrust to weight 1.15 to 7, where the robot has 3.26; inertia, lag and torque of rotors from racers to carriers; gusts.
 
-    The inertia is drawn from the robot's, which is light, to ten times that.
+    The inertia is drawn from the robot's, which is light, to ten times that; gusts from none to stronger than the robot's.
     """
     factors = {"rotor.thrust_map": (0.353, 2.146), "body.inertia": (1.0, 10.0), "rotor.time_constant": (0.25, 2.5)}
     factors |= {"rotor.torque_map": (0.3, 7.0)}
     randomize = {name: RandomizeCfg(distribution="log_uniform", low=a, high=b) for name, (a, b) in factors.items()}
+    weather = {"effects.rotor_drag.dx": 2.0, "effects.rotor_drag.dy": 2.0, "effects.gusts.std": 1.2}
+    randomize |= {name: RandomizeCfg(low=0.0, high=most) for name, most in weather.items()}
     com = RandomizeCfg(how="offset", low=(-0.005, -0.005, 0.0), high=(0.005, 0.005, 0.0))
     return replace(robot, randomize={**randomize, "body.com": com})
 
@@ -353,9 +355,9 @@ for _name, _of, _change, _summary in (
     ),
     (
         "sampled_quadrotor",
-        "base_quadrotor",
+        "base_quadrotor_in_gusts",
         _sampled,
-        "base_quadrotor of which every episode draws thrust, inertia, centre of mass, lag and torque of the rotors",
+        "base_quadrotor of which every episode draws thrust, inertia, centre of mass, lag, torque and drag of the rotors, and gusts",
     ),
     (
         "x500_px4",
