@@ -357,7 +357,7 @@ for _name, _of, _change, _summary in (
         "sampled_quadrotor",
         "base_quadrotor_in_gusts",
         _sampled,
-        "base_quadrotor of which every episode draws thrust, inertia, centre of mass, lag, torque and drag of the rotors, and gusts",
+        "base_quadrotor of which each episode draws thrust, inertia, centre of mass, lag, torque, drag of rotors, and gusts",
     ),
     (
         "x500_px4",
