@@ -27,6 +27,7 @@ from aerial_gym.sim2real.logs.checks.rotor_law import check_rotor_law
 from aerial_gym.sim2real.logs.checks.rotor_order import check_order
 from aerial_gym.sim2real.logs.checks.rotors import without_copied_commands
 from aerial_gym.sim2real.logs.on_ground import rows_on_ground
+from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.logs.recording import FlightLog, Recording
@@ -161,10 +162,10 @@ def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None
 
 
 def mended_log(log: FlightLog) -> FlightLog:
-    """Return a log at equal time steps, repeated values mended."""
+    """Return a log at equal time steps, repeated values and jumps of the position mended."""
     check_time(log)
     check_quaternion_norm(log)
-    return uniform_log(mend_repeated_samples(without_gaps(without_copied_commands(log))))
+    return mend_position_jumps(uniform_log(mend_repeated_samples(without_gaps(without_copied_commands(log)))))
 
 
 def with_velocity(log: FlightLog) -> FlightLog:

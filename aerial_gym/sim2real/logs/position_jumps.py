@@ -1,0 +1,131 @@
+"""Jumps of a logged position that no motion makes: a satellite fix that moves, a tracker that takes one body for another.
+
+What the velocity leaves of the position, ``p - ∫ v dt``, is a constant, a drift of what the velocity is off by, and noise. A
+jump is a step in it: the difference between two half seconds before and after, beside one slope. How large such differences
+are without a jump, the flight itself says, all of it and the seconds around each row; rows with hard manoeuvres have tails, so
+that they are taken as Student's t with few degrees of freedom. A velocity leaps as well, where rows came late: what it does for
+a tenth of a second is taken out of it; what it is wrong for longer looks like a jump. Letters: T rows.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage, stats
+
+from aerial_gym.sim2real.logs.recording import FlightLog
+
+Array = NDArray[np.float64]
+
+HALF_S = 0.5
+"""What is compared before and after a jump [s]: longer than the gaps of the slowest receivers."""
+
+LEAP_S = 0.2
+"""A velocity is the median of so much around each row [s]."""
+
+LEAST = 0.1
+"""Smaller jumps [m] move nothing that is compared: velocities that were wrong for 0.3 s made 0.06 m (docs/close_loop.md)."""
+
+AROUND_S = 3.0
+"""Before and after each row differences are taken for how large they are there [s]."""
+
+FREEDOM = 4
+"""Degrees of freedom of Student's t."""
+
+FALSE_ALARM_HOURS = 100.0
+"""Mean flight time between jumps that are none [h], as far as differences have those tails."""
+
+MOST = 20
+"""A position with more jumps than that is left as it is, and the log says so."""
+
+MAD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionJump:
+    """One jump, at once or within ``HALF_S``."""
+
+    first: int
+    """The first row after it has begun."""
+
+    last: int
+    """The first row after it has ended."""
+
+    size: Array
+    """[m], world, (3,)."""
+
+    std: Array
+    """[m], (3,)."""
+
+    def and_then(self, other: "PositionJump") -> "PositionJump":
+        """Return both as one."""
+        first, last = min(self.first, other.first), max(self.last, other.last)
+        return PositionJump(first=first, last=last, size=self.size + other.size, std=np.maximum(self.std, other.std))
+
+    def sentence(self, time: Array) -> str:
+        """Return it in words, for a log with rows at these times [s]."""
+        size = ", ".join(f"{value:+.3g} ± {1.96 * std:.1g}" for value, std in zip(self.size, self.std, strict=True))
+        start, end = time[self.first], time[self.last]
+        when = f"at t = {start:.3f} s" if self.first == self.last else f"from t = {start:.3f} to {end:.3f} s"
+        return f"position jumps by ({size}) m (x, y, z) {when}, which no velocity makes (position_jump); moved back from there"
+
+
+def mend_position_jumps(log: FlightLog) -> FlightLog:
+    """Return a log, at equal time steps, without the jumps of its position, and a note for each of them."""
+    if log.position is None or log.lin_vel is None:
+        return log
+    step = float(log.time[-1] - log.time[0]) / (log.time.size - 1)
+    position, found, way = log.position, list[PositionJump](), integral(log.lin_vel, step)
+    while (jump := largest_jump(position - way, step)) is not None:
+        found.append(jump)
+        if len(found) > MOST:
+            note = f"position jumps more than {MOST} times where the velocity says otherwise (position_jump); left as logged"
+            return replace(log, notes=(*log.notes, note))
+        position = np.concatenate((position[: jump.first], position[jump.first :] - jump.size))
+    notes = [jump.sentence(log.time) for jump in joined(found, round(HALF_S / step))]
+    return replace(log, position=position, notes=(*log.notes, *notes)) if found else log
+
+
+def joined(jumps: Iterable[PositionJump], rows: int) -> list[PositionJump]:
+    """Return jumps in the order of time, those as one that are fewer than so many rows apart."""
+    found: list[PositionJump] = []
+    for jump in sorted(jumps, key=lambda one: one.first):
+        if found and jump.first - found[-1].last < rows:
+            jump = found.pop().and_then(jump)
+        found.append(jump)
+    return found
+
+
+def integral(velocity: Array, step: float) -> Array:
+    """Return the way (T, 3) [m] that a velocity [m/s] without its leaps has led by each row, trapezium by trapezium."""
+    velocity = ndimage.median_filter(velocity, size=(2 * round(0.5 * LEAP_S / step) + 1, 1), mode="nearest")
+    return np.concatenate((np.zeros((1, 3)), np.cumsum(0.5 * step * (velocity[1:] + velocity[:-1]), axis=0)))
+
+
+def largest_jump(left: Array, step: float) -> PositionJump | None:
+    """Return the jump that stands out most of what velocities leave of positions (T, 3), None if none does."""
+    half = max(3, round(HALF_S / step))
+    if len(left) < 8 * half:
+        return None
+    sizes = differences(left, half)  # of the rows half to T - half
+    rows = np.abs(sizes)
+    overall = MAD * np.median(rows, axis=0)
+    near = ndimage.uniform_filter1d(np.minimum(rows, 3.0 * overall), 2 * round(AROUND_S / step) + 1, axis=0)
+    scale = np.maximum(np.maximum(overall, 1.2533 * near), 1e-9)  # of a normal distribution: its mean size
+    odd = np.where(rows > LEAST, rows / scale, 0.0)
+    place, axis = np.unravel_index(int(np.argmax(odd)), odd.shape)
+    limit = stats.t.isf(0.5 * HALF_S / (3.0 * 3600.0 * FALSE_ALARM_HOURS), FREEDOM)
+    if odd[place, axis] <= limit:
+        return None
+    row = int(place) + half
+    return PositionJump(first=row, last=row, size=sizes[place], std=scale[place])
+
+
+def differences(left: Array, half: int) -> Array:
+    """Return the step (T - 2 half + 1, any) that least squares put between rows before and after, beside one slope."""
+    at = np.arange(2 * half) - half + 0.5
+    columns = np.column_stack((np.ones(2 * half), at, at > 0.0))
+    weights = np.linalg.pinv(columns)[2]
+    return np.stack([np.convolve(column, weights[::-1], mode="valid") for column in left.T], axis=1)

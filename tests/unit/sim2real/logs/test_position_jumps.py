@@ -1,0 +1,120 @@
+"""Steps that a position makes and its velocity does not: found, measured and taken out; motion and noise are none."""
+
+import re
+
+import numpy as np
+import pytest
+
+from aerial_gym.sim2real.logs.flights import mended_log
+from aerial_gym.sim2real.logs.position_jumps import differences, mend_position_jumps
+from aerial_gym.sim2real.logs.recording import FlightLog
+
+RATE = 50.0
+
+
+def flown(seed: int, *, noise: float = 0.01, bias: float = 0.05, seconds: float = 30.0) -> FlightLog:
+    """Return a log of a vehicle that circles at up to 3 m/s and stops, with noise and a velocity that is a little off."""
+    rng, time = np.random.default_rng(seed), np.arange(round(seconds * RATE)) / RATE
+    turn = 1.5 * np.clip(time - 5.0, 0.0, None)
+    way = 2.0 * np.column_stack((np.sin(turn), 1.0 - np.cos(turn), 0.2 * np.sin(0.7 * turn)))
+    velocity = np.gradient(way, 1.0 / RATE, axis=0) + bias + 0.02 * rng.standard_normal((time.size, 3))
+    heading = 0.5 * (0.2 * turn + 0.001 * rng.standard_normal(time.size))
+    return FlightLog(
+        path="log.csv",
+        time=time,
+        attitude=np.column_stack((np.zeros((time.size, 2)), np.sin(heading), np.cos(heading))),
+        position=way + noise * rng.standard_normal((time.size, 3)),
+        lin_vel=velocity,
+    )
+
+
+def with_steps(log: FlightLog, steps: dict[float, tuple[float, float, float]]) -> FlightLog:
+    """Return the log with steps added to its position from some times [s] on."""
+    assert log.position is not None
+    position = log.position.copy()
+    for at, size in steps.items():
+        position[log.time >= at] += size
+    return FlightLog(path=log.path, time=log.time, attitude=log.attitude, position=position, lin_vel=log.lin_vel)
+
+
+def told(log: FlightLog) -> list[tuple[np.ndarray, float]]:
+    """Return size and time of each jump that notes tell."""
+    found = []
+    for note in log.notes:
+        assert "position_jump" in note
+        sizes = re.findall(r"([+-][\d.e-]+) ±", note)
+        found.append((np.array(sizes, dtype=float), float(re.search(r"t = ([\d.]+)", note)[1])))  # type: ignore[index]
+    return found
+
+
+def test_steps_are_least_squares_beside_a_slope() -> None:
+    """Against the same fitted window by window."""
+    rng, half = np.random.default_rng(0), 4
+    left = rng.standard_normal((30, 2)).cumsum(axis=0)
+    at = np.arange(2 * half)
+    columns = np.column_stack((np.ones(2 * half), at, at >= half))
+    expected = [np.linalg.lstsq(columns, left[k : k + 2 * half], rcond=None)[0][2] for k in range(30 - 2 * half + 1)]
+    np.testing.assert_allclose(differences(left, half), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_fix_that_moves_and_returns_is_found_and_taken_out(seed: int) -> None:
+    """Two metres for four seconds of a turn, and a step that stays; times within a row, sizes within four deviations."""
+    clean = flown(seed)
+    steps = {9.0: (2.0, -1.0, 0.5), 13.0: (-2.0, 1.0, -0.5), 22.0: (0.0, 0.0, 1.5)}
+    mended = mend_position_jumps(with_steps(clean, steps))
+    found = told(mended)
+    assert len(found) == 3
+    for (size, time), (at, truth) in zip(found, steps.items(), strict=True):
+        assert abs(time - at) < 1.5 / RATE
+        np.testing.assert_allclose(size, truth, atol=0.06)
+    assert mended.position is not None
+    assert clean.position is not None
+    assert np.abs(mended.position - clean.position).max() < 0.1
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_nothing_jumps_where_nothing_does(seed: int) -> None:
+    """Motion, noise, a velocity that is off all along, and positions known to a millimetre are no jumps."""
+    for log in (flown(seed), flown(seed, noise=0.001), flown(seed, noise=0.0, bias=0.3), flown(seed, seconds=4.0)):
+        assert mend_position_jumps(log) is log
+
+
+def test_a_velocity_that_leaps_is_no_jump_and_one_derived_from_a_jump_hides_none() -> None:
+    """Rows that came late make a derived velocity three times too large for a moment; a fix that moves makes a spike of it."""
+    late = flown(6, noise=0.001)
+    assert late.lin_vel is not None
+    late.lin_vel[700:704] *= 3.0
+    assert mend_position_jumps(late) is late
+    log = with_steps(flown(7, noise=0.001), {10.0: (0.5, 0.0, 0.0)})
+    assert log.position is not None
+    velocity = np.gradient(log.position, 1.0 / RATE, axis=0)
+    derived = FlightLog(path="log.csv", time=log.time, attitude=log.attitude, position=log.position, lin_vel=velocity)
+    ((size, time),) = told(mend_position_jumps(derived))
+    assert abs(time - 10.0) <= 1.5 / RATE
+    assert size[0] == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_slow_jump_is_one_and_too_many_are_left() -> None:
+    """A step over three rows is told once, from its first row to its last; a position that jumps all the time is not mended."""
+    log = with_steps(flown(3), {10.0: (1.0, 0.0, 0.0), 10.1: (1.0, 0.0, 0.0), 10.2: (1.0, 0.0, 0.0)})
+    ((size, time),) = told(mend_position_jumps(log))
+    assert abs(time - 10.1) <= 0.15
+    assert size[0] == pytest.approx(3.0, abs=0.1)
+    many = with_steps(flown(4, seconds=120.0), {float(at): (3.0 * (-1) ** at, 0.0, 0.0) for at in range(10, 110, 4)})
+    left = mend_position_jumps(many)
+    assert left.notes[-1].endswith("left as logged")
+    np.testing.assert_array_equal(left.position, many.position)
+
+
+def test_a_log_is_read_without_its_jumps() -> None:
+    mended = mended_log(with_steps(flown(8), {12.0: (0.0, 2.0, 0.0)}))
+    assert any("position_jump" in note for note in mended.notes)
+    assert mended.position is not None
+    assert np.abs(np.diff(mended.position, axis=0)).max() < 0.2
+
+
+def test_without_a_velocity_nothing_is_told() -> None:
+    log = with_steps(flown(5), {10.0: (2.0, 0.0, 0.0)})
+    alone = FlightLog(path=log.path, time=log.time, attitude=log.attitude, position=log.position)
+    assert mend_position_jumps(alone) is alone
