@@ -11,6 +11,9 @@ MAX_COUNT = 2**31 - 1
 MAX_MADE = 10**6
 """Things that are made one by one, such as shapes and rows of obstacles of one environment."""
 
+LARGEST_SINGLE = (2.0 - 2.0**-23) * 2.0**127
+"""The largest number of single precision, in which tasks count."""
+
 Vec3 = tuple[float, float, float]
 
 
@@ -28,6 +31,16 @@ def require_finite(config: object, *names: str) -> None:
         value = getattr(config, name)
         if not all(map(isfinite, _numbers(value))):
             raise ConfigError(f"{type(config).__name__}.{name} = {value!r}: must be finite")
+
+
+def require_single(config: object, *names: str) -> None:
+    """Raise ``ConfigError`` unless the named numbers are finite in single precision (NaN fails as well)."""
+    for name in names:
+        value = getattr(config, name)
+        if not abs(value) <= LARGEST_SINGLE:
+            raise ConfigError(
+                f"{type(config).__name__}.{name} = {value!r}: must be finite, and at most {LARGEST_SINGLE:.2g} either way"
+            )
 
 
 def require_count(config: object, *names: str, most: int = MAX_COUNT) -> None:

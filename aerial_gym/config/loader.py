@@ -3,12 +3,14 @@
 import dataclasses
 from collections.abc import Mapping
 from difflib import get_close_matches
+from math import inf
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import yaml
 
+from aerial_gym.config.checks import LARGEST_SINGLE
 from aerial_gym.errors import ConfigError
 
 T = TypeVar("T")
@@ -29,6 +31,7 @@ def read_yaml(path: str | Path) -> dict[str, object]:
     path = Path(path)
     try:
         data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
+        itself = _holds_itself(data, set(), set())
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -41,7 +44,22 @@ def read_yaml(path: str | Path) -> dict[str, object]:
         raise ConfigError(f"{path}: holds a value that YAML cannot read ({error})") from None
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: must hold a mapping of fields, found {type(data).__name__}")
+    if itself:
+        raise ConfigError(f"{path}: not valid YAML (an alias stands within what it stands for)")
     return data
+
+
+def _holds_itself(value: object, around: set[int], done: set[int]) -> bool:
+    """Return whether a list or mapping is in itself; ``around`` are those it is in, ``done`` those looked through."""
+    if not isinstance(value, (dict, list)) or id(value) in done:
+        return False
+    if id(value) in around:
+        return True
+    around.add(id(value))
+    found = any(_holds_itself(one, around, done) for one in (value.values() if isinstance(value, dict) else value))
+    around.remove(id(value))
+    done.add(id(value))
+    return found
 
 
 def summary_in(path: str | Path) -> str:
@@ -143,6 +161,8 @@ def _any(value: Any, where: str) -> Any:
     """Return numbers, texts, truth values and lists of them, whatever they mean: whoever knows converts them."""
     if isinstance(value, (list, tuple)):
         return tuple(_any(item, f"{where}[{i}]") for i, item in enumerate(value))
+    if isinstance(value, (int, float)) and LARGEST_SINGLE < abs(value) < inf:
+        raise ConfigError(f"{where} = {shown(value)}: must be at most {LARGEST_SINGLE:.2g} either way")
     if isinstance(value, (str, int, float)):
         return value
     raise ConfigError(f"{where} = {shown(value)}: must be a number, a text, or a list of such")

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf, isfinite
 
-from aerial_gym.config.checks import MAX_MADE
+from aerial_gym.config.checks import MAX_MADE, require_single
 from aerial_gym.errors import ConfigError
 
 Params = Mapping[str, object]
@@ -169,9 +169,7 @@ class RewardCfg:
     """Names of reward terms, without such a factor of their own, by whose sum it is multiplied; none: by 1."""
 
     def __post_init__(self) -> None:
-        for name in ("weight", "difficulty_weight"):
-            if not isfinite(getattr(self, name)):
-                raise ConfigError(f"RewardCfg.{name} = {getattr(self, name)!r}: must be finite")
+        require_single(self, "weight", "difficulty_weight")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,9 +186,7 @@ class EndRewardCfg:
     """``replace``: the reward of that step is this alone; ``add``: it comes on top."""
 
     def __post_init__(self) -> None:
-        for name in ("value", "difficulty_value"):
-            if not isfinite(getattr(self, name)):
-                raise ConfigError(f"EndRewardCfg.{name} = {getattr(self, name)!r}: must be finite")
+        require_single(self, "value", "difficulty_value")
         if self.how not in ("replace", "add"):
             raise ConfigError(f"EndRewardCfg.how = {self.how!r}: must be replace or add")
 

@@ -9,7 +9,14 @@ from aerial_gym import task_registry
 from aerial_gym.config import build, dump_yaml, load
 from aerial_gym.config.loader import to_mapping
 from aerial_gym.config.task import TaskCfg
-from aerial_gym.config.task_terms import ActionCfg, CommandCfg, ImageCfg, ObservationCfg
+from aerial_gym.config.task_terms import (
+    ActionCfg,
+    CommandCfg,
+    EndRewardCfg,
+    ImageCfg,
+    ObservationCfg,
+    RewardCfg,
+)
 from aerial_gym.errors import ConfigError
 
 
@@ -79,3 +86,22 @@ def test_numbers_of_actions_and_images_are_checked() -> None:
         ImageCfg(dtype="int8")
     with pytest.raises(ConfigError, match="ImageCfg.largest = 0.0"):
         ImageCfg(largest=0.0)
+
+
+@pytest.mark.parametrize("number", [3.5e38, -1e308, float("inf"), float("nan")])
+@pytest.mark.parametrize("name", ["value", "difficulty_value"])
+def test_what_ends_and_terms_are_worth_is_finite_in_single_precision(name: str, number: float) -> None:
+    """As the largest number is; ``tests/unit/task`` counts rewards in it."""
+    with pytest.raises(ConfigError, match=rf"EndRewardCfg.{name} = .*: must be finite, and at most 3.4e\+38"):
+        EndRewardCfg(**({"value": 0.0} | {name: number}))
+    with pytest.raises(ConfigError, match=r"RewardCfg.weight = .*: must be finite"):
+        RewardCfg(term="distance_bell", weight=number)
+    assert EndRewardCfg(value=-3.4028234e38).value < 0.0
+
+
+@pytest.mark.parametrize("number", [1e308, -3.5e38, 10**400])
+def test_a_parameter_of_a_term_is_no_larger_than_single_precision(number: float) -> None:
+    fields = to_mapping(task_registry.get("position_setpoint_task"))
+    fields["command"] = {"generator": "point", "params": {"position": [0.0, number, 0.0]}}
+    with pytest.raises(ConfigError, match=r"my.yaml: command: params.position\[1\] = .*: must be at most 3.4e\+38"):
+        build(TaskCfg, fields, where="my.yaml")
