@@ -16,12 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.flights import even_log
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.logs.repeated_samples import mend_repeated_samples
-from aerial_gym.sim2real.logs.signals import uniform_log, without_gaps
 
 COLLECTIONS = ("idsia_nanodrone", "nanobench_cf21", "neural_fly", "neural_swarm")
 TOLD = re.compile(r"position jumps by \(([^)]*)\) m .* t = ([\d.]+)")
@@ -32,9 +31,7 @@ def logs(data: Path) -> Iterator[FlightLog]:
     for name in COLLECTIONS:
         for path in sorted((data / name).glob("*.csv")):
             try:
-                log = uniform_log(
-                    mend_repeated_samples(without_gaps(read_flight_log(path, mapping=find_mapping(name))))
-                )
+                log = even_log(read_flight_log(path, mapping=find_mapping(name)))
             except DataError:
                 continue
             if log.position is not None and log.lin_vel is not None:

@@ -163,9 +163,14 @@ def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None
 
 def mended_log(log: FlightLog) -> FlightLog:
     """Return a log at equal time steps, repeated values and jumps of the position mended."""
+    return mend_position_jumps(even_log(log))
+
+
+def even_log(log: FlightLog) -> FlightLog:
+    """Return a log at equal time steps, repeated values mended."""
     check_time(log)
     check_quaternion_norm(log)
-    return mend_position_jumps(uniform_log(mend_repeated_samples(without_gaps(without_copied_commands(log)))))
+    return uniform_log(mend_repeated_samples(without_gaps(without_copied_commands(log))))
 
 
 def with_velocity(log: FlightLog) -> FlightLog:

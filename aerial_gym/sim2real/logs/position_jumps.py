@@ -31,7 +31,7 @@ AROUND_S = 3.0
 """Before and after each row differences are taken for how large they are there [s]."""
 
 FREEDOM = 4
-"""Degrees of freedom of Student's t."""
+"""Degrees of freedom of Student's t: chosen, not estimated."""
 
 FALSE_ALARM_HOURS = 100.0
 """Mean flight time between jumps that are none [h], as far as differences have those tails."""
