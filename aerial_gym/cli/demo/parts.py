@@ -127,7 +127,7 @@ def find_flights(folder: Path | None, out: Path, seed: int) -> Flights:
 
 
 def _make_flights(folder: Path, seed: int) -> Flights:
-    root = Path(__file__).parents[3]
+    root, folder = Path(__file__).parents[3], folder.resolve()  # the plant runs in another folder
     if not (root / "benchmarks" / "undeclared").is_dir():
         raise DataError("no measured flights and no benchmarks/undeclared beside the package: give --flights FOLDER")
     command = [sys.executable, "-m", "benchmarks.undeclared", "--out", str(folder), "--seed", str(seed)]
