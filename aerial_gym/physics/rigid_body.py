@@ -32,7 +32,7 @@ from aerial_gym.physics.effects.base import linear_wrench
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
 from aerial_gym.physics.state import BodyState
-from aerial_gym.physics.vehicle import is_shared
+from aerial_gym.physics.vehicle import Vehicle, is_same_row, is_shared, share_row
 
 _FORCES = (WindEffect, RotorEffect, WrenchEffect, FluidEffect, LoadEffect)
 """Kinds on which the acceleration in a state depends."""
@@ -79,20 +79,50 @@ def body_wrench(
     return _wrench_in(model, _condition_in(model, position, attitude, com_vel, ang_vel, rotor_speed, rotor_acc))
 
 
-SEEN_OF_VEHICLE = ("com", "rotor_position", "rotor_axis", "thrust_map", "reverse_thrust_map")
-"""What of the vehicle a condition is worked out from; the rest of it can only be read there."""
+MOVES_OF_VEHICLE = ("com", "rotor_position", "rotor_axis")
+"""What of the vehicle the motion in a condition is worked out from."""
+
+_THRUST_MAPS = ("thrust_map", "reverse_thrust_map")
+"""What else of it a condition is worked out from; the rest can only be read there."""
 
 
 def condition_in(model: Model, state: BodyState, rotor_acc: Tensor) -> Condition:
     """Return what effects see in a state, in which the rotors accelerate by ``rotor_acc`` [rad/s²], (E, R).
 
-    Of the model it holds vehicle, wind and surroundings: it is the same for models that differ in other effects alone. Models
-    whose vehicles differ in nothing of ``SEEN_OF_VEHICLE`` have the same but for ``Condition.of_vehicle``.
+    Of the model it holds vehicle, wind and surroundings: it is the same for models that differ in other effects alone, and
+    ``condition_for`` gives it for those whose vehicles do not differ in ``MOVES_OF_VEHICLE``.
     """
     com, turn = model.vehicle.com, state.attitude
     position = state.position + quat_rotate(turn, com)
     com_vel = state.lin_vel + quat_rotate(turn, torch.linalg.cross(state.ang_vel, com))
     return _condition_in(model, position, turn, com_vel, state.ang_vel, state.rotor_speed, rotor_acc)
+
+
+def condition_at_origin(model: Model, state: BodyState, rotor_acc: Tensor) -> Condition:
+    """Return what effects at hubs see (``WrenchEffect.at_hubs``), told of the body origin as if the centre of mass were there.
+
+    The hubs move as they do, so that forces are the same; torques are about the origin. It is the same for models that differ
+    in their centre of mass, but for a wind that depends on where that is.
+    """
+    com, turn = model.vehicle.com, state.attitude
+    found = _condition_in(
+        model,
+        state.position + quat_rotate(turn, com),
+        turn,
+        state.lin_vel,
+        state.ang_vel,
+        state.rotor_speed,
+        rotor_acc,
+    )
+    origin = share_row(torch.zeros_like(com[0]), com.shape[0])
+    return replace(found, position=state.position, vehicle=replace(model.vehicle, com=origin))
+
+
+def condition_for(vehicle: Vehicle, known: Condition) -> Condition:
+    """Return a condition for a vehicle that differs in nothing of ``MOVES_OF_VEHICLE`` from that for which it is known."""
+    maps = [(getattr(vehicle, name), getattr(known.vehicle, name)) for name in _THRUST_MAPS]
+    same = all(is_shared(old) and is_same_row(new, old) for new, old in maps)
+    return known.of_vehicle(vehicle, known.rotor_thrust if same else rotor_thrust(vehicle, known.rotor_speed))
 
 
 def _condition_in(
@@ -143,24 +173,36 @@ class Acting:
 
 
 def acting_in(
-    model: Model, condition: Condition, answers: Answers[Condition] | None = None, *, apart: bool = False
+    model: Model,
+    condition: Condition,
+    answers: Answers[Condition] | None = None,
+    *,
+    apart: bool = False,
+    hubs: Condition | None = None,
 ) -> Acting:
     """Return what acts on the body in a condition, without a fluid or a load, which depend on the sum of it.
 
-    ``answers`` are those of effects in this state under other models; ``apart`` asks for ``Acting.linear``.
+    Args:
+        model: Vehicle and effects.
+        condition: What effects see.
+        answers: Those of effects in this state under other models.
+        apart: Asks for ``Acting.linear``.
+        hubs: What effects at hubs see in its place (``condition_at_origin``): their torques are about the body origin then.
     """
+    hubs = condition if hubs is None else hubs
 
     def asked(law: Callable[..., Tensor], source: Condition, *params: Tensor) -> Tensor:
         return law(source, *params) if answers is None else answers.ask(law, source, *params)
 
-    more = [(effect.name, asked(effect.thrust, condition, params)) for effect, params in model.effects[RotorEffect]]
-    found = Acting(thrust=condition.rotor_thrust, thrusts=more, wrenches=[])
-    condition = condition.with_thrust(found.whole_thrust)
+    more = [(effect.name, asked(effect.thrust, hubs, params)) for effect, params in model.effects[RotorEffect]]
+    found = Acting(thrust=hubs.rotor_thrust, thrusts=more, wrenches=[])
+    condition, hubs = condition.with_thrust(found.whole_thrust), hubs.with_thrust(found.whole_thrust)
     for effect, params in model.effects[WrenchEffect]:
+        seen = hubs if effect.at_hubs else condition
         if apart and isinstance(effect, LinearWrenchEffect):
-            found.linear.append((effect.name, asked(effect.regressor, condition), params))
+            found.linear.append((effect.name, asked(effect.regressor, seen), params))
         else:
-            found.wrenches.append((effect.name, asked(effect.wrench, condition, params)))
+            found.wrenches.append((effect.name, asked(effect.wrench, seen, params)))
     return found
 
 

@@ -4,6 +4,8 @@ Pure functions of tensors: no state, no allocation that outlives the call, no de
 Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 """
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -119,6 +121,17 @@ def rotor_torque(vehicle: Vehicle, state: Tensor) -> Tensor:
     if "reversible" not in vehicle.traits:
         return evaluate_map(vehicle.torque_map, state)
     return _evaluate_signed(vehicle.torque_map, vehicle.reverse_torque_map, state)
+
+
+def map_terms(vehicle: Vehicle, state: Tensor) -> Tensor:
+    """Return by what thrusts and drag torques multiply each coefficient of their maps, (K, E, R): they are linear in these.
+
+    K is 3, or 6 with the coefficients of reversed rotors behind.
+    """
+    count = 6 if "reversible" in vehicle.traits else 3
+    unit, rows = torch.eye(6, dtype=state.dtype, device=state.device), (*state.shape, 3)
+    maps = [(unit[k, :3].expand(rows), unit[k, 3:].expand(rows)) for k in range(count)]
+    return torch.stack([rotor_thrust(replace(vehicle, thrust_map=a, reverse_thrust_map=b), state) for a, b in maps])
 
 
 def state_for_thrust(vehicle: Vehicle, thrust: Tensor) -> Tensor:

@@ -13,7 +13,8 @@ from aerial_gym.physics import accelerations, build_model, condition_in, effects
 from aerial_gym.physics.answers import Answers
 from aerial_gym.physics.effects import Condition
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rigid_body import SEEN_OF_VEHICLE
+from aerial_gym.physics.rigid_body import MOVES_OF_VEHICLE, condition_for
+from aerial_gym.physics.vehicle import is_shared, share_row
 from tests.physics.test_rigid_body import F64, lopsided_robot, random_state
 
 ROWS = 6
@@ -93,13 +94,20 @@ def test_a_condition_follows_from_nothing_else_of_the_vehicle() -> None:
     for field, rows in vehicle.rows().items():
         other = replace(vehicle, **{field: rows + 0.1 * (1.0 + rows.abs())})
         moved = condition_of(replace(model, vehicle=other))
-        if field not in SEEN_OF_VEHICLE:
-            kept = seen.of_vehicle(other)
+        if field not in MOVES_OF_VEHICLE:
+            kept = condition_for(other, seen)
             assert kept.vehicle is other
             assert all(torch.equal(getattr(kept, name), getattr(moved, name)) for name in names), field
 
 
-@pytest.mark.parametrize("field", [name for name in SEEN_OF_VEHICLE if not name.startswith("reverse")])
+def test_thrusts_of_a_vehicle_that_moves_likewise_stand_where_its_maps_are_the_same() -> None:
+    seen = condition_of(model_with({}))
+    assert is_shared(seen.vehicle.thrust_map)
+    other = replace(seen.vehicle, thrust_map=share_row(seen.vehicle.thrust_map[0].clone(), ROWS))
+    assert condition_for(other, seen).rotor_thrust is seen.rotor_thrust
+
+
+@pytest.mark.parametrize("field", [*MOVES_OF_VEHICLE, "thrust_map"])
 def test_what_a_condition_sees_of_the_vehicle_moves_it(field: str) -> None:
     model = model_with({})
     moved = replace(model.vehicle, **{field: 1.1 * getattr(model.vehicle, field) + 0.01})

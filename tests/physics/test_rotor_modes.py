@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.loader import dump_yaml
-from aerial_gym.config.robot import load_robot
+from aerial_gym.config.robot import RobotCfg, load_robot
 from aerial_gym.control.allocation import Allocation, allocation_matrix
 from aerial_gym.control.controllers import ThrustController
 from aerial_gym.errors import ConfigError
@@ -19,7 +19,7 @@ from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, accelerations, a
 from aerial_gym.physics.effects import EffectParams
 from aerial_gym.physics.model import check_effects
 from aerial_gym.physics.rotor_lag import limited_lag, stop_in_dead_band
-from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, state_for_thrust
+from aerial_gym.physics.rotors import map_terms, rotor_thrust, rotor_torque, state_for_thrust
 from aerial_gym.robots import ROBOTS
 from tests.physics.mixed_rotors import FORCE, REVERSIBLE, mixed_robot, with_rotor
 from tests.physics.test_rigid_body import SpeedControl
@@ -242,3 +242,14 @@ def test_the_octarotor_hovers_in_any_attitude(axis: str) -> None:
     start = BodyState(position=zero, attitude=attitude, lin_vel=zero, ang_vel=zero, rotor_speed=thrust)
     end = advance(build_model(vehicle), INTEGRATORS["rk4"], SpeedControl(), start, thrust, 0.01, 50)
     torch.testing.assert_close(end.position, zero, atol=1e-4, rtol=0.0)  # axes are given to six digits
+
+
+@pytest.mark.parametrize("robot", [lopsided_robot(), mixed_robot(), with_rotor(lopsided_robot(), REVERSIBLE)])
+def test_terms_times_coefficients_are_thrusts_and_drag_torques(robot: RobotCfg) -> None:
+    vehicle = vehicle_from_config(robot, num_envs=7, dtype=F64)
+    state = torch.linspace(-600.0, 800.0, 7 * vehicle.num_rotors, dtype=F64).view(7, -1)
+    terms = map_terms(vehicle, state)
+    assert len(terms) == (6 if "reversible" in vehicle.traits else 3)
+    for law, name in ((rotor_thrust, "thrust_map"), (rotor_torque, "torque_map")):
+        both = torch.cat((getattr(vehicle, name), getattr(vehicle, f"reverse_{name}")), dim=2)[..., : len(terms)]
+        torch.testing.assert_close((terms.permute(1, 2, 0) * both).sum(2), law(vehicle, state), rtol=1e-12, atol=1e-12)

@@ -87,6 +87,7 @@ class ArmJoint(WrenchEffect):
 
     rotor_memory = (0.0,)
     rotors = ANY_ROTOR
+    at_hubs = True
     on_joints = False
 
     def check(self, robot: RobotCfg) -> None:

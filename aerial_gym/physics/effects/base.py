@@ -168,9 +168,9 @@ class Condition:
         """Return the condition with other thrusts [N], (E, R); what follows from the motion is not worked out again."""
         return self._with(replace(self, rotor_thrust=thrust))
 
-    def of_vehicle(self, vehicle: Vehicle) -> "Condition":
-        """Return the condition of a vehicle of the same centre of mass, hubs and thrusts, whatever else it differs in."""
-        return self if vehicle is self.vehicle else self._with(replace(self, vehicle=vehicle))
+    def of_vehicle(self, vehicle: Vehicle, thrust: Tensor) -> "Condition":
+        """Return the condition of a vehicle of the same centre of mass and hubs, with its thrusts [N], (E, R)."""
+        return self if vehicle is self.vehicle else self._with(replace(self, vehicle=vehicle, rotor_thrust=thrust))
 
     def _with(self, other: "Condition") -> "Condition":
         """Return another condition of the same motion, with what was worked out of it here."""
@@ -439,6 +439,9 @@ class WrenchEffect(Effect):
 
     acts_on = "wrench"
     twin = "warp_wrench"
+    at_hubs: ClassVar[bool] = False
+    """Whether hubs and rotors alone make it: where the centre of mass is changes its torque by the lever of its force, and
+    nothing else."""
 
     @abstractmethod
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:

@@ -110,6 +110,7 @@ class BladeElement(WrenchEffect):
         ),
     )
     excitation = "fast flight, climbs and descents, in still air or a known wind"
+    at_hubs = True
     confused_with = ("axial_inflow", "translational_lift", "h_force_flapping", "rotor_drag")
     rotors = ("reversible", "slew", "dead_band")
     follows = ("velocity",)

@@ -30,6 +30,7 @@ class HForceFlapping(LinearWrenchEffect):
         ),
     )
     excitation = "sideways velocity in both directions; the moment also needs the rotor speeds one by one"
+    at_hubs = True
     confused_with = ("rotor_drag", "com_offset", "constant_wind")
     rotors = ("reversible", "slew", "dead_band")
     follows = ("velocity",)

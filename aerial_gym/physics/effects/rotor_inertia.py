@@ -22,6 +22,7 @@ class RotorInertia(LinearWrenchEffect):
         Parameter(name="jr", unit="kg m²", low=0.0, high=0.01, scale=1e-6, meaning="of one rotor about its axis"),
     )
     excitation = "quick yaw commands, or fast turns with unequal rotor speeds"
+    at_hubs = True
     confused_with = ("torque_ratio", "inertia_error")
     rotors = ("reversible", "slew", "dead_band")
 

@@ -1,9 +1,12 @@
 """What a vehicle feels in the band, from what acts on it in every row.
 
 A low-pass of a sum is the sum of low-passes, and what is the same in all rows may as well come after it: mass, inertia, axes.
-So forces are brought into the band effect by effect, each once, and only what has changed is filtered again.
-Letters: E rows, T rows kept, R rotors.
+So forces are brought into the band effect by effect, each once, and only what has changed is filtered again: of the rotors what
+the coefficients of their maps are multiplied with.
+Letters: E rows, T rows kept, R rotors, K coefficients of a map.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -11,11 +14,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from aerial_gym.physics import Accelerations
+from aerial_gym.physics.effects import WrenchEffect
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import Acting
-from aerial_gym.physics.rotors import rotor_matrix, rotor_torque
+from aerial_gym.physics.rotors import map_terms, rotor_matrix
 from aerial_gym.sim2real.predict.dataset import Dataset
-from aerial_gym.sim2real.predict.slow_columns import SlowColumns
 
 Array = NDArray[np.float64]
 
@@ -29,14 +32,13 @@ class InBand:
     def __init__(self, data: Dataset) -> None:
         """Take the flights."""
         self._data = data
-        self._thrust, self._drag = SlowColumns(data.in_band), SlowColumns(data.in_band)
         self._known: dict[str, list[tuple[Tensor, Tensor]]] = {}
         rates = data.state["ang_vel"]
         products = (rates.unsqueeze(2) * rates.unsqueeze(1)).flatten(1)
         self._motion = self._slow(torch.cat((data.ang_acc, products), dim=1))
         """Angular acceleration and products of angular velocities as measured, (3 + 9, T)."""
 
-    def felt(self, model: Model, rotor_speed: Tensor, acting: Acting) -> Accelerations:
+    def felt(self, model: Model, rotor_speed: Tensor, acting: Acting, *, about: Tensor | None = None) -> Accelerations:
         """Return specific force [m/s²] and angular acceleration [rad/s²] of the body origin in the band, (T, 3) each.
 
         The lever of the accelerometer turns as measured: an error of the torque model stays out of the forces.
@@ -45,19 +47,23 @@ class InBand:
             model: The same in all rows.
             rotor_speed: True speeds [rad/s], (E, R).
             acting: Forces in every row, linear ones apart or not.
+            about: Where the torques of effects at hubs are about [m], body, (3,). None: the centre of mass, as all others.
         """
         vehicle = model.vehicle
-        thrust, drag = (
-            torch.from_numpy(np.stack(slow.of(rows.numpy())))
-            for slow, rows in ((self._thrust, acting.thrust), (self._drag, rotor_torque(vehicle, rotor_speed)))
-        )
+        terms = self._of("rotors", rotor_speed, lambda speed: map_terms(vehicle, speed).permute(1, 0, 2))  # (K, R, T)
+        maps = (vehicle.thrust_map, vehicle.reverse_thrust_map), (vehicle.torque_map, vehicle.reverse_torque_map)
+        coefficients = [torch.cat([rows[0] for rows in pair], dim=1).T[: len(terms), :, None] for pair in maps]
+        thrust, drag = ((of_each * terms).sum(0) for of_each in coefficients)
         for name, more in acting.thrusts:
             thrust = thrust + self._of(f"thrust of {name}", more)
         wrench = rotor_matrix(vehicle).T @ torch.cat((thrust, drag))  # (6, T)
-        for name, rows in acting.wrenches:
-            wrench = wrench + self._of(name, rows)
-        for name, regressor, params in acting.linear:
-            wrench = wrench + params[0] @ self._of(f"regressor of {name}", regressor)
+        at_hubs = {effect.name for effect, _ in model.effects[WrenchEffect] if effect.at_hubs}
+        parts = [(name, self._of(name, rows)) for name, rows in acting.wrenches]
+        parts += [(name, params[0] @ self._of(f"regressor of {name}", rows)) for name, rows, params in acting.linear]
+        for name, part in parts:
+            wrench = wrench + part
+            if about is not None and name in at_hubs:
+                wrench[3:] += torch.linalg.cross((about - vehicle.com[0])[:, None], part[:3], dim=0)
         unit = torch.eye(12, dtype=wrench.dtype)
         turning, products = unit[:, :3], unit[:, 3:].view(-1, 3, 3)
         spin = products @ vehicle.inertia[0]  # w (J w)^T, J is symmetric
@@ -70,14 +76,15 @@ class InBand:
         torque = model.inertia_inverse[0] @ (wrench[3:] - gyroscopic @ self._motion)
         return Accelerations(specific_force=force.T, ang_acc=torque.T)
 
-    def _of(self, name: str, rows: Tensor) -> Tensor:
-        """Return what an effect does in the band, (..., T), of the same tensor (E, ...) as before or of another one."""
+    def _of(self, name: str, rows: Tensor, law: Callable[[Tensor], Tensor] = lambda rows: rows) -> Tensor:
+        """Return a law of rows (E, ...) in the band, (..., T), of the same tensor as before or of another one."""
         kept = self._known.setdefault(name, [])
         for number, (before, found) in enumerate(kept):
             if rows is before:
                 kept.insert(0, kept.pop(number))
                 return found
-        found = self._slow(rows.flatten(1)).unflatten(0, rows.shape[1:])
+        values = law(rows)
+        found = self._slow(values.flatten(1)).unflatten(0, values.shape[1:])
         kept.insert(1, (rows, found))
         del kept[KEPT:]
         return found

@@ -46,7 +46,14 @@ from aerial_gym.physics.effects import (
 from aerial_gym.physics.effects.learned_residual import felt_inputs
 from aerial_gym.physics.effects.track import Track
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rigid_body import SEEN_OF_VEHICLE, acting_in, with_dependent, with_memory
+from aerial_gym.physics.rigid_body import (
+    MOVES_OF_VEHICLE,
+    acting_in,
+    condition_at_origin,
+    condition_for,
+    with_dependent,
+    with_memory,
+)
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.channels import Channel
@@ -76,8 +83,8 @@ Columns = list[Array]
 ADDED = (RotorEffect, WrenchEffect, WindEffect)
 """Effects of these kinds add thrust, force or wind; at neutral parameters a model is the same without them."""
 
-CONDITIONS = 2
-"""Conditions kept: that of the present model, and of one that differs from it."""
+CONDITIONS = 4
+"""Conditions kept: those of the present model, of the body and at its hubs, and of one that differs from it."""
 
 REPLAYS = 3
 """Rotor speeds that are kept in the band, and readings of what kinematics imply."""
@@ -132,15 +139,18 @@ class _Together:
 
     def felt(self, point: ModelParams) -> list[Array]:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
-        _, condition = self._flown(self._asked(point))
+        asked = self._asked(point)
+        condition = self._condition(self._flown(asked), asked)
         rows = felt_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed).numpy()
         return [self.data.slow(index, rows[span]) for index, span in enumerate(self.data.spans)]
 
     def links(self, point: ModelParams) -> list[Link]:
         """Return how the load swings along each flight."""
         asked = self._asked(point)
-        model, condition = self._flown(asked)
-        load = self._swing(model, condition, self._remembered(model, asked), asked.deviation).numpy()
+        model = self._flown(asked)
+        load = self._swing(
+            model, self._condition(model, asked), self._remembered(model, asked), asked.deviation
+        ).numpy()
         return [
             Link(time=time, load=load[span]) for time, span in zip(self.data.row_times, self.data.spans, strict=True)
         ]
@@ -160,15 +170,24 @@ class _Together:
 
     def _rows(self, asked: _Asked) -> dict[str, Columns]:
         """Return what the inertial sensors would read in the band, three columns (T,) by kind."""
-        flown, condition = self._flown(asked)
+        flown = self._flown(asked)
         remembered = self._remembered(flown, asked)
-        model, load = with_memory(flown, remembered), None
-        acting = acting_in(model, condition, self._forces, apart=True)
-        if model.effects[LoadEffect]:
-            load = self._swing(flown, condition, remembered, asked.deviation)
-        if model.effects[LoadEffect] or model.effects[FluidEffect]:
+        model, hubs = with_memory(flown, remembered), None
+        dependent = model.effects[LoadEffect] or model.effects[FluidEffect]  # on the sum of all that acts
+        if dependent:
+            condition = self._condition(flown, asked)
+        else:
+            condition = hubs = self._condition(flown, asked, at_origin=True)
+            at_hubs = all(effect.at_hubs for effect, _ in model.effects[WrenchEffect])
+            if not at_hubs and model.vehicle.com.any():
+                condition = self._condition(flown, asked)
+        acting = acting_in(model, condition, self._forces, apart=True, hubs=hubs)
+        if dependent:
+            load = self._swing(flown, condition, remembered, asked.deviation) if model.effects[LoadEffect] else None
             acting = with_dependent(model, self._state(condition), condition, acting, load)
-        return self._read(model, self._in_band.felt(model, condition.rotor_speed, acting), asked.deviation)
+        about = None if hubs is None else hubs.vehicle.com[0]
+        felt = self._in_band.felt(model, condition.rotor_speed, acting, about=about)
+        return self._read(model, felt, asked.deviation)
 
     def _read(self, model: Model, found: Accelerations, deviation: Tensor) -> dict[str, Columns]:
         """Return what the inertial sensors read in the band, three columns (T,) by kind."""
@@ -233,22 +252,28 @@ class _Together:
             for name, parts in along.items()
         }
 
-    def _flown(self, asked: _Asked) -> tuple[Model, Condition]:
-        """Return the model in every row, and what its effects see there."""
+    def _flown(self, asked: _Asked) -> Model:
+        """Return the model in every row."""
         model = expand_model(asked.model, self.data.state["attitude"].shape[0])
-        model = with_known_wind(model, self.data.flights, self.data.flight)
+        return with_known_wind(model, self.data.flights, self.data.flight)
+
+    def _condition(self, model: Model, asked: _Asked, *, at_origin: bool = False) -> Condition:
+        """Return what the effects of a model see in every row; ``at_origin``: those at hubs (``condition_at_origin``)."""
         motion = rotor_motion(asked.deviation)
         speeds = asked.speeds if self.data.speed is None else None
-        key = (*_seen_by_condition(model), motion.numpy().tobytes())
+        key = (at_origin, *_seen_by_condition(model, at_origin=at_origin), motion.numpy().tobytes())
         known = self._conditions.get(key)
-        if known is None or known[0] is not speeds:
-            speed, spin_up = self._turning(model, speeds, motion)
-            known = speeds, condition_in(model, BodyState(rotor_speed=speed, **self.data.state), spin_up)
-            self._conditions[key] = known
-            while len(self._conditions) > CONDITIONS:
-                self._conditions.popitem(last=False)
-        self._conditions.move_to_end(key)
-        return model, known[1].of_vehicle(model.vehicle)
+        if known is not None and known[0] is speeds:
+            self._conditions.move_to_end(key)
+            vehicle = replace(model.vehicle, com=known[1].vehicle.com) if at_origin else model.vehicle
+            return condition_for(vehicle, known[1])
+        speed, spin_up = self._turning(model, speeds, motion)
+        make = condition_at_origin if at_origin else condition_in
+        found = make(model, BodyState(rotor_speed=speed, **self.data.state), spin_up)
+        self._conditions[key] = speeds, found
+        while len(self._conditions) > CONDITIONS:
+            self._conditions.popitem(last=False)
+        return found
 
     def _turning(self, model: Model, speeds: list[Array | None] | None, motion: Tensor) -> tuple[Tensor, Tensor]:
         """Return true rotor speeds [rad/s] and their accelerations [rad/s²] in every row, (E, R).
@@ -285,9 +310,11 @@ class _Together:
         return found
 
 
-def _seen_by_condition(model: Model) -> tuple[object, ...]:
-    """Return what of a model changes what its effects see, rotor speeds that follow commands aside."""
-    of_vehicle = [getattr(model.vehicle, name)[0].numpy().tobytes() for name in SEEN_OF_VEHICLE]
+def _seen_by_condition(model: Model, *, at_origin: bool) -> tuple[object, ...]:
+    """Return what of a model changes the motion that its effects see, rotor speeds that follow commands aside."""
+    com = not at_origin or bool(model.effects[WindEffect])  # the wind is that at the centre of mass
+    names = [name for name in MOVES_OF_VEHICLE if com or name != "com"]
+    of_vehicle = [getattr(model.vehicle, name)[0].numpy().tobytes() for name in names]
     effects = [*model.effects[WindEffect], *model.effects[RotorSensorEffect]]
     return (*of_vehicle, *((effect.name, params[0].numpy().tobytes()) for effect, params in effects))
 

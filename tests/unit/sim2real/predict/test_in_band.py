@@ -1,6 +1,5 @@
 """Forces brought into the band one by one add up to what the whole makes there."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +7,8 @@ import pytest
 import torch
 
 from aerial_gym.physics import BodyState, accelerations, build_model, condition_in, vehicle_from_config
-from aerial_gym.physics.effects import LoadEffect
-from aerial_gym.physics.rigid_body import acting_in, with_dependent
+from aerial_gym.physics.effects import FluidEffect, LoadEffect
+from aerial_gym.physics.rigid_body import acting_in, condition_at_origin, with_dependent
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
@@ -40,6 +39,10 @@ def load(folder: Path, number: int, **options: float) -> Flight:
             "axial_inflow": (2e-4,),
             "weak_motor": (2.0, 0.8),
             "motor_tilt": (1.0, 0.1, -0.05),
+            "h_force_flapping": (1e-5, 1e-6),
+            "rotor_inertia": (1e-6,),
+            "rotor_drag": (0.2, 0.1, 0.05),
+            "com_offset": (0.01, -0.02, 0.005),
         },
         {"slung_payload": (0.05, 0.5, 0.01), "payload_mass": (0.1,), "com_offset": (0.01, -0.02, 0.005)},
         {**WATER, "quadratic_drag": (0.1, 0.2, 0.1)},
@@ -75,5 +78,15 @@ def test_the_band_of_a_sum_is_the_sum_of_the_bands(effects: dict[str, tuple[floa
             slow = lowpass(rows[span].numpy(), rate, BAND)[data.kept[index] // stride]
             np.testing.assert_allclose(ours[kept].numpy(), slow, rtol=0.0, atol=1e-10)
     assert float(found.ang_acc.abs().max()) > 1.0
-    again = band.felt(model, data.speed, replace(acting, thrust=acting.thrust.clone()))
+    if not model.effects[LoadEffect] and not model.effects[FluidEffect]:
+        hubs = condition_at_origin(model, state, torch.zeros_like(data.speed))
+        apart = band.felt(
+            model,
+            data.speed,
+            acting_in(model, condition, apart=True, hubs=hubs),
+            about=torch.zeros(3, dtype=torch.float64),
+        )
+        torch.testing.assert_close(apart.specific_force, found.specific_force, rtol=0.0, atol=1e-10)
+        torch.testing.assert_close(apart.ang_acc, found.ang_acc, rtol=0.0, atol=1e-10)
+    again = band.felt(model, data.speed.clone(), acting)
     torch.testing.assert_close(again.specific_force, found.specific_force, rtol=0.0, atol=0.0)
