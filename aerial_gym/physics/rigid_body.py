@@ -206,25 +206,14 @@ def acting_in(
     return found
 
 
-def with_dependent(
-    model: Model, state: BodyState, condition: Condition, acting: Acting, load: Tensor | None = None
-) -> Acting:
-    """Return what acts on the body with that which depends on the sum of it: a fluid, and a load.
-
-    ``load`` is direction and rate of the link of a load, world, (E, 6); None: there is none.
-    """
-    more: list[tuple[str, Tensor]] = []
-    force, torque = _wrench_of(model, condition, acting)
-    for effect, _ in model.effects[FluidEffect]:
-        alone = torch.cat(_summed(model, condition, acting), dim=-1)
-        more.append((effect.name, torch.cat((force, torque), dim=-1) - alone))
-    if load is not None:
-        ((effect, _),) = model.effects[LoadEffect]
-        acc = com_acceleration(model, state.attitude, force)
-        ang_acc = angular_acceleration(model, state.ang_vel, torque)
-        pull, turn, _ = pull_of_load(model, state.attitude, state.ang_vel, load, acc, ang_acc)
-        more.append((effect.name, torch.cat((quat_rotate_inverse(state.attitude, pull), turn), dim=-1)))
-    return replace(acting, wrenches=[*acting.wrenches, *more])
+def with_fluid(model: Model, condition: Condition, acting: Acting) -> Acting:
+    """Return what acts on the body with fluids that it sets in motion, which depend on the sum of it."""
+    if not model.effects[FluidEffect]:
+        return acting
+    change = torch.cat(_wrench_of(model, condition, acting), dim=-1) - torch.cat(
+        _summed(model, condition, acting), dim=-1
+    )
+    return replace(acting, wrenches=[*acting.wrenches, ("fluids", change)])
 
 
 def _wrench_in(model: Model, condition: Condition, answers: Answers[Condition] | None = None) -> tuple[Tensor, Tensor]:
@@ -295,21 +284,26 @@ def pull_of_load(
     Source:
         Derived: a force F at the origin o, at r = -c from the centre of mass, gives ``a_o = a + (1/m - [r] J^-1 [r]) F``.
     """
-    ((effect, params),) = model.effects[LoadEffect]
     lever = -model.vehicle.com
-    cross = _skew(lever)
-    rotation = quat_to_matrix(attitude)
     turning = torch.linalg.cross(ang_acc, lever)
     turning = turning + torch.linalg.cross(ang_vel, torch.linalg.cross(ang_vel, lever))
+    return pull_at(model, attitude, suspension_at(model, attitude, acc + quat_rotate(attitude, turning)), load)
+
+
+def suspension_at(model: Model, attitude: Tensor, acceleration: Tensor) -> Suspension:
+    """Return how the body origin yields to a load, which without one would accelerate so [m/s²], world, (E, 3)."""
+    cross = _skew(-model.vehicle.com)
     mobility = -cross @ model.inertia_inverse @ cross
     mobility = mobility + torch.eye(3, dtype=cross.dtype, device=cross.device) / model.vehicle.mass[:, None, None]
-    suspension = Suspension(
-        acceleration=acc + quat_rotate(attitude, turning),
-        mobility=rotation @ mobility @ rotation.mT,
-        gravity=model.gravity,
-    )
+    rotation = quat_to_matrix(attitude)
+    return Suspension(acceleration=acceleration, mobility=rotation @ mobility @ rotation.mT, gravity=model.gravity)
+
+
+def pull_at(model: Model, attitude: Tensor, suspension: Suspension, load: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return force, torque and n'' as ``pull_of_load`` does, of a load that hangs on a suspension."""
+    ((effect, params),) = model.effects[LoadEffect]
     force, swing = effect.pull(suspension, load, params)
-    return force, torch.linalg.cross(lever, quat_rotate_inverse(attitude, force)), swing
+    return force, torch.linalg.cross(-model.vehicle.com, quat_rotate_inverse(attitude, force)), swing
 
 
 def _skew(vector: Tensor) -> Tensor:

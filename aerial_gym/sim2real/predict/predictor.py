@@ -20,7 +20,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
-from aerial_gym.math.quaternion import quat_rotate
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.math.rows import times
 from aerial_gym.physics import (
     EFFECTS,
@@ -39,6 +39,7 @@ from aerial_gym.physics.effects import (
     LoadEffect,
     RotorEffect,
     RotorSensorEffect,
+    Suspension,
     VehicleEffect,
     WindEffect,
     WrenchEffect,
@@ -51,7 +52,9 @@ from aerial_gym.physics.rigid_body import (
     acting_in,
     condition_at_origin,
     condition_for,
-    with_dependent,
+    pull_at,
+    suspension_at,
+    with_fluid,
     with_memory,
 )
 from aerial_gym.sim2real.logs.flights import Flight
@@ -108,6 +111,17 @@ class _Asked:
     """Where commands lead the rotors in each flight [rad/s], (T, R); None where nothing asks for it."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Hanging:
+    """What a load hangs on along the flights: a model without it."""
+
+    key: tuple[object, ...]
+    speeds: list[Array | None] | None
+    suspension: Suspension
+    missed: list[Array] | None
+    """Specific force that this model leaves unexplained [m/s²], world, (rows, 3) of each flight; None: none was measured."""
+
+
 class _Together:
     """Predictions for flights whose rows are evaluated at once."""
 
@@ -122,6 +136,7 @@ class _Together:
         self._kinematics: OrderedDict[tuple[object, ...], dict[str, Columns]] = OrderedDict()
         self._replayed: list[tuple[list[Array | None], list[Columns]]] = []
         self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
+        self._hung: _Hanging | None = None
 
     def predict(self, point: ModelParams) -> list[Columns]:
         """Return the predicted channels of each flight; not to be written to."""
@@ -148,9 +163,8 @@ class _Together:
         """Return how the load swings along each flight."""
         asked = self._asked(point)
         model = self._flown(asked)
-        load = self._swing(
-            model, self._condition(model, asked), self._remembered(model, asked), asked.deviation
-        ).numpy()
+        hanging = self._hanging(model, self._condition(model, asked), self._remembered(model, asked), asked)
+        load = self._load_replay.loads(model, hanging.missed).numpy()
         return [
             Link(time=time, load=load[span]) for time, span in zip(self.data.row_times, self.data.spans, strict=True)
         ]
@@ -182,9 +196,9 @@ class _Together:
             if not at_hubs and model.vehicle.com.any():
                 condition = self._condition(flown, asked)
         acting = acting_in(model, condition, self._forces, apart=True, hubs=hubs)
-        if dependent:
-            load = self._swing(flown, condition, remembered, asked.deviation) if model.effects[LoadEffect] else None
-            acting = with_dependent(model, self._state(condition), condition, acting, load)
+        acting = with_fluid(model, condition, acting)
+        if model.effects[LoadEffect]:
+            acting.wrenches.append(("load", self._pull(flown, self._hanging(flown, condition, remembered, asked))))
         about = None if hubs is None else hubs.vehicle.com[0]
         felt = self._in_band.felt(model, condition.rotor_speed, acting, about=about)
         return self._read(model, felt, asked.deviation)
@@ -222,26 +236,34 @@ class _Together:
         self._kinematics.move_to_end(key)
         return self._kinematics[key]
 
-    def _state(self, condition: Condition) -> BodyState:
-        return BodyState(rotor_speed=condition.rotor_speed, **self.data.state)
-
-    def _swing(self, model: Model, condition: Condition, remembered: dict[str, Tensor], deviation: Tensor) -> Tensor:
-        """Return the link of the load in every row, (E, 6), begun as the measured specific force says where there is one."""
-        if self.data.force is None:
-            return self._load_replay.loads(model)
-        found = accelerations(
-            replace(model, effects=model.effects.without(LoadEffect)),
-            self._state(condition),
-            remembered=remembered,
-            condition=condition,
-            answers=self._forces,
+    def _hanging(self, model: Model, condition: Condition, remembered: dict[str, Tensor], asked: _Asked) -> _Hanging:
+        """Return what a load of any parameters hangs on, the same as before where nothing else of the model has changed."""
+        rows = (*asked.model.vehicle.rows().values(), asked.deviation)
+        others = [params for effect, params in asked.model.effects if effect.kind is not LoadEffect]
+        names = [effect.name for effect, _ in asked.model.effects]
+        key = (*names, *(numbers.numpy().tobytes() for numbers in (*rows, *others)))
+        if self._hung is not None and self._hung.key == key and self._hung.speeds is asked.speeds:
+            return self._hung
+        state, attitude = BodyState(rotor_speed=condition.rotor_speed, **self.data.state), self.data.state["attitude"]
+        alone = replace(model, effects=model.effects.without(LoadEffect))
+        found = accelerations(alone, state, remembered=remembered, condition=condition, answers=self._forces)
+        missed, force = None, found.specific_force
+        acceleration = quat_rotate(attitude, force) - model.gravity * force.new_tensor((0.0, 0.0, 1.0))
+        if self.data.force is not None:  # as measured
+            if model.effects[ImuEffect]:
+                force = torch.where(self.data.felt_force, imu_of(model)[0].of(force), force)
+            force = self.data.force - force - sensor_biases(self.tolerances, asked.deviation)[0] * self.data.felt_force
+            missed = [quat_rotate(attitude, force).numpy()[span] for span in self.data.spans]
+        self._hung = _Hanging(
+            key=key, speeds=asked.speeds, suspension=suspension_at(model, attitude, acceleration), missed=missed
         )
-        force = found.specific_force
-        if model.effects[ImuEffect]:
-            force = torch.where(self.data.felt_force, imu_of(model)[0].of(force), force)
-        force = self.data.force - force - sensor_biases(self.tolerances, deviation)[0] * self.data.felt_force
-        missed = quat_rotate(self.data.state["attitude"], force).numpy()
-        return self._load_replay.loads(model, [missed[span] for span in self.data.spans])
+        return self._hung
+
+    def _pull(self, model: Model, hanging: _Hanging) -> Tensor:
+        """Return force and torque of the load in every row, body, (E, 6)."""
+        attitude, load = self.data.state["attitude"], self._load_replay.loads(model, hanging.missed)
+        force, torque, _ = pull_at(model, attitude, hanging.suspension, load)
+        return torch.cat((quat_rotate_inverse(attitude, force), torque), dim=-1)
 
     def _remembered(self, model: Model, asked: _Asked) -> dict[str, Tensor]:
         """Return what effects on rotors and body remember in every row, (E, M), by effect, followed at the rate of the log."""

@@ -80,6 +80,8 @@ class LoadReplay:
         self._spans = [float(flight.time[-1]) for flight in flights]
         self._known = all(flight.lin_vel is not None for flight in flights)
         self._results: OrderedDict[tuple[object, ...], Tensor] = OrderedDict()
+        self._missed: Sequence[Array] | None = None
+        self._felt = torch.empty(0), b""
         if self._known:
             count = int(np.ceil(max(self._spans) / STEP_S)) + 1
             self._time = 0.5 * STEP_S * np.arange(2 * count + 1)
@@ -101,8 +103,8 @@ class LoadReplay:
                 flight. None: the link hangs still at the start.
         """
         effect, params = model.effects[LoadEffect][0]
-        felt = None if missed is None else self._at_steps(missed)
-        key = (effect.name, model.gravity, *params[0].tolist(), None if felt is None else felt.numpy().tobytes())
+        felt, numbers = (None, None) if missed is None else self._at_steps(missed)
+        key = (effect.name, model.gravity, *params[0].tolist(), numbers)
         if key not in self._results:
             start = self._start if felt is None else self._find_start(model, felt)
             swings = swing(effect, params[0], start, self._acceleration, step=STEP_S, gravity=model.gravity)[0].numpy()
@@ -136,14 +138,20 @@ class LoadReplay:
         apparent[2] -= STANDARD_GRAVITY
         return torch.cat((torch.nn.functional.normalize(apparent, dim=0), torch.zeros(3, dtype=apparent.dtype)))
 
-    def _at_steps(self, values: Sequence[Array]) -> Tensor:
-        """Return values in the rows of each flight (rows, 3) at the first steps, (K + 1, F, 3); zero after its end."""
-        grid = self._time[::2][: max(self._num_found) + 1]
-        columns = [
-            np.stack([np.interp(grid, t, column, right=0.0) for column in rows.T], axis=1)
-            for t, rows in zip(self._times, values, strict=True)
-        ]
-        return torch.from_numpy(np.stack(columns, axis=1))
+    def _at_steps(self, values: Sequence[Array]) -> tuple[Tensor, bytes]:
+        """Return values in the rows of each flight (rows, 3) at the first steps, (K + 1, F, 3), and as bytes.
+
+        After the end of a flight they are zero. Those of the very same rows as before are not worked out again.
+        """
+        if values is not self._missed:
+            grid = self._time[::2][: max(self._num_found) + 1]
+            columns = [
+                np.stack([np.interp(grid, t, column, right=0.0) for column in rows.T], axis=1)
+                for t, rows in zip(self._times, values, strict=True)
+            ]
+            found = np.stack(columns, axis=1)
+            self._missed, self._felt = values, (torch.from_numpy(found), found.tobytes())
+        return self._felt
 
     def _find_start(self, model: Model, missed: Tensor) -> Tensor:
         """Return the links at the start, (F, 6), whose swing pulls as ``missed`` (K + 1, F, 3) [m/s²] says."""

@@ -1,14 +1,16 @@
 """Forces brought into the band one by one add up to what the whole makes there."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.physics import BodyState, accelerations, build_model, condition_in, vehicle_from_config
 from aerial_gym.physics.effects import FluidEffect, LoadEffect
-from aerial_gym.physics.rigid_body import acting_in, condition_at_origin, with_dependent
+from aerial_gym.physics.rigid_body import acting_in, condition_at_origin, pull_at, suspension_at, with_fluid
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
@@ -67,7 +69,14 @@ def test_the_band_of_a_sum_is_the_sum_of_the_bands(effects: dict[str, tuple[floa
             [0.3 * swing.sin(), 0.0 * swing, -(1.0 - (0.3 * swing.sin()) ** 2).sqrt()] + [0.1 * swing] * 3, 1
         )
     whole = accelerations(model, state, load=link, condition=condition)
-    acting = with_dependent(model, state, condition, acting_in(model, condition), link)
+    acting = with_fluid(model, condition, acting_in(model, condition))
+    if link is not None:
+        alone = accelerations(replace(model, effects=model.effects.without(LoadEffect)), state, condition=condition)
+        gravity = model.gravity * torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+        suspension = suspension_at(model, state.attitude, quat_rotate(state.attitude, alone.specific_force) - gravity)
+        force, torque, _ = pull_at(model, state.attitude, suspension, link)
+        pull = torch.cat((quat_rotate_inverse(state.attitude, force), torque), dim=1)
+        acting.wrenches.append(("load", pull))
     band = InBand(data)
     found = band.felt(model, data.speed, acting)
     # The lever of the accelerometer turns as measured.
