@@ -164,12 +164,16 @@ def posterior(candidates: Candidates, normal: Normal, model: Model) -> Posterior
     Of a parameter that nothing shows it is 0.56 in place of 1, the share of a Cauchy density that its normal one covers.
     """
     columns, count = candidates.columns_of(model)
+    effects, start = np.arange(columns.size)[None] < count, np.zeros((1, columns.size))
+    alone = normal.beside(columns[count:], columns[:count])  # the others have the same precision wherever effects are
+    start[:, :count] = _most_probable(alone.product[None], alone.gradient[None], effects[:, :count])
     step, covariance, log_evidence = _laplace(
         candidates,
         normal.product[np.ix_(columns, columns)][None],
         normal.gradient[columns][None],
         columns[None],
-        np.arange(columns.size)[None] < count,
+        effects,
+        start=start,
     )
     return Posterior(
         columns=columns, step=step[0], covariance=covariance[0], log_evidence=normal.constant + float(log_evidence[0])
@@ -249,23 +253,39 @@ def _one_less(model: Model) -> list[Model]:
     return [tuple(k for k in model if k != gone) for gone in model]
 
 
+def _most_probable(product: Array, gradient: Array, effects: NDArray[np.bool_], start: Array | None = None) -> Array:
+    """Return the most probable steps (M, k) under the priors, by solving with their precision there until it is settled."""
+    step, unit = np.zeros(gradient.shape) if start is None else start.copy(), np.eye(gradient.shape[1])
+    moving = np.arange(len(gradient))
+    for _ in range(MOST_STEPS):
+        inner = product[moving] + _prior_precision(step[moving], effects[moving])[..., None] * unit
+        before, step[moving] = step[moving], np.linalg.solve(inner, gradient[moving][..., None])[..., 0]
+        moving = moving[np.abs(step[moving] - before).max(axis=1, initial=0.0) >= CONVERGED]
+        if not moving.size:
+            break
+    return step
+
+
+def _prior_precision(step: Array, effects: NDArray[np.bool_]) -> Array:
+    return np.where(effects, 2.0 / (1.0 + step**2), 1.0)
+
+
 def _laplace(
-    candidates: Candidates, product: Array, gradient: Array, columns: Indices, effects: NDArray[np.bool_]
+    candidates: Candidates,
+    product: Array,
+    gradient: Array,
+    columns: Indices,
+    effects: NDArray[np.bool_],
+    *,
+    start: Array | None = None,
 ) -> tuple[Array, Array, Array]:
     """Return steps (M, k), covariances (M, k, k) and log evidences (M,), up to the constant of the likelihood.
 
     Of sums (M, k, k) and (M, k) of some columns (M, k); ``effects`` (M, k) says which of these have Cauchy priors and bounds;
-    the others have normal ones.
+    the others have normal ones. ``start`` is where effects are about most probable, (M, k).
     """
-    precision, step, unit = np.where(effects, 2.0, 1.0), np.zeros(columns.shape), np.eye(columns.shape[1])
-    moving = np.arange(len(columns))
-    for _ in range(MOST_STEPS):
-        inner = product[moving] + precision[moving][..., None] * unit
-        before, step[moving] = step[moving], np.linalg.solve(inner, gradient[moving][..., None])[..., 0]
-        precision = np.where(effects, 2.0 / (1.0 + step**2), 1.0)
-        moving = moving[np.abs(step[moving] - before).max(axis=1, initial=0.0) >= CONVERGED]
-        if not moving.size:
-            break
+    step = _most_probable(product, gradient, effects, start)
+    precision, unit = _prior_precision(step, effects), np.eye(columns.shape[1])
     inner = product + precision[..., None] * unit
     covariance = np.linalg.inv(inner)
     log_prior = np.where(effects, -np.log(np.pi * (1.0 + step**2)), -0.5 * (step**2 + LOG_2PI)).sum(axis=1)

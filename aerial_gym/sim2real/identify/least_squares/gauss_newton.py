@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
@@ -21,6 +20,7 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments
 from aerial_gym.sim2real.identify.least_squares.weighted import Beside, Weighted
+from aerial_gym.sim2real.identify.least_squares.within_bounds import minimum_within
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -225,20 +225,8 @@ def solve_within(fit: Fit, product: Array, gradient: Array, free: Indices) -> Ar
     step = np.zeros(fit.low.size)
     if free.size:
         a = product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free])
-        step[free] = _solved(a, gradient[free], fit.low[free], fit.high[free])
+        step[free] = minimum_within(a, gradient[free], fit.low[free], fit.high[free])
     return step
-
-
-def _solved(a: Array, b: Array, low: Array, high: Array) -> Array:
-    """Return the minimum of ``x a x / 2 - b x`` within bounds; NaN where a number is not finite."""
-    if not (np.isfinite(a).all() and np.isfinite(b).all()):
-        return np.full(b.size, np.nan)
-    found = np.linalg.solve(a, b)
-    if np.all(found >= low) and np.all(found <= high):
-        return found
-    root = np.linalg.cholesky(a).T
-    bounds = np.minimum(low, -1e-12), np.maximum(high, 1e-12)
-    return lsq_linear(root, np.linalg.solve(root.T, b), bounds=bounds, method="bvls", max_iter=10 * b.size).x
 
 
 def linearise(
@@ -394,5 +382,5 @@ def misfit(beside: Beside, residuals: Sequence[Array]) -> float:
         np.full(beside.width, FARTHEST_DEVIATION),
     )
     product = beside.whole + np.eye(beside.width)
-    step = _solved(product, gradient, -far, far) if far.size else gradient
+    step = minimum_within(product, gradient, -far, far) if far.size else gradient
     return square - 2.0 * float(gradient @ step) + float(step @ product @ step)
