@@ -1,7 +1,7 @@
 """What noise of logged rotor speeds makes of what is predicted from them: ``python -m benchmarks.attenuation``.
 
 The plant knows the true speeds. For each force and torque that the rotors make together, the true one is fitted by a multiple
-of that from the logged speeds, and of that from the expected ones (``sim2real/predict/rotor_estimate.py``), below 10 Hz. A
+of that from the logged speeds, and of that from the expected ones (``sim2real/predict/rows/rotor_estimate.py``), below 10 Hz. A
 multiple of 1 is what a prediction needs; with less, a fit of the effects makes them smaller by as much.
 Letters: T rows, M modes (thrust, roll, pitch, yaw).
 """
@@ -21,7 +21,7 @@ from aerial_gym.env_manager.sim_builder import robot_by_name
 from aerial_gym.sim2real.logs.flights import complete_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
-from aerial_gym.sim2real.predict.rotor_estimate import estimate_rotors
+from aerial_gym.sim2real.predict.rows.rotor_estimate import estimate_rotors
 from benchmarks.undeclared.cases import SETTLE_S, fly_case
 from benchmarks.undeclared.dynamics import ROTOR
 from benchmarks.undeclared.logs import write_log, write_robot

@@ -25,7 +25,7 @@ from aerial_gym.physics.effects.one_rotor import declared_lag
 from aerial_gym.physics.rotors import hover_speed, rotor_thrust
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.predict.rotor_estimate import rotors_of
+from aerial_gym.sim2real.predict.rows.rotor_estimate import rotors_of
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from aerial_gym.sim2real.logs.signals import lowpass, lowpass_gain, without_line
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rotor_estimate import RotorEstimate, as_measured, estimate_rotors
+from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, as_measured, estimate_rotors
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 
 Array = NDArray[np.float64]

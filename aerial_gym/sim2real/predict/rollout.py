@@ -35,7 +35,7 @@ from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
 from aerial_gym.sim2real.predict.replay.memory import remembering, track_of
 from aerial_gym.sim2real.predict.replay.rotor_commands import is_commanded, with_arriving_commands
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.predict.rows import one_row, with_known_wind
+from aerial_gym.sim2real.predict.rows.batches import one_row, with_known_wind
 from aerial_gym.sim2real.predict.scene import heights, other_along
 from aerial_gym.sim2real.predict.tolerances import Tolerances, deviated
 from aerial_gym.sim2real.predict.windows import FIRST_WINDOW_S, STEP_S, Windows, find_windows, same_rate

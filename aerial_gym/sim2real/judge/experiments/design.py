@@ -32,9 +32,9 @@ from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import Rival, Selection
 from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, SPAN_S, fly
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.dataset import ROWS_PER_BAND
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.rows.dataset import ROWS_PER_BAND
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from aerial_gym.physics.effects.track import Track
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.rows import one_row
+from aerial_gym.sim2real.predict.rows.batches import one_row
 
 
 def remembering(effects: EffectsByKind) -> Iterator[tuple[Effect, Tensor]]:

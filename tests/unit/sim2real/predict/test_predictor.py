@@ -18,13 +18,13 @@ from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_fligh
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
 from aerial_gym.sim2real.predict.channels import Channel, find_channels
-from aerial_gym.sim2real.predict.dataset import thinned
 from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
 from aerial_gym.sim2real.predict.noise_floor import noise_floor
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rollout import FARTHEST, roll_out, roll_out_variants
-from aerial_gym.sim2real.predict.rows import together
+from aerial_gym.sim2real.predict.rows.batches import together
+from aerial_gym.sim2real.predict.rows.dataset import thinned
 from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_biases
 from aerial_gym.sim2real.predict.windows import find_windows
 from tests.physics.vehicles import BATTERY
@@ -227,7 +227,7 @@ def test_flights_are_predicted_alike_alone_and_together(tmp_path: Path, monkeypa
     channels = find_channels(flights)
     predictors = []
     for most in (1, 10**6):
-        monkeypatch.setattr("aerial_gym.sim2real.predict.rows.MOST_ROWS", most)
+        monkeypatch.setattr("aerial_gym.sim2real.predict.rows.batches.MOST_ROWS", most)
         predictors.append(Predictor(ROBOT, flights, bandwidth=BAND, channels=channels, tolerances=Tolerances()))
     for name, point in MODELS.items():
         for alone, beside in zip(*(predictor.predict(point) for predictor in predictors), strict=True):

@@ -15,11 +15,11 @@ from aerial_gym.sim2real.logs.flights import Flight, complete_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
 from aerial_gym.sim2real.predict.channels import find_channels
-from aerial_gym.sim2real.predict.dataset import Dataset
-from aerial_gym.sim2real.predict.in_band import InBand
 from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at
-from aerial_gym.sim2real.predict.rotor_estimate import estimate_rotors
-from aerial_gym.sim2real.predict.rows import expand_model
+from aerial_gym.sim2real.predict.rows.batches import expand_model
+from aerial_gym.sim2real.predict.rows.dataset import Dataset
+from aerial_gym.sim2real.predict.rows.in_band import InBand
+from aerial_gym.sim2real.predict.rows.rotor_estimate import estimate_rotors
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 BAND = 10.0

@@ -19,7 +19,7 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass, lowpass_columns
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.nonzero import not_zero
-from aerial_gym.sim2real.predict.rotor_estimate import RotorEstimate
+from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate
 from aerial_gym.sim2real.predict.scene import heights, other_along
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from aerial_gym.physics.effects import WrenchEffect
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import Acting
 from aerial_gym.physics.rotors import map_terms, rotor_matrix
-from aerial_gym.sim2real.predict.dataset import Dataset
+from aerial_gym.sim2real.predict.rows.dataset import Dataset
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,319 @@
+"""Predictions for flights whose rows are evaluated at once: what stands in a model from row to row is worked out once.
+
+Letters: E rows, T rows kept, R rotors, N tolerances.
+"""
+
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
+from aerial_gym.math.rows import times
+from aerial_gym.physics import (
+    Accelerations,
+    BodyState,
+    accelerations,
+    build_model,
+    condition_in,
+    vehicle_from_config,
+)
+from aerial_gym.physics.answers import Answers
+from aerial_gym.physics.effects import (
+    Condition,
+    FluidEffect,
+    ImuEffect,
+    LoadEffect,
+    RotorSensorEffect,
+    Suspension,
+    WindEffect,
+    WrenchEffect,
+)
+from aerial_gym.physics.effects.learned_residual import felt_inputs
+from aerial_gym.physics.effects.track import Track
+from aerial_gym.physics.model import Model
+from aerial_gym.physics.rigid_body import (
+    MOVES_OF_VEHICLE,
+    acting_in,
+    condition_at_origin,
+    condition_for,
+    pull_at,
+    suspension_at,
+    with_fluid,
+    with_memory,
+)
+from aerial_gym.sim2real.logs.signals import lowpass
+from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at
+from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
+from aerial_gym.sim2real.predict.replay.memory import remembered_along
+from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
+from aerial_gym.sim2real.predict.rows.batches import expand_model, with_known_wind
+from aerial_gym.sim2real.predict.rows.dataset import Dataset
+from aerial_gym.sim2real.predict.rows.imu_reading import imu_of
+from aerial_gym.sim2real.predict.rows.in_band import InBand, columns_of
+from aerial_gym.sim2real.predict.tolerances import (
+    Tolerances,
+    command_shift,
+    deviate,
+    joint_start,
+    rotor_motion,
+    sensor_biases,
+)
+
+Array = NDArray[np.float64]
+Columns = list[Array]
+"""Channels of one flight, each (rows kept,): predictions that differ in some share the others."""
+
+CONDITIONS = 4
+"""Conditions kept: those of the present model, of the body and at its hubs, and of one that differs from it."""
+
+REPLAYS = 3
+"""Rotor speeds that are kept in the band, and readings of what kinematics imply."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Asked:
+    """A model whose prediction is asked for."""
+
+    model: Model
+    """One environment."""
+
+    deviation: Tensor
+    """Within the tolerances, in standard deviations, (N,)."""
+
+    speeds: list[Array | None] | None
+    """Where commands lead the rotors in each flight [rad/s], (T, R); None where nothing asks for it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Hanging:
+    """What a load hangs on along the flights: a model without it."""
+
+    key: tuple[object, ...]
+    speeds: list[Array | None] | None
+    suspension: Suspension
+    missed: list[Array] | None
+    """Specific force that this model leaves unexplained [m/s²], world, (rows, 3) of each flight; None: none was measured."""
+
+
+class Together:
+    """Predictions for flights whose rows are evaluated at once."""
+
+    def __init__(self, robot: RobotCfg, data: Dataset, tolerances: Tolerances) -> None:
+        self.data, self.tolerances = data, tolerances
+        self._declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
+        self._replay = RotorReplay(data.flights)
+        self._load_replay = LoadReplay(data.flights, data.row_times)
+        self._forces, self._memories = Answers[Condition](), Answers[Track]()
+        self._in_band = InBand(data)
+        self._nothing = torch.zeros(len(tolerances.names(self._declared.num_rotors)), dtype=torch.float64)
+        self._kinematics: OrderedDict[tuple[object, ...], dict[str, Columns]] = OrderedDict()
+        self._replayed: list[tuple[list[Array | None], list[Columns]]] = []
+        self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
+        self._hung: _Hanging | None = None
+
+    def predict(self, point: ModelParams) -> list[Columns]:
+        """Return the predicted channels of each flight; not to be written to."""
+        asked = self._asked(point)
+        kinds = dict.fromkeys(channel.kind for channel in self.data.channels)
+        rows = self._rows(asked) if kinds.keys() - {"rotor_speed"} else {}
+        columns = [column for kind in kinds if kind in rows for column in rows[kind]]
+        found = [[column[span] for column in columns] for span in self.data.kept_spans]
+        if "rotor_speed" in kinds:
+            assert asked.speeds is not None
+            place = 3 * list(kinds).index("rotor_speed")
+            for own, turning in zip(found, self._slow_speeds(asked.speeds), strict=True):
+                own[place:place] = turning
+        return found
+
+    def felt(self, point: ModelParams) -> list[Array]:
+        """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
+        asked = self._asked(point)
+        condition = self._condition(self._flown(asked), asked)
+        rows = felt_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed).numpy()
+        return [self.data.slow(index, rows[span]) for index, span in enumerate(self.data.spans)]
+
+    def links(self, point: ModelParams) -> list[Link]:
+        """Return how the load swings along each flight."""
+        asked = self._asked(point)
+        model = self._flown(asked)
+        hanging = self._hanging(model, self._condition(model, asked), self._remembered(model, asked), asked)
+        load = self._load_replay.loads(model, hanging.missed).numpy()
+        return [
+            Link(time=time, load=load[span]) for time, span in zip(self.data.row_times, self.data.spans, strict=True)
+        ]
+
+    def _asked(self, point: ModelParams) -> _Asked:
+        """Return the model of one environment, with what stands around it in every row, and where commands lead its rotors."""
+        vehicle, deviation = self._declared, self._nothing
+        if point.deviation is not None:
+            deviation = torch.from_numpy(point.deviation)
+            vehicle = deviate(vehicle, self.tolerances, deviation)
+        model = build_model(vehicle, effects_at(point, 1), **self.data.heights, other_position=self.data.other)
+        speeds = None
+        if self.data.simulated or any(channel.kind == "rotor_speed" for channel in self.data.channels):
+            sensors = () if self.data.simulated else model.effects[RotorSensorEffect]
+            speeds = self._replay.speeds(model, command_shift(self.tolerances, deviation), sensors)
+        return _Asked(model=model, deviation=deviation, speeds=speeds)
+
+    def _rows(self, asked: _Asked) -> dict[str, Columns]:
+        """Return what the inertial sensors would read in the band, three columns (T,) by kind."""
+        flown = self._flown(asked)
+        remembered = self._remembered(flown, asked)
+        model, hubs = with_memory(flown, remembered), None
+        dependent = model.effects[LoadEffect] or model.effects[FluidEffect]  # on the sum of all that acts
+        if dependent:
+            condition = self._condition(flown, asked)
+        else:
+            condition = hubs = self._condition(flown, asked, at_origin=True)
+            at_hubs = all(effect.at_hubs for effect, _ in model.effects[WrenchEffect])
+            if not at_hubs and model.vehicle.com.any():
+                condition = self._condition(flown, asked)
+        acting = acting_in(model, condition, self._forces, apart=True, hubs=hubs)
+        acting = with_fluid(model, condition, acting)
+        if model.effects[LoadEffect]:
+            acting.wrenches.append(("load", self._pull(flown, self._hanging(flown, condition, remembered, asked))))
+        about = None if hubs is None else hubs.vehicle.com[0]
+        felt = self._in_band.felt(model, condition.rotor_speed, acting, about=about)
+        return self._read(model, felt, asked.deviation)
+
+    def _read(self, model: Model, found: Accelerations, deviation: Tensor) -> dict[str, Columns]:
+        """Return what the inertial sensors read in the band, three columns (T,) by kind."""
+        felt, force, torque = self.data.felt_force_kept, found.specific_force, found.ang_acc
+        force_bias, rate_bias = sensor_biases(self.tolerances, deviation)
+        if model.effects[ImuEffect]:
+            of_force, of_rate = imu_of(model)
+            force, torque = torch.where(felt, of_force.of(force), force), times(torque, of_rate.turn)
+        return {
+            "specific_force": columns_of(force + force_bias * felt),
+            "angular_acceleration": columns_of(torque),  # a constant error has no derivative
+            **self._read_of_kinematics(model, force_bias, rate_bias),
+        }
+
+    def _read_of_kinematics(self, model: Model, force_bias: Tensor, rate_bias: Tensor) -> dict[str, Columns]:
+        """Return what the sensors read of what kinematics imply: the same for all models whose sensors err alike."""
+        errs = model.effects[ImuEffect]
+        numbers = torch.cat((force_bias, rate_bias, *(params[0] for _, params in errs))).numpy().tobytes()
+        key = (numbers, *(effect.name for effect, _ in errs))
+        if key not in self._kinematics:
+            force, rate = self.data.kinematic_force, self.data.kinematic_rate
+            if errs:
+                of_force, of_rate = imu_of(model)
+                force, rate = of_force.of(force), of_rate.of(rate)
+            found = {
+                "kinematic_force": force + force_bias * self.data.felt_force_kept,
+                "kinematic_rate": rate + rate_bias,
+            }
+            self._kinematics[key] = {kind: columns_of(rows) for kind, rows in found.items()}
+            while len(self._kinematics) > REPLAYS:
+                self._kinematics.popitem(last=False)
+        self._kinematics.move_to_end(key)
+        return self._kinematics[key]
+
+    def _hanging(self, model: Model, condition: Condition, remembered: dict[str, Tensor], asked: _Asked) -> _Hanging:
+        """Return what a load of any parameters hangs on, the same as before where nothing else of the model has changed."""
+        rows = (*asked.model.vehicle.rows().values(), asked.deviation)
+        others = [params for effect, params in asked.model.effects if effect.kind is not LoadEffect]
+        names = [effect.name for effect, _ in asked.model.effects]
+        key = (*names, *(numbers.numpy().tobytes() for numbers in (*rows, *others)))
+        if self._hung is not None and self._hung.key == key and self._hung.speeds is asked.speeds:
+            return self._hung
+        state, attitude = BodyState(rotor_speed=condition.rotor_speed, **self.data.state), self.data.state["attitude"]
+        alone = replace(model, effects=model.effects.without(LoadEffect))
+        found = accelerations(alone, state, remembered=remembered, condition=condition, answers=self._forces)
+        missed, force = None, found.specific_force
+        acceleration = quat_rotate(attitude, force) - model.gravity * force.new_tensor((0.0, 0.0, 1.0))
+        if self.data.force is not None:  # as measured
+            if model.effects[ImuEffect]:
+                force = torch.where(self.data.felt_force, imu_of(model)[0].of(force), force)
+            force = self.data.force - force - sensor_biases(self.tolerances, asked.deviation)[0] * self.data.felt_force
+            missed = [quat_rotate(attitude, force).numpy()[span] for span in self.data.spans]
+        self._hung = _Hanging(
+            key=key, speeds=asked.speeds, suspension=suspension_at(model, attitude, acceleration), missed=missed
+        )
+        return self._hung
+
+    def _pull(self, model: Model, hanging: _Hanging) -> Tensor:
+        """Return force and torque of the load in every row, body, (E, 6)."""
+        attitude, load = self.data.state["attitude"], self._load_replay.loads(model, hanging.missed)
+        force, torque, _ = pull_at(model, attitude, hanging.suspension, load)
+        return torch.cat((quat_rotate_inverse(attitude, force), torque), dim=-1)
+
+    def _remembered(self, model: Model, asked: _Asked) -> dict[str, Tensor]:
+        """Return what effects on rotors and body remember in every row, (E, M), by effect, followed at the rate of the log."""
+        settled = joint_start(self.tolerances, asked.deviation)
+        along = remembered_along(model, self.data.flights, asked.speeds, self._memories, settled=settled)
+        return {
+            name: torch.cat([self.data.thinned(k, part.numpy()) for k, part in enumerate(parts)])
+            for name, parts in along.items()
+        }
+
+    def _flown(self, asked: _Asked) -> Model:
+        """Return the model in every row."""
+        model = expand_model(asked.model, self.data.state["attitude"].shape[0])
+        return with_known_wind(model, self.data.flights, self.data.flight)
+
+    def _condition(self, model: Model, asked: _Asked, *, at_origin: bool = False) -> Condition:
+        """Return what the effects of a model see in every row; ``at_origin``: those at hubs (``condition_at_origin``)."""
+        motion = rotor_motion(asked.deviation)
+        speeds = asked.speeds if self.data.speed is None else None
+        key = (at_origin, *_seen_by_condition(model, at_origin=at_origin), motion.numpy().tobytes())
+        known = self._conditions.get(key)
+        if known is not None and known[0] is speeds:
+            self._conditions.move_to_end(key)
+            vehicle = replace(model.vehicle, com=known[1].vehicle.com) if at_origin else model.vehicle
+            return condition_for(vehicle, known[1])
+        speed, spin_up = self._turning(model, speeds, motion)
+        make = condition_at_origin if at_origin else condition_in
+        found = make(model, BodyState(rotor_speed=speed, **self.data.state), spin_up)
+        self._conditions[key] = speeds, found
+        while len(self._conditions) > CONDITIONS:
+            self._conditions.popitem(last=False)
+        return found
+
+    def _turning(self, model: Model, speeds: list[Array | None] | None, motion: Tensor) -> tuple[Tensor, Tensor]:
+        """Return true rotor speeds [rad/s] and their accelerations [rad/s²] in every row, (E, R).
+
+        ``motion`` (R,): how many standard deviations more than expected the rotors moved in each mode.
+        """
+        data = self.data
+        if data.speed is None or data.spin_up is None or data.unsure_speed is None or data.unsure_spin_up is None:
+            assert speeds is not None
+            replayed = [(i, s) for i, s in enumerate(speeds) if s is not None]
+            speed = torch.cat([self.data.thinned(i, s) for i, s in replayed])
+            spin_up = torch.cat([self.data.derivative_of(i, s) for i, s in replayed])
+        else:
+            speed, spin_up = data.speed, data.spin_up
+            if motion.any():
+                speed = speed + torch.tensordot(motion, data.unsure_speed, dims=1)
+                spin_up = spin_up + torch.tensordot(motion, data.unsure_spin_up, dims=1)
+            for effect, params in model.effects[RotorSensorEffect]:
+                speed, spin_up = effect.true_speed(speed, params), effect.true_speed(spin_up, params)
+        return speed, spin_up
+
+    def _slow_speeds(self, speeds: list[Array | None]) -> list[Columns]:
+        """Return the rotor speeds of each flight in the band."""
+        for place, (before, found) in enumerate(self._replayed):
+            if before is speeds:
+                self._replayed.insert(0, self._replayed.pop(place))
+                return found
+        found = []
+        for flight, kept, speed in zip(self.data.flights, self.data.kept, speeds, strict=True):
+            assert speed is not None
+            found.append(list(lowpass(speed, flight.rate, self.data.bandwidth)[kept].T.copy()))
+        self._replayed.insert(0, (speeds, found))
+        del self._replayed[REPLAYS:]
+        return found
+
+
+def _seen_by_condition(model: Model, *, at_origin: bool) -> tuple[object, ...]:
+    """Return what of a model changes the motion that its effects see, rotor speeds that follow commands aside."""
+    com = not at_origin or bool(model.effects[WindEffect])  # the wind is that at the centre of mass
+    names = [name for name in MOVES_OF_VEHICLE if com or name != "com"]
+    of_vehicle = [getattr(model.vehicle, name)[0].numpy().tobytes() for name in names]
+    effects = [*model.effects[WindEffect], *model.effects[RotorSensorEffect]]
+    return (*of_vehicle, *((effect.name, params[0].numpy().tobytes()) for effect, params in effects))
