@@ -537,7 +537,7 @@ def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(
         asked.append(1)
         return acting_in(*args, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("aerial_gym.sim2real.predict.predictor.acting_in", counted)
+    monkeypatch.setattr("aerial_gym.sim2real.predict.rows.together.acting_in", counted)
     predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
     point = declared_params(ROBOT)
     alike = [

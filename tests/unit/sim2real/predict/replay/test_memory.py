@@ -137,7 +137,7 @@ def test_neutral_joints_cost_no_prediction(monkeypatch: pytest.MonkeyPatch) -> N
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
     neutral = ModelParams(effects={"joint_spring": np.array(EFFECTS.get("joint_spring").neutral(ROBOT))})
     (bare,) = predictor.predict(ModelParams())
-    monkeypatch.delattr("aerial_gym.sim2real.predict.predictor.accelerations")
+    monkeypatch.delattr("aerial_gym.sim2real.predict.rows.together.accelerations")
     np.testing.assert_array_equal(predictor.predict(neutral)[0], bare)
 
 
