@@ -127,7 +127,7 @@ def build_library(
         step, tangent = (params_of(point, (name,)) - neutral) / scale, single(columns)
         if named:  # back to neutral
             change = [b - n for b, n in zip(base, predictor.predict(point.with_effect(name, neutral)), strict=True)]
-            columns = exact_along(columns, step, change)
+            exact_along(columns, step, change)
             residuals = [r + change_along(c, step) for r, c in zip(residuals, columns, strict=True)]
         columns = single(columns) if named else tangent
         if named or not has_starts(name, predictor.robot):

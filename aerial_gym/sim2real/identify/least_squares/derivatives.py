@@ -24,8 +24,8 @@ def change_along(columns: NDArray[np.floating], step: Array) -> Array:
     return np.tensordot(step, columns.T, axes=1).T
 
 
-def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) -> list[Array]:
-    """Return derivatives (rows, C, k), changed as little as gives exactly the ``change`` (rows, C) over a ``step`` (k).
+def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) -> None:
+    """Change derivatives (rows, C, k) in place, as little as gives exactly the ``change`` (rows, C) over a ``step`` (k).
 
     A lag of 0 and one of 0.06 s differ by much more or less than what the derivative at 0.06 s says.
 
@@ -33,10 +33,12 @@ def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) 
         Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
     """
     if not np.any(step):
-        return list(columns)
-    along = (step / (step @ step))[:, None, None]
-    wrong = [moved - change_along(before, step) for before, moved in zip(columns, change, strict=True)]
-    return [(before.T + along * missed.T).T for before, missed in zip(columns, wrong, strict=True)]
+        return
+    along = step / (step @ step)
+    for own, moved in zip(columns, change, strict=True):
+        missed = moved - change_along(own, step)
+        for k in np.flatnonzero(along):
+            own[:, :, k] += along[k] * missed
 
 
 def single(columns: Derivatives) -> Derivatives:

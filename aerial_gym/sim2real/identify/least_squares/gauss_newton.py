@@ -344,7 +344,7 @@ def fit_effects(
                 if (new_cost := misfit(beside, moved)) <= cost * (1.0 + ROUNDING):
                     wrong = abs(promised - 0.5 * (cost - new_cost)) if share == 1.0 else np.inf
                     off = wrong if fresh or steps == 0 else off + wrong
-                    own = exact_along(own, gone, [r - m for r, m in zip(residuals, moved, strict=True)])
+                    exact_along(own, gone, [r - m for r, m in zip(residuals, moved, strict=True)])
                     point, residuals, cost, steps, fresh = there, moved, new_cost, steps + 1, False
                     break
             else:

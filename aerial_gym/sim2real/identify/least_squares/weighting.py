@@ -59,5 +59,5 @@ def weighting(
         here = params_of(point, effects)
         point = with_params(predictor.robot, point, effects, here + scales(effects) * step)
         before, predicted = predicted, predictor.predict(point)
-        own = exact_along(own, step, [p - b for p, b in zip(predicted, before, strict=True)])
+        exact_along(own, step, [p - b for p, b in zip(predicted, before, strict=True)])
     return found

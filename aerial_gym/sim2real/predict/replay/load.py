@@ -49,8 +49,8 @@ START_STD = (0.3, 0.3, 1.0, 1.0)
 NUDGE = 1e-6
 """Difference step of the start [rad], [rad/s]."""
 
-REMEMBERED = 32
-"""Results kept: the derivatives of a fit of a load, begun at each of its starts."""
+REMEMBERED = 8
+"""Results kept: those of a model and of some that differ from it."""
 
 
 @dataclass(frozen=True, kw_only=True)
