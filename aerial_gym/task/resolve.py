@@ -1,19 +1,15 @@
 """From the configuration of a task to its terms: names are looked up, numbers and the controller are checked."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
-from math import atan2, pi
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import torch
 
-from aerial_gym.config.checks import Vec3
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg, RewardCfg, TerminationCfg
 from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
 from aerial_gym.task.step.shapes import check_number, check_truth, width_of
-from aerial_gym.task.terms.actions import ACTIONS, ROTOR_RANGE, Action
+from aerial_gym.task.terms.actions import ACTIONS, Action
 from aerial_gym.task.terms.catalog import OBSERVATIONS, REWARDS, TERMINATIONS
 from aerial_gym.task.terms.observations import whole
 from aerial_gym.task.terms.term import ACTION, BoundTerm, Term, TermRegistry, bind, checked
@@ -28,9 +24,6 @@ UNTRACED = ("vec_root_tensor", "robot_state_tensor", "robot_clearance", "robot_c
 SENSORS = "SensorManager"
 """Owner of that."""
 
-PLACE_DIGITS = 6
-"""Decimals to which the directions of two rotors [rad] are the same: more than float32 has."""
-
 
 def resolve_action(cfg: TaskCfg, command: tuple[str, ...]) -> tuple[Action, dict[str, Any]]:
     """Return the transform of the actions and its numbers.
@@ -43,46 +36,6 @@ def resolve_action(cfg: TaskCfg, command: tuple[str, ...]) -> tuple[Action, dict
     action = ACTIONS.get(name)
     _check_command(f"action {name}: gives", action.command, cfg, command)
     return action, checked(action.value, cfg.action.params, f"action {name}")
-
-
-def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) -> TaskCfg:
-    """Return a task whose action is ``rotor_range`` with the numbers that this is for a robot; another one as it is.
-
-    An action of -1 and 1 is then the lowest and the highest speed [rad/s] or thrust [N] that a rotor can be told, whichever the
-    controller takes, and its entries belong to places (``order_of_places``): one policy fits many vehicles.
-
-    Raises:
-        ConfigError: If the controller takes neither.
-    """
-    if cfg.action.transform != ROTOR_RANGE:
-        return cfg
-    ranges: list[tuple[float, float]] = []
-    for name, rotor in zip(command, robot.rotor_types, strict=False):
-        low, high = rotor.thrust_range
-        if name.startswith("speed"):
-            low, high = rotor.speed_at(low), rotor.speed_at(high)
-        elif not name.startswith("thrust") or len(command) != robot.num_rotors:
-            known = "no_control, rotor_speed_control"
-            raise ConfigError(
-                f"action {ROTOR_RANGE}: controller {cfg.controller} tells no rotors. Choose one of {known}"
-            )
-        ranges.append((low, high))
-    low, high = zip(*ranges, strict=True)
-    order = order_of_places([mount.position for mount in robot.mounts.layout])
-    return replace(
-        cfg, action=replace(cfg.action, transform="affine", params={"low": low, "high": high, "order": order})
-    )
-
-
-def order_of_places(positions: Sequence[Vec3]) -> tuple[int, ...]:
-    """Return the number of each rotor if they are counted clockwise as seen from above, from the nose on.
-
-    Args:
-        positions: Of the rotors [m], body; those of one direction keep their order.
-    """
-    turns = [round(atan2(-y, x) % (2.0 * pi), PLACE_DIGITS) % round(2.0 * pi, PLACE_DIGITS) for x, y, _ in positions]
-    counted = sorted(range(len(turns)), key=turns.__getitem__)
-    return tuple(counted.index(rotor) for rotor in range(len(turns)))
 
 
 def resolve_groups(cfg: TaskCfg, values: Values, *, num_commands: int) -> dict[str, Observed]:

@@ -27,8 +27,8 @@ from aerial_gym.task.resolve import (
     resolve_groups,
     resolve_rewards,
     resolve_terminations,
-    with_rotor_range,
 )
+from aerial_gym.task.rotor_range import with_rotor_range
 from aerial_gym.task.seen.cells import Cells
 from aerial_gym.task.seen.images import Images
 from aerial_gym.task.seen.latents import Latents

@@ -59,7 +59,10 @@ ACTIONS = ActionRegistry("action")
 """Transforms by the name that a task configuration uses."""
 
 ROTOR_RANGE = "rotor_range"
-"""Name of an ``affine`` whose numbers are those of the robot's rotors (``task.resolve.with_rotor_range``)."""
+"""Name of an ``affine``, or ``four_places``, whose numbers are those of the robot's rotors (``task.rotor_range``)."""
+
+NOTHING = 1e-12
+"""Share of a thrust below which a root has no gradient of use."""
 
 
 @ACTIONS.transform()
@@ -105,6 +108,38 @@ def affine(
         clamped = [clamped[number] for number in order]
     stretched = [0.5 * (b - a) * (u + 1.0) + a for u, a, b in zip(clamped, low, high, strict=True)]
     return torch.stack(stretched, dim=-1)
+
+
+@ACTIONS.transform(width=4)
+def four_places(
+    actions: Tensor,
+    *,
+    mix: tuple[tuple[float, ...], ...],
+    low: tuple[float, ...],
+    high: tuple[float, ...],
+    speeds: bool,
+) -> Tensor:
+    """Return commands of any rotors from those of the four of a quadrotor, (E, U): what these lift and turn, the others do.
+
+    Args:
+        actions: Of the four, clamped to -1..1: none of what it can be told, and all, (E, 4).
+        mix: Share of its thrust that each rotor gives for a whole one of each of the four, (U, 4).
+        low: Lowest speed [rad/s] or thrust [N] of each rotor, negative for one that turns backwards too, (U,).
+        high: Highest, (U,).
+        speeds: Whether they are told speeds, whose squares are thrusts.
+    """
+    told = (0.5 * (actions.clamp(-1.0, 1.0) + 1.0)).unbind(-1)
+    lifts = [share.square() if speeds else share for share in told]
+    found = []
+    for row, lowest, highest in zip(mix, low, high, strict=True):
+        share = sum((weight * lift for weight, lift in zip(row, lifts, strict=True)), torch.zeros_like(lifts[0]))
+        size = share.abs().clamp(NOTHING, 1.0)
+        size = size.sqrt() if speeds else size
+        if lowest < 0.0:
+            found.append((highest * size * share.sign()).clamp(lowest, highest))
+        else:
+            found.append(torch.where(share > 0.0, lowest + (highest - lowest) * size, lowest))
+    return torch.stack(found, dim=-1)
 
 
 ACTIONS.register("forward_flight_3", Action(value=forward_flight, width=3, command=LAWS["velocity"].action))

@@ -1,14 +1,18 @@
 """One policy for many vehicles: actions that are shares of what rotors can be told, and a robot that every episode draws."""
 
+from dataclasses import replace
 from math import copysign
 
 import pytest
 import torch
 
+from aerial_gym.control.effectiveness import allocation_matrix
 from aerial_gym.errors import ConfigError
+from aerial_gym.physics import vehicle_from_config
+from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import task_registry
-from aerial_gym.task.resolve import order_of_places
+from aerial_gym.task.rotor_range import mix_of_four, order_of_places, with_rotor_range
 
 NAME = "any_quadrotor_task"
 
@@ -81,3 +85,51 @@ def test_every_episode_draws_a_vehicle_of_thrust_to_weight_from_1_15_to_7() -> N
         assert 6.7 < float(ratio.max()) < 7.01
         task.reset()
         assert float((task.env.draws()["body.inertia"] != first["body.inertia"]).float().mean()) > 0.99
+
+
+@pytest.mark.parametrize("robot", ["base_quadrotor", "x500", "tinyprop"])
+def test_a_square_quadrotor_is_flown_as_a_quadrotor_rotor_by_rotor(robot: str) -> None:
+    mix = torch.tensor(mix_of_four(ROBOTS.get(robot)))
+    order = order_of_places([mount.position for mount in ROBOTS.get(robot).mounts.layout])
+    torch.testing.assert_close(mix, torch.eye(4)[list(order)], rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("robot", ["typhoon_hexarotor", "tilted_hexarotor", "coaxial_octarotor", "base_octarotor"])
+@pytest.mark.parametrize("controller", ["rotor_speed_control", "no_control"])
+def test_other_rotors_lift_and_turn_as_a_quadrotor_would(robot: str, controller: str) -> None:
+    """Half of each alone, then more on the right, at the tail, or at the rotors that turn clockwise: signs of the torques."""
+    with task_registry.make_task(NAME, num_envs=4, device="cpu", robot=robot, controller=controller) as task:
+        task.reset()
+        half = 2.0 * 0.5**0.5 - 1.0 if controller == "rotor_speed_control" else 0.0
+        more = torch.tensor([[0, 0, 0, 0], [1, 1, -1, -1], [-1, 1, 1, -1], [-1, 1, -1, 1]])
+        task.step(half + 0.05 * more)
+        told = task.env.gtd["robot_actions"].double()
+        vehicle = vehicle_from_config(ROBOTS.get(robot), num_envs=4, dtype=torch.float64)
+        thrusts = rotor_thrust(vehicle, told) if controller == "rotor_speed_control" else told
+        wrench = (allocation_matrix(vehicle, 9.81) @ thrusts.unsqueeze(-1)).squeeze(-1)
+    scale = float(wrench[0, 2])
+    assert scale > 0.3 * 9.81 * ROBOTS.get(robot).body.mass
+    assert float(wrench[0, [0, 1, 3, 4, 5]].abs().max()) < 2e-3 * scale
+    change = wrench - wrench[0]
+    for row, axis, sign in ((1, 3, -1.0), (2, 4, 1.0), (3, 5, 1.0)):
+        assert sign * float(change[row, axis]) > 0.0
+        others = change[row, [k for k in range(6) if k not in (2, axis)]]
+        assert float(others.abs().max()) < 0.1 * abs(float(change[row, axis]))
+
+
+def test_what_cannot_turn_about_each_axis_is_refused() -> None:
+    robot = ROBOTS.get("base_quadrotor")
+    row = tuple(
+        replace(mount, position=(x, 0.0, 0.0))
+        for mount, x in zip(robot.mounts.layout, (0.2, 0.1, -0.1, -0.2), strict=True)
+    )
+    robot = replace(robot, mounts=replace(robot.mounts, layout=row))
+    with pytest.raises(ConfigError, match="cannot lift this robot and turn it about each axis by itself"):
+        mix_of_four(robot)
+
+
+def test_an_unknown_number_of_places_is_refused() -> None:
+    cfg = task_registry.get(NAME)
+    cfg = replace(cfg, action=replace(cfg.action, params={"places": 6}))
+    with pytest.raises(ConfigError, match="expected {places: 4} or none"):
+        with_rotor_range(cfg, ROBOTS.get("x500"), ("speed_1",))

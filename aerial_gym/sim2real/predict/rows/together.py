@@ -165,8 +165,8 @@ class Together:
         flown = self._flown(asked)
         remembered = self._remembered(flown, asked)
         model, hubs = with_memory(flown, remembered), None
-        dependent = model.effects[LoadEffect] or model.effects[FluidEffect]  # on the sum of all that acts
-        if dependent:
+        # A fluid and a load depend on the sum of all that acts, a wind on where the centre of mass is.
+        if model.effects[LoadEffect] or model.effects[FluidEffect] or model.effects[WindEffect]:
             condition = self._condition(flown, asked)
         else:
             condition = hubs = self._condition(flown, asked, at_origin=True)
@@ -312,8 +312,7 @@ class Together:
 
 def _seen_by_condition(model: Model, *, at_origin: bool) -> tuple[object, ...]:
     """Return what of a model changes the motion that its effects see, rotor speeds that follow commands aside."""
-    com = not at_origin or bool(model.effects[WindEffect])  # the wind is that at the centre of mass
-    names = [name for name in MOVES_OF_VEHICLE if com or name != "com"]
+    names = [name for name in MOVES_OF_VEHICLE if not at_origin or name != "com"]
     of_vehicle = [getattr(model.vehicle, name)[0].numpy().tobytes() for name in names]
     effects = [*model.effects[WindEffect], *model.effects[RotorSensorEffect]]
     return (*of_vehicle, *((effect.name, params[0].numpy().tobytes()) for effect, params in effects))

@@ -1,0 +1,106 @@
+"""Actions that are shares of what the rotors of a robot can be told: one policy fits many vehicles.
+
+Letters: R rotors.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import atan2, pi
+
+import torch
+from torch import Tensor
+
+from aerial_gym.config.checks import Vec3
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.config.task import TaskCfg
+from aerial_gym.control.effectiveness import allocation_matrix
+from aerial_gym.errors import ConfigError
+from aerial_gym.physics import vehicle_from_config
+from aerial_gym.task.terms.actions import ROTOR_RANGE
+
+PLACE_DIGITS = 6
+"""Decimals to which the directions of two rotors [rad] are the same: more than float32 has."""
+
+FOUR = ((1.0, -1.0, -1.0, -1.0), (1.0, -1.0, 1.0, 1.0), (1.0, 1.0, 1.0, -1.0), (1.0, 1.0, -1.0, 1.0))
+"""What each rotor of a quadrotor does, clockwise from the nose: lift, and torque about x, y and z; the first one turns
+counterclockwise, as that of every quadrotor that comes with the package."""
+
+POSSIBLE = 1e-6
+"""Relative error of a lift or torque that rotors can give."""
+
+
+def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) -> TaskCfg:
+    """Return a task whose action is ``rotor_range`` with the numbers that this is for a robot; another one as it is.
+
+    An action of -1 and 1 is then the lowest and the highest speed [rad/s] or thrust [N] that a rotor can be told, whichever the
+    controller takes, and its entries belong to places (``order_of_places``). With ``params: {places: 4}`` a robot that has
+    another number of rotors is flown as a quadrotor: what its four would lift and turn, all of them do (``mix_of_four``).
+
+    Raises:
+        ConfigError: If the controller takes neither, the robot cannot be flown so, or a parameter is not known.
+    """
+    if cfg.action.transform != ROTOR_RANGE:
+        return cfg
+    if cfg.action.params not in ({}, {"places": 4}):
+        raise ConfigError(f"action {ROTOR_RANGE}: params {dict(cfg.action.params)}, expected {{places: 4}} or none")
+    ranges: list[tuple[float, float]] = []
+    for name, rotor in zip(command, robot.rotor_types, strict=False):
+        low, high = rotor.thrust_range
+        if name.startswith("speed"):
+            low, high = rotor.speed_at(low), rotor.speed_at(high)
+        elif not name.startswith("thrust") or len(command) != robot.num_rotors:
+            known = "no_control, rotor_speed_control"
+            raise ConfigError(
+                f"action {ROTOR_RANGE}: controller {cfg.controller} tells no rotors. Choose one of {known}"
+            )
+        ranges.append((low, high))
+    low, high = zip(*ranges, strict=True)
+    if cfg.action.params and robot.num_rotors != 4:
+        speeds = command[0].startswith("speed")
+        params = {"low": low, "high": high, "mix": mix_of_four(robot), "speeds": speeds}
+        return replace(cfg, action=replace(cfg.action, transform="four_places", params=params))
+    order = order_of_places([mount.position for mount in robot.mounts.layout])
+    return replace(
+        cfg, action=replace(cfg.action, transform="affine", params={"low": low, "high": high, "order": order})
+    )
+
+
+def mix_of_four(robot: RobotCfg) -> tuple[tuple[float, ...], ...]:
+    """Return the share of its largest thrust that each rotor gives for a whole one of each rotor of a quadrotor, (R, 4).
+
+    Lift along body z and each torque alone are made with the least thrusts that make nothing else, and a whole one is where the
+    first rotor is at its end. So a quadrotor whose arms form a square is flown rotor by rotor.
+
+    Raises:
+        ConfigError: If the rotors cannot lift or turn the robot about each axis by itself.
+    """
+    matrix = allocation_matrix(vehicle_from_config(robot, num_envs=1, dtype=torch.float64), STANDARD_GRAVITY)[0]
+    most = torch.tensor([rotor.thrust_range[1] for rotor in robot.rotor_types], dtype=matrix.dtype)
+    wanted = torch.eye(6, dtype=matrix.dtype)[:, 2:]
+    thrusts = torch.linalg.pinv(matrix) @ wanted
+    size = matrix.norm(dim=1, keepdim=True).clamp_min(matrix.norm() * POSSIBLE)
+    missed = ((matrix @ thrusts - wanted) / size).abs().amax(0) * size[2:, 0]
+    if bool((missed > POSSIBLE).any()):
+        raise ConfigError(
+            f"action {ROTOR_RANGE}: the rotors cannot lift this robot and turn it about each axis by itself, as those of a "
+            "quadrotor can"
+        )
+    shares = thrusts / most.unsqueeze(1)
+    shares = shares / shares.abs().amax(0)
+    return _as_rows(shares @ torch.tensor(FOUR, dtype=matrix.dtype).T / 4.0)
+
+
+def _as_rows(matrix: Tensor) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(row) for row in matrix.tolist())
+
+
+def order_of_places(positions: Sequence[Vec3]) -> tuple[int, ...]:
+    """Return the number of each rotor if they are counted clockwise as seen from above, from the nose on.
+
+    Args:
+        positions: Of the rotors [m], body; those of one direction keep their order.
+    """
+    turns = [round(atan2(-y, x) % (2.0 * pi), PLACE_DIGITS) % round(2.0 * pi, PLACE_DIGITS) for x, y, _ in positions]
+    counted = sorted(range(len(turns)), key=turns.__getitem__)
+    return tuple(counted.index(rotor) for rotor in range(len(turns)))
