@@ -34,8 +34,9 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
     """Return a task whose action is ``rotor_range`` with the numbers that this is for a robot; another one as it is.
 
     An action of -1 and 1 is then the lowest and the highest speed [rad/s] or thrust [N] that a rotor can be told, whichever the
-    controller takes, and its entries belong to places (``order_of_places``). With ``params: {places: 4}`` a robot that has
-    another number of rotors is flown as a quadrotor: what its four would lift and turn, all of them do (``mix_of_four``).
+    controller takes, and its entries belong to places (``order_of_places``). With ``params: {places: 4}`` a robot with another
+    number of rotors, or whose rotors turn the other way round or are told thrusts as they have a force mode, is flown as a
+    quadrotor: what its four would lift and turn, all of them do (``mix_of_four``).
 
     Raises:
         ConfigError: If the controller takes neither, the robot cannot be flown so, or a parameter is not known.
@@ -56,11 +57,12 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
             )
         ranges.append((low, high))
     low, high = zip(*ranges, strict=True)
-    if cfg.action.params and robot.num_rotors != 4:
-        speeds = command[0].startswith("speed")
+    order = order_of_places([mount.position for mount in robot.mounts.layout])
+    if cfg.action.params and not _is_square(robot, order):
+        rotors = zip(command, robot.rotor_types, strict=True)
+        speeds = tuple(name.startswith("speed") and rotor.mode == "speed" for name, rotor in rotors)
         params = {"low": low, "high": high, "mix": mix_of_four(robot), "speeds": speeds}
         return replace(cfg, action=replace(cfg.action, transform="four_places", params=params))
-    order = order_of_places([mount.position for mount in robot.mounts.layout])
     return replace(
         cfg, action=replace(cfg.action, transform="affine", params={"low": low, "high": high, "order": order})
     )
@@ -69,8 +71,9 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
 def mix_of_four(robot: RobotCfg) -> tuple[tuple[float, ...], ...]:
     """Return the share of its largest thrust that each rotor gives for a whole one of each rotor of a quadrotor, (R, 4).
 
-    Lift along body z and each torque alone are made with the least thrusts that make nothing else, and a whole one is where the
-    first rotor is at its end. So a quadrotor whose arms form a square is flown rotor by rotor.
+    Lift along body z and each torque alone are made with the least thrusts that make nothing else. A whole lift is where the
+    first rotor is at its end, a whole torque where all are in the root mean square. So a quadrotor whose arms form a square is
+    flown rotor by rotor.
 
     Raises:
         ConfigError: If the rotors cannot lift or turn the robot about each axis by itself.
@@ -87,8 +90,14 @@ def mix_of_four(robot: RobotCfg) -> tuple[tuple[float, ...], ...]:
             "quadrotor can"
         )
     shares = thrusts / most.unsqueeze(1)
-    shares = shares / shares.abs().amax(0)
+    shares = shares / torch.cat((shares[:, :1].abs().amax(0), shares[:, 1:].square().mean(0).sqrt()))
     return _as_rows(shares @ torch.tensor(FOUR, dtype=matrix.dtype).T / 4.0)
+
+
+def _is_square(robot: RobotCfg, order: Sequence[int]) -> bool:
+    """Return whether a robot has four rotors that turn as those of a quadrotor do and are told speeds."""
+    spins = [spin for _, spin in sorted(zip(order, (mount.spin for mount in robot.mounts.layout), strict=True))]
+    return spins == [1, -1, 1, -1] and all(rotor.mode == "speed" for rotor in robot.rotor_types)
 
 
 def _as_rows(matrix: Tensor) -> tuple[tuple[float, ...], ...]:

@@ -117,24 +117,24 @@ def four_places(
     mix: tuple[tuple[float, ...], ...],
     low: tuple[float, ...],
     high: tuple[float, ...],
-    speeds: bool,
+    speeds: tuple[bool, ...],
 ) -> Tensor:
     """Return commands of any rotors from those of the four of a quadrotor, (E, U): what these lift and turn, the others do.
 
     Args:
-        actions: Of the four, clamped to -1..1: none of what it can be told, and all, (E, 4).
+        actions: Speeds of the four, clamped to -1..1: none, and the highest, (E, 4).
         mix: Share of its thrust that each rotor gives for a whole one of each of the four, (U, 4).
         low: Lowest speed [rad/s] or thrust [N] of each rotor, negative for one that turns backwards too, (U,).
         high: Highest, (U,).
-        speeds: Whether they are told speeds, whose squares are thrusts.
+        speeds: Whether each is told a speed, whose square is a thrust, (U,).
     """
     told = (0.5 * (actions.clamp(-1.0, 1.0) + 1.0)).unbind(-1)
-    lifts = [share.square() if speeds else share for share in told]
+    lifts = [share.square() for share in told]
     found = []
-    for row, lowest, highest in zip(mix, low, high, strict=True):
+    for row, lowest, highest, speed in zip(mix, low, high, speeds, strict=True):
         share = sum((weight * lift for weight, lift in zip(row, lifts, strict=True)), torch.zeros_like(lifts[0]))
         size = share.abs().clamp(NOTHING, 1.0)
-        size = size.sqrt() if speeds else size
+        size = size.sqrt() if speed else size
         if lowest < 0.0:
             found.append((highest * size * share.sign()).clamp(lowest, highest))
         else:

@@ -94,13 +94,15 @@ def test_a_square_quadrotor_is_flown_as_a_quadrotor_rotor_by_rotor(robot: str) -
     torch.testing.assert_close(mix, torch.eye(4)[list(order)], rtol=0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("robot", ["typhoon_hexarotor", "tilted_hexarotor", "coaxial_octarotor", "base_octarotor"])
+@pytest.mark.parametrize(
+    "robot", ["typhoon_hexarotor", "tilted_hexarotor", "coaxial_octarotor", "base_octarotor", "morphy_stiff"]
+)
 @pytest.mark.parametrize("controller", ["rotor_speed_control", "no_control"])
 def test_other_rotors_lift_and_turn_as_a_quadrotor_would(robot: str, controller: str) -> None:
     """Half of each alone, then more on the right, at the tail, or at the rotors that turn clockwise: signs of the torques."""
     with task_registry.make_task(NAME, num_envs=4, device="cpu", robot=robot, controller=controller) as task:
         task.reset()
-        half = 2.0 * 0.5**0.5 - 1.0 if controller == "rotor_speed_control" else 0.0
+        half = 2.0 * 0.5**0.5 - 1.0
         more = torch.tensor([[0, 0, 0, 0], [1, 1, -1, -1], [-1, 1, 1, -1], [-1, 1, -1, 1]])
         task.step(half + 0.05 * more)
         told = task.env.gtd["robot_actions"].double()
