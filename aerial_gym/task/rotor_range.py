@@ -45,6 +45,10 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
         return cfg
     if cfg.action.params not in ({}, {"places": 4}):
         raise ConfigError(f"action {ROTOR_RANGE}: params {dict(cfg.action.params)}, expected {{places: 4}} or none")
+    if len(command) > robot.num_rotors and all(name.startswith("thrust") for name in command[: robot.num_rotors]):
+        raise ConfigError(
+            f"action {ROTOR_RANGE}: it tells rotors alone, and this robot is told {command[robot.num_rotors]}, ..."
+        )
     ranges: list[tuple[float, float]] = []
     for name, rotor in zip(command, robot.rotor_types, strict=False):
         low, high = rotor.thrust_range

@@ -130,6 +130,11 @@ def test_what_cannot_turn_about_each_axis_is_refused() -> None:
         mix_of_four(robot)
 
 
+def test_a_robot_that_is_told_joints_as_well_is_refused() -> None:
+    with pytest.raises(ConfigError, match="it tells rotors alone, and this robot is told "):
+        task_registry.make_task(NAME, num_envs=2, device="cpu", robot="snakey6")
+
+
 def test_an_unknown_number_of_places_is_refused() -> None:
     cfg = task_registry.get(NAME)
     cfg = replace(cfg, action=replace(cfg.action, params={"places": 6}))
