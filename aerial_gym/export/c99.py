@@ -243,10 +243,30 @@ def _affine(layout: Layout, params: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def _four_places(layout: Layout, params: Mapping[str, Any]) -> str:
+    del layout
+    lines = ["    float lift[4];"]
+    lines += [f"    lift[{i}] = 0.25f * (action[{i}] + 1.0f) * (action[{i}] + 1.0f);" for i in range(4)]
+    rotors = zip(params["mix"], params["low"], params["high"], params["speeds"], strict=True)
+    for i, (row, low, high, speed) in enumerate(rotors):
+        share = " + ".join(f"{_number(weight)} * lift[{k}]" for k, weight in enumerate(row))
+        size = f"fminf(fmaxf(fabsf(share), {_number(actions.NOTHING)}), 1.0f)"
+        size = f"sqrtf({size})" if speed else size
+        if low < 0.0:
+            signed = f"{_number(high)} * (share > 0.0f ? size : share < 0.0f ? -size : 0.0f)"
+            found = f"fminf(fmaxf({signed}, {_number(low)}), {_number(high)})"
+        else:
+            found = f"share > 0.0f ? {_number(low)} + {_number(high - low)} * size : {_number(low)}"
+        lines.append(f"    {{ const float share = {share}, size = {size};")
+        lines.append(f"      command[{i}] = {found}; }}")
+    return "\n".join(lines)
+
+
 _TRANSFORMS: dict[Callable[..., Tensor], Callable[[Layout, Mapping[str, Any]], str]] = {
     actions.direct: _direct,
     actions.forward_flight: _forward_flight,
     actions.affine: _affine,
+    actions.four_places: _four_places,
 }
 """The transforms of actions, in C."""
 

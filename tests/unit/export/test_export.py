@@ -71,8 +71,25 @@ def test_onnx_gives_what_torch_gives(memory: int, tmp_path: Path) -> None:
             ActionCfg(transform="affine", params={"low": [-1.0] * 4, "high": [2.0] * 4, "order": [2, 0, 3, 1]}),
             "lee_attitude_control",
         ),
+        (
+            ActionCfg(
+                transform="four_places",
+                params={
+                    "low": [0.1, -2.0, 0.0, -1.0],
+                    "high": [2.0, 2.0, 1.0, 1.5],
+                    "mix": [
+                        [0.7, 0.2, 0.1, 0.3],
+                        [-0.4, 0.9, -0.3, 0.1],
+                        [0.5, -0.9, 0.2, 0.1],
+                        [0.3, 0.3, -0.8, -0.7],
+                    ],
+                    "speeds": [True, True, False, False],
+                },
+            ),
+            "lee_attitude_control",
+        ),
     ],
-    ids=["direct", "forward_flight", "affine", "affine in another order"],
+    ids=["direct", "forward_flight", "affine", "affine in another order", "four places"],
 )
 def test_commands_are_those_of_the_task(action: ActionCfg, controller: str, tmp_path: Path) -> None:
     """Transform and limits are inside: what comes out is what the controller of the simulation takes."""
