@@ -47,7 +47,8 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
         raise ConfigError(f"action {ROTOR_RANGE}: params {dict(cfg.action.params)}, expected {{places: 4}} or none")
     if len(command) > robot.num_rotors and all(name.startswith("thrust") for name in command[: robot.num_rotors]):
         raise ConfigError(
-            f"action {ROTOR_RANGE}: it tells rotors alone, and this robot is told {command[robot.num_rotors]}, ..."
+            f"action {ROTOR_RANGE}: it tells rotors alone, and this robot is told {command[robot.num_rotors]}, ... of its "
+            "driven joints as well. Choose a task that tells them, as position_setpoint_task_reconfigurable does"
         )
     ranges: list[tuple[float, float]] = []
     for name, rotor in zip(command, robot.rotor_types, strict=False):
