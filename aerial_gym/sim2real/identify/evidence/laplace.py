@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtrs
 from scipy.special import log_ndtr
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ class Normal:
             np.zeros_like(self.product),
             np.zeros_like(self.gradient),
         )
-        product[np.ix_(kept, kept)], gradient[kept] = reduced.product, reduced.gradient
+        product[kept[:, None], kept], gradient[kept] = reduced.product, reduced.gradient
         return Normal(product=product, gradient=gradient, constant=reduced.constant)
 
 
@@ -85,18 +85,19 @@ class Integrated:
 
     def __init__(self, normal: Normal, columns: Indices, kept: Indices) -> None:
         """Take the sums, the columns to integrate out, and those of which sums may be asked for."""
-        inner = normal.product[np.ix_(columns, columns)] + np.eye(columns.size)
-        root, across = np.linalg.cholesky(inner), np.zeros((columns.size, normal.gradient.size))
-        right = np.column_stack((normal.product[np.ix_(columns, kept)], normal.gradient[columns]))
-        solved = solve_triangular(root, right, lower=True, check_finite=False) if columns.size else right
-        across[:, kept], right = solved[:, :-1], solved[:, -1]
+        there = columns[:, None]
+        root = np.linalg.cholesky(normal.product[there, columns] + np.eye(columns.size))
+        right = np.column_stack((normal.product[there, kept], normal.gradient[columns]))
+        solved = dtrtrs(root.T, right, trans=1)[0] if columns.size else right
+        across, right = np.zeros((columns.size, normal.gradient.size)), solved[:, -1]
+        across[:, kept] = solved[:, :-1]
         self._normal, self._across, self._right = normal, across, right
         self._constant = normal.constant + 0.5 * float(right @ right) - float(np.log(np.diag(root)).sum())
 
     def sums(self, kept: Indices) -> Normal:
         """Return those of some columns."""
         across = self._across[:, kept]
-        product, gradient = self._normal.product[np.ix_(kept, kept)], self._normal.gradient[kept]
+        product, gradient = self._normal.product[kept[:, None], kept], self._normal.gradient[kept]
         return Normal(
             product=product - across.T @ across, gradient=gradient - across.T @ self._right, constant=self._constant
         )
@@ -169,7 +170,7 @@ def posterior(candidates: Candidates, normal: Normal, model: Model) -> Posterior
     start[:, :count] = _most_probable(alone.product[None], alone.gradient[None], effects[:, :count])
     step, covariance, log_evidence = _laplace(
         candidates,
-        normal.product[np.ix_(columns, columns)][None],
+        normal.product[columns[:, None], columns][None],
         normal.gradient[columns][None],
         columns[None],
         effects,
@@ -203,7 +204,7 @@ def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model
     for structures, reduced in _without(candidates, normal, wanted).items():
         for row in beside[structures]:
             own = np.searchsorted(wanted[structures], places[row])
-            products[row], gradients[row] = reduced.product[np.ix_(own, own)], reduced.gradient[own]
+            products[row], gradients[row] = reduced.product[own[:, None], own], reduced.gradient[own]
             found[row] = reduced.constant
     free = replace(candidates, low=np.append(candidates.low, -np.inf), high=np.append(candidates.high, np.inf))
     for chunk in np.array_split(np.argsort(widths, kind="stable"), -(-len(models) // AT_ONCE)):
@@ -250,7 +251,7 @@ def _joined(candidates: Candidates, structures: Model) -> Indices:
 
 def _one_less(model: Model) -> list[Model]:
     """Return a set without each of its members."""
-    return [tuple(k for k in model if k != gone) for gone in model]
+    return [model[:place] + model[place + 1 :] for place in range(len(model))]
 
 
 def _most_probable(product: Array, gradient: Array, effects: NDArray[np.bool_], start: Array | None = None) -> Array:

@@ -19,7 +19,7 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
     exact_along,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_moments
-from aerial_gym.sim2real.identify.least_squares.weighted import Beside, Weighted
+from aerial_gym.sim2real.identify.least_squares.weighted import Beside, Weighted, product_of
 from aerial_gym.sim2real.identify.least_squares.within_bounds import minimum_within
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -376,11 +376,7 @@ def misfit(beside: Beside, residuals: Sequence[Array]) -> float:
     if not all(np.isfinite(part).all() for part in residuals):
         return np.inf
     one = Weighted([[part[:, :, None]] for part in residuals], beside.weight)
-    square = float(beside.blocks.products(one, one).sum())
-    gradient, far = (
-        beside.blocks.products(one, beside.columns).sum(axis=0)[0],
-        np.full(beside.width, FARTHEST_DEVIATION),
-    )
-    product = beside.whole + np.eye(beside.width)
+    square, gradient = float(product_of(one, one)[0, 0]), product_of(one, beside.columns)[0]
+    product, far = beside.whole + np.eye(beside.width), np.full(beside.width, FARTHEST_DEVIATION)
     step = minimum_within(product, gradient, -far, far) if far.size else gradient
     return square - 2.0 * float(gradient @ step) + float(step @ product @ step)

@@ -81,26 +81,37 @@ def _gathered(parts: Sequence[Part], root: Array) -> list[tuple[Indices, Array]]
     ]
 
 
+def product_of(one: Weighted, other: Weighted) -> Array:
+    """Return ``sum w J_one J_other^T`` of all rows, (K, K')."""
+    found = np.zeros((one.width, other.width))
+    for mine, theirs in zip(one.columns, other.columns, strict=True):
+        for (here, a), (there, b) in zip(mine, theirs, strict=True):
+            if here.size and there.size:
+                found[here[:, None], there] += a.T @ b
+    return found
+
+
 class Blocks:
     """Equal parts of flights, and sums over them."""
 
     def __init__(self, times: Sequence[Array], parts: int = 1) -> None:
         """Take the times of the rows of each flight [s], and in how many parts each flight is."""
-        rows = [np.array_split(np.arange(time.size), parts) for time in times]
-        self.spans = [
-            (flight, slice(int(own[0]), int(own[-1]) + 1)) for flight, each in enumerate(rows) for own in each
-        ]
-        self.flight = np.array([flight for flight, _ in self.spans])
-        self.count = np.array([float(own.size) for each in rows for own in each])
+        split = [own for time in times for own in np.array_split(np.arange(time.size), parts)]
+        self.rows = [slice(int(own[0]), int(own[-1]) + 1) for own in split]
+        self.of_flight = [range(first, first + parts) for first in range(0, len(split), parts)]
+        self.flight = np.repeat(np.arange(len(times)), parts)
+        self.count = np.array([float(own.size) for own in split])
 
     def products(self, one: Weighted, other: Weighted) -> Array:
         """Return ``sum w J_one J_other^T`` of each block, (B, K, K')."""
-        found = np.zeros((len(self.spans), one.width, other.width))
-        for block, (flight, rows) in enumerate(self.spans):
+        found = np.zeros((len(self.rows), one.width * other.width))
+        for flight, blocks in enumerate(self.of_flight):
             for (here, a), (there, b) in zip(one.columns[flight], other.columns[flight], strict=True):
-                if here.size and there.size:
-                    found[block][np.ix_(here, there)] += a[rows].T @ b[rows]
-        return found
+                place = (here[:, None] * other.width + there).ravel()
+                for block in blocks if place.size else ():
+                    rows = self.rows[block]
+                    found[block][place] += (a[rows].T @ b[rows]).ravel()
+        return found.reshape(len(self.rows), one.width, other.width)
 
 
 class Beside:
