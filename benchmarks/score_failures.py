@@ -94,8 +94,8 @@ def watched(files: CaseFiles) -> Iterator[tuple[str, list[Alarm], Found | None, 
         header = path.read_text().splitlines()[0].split(",")
         watch, told = Watch(robot, header, name=path.stem), []
         for row in np.loadtxt(path, delimiter=",", skiprows=1):
-            told.append(watch.add(row))
-        alarms = [alarm for alarm in (*told, watch.ended()) if alarm is not None]
+            told += watch.add(row)
+        alarms = [*told, *watch.ended()]
         (flight,) = load_flights([path], robot, mapping=None, bandwidth=10.0)
         yield path.stem, alarms, finder.first_in(flight), watch.watched_s
 

@@ -1,10 +1,11 @@
 """Are jumps found that are put into measured flights, and none where nothing was put?
 
-    python -m benchmarks.score_jumps --data DATA [--sizes 0.25 0.5 1 2] [--seed 1]
+    python -m benchmarks.score_jumps --data DATA [--sizes 0.25 0.5 1 2] [--seed 1] [--stream]
 
 DATA holds a folder for each collection of flights (docs/results/measured.md). Every flight with a position and a velocity is
 read as it is, and with a fix that moves by each size in a random direction, at a random time, for 0.5 to 4 s. Found: both
-steps, each within 0.1 s.
+steps, each within 0.1 s. With --stream as ``aerial-gym watch`` looks while the flight goes on, every half second, and with each
+sensor that stands still for 0.5 to 4 s as well.
 """
 
 import argparse
@@ -16,13 +17,16 @@ from pathlib import Path
 import numpy as np
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.failures.sensor_faults import WINDOW_S, SensorFault, SensorWatch
 from aerial_gym.sim2real.logs.flights import even_log
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.repeated_samples import SENSORS
 
 COLLECTIONS = ("idsia_nanodrone", "nanobench_cf21", "neural_fly", "neural_swarm")
+LOOK_S = 0.5
 TOLD = re.compile(r"position jumps by \(([^)]*)\) m .* t = ([\d.]+)")
 
 
@@ -46,28 +50,94 @@ def told(log: FlightLog) -> list[tuple[np.ndarray, float]]:
     ]
 
 
+def streamed(log: FlightLog) -> list[tuple[SensorFault, float]]:
+    """Return each fault that is told of a log as it grows, and when [s]."""
+    watch, found, start = SensorWatch("flight"), [], log.time[0]
+    for end in np.arange(start + LOOK_S, log.time[-1] + LOOK_S, LOOK_S):
+        rows = (log.time <= end) & (log.time > end - WINDOW_S)
+        seen = {name: values[rows] for name, values in vars(log).items() if isinstance(values, np.ndarray)}
+        found += [(fault, float(end)) for fault in watch.look(replace(log, **seen))]
+    return found
+
+
+def with_step(log: FlightLog, size: float, rng: np.random.Generator) -> tuple[FlightLog, np.ndarray, float, float]:
+    """Return a log whose position is off for some time, by how much [m], and from when to when [s]."""
+    assert log.position is not None
+    direction = rng.standard_normal(3)
+    step = size * direction / np.linalg.norm(direction)
+    begin, end = span(log, rng)
+    there = (log.time >= begin) & (log.time < end)
+    return replace(log, position=log.position + there[:, None] * step), step, begin, end
+
+
+def span(log: FlightLog, rng: np.random.Generator) -> tuple[float, float]:
+    """Return 0.5 to 4 s of a flight."""
+    first, last = log.time[0] + 1.0, log.time[-1] - 1.0
+    begin = rng.uniform(first, last - 1.0)
+    return begin, min(begin + rng.uniform(0.5, 4.0), last)
+
+
+def score_stream(flights: list[FlightLog], sizes: list[float], rng: np.random.Generator) -> None:
+    """Print what a watch tells, of logs as they are, with jumps, and with sensors that stand still."""
+    plain = [fault.sentence for log in flights for fault, _ in streamed(log)]
+    print(f"told as logged: {len(plain)} {plain}")
+    print("| put in | flights | found | told after: median, largest [s] | others told |")
+    print("| --- | --- | --- | --- | --- |")
+    for size in sizes:
+        after, others, right = list[float](), 0, 0
+        for log in flights:
+            moved, step, begin, end = with_step(log, size, rng)
+            told, hits = streamed(moved), 0
+            for when, sign in ((begin, 1.0), (end, -1.0)):
+                near = [at for fault, at in told if abs(fault.time - when) < 0.1 and _size(fault) @ (sign * step) > 0.0]
+                hits, after = hits + bool(near), after + [at - when for at in near[:1]]
+            right, others = right + (hits == 2), others + len(told) - hits
+        print(f"| jump and return, {size:g} m | {len(flights)} | {right} | {_times(after)} | {others} |")
+    for sensor in SENSORS:
+        after, others, count = list[float](), 0, 0
+        for log in flights:
+            values = getattr(log, sensor)
+            if values is None:
+                continue
+            count += 1
+            begin, end = span(log, rng)
+            still, there = values.copy(), (log.time >= begin) & (log.time < end)
+            still[there] = values[int(np.argmax(there)) - 1]
+            told = streamed(replace(log, **{sensor: still}))
+            near = [at for fault, at in told if fault.sensor == sensor and abs(fault.time - begin) < 0.1]
+            after, others = after + [at - begin for at in near[:1]], others + len(told) - bool(near)
+        print(f"| {sensor} stands still | {count} | {len(after)} | {_times(after)} | {others} |")
+
+
+def _size(fault: SensorFault) -> np.ndarray:
+    return np.array([fault.params.get(axis, 0.0) for axis in "xyz"])
+
+
+def _times(after: list[float]) -> str:
+    return f"{np.median(after):.2f}, {max(after):.2f}" if after else "-"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--sizes", type=float, nargs="+", default=[0.25, 0.5, 1.0, 2.0])
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--stream", action="store_true")
     args = parser.parse_args()
     flights, rng = list(logs(args.data)), np.random.default_rng(args.seed)
     seconds = sum(float(log.time[-1] - log.time[0]) for log in flights)
+    if args.stream:
+        print(f"{len(flights)} flights, {seconds:.0f} s")
+        score_stream(flights, args.sizes, rng)
+        return
     print(f"{len(flights)} flights, {seconds:.0f} s: {sum(len(told(log)) for log in flights)} jumps told as logged")
     print("| size [m] | flights | both steps found | size, error of the median and the largest [m] | others told |")
     print("| --- | --- | --- | --- | --- |")
     for size in args.sizes:
         right, others, off = 0, 0, []
         for log in flights:
-            assert log.position is not None
-            direction = rng.standard_normal(3)
-            step = size * direction / np.linalg.norm(direction)
-            first, last = log.time[0] + 1.0, log.time[-1] - 1.0
-            begin = rng.uniform(first, last - 1.0)
-            end = min(begin + rng.uniform(0.5, 4.0), last)
-            there = (log.time >= begin) & (log.time < end)
-            found = told(replace(log, position=log.position + there[:, None] * step))
+            moved, step, begin, end = with_step(log, size, rng)
+            found = told(moved)
             near = [
                 [(jump, at) for jump, at in found if abs(at - when) < 0.1 and jump @ (sign * step) > 0.0]
                 for when, sign in ((begin, 1.0), (end, -1.0))

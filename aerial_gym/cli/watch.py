@@ -85,12 +85,8 @@ class WatchCmd:
 def _alarms(watch: "Watch", lines: Iterator[str], log: str) -> "Iterator[Alarm]":
     """Yield what is told while lines come, and when they end."""
     for number, line in enumerate(lines, start=2):
-        alarm = watch.add(_numbers(line, f"{log}, line {number}"))
-        if alarm is not None:
-            yield alarm
-    alarm = watch.ended()
-    if alarm is not None:
-        yield alarm
+        yield from watch.add(_numbers(line, f"{log}, line {number}"))
+    yield from watch.ended()
 
 
 def _numbers(line: str, where: str) -> list[float]:

@@ -13,6 +13,9 @@ Array = NDArray[np.float64]
 
 RESAMPLES = 2000
 
+FALSE_ALARM_HOURS = 100.0
+"""Mean flight time between two false alarms of what looks for something in flights [h], as far as noise is as taken there."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Rms:

@@ -21,9 +21,7 @@ from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorWork, RotorWor
 from aerial_gym.sim2real.failures.scan import Cause, Timed, causes_of, sum_of_odds, timed
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-
-FALSE_ALARM_HOURS = 100.0
-"""Mean flight time between false alarms [h], as far as what is expected of a rotor is off by white noise and ``beside``."""
+from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS
 
 WINDOW_BLOCKS = 600
 """Blocks that are looked at together: a minute."""

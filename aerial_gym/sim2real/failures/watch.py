@@ -1,9 +1,11 @@
 """Failures of a flight that is being flown, from the rows of its log as they come.
 
-Rows become blocks, of which a window is kept; every half second its sums are looked through as those of a whole flight.
+Rows become blocks, of which a window is kept; every half second its sums are looked through as those of a whole flight, and the
+last rows for faults of sensors.
 Letters: T rows, K blocks.
 """
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,13 +15,15 @@ from numpy.typing import NDArray
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.failures.finding import FALSE_ALARM_HOURS, Failure, FailureFinder
+from aerial_gym.sim2real.failures.finding import Failure, FailureFinder
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorWork
+from aerial_gym.sim2real.failures.sensor_faults import WINDOW_S, SensorFault, SensorWatch
 from aerial_gym.sim2real.logs.declared_rotors import lift
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight
 from aerial_gym.sim2real.logs.on_ground import IDLE
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import LONGEST_GAP_S, uniform_log
+from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS
 
 Array = NDArray[np.float64]
 
@@ -48,6 +52,7 @@ AT_LATEST_S = 8.0
 SUSPECTED, NAMED = "suspected", "named"
 
 COLUMNS = {
+    "position": ("p_x", "p_y", "p_z"),
     "lin_vel": ("v_x", "v_y", "v_z"),
     "ang_vel": ("omega_x", "omega_y", "omega_z"),
     "specific_force": ("acc_x", "acc_y", "acc_z"),
@@ -58,12 +63,12 @@ COLUMNS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Alarm:
-    """A failure and when it was told."""
+    """A failure, or a fault of a sensor, and when it was told."""
 
     stage: str
     """suspected: something surely fails, and this is the most probable so far; named: what it is."""
 
-    failure: Failure
+    failure: Failure | SensorFault
     told_s: float
     """From the first row on [s]."""
 
@@ -83,7 +88,10 @@ class Alarm:
 
 
 class Watch:
-    """Follows one flight; after a failure that goes on nothing more is told: what flies on is another vehicle."""
+    """Follows one flight; after a failure that goes on nothing more is told: what flies on is another vehicle.
+
+    While a sensor stands still the rotors are not watched: they seem to do what they do not.
+    """
 
     def __init__(
         self,
@@ -109,6 +117,8 @@ class Watch:
                 f"{name}: neither rotor_1..{robot.num_rotors} nor cmd_1..{robot.num_rotors}: log one of them"
             )
         self._rows: list[Array] = []
+        self._recent: deque[Array] = deque()
+        self._sensors = SensorWatch(name)
         self._last = np.full(len(header), np.nan)
         self._works: list[RotorWork] = []
         self._size = 0
@@ -125,8 +135,8 @@ class Watch:
         names = [f"{kind}_{number}" for number in range(1, self._robot.num_rotors + 1)]
         return [self._place[name] for name in names] if all(name in self._place for name in names) else []
 
-    def add(self, row: Sequence[float] | Array) -> Alarm | None:
-        """Take one more row, in the order of the header, empty fields as NaN; return a failure if there is one to tell.
+    def add(self, row: Sequence[float] | Array) -> list[Alarm]:
+        """Take one more row, in the order of the header, empty fields as NaN; return what there is to tell.
 
         Raises:
             DataError: If it has not as many fields as the header, or time does not go on.
@@ -149,13 +159,30 @@ class Watch:
             self._size = max(1, round(BLOCK_S / float(np.median(steps))))
         whole = (LEAD_BLOCKS + LOOK_BLOCKS) * self._size
         if self.over or not self._size or len(self._rows) <= whole:
-            return None
+            return []
+        told = [
+            Alarm(stage=NAMED, failure=fault, told_s=self.watched_s) for fault in self._faults(self._rows[: whole + 1])
+        ]
+        if self._sensors.blind:
+            self._rows, self._works, self._suspected = self._rows[LOOK_BLOCKS * self._size :], [], None
+            return told
         self._follow(np.array(self._rows[: whole + 1]))
         del self._rows[: LOOK_BLOCKS * self._size]
-        return self._look()
+        return [*told, *self._look()]
 
     def _begin_anew(self) -> None:
         self._rows, self._works, self._suspected = [], [], None
+
+    def _faults(self, rows: Sequence[Array]) -> list[SensorFault]:
+        """Return the faults of sensors that some more rows show, the first of which are known."""
+        time = self._place["t"]
+        last = self._recent[-1][time] if self._recent else -np.inf
+        self._recent.extend(row for row in rows if row[time] > last)
+        while self._recent[-1][time] - self._recent[0][time] > WINDOW_S:
+            self._recent.popleft()
+        log = self._log(np.array(self._recent))
+        assert self._start is not None
+        return self._sensors.look(replace(log, time=log.time - self._start))
 
     def _follow(self, rows: Array) -> None:
         """Put the blocks of rows behind those that are known."""
@@ -173,8 +200,8 @@ class Watch:
             kept = [old.followed_by(part) for old, part in zip(self._works, new, strict=True)]
         self._works = [part.rows(slice(-WINDOW_BLOCKS, None)) for part in kept]
 
-    def _flight(self, rows: Array) -> Flight:
-        """Return rows as a flight; the vehicle is not watched where its rotors are not told to carry half its weight."""
+    def _log(self, rows: Array) -> FlightLog:
+        """Return rows as a log."""
 
         def part(name: str) -> Array | None:
             known = all(column in self._place for column in COLUMNS[name])
@@ -185,45 +212,47 @@ class Watch:
             raise DataError(f"{self._name}: the attitude is empty at {rows[0, self._place['t']]:g} s")
         speed, command = (rows[:, places] if places else None for places in self._rotors)
         volts = rows[:, self._place["vbat"]] if "vbat" in self._place else None
-        log = FlightLog(
+        return FlightLog(
             path=self._name,
             time=rows[:, self._place["t"]],
             rotor_speed=_whole(speed),
             rotor_command=_whole(command),
             battery=_whole(volts),
             attitude=attitude,
+            position=part("position"),
             lin_vel=part("lin_vel"),
             ang_vel=part("ang_vel"),
             specific_force=part("specific_force"),
         )
-        log = uniform_log(log)
+
+    def _flight(self, rows: Array) -> Flight:
+        """Return rows as a flight; the vehicle is not watched where its rotors are not told to carry half its weight."""
+        log = uniform_log(replace(self._log(rows), position=None))
         told = log.rotor_speed if log.rotor_command is None else log.rotor_command
         assert told is not None
         idle = lift(self._robot, told) < IDLE * self._robot.body.mass * STANDARD_GRAVITY
         return complete_flight(log, on_ground=idle if idle.any() else None)
 
-    def _look(self) -> Alarm | None:
+    def _look(self) -> list[Alarm]:
         found = self._finder.shown_by(self._works, self._name) if self._works else None
         if found is None:
             self._suspected = None
-            return None
+            return []
         if self._suspected is None:
             self._since = self.watched_s
         seen = self.watched_s - max(found.time, self._since)
         if (seen >= SETTLED_S and found.probability >= SURE) or seen >= AT_LATEST_S:
             self.over = "duration" not in found.params
             self._begin_anew()
-            return Alarm(stage=NAMED, failure=found, told_s=self.watched_s)
-        if self._suspected is not None:
-            self._suspected = found
-            return None
+            return [Alarm(stage=NAMED, failure=found, told_s=self.watched_s)]
+        told = [] if self._suspected else [Alarm(stage=SUSPECTED, failure=found, told_s=self.watched_s)]
         self._suspected = found
-        return Alarm(stage=SUSPECTED, failure=found, told_s=self.watched_s)
+        return told
 
-    def ended(self) -> Alarm | None:
+    def ended(self) -> list[Alarm]:
         """Return the failure that was suspected when the rows ended: a vehicle that came down is not seen for long."""
         found, self._suspected = self._suspected, None
-        return None if found is None else Alarm(stage=NAMED, failure=found, told_s=self.watched_s)
+        return [Alarm(stage=NAMED, failure=found, told_s=self.watched_s)] if found else []
 
 
 def _whole(values: Array | None) -> Array | None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, stats
 
 from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS
 
 Array = NDArray[np.float64]
 
@@ -32,9 +33,6 @@ AROUND_S = 3.0
 
 FREEDOM = 4
 """Degrees of freedom of Student's t: chosen, not estimated."""
-
-FALSE_ALARM_HOURS = 100.0
-"""Mean flight time between jumps that are none [h], as far as differences have those tails."""
 
 MOST = 20
 """A position with more jumps than that is left as it is, and the log says so."""

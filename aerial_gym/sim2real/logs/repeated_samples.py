@@ -60,6 +60,20 @@ class RepeatedSamples:
         return float(spans.mean()) if middle > 1.0 and np.mean(np.abs(spans - middle) <= 1.0) >= REGULAR else 1.0
 
 
+@dataclass(frozen=True, kw_only=True)
+class FrozenSensor:
+    """A sensor that keeps one value."""
+
+    name: str
+    """As in a ``FlightLog``."""
+
+    row: int
+    """From which on it does."""
+
+    seconds: float
+    """For how long [s]."""
+
+
 def find_repeated_samples(values: Array, moving: NDArray[np.bool_]) -> RepeatedSamples:
     """Return the rows (T, any) that are new; what does not move may repeat."""
     same = np.all(values[1:] == values[:-1], axis=1) & moving[1:]
@@ -85,7 +99,12 @@ def mend_repeated_samples(log: FlightLog) -> FlightLog:
         if values.shape[1] == 0:
             continue
         repeats = find_repeated_samples(values, moving)
-        _refuse_frozen(log, name, repeats)
+        frozen = _longest_frozen(log, name, repeats)
+        if frozen.seconds > LONGEST_FROZEN_S:
+            raise DataError(
+                f"{log.where(frozen.row + 1)}: {name} repeats one value for {frozen.seconds:.3g} s while the vehicle moves; "
+                "the sensor was frozen, cut the log there, or leave that sensor out"
+            )
         if repeats.share > 0.0:
             changes[name] = np.stack(
                 [np.interp(log.time, log.time[repeats.fresh], v[repeats.fresh]) for v in values.T], 1
@@ -115,7 +134,16 @@ def _values(log: FlightLog, name: str) -> Array:
     return values * np.concatenate(([1.0], turned))[:, None]
 
 
-def _refuse_frozen(log: FlightLog, name: str, repeats: RepeatedSamples) -> None:
+def frozen_sensors(log: FlightLog) -> list[FrozenSensor]:
+    """Return the sensors that repeat one value for longer than ``LONGEST_FROZEN_S`` while the vehicle moves."""
+    moving = _moving(log)
+    there = [(name, values) for name in SENSORS if (values := _values(log, name)).shape[1]]
+    found = [_longest_frozen(log, name, find_repeated_samples(values, moving)) for name, values in there]
+    return [frozen for frozen in found if frozen.seconds > LONGEST_FROZEN_S]
+
+
+def _longest_frozen(log: FlightLog, name: str, repeats: RepeatedSamples) -> FrozenSensor:
+    """Return for how long a sensor keeps one value at most; a pose does only if the vehicle goes or turns meanwhile."""
     ends = np.append(repeats.fresh[1:], repeats.num_rows - 1)
     frozen = log.time[ends] - log.time[repeats.fresh]
     changes = {"position": log.lin_vel, "attitude": log.ang_vel}.get(name)
@@ -123,11 +151,7 @@ def _refuse_frozen(log: FlightLog, name: str, repeats: RepeatedSamples) -> None:
         way = np.append(0.0, np.cumsum(np.linalg.norm(changes[:-1], axis=1) * np.diff(log.time)))
         frozen = np.where(way[ends] - way[repeats.fresh] > LEAST_WAY, frozen, 0.0)
     worst = int(np.argmax(frozen))
-    if frozen[worst] > LONGEST_FROZEN_S:
-        raise DataError(
-            f"{log.where(int(repeats.fresh[worst]) + 1)}: {name} repeats one value for {frozen[worst]:.3g} s while the "
-            "vehicle moves; the sensor was frozen, cut the log there, or leave that sensor out"
-        )
+    return FrozenSensor(name=name, row=int(repeats.fresh[worst]), seconds=float(frozen[worst]))
 
 
 def _sentence(log: FlightLog, name: str, repeats: RepeatedSamples) -> str:
@@ -135,6 +159,6 @@ def _sentence(log: FlightLog, name: str, repeats: RepeatedSamples) -> str:
         rate = (log.time.size - 1) / float(log.time[-1] - log.time[0])
         said = f"comes only {rate / repeats.usual:.3g} times per second (the log has {rate:.4g} rows)"
     else:
-        longest = int(np.diff(repeats.fresh).max()) - 1
+        longest = int(np.diff(repeats.fresh, append=repeats.num_rows).max()) - 1
         said = f"repeats its value in {repeats.share:.1%} of the rows, at most {longest} in a row: late packets"
     return f"{name} {said}; straight lines between measured values"

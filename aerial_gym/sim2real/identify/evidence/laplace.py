@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtrtrs
+from scipy.linalg import get_lapack_funcs
 from scipy.special import log_ndtr
 
 Array = NDArray[np.float64]
@@ -38,6 +38,8 @@ AT_ONCE = 512
 """Sets whose evidence is worked out together."""
 
 LOG_2PI = float(np.log(2.0 * np.pi))
+
+(_solve_triangular,) = get_lapack_funcs(("trtrs",), dtype=np.float64)  # without checks that take longer than it does
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +90,7 @@ class Integrated:
         there = columns[:, None]
         root = np.linalg.cholesky(normal.product[there, columns] + np.eye(columns.size))
         right = np.column_stack((normal.product[there, kept], normal.gradient[columns]))
-        solved = dtrtrs(root.T, right, trans=1)[0] if columns.size else right
+        solved = _solve_triangular(root.T, right, trans=1)[0] if columns.size else right
         across, right = np.zeros((columns.size, normal.gradient.size)), solved[:, -1]
         across[:, kept] = solved[:, :-1]
         self._normal, self._across, self._right = normal, across, right

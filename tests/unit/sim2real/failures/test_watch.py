@@ -10,6 +10,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.failures.finding import FailureFinder
 from aerial_gym.sim2real.failures.rotor_work import RotorWork
 from aerial_gym.sim2real.failures.scan import causes_of, sum_of_odds
+from aerial_gym.sim2real.failures.sensor_faults import SensorFault
 from aerial_gym.sim2real.failures.watch import NAMED, SETTLED_S, SUSPECTED, Alarm, Watch
 from aerial_gym.sim2real.logs.flights import complete_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
@@ -29,8 +30,7 @@ def failing() -> pd.DataFrame:
 def told_of(table: pd.DataFrame, kept: slice | np.ndarray = slice(None)) -> list[Alarm]:
     """Return what is told of some rows of a table."""
     watch = Watch(ROBOT, list(table.columns))
-    alarms = [watch.add(row) for row in table.to_numpy()[kept]]
-    return [alarm for alarm in (*alarms, watch.ended()) if alarm is not None]
+    return [alarm for row in table.to_numpy()[kept] for alarm in watch.add(row)] + watch.ended()
 
 
 def test_a_propeller_that_breaks_is_suspected_and_then_named() -> None:
@@ -69,6 +69,49 @@ def test_a_gap_begins_anew() -> None:
     """What was before it is forgotten: the rotor that gives less after it does so all along."""
     table = failing()
     assert told_of(table, np.asarray((table["t"] < ONSET - 0.3) | (table["t"] > ONSET))) == []
+
+
+def test_a_position_that_jumps_and_returns_is_told_with_its_size() -> None:
+    """Half a second behind it is compared, and looks are half a second apart."""
+    table = flight(3, noise=1.0)
+    there = (table["t"] >= ONSET) & (table["t"] < ONSET + 2.0)
+    table.loc[there, "p_x"] += 1.0
+    alarms = told_of(table)
+    assert [alarm.failure.name for alarm in alarms] == ["position_jump"] * 2
+    for alarm, time, size in zip(alarms, (ONSET, ONSET + 2.0), (1.0, -1.0), strict=True):
+        assert alarm.failure.time == pytest.approx(time, abs=0.05)
+        assert alarm.failure.params["x"] == pytest.approx(size, abs=0.02)
+        assert time < alarm.told_s < time + 2.5
+    assert "position jumps by (+1" in alarms[0].sentence
+
+
+@pytest.mark.parametrize(
+    ("sensor", "columns"),
+    [("ang_vel", ["omega_x", "omega_y", "omega_z"]), ("position", ["p_x", "p_y", "p_z"])],
+)
+@pytest.mark.parametrize("empty", [False, True])
+def test_a_sensor_that_stops_is_told_and_no_rotor_is_blamed(sensor: str, columns: list[str], empty: bool) -> None:
+    """Its values stay, or are empty; a position that comes back has not jumped."""
+    table = flight(3, noise=1.0)
+    gone = (table["t"] >= ONSET) & (table["t"] < ONSET + 1.5)
+    table.loc[gone, columns] = np.nan if empty else table.loc[~gone & (table["t"] < ONSET), columns].to_numpy()[-1]
+    (alarm,) = told_of(table)
+    assert isinstance(alarm.failure, SensorFault)
+    assert (alarm.failure.name, alarm.failure.sensor) == ("sensor_dropout", sensor)
+    assert alarm.failure.time == pytest.approx(ONSET, abs=0.01)
+    assert alarm.told_s < ONSET + 1.3
+    assert alarm.as_mapping()["sensor"] == sensor
+
+
+def test_a_position_is_watched_again_after_it_stood_still() -> None:
+    table = flight(3, noise=1.0, seconds=14.0)
+    columns, gone = ["p_x", "p_y", "p_z"], (table["t"] >= 4.0) & (table["t"] < 5.0)
+    table.loc[gone, columns] = table.loc[table["t"] < 4.0, columns].to_numpy()[-1]
+    table.loc[table["t"] >= 11.0, "p_y"] -= 2.0
+    stopped, jumped = told_of(table)
+    assert (stopped.failure.name, jumped.failure.name) == ("sensor_dropout", "position_jump")
+    assert jumped.failure.time == pytest.approx(11.0, abs=0.05)
+    assert jumped.failure.params["y"] == pytest.approx(-2.0, abs=0.05)
 
 
 def test_what_cannot_be_watched_is_refused() -> None:

@@ -99,3 +99,12 @@ def test_copies_of_a_row_are_left_out(table: pd.DataFrame, tmp_path: Path) -> No
     log = read_flight_log(write(twice, tmp_path / "a.csv"))
     assert log.time.size == len(table)
     assert log.notes == ("1 rows that are copies of the one before, time included, were left out",)
+
+
+def test_a_pose_that_repeats_all_along_a_short_log_is_said(table: pd.DataFrame, tmp_path: Path) -> None:
+    """The vehicle does not go far enough for it to be frozen."""
+    short = table[:30].copy()
+    short[["v_x", "v_y", "v_z"]] *= 0.11 / np.abs(short[["v_x", "v_y", "v_z"]].to_numpy()).max()
+    short[["p_x", "p_y", "p_z"]] = short[["p_x", "p_y", "p_z"]].to_numpy()[0]
+    log = mended(short, tmp_path)
+    assert any("position repeats its value" in note for note in log.notes)

@@ -1,0 +1,142 @@
+"""Faults of sensors in a flight that is being flown: a position that jumps, a sensor that stops.
+
+The rules are those by which whole logs are looked through (``logs.position_jumps``, ``logs.repeated_samples``), on the last
+seconds of the flight. Letters: T rows.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.position_jumps import HALF_S, PositionJump, integral, largest_jump
+from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.repeated_samples import LONGEST_FROZEN_S, frozen_sensors, mend_repeated_samples
+from aerial_gym.sim2real.logs.signals import uniform_log
+
+Array = NDArray[np.float64]
+
+WINDOW_S = 20.0
+"""Of a flight that are looked at together [s]: what differences of a position are without a jump has to be seen."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorFault:
+    """A jump of the position, or a sensor that gives nothing new."""
+
+    flight: str
+    name: str
+    """position_jump or sensor_dropout."""
+
+    sensor: str
+    """Which, as in a ``FlightLog``."""
+
+    params: dict[str, float]
+    """``time`` from the first row on [s]; of a jump ``x``, ``y``, ``z`` [m], world."""
+
+    std: dict[str, float] = field(default_factory=dict)
+    interval: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """95 %."""
+
+    @property
+    def time(self) -> float:
+        """Return when it began, from the first row on [s]."""
+        return self.params["time"]
+
+    @property
+    def sentence(self) -> str:
+        """Return it in words."""
+        if self.name == "sensor_dropout":
+            return f"{self.flight}: {self.sensor} repeats one value from {self.time:.3f} s on (sensor_dropout)"
+        size = ", ".join(f"{self.params[axis]:+.3g} ± {1.96 * self.std[axis]:.1g}" for axis in "xyz")
+        return f"{self.flight}: position jumps by ({size}) m (x, y, z) at {self.time:.3f} s (position_jump)"
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return {
+            "flight": self.flight,
+            "name": self.name,
+            "sensor": self.sensor,
+            "params": self.params,
+            "std": self.std,
+            "interval": {key: list(ends) for key, ends in self.interval.items()},
+            "sentence": self.sentence,
+        }
+
+
+class SensorWatch:
+    """Looks through the last seconds of one flight; a fault is told once."""
+
+    def __init__(self, flight: str) -> None:
+        self._flight = flight
+        self._since = -np.inf
+        self._stopped: dict[str, float] = {}
+        self._jumps: list[tuple[float, PositionJump]] = []
+
+    @property
+    def blind(self) -> bool:
+        """Return whether a sensor gives nothing new at present."""
+        return bool(self._stopped)
+
+    def begin_anew(self, time: float) -> None:
+        """Forget what was before a time [s]: positions before and after a gap are not compared."""
+        self._since = time
+
+    def look(self, log: FlightLog) -> list[SensorFault]:
+        """Return the faults that are new in the last rows of a flight; ``log.time`` is from its first row on [s]."""
+        return [*self._dropouts(log), *self._jumps_in(log)]
+
+    def _dropouts(self, log: FlightLog) -> Iterator[SensorFault]:
+        """Yield the sensors that have stopped since the last look; those that came back are watched again."""
+        last = _since(log, float(log.time[-1]) - 4.0 * LONGEST_FROZEN_S)
+        stopped = {
+            frozen.name: float(last.time[frozen.row])
+            for frozen in frozen_sensors(last)
+            if last.time[frozen.row] + frozen.seconds >= last.time[-1]
+        }
+        for name in stopped.keys() - self._stopped.keys():
+            yield SensorFault(flight=self._flight, name="sensor_dropout", sensor=name, params={"time": stopped[name]})
+        if self._stopped or stopped:
+            self.begin_anew(float(log.time[-1]))
+        self._stopped = stopped
+
+    def _jumps_in(self, log: FlightLog) -> Iterator[SensorFault]:
+        """Yield the jump that is new since the last look, once all rows that it is compared with have come."""
+        log = _since(log, self._since)
+        if log.position is None or log.lin_vel is None or log.time.size < 2:
+            return
+        try:
+            log = uniform_log(mend_repeated_samples(log))
+        except DataError:  # rows are missing, or sensors stopped and came back in these seconds
+            return
+        assert log.position is not None
+        assert log.lin_vel is not None
+        step, position = float(log.time[1] - log.time[0]), log.position.copy()
+        for time, jump in self._jumps:
+            position[log.time >= time] -= jump.size
+        found = largest_jump(position - integral(log.lin_vel, step), step)
+        if found is None or found.first > len(position) - 2 * round(HALF_S / step):
+            return
+        time = float(log.time[found.first])
+        self._jumps = [(at, jump) for at, jump in self._jumps if at >= log.time[0]] + [(time, found)]
+        size, std = (
+            dict(zip("xyz", found.size.tolist(), strict=True)),
+            dict(zip("xyz", found.std.tolist(), strict=True)),
+        )
+        yield SensorFault(
+            flight=self._flight,
+            name="position_jump",
+            sensor="position",
+            params={**size, "time": time},
+            std=std,
+            interval={axis: (size[axis] - 1.96 * std[axis], size[axis] + 1.96 * std[axis]) for axis in "xyz"},
+        )
+
+
+def _since(log: FlightLog, time: float) -> FlightLog:
+    """Return the rows of a log from a time on [s]."""
+    kept = log.time >= time
+    rows = {name: values[kept] for name, values in vars(log).items() if isinstance(values, np.ndarray)}
+    return replace(log, **rows)
