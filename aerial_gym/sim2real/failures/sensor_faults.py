@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.position_jumps import HALF_S, PositionJump, integral, largest_jump
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.logs.repeated_samples import LONGEST_FROZEN_S, frozen_sensors, mend_repeated_samples
+from aerial_gym.sim2real.logs.repeated_samples import (
+    LONGEST_FROZEN_S,
+    frozen_sensors,
+    mend_repeated_samples,
+    unchanged_since,
+)
 from aerial_gym.sim2real.logs.signals import uniform_log
 
 Array = NDArray[np.float64]
@@ -73,6 +78,7 @@ class SensorWatch:
         self._flight = flight
         self._since = -np.inf
         self._stopped: dict[str, float] = {}
+        """Sensors that stand still, and since when [s]."""
         self._jumps: list[tuple[float, PositionJump]] = []
 
     @property
@@ -91,16 +97,18 @@ class SensorWatch:
     def _dropouts(self, log: FlightLog) -> Iterator[SensorFault]:
         """Yield the sensors that have stopped since the last look; those that came back are watched again."""
         last = _since(log, float(log.time[-1]) - 4.0 * LONGEST_FROZEN_S)
-        stopped = {
-            frozen.name: float(last.time[frozen.row])
-            for frozen in frozen_sensors(last)
-            if last.time[frozen.row] + frozen.seconds >= last.time[-1]
-        }
+        frozen = {one.name for one in frozen_sensors(last) if last.time[one.row] + one.seconds >= last.time[-1]}
+        stopped = dict[str, float]()
+        for name, row in unchanged_since(log).items():
+            at = float(log.time[row])
+            # One that has stopped stays so until it gives another value, though the vehicle may stand for a moment.
+            if name in frozen or (name in self._stopped and (row == 0 or at <= self._stopped[name])):
+                stopped[name] = at
         for name in stopped.keys() - self._stopped.keys():
             yield SensorFault(flight=self._flight, name="sensor_dropout", sensor=name, params={"time": stopped[name]})
         if self._stopped or stopped:
             self.begin_anew(float(log.time[-1]))
-        self._stopped = stopped
+        self._stopped = {name: self._stopped.get(name, at) for name, at in stopped.items()}
 
     def _jumps_in(self, log: FlightLog) -> Iterator[SensorFault]:
         """Yield the jump that is new since the last look, once all rows that it is compared with have come."""

@@ -142,6 +142,16 @@ def frozen_sensors(log: FlightLog) -> list[FrozenSensor]:
     return [frozen for frozen in found if frozen.seconds > LONGEST_FROZEN_S]
 
 
+def unchanged_since(log: FlightLog) -> dict[str, int]:
+    """Return of each sensor the row from which on it has the value of the last one, whether the vehicle moves or not."""
+    found = dict[str, int]()
+    for name in SENSORS:
+        if (values := _values(log, name)).shape[1]:
+            changes = np.flatnonzero(np.any(values[1:] != values[:-1], axis=1))
+            found[name] = int(changes[-1]) + 1 if changes.size else 0
+    return found
+
+
 def _longest_frozen(log: FlightLog, name: str, repeats: RepeatedSamples) -> FrozenSensor:
     """Return for how long a sensor keeps one value at most; a pose does only if the vehicle goes or turns meanwhile."""
     ends = np.append(repeats.fresh[1:], repeats.num_rows - 1)

@@ -103,6 +103,17 @@ def test_a_sensor_that_stops_is_told_and_no_rotor_is_blamed(sensor: str, columns
     assert alarm.as_mapping()["sensor"] == sensor
 
 
+def test_a_sensor_that_never_comes_back_is_told_once() -> None:
+    """Longer than what is looked at together, and while the vehicle stands still for a moment."""
+    table = flight(3, noise=1.0, seconds=30.0)
+    table.loc[table["t"] >= ONSET, ["v_x", "v_y", "v_z"]] = table.loc[
+        table["t"] < ONSET, ["v_x", "v_y", "v_z"]
+    ].to_numpy()[-1]
+    table.loc[(table["t"] > 8.0) & (table["t"] < 9.0), ["omega_x", "omega_y", "omega_z"]] *= 1e-3
+    (alarm,) = told_of(table)
+    assert (alarm.failure.name, alarm.failure.params["time"]) == ("sensor_dropout", pytest.approx(ONSET, abs=0.01))
+
+
 def test_a_position_is_watched_again_after_it_stood_still() -> None:
     table = flight(3, noise=1.0, seconds=14.0)
     columns, gone = ["p_x", "p_y", "p_z"], (table["t"] >= 4.0) & (table["t"] < 5.0)
