@@ -15,6 +15,7 @@ from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.sensor import CameraCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.interop import resolve_device
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import RayCaster, make_images
 
@@ -64,7 +65,7 @@ def main() -> None:
     args = parser.parse_args()
     for env in args.envs:
         for robot in args.robots:
-            found = images_per_second(robot, env, args.num_envs, torch.device(args.device))
+            found = images_per_second(robot, env, args.num_envs, resolve_device(args.device))
             print(f"{env}, {robot}: {found:.3g} images per second", flush=True)
 
 
