@@ -277,9 +277,8 @@ class Fitter:
         known = self._derivatives.get(fitted.label)
         derivatives = None
         if known is not None:
-            rest = np.repeat(
-                [name not in names for name in fitted.effects], [scales((name,)).size for name in fitted.effects]
-            )
+            owners = [name for name in fitted.effects for _ in scales((name,))]
+            rest = np.array([name not in names for name in owners], dtype=bool)
             derivatives = [part[:, :, rest] for part in known[1]]
         return self.fit(effects, fitted.structures, start, derivatives, compared=compared)
 

@@ -46,6 +46,16 @@ def test_of_a_fit_that_went_nowhere_an_effect_goes(monkeypatch: pytest.MonkeyPat
     assert Fitter.without_weakest(object.__new__(Fitter), nowhere) == ("slung_payload",)
 
 
+def test_a_set_without_effects_is_fitted_again_without_its_structures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has derivatives by nothing: as many rows, and no column."""
+    given: list[list[np.ndarray]] = []
+    monkeypatch.setattr(Fitter, "fit", lambda *args, **_: given.append(args[4]))
+    one, fitter = fitted(log=-5.0), object.__new__(Fitter)
+    fitter.declared, fitter._derivatives = one.params, {one.label: (one, [np.zeros((5, 2, 0), dtype=np.float32)])}
+    fitter.without(one, ())
+    assert [part.shape for part in given[0]] == [(5, 2, 0)]
+
+
 def test_not_the_weakest_effect_goes_but_the_one_without_which_the_rest_holds() -> None:
     """Less speaks for the drag beside the tilt of a motor; alone the drag holds, and the tilt does not."""
     both = fitted("rotor_drag", "motor_tilt", odds={"rotor_drag": -2.0, "motor_tilt": -1.0})
