@@ -51,7 +51,8 @@ def test_a_set_without_effects_is_fitted_again_without_its_structures(monkeypatc
     given: list[list[np.ndarray]] = []
     monkeypatch.setattr(Fitter, "fit", lambda *args, **_: given.append(args[4]))
     one, fitter = fitted(log=-5.0), object.__new__(Fitter)
-    fitter.declared, fitter._derivatives = one.params, {one.label: (one, [np.zeros((5, 2, 0), dtype=np.float32)])}
+    fitter.declared, fitter._derivatives = one.params, {}
+    fitter._derivatives[one.label] = one, [np.zeros((5, 2, 0), dtype=np.float32)]
     fitter.without(one, ())
     assert [part.shape for part in given[0]] == [(5, 2, 0)]
 
