@@ -23,6 +23,7 @@ from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop
 from aerial_gym.env_manager.touch import Touch, recorded
 from aerial_gym.errors import ClosedError, ConfigError
+from aerial_gym.interop import resolve_device
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics.state import JointedState
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
@@ -71,11 +72,13 @@ class EnvManager:
         """Build everything; call ``reset`` before the first ``step``. ``SimBuilder.build_env`` says what is given.
 
         Raises:
-            ConfigError: If ``num_envs`` is not positive, or a differentiable simulation is asked for what has no gradient.
+            ConfigError: If ``num_envs`` is not positive, the device is not there, or a differentiable simulation is asked for
+                what has no gradient.
         """
         if not 1 <= num_envs <= MAX_COUNT:
             raise ConfigError(f"num_envs = {num_envs!r}: must be at least 1, and at most {MAX_COUNT:,}")
         _check_gradients(env, differentiable=differentiable, dtype=dtype)
+        device = resolve_device(device)
         self.cfg, self.sim_cfg, self.num_envs, self.device, self.seed = env, sim, num_envs, device, seed
         self.random = Randomness(num_envs, device=device, seed=seed, first_env=first_env, first_episode=first_episode)
         sizes = {"E": num_envs, "A": env.num_assets, "R": robot.num_rotors}

@@ -197,6 +197,25 @@ def test_wrong_requests_are_refused_by_name() -> None:
         env.step(torch.zeros(4, 3))
 
 
+def test_a_device_without_a_number_is_the_first_one_or_refused_by_name() -> None:
+    def made() -> EnvManager:
+        return EnvManager(
+            sim=SIMS.get("base_sim"),
+            env=ENVIRONMENTS.get("empty_env"),
+            robot=ROBOTS.get("base_quadrotor"),
+            controller=CONTROLLERS.get("no_control"),
+            num_envs=2,
+            device=torch.device("cuda"),
+            seed=0,
+        )
+
+    if torch.cuda.is_available():
+        assert made().device == torch.device("cuda:0")
+    else:
+        with pytest.raises(ConfigError, match="this machine shows 0 CUDA devices"):
+            made()
+
+
 def test_an_imu_on_board_measures_gravity_in_hover_and_nothing_else_moves() -> None:
     """Level in hover it reads g up within bias and noise (1e-3 + 6 x 1.7e-3 x 10); in free fall it reads zero."""
     readings = {}
