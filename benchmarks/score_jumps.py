@@ -17,7 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.failures.rotor_work import BLOCK_S
 from aerial_gym.sim2real.failures.sensor_faults import WINDOW_S, SensorFault, SensorWatch
+from aerial_gym.sim2real.failures.watch import LOOK_BLOCKS
 from aerial_gym.sim2real.logs.flights import even_log
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
@@ -26,7 +28,7 @@ from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.repeated_samples import SENSORS
 
 COLLECTIONS = ("idsia_nanodrone", "nanobench_cf21", "neural_fly", "neural_swarm")
-LOOK_S = 0.5
+LOOK_S = LOOK_BLOCKS * BLOCK_S
 TOLD = re.compile(r"position jumps by \(([^)]*)\) m .* t = ([\d.]+)")
 
 

@@ -77,6 +77,7 @@ class SensorWatch:
     def __init__(self, flight: str) -> None:
         self._flight = flight
         self._since = -np.inf
+        """From which time on positions are compared [s]: a sensor stood still before."""
         self._stopped: dict[str, float] = {}
         """Sensors that stand still, and since when [s]."""
         self._jumps: list[tuple[float, PositionJump]] = []
@@ -85,10 +86,6 @@ class SensorWatch:
     def blind(self) -> bool:
         """Return whether a sensor gives nothing new at present."""
         return bool(self._stopped)
-
-    def begin_anew(self, time: float) -> None:
-        """Forget what was before a time [s]: positions before and after a gap are not compared."""
-        self._since = time
 
     def look(self, log: FlightLog) -> list[SensorFault]:
         """Return the faults that are new in the last rows of a flight; ``log.time`` is from its first row on [s]."""
@@ -107,7 +104,7 @@ class SensorWatch:
         for name in stopped.keys() - self._stopped.keys():
             yield SensorFault(flight=self._flight, name="sensor_dropout", sensor=name, params={"time": stopped[name]})
         if self._stopped or stopped:
-            self.begin_anew(float(log.time[-1]))
+            self._since = float(log.time[-1])
         self._stopped = {name: self._stopped.get(name, at) for name, at in stopped.items()}
 
     def _jumps_in(self, log: FlightLog) -> Iterator[SensorFault]:

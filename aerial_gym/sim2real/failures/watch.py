@@ -151,6 +151,7 @@ class Watch:
         self._start = values[time] if self._start is None else self._start
         if self._rows and values[time] - self._rows[-1][time] > LONGEST_GAP_S:
             self._begin_anew()
+            self._recent.clear()  # positions before and after are not compared
         self._last = values
         self.watched_s = float(values[time] - self._start)
         self._rows.append(values)

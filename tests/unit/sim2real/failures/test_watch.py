@@ -125,6 +125,15 @@ def test_a_position_is_watched_again_after_it_stood_still() -> None:
     assert jumped.failure.params["y"] == pytest.approx(-2.0, abs=0.05)
 
 
+def test_a_jump_is_told_after_a_gap_and_none_is_made_of_the_gap() -> None:
+    table = flight(3, noise=1.0, seconds=14.0)
+    table.loc[table["t"] >= 11.0, "p_z"] += 1.0
+    (alarm,) = told_of(table, np.asarray((table["t"] < 4.0) | (table["t"] > 4.6)))
+    assert alarm.failure.name == "position_jump"
+    assert alarm.failure.time == pytest.approx(11.0, abs=0.05)
+    assert alarm.failure.params["z"] == pytest.approx(1.0, abs=0.02)
+
+
 def test_what_cannot_be_watched_is_refused() -> None:
     columns = list(flight(3, seconds=1.0).columns)
     with pytest.raises(DataError, match="no column 'omega_x'"):
